@@ -1,0 +1,1 @@
+"""From samples to spectra: lines of periodic records, frequency responses, azimuth and harmonics."""
