@@ -1,0 +1,42 @@
+"""The commands of `balance`, one file each, loaded when they are needed."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+
+import click
+
+from balance_cli import __version__
+from balance_cli.cli.errors import BalanceCommand
+
+COMMANDS = ("calibrate", "sweep-tf", "identify", "diagnose", "reduce", "modes", "simulate", "check", "report")
+
+
+def _module(name: str) -> str:
+    return f"{__name__}.{name.replace('-', '_')}"
+
+
+class LazyGroup(BalanceCommand, click.Group):
+    """A group that imports a command's module only when that command is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The commands there are, in the order in which a campaign uses them."""
+        return [name for name in COMMANDS if importlib.util.find_spec(_module(name))]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of this name, imported now."""
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        command = importlib.import_module(_module(cmd_name)).command
+        assert isinstance(command, click.Command)
+        return command
+
+
+@click.group("balance", cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="balance")
+def balance() -> None:
+    """From raw volts of a rotor balance to rotor-harmonic hub loads.
+
+    Exit status: 0 done; 1 a fault of ours; 2 the input or the call is wrong, and nothing was written.
+    """

@@ -1,0 +1,240 @@
+"""What all commands share: one session a call, one place for errors and exit status.
+
+A command reads, does one step, writes, and says what happened:
+
+    @command("calibrate")
+    @geometry_option
+    @runs_argument
+    @skip_bad_option
+    @output_option("CAL")
+    def command_(session, geometry, runs, skip_bad, output):     # in the module: `command = ...`
+        '''One line for the list of commands.'''
+        from balance_cli.calibrate import calibrate
+
+        rig = session.geometry(geometry)
+        records = session.runs(runs, rig, skip_bad)
+        calibration = calibrate(rig, session.progress(records, "runs"))
+        session.save(output, "balance-calibration/1", calibration)
+        session.finish(summary={"trims": ...}, text=["2 trims", ...])
+
+`--json` and `-v` come with `@command`. What was read is remembered for the provenance. Outputs (`save`, `stage`,
+`stage_in`) are prepared beside their places and moved there together when the command returns without an exception;
+so is the JSON. `session.warn` and `session.left_out` reach stderr and the JSON. `session.status = 3` sets the exit
+status of a call that otherwise succeeded. Own options: use the types InputFile, OutputFile and OutputFolder of
+`balance_cli.cli.options`, then their paths are checked before the command starts.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from balance_cli.cli.errors import BalanceCommand
+from balance_cli.cli.messages import messages
+from balance_cli.cli.options import (
+    InputFile,
+    OutputFile,
+    OutputFolder,
+    check_outputs,
+    geometry_option,
+    json_option,
+    output_option,
+    runs_argument,
+    settings_of,
+    skip_bad_option,
+    verbose_option,
+)
+from balance_cli.errors import UserError
+from balance_cli.files import Staged, writing
+
+if TYPE_CHECKING:
+    from balance_cli.artefacts import Artefact, Provenance
+    from balance_cli.geometry import Geometry
+    from balance_cli.runs import Run
+
+__all__ = [
+    "InputFile",
+    "OutputFile",
+    "OutputFolder",
+    "Session",
+    "command",
+    "geometry_option",
+    "output_option",
+    "runs_argument",
+    "skip_bad_option",
+]
+
+T = TypeVar("T")
+
+
+class Session:
+    """One call of one command: what it read, what it will write, what it has to say."""
+
+    def __init__(self, context: click.Context, json_path: Path | None) -> None:
+        self.status = 0
+        self._context = context
+        self._json_path = json_path
+        self._staged = Staged()
+        self._inputs: list[tuple[str, str, str]] = []
+        self._outputs: list[Path] = []
+        self._warnings: list[str] = []
+        self._skipped: dict[str, str] = {}
+        self._left_out: dict[str, str] = {}
+        self._summary: Mapping[str, Any] = {}
+        self._text: tuple[str, ...] = ()
+
+    def geometry(self, path: Path) -> Geometry:
+        """Read a geometry, and remember it as an input."""
+        from balance_cli.geometry_file import geometry_digest, load_geometry
+
+        geometry = load_geometry(path)
+        self._inputs.append((geometry.name, "geometry", geometry_digest(geometry)))
+        return geometry
+
+    def runs(
+        self,
+        paths: Iterable[Path],
+        geometry: Geometry,
+        skip_bad: bool = False,
+        role: str = "run",
+        apart_from: Iterable[Run] = (),
+    ) -> tuple[Run, ...]:
+        """Open run files of this rig, and remember them as inputs in this role; UserError if one is in `apart_from`."""
+        from balance_cli.run_files import open_runs
+
+        runs, skipped = open_runs(tuple(paths), geometry, skip_bad)
+        for path, reason in skipped.items():
+            self._skipped[str(path)] = reason
+            self._say_warning(f"skipped: {reason}")
+        taken = {run.name for run in apart_from}
+        for run in runs:
+            if run.name in taken:
+                raise UserError(f"run `{run.name}` is in both lists", str(run.path), remedy="Give it in one of them")
+            self._inputs.append((run.name, role, run.digest))
+        return runs
+
+    def artefact(self, path: Path, types: Mapping[str, type[Any]], role: str = "artefact") -> Artefact:
+        """Read an artefact of one of the formats in `types`, and remember it as an input."""
+        from balance_cli.artefacts import load_artefact
+
+        artefact = load_artefact(path, types)
+        self._inputs.append((path.name, role, artefact.digest))
+        return artefact
+
+    def progress(self, items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
+        """The same items, with a progress bar on stderr where that is a terminal."""
+        stream = click.get_text_stream("stderr")
+        if not stream.isatty():
+            return items
+        from tqdm import tqdm
+
+        return tqdm(items, desc=description, total=total, file=stream, leave=False)
+
+    def provenance(self) -> Provenance:
+        """Command, options that differ from their defaults, inputs read so far, versions, time."""
+        from balance_cli.artefacts import Input, provenance_now
+
+        inputs = tuple(Input(*entry) for entry in self._inputs)
+        return provenance_now(self._context.info_name or "", settings_of(self._context), inputs)
+
+    def save(self, path: Path, format: str, content: Any) -> None:
+        """Prepare an artefact of this format at `path`, with the provenance of all that was read so far."""
+        from balance_cli.artefacts import save_artefact
+
+        save_artefact(self.stage(path), format, content, self.provenance())
+
+    def stage(self, path: Path) -> Path:
+        """The path to write to instead of `path`; moved there when the command has succeeded."""
+        part = self._staged.file(path)
+        self._outputs.append(path)
+        return part
+
+    def stage_in(self, folder: Path, name: str) -> Path:
+        """As `stage`, for the file `name` in an output folder, made where there is none."""
+        return self.stage(self._staged.folder(folder) / name)
+
+    def warn(self, text: str) -> None:
+        """A warning, on stderr and in the summary."""
+        self._warnings.append(text)
+        self._say_warning(text)
+
+    def left_out(self, name: str, reason: str) -> None:
+        """Say that a run (or channel) was read but not used, and why."""
+        self._left_out[name] = reason
+        self._say_warning(f"{name} left out: {reason}")
+
+    def finish(self, summary: Mapping[str, Any], text: Iterable[str] = ()) -> None:
+        """The summary (one JSON object) and what to tell the user, shown once all outputs are in place."""
+        self._summary, self._text = summary, tuple(text)
+
+    def close(self, failed: bool) -> None:
+        """Put all outputs in place and say what happened; after a failure, remove what was prepared."""
+        try:
+            if not failed:
+                self._stage_json()
+                self._staged.commit()
+                self._say_done()
+        finally:
+            self._staged.discard()
+
+    def _full_summary(self) -> dict[str, Any]:
+        return {
+            "command": self._context.info_name,
+            "outputs": [str(path) for path in self._outputs],
+            "warnings": self._warnings,
+            "skipped": self._skipped,
+            "left_out": self._left_out,
+            **self._summary,
+        }
+
+    def _stage_json(self) -> None:
+        from balance_cli.cli.summary import json_text
+
+        if self._json_path is not None and not self._json_to_stdout:
+            part = self._staged.file(self._json_path)
+            with writing(self._json_path):
+                part.write_text(json_text(self._full_summary()) + "\n", encoding="utf-8")
+
+    def _say_done(self) -> None:
+        from balance_cli.cli.summary import json_text
+
+        for line in self._text:
+            click.echo(line, err=self._json_to_stdout)
+        for path in self._outputs:
+            click.echo(f"written: {path}", err=self._json_to_stdout)
+        if self._json_to_stdout:
+            click.echo(json_text(self._full_summary()))
+
+    @property
+    def _json_to_stdout(self) -> bool:
+        return self._json_path is not None and str(self._json_path) == "-"
+
+    def _say_warning(self, text: str) -> None:
+        click.echo(f"balance: warning: {text}", err=True)
+
+
+def command(name: str, **attributes: Any) -> Callable[[Callable[..., None]], click.Command]:
+    """As click.command, with `--json` and `-v`; the function gets the Session first, then its own parameters."""
+
+    def decorate(function: Callable[..., None]) -> click.Command:
+        @click.command(name, cls=BalanceCommand, **attributes)
+        @click.pass_context
+        @functools.wraps(function)
+        def call(context: click.Context, json_path: Path | None, verbose: bool, **parameters: Any) -> None:
+            check_outputs(context)
+            session, failed = Session(context, json_path), True
+            with messages(verbose):
+                try:
+                    function(session, **parameters)
+                    failed = False
+                finally:
+                    session.close(failed)
+            context.exit(session.status)
+
+        return verbose_option(json_option(call))
+
+    return decorate

@@ -1,0 +1,31 @@
+"""Log messages of the package on stderr, for the time of one command."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+
+class _Stderr(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        click.echo(f"balance: {record.levelname.lower()}: {self.format(record)}", err=True)
+
+
+@contextmanager
+def messages(verbose: bool) -> Iterator[None]:
+    """Show the package's log: warnings, and with `verbose` everything, Python's own warnings included."""
+    loggers = [logging.getLogger("balance_cli"), *([logging.getLogger("py.warnings")] if verbose else [])]
+    handler = _Stderr()
+    logging.captureWarnings(verbose)
+    for logger in loggers:
+        logger.addHandler(handler)
+        logger.setLevel(logging.DEBUG if verbose else logging.WARNING)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(handler)
+        logging.captureWarnings(False)

@@ -1,0 +1,105 @@
+"""Options and arguments that commands share, and the types that tell inputs from outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from balance_cli.errors import UserError
+from balance_cli.files import check_output, check_output_folder
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class InputFile(click.Path):
+    """A file that a command reads; that it exists and is what it should be, its reader says."""
+
+    name = "file"
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+
+class OutputFile(click.Path):
+    """A file that a command writes, checked before anything is computed; with `allow_dash`, `-` is stdout."""
+
+    name = "file"
+
+    def __init__(self, allow_dash: bool = False) -> None:
+        super().__init__(path_type=Path, allow_dash=allow_dash)
+
+
+class OutputFolder(click.Path):
+    """A folder that a command writes files to (made if there is none), checked before anything is computed."""
+
+    name = "folder"
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+
+geometry_option: Callable[[F], F] = click.option(
+    "-g", "--geometry", "geometry", type=InputFile(), required=True, metavar="GEOMETRY", help="Geometry of the rig."
+)
+runs_argument: Callable[[F], F] = click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN...")
+skip_bad_option: Callable[[F], F] = click.option(
+    "--skip-bad", is_flag=True, help="Go on without the runs that cannot be used, and list them."
+)
+
+
+def output_option(metavar: str, text: str = "Where the result is written.") -> Callable[[F], F]:
+    """The required option `-o/--output`, passed to the command as `output`."""
+    return click.option("-o", "--output", "output", type=OutputFile(), required=True, metavar=metavar, help=text)
+
+
+def json_option(function: F) -> F:
+    """The option `--json` of every command."""
+    text = "Write the summary as JSON; `-` is stdout (the text then goes to stderr)."
+    return click.option("--json", "json_path", type=OutputFile(allow_dash=True), metavar="FILE", help=text)(function)
+
+
+def verbose_option(function: F) -> F:
+    """The option `-v/--verbose` of every command."""
+    text = "Say more; with a fault of ours, show the traceback."
+    return click.option("-v", "--verbose", is_flag=True, help=text)(function)
+
+
+def paths_of(context: click.Context, *types: type[click.Path]) -> Iterator[Path]:
+    """All paths given in the call whose parameter has one of these types (`-` is none)."""
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if value is None or not isinstance(parameter.type, types):
+            continue
+        values = value if isinstance(value, tuple) else (value,)
+        yield from (path for path in values if isinstance(path, Path) and str(path) != "-")
+
+
+def settings_of(context: click.Context) -> dict[str, Any]:
+    """The options of the call that differ from their defaults: no paths, no `--json`, no `--verbose`."""
+    settings = {}
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        if name in ("json_path", "verbose") or isinstance(parameter.type, click.Path):
+            continue
+        value = context.params.get(name)
+        if value != parameter.get_default(context) and value not in ((), None):
+            settings[name.replace("_", "-")] = value
+    return settings
+
+
+def check_outputs(context: click.Context) -> None:
+    """Refuse outputs that cannot be written, or would overwrite an input or each other, before anything is computed."""
+    inputs = {path.resolve() for path in paths_of(context, InputFile)}
+    outputs: set[Path] = set()
+    for path in paths_of(context, OutputFile):
+        check_output(path)
+        if path.resolve() in inputs:
+            raise UserError("is an input of this very command", str(path), remedy="Give the output another name")
+        if path.resolve() in outputs:
+            raise UserError("two outputs have this name", str(path), remedy="Give each output a name of its own")
+        outputs.add(path.resolve())
+    for folder in paths_of(context, OutputFolder):
+        check_output_folder(folder)
