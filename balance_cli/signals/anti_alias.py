@@ -16,7 +16,7 @@ def butterworth_poles(order: int) -> ComplexArray:
     They lie evenly spaced on the left half of the unit circle (Butterworth, Wireless Engineer 7, 1930, p. 536).
     """
     k = np.arange(1, order + 1)
-    return np.exp(1j * np.pi * (2 * k + order - 1) / (2 * order))
+    return np.asarray(np.exp(1j * np.pi * (2 * k + order - 1) / (2 * order)), complex)
 
 
 def anti_alias(acquisition: Acquisition, frequency_hz: ArrayLike) -> ComplexArray:

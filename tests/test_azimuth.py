@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from balance_cli.errors import UserError
+from balance_cli.signals.azimuth import azimuth_from_pulses
+
+RATE = 17.5
+
+
+def revolutions(time, drift=0.04, period=20.0):
+    """Count of revolutions at a speed that drifts by `drift` about RATE, and the speed."""
+    omega = 2 * np.pi / period
+    count = RATE * (time + drift * (1 - np.cos(omega * time)) / omega)
+    return count, RATE * (1 + drift * np.sin(omega * time))
+
+
+def pulses(duration=20.0, drift=0.04):
+    """Pulse times, by bisection on the count."""
+    time = np.linspace(0, duration, 200_001)
+    count, _ = revolutions(time, drift)
+    wanted = np.arange(1, int(count[-1]))
+    found = np.interp(wanted, count, time)
+    for _ in range(5):
+        value, speed = revolutions(found, drift)
+        found = found - (value - wanted) / speed
+    return found
+
+
+def test_azimuth_and_speed_of_a_drifting_rotor():
+    times = pulses()
+    azimuth = azimuth_from_pulses(times)
+    time = np.linspace(times[0], times[-1], 9999)
+    count, speed = revolutions(time)
+    np.testing.assert_allclose(azimuth.psi(time) / (2 * np.pi), count - 1, atol=2e-10)
+    np.testing.assert_allclose(azimuth.speed(time), speed, rtol=1e-7)
+    assert azimuth.notes == ()
+    assert azimuth.mean_rate == pytest.approx((len(times) - 1) / (times[-1] - times[0]), rel=1e-14)
+    np.testing.assert_allclose(azimuth.psi(times), 2 * np.pi * np.arange(len(times)), atol=1e-9)
+
+
+def test_outside_the_pulses_there_is_no_azimuth():
+    azimuth = azimuth_from_pulses(pulses())
+    outside = [azimuth.first - 1e-6, azimuth.last + 1e-6]
+    assert np.all(np.isnan(azimuth.psi(outside))) and np.all(np.isnan(azimuth.speed(outside)))
+
+
+def test_time_of_inverts_the_count():
+    azimuth = azimuth_from_pulses(pulses())
+    wanted = np.linspace(0, azimuth.turns, 777)
+    np.testing.assert_allclose(azimuth.psi(azimuth.time_of(wanted)) / (2 * np.pi), wanted, atol=1e-10)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    missing=st.sets(st.integers(10, 300).map(lambda k: 8 * (k // 8)), max_size=5),
+    doubled=st.sets(st.integers(10, 300).map(lambda k: 8 * (k // 8) + 4), max_size=5),
+    offset=st.floats(0.002, 0.7),
+)
+def test_missing_and_stray_pulses_are_repaired_and_said(missing, doubled, offset):
+    sound = pulses()
+    strays = [sound[k] + offset * (sound[k + 1] - sound[k]) for k in doubled]
+    azimuth = azimuth_from_pulses(np.sort(np.concatenate([np.delete(sound, list(missing)), strays])))
+    time = np.linspace(sound[0], sound[-1], 5000)
+    # A stray so close that either of the two may be the true one leaves its own distance as error.
+    tolerance = 1e-6 if offset > 0.05 or not doubled else 1.5 * offset
+    np.testing.assert_allclose(azimuth.psi(time) / (2 * np.pi), revolutions(time)[0] - 1, atol=tolerance)
+    assert azimuth.turns == len(sound) - 1
+    assert len(azimuth.notes) == len(missing) + len(doubled)
+
+
+def test_a_mistimed_pulse_is_dropped_and_said():
+    times = pulses()
+    late = times.copy()
+    late[100] += 0.1 / RATE
+    azimuth = azimuth_from_pulses(late)
+    assert len(azimuth.notes) == 1 and "out of step" in azimuth.notes[0]
+    np.testing.assert_allclose(azimuth.psi(times[90:110]), 2 * np.pi * np.arange(90, 110), atol=1e-6)
+
+
+def test_jitter_of_half_a_degree_is_kept_as_it_is():
+    times = pulses()
+    jittered = times + np.random.default_rng(1).normal(size=len(times)) * 0.5 / 360 / RATE
+    azimuth = azimuth_from_pulses(jittered)
+    assert azimuth.notes == ()
+    np.testing.assert_allclose(azimuth.psi(jittered), 2 * np.pi * np.arange(len(times)), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "word"),
+    [
+        (lambda t: t[:2], "only 2 pulses"),
+        (lambda t: np.where(np.arange(len(t)) == 7, np.nan, t), "entry 7"),
+        (lambda t: np.where(np.arange(len(t)) == 7, t[5], t), "backwards"),
+        (lambda t: np.concatenate([t[:50], t[50:] + 0.5 / RATE]), "cannot be repaired"),
+        (lambda t: np.delete(t, slice(100, 120)), "cannot be repaired"),
+        (lambda t: np.delete(t, slice(None, None, 4)), "too many"),
+    ],
+)
+def test_what_cannot_be_repaired_is_refused(spoil, word):
+    with pytest.raises(UserError, match=word):
+        azimuth_from_pulses(spoil(pulses()))
+
+
+def test_pulses_timed_by_whole_samples_are_told():
+    azimuth = azimuth_from_pulses(np.round(pulses() * 800) / 800)
+    (note,) = azimuth.notes
+    # Rounding to 1/800 s is uniform over 1.25 ms: 2.3 degrees at 17.5 Hz.
+    assert 1.0 < float(note.split("by ")[1].split()[0]) < 4.0
