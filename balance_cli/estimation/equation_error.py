@@ -1,0 +1,154 @@
+"""Least squares on the equation error: the equations of motion with the measured forces put in.
+
+The cells measure their own forces s, so q = (kE)^+ s is known, and e = A(w) q - F u is free of resonances: it is a
+polynomial in the parameters, and a fit from the declared values cannot fall into a wrong peak. It is biased by the
+noise on s, as every equation error is (paper, section 6), and it starts the maximum likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.estimation.gauss_newton import Minimum, minimise
+from balance_cli.estimation.likelihood import Curvature
+from balance_cli.estimation.measurements import Batch
+from balance_cli.model.parameters import ParameterSet
+from balance_cli.model.system import System, channel_gains, dynamic_stiffness, slopes_times
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class MeasuredForces:
+    """Spring forces (K, e) [N, N m] that the channels of a batch measured, with loads (K, 6).
+
+    `weight` (K, n + e) is one over the size of an equation error that matters.
+    """
+
+    spin: float
+    frequency: Array
+    forces: ComplexArray
+    loads: ComplexArray
+    weight: Array
+
+
+def measured_forces(batch: Batch, system: System) -> MeasuredForces:
+    """Spring forces by weighted least squares over the channels of each spring; needs one live channel a spring."""
+    c = batch.channels.shape[1]
+    gains = channel_gains(system.paths, batch.frequency)[batch.index]
+    weight = np.real(np.diagonal(batch.precision[:, :c, :c], axis1=1, axis2=2))
+    springs = np.array([path.spring for path in system.paths])
+    pick = (springs[:, None] == np.arange(system.readings.value.shape[0])).astype(float)
+    numerator = (weight * gains.conj() * batch.channels) @ pick
+    denominator = (weight * np.abs(gains) ** 2) @ pick
+    known = denominator > 0
+    forces = np.where(known, numerator / np.where(known, denominator, 1.0), 0.0)
+    loads = np.zeros((len(forces), 6), complex)
+    np.put_along_axis(loads, batch.components, batch.loads, axis=1)
+    frequency = batch.frequency[batch.index]
+    return MeasuredForces(batch.spin, frequency, forces, loads, _row_weight(system, frequency, loads))
+
+
+def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArray, ComplexArray]:
+    """Errors (K, n + e) and slopes (K, n + e, p): A q - F u, and the forces that no motion explains.
+
+    Each is multiplied by the measurement's fixed weight.
+    """
+    R = system.readings
+    inverse = (R.T @ R).inverse() @ R.T
+    q = measured.forces @ inverse.value.T
+    dq = _per_line(inverse.slope, measured.forces)
+    A = dynamic_stiffness(system.pencil, measured.frequency, measured.spin)
+    balance = np.matmul(A, q[:, :, None])[:, :, 0] - measured.loads @ system.inputs.value.T
+    slopes = np.matmul(A, dq) + _pencil_times(system, measured, q)
+    slopes -= _per_line(system.inputs.slope, measured.loads)
+    surplus = measured.forces - q @ R.value.T
+    d_surplus = -_per_line(R.slope, q) - np.matmul(R.value, dq)
+    error = np.concatenate([balance, surplus], axis=1) * measured.weight
+    return np.asarray(error, complex), np.concatenate([slopes, d_surplus], axis=1) * measured.weight[:, :, None]
+
+
+def _pencil_times(system: System, measured: MeasuredForces, q: ComplexArray) -> ComplexArray:
+    """DA q (K, n, p)."""
+    pencil, w = system.pencil, 2 * np.pi * measured.frequency[:, None]
+    damping = pencil.damping.slope + 2 * np.pi * measured.spin * pencil.gyroscopic.slope
+    stiffness, viscous = _per_line(pencil.stiffness.slope, q), _per_line(damping, 1j * w * q)
+    return stiffness + viscous - _per_line(pencil.mass.slope, w**2 * q)
+
+
+def _per_line(slopes: Array, vectors: ComplexArray) -> ComplexArray:
+    """Slopes (p, a, b) times vectors (K, b): (K, a, p)."""
+    return np.swapaxes(slopes_times(slopes, vectors), 1, 2)
+
+
+def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
+    """One over the size (K, n + e) of an error that matters: the load of the line, times the arm of each coordinate.
+
+    Levels and components so weigh alike. The size grows as k + w^2 m does, or else the highest frequencies, where
+    inertia is everything, would decide alone.
+    """
+    arms = np.maximum(np.abs(system.inputs.value).max(axis=1), 1e-3)
+    level = np.sqrt(np.sum(np.abs(loads) ** 2, axis=1))[:, None]
+    ratio = np.diag(system.pencil.mass.value) / np.diag(system.pencil.stiffness.value)
+    growth = 1.0 + (2 * np.pi * frequency[:, None]) ** 2 * ratio
+    surplus = np.repeat(level, system.readings.value.shape[0], axis=1)
+    return np.asarray(1.0 / np.concatenate([level * arms * growth, surplus], axis=1))
+
+
+def least_squares(
+    parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], band: tuple[float, float]
+) -> Minimum:
+    """Equation-error estimate from the declared values, with the priors; its noise is taken from its own residual.
+
+    Lines outside `band` [Hz] are left out. Every spring that holds the plate needs a live channel.
+    """
+    start = parameters.value
+    data = [_within_band(measured_forces(batch, system(start)), band) for batch in batches]
+
+    def error(theta: Array) -> float:
+        return float(sum(np.sum(np.abs(equation_error(system(theta), item)[0]) ** 2) for item in data))
+
+    count = 2 * sum(item.forces.size for item in data)
+    minimum = None
+    for _ in range(3):
+        variance = 2.0 * error(start) / max(count, 1)
+        minimum = minimise(
+            parameters,
+            start,
+            lambda theta, v=variance: _curvature(system(theta), data, v),  # type: ignore[misc]
+            lambda theta, v=variance: 2.0 * error(theta) / v,  # type: ignore[misc]
+            iterations=15,
+            tolerance=1e-5 * count,
+        )
+        start = minimum.theta
+    assert minimum is not None
+    return minimum
+
+
+def _within_band(measured: MeasuredForces, band: tuple[float, float]) -> MeasuredForces:
+    keep = (measured.frequency >= band[0]) & (measured.frequency <= band[1])
+    return replace(
+        measured,
+        frequency=measured.frequency[keep],
+        forces=measured.forces[keep],
+        loads=measured.loads[keep],
+        weight=measured.weight[keep],
+    )
+
+
+def _curvature(system: System, data: Sequence[MeasuredForces], variance: float) -> Curvature:
+    p = system.parameters
+    total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
+    for measured in data:
+        error, slopes = equation_error(system, measured)
+        flat = slopes.reshape(-1, p)
+        gradient = np.real(flat.conj().T @ error.reshape(-1))
+        information = np.real(flat.conj().T @ flat)
+        chi2 = 2.0 * float(np.sum(np.abs(error) ** 2)) / variance
+        total = total + Curvature(chi2, 2.0 * gradient / variance, 2.0 * information / variance)
+    return total

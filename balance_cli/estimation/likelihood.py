@@ -1,0 +1,143 @@
+"""The likelihood of measured lines under a balance model, with noise on channels and on loads.
+
+Per line z = [Y, U] = [T; I] U0 + noise with precision S. The true loads U0 are eliminated (Pintelon and Schoukens,
+System Identification, 2nd ed., chapter 9): with M = [T; I], U0 = (M' S M)^-1 M' S z and r = z - M U0,
+
+    chi2 = 2 sum r* S r,   gradient = -4 Re sum dY* (S r)_Y,   curvature = 4 Re sum dY* P dY (Gauss-Newton)
+
+where dY = dT U0 and P = S_YY - S_YM (M'SM)^-1 S_MY. With noise on the channels alone U0 = U and P = S_YY.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.estimation.measurements import Batch
+from balance_cli.model.system import Solution, System, output_slopes, response, solve
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One batch at one parameter vector: estimated loads (K, 6), weighted residual S r of the channels (K, c),
+
+    residual of the channels (K, c) about the measured loads, and chi2 (K,) of each line.
+    """
+
+    loads: ComplexArray
+    weighted: ComplexArray
+    residual: ComplexArray
+    chi2: Array
+    downdate: tuple[ComplexArray, ComplexArray] | None
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """Chi-square with half its gradient (p,) and half its Gauss-Newton curvature (p, p): the information matrix."""
+
+    chi2: float
+    gradient: Array
+    information: Array
+
+    def __add__(self, other: Curvature) -> Curvature:
+        return Curvature(self.chi2 + other.chi2, self.gradient + other.gradient, self.information + other.information)
+
+
+def exciter_response(system: System, solution: Solution) -> ComplexArray:
+    """T (f, c, 6) from the loads that the exciter's force cell measures; its spill is part of the path."""
+    return np.asarray(response(system, solution) @ system.spill.value)
+
+
+def fitted(batch: Batch, system: System, solution: Solution) -> Fitted:
+    """Eliminate the true loads of every line and weigh what is left."""
+    T = exciter_response(system, solution)
+    columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
+    predicted = np.matmul(columns, batch.loads[:, :, None])[:, :, 0]
+    residual = batch.channels - predicted
+    if batch.exact:
+        return _with_exact_loads(batch, residual)
+    c = batch.channels.shape[1]
+    S = batch.precision
+    SM = np.matmul(S[:, :, :c], columns) + S[:, :, c:]
+    normal = np.matmul(columns.conj().swapaxes(1, 2), SM[:, :c]) + SM[:, c:]
+    # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
+    Sr = np.matmul(S[:, :, :c], residual[:, :, None])[:, :, 0]
+    right = np.matmul(columns.conj().swapaxes(1, 2), Sr[:, :c, None])[:, :, 0] + Sr[:, c:]
+    correction = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    weighted = Sr - np.matmul(SM, correction[:, :, None])[:, :, 0]
+    chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted[:, :c], axis=1))
+    loads = _six(batch, batch.loads + correction)
+    return Fitted(loads, weighted[:, :c], residual, chi2, (SM[:, :c], np.linalg.inv(normal)))
+
+
+def _with_exact_loads(batch: Batch, residual: ComplexArray) -> Fitted:
+    c = batch.channels.shape[1]
+    weighted = np.matmul(batch.precision[:, :c, :c], residual[:, :, None])[:, :, 0]
+    chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted, axis=1))
+    return Fitted(_six(batch, batch.loads), weighted, residual, chi2, None)
+
+
+def _six(batch: Batch, loads: ComplexArray) -> ComplexArray:
+    """Loads (K, u) as six columns (K, 6)."""
+    six = np.zeros((len(loads), 6), complex)
+    np.put_along_axis(six, batch.components, loads, axis=1)
+    return six
+
+
+def channel_slopes(batch: Batch, system: System, solution: Solution, loads: ComplexArray) -> ComplexArray:
+    """DY (K, c, p) for estimated exciter loads (K, 6), spill included."""
+    true_loads = loads @ system.spill.value.T
+    slopes = output_slopes(system, solution, batch.index, true_loads)
+    if np.any(system.spill.slope):
+        spilt = np.einsum("pij,kj->kip", system.spill.slope, loads)
+        slopes = slopes + np.matmul(response(system, solution)[batch.index], spilt)
+    return slopes
+
+
+def _information(batch: Batch, fit: Fitted, slopes: ComplexArray) -> Array:
+    """2 Re sum dY* P dY, the downdate for the eliminated loads taken as a second, small product."""
+    K, c, p = slopes.shape
+    weighted = np.matmul(batch.precision[:, :c, :c], slopes)
+    flat = slopes.reshape(K * c, p)
+    information = np.real(flat.conj().T @ weighted.reshape(K * c, p))
+    if fit.downdate is not None:
+        SM, inverse = fit.downdate
+        projected = np.matmul(SM.conj().swapaxes(1, 2), slopes)
+        flat = projected.reshape(-1, p)
+        information -= np.real(flat.conj().T @ np.matmul(inverse, projected).reshape(-1, p))
+    return np.asarray(2.0 * information)
+
+
+def batch_curvature(batch: Batch, system: System) -> Curvature:
+    """Chi-square, gradient and information of one batch."""
+    solution = solve(system, batch.frequency, batch.spin)
+    fit = fitted(batch, system, solution)
+    slopes = channel_slopes(batch, system, solution, fit.loads)
+    p = slopes.shape[2]
+    gradient = -2.0 * np.real(slopes.reshape(-1, p).conj().T @ fit.weighted.reshape(-1))
+    return Curvature(float(fit.chi2.sum()), gradient, _information(batch, fit, slopes))
+
+
+def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
+    """Chi-square, gradient and information of all measured lines."""
+    p = system.parameters
+    total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
+    for batch in batches:
+        total = total + batch_curvature(batch, system)
+    return total
+
+
+def data_chi2(batches: Sequence[Batch], system: System) -> float:
+    """Chi-square of all measured lines, without derivatives."""
+    return float(sum(fitted(b, system, solve(system, b.frequency, b.spin)).chi2.sum() for b in batches))
+
+
+def degrees_of_freedom(batches: Sequence[Batch]) -> int:
+    """Number of real measured values."""
+    return int(sum(batch.count.sum() for batch in batches))

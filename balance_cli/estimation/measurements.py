@@ -1,0 +1,139 @@
+"""Measured lines of many runs, stacked and weighted, as the estimators use them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS
+from balance_cli.signals.lines import Lines, StaticPoints
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Lines of one rotor speed, all with the same number u of excited components and the same kind of weight.
+
+    frequency (f,) are the different ones, `index` (K,) says which each line has; channels (K, c) [V]; loads (K, u);
+    components (K, u) which of the six they are; precision (K, c+u, c+u), the inverse covariance of [channels, loads],
+    zero where a channel is not live; `exact` where the loads carry no noise of their own; count (K,) real degrees of
+    freedom of a line; run (K,) index into `runs`.
+    """
+
+    runs: tuple[str, ...]
+    spin: float
+    frequency: Array
+    index: Index
+    channels: ComplexArray
+    loads: ComplexArray
+    components: Index
+    precision: ComplexArray
+    exact: bool
+    count: Array
+    run: Index
+
+
+def stacked(
+    lines: Sequence[Lines], statics: Sequence[StaticPoints], channel_names: tuple[str, ...]
+) -> tuple[Batch, ...]:
+    """All runs as few batches: lines of alike runs share their frequencies and so the model's inversions."""
+    everything = [*lines, *(static_lines(points) for points in statics)]
+    groups: dict[tuple[float, int, bool], list[Lines]] = {}
+    for run in everything:
+        key = (run.rotor_speed, len(run.components), _exact(run))
+        groups.setdefault(key, []).append(run)
+    return tuple(_batch(group, key, channel_names) for key, group in groups.items())
+
+
+def static_lines(points: StaticPoints) -> Lines:
+    """A static run as lines at frequency zero: its regression slopes, scaled to independent experiments.
+
+    With the centred loads U = Q R the rows carry C0 R' with noise `covariance` in each of the six columns, so that
+    the straight part of all rows is kept without loss. The noise is real: as circular noise it counts double.
+    """
+    channels = points.channels - points.channels.mean(axis=0)
+    loads = points.loads - points.loads.mean(axis=0)
+    varied = np.ptp(points.loads, axis=0) > 0
+    Q, R = np.linalg.qr(loads[:, varied])
+    components = tuple(name for name, used in zip(COMPONENTS, varied, strict=True) if used)
+    count, c = len(R), len(points.channel_names)
+    padded = np.zeros((count, c + count, c + count), complex)
+    padded[:, :c, :c] = 2.0 * points.covariance
+    return Lines(
+        run=points.run,
+        channel_names=points.channel_names,
+        components=components,
+        frequency=np.zeros(count),
+        channels=(Q.T @ channels).astype(complex),
+        loads=R.astype(complex),
+        covariance=padded,
+        dof=points.dof,
+    )
+
+
+def _exact(lines: Lines) -> bool:
+    c = len(lines.channel_names)
+    return not np.any(lines.covariance[:, c:, c:])
+
+
+def inverse_bias_factor(dof: float, size: int) -> float:
+    """(dof - n) / dof: the mean of the inverse of a complex Wishart matrix of n signals is larger by its inverse."""
+    return 1.0 if np.isinf(dof) else max(dof - size, 1.0) / dof
+
+
+def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: tuple[str, ...]) -> Batch:
+    spin, _, exact = key
+    frequency, index = np.unique(np.concatenate([run.frequency for run in group]), return_inverse=True)
+    run = np.repeat(np.arange(len(group)), [len(item.frequency) for item in group])
+    counts = [_count(item) for item in group]
+    return Batch(
+        runs=tuple(item.run for item in group),
+        spin=spin,
+        frequency=frequency,
+        index=index.reshape(-1),
+        channels=np.concatenate([_all_channels(item, channel_names) for item in group]),
+        loads=np.concatenate([item.loads for item in group]),
+        components=np.concatenate([_component_index(item) for item in group]),
+        precision=np.concatenate([_precision(item, channel_names, exact) for item in group]),
+        exact=exact,
+        count=np.concatenate(counts),
+        run=run,
+    )
+
+
+def _count(lines: Lines) -> Array:
+    per_channel = np.where(lines.frequency > 0, 2.0, 1.0)
+    return np.asarray(per_channel * len(lines.channel_names))
+
+
+def _component_index(lines: Lines) -> Index:
+    index = np.array([COMPONENTS.index(name) for name in lines.components], dtype=np.intp)
+    return np.broadcast_to(index, (len(lines.frequency), len(index)))
+
+
+def _places(lines: Lines, channel_names: tuple[str, ...]) -> list[int]:
+    return [channel_names.index(name) for name in lines.channel_names]
+
+
+def _all_channels(lines: Lines, channel_names: tuple[str, ...]) -> ComplexArray:
+    wide = np.zeros((len(lines.frequency), len(channel_names)), complex)
+    wide[:, _places(lines, channel_names)] = lines.channels
+    return wide
+
+
+def _precision(lines: Lines, channel_names: tuple[str, ...], exact: bool) -> ComplexArray:
+    """Inverse covariance, spread over all channels and the u loads."""
+    live, c, u = len(lines.channel_names), len(channel_names), len(lines.components)
+    used = slice(0, live) if exact else slice(0, live + u)
+    covariance = lines.covariance[:, used, used]
+    inverse = np.linalg.inv(covariance) * inverse_bias_factor(lines.dof, covariance.shape[1])
+    wide = np.zeros((len(inverse), c + u, c + u), complex)
+    places = np.array(_places(lines, channel_names) + ([] if exact else list(range(c, c + u))))
+    wide[:, places[:, None], places[None, :]] = inverse
+    return wide

@@ -1,0 +1,1 @@
+"""The balance as a linear system: plate, torque shaft, effects and channels; responses, derivatives and modes."""

@@ -1,0 +1,38 @@
+"""The balance model: a geometry, its parameters, and the system that they give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.geometry import Geometry
+from balance_cli.jets import Jet
+from balance_cli.model.parameters import ParameterSet, declared_parameters
+from balance_cli.model.rigid import rigid_equations
+from balance_cli.model.system import System, assembled
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BalanceModel:
+    """A rig as equations in its parameters: plate, shaft, channels and the effects declared in the geometry."""
+
+    geometry: Geometry
+    parameters: ParameterSet
+
+    def system(self, theta: Array | None = None) -> System:
+        """The system at the full parameter vector `theta`, by default the declared one.
+
+        Its slopes refer to the free parameters only, in their order.
+        """
+        vector = self.parameters.value if theta is None else np.asarray(theta, float)
+        jet = Jet(vector, np.eye(len(vector))[self.parameters.free])
+        return assembled(rigid_equations(self.geometry, self.parameters.names, jet))
+
+
+def balance_model(geometry: Geometry) -> BalanceModel:
+    """The model of a declared rig."""
+    return BalanceModel(geometry, declared_parameters(geometry))

@@ -1,0 +1,44 @@
+"""Modal damping of the plate, with the derivative of its eigenvectors taken along."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import eigh
+
+from balance_cli.jets import Jet
+
+# Two eigenvalues closer than this (relative) are one: their vectors may be chosen freely in the common plane.
+DEGENERATE = 1e-9
+
+
+def modal_damping(M: Jet, K: Jet, zeta: Jet) -> Jet:
+    """D = M Phi diag(2 zeta omega) Phi' M, with K Phi = M Phi diag(omega^2) and Phi' M Phi = I.
+
+    M, K (n, n) and zeta (n,), in order of rising eigenfrequency. With dPhi = Phi A and Psi = Phi^-T = M Phi,
+    dD = Psi (dg - A'g - gA) Psi', where A_ij = phi_i'(dK - lambda_j dM) phi_j / (lambda_j - lambda_i) and
+    A_ii = -phi_i' dM phi_i / 2 (Fox and Kapoor, AIAA J. 6, 1968).
+    """
+    eigenvalues, Phi = eigh(K.value, M.value)
+    omega = np.sqrt(np.maximum(eigenvalues, 0.0))
+    g = 2.0 * zeta.value * omega
+    Psi = M.value @ Phi
+    dK, dM = Phi.T @ K.slope @ Phi, Phi.T @ M.slope @ Phi
+    d_eigenvalues = np.diagonal(dK, axis1=1, axis2=2) - eigenvalues * np.diagonal(dM, axis1=1, axis2=2)
+    d_omega = d_eigenvalues / np.where(omega > 0, 2.0 * omega, np.inf)
+    dg = 2.0 * (zeta.slope * omega + zeta.value * d_omega)
+    inner = _rotation_terms(dK, dM, eigenvalues, g)
+    index = np.arange(len(g))
+    inner[:, index, index] += dg
+    return Jet((Psi * g) @ Psi.T, Psi @ inner @ Psi.T)
+
+
+def _rotation_terms(dK: np.ndarray, dM: np.ndarray, eigenvalues: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """-(A'g + gA) in closed form: off the diagonal a divided difference of g over the eigenvalues."""
+    gap = eigenvalues[None, :] - eigenvalues[:, None]
+    close = np.abs(gap) <= DEGENERATE * np.max(np.abs(eigenvalues))
+    safe = np.where(close, 1.0, gap)
+    difference = np.where(close, 0.0, (g[None, :] - g[:, None]) / safe)
+    cross = (eigenvalues[None, :] * g[:, None] - eigenvalues[:, None] * g[None, :]) / safe
+    # On the diagonal, and in a degenerate plane, only the change of normalisation counts.
+    cross = np.where(close, 0.5 * (g[:, None] + g[None, :]), cross)
+    return np.asarray(dK * difference + dM * cross)

@@ -1,0 +1,86 @@
+"""Eigenfrequencies, damping ratios and shapes of a system, with their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig
+
+from balance_cli.model.system import System
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Modes:
+    """m oscillatory modes in order of rising frequency.
+
+    frequency (m,) [Hz] is that of the undamped oscillator |s| / (2 pi); damping_ratio (m,) = -Re s / |s|; shape (m, n)
+    complex, its largest element 1; frequency_slope and damping_slope (m, p) for the system's free parameters.
+    """
+
+    coordinates: tuple[str, ...]
+    frequency: Array
+    damping_ratio: Array
+    shape: ComplexArray
+    frequency_slope: Array
+    damping_slope: Array
+
+
+def modes(system: System, spin: float = 0.0) -> Modes:
+    """Eigenvalues s of (s^2 M + s (D + Omega G) + K + jH) x = 0 in the upper half plane.
+
+    Slopes are ds = -y (s^2 dM + s dD + dK + j dH) x / y (2 s M + D) x, with y the left eigenvector.
+    """
+    M, D, K = _matrices(system, spin)
+    s, left, right = _eigen(M, D, K)
+    norm = np.einsum("mi,mij,mj->m", left, 2 * s[:, None, None] * M + D, right)
+    ds = -_pencil_slopes(system, spin, s, left, right) / norm[:, None]
+    size = np.abs(s)
+    d_size = np.real(s.conj()[:, None] * ds) / size[:, None]
+    zeta = -s.real / size
+    d_zeta = -ds.real / size[:, None] - zeta[:, None] * d_size / size[:, None]
+    largest = np.take_along_axis(right, np.argmax(np.abs(right), axis=1)[:, None], axis=1)
+    return Modes(system.coordinates, size / (2 * np.pi), zeta, right / largest, d_size / (2 * np.pi), d_zeta)
+
+
+def _matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
+    pencil = system.pencil
+    damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
+    return pencil.mass.value, damping, pencil.stiffness.value + 1j * pencil.hysteresis.value
+
+
+def _eigen(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Oscillatory eigenvalues (m,) of rising size with left and right vectors (m, n) of the quadratic problem.
+
+    The companion pencil is [[0, I], [-K, -D]] v = s [[I, 0], [0, M]] v; M may be singular (infinite eigenvalues).
+    """
+    n = len(M)
+    identity, nothing = np.eye(n), np.zeros((n, n))
+    scale = np.sqrt(np.abs(np.trace(K)) / np.trace(M))
+    companion = np.block([[nothing, identity], [-K / scale**2, -D / scale]])
+    weight = np.block([[identity, nothing], [nothing, M]])
+    values, left, right = eig(companion, weight, left=True, right=True)
+    finite = np.isfinite(values) & (np.abs(values) < 1e6)
+    oscillating = finite & (values.imag > 1e-9 * np.abs(np.where(finite, values, 0.0)).max())
+    order = np.flatnonzero(oscillating)[np.argsort(np.abs(values[oscillating]))]
+    # The lower half of the companion's left vector is the left vector of the quadratic problem.
+    return values[order] * scale, left[n:, order].conj().T, right[:n, order].T
+
+
+def _pencil_slopes(
+    system: System, spin: float, s: ComplexArray, left: ComplexArray, right: ComplexArray
+) -> ComplexArray:
+    """The products y (s^2 dM + s dD + dK + j dH) x (m, p)."""
+    pencil = system.pencil
+
+    def between(slope: Array) -> ComplexArray:
+        return np.asarray(np.einsum("mi,pij,mj->mp", left, slope, right, optimize=True))
+
+    damping = pencil.damping.slope + 2 * np.pi * spin * pencil.gyroscopic.slope
+    inertia, viscous = between(pencil.mass.slope), between(damping)
+    elastic = between(pencil.stiffness.slope) + 1j * between(pencil.hysteresis.slope)
+    return np.asarray(s[:, None] ** 2 * inertia + s[:, None] * viscous + elastic)

@@ -1,0 +1,126 @@
+"""The physical parameters of the declared rig, with the priors that its tolerances give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.geometry import Geometry
+from balance_cli.model.plate import cell_stiffness, free_index, moving_part
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """p parameters: name, unit, declared value, one standard deviation of it, and bounds.
+
+    `sigma` 0 means exact (never fitted), infinite means nothing is known beforehand; `scale` (p,) is the size of a
+    change that matters, in which a fit counts.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: Array
+    sigma: Array
+    scale: Array
+    lower: Array
+    upper: Array
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """Position of a parameter in the vector."""
+        return self.names.index(name)
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Which parameters a fit may move."""
+        return self.sigma > 0
+
+    def __add__(self, other: ParameterSet) -> ParameterSet:
+        arrays = (
+            np.concatenate([getattr(self, name), getattr(other, name)])
+            for name in ("value", "sigma", "scale", "lower", "upper")
+        )
+        return ParameterSet(self.names + other.names, self.units + other.units, *arrays)
+
+
+@dataclass(frozen=True)
+class _Row:
+    name: str
+    unit: str
+    value: float
+    sigma: float
+    lower: float = -np.inf
+
+
+INERTIA_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
+
+
+def parameter_set(rows: list[_Row]) -> ParameterSet:
+    """Rows as arrays; the scale of a parameter is its sigma, or its size where it has none."""
+    value, sigma, lower = (np.array([getattr(row, key) for row in rows]) for key in ("value", "sigma", "lower"))
+    size = np.where(value == 0, 1.0, np.abs(value))
+    scale = np.where((sigma > 0) & np.isfinite(sigma), sigma, 0.01 * size)
+    names, units = tuple(row.name for row in rows), tuple(row.unit for row in rows)
+    return ParameterSet(names, units, value, sigma, scale, lower, np.full(len(rows), np.inf))
+
+
+def declared_parameters(geometry: Geometry) -> ParameterSet:
+    """All physical parameters of the rigid balance: declared value and prior sigma (contract, `tolerances`)."""
+    rows = _stiffness_rows(geometry) + _inertia_rows(geometry) + _damping_rows(geometry) + _sensitivity_rows(geometry)
+    return parameter_set(rows)
+
+
+def _stiffness_rows(geometry: Geometry) -> list[_Row]:
+    tolerance = geometry.tolerances.stiffness
+    rows = [
+        _Row(f"stiffness.{cell.name}", "N/m", k, tolerance * k, 0.0)
+        for cell, k in zip(geometry.cells, cell_stiffness(geometry), strict=True)
+    ]
+    if geometry.torque_meter:
+        k = geometry.torque_meter.stiffness
+        rows.append(_Row("torque_meter.stiffness", "N m/rad", k, tolerance * k, 0.0))
+    return rows
+
+
+def _inertia_rows(geometry: Geometry) -> list[_Row]:
+    part, tolerances = moving_part(geometry), geometry.tolerances
+    rows = [_Row("mass", "kg", part.mass, tolerances.mass * part.mass, 0.0)]
+    rows += [
+        _Row(f"centre_of_gravity.{axis}", "m", float(value), tolerances.centre_of_gravity)
+        for axis, value in zip("xyz", part.centre_of_gravity, strict=True)
+    ]
+    tensor, axes = part.inertia, "xyz"
+    for name in INERTIA_NAMES:
+        i, j = axes.index(name[0]), axes.index(name[1])
+        value = tensor[i, j] if i == j else -tensor[i, j]
+        sigma = tolerances.inertia * float(np.sqrt(tensor[i, i] * tensor[j, j]))
+        rows.append(_Row(f"inertia.{name}", "kg m2", float(value), sigma, 0.0 if i == j else -np.inf))
+    if geometry.torque_meter:
+        inertia = geometry.torque_meter.inertia
+        rows.append(_Row("torque_meter.inertia", "kg m2", inertia, tolerances.inertia * inertia, 0.0))
+    return rows
+
+
+def _damping_rows(geometry: Geometry) -> list[_Row]:
+    zeta = geometry.damping_ratio
+    sigma = geometry.tolerances.damping_ratio * zeta
+    rows = [_Row(f"damping_ratio.{i + 1}", "1", zeta, sigma, 0.0) for i in range(len(free_index(geometry)))]
+    if geometry.torque_meter:
+        rows.append(_Row("torque_meter.damping_ratio", "1", zeta, sigma, 0.0))
+    return rows
+
+
+def _sensitivity_rows(geometry: Geometry) -> list[_Row]:
+    tolerance = geometry.tolerances.sensitivity
+    rows = []
+    for channel in geometry.channels:
+        unit = "V/(N m)" if channel.torque_meter else "V/N"
+        sigma = tolerance * abs(channel.sensitivity)
+        rows.append(_Row(f"sensitivity.{channel.name}", unit, channel.sensitivity, sigma))
+    return rows

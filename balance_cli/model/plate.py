@@ -1,0 +1,119 @@
+"""The rigid plate of the paper's section 3: lumped masses, cells and hub to M, B, C, K and F.
+
+Coordinates are q = (x, y, z, psi, theta, phi): motion of the centre of gravity of the moving part, axes parallel to
+the rig's, psi about z, theta about y, phi about x, small angles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import FREEDOMS
+from balance_cli.geometry import Geometry
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MovingPart:
+    """The moving part as a whole: mass [kg], centre of gravity (3,) [m], inertia tensor about it (3, 3) [kg m2]."""
+
+    mass: float
+    centre_of_gravity: Array
+    inertia: Array
+
+
+def moving_part(geometry: Geometry) -> MovingPart:
+    """Mass, centre of gravity and inertia of all bodies together (parallel axes theorem)."""
+    masses = np.array([body.mass for body in geometry.bodies])
+    positions = np.array([body.position for body in geometry.bodies])
+    centre = masses @ positions / masses.sum()
+    arms = positions - centre
+    own = sum(body.inertia.tensor() for body in geometry.bodies)
+    steiner = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, arms, strict=True))
+    return MovingPart(float(masses.sum()), centre, own + steiner)
+
+
+# The paper's angles (psi, theta, phi) turn about (z, y, x): rows of q, columns of a rotation vector (x, y, z).
+ROTATION_ORDER = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+
+
+def cross_matrix(arm: Array) -> Array:
+    """The matrix [r]x with [r]x v = r x v, for arms (..., 3)."""
+    x, y, z = np.moveaxis(np.asarray(arm, float), -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def motion_at(arm: Array) -> Array:
+    """Motion (..., 3, 6) of points at `arm` (..., 3) [m] from the centre of gravity, per unit q: d = [I, R] q.
+
+    R q = rotation x arm, which gives (theta zeta - psi eta, psi xi - phi zeta, phi eta - theta xi).
+    """
+    rotation = -cross_matrix(arm) @ ROTATION_ORDER.T
+    identity = np.broadcast_to(np.eye(3), rotation.shape)
+    return np.concatenate([identity, rotation], axis=-1)
+
+
+def mass_matrix(mass: float, inertia: Array) -> Array:
+    """M (6, 6) about the centre of gravity: diag(m, m, m) and the inertia tensor in the order psi, theta, phi."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = mass * np.eye(3)
+    matrix[3:, 3:] = ROTATION_ORDER @ inertia @ ROTATION_ORDER.T
+    return matrix
+
+
+def elongation_matrix(geometry: Geometry, centre: Array) -> Array:
+    """B (cells, 6): elongation of each cell along its axis per unit q (paper, eq. 5)."""
+    arms = np.array([cell.position for cell in geometry.cells]) - centre
+    axes = np.array([cell.direction for cell in geometry.cells])
+    return np.asarray(np.einsum("ci,cij->cj", axes, motion_at(arms)))
+
+
+def load_matrix(geometry: Geometry, centre: Array) -> Array:
+    """F (6, 6): generalised forces per unit hub load (Fx .. Mz), by virtual work.
+
+    With a torque meter Mz goes through the shaft and leaves the plate alone.
+    """
+    at_hub = motion_at(np.asarray(geometry.hub, float) - centre)
+    forces = at_hub.T
+    moments = np.vstack([np.zeros((3, 3)), ROTATION_ORDER])
+    if geometry.torque_meter:
+        moments[:, 2] = 0.0
+    return np.hstack([forces, moments])
+
+
+def free_index(geometry: Geometry) -> list[int]:
+    """Which of the six coordinates can move."""
+    return [FREEDOMS.index(name) for name in geometry.freedom]
+
+
+def cell_stiffness(geometry: Geometry) -> Array:
+    """Stiffness (cells,) of each cell along its axis [N/m]; cell and beam in series where declared so."""
+    return np.array([cell.effective_stiffness for cell in geometry.cells])
+
+
+@dataclass(frozen=True)
+class PlateMatrices:
+    """The rigid plate in its free coordinates: M, K (n, n), B (cells, n), C (cells,) [N/m], F (n, 6)."""
+
+    freedom: tuple[str, ...]
+    M: Array
+    K: Array
+    B: Array
+    C: Array
+    F: Array
+
+
+def plate_matrices(geometry: Geometry) -> PlateMatrices:
+    """M, K = B'CB, B, C and F of the declared plate (reading notes 1 and 2)."""
+    part, free = moving_part(geometry), free_index(geometry)
+    M = mass_matrix(part.mass, part.inertia)[np.ix_(free, free)]
+    B = elongation_matrix(geometry, part.centre_of_gravity)[:, free]
+    C = cell_stiffness(geometry)
+    F = load_matrix(geometry, part.centre_of_gravity)[free]
+    return PlateMatrices(geometry.freedom, M, B.T @ (C[:, None] * B), B, C, F)

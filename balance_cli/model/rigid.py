@@ -1,0 +1,97 @@
+"""The rigid balance as equations: plate, torque shaft and channels from a geometry and its parameter vector."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.equations import SHAFT, TORQUE, ChannelPath, Equations
+from balance_cli.geometry import Channel, Geometry
+from balance_cli.jets import Jet, block_diagonal, concatenate, constant, stack
+from balance_cli.model.damping import modal_damping
+from balance_cli.model.parameters import INERTIA_NAMES
+from balance_cli.model.plate import ROTATION_ORDER, elongation_matrix, free_index, load_matrix
+
+Array = NDArray[np.float64]
+
+
+def rigid_equations(geometry: Geometry, names: tuple[str, ...], theta: Jet) -> Equations:
+    """Plate and shaft at the parameters `theta` (p,), which bear `names`."""
+    value = dict(zip(names, (theta[i] for i in range(len(names))), strict=True))
+    mass, B, F = _plate(geometry, value)
+    k = stack([value[f"stiffness.{cell.name}"] for cell in geometry.cells])
+    stiffness = B.T @ (k.expanded(-1) * B)
+    zeta = stack([value[f"damping_ratio.{i + 1}"] for i in range(len(geometry.freedom))])
+    damping = modal_damping(mass, stiffness, zeta)
+    p = theta.parameters
+    springs: tuple[str, ...] = geometry.cell_names
+    coordinates: tuple[str, ...] = geometry.freedom
+    if geometry.torque_meter:
+        mass, damping, B, k, F = _with_shaft(value, mass, damping, B, k, F)
+        springs, coordinates = (*springs, TORQUE), (*coordinates, SHAFT)
+    n = len(coordinates)
+    nothing = constant(np.zeros((n, n)), p)
+    return Equations(
+        coordinates=tuple(coordinates),
+        springs=tuple(springs),
+        mass=mass,
+        damping=damping,
+        gyroscopic=nothing,
+        extra_stiffness=nothing,
+        elongation=B,
+        stiffness=k,
+        loss=constant(np.zeros(len(springs)), p),
+        inputs=F,
+        paths=tuple(_path(channel, springs, value, p) for channel in geometry.channels),
+        spill=constant(np.eye(6), p),
+        mixing=constant(np.eye(len(geometry.channels)), p),
+    )
+
+
+def _plate(geometry: Geometry, value: dict[str, Jet]) -> tuple[Jet, Jet, Jet]:
+    """M (n, n), B (cells, n) and F (n, 6) of the plate; B and F are linear in the centre of gravity."""
+    free = free_index(geometry)
+    mass = value["mass"] * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    for name in INERTIA_NAMES:
+        mass = mass + value[f"inertia.{name}"] * _inertia_pattern(name)
+    centre = [value[f"centre_of_gravity.{axis}"] for axis in "xyz"]
+    B, F = elongation_matrix(geometry, np.zeros(3)), load_matrix(geometry, np.zeros(3))
+    elongation, inputs = constant(B, mass.parameters), constant(F, mass.parameters)
+    for coordinate, unit in zip(centre, np.eye(3), strict=True):
+        elongation = elongation + coordinate * (elongation_matrix(geometry, unit) - B)
+        inputs = inputs + coordinate * (load_matrix(geometry, unit) - F)
+    return mass[np.ix_(free, free)], elongation[:, free], inputs[free]
+
+
+def _inertia_pattern(name: str) -> Array:
+    """How one of the six inertia numbers enters M (6, 6); products enter with a minus sign."""
+    i, j = "xyz".index(name[0]), "xyz".index(name[1])
+    tensor = np.zeros((3, 3))
+    tensor[i, j] = tensor[j, i] = 1.0 if i == j else -1.0
+    pattern = np.zeros((6, 6))
+    pattern[3:, 3:] = ROTATION_ORDER @ tensor @ ROTATION_ORDER.T
+    return pattern
+
+
+def _with_shaft(
+    value: dict[str, Jet], mass: Jet, damping: Jet, B: Jet, k: Jet, F: Jet
+) -> tuple[Jet, Jet, Jet, Jet, Jet]:
+    """The shaft beside the plate: J phi'' + d phi' + k phi = Mz, d = 2 zeta sqrt(k J)."""
+    J, stiffness = value["torque_meter.inertia"], value["torque_meter.stiffness"]
+    d = 2.0 * value["torque_meter.damping_ratio"] * (stiffness * J).sqrt()
+    one = constant([[1.0]], mass.parameters)
+    torque = constant([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]], mass.parameters)
+    return (
+        block_diagonal(mass, one * J),
+        block_diagonal(damping, one * d),
+        block_diagonal(B, one),
+        concatenate([k, stack([stiffness])]),
+        concatenate([F, torque]),
+    )
+
+
+def _path(channel: Channel, springs: tuple[str, ...], value: dict[str, Jet], p: int) -> ChannelPath:
+    spring = springs.index(TORQUE if channel.torque_meter else str(channel.cell))
+    low = () if channel.lowpass is None else (constant(1.0 / (2 * np.pi * channel.lowpass), p),)
+    high = () if channel.time_constant is None else (constant(1.0 / channel.time_constant, p),)
+    return ChannelPath(channel.name, spring, value[f"sensitivity.{channel.name}"], low, high)

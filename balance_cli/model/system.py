@@ -1,0 +1,191 @@
+"""The balance at one parameter vector: frequency response of every channel, and its derivatives.
+
+With A(w) = K + j H + j w (D + Omega G) - w^2 M the springs' forces are f = k E A^-1 F u and the channels' volts
+y = X g(w) f. A change of parameters changes y by X g (d(kE) x + k E A^-1 (dF u - dA x)) + d(X g) f with x = A^-1 F u:
+one solution with A serves all parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.equations import ChannelPath, Equations
+from balance_cli.jets import Jet
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Pencil:
+    """A(w) = stiffness + j hysteresis + j w (damping + Omega gyroscopic) - w^2 mass, each (n, n) with slopes."""
+
+    mass: Jet
+    damping: Jet
+    gyroscopic: Jet
+    stiffness: Jet
+    hysteresis: Jet
+
+
+@dataclass(frozen=True)
+class System:
+    """An evaluated balance: pencil, inputs (n, 6), readings k E (e, n), channel paths and mixing, all with slopes."""
+
+    coordinates: tuple[str, ...]
+    pencil: Pencil
+    inputs: Jet
+    readings: Jet
+    paths: tuple[ChannelPath, ...]
+    spill: Jet
+    mixing: Jet
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the channels in order."""
+        return tuple(path.channel for path in self.paths)
+
+    @property
+    def parameters(self) -> int:
+        """Number p of parameters."""
+        return self.inputs.parameters
+
+
+def assembled(equations: Equations) -> System:
+    """Form the pencil: K = E' diag(k) E + K_extra, H = E' diag(k eta) E."""
+    E, k = equations.elongation, equations.stiffness
+    readings = k.expanded(-1) * E
+    pencil = Pencil(
+        mass=equations.mass,
+        damping=equations.damping,
+        gyroscopic=equations.gyroscopic,
+        stiffness=E.T @ readings + equations.extra_stiffness,
+        hysteresis=E.T @ ((k * equations.loss).expanded(-1) * E),
+    )
+    return System(
+        equations.coordinates,
+        pencil,
+        equations.inputs,
+        readings,
+        equations.paths,
+        equations.spill,
+        equations.mixing,
+    )
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a system gives at k frequencies, before any load is applied.
+
+    to_forces (k, e, n) = k E A^-1; forces (k, e, 6) per unit hub load; gains (k, c) volts per unit spring force.
+    """
+
+    frequency: Array
+    spin: float
+    to_forces: ComplexArray
+    inverse: ComplexArray
+    forces: ComplexArray
+    gains: ComplexArray
+
+
+def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float = 0.0) -> ComplexArray:
+    """A (k, n, n) at `frequency` (k,) [Hz] and rotor speed `spin` [Hz]."""
+    w = (2 * np.pi * np.asarray(frequency, float))[:, None, None]
+    damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
+    stiffness = pencil.stiffness.value + 1j * pencil.hysteresis.value
+    return np.asarray(stiffness + 1j * w * damping - w**2 * pencil.mass.value)
+
+
+def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
+    """Invert the dynamic stiffness once; responses and derivatives follow from it."""
+    frequency = np.atleast_1d(np.asarray(frequency, float))
+    inverse = np.asarray(np.linalg.inv(dynamic_stiffness(system.pencil, frequency, spin)), complex)
+    to_forces = np.asarray(system.readings.value @ inverse, complex)
+    forces = np.asarray(to_forces @ system.inputs.value, complex)
+    return Solution(frequency, spin, to_forces, inverse, forces, channel_gains(system.paths, frequency))
+
+
+def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
+    """The gains g (k, c), volts per unit force of each channel's spring at `frequency` (k,) [Hz]."""
+    s = 2j * np.pi * np.asarray(frequency, float)
+    return np.stack([path.gain.value * _dynamics(path, s) for path in paths], axis=1)
+
+
+def _dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+    """First-order filters and delay of one channel at s = j omega (k,)."""
+    value = np.ones_like(s)
+    for tau in path.low_pass:
+        value = value / (1 + s * tau.value)
+    for rate in path.high_pass:
+        # s / (s + r), which is zero at rest for any true high-pass and one where there is none.
+        value = value * (s / (s + rate.value) if rate.value > 0 else 1.0)
+    return value if path.delay is None else value * np.exp(-s * path.delay.value)
+
+
+def response(system: System, solution: Solution) -> ComplexArray:
+    """T (k, c, 6): volts per unit hub load, as true loads at the hub (no spill of an exciter)."""
+    springs = [path.spring for path in system.paths]
+    volts = solution.gains[:, :, None] * solution.forces[:, springs]
+    return np.asarray(system.mixing.value @ volts)
+
+
+def spring_forces(solution: Solution, index: NDArray[np.intp], loads: ComplexArray) -> ComplexArray:
+    """Forces (K, e) of the springs for loads (K, 6) at lines `index` (K,) of the solution."""
+    return np.asarray(np.matmul(solution.forces[index], loads[:, :, None])[:, :, 0])
+
+
+def force_slopes(system: System, solution: Solution, index: NDArray[np.intp], loads: ComplexArray) -> ComplexArray:
+    """Derivatives (K, e, p) of the spring forces for loads (K, 6) at lines `index` (K,)."""
+    pencil, p = system.pencil, system.parameters
+    w = 2 * np.pi * solution.frequency[index][:, None]
+    driven = loads @ system.inputs.value.T
+    x = np.matmul(solution.inverse[index], driven[:, :, None])[:, :, 0]
+    change = slopes_times(pencil.stiffness.slope, x)
+    change -= slopes_times(pencil.mass.slope, w**2 * x)
+    damping = pencil.damping.slope + 2 * np.pi * solution.spin * pencil.gyroscopic.slope
+    change += slopes_times(damping, 1j * w * x)
+    if np.any(pencil.hysteresis.slope):
+        change += slopes_times(pencil.hysteresis.slope, 1j * x)
+    change = slopes_times(system.inputs.slope, loads) - change
+    through = np.matmul(change, np.swapaxes(solution.to_forces[index], 1, 2))
+    direct = slopes_times(system.readings.slope, x)
+    return np.swapaxes((through + direct).reshape(len(index), p, -1), 1, 2)
+
+
+def slopes_times(slopes: Array, vectors: ComplexArray) -> ComplexArray:
+    """Slopes (p, a, b) times vectors (K, b), as one real matrix product: (K, p, a)."""
+    p, a, b = slopes.shape
+    pairs = np.ascontiguousarray(vectors).view(float).reshape(len(vectors), b, 2)
+    flat = np.moveaxis(pairs, 2, 1).reshape(-1, b) @ slopes.reshape(p * a, b).T
+    parts = flat.reshape(len(vectors), 2, p, a)
+    return np.asarray(parts[:, 0] + 1j * parts[:, 1])
+
+
+def log_gain_slopes(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
+    """Derivatives (k, c, p) of ln g: of gain, time constants, rates and delay of each channel."""
+    s = 2j * np.pi * np.asarray(frequency, float)[:, None]
+    return np.stack([_log_slope(path, s) for path in paths], axis=1)
+
+
+def _log_slope(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+    slope = np.broadcast_to(path.gain.slope / path.gain.value, (len(s), path.gain.parameters)).astype(complex)
+    for tau in path.low_pass:
+        slope = slope - s / (1 + s * tau.value) * tau.slope
+    for rate in path.high_pass:
+        slope = slope - rate.slope / np.where(s + rate.value == 0, np.inf, s + rate.value)
+    return slope if path.delay is None else slope - s * path.delay.slope
+
+
+def output_slopes(system: System, solution: Solution, index: NDArray[np.intp], loads: ComplexArray) -> ComplexArray:
+    """Derivatives (K, c, p) of the channels' volts for loads (K, 6) at lines `index` (K,) of the solution."""
+    springs = [path.spring for path in system.paths]
+    forces = spring_forces(solution, index, loads)
+    gains = solution.gains[index]
+    volts = gains * forces[:, springs]
+    slopes = gains[:, :, None] * force_slopes(system, solution, index, loads)[:, springs]
+    slopes += volts[:, :, None] * log_gain_slopes(system.paths, solution.frequency)[index]
+    mixed = system.mixing.value @ slopes
+    return np.asarray(mixed + np.moveaxis(slopes_times(system.mixing.slope, volts), 1, 2))
