@@ -1,0 +1,134 @@
+"""From the loads and forces of a run to what is recorded of it, and to its truth."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.geometry import Channel
+from balance_cli.runs import MemorySource, Run
+from balance_cli.simulation.extensions import Signals
+from balance_cli.simulation.noise import Noise
+from balance_cli.simulation.plans import AnyPlan, RotorPlan, SampledPlan, StaticPlan, SweepPlan
+from balance_cli.simulation.records import OVERSAMPLING, Grid, turning
+from balance_cli.simulation.rig import TrueRig
+from balance_cli.simulation.sensors import anti_alias, sensor_volts
+from balance_cli.simulation.truth import RunTruth, stream
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """What records a rig: its noise, and the seed of all random numbers of the campaign."""
+
+    noise: Noise
+    seed: int
+
+    def stream(self, plan: AnyPlan, what: str) -> np.random.Generator:
+        """The random numbers of a run for one use."""
+        return stream(self.seed, plan.run, what)
+
+
+def _in_turn(hooks: Iterable[Callable[[Array], Array]], value: Array) -> Array:
+    for hook in hooks:
+        value = hook(value)
+    return value
+
+
+def true_loads(rig: TrueRig, meant: Array, kind: str) -> Array:
+    """True hub loads (n, 6) where `meant` (n, 6) were to act."""
+    return _in_turn((partial(extension.true_loads, kind=kind) for extension in rig.extensions), meant)
+
+
+def _recorded_loads(rig: TrueRig, meant: Array, kind: str) -> Array:
+    """What the exciter's force cell reads; a component that is not applied is declared zero and stays so."""
+    recorded = _in_turn((partial(extension.recorded_loads, kind=kind) for extension in rig.extensions), meant)
+    return np.where(np.any(meant != 0, axis=0), recorded, 0.0)
+
+
+def _volts(rig: TrueRig, forces: Array, step: float | None, rng: np.random.Generator) -> Array:
+    volts = sensor_volts(rig, forces, step)
+    for extension in rig.extensions:
+        volts = extension.volts(Signals(volts, rig.geometry.channel_names, step, rng))
+    return volts
+
+
+def _clipped(volts: Array, channels: Iterable[Channel]) -> Array:
+    ranges = np.array([channel.range or np.inf for channel in channels])
+    return np.clip(volts, -ranges, ranges)
+
+
+def _run(rig: TrueRig, plan: AnyPlan, channels: Array, loads: Array | None) -> Run:
+    content = hashlib.sha256(f"{plan!r} {rig.geometry.rig}".encode())
+    for part in (channels,) if loads is None else (channels, loads):
+        content.update(np.ascontiguousarray(part).tobytes())
+    return Run(
+        name=plan.run,
+        rig=rig.geometry.rig,
+        kind=plan.kind,
+        channel_names=rig.geometry.channel_names,
+        samples=len(channels),
+        source=MemorySource(channels, loads),
+        has_loads=loads is not None,
+        digest=content.hexdigest(),
+    )
+
+
+def record_static(
+    rig: TrueRig, plan: StaticPlan, meant: Array, forces: Array, acquisition: Acquisition
+) -> tuple[Run, RunTruth]:
+    """The record of a static run: loads `meant` (rows, 6), cell forces and torque (rows, c+1).
+
+    It holds the channels that measure a constant load; load components that are zero in a row are exactly zero.
+    """
+    noise, rng = acquisition.noise, acquisition.stream(plan, "noise")
+    kept = [i for i, channel in enumerate(rig.geometry.channels) if channel.measures_dc]
+    volts = _volts(rig, forces, None, acquisition.stream(plan, "pickup"))[:, kept]
+    noisy = volts + noise.static_channel * rng.standard_normal(volts.shape)
+    recorded = _recorded_loads(rig, meant, plan.kind)
+    read = recorded + np.where(meant != 0, noise.static_load * rng.standard_normal(meant.shape), 0.0)
+    run = _run(rig, plan, _clipped(noisy, [rig.geometry.channels[i] for i in kept]), read)
+    names = tuple(rig.geometry.channel_names[i] for i in kept)
+    rows = np.arange(len(meant), dtype=float)
+    truth = RunTruth(plan.run, plan.kind, rows, true_loads(rig, meant, plan.kind), recorded, volts)
+    return replace(run, channel_names=names, trim=plan.trim), truth
+
+
+def record_samples(
+    rig: TrueRig, plan: SampledPlan, grid: Grid, meant: Array, forces: Array, acquisition: Acquisition
+) -> tuple[Run, RunTruth]:
+    """The record of a sampled run: loads `meant` (n, 6), cell forces and torque (n, c+1) on the fine grid."""
+    geometry, noise, rng = rig.geometry, acquisition.noise, acquisition.stream(plan, "noise")
+    through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=OVERSAMPLING)
+    volts = through(_volts(rig, forces, grid.step, acquisition.stream(plan, "pickup")))[: grid.samples]
+    recorded = through(_recorded_loads(rig, meant, plan.kind))[: grid.samples]
+    sigma = np.array([noise.of(channel) for channel in geometry.channels])
+    noisy = volts + sigma * rng.standard_normal(volts.shape)
+    applied = np.any(meant != 0, axis=0)
+    read = recorded + np.where(applied, noise.load * rng.standard_normal(recorded.shape), 0.0)
+    converted = noise.rounded(_clipped(noisy, geometry.channels))
+    run = _run(rig, plan, converted, read if plan.kind in ("sweep", "check") else None)
+    true = true_loads(rig, meant, plan.kind)[::OVERSAMPLING][: grid.samples]
+    truth = RunTruth(plan.run, plan.kind, grid.time, true, recorded, volts)
+    return _described(run, truth, plan)
+
+
+def _described(run: Run, truth: RunTruth, plan: SampledPlan) -> tuple[Run, RunTruth]:
+    """Run and truth with what the plan says of the excitation or of the rotor."""
+    run = replace(run, sample_rate=plan.sample_rate, rotor_speed=plan.rotor_speed)
+    if isinstance(plan, SweepPlan):
+        period = plan.period if plan.excitation in ("multisine", "sine-sweep") else None
+        run = replace(run, excited=plan.excited, excitation=plan.excitation, level=plan.level, period=period)
+    if isinstance(plan, RotorPlan):
+        turned = turning(plan)
+        pulses = turned.pulse_times(plan.duration)
+        truth = replace(truth, azimuth=turned.azimuth(truth.time))
+        cosine, sine = truth.harmonics(pulses[0], pulses[-1])
+        return replace(run, pulse_times=pulses), replace(truth, cosine=cosine, sine=sine)
+    return run, truth

@@ -1,0 +1,185 @@
+"""Equations of motion of the true rig, in the time domain: `M q'' + D q' + K q = F u` and what the cells feel.
+
+q holds the motions of the plate's centre of gravity that are free, the twist of the shaft, and whatever coordinates
+the extensions add.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from balance_cli.components import COMPONENTS, FREEDOMS
+from balance_cli.errors import UserError
+from balance_cli.simulation.rig import TrueRig
+
+Array = NDArray[np.float64]
+TWIST = "twist"
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A Maxwell branch: spring `stiffness` [N/m] and dashpot in series, relaxing with `time_constant` [s].
+
+    It acts along `row` (n,), the elongation per coordinate. `cell` is the cell whose channels feel it, or None.
+    """
+
+    row: Array
+    stiffness: float
+    time_constant: float
+    cell: int | None = None
+
+
+@dataclass(frozen=True)
+class CellForce:
+    """A nonlinear force along a cell: `k2 d^2 + k3 d^3` and a slipping contact of `stick_stiffness` up to `limit` [N].
+
+    `felt` says whether the cell's channels read it (it acts inside the cell) or not (beside it).
+    """
+
+    cell: int
+    k2: float = 0.0
+    k3: float = 0.0
+    stick_stiffness: float = 0.0
+    limit: float = 0.0
+    felt: bool = False
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """Equations of motion in n coordinates, six hub loads and c cells.
+
+    `mass`, `damping`, `stiffness` (n, n), the stiffness without that of the cells; `loads` (n, 6) [1, m];
+    `cell_rows` (c, n): elongations d = rows q [m]; `cell_stiffness` (c,) [N/m]; `torque_row` (n,): twist [N m] in the
+    shaft per coordinate. `names` (n,) of the coordinates.
+    """
+
+    names: tuple[str, ...]
+    mass: Array
+    damping: Array
+    stiffness: Array
+    loads: Array
+    cell_rows: Array
+    cell_stiffness: Array
+    torque_row: Array
+    branches: tuple[Branch, ...] = field(default=())
+    forces: tuple[CellForce, ...] = field(default=())
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates n."""
+        return len(self.names)
+
+    def total_stiffness(self) -> Array:
+        """Stiffness (n, n) of everything but the branches: `K + B' C B`."""
+        total: Array = self.stiffness + self.cell_rows.T @ (self.cell_stiffness[:, None] * self.cell_rows)
+        return total
+
+    def widened(self, names: tuple[str, ...]) -> Mechanics:
+        """The same with further coordinates, to which nothing is attached yet."""
+        more = len(names)
+        square = ((0, more), (0, more))
+        wide = ((0, 0), (0, more))
+        return replace(
+            self,
+            names=self.names + names,
+            mass=np.pad(self.mass, square),
+            damping=np.pad(self.damping, square),
+            stiffness=np.pad(self.stiffness, square),
+            loads=np.pad(self.loads, ((0, more), (0, 0))),
+            cell_rows=np.pad(self.cell_rows, wide),
+            torque_row=np.pad(self.torque_row, (0, more)),
+            branches=tuple(replace(b, row=np.pad(b.row, (0, more))) for b in self.branches),
+        )
+
+
+def displacement_rows(arm: ArrayLike) -> Array:
+    """Displacement (3, 6) of a point at `arm` (3,) [m] from the centre of gravity, per motion x y z psi theta phi.
+
+    `(x + theta zeta - psi eta, y + psi xi - phi zeta, z + phi eta - theta xi)` (small rotations).
+    """
+    xi, eta, zeta = np.asarray(arm, float)
+    return np.array(
+        [
+            [1, 0, 0, -eta, zeta, 0],
+            [0, 1, 0, xi, 0, -zeta],
+            [0, 0, 1, 0, -xi, eta],
+        ],
+        float,
+    )
+
+
+ROTATION_ROWS = np.array([[0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 1, 0], [0, 0, 0, 1, 0, 0]], float)
+"""Rotation (3, 6) about x, y, z per motion x y z psi theta phi."""
+
+
+def free_motions(rig: TrueRig) -> list[int]:
+    """Indices of the free motions among x y z psi theta phi."""
+    return [FREEDOMS.index(name) for name in FREEDOMS if name in rig.geometry.freedom]
+
+
+def body_mass(mass: float, inertia: Array) -> Array:
+    """Mass matrix (6, 6) of a rigid body in the motions x y z psi theta phi of its centre of gravity."""
+    turned = ROTATION_ROWS[:, 3:]
+    return scipy.linalg.block_diag(mass * np.eye(3), turned.T @ inertia @ turned)
+
+
+def modal_damping(mass: Array, stiffness: Array, ratios: Array) -> Array:
+    """`D = M Phi diag(2 zeta omega) Phi' M`, Phi normalised to `Phi' M Phi = 1`, zeta by rising eigenfrequency."""
+    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+    momentum = mass @ shapes
+    damping: Array = momentum * (2 * ratios * np.sqrt(np.maximum(squares, 0.0))) @ momentum.T
+    return damping
+
+
+def rigid_plate(rig: TrueRig) -> Mechanics:
+    """The rigid plate on its cells and the shaft beside it, without any extension."""
+    geometry = rig.geometry
+    free = free_motions(rig)
+    mass = body_mass(rig.mass, rig.inertia)[np.ix_(free, free)]
+    cells = [c.direction @ displacement_rows(np.subtract(c.position, rig.cg)) for c in geometry.cells]
+    rows = np.array(cells)[:, free]
+    stiffness = rows.T @ (rig.stiffness[:, None] * rows)
+    damping = modal_damping(mass, stiffness, rig.damping_ratios)
+    at_hub = np.vstack([displacement_rows(np.subtract(geometry.hub, rig.cg)), ROTATION_ROWS])
+    loads = at_hub[:, free].T
+    loads[:, COMPONENTS.index("Mz")] = 0.0
+    n = len(free)
+    plate = Mechanics(
+        names=tuple(FREEDOMS[i] for i in free),
+        mass=mass,
+        damping=damping,
+        stiffness=np.zeros((n, n)),
+        loads=loads,
+        cell_rows=rows,
+        cell_stiffness=rig.stiffness,
+        torque_row=np.zeros(n),
+    )
+    return _with_shaft(plate, rig) if geometry.torque_meter else plate
+
+
+def _with_shaft(plate: Mechanics, rig: TrueRig) -> Mechanics:
+    """`J phi'' + d phi' + k phi = Mz`, no reaction on the plate."""
+    whole = plate.widened((TWIST,))
+    k, j = rig.torque_stiffness, rig.torque_inertia
+    whole.mass[-1, -1] = j
+    whole.damping[-1, -1] = 2 * rig.torque_damping_ratio * np.sqrt(k * j)
+    whole.stiffness[-1, -1] = k
+    whole.loads[-1, COMPONENTS.index("Mz")] = 1.0
+    whole.torque_row[-1] = k
+    return whole
+
+
+def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0) -> Mechanics:
+    """The rig with all its extensions, at `rotor_speed` [Hz]. Raises UserError where it cannot stand still."""
+    mechanics = rigid_plate(rig)
+    for extension in rig.extensions:
+        mechanics = extension.mechanics(mechanics, rig, rotor_speed)
+    if not np.all(np.linalg.eigvalsh(mechanics.total_stiffness()) > 0):
+        raise UserError(
+            "the cells do not hold every free motion", place="cells", remedy="Add cells or reduce `freedom`"
+        )
+    return mechanics

@@ -1,0 +1,213 @@
+"""What is to be simulated: the runs of a campaign, and two campaigns ready made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from balance_cli.components import COMPONENTS
+from balance_cli.geometry import NonNegative, Part, Positive
+
+Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+Excitation = Literal["multisine", "random", "sine-sweep", "stepped"]
+Loads = Mapping[Component, float]
+assert get_args(Component) == COMPONENTS
+
+HARMONICS = 8
+SHAPE = (1.0, 0.4, 0.5, 2.0, 0.3, 0.15, 0.2, 0.6)
+"""Amplitudes of harmonics 1 to 8 over that of the first, about those of the recorded check runs (four blades)."""
+
+
+class Plan(Part):
+    """Base of all runs: its name."""
+
+    run: str
+
+
+class StaticPlan(Plan):
+    """Each component in turn up to `largest`, down through zero, and back, in `steps` steps, about the `trim_loads`."""
+
+    kind: Literal["static"] = "static"
+    trim: str = "bare"
+    trim_loads: Loads = Field(default_factory=dict)
+    largest: Mapping[Component, Positive]
+    steps: Annotated[int, Field(ge=1)] = 5
+
+
+class RecordPlan(Plan):
+    """Base of the sampled runs."""
+
+    sample_rate: Positive = 800.0
+    rotor_speed: NonNegative = 0.0
+
+
+class ZeroPlan(RecordPlan):
+    """Nothing acts."""
+
+    kind: Literal["zero"] = "zero"
+    duration: Positive = 10.0
+
+
+class SweepPlan(RecordPlan):
+    """Exciters on one or more components; `level` is the rms of each [N, N m], `band` in Hz.
+
+    `periods` periods of `period` s. Several components excited at once by multisines get interleaved lines (each its
+    own) or, without `interleaved`, all lines each. A random excitation has no period; it lasts as long.
+    """
+
+    kind: Literal["sweep"] = "sweep"
+    excited: Annotated[tuple[Component, ...], Field(min_length=1)]
+    level: tuple[Positive, ...]
+    excitation: Excitation = "multisine"
+    period: Positive = 4.0
+    periods: Annotated[int, Field(ge=1)] = 7
+    band: tuple[Positive, Positive] = (2.0, 150.0)
+    steps: Annotated[int, Field(ge=2)] = 149
+    interleaved: bool = True
+
+    @model_validator(mode="after")
+    def _one_level_each(self) -> SweepPlan:
+        if len(self.level) != len(self.excited):
+            raise ValueError("give one `level` for each of `excited`")
+        return self
+
+    @property
+    def duration(self) -> float:
+        """Length of the record [s]."""
+        return self.period * self.periods
+
+
+class Step(Part):
+    """A change of the steady loads (a step of collective) at `time` within `duration` [s]."""
+
+    time: Positive
+    duration: Positive = 0.8
+    loads: Loads
+
+
+class RotorPlan(RecordPlan):
+    """A turning rotor: loads known (`check`) or not recorded (`wind`).
+
+    `harmonics`: amplitudes [N, N m] of harmonics 1, 2 ... of a component; their phases are random, and the amplitudes
+    vary by `scatter` (relative). `steady` loads; `turbulence`: rms of random loads within `turbulence_band` [Hz];
+    `drift` of the speed (relative); a `step` of the steady loads.
+    """
+
+    kind: Literal["check", "wind"] = "check"
+    rotor_speed: Positive
+    duration: Positive = 20.0
+    harmonics: Mapping[Component, tuple[NonNegative, ...]] = Field(default_factory=dict)
+    scatter: NonNegative = 0.3
+    steady: Loads = Field(default_factory=dict)
+    turbulence: Mapping[Component, NonNegative] = Field(default_factory=dict)
+    turbulence_band: tuple[Positive, Positive] = (0.5, 100.0)
+    drift: NonNegative = 0.0
+    drift_period: Positive = 23.0
+    step: Step | None = None
+
+
+SampledPlan = ZeroPlan | SweepPlan | RotorPlan
+AnyPlan = StaticPlan | SampledPlan
+
+
+class CampaignPlan(Part):
+    """The runs of a campaign, in their order; run names are unique."""
+
+    runs: tuple[Annotated[AnyPlan, Field(discriminator="kind")], ...]
+
+    @model_validator(mode="after")
+    def _unique(self) -> CampaignPlan:
+        names = [plan.run for plan in self.runs]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"run names are not unique: {', '.join(twice)}")
+        return self
+
+    def only(self, names: Sequence[str]) -> CampaignPlan:
+        """Only the runs of these names."""
+        return CampaignPlan(runs=tuple(plan for plan in self.runs if plan.run in names))
+
+
+LARGEST: dict[Component, float] = dict(
+    zip(get_args(Component), (800.0, 800.0, 3500.0, 400.0, 400.0, 450.0), strict=True)
+)
+HIGH: dict[Component, float] = dict(zip(get_args(Component), (40.0, 40.0, 80.0, 15.0, 15.0, 12.0), strict=True))
+FIRST: dict[Component, float] = dict(zip(get_args(Component), (33.0, 30.0, 60.0, 8.0, 15.0, 8.0), strict=True))
+WIND: dict[Component, float] = {"Fx": 100.0, "Fy": -55.0, "Fz": 2700.0, "Mx": 90.0, "My": -20.0, "Mz": 275.0}
+
+
+def blade_loads(*components: Component) -> dict[Component, tuple[float, ...]]:
+    """Amplitudes of harmonics 1 to 8 of the given components, about those of the recorded check runs."""
+    return {name: tuple(float(x) for x in FIRST[name] * np.array(SHAPE)) for name in components}
+
+
+def statics() -> tuple[StaticPlan, ...]:
+    """The two static runs: unloaded, and about lift and torque with 0.35 of the range."""
+    small = {name: 0.35 * largest for name, largest in LARGEST.items()}
+    return (
+        StaticPlan(run="static-bare", largest=LARGEST),
+        StaticPlan(run="static-trim", trim="trim", trim_loads={"Fz": 2500.0, "Mz": 250.0}, largest=small),
+    )
+
+
+def standard_plan(rotor_speed: float = 17.5) -> CampaignPlan:
+    """The recorded campaign: two static runs, twelve sweeps at two levels, three checks and three wind-on runs."""
+    sweeps = tuple(
+        SweepPlan(run=f"sweep-{name}-{label}", excited=(name,), level=(factor * level,))
+        for name, level in HIGH.items()
+        for label, factor in (("high", 1.0), ("low", 0.4))
+    )
+    pairs: tuple[tuple[float, Component, Component], ...] = (
+        (0.97, "Fz", "My"),
+        (1.02, "Fx", "Mx"),
+        (1.0, "Fy", "Mz"),
+    )
+    checks = tuple(
+        RotorPlan(run=f"check-{i}", rotor_speed=factor * rotor_speed, harmonics=blade_loads(one, other))
+        for i, (factor, one, other) in enumerate(pairs, 1)
+    )
+    return CampaignPlan(runs=(*statics(), *sweeps, *checks, *_winds(rotor_speed)))
+
+
+def _winds(rotor_speed: float) -> tuple[RotorPlan, ...]:
+    collective = Step(time=12.0, loads={"Fz": 700.0, "Mz": 60.0})
+    settings = ((1.0, 0.004, None), (0.985, 0.004, None), (1.015, 0.03, collective))
+    return tuple(
+        RotorPlan(
+            run=f"wind-{i}",
+            kind="wind",
+            rotor_speed=factor * rotor_speed,
+            duration=30.0,
+            harmonics=blade_loads(*get_args(Component)),
+            steady=WIND,
+            drift=drift,
+            step=step,
+        )
+        for i, (factor, drift, step) in enumerate(settings, 1)
+    )
+
+
+def short_plan(rotor_speed: float = 17.5) -> CampaignPlan:
+    """A small campaign for tests: the static runs in two steps, six sweeps of 4 periods of 2 s, a check, a wind."""
+    sweeps = tuple(
+        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=2.0, periods=4)
+        for name, level in HIGH.items()
+    )
+    bare, trim = (plan.model_copy(update={"steps": 2}) for plan in statics())
+    every = get_args(Component)
+    check = RotorPlan(run="check-1", rotor_speed=rotor_speed, duration=8.0, harmonics=blade_loads("Fz", "My"))
+    wind = RotorPlan(
+        run="wind-1", kind="wind", rotor_speed=rotor_speed, duration=8.0, harmonics=blade_loads(*every), steady=WIND
+    )
+    return CampaignPlan(runs=(bare, trim, *sweeps, check, wind))
+
+
+PRESETS = {"standard": standard_plan, "short": short_plan}
+
+
+def campaign_plan(name: str, rotor_speed: float = 17.5) -> CampaignPlan:
+    """A campaign ready made: `standard` or `short`, at the rotor's nominal speed [Hz]. Raises KeyError."""
+    return PRESETS[name](rotor_speed)

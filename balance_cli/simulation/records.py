@@ -1,0 +1,106 @@
+"""Sampled records of a simulated rig: loads on a fine grid, forces, channels, and what is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS
+from balance_cli.simulation.excitation import multisine, random_noise, sine_sweep, stepped_sine
+from balance_cli.simulation.plans import RecordPlan, RotorPlan, SampledPlan, SweepPlan, ZeroPlan
+from balance_cli.simulation.rotor import Turning, harmonic_load, smooth_step
+from balance_cli.simulation.statics import load_row
+
+Array = NDArray[np.float64]
+
+OVERSAMPLING = 8
+TAIL = 64
+"""Samples of the fine grid computed beyond the end, for channels that run ahead of time."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The fine grid of a record: `samples` at `sample_rate` [Hz], each divided into OVERSAMPLING steps."""
+
+    samples: int
+    sample_rate: float
+
+    @property
+    def step(self) -> float:
+        """Step of the fine grid [s]."""
+        return 1 / (OVERSAMPLING * self.sample_rate)
+
+    @property
+    def fine(self) -> Array:
+        """Times of the fine grid [s], a little beyond the end."""
+        return np.arange(OVERSAMPLING * self.samples + TAIL, dtype=float) * self.step
+
+    @property
+    def time(self) -> Array:
+        """Times of the samples [s]."""
+        return np.arange(self.samples, dtype=float) / self.sample_rate
+
+
+def grid_of(plan: RecordPlan, duration: float) -> Grid:
+    """The grid of a record of `duration` s."""
+    return Grid(round(duration * plan.sample_rate), plan.sample_rate)
+
+
+def _sweep_component(plan: SweepPlan, index: int, time: Array, rng: np.random.Generator) -> Array:
+    level, band = plan.level[index], plan.band
+    every, shift = (len(plan.excited), index) if plan.interleaved else (1, 0)
+    frequencies = np.geomspace(*band, plan.steps)
+    wave: dict[str, Callable[[], Array]] = {
+        "multisine": lambda: multisine(time, plan.period, band, level, rng, every, shift),
+        "random": lambda: random_noise(time, band, level, rng),
+        "sine-sweep": lambda: sine_sweep(time, plan.period, band, level),
+        "stepped": lambda: stepped_sine(time, frequencies, plan.duration / plan.steps, level),
+    }
+    return wave[plan.excitation]()
+
+
+def sweep_loads(plan: SweepPlan, time: Array, rng: np.random.Generator) -> Array:
+    """Loads (n, 6) of the exciters at `time` (n,)."""
+    loads = np.zeros((len(time), len(COMPONENTS)))
+    for index, name in enumerate(plan.excited):
+        loads[:, COMPONENTS.index(name)] = _sweep_component(plan, index, time, rng)
+    return loads
+
+
+def turning(plan: RotorPlan) -> Turning:
+    """How the rotor of a plan turns."""
+    return Turning(plan.rotor_speed, plan.drift, plan.drift_period)
+
+
+def rotor_loads(plan: RotorPlan, time: Array, rng: np.random.Generator) -> Array:
+    """Hub loads (n, 6) of a turning rotor at `time` (n,)."""
+    azimuth = turning(plan).azimuth(time)
+    loads = np.tile(load_row(plan.steady), (len(time), 1))
+    for name, amplitudes in plan.harmonics.items():
+        scatter = np.maximum(1 + plan.scatter * rng.standard_normal(len(amplitudes)), 0.1)
+        phases = rng.uniform(0, 2 * np.pi, len(amplitudes))
+        turned = np.concatenate([[0], np.array(amplitudes) * scatter * np.exp(1j * phases)])
+        loads[:, COMPONENTS.index(name)] += harmonic_load(azimuth, turned.real, turned.imag)
+    for name, level in plan.turbulence.items():
+        loads[:, COMPONENTS.index(name)] += random_noise(time, plan.turbulence_band, level, rng)
+    if plan.step:
+        ramp = smooth_step(time, plan.step.time, plan.step.duration)
+        loads += np.outer(ramp, load_row(plan.step.loads))
+    return loads
+
+
+def planned_record(plan: SampledPlan, rng: np.random.Generator) -> tuple[Grid, Array]:
+    """The grid of a record and the loads (n, 6) on it, as the exciter's force cell feels them."""
+    match plan:
+        case SweepPlan():
+            grid = grid_of(plan, plan.duration)
+            return grid, sweep_loads(plan, grid.fine, rng)
+        case RotorPlan():
+            grid = grid_of(plan, plan.duration)
+            return grid, rotor_loads(plan, grid.fine, rng)
+        case ZeroPlan():
+            grid = grid_of(plan, plan.duration)
+            return grid, np.zeros((len(grid.fine), len(COMPONENTS)))

@@ -1,0 +1,63 @@
+"""What the cells and the shaft feel under given hub loads, as a linear system in its modes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.simulation.integrate import ModalSystem, modal_system
+from balance_cli.simulation.mechanics import Mechanics
+
+Array = NDArray[np.float64]
+
+
+def state_matrix(mechanics: Mechanics) -> Array:
+    """A (2n+b, 2n+b) of the state `(q, q', w)`, w the dashpots' elongations: `w' = (row q - w) / tau`."""
+    n, rows = mechanics.size, _branch_rows(mechanics)
+    b = len(rows)
+    springs = np.array([branch.stiffness for branch in mechanics.branches])
+    rates = np.array([1 / branch.time_constant for branch in mechanics.branches])
+    stiffness = mechanics.total_stiffness() + rows.T @ (springs[:, None] * rows)
+    A = np.zeros((2 * n + b, 2 * n + b))
+    A[:n, n : 2 * n] = np.eye(n)
+    A[n : 2 * n] = np.linalg.solve(mechanics.mass, np.hstack([-stiffness, -mechanics.damping, rows.T * springs]))
+    A[2 * n :, :n] = rates[:, None] * rows
+    A[2 * n :, 2 * n :] = -np.diag(rates)
+    return A
+
+
+def _branch_rows(mechanics: Mechanics) -> Array:
+    return np.array([branch.row for branch in mechanics.branches]).reshape(-1, mechanics.size)
+
+
+def input_matrix(mechanics: Mechanics) -> Array:
+    """B (2n+b, 6+m): the hub loads, and the m nonlinear cell forces, which pull the plate back."""
+    n = mechanics.size
+    pulls = -mechanics.cell_rows[[force.cell for force in mechanics.forces]].T
+    B = np.zeros((2 * n + len(mechanics.branches), 6 + len(mechanics.forces)))
+    B[n : 2 * n] = np.linalg.solve(mechanics.mass, np.hstack([mechanics.loads, pulls]))
+    return B
+
+
+def force_matrix(mechanics: Mechanics) -> Array:
+    """C (c+1, 2n+b): the force of every cell, with its own branches but no nonlinear force, then the torque."""
+    n = mechanics.size
+    C = np.zeros((len(mechanics.cell_rows) + 1, 2 * n + len(mechanics.branches)))
+    C[:-1, :n] = mechanics.cell_stiffness[:, None] * mechanics.cell_rows
+    C[-1, :n] = mechanics.torque_row
+    for i, branch in enumerate(mechanics.branches):
+        if branch.cell is not None:
+            C[branch.cell, :n] += branch.stiffness * branch.row
+            C[branch.cell, 2 * n + i] -= branch.stiffness
+    return C
+
+
+def elongation_matrix(mechanics: Mechanics) -> Array:
+    """Rows (m, 2n+b): elongation of the cell of every nonlinear force."""
+    rows = mechanics.cell_rows[[force.cell for force in mechanics.forces]]
+    return np.pad(rows, ((0, 0), (0, mechanics.size + len(mechanics.branches))))
+
+
+def linear_system(mechanics: Mechanics) -> ModalSystem:
+    """Cell forces and torque (c+1) from the hub loads (6), of a rig without nonlinear forces."""
+    return modal_system(state_matrix(mechanics), input_matrix(mechanics)[:, :6], force_matrix(mechanics))

@@ -1,0 +1,174 @@
+"""The true rig: the truth of a simulation, as declared, changed on purpose, or drawn from the tolerances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from balance_cli.errors import UserError
+from balance_cli.geometry import Geometry
+
+if TYPE_CHECKING:
+    from balance_cli.simulation.extensions import Extension
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrueRig:
+    """A rig with known properties; everything else (names, places, axes, filters) is that of `geometry`.
+
+    The moving part as a whole: `mass` [kg], `cg` (3,) [m] in rig axes, `inertia` (3, 3) [kg m2], the tensor about the
+    centre of gravity (products enter with a minus sign). `stiffness` (cells,) [N/m]; `damping_ratios` (freedoms,) in
+    order of rising eigenfrequency of the plate; `sensitivities` (channels,) [V/N] or [V/(N m)]; the shaft's
+    `torque_stiffness` [N m/rad], `torque_inertia` [kg m2] and `torque_damping_ratio` (unused without a torque meter).
+    `extensions` are the effects beyond the rigid plate, in the order in which they act.
+    """
+
+    geometry: Geometry
+    mass: float
+    cg: Array
+    inertia: Array
+    stiffness: Array
+    damping_ratios: Array
+    sensitivities: Array
+    torque_stiffness: float
+    torque_inertia: float
+    torque_damping_ratio: float
+    extensions: tuple[Extension, ...] = ()
+
+    def extended(self, *extensions: Extension) -> TrueRig:
+        """The same rig with further effects."""
+        return replace(self, extensions=(*self.extensions, *extensions))
+
+
+def moving_part(geometry: Geometry) -> tuple[float, Array, Array]:
+    """Mass [kg], centre of gravity (3,) [m] and inertia tensor (3, 3) [kg m2] about it, of all bodies together.
+
+    The parallel-axis theorem: `I = sum I_b + m_b (r'r 1 - r r')`, r from the common centre of gravity.
+    """
+    masses = np.array([body.mass for body in geometry.bodies])
+    positions = np.array([body.position for body in geometry.bodies], float)
+    mass = float(masses.sum())
+    cg = masses @ positions / mass
+    arms = positions - cg
+    inertia = sum((body.inertia.tensor() for body in geometry.bodies), np.zeros((3, 3)))
+    inertia = (
+        inertia + np.einsum("b,bi,bi->", masses, arms, arms) * np.eye(3) - np.einsum("b,bi,bj->ij", masses, arms, arms)
+    )
+    return mass, cg, inertia
+
+
+def _filled(value: ArrayLike | None, default: Array, what: str) -> Array:
+    if value is None:
+        return default
+    array = np.array(value, float)
+    if array.ndim and array.shape != default.shape:
+        raise UserError(f"{what} has shape {array.shape}, not {default.shape}", remedy="Give one value for each")
+    return np.broadcast_to(array, default.shape).copy()
+
+
+def true_rig(
+    geometry: Geometry,
+    *,
+    mass: float | None = None,
+    cg: ArrayLike | None = None,
+    inertia: ArrayLike | None = None,
+    stiffness: ArrayLike | None = None,
+    damping_ratios: ArrayLike | None = None,
+    sensitivities: ArrayLike | None = None,
+    torque_stiffness: float | None = None,
+    torque_inertia: float | None = None,
+    torque_damping_ratio: float | None = None,
+    extensions: tuple[Extension, ...] = (),
+) -> TrueRig:
+    """The rig as declared, except where a value is given (units and shapes as in `TrueRig`; a scalar fills an array).
+
+    The geometry's declared effects are not applied here (see `apply_effects`). Raises UserError for a wrong shape.
+    """
+    own_mass, own_cg, own_inertia = moving_part(geometry)
+    meter = geometry.torque_meter
+    zeta = geometry.damping_ratio
+    k, j = (meter.stiffness, meter.inertia) if meter else (1.0, 1.0)
+    return TrueRig(
+        geometry,
+        mass=own_mass if mass is None else float(mass),
+        cg=_filled(cg, own_cg, "cg"),
+        inertia=own_inertia if inertia is None else _filled(inertia, own_inertia, "inertia"),
+        stiffness=_filled(stiffness, np.array([cell.effective_stiffness for cell in geometry.cells]), "stiffness"),
+        damping_ratios=_filled(damping_ratios, np.full(len(geometry.freedom), zeta), "damping_ratios"),
+        sensitivities=_filled(sensitivities, np.array([c.sensitivity for c in geometry.channels]), "sensitivities"),
+        torque_stiffness=k if torque_stiffness is None else float(torque_stiffness),
+        torque_inertia=j if torque_inertia is None else float(torque_inertia),
+        torque_damping_ratio=zeta if torque_damping_ratio is None else float(torque_damping_ratio),
+        extensions=extensions,
+    )
+
+
+def physical_inertia(inertia: Array) -> bool:
+    """Whether a tensor (3, 3) can belong to a body: no principal moment above the sum of the two others."""
+    principal = np.linalg.eigvalsh(inertia)
+    return bool(principal[0] > 0 and principal[2] <= (principal[0] + principal[1]) * (1 + 1e-12))
+
+
+def _physical(rig: TrueRig) -> bool:
+    positive = (rig.mass, rig.torque_stiffness, rig.torque_inertia)
+    damped = np.append(rig.damping_ratios, rig.torque_damping_ratio)
+    return (
+        min(positive) > 0
+        and bool(np.all(rig.stiffness > 0))
+        and bool(np.all(damped >= 0))
+        and (rig.geometry.damping_ratio == 0 or bool(np.all(damped > 0)))
+        and bool(np.all(rig.sensitivities * [c.sensitivity for c in rig.geometry.channels] > 0))
+        and physical_inertia(rig.inertia)
+    )
+
+
+def _drawn_inertia(inertia: Array, tolerance: float, rng: np.random.Generator) -> Array:
+    moments = np.sqrt(np.diag(inertia))
+    noise = np.triu(rng.standard_normal((3, 3)))
+    noise = noise + np.triu(noise, 1).T
+    drawn: Array = inertia + tolerance * np.outer(moments, moments) * noise
+    return drawn
+
+
+def _draw_once(rig: TrueRig, rng: np.random.Generator) -> TrueRig:
+    tol = rig.geometry.tolerances
+
+    def about(value: Array | float, tolerance: float) -> Array:
+        return np.asarray(value) * (1 + tolerance * rng.standard_normal(np.shape(value)))
+
+    return replace(
+        rig,
+        mass=float(about(rig.mass, tol.mass)),
+        cg=rig.cg + tol.centre_of_gravity * rng.standard_normal(3),
+        inertia=_drawn_inertia(rig.inertia, tol.inertia, rng),
+        stiffness=about(rig.stiffness, tol.stiffness),
+        damping_ratios=about(rig.damping_ratios, tol.damping_ratio),
+        sensitivities=about(rig.sensitivities, tol.sensitivity),
+        torque_stiffness=float(about(rig.torque_stiffness, tol.stiffness)),
+        torque_inertia=float(about(rig.torque_inertia, tol.inertia)),
+        torque_damping_ratio=float(about(rig.torque_damping_ratio, tol.damping_ratio)),
+    )
+
+
+def draw_rig(geometry: Geometry, rng: np.random.Generator, attempts: int = 1000) -> TrueRig:
+    """A rig drawn from the declared values and their Gaussian `tolerances`, independently of one another.
+
+    Mass, centre of gravity and inertia vary as those of the moving part as a whole; products of inertia get
+    `tolerance * sqrt(Iii Ijj)`. What no rig can have (a stiffness or damping not positive, an impossible inertia) is
+    drawn again as a whole. Raises UserError where the tolerances leave hardly any possible rig.
+    """
+    declared = true_rig(geometry)
+    for _ in range(attempts):
+        rig = _draw_once(declared, rng)
+        if _physical(rig):
+            return rig
+    raise UserError(
+        f"{attempts} draws gave no possible rig",
+        place="tolerances",
+        remedy="Declare smaller tolerances or other values",
+    )

@@ -1,0 +1,37 @@
+"""Static calibration: loads applied step by step, each held until the rig stands still."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS
+from balance_cli.simulation.mechanics import Mechanics
+from balance_cli.simulation.plans import Component, StaticPlan
+from balance_cli.simulation.response import linear_system
+
+Array = NDArray[np.float64]
+
+
+def load_row(loads: Mapping[Component, float]) -> Array:
+    """Loads by name as a row (6,)."""
+    return np.array([loads.get(name, 0.0) for name in get_args(Component)])
+
+
+def loading_sequence(plan: StaticPlan) -> Array:
+    """Load points (rows, 6) in order: the trim, then each component up, down through it, and back."""
+    up = np.arange(1, plan.steps + 1)
+    ladder = np.concatenate([up, up[-2::-1], [0], -up, -up[-2::-1], [0]]) / plan.steps
+    blocks: list[Array] = [np.outer(ladder, load_row({name: largest})) for name, largest in plan.largest.items()]
+    changes: Array = np.vstack([np.zeros((1, len(COMPONENTS))), *blocks])
+    sequence: Array = changes + load_row(plan.trim_loads)
+    return sequence
+
+
+def static_forces(mechanics: Mechanics, loads: Array) -> Array:
+    """Cell forces and torque (rows, c+1) at rest under `loads` (rows, 6), applied in this order."""
+    forces: Array = loads @ linear_system(mechanics).static().T
+    return forces
