@@ -22,6 +22,9 @@ from balance_cli.model.system import System, channel_gains, dynamic_stiffness, s
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+# A biased estimate gains nothing from more lines; beyond this number every second, third .. line serves.
+ENOUGH_LINES = 2000
+
 
 @dataclass(frozen=True)
 class MeasuredForces:
@@ -62,28 +65,23 @@ def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArr
     R = system.readings
     inverse = (R.T @ R).inverse() @ R.T
     q = measured.forces @ inverse.value.T
-    dq = _per_line(inverse.slope, measured.forces)
+    dq = slopes_times(inverse.slope, measured.forces)
     A = dynamic_stiffness(system.pencil, measured.frequency, measured.spin)
     balance = np.matmul(A, q[:, :, None])[:, :, 0] - measured.loads @ system.inputs.value.T
     slopes = np.matmul(A, dq) + _pencil_times(system, measured, q)
-    slopes -= _per_line(system.inputs.slope, measured.loads)
+    slopes -= slopes_times(system.inputs.slope, measured.loads)
     surplus = measured.forces - q @ R.value.T
-    d_surplus = -_per_line(R.slope, q) - np.matmul(R.value, dq)
+    d_surplus = -slopes_times(R.slope, q) - np.matmul(R.value, dq)
     error = np.concatenate([balance, surplus], axis=1) * measured.weight
-    return np.asarray(error, complex), np.concatenate([slopes, d_surplus], axis=1) * measured.weight[:, :, None]
+    return error.astype(complex), np.concatenate([slopes, d_surplus], axis=1) * measured.weight[:, :, None]
 
 
 def _pencil_times(system: System, measured: MeasuredForces, q: ComplexArray) -> ComplexArray:
     """DA q (K, n, p)."""
     pencil, w = system.pencil, 2 * np.pi * measured.frequency[:, None]
     damping = pencil.damping.slope + 2 * np.pi * measured.spin * pencil.gyroscopic.slope
-    stiffness, viscous = _per_line(pencil.stiffness.slope, q), _per_line(damping, 1j * w * q)
-    return stiffness + viscous - _per_line(pencil.mass.slope, w**2 * q)
-
-
-def _per_line(slopes: Array, vectors: ComplexArray) -> ComplexArray:
-    """Slopes (p, a, b) times vectors (K, b): (K, a, p)."""
-    return np.swapaxes(slopes_times(slopes, vectors), 1, 2)
+    stiffness, viscous = slopes_times(pencil.stiffness.slope, q), slopes_times(damping, 1j * w * q)
+    return stiffness + viscous - slopes_times(pencil.mass.slope, w**2 * q)
 
 
 def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
@@ -108,7 +106,8 @@ def least_squares(
     Lines outside `band` [Hz] are left out. Every spring that holds the plate needs a live channel.
     """
     start = parameters.value
-    data = [_within_band(measured_forces(batch, system(start)), band) for batch in batches]
+    stride = 1 + sum(len(batch.index) for batch in batches) // ENOUGH_LINES
+    data = [_selected(measured_forces(batch, system(start)), band, stride) for batch in batches]
 
     def error(theta: Array) -> float:
         return float(sum(np.sum(np.abs(equation_error(system(theta), item)[0]) ** 2) for item in data))
@@ -130,8 +129,9 @@ def least_squares(
     return minimum
 
 
-def _within_band(measured: MeasuredForces, band: tuple[float, float]) -> MeasuredForces:
+def _selected(measured: MeasuredForces, band: tuple[float, float], stride: int) -> MeasuredForces:
     keep = (measured.frequency >= band[0]) & (measured.frequency <= band[1])
+    keep &= np.arange(len(keep)) % stride == 0
     return replace(
         measured,
         frequency=measured.frequency[keep],

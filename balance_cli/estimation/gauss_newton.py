@@ -52,14 +52,31 @@ def minimise(
     for iteration in range(1, iterations + 1):
         data = curvature(theta)
         total = data + prior_curvature(parameters, theta)
+        total = _held_at_bounds(parameters, theta, total)
         promised = _promised(total, scale)
         if promised < max(tolerance, 1e-9 * total.chi2):
-            return Minimum(theta, data, total, iteration, True)
+            return Minimum(theta, data, data + prior_curvature(parameters, theta), iteration, True)
         theta, damping, moved = _descend(parameters, theta, total, scale, damping, chi2)
         if not moved:
+            total = data + prior_curvature(parameters, theta)
             return Minimum(theta, data, total, iteration, promised < 1e-6 * total.chi2)
     data = curvature(theta)
     return Minimum(theta, data, data + prior_curvature(parameters, theta), iterations, False)
+
+
+def _held_at_bounds(parameters: ParameterSet, theta: Array, total: Curvature) -> Curvature:
+    """The same curvature with the parameters held that rest on a bound and would cross it."""
+    free = parameters.free
+    position, near = theta[free], 1e-2 * parameters.scale[free]
+    below = (position - parameters.lower[free] < near) & (total.gradient > 0)
+    above = (parameters.upper[free] - position < near) & (total.gradient < 0)
+    held = below | above
+    if not held.any():
+        return total
+    information = total.information.copy()
+    information[held, :] = information[:, held] = 0.0
+    information[held, held] = 1.0 / parameters.scale[free][held] ** 2
+    return Curvature(total.chi2, np.where(held, 0.0, total.gradient), information)
 
 
 def _scaled(total: Curvature, scale: Array) -> tuple[Array, Array]:

@@ -139,29 +139,22 @@ def spring_forces(solution: Solution, index: NDArray[np.intp], loads: ComplexArr
 
 def force_slopes(system: System, solution: Solution, index: NDArray[np.intp], loads: ComplexArray) -> ComplexArray:
     """Derivatives (K, e, p) of the spring forces for loads (K, 6) at lines `index` (K,)."""
-    pencil, p = system.pencil, system.parameters
+    pencil = system.pencil
     w = 2 * np.pi * solution.frequency[index][:, None]
     driven = loads @ system.inputs.value.T
     x = np.matmul(solution.inverse[index], driven[:, :, None])[:, :, 0]
-    change = slopes_times(pencil.stiffness.slope, x)
-    change -= slopes_times(pencil.mass.slope, w**2 * x)
     damping = pencil.damping.slope + 2 * np.pi * solution.spin * pencil.gyroscopic.slope
-    change += slopes_times(damping, 1j * w * x)
-    if np.any(pencil.hysteresis.slope):
-        change += slopes_times(pencil.hysteresis.slope, 1j * x)
-    change = slopes_times(system.inputs.slope, loads) - change
-    through = np.matmul(change, np.swapaxes(solution.to_forces[index], 1, 2))
-    direct = slopes_times(system.readings.slope, x)
-    return np.swapaxes((through + direct).reshape(len(index), p, -1), 1, 2)
+    matrices = (system.inputs.slope, -pencil.stiffness.slope, -damping, pencil.mass.slope, -pencil.hysteresis.slope)
+    vectors = (loads, x, 1j * w * x, w**2 * x, 1j * x)
+    change = slopes_times(np.concatenate(matrices, axis=2), np.concatenate(vectors, axis=1))
+    return np.asarray(solution.to_forces[index] @ change + slopes_times(system.readings.slope, x))
 
 
 def slopes_times(slopes: Array, vectors: ComplexArray) -> ComplexArray:
-    """Slopes (p, a, b) times vectors (K, b), as one real matrix product: (K, p, a)."""
+    """Slopes (p, a, b) times vectors (K, b), as one matrix product: (K, a, p)."""
     p, a, b = slopes.shape
-    pairs = np.ascontiguousarray(vectors).view(float).reshape(len(vectors), b, 2)
-    flat = np.moveaxis(pairs, 2, 1).reshape(-1, b) @ slopes.reshape(p * a, b).T
-    parts = flat.reshape(len(vectors), 2, p, a)
-    return np.asarray(parts[:, 0] + 1j * parts[:, 1])
+    flat = slopes.transpose(2, 1, 0).reshape(b, a * p)
+    return np.asarray((vectors @ flat).reshape(len(vectors), a, p))
 
 
 def log_gain_slopes(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
@@ -186,6 +179,9 @@ def output_slopes(system: System, solution: Solution, index: NDArray[np.intp], l
     gains = solution.gains[index]
     volts = gains * forces[:, springs]
     slopes = gains[:, :, None] * force_slopes(system, solution, index, loads)[:, springs]
-    slopes += volts[:, :, None] * log_gain_slopes(system.paths, solution.frequency)[index]
-    mixed = system.mixing.value @ slopes
-    return np.asarray(mixed + np.moveaxis(slopes_times(system.mixing.slope, volts), 1, 2))
+    log_slopes = log_gain_slopes(system.paths, solution.frequency)
+    if log_slopes.any():
+        slopes += volts[:, :, None] * log_slopes[index]
+    if system.mixing.slope.any() or np.any(system.mixing.value != np.eye(len(springs))):
+        slopes = system.mixing.value @ slopes + slopes_times(system.mixing.slope, volts)
+    return np.asarray(slopes)

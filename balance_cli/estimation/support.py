@@ -1,0 +1,56 @@
+"""What an estimate rests on: the data, or the priors; and what the data alone cannot determine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.model.parameters import ParameterSet
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Support:
+    """`rests_on` for every parameter; `determined`: number of directions that the data decide (effective number)."""
+
+    rests_on: tuple[str, ...]
+    determined: float
+
+
+def parameter_support(parameters: ParameterSet, information: Array) -> Support:
+    """Split the variance of the estimate by its source; `information` (free, free) is that of the data alone.
+
+    With precision P of the priors and covariance C = (information + P)^-1, C = C information C + C P C: the first
+    part comes from the noise, the second from the error of what was declared.
+    """
+    free = parameters.free
+    precision = np.diag(1.0 / parameters.sigma[free] ** 2)
+    covariance = np.linalg.inv(information + precision)
+    from_prior = np.diag(covariance @ precision @ covariance)
+    share = from_prior / np.diag(covariance)
+    words = iter(["prior" if part > 0.5 else "data" for part in share])
+    rests_on = tuple(next(words) if is_free else "exact" for is_free in free)
+    return Support(rests_on, float(np.trace(covariance @ information)))
+
+
+def undetermined(parameters: ParameterSet, information: Array, limit: float = 1.0) -> tuple[str, ...]:
+    """Directions in which the data know less than the priors do, each as words: `+0.3 mass +0.3 stiffness.x ...`.
+
+    The directions are relative changes of the parameters (of their prior sigma where the value is less); an eigenvalue
+    of the information in units of the priors below `limit` means that the prior decides.
+    """
+    free = parameters.free
+    sigma = np.where(np.isfinite(parameters.sigma[free]), parameters.sigma[free], parameters.scale[free])
+    values, vectors = np.linalg.eigh(information * np.outer(sigma, sigma))
+    names = [name for name, is_free in zip(parameters.names, free, strict=True) if is_free]
+    size = np.maximum(np.abs(parameters.value[free]), sigma)
+    return tuple(_in_words(names, vectors[:, i] * sigma / size) for i in np.flatnonzero(values < limit))
+
+
+def _in_words(names: list[str], change: Array) -> str:
+    relative = change / change[np.argmax(np.abs(change))]
+    large = [i for i in np.argsort(-np.abs(relative)) if abs(relative[i]) > 0.05]
+    return " ".join(f"{relative[i]:+.2f} {names[i]}" for i in large)

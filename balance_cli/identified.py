@@ -1,0 +1,102 @@
+"""An identified model: what `identify` leaves behind and `reduce`, `simulate` and the report take up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.geometry import Geometry
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class ParameterTable:
+    """Parameters of a fit, in the model's order.
+
+    value, sigma, declared, declared_sigma (p,); unit; `rests_on` is `data`, `prior` (more than half of the variance
+    comes from the declared tolerances), or `exact` (declared without tolerance, never fitted).
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: Array
+    sigma: Array
+    declared: Array
+    declared_sigma: Array
+    rests_on: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ModeTable:
+    """Oscillatory modes: frequency [Hz], damping ratio, their sigma (m,); shape (m, n) over `coordinates`."""
+
+    coordinates: tuple[str, ...]
+    frequency: Array
+    damping_ratio: Array
+    sigma_frequency: Array
+    sigma_damping_ratio: Array
+    shape: ComplexArray
+
+
+@dataclass(frozen=True)
+class RunFit:
+    """How one run fits: chi2 and its degrees of freedom, relative error of the response and what noise leaves of it."""
+
+    chi2: float
+    dof: float
+    frf_error: float
+    frf_noise: float
+
+
+@dataclass(frozen=True)
+class PhysicalModel:
+    """The physical form at its estimate: full covariance (p, p) of the parameters, zero rows for exact ones."""
+
+    parameters: ParameterTable
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class FitQuality:
+    """Chi-square against the measured noise, its degrees of freedom, and the relative error of all responses."""
+
+    chi2: float
+    dof: float
+    frf_error: float
+    runs: dict[str, RunFit]
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """Chi-square per degree of freedom; NaN where nothing was fitted."""
+        return self.chi2 / self.dof if self.dof > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class IdentifiedModel:
+    """A balance model in physical form, computed or identified.
+
+    `method` is `computed`, `ls`, `ml` or `ls+ml`; `start` says where the maximum likelihood began; `undetermined` says
+    in words what the data alone leave open; `live_channels` are the channels whose noise allowed a fit.
+    """
+
+    form: str
+    method: str
+    start: str
+    geometry: Geometry
+    physical: PhysicalModel
+    modes: ModeTable
+    quality: FitQuality
+    undetermined: tuple[str, ...]
+    left_out: dict[str, str]
+    iterations: int
+    converged: bool
+
+    @property
+    def misfit_scale(self) -> float:
+        """Factor (Birge ratio) on every sigma where the model does not fit: sqrt(chi2/dof), at least 1."""
+        ratio = self.quality.chi2_per_dof
+        return float(np.sqrt(ratio)) if np.isfinite(ratio) and ratio > 1.0 else 1.0
