@@ -1,0 +1,174 @@
+"""Lines of periodic records: whole steady periods, no window, noise from the scatter between periods.
+
+Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. (2012), sections 2.6 and 10.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.runs import Run
+from balance_cli.signals.lines import Lines
+from balance_cli.signals.noise import distances, inverse_bias_factor, outlier_bound, pooled_covariance
+from balance_cli.signals.records import (
+    channel_places,
+    fault,
+    load_places,
+    measured_components,
+    sample_rate,
+    samples_of,
+)
+from balance_cli.signals.steady import steady_start
+
+__all__ = ["PeriodicRecord", "inverse_bias_factor", "periodic_lines", "periodic_record", "whole_period"]
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Counts = NDArray[np.intp]
+
+LEAST_SIGNAL_TO_NOISE = 10.0
+LEAST_SHARE_OF_STRONGEST = 10.0**-2.5
+INFLATION_PROBABILITY = 1e-4
+
+
+@dataclass(frozen=True)
+class PeriodicRecord:
+    """The lines of a periodic run, and which periods they rest on.
+
+    `period` [s] that was cut (a multiple of the declared one where that has no whole number of samples), `periods` in
+    the record, `first` (k,) steady period of each line (0 is the first), `start` and `stop` [s] of what is steady at
+    every line, `steady`: whether a test says so, or two periods had to be kept for want of more.
+    """
+
+    lines: Lines
+    period: float
+    periods: int
+    first: Counts
+    start: float
+    stop: float
+    steady: bool
+
+
+def periodic_lines(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> Lines:
+    """Lines of a periodic run at the frequencies that were excited, within `band` [Hz]; see `periodic_record`."""
+    return periodic_record(run, channel_names, band).lines
+
+
+def periodic_record(
+    run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
+) -> PeriodicRecord:
+    """Cut a periodic run in whole periods (the last ends with the record), leave the start transient out, average.
+
+    Spectra are amplitudes, `x(t) = Re sum X exp(+j 2 pi f t)`. The covariance is that of the mean over the steady
+    periods, pooled over neighbouring lines; a line with improbably large scatter has its own, larger one. `lines.dof`
+    belongs to the pooled covariance: consumers that invert it multiply the inverse by `inverse_bias_factor(dof, n)`,
+    n = channels + components. UserError: no period, fewer than two whole periods, or nothing that repeats.
+    """
+    samples = whole_period(run)
+    spectra, components = _spectra(run, channel_names, samples)
+    frequency = np.arange(1, spectra.shape[1] + 1) * sample_rate(run) / samples
+    start = steady_start(spectra)
+    mean, covariance, dof = _mean_and_covariance(spectra, start.first)
+    covariance = covariance * (1.0 + start.bias)[:, None, None]
+    u = len(components)
+    chosen = _excited(mean[:, -u:], covariance[:, -u:, -u:]) & (frequency >= band[0]) & (frequency <= band[1])
+    if not np.any(chosen):
+        raise fault(run, "no line of the loads repeats from period to period", "Check `period`", "attribute `period`")
+    lines = Lines(
+        run=run.name,
+        channel_names=tuple(channel_names),
+        components=components,
+        frequency=frequency[chosen],
+        channels=mean[chosen, :-u],
+        loads=mean[chosen, -u:],
+        covariance=covariance[chosen],
+        dof=dof,
+        rotor_speed=run.rotor_speed,
+        level=run.level,
+    )
+    return _record(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
+
+
+def whole_period(run: Run) -> int:
+    """Samples in the shortest multiple of the declared period that is a whole number of samples, to 0.01 of one
+
+    over the record. UserError where the run declares no period, or holds fewer than two such multiples.
+    """
+    if run.period is None:
+        raise fault(run, "there is no `period`", "Choose an estimator for records that do not repeat")
+    exact = run.period * sample_rate(run)
+    for multiple in range(1, int(run.samples / (2.0 * exact)) + 1):
+        samples = round(multiple * exact)
+        if abs(samples - multiple * exact) * (run.samples / samples) < 0.01:
+            return samples
+    raise fault(
+        run,
+        f"the record does not hold two periods of a whole number of samples ({exact:g} each)",
+        "Record more periods, or choose an estimator for records that do not repeat",
+        "attribute `period`",
+    )
+
+
+def _spectra(run: Run, channel_names: Sequence[str], samples: int) -> tuple[ComplexArray, tuple[str, ...]]:
+    """Amplitudes (P, K, c+u) of every whole period at lines 1 to K below the Nyquist frequency, and the components."""
+    periods = run.samples // samples
+    offset = run.samples - periods * samples
+    channel_places(run, channel_names)
+    each = []
+    every_load = np.zeros((1, 6))
+    for p in range(periods):
+        channels, loads = samples_of(run, channel_names, offset + p * samples, offset + (p + 1) * samples)
+        every_load = np.maximum(every_load, np.abs(loads).max(axis=0))
+        spectrum = np.fft.rfft(np.hstack([channels, loads]), axis=0)[1 : (samples + 1) // 2]
+        each.append(spectrum * (2.0 / samples))
+    components = measured_components(run, every_load)
+    c = len(channel_names)
+    kept = [*range(c), *(c + place for place in load_places(components))]
+    return np.asarray(each)[:, :, kept], components
+
+
+def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, ComplexArray, float]:
+    """Mean (K, n) over the steady periods of each line, covariance of that mean (K, n, n), its dof."""
+    P = len(spectra)
+    used = np.arange(P)[:, None] >= first
+    m = used.sum(axis=0).astype(float)
+    mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
+    deviation = (spectra - mean) * used[:, :, None]
+    scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
+    covariance, dof = pooled_covariance(scatter, m - 1.0)
+    covariance = covariance * _inflation(scatter, covariance, m - 1.0, dof)[:, None, None]
+    return mean, covariance / m[:, None, None], dof
+
+
+def _inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
+    """1 where a line scatters as its neighbours do; where that is improbable, how much more it scatters (K,)."""
+    far = distances(scatter, covariance, counts, dof)
+    return np.where(far > outlier_bound(counts, scatter.shape[1], INFLATION_PROBABILITY), far, 1.0)
+
+
+def _excited(loads: ComplexArray, covariance: ComplexArray) -> NDArray[np.bool_]:
+    """Lines (K,) at which some load component stands well above its noise and is not a mere trace of the strongest."""
+    amplitude = np.abs(loads)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
+    above_noise = amplitude > LEAST_SIGNAL_TO_NOISE * sigma
+    strong = amplitude > LEAST_SHARE_OF_STRONGEST * amplitude.max(axis=0)
+    return np.any(above_noise & strong, axis=1)
+
+
+def _record(run: Run, lines: Lines, spectra: ComplexArray, samples: int, first: Counts, steady: bool) -> PeriodicRecord:
+    rate = sample_rate(run)
+    periods = len(spectra)
+    offset = run.samples - periods * samples
+    return PeriodicRecord(
+        lines=lines,
+        period=samples / rate,
+        periods=periods,
+        first=first,
+        start=(offset + int(first.max()) * samples) / rate,
+        stop=run.samples / rate,
+        steady=steady,
+    )

@@ -1,0 +1,61 @@
+"""Samples of a dynamic run as the spectral estimators need them: chosen channels, measured load components."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS
+from balance_cli.errors import UserError
+from balance_cli.runs import Run
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def sample_rate(run: Run) -> float:
+    """Sample rate [Hz]; UserError where the run declares none."""
+    if run.sample_rate is None:
+        raise fault(run, "there is no `sample_rate`", "Only a dynamic run has a spectrum")
+    return run.sample_rate
+
+
+def fault(run: Run, text: str, remedy: str = "", place: str = "") -> UserError:
+    """A user error that names this run's file (or the run, where it came from memory)."""
+    return UserError(text, str(run.path) if run.path else f"run {run.name}", place, remedy)
+
+
+def channel_places(run: Run, channel_names: Sequence[str]) -> list[int]:
+    """Columns of the named channels; UserError where the run lacks one."""
+    missing = [name for name in channel_names if name not in run.channel_names]
+    if missing:
+        raise fault(run, f"there is no channel `{missing[0]}`", "Leave the channel out for this run", "channels")
+    return [run.channel_names.index(name) for name in channel_names]
+
+
+def samples_of(run: Run, channel_names: Sequence[str], start: int = 0, stop: int | None = None) -> tuple[Array, Array]:
+    """Channels (n, c) [V] and all six loads (n, 6) [N, N m] of samples start to stop; UserError without loads."""
+    block = run.read(start, stop)
+    if block.loads is None:
+        raise fault(run, "there are no `loads`", "A sweep needs the loads that its exciter applied", "loads")
+    return block.channels[:, channel_places(run, channel_names)], block.loads
+
+
+def measured_components(run: Run, loads: Array) -> tuple[str, ...]:
+    """The load components that were measured (a column of exact zeros was not): those declared excited come first.
+
+    loads (n, 6). UserError where a component declared as excited was not measured.
+    """
+    measured = {name for name, column in zip(COMPONENTS, loads.T, strict=True) if np.any(column)}
+    for name in run.excited:
+        if name not in measured:
+            raise fault(run, f"`{name}` is declared as excited but its column is zero", "", "loads")
+    others = tuple(name for name in COMPONENTS if name in measured and name not in run.excited)
+    return tuple(run.excited) + others
+
+
+def load_places(components: Sequence[str]) -> list[int]:
+    """Columns of these components in the six loads."""
+    return [COMPONENTS.index(name) for name in components]
