@@ -12,6 +12,7 @@ from balance_cli.components import FREEDOMS
 
 FORMAT = "balance-geometry/1"
 
+Name = Annotated[str, Field(min_length=1)]
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -44,7 +45,7 @@ class Inertia(Part):
 class Body(Part):
     """A lumped mass: mass [kg], position of its centre [m], inertia about that centre."""
 
-    name: str
+    name: Name
     mass: Positive
     position: Vector
     inertia: Inertia
@@ -53,7 +54,7 @@ class Body(Part):
 class Cell(Part):
     """A load cell: acts along `axis` at `position` [m]; stiffness [N/m], or cell and beam in series."""
 
-    name: str
+    name: Name
     position: Vector
     axis: Vector
     stiffness: Positive | None = None
@@ -79,8 +80,9 @@ class Cell(Part):
     @property
     def direction(self) -> Array:
         """Unit vector (3,) along the axis."""
-        axis = np.asarray(self.axis, float)
-        return axis / np.linalg.norm(axis)
+        axis: Array = np.asarray(self.axis, float)
+        unit: Array = axis / np.linalg.norm(axis)
+        return unit
 
 
 class TorqueMeter(Part):
@@ -93,7 +95,7 @@ class TorqueMeter(Part):
 class Channel(Part):
     """A recorded channel: what it measures, sensitivity [V/N or V/(N m)] and its own first-order dynamics."""
 
-    name: str
+    name: Name
     cell: str | None = None
     torque_meter: bool = False
     sensitivity: float
@@ -150,7 +152,7 @@ class Rotor(Part):
 class DeclaredEffect(Part):
     """An effect beyond the rigid plate: its name, its places, its parameters."""
 
-    name: str
+    name: Name
     where: tuple[str, ...] = ()
     parameters: dict[str, float] = {}
 
@@ -159,8 +161,8 @@ class Geometry(Part):
     """A rotor balance as declared. Compared by content."""
 
     format: Literal["balance-geometry/1"]
-    name: str
-    rig: str
+    name: Name
+    rig: Name
     hub: Vector
     bodies: Annotated[tuple[Body, ...], Field(min_length=1)]
     cells: Annotated[tuple[Cell, ...], Field(min_length=1)]

@@ -1,9 +1,11 @@
-"""Run files (`balance-run/1`): the only reader and writer of raw data, whole or in blocks."""
+"""Runs: what one recorded run says of itself, and its samples, whole or in blocks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Protocol
 
@@ -79,3 +81,32 @@ class Run:
         """All samples, in blocks of at most `size`."""
         for start in range(0, self.samples, size):
             yield self.read(start, start + size)
+
+
+def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | None = None) -> Array:
+    """Samples (n, len(names)) [V] of these channels; a channel that the run does not have is NaN throughout."""
+    return pick_channels(run.read(start, stop).channels, run.channel_names, names)
+
+
+def pick_channels(channels: Array, present: Sequence[str], names: Sequence[str]) -> Array:
+    """Columns (n, len(names)) of `channels` (n, len(present)) in the order of `names`; NaN where one is absent."""
+    column = {name: index for index, name in enumerate(present)}
+    picked = np.full((len(channels), len(names)), np.nan)
+    here = [index for index, name in enumerate(names) if name in column]
+    picked[:, here] = channels[:, [column[names[index]] for index in here]]
+    return picked
+
+
+_ABOUT = {item.name for item in fields(Run)} - {"source", "path", "digest", "pulse_times"}
+
+
+def run_digest(run: Run) -> str:
+    """Hex SHA-256 of what the run says of itself and of its samples as float64: not of its path or storage."""
+    about = {name: getattr(run, name) for name in _ABOUT}
+    about["pulse_times"] = None if run.pulse_times is None else run.pulse_times.tolist()
+    hashed = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    for block in run.blocks():
+        hashed.update(np.ascontiguousarray(block.channels, "<f8").tobytes())
+        if block.loads is not None:
+            hashed.update(np.ascontiguousarray(block.loads, "<f8").tobytes())
+    return hashed.hexdigest()

@@ -27,6 +27,7 @@ status of a call that otherwise succeeded. Own options: use the types InputFile,
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -127,12 +128,12 @@ class Session:
 
     def progress(self, items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
         """The same items, with a progress bar on stderr where that is a terminal."""
-        stream = click.get_text_stream("stderr")
-        if not stream.isatty():
+        if not sys.stderr.isatty():
             return items
         from tqdm import tqdm
 
-        return tqdm(items, desc=description, total=total, file=stream, leave=False)
+        bar: Iterable[T] = tqdm(items, desc=description, total=total, file=sys.stderr, leave=False)
+        return bar
 
     def provenance(self) -> Provenance:
         """Command, options that differ from their defaults, inputs read so far, versions, time."""
@@ -221,10 +222,8 @@ def command(name: str, **attributes: Any) -> Callable[[Callable[..., None]], cli
     """As click.command, with `--json` and `-v`; the function gets the Session first, then its own parameters."""
 
     def decorate(function: Callable[..., None]) -> click.Command:
-        @click.command(name, cls=BalanceCommand, **attributes)
-        @click.pass_context
-        @functools.wraps(function)
-        def call(context: click.Context, json_path: Path | None, verbose: bool, **parameters: Any) -> None:
+        def call(json_path: Path | None, verbose: bool, **parameters: Any) -> None:
+            context = click.get_current_context()
             check_outputs(context)
             session, failed = Session(context, json_path), True
             with messages(verbose):
@@ -235,6 +234,8 @@ def command(name: str, **attributes: Any) -> Callable[[Callable[..., None]], cli
                     session.close(failed)
             context.exit(session.status)
 
-        return verbose_option(json_option(call))
+        functools.update_wrapper(call, function)
+        make = click.command(name, cls=BalanceCommand, **attributes)
+        return make(verbose_option(json_option(call)))
 
     return decorate

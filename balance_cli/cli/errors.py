@@ -20,7 +20,7 @@ INTERRUPTED = 130
 class _Reporting(click.Command):
     """A command whose errors are one message on stderr and an exit status: 2 the user's fault, 1 ours."""
 
-    def main(  # type: ignore[override]
+    def main(
         self,
         args: Sequence[str] | None = None,
         prog_name: str | None = None,
@@ -76,4 +76,3 @@ def _our_fault(error: BaseException, verbose: bool) -> int:
 
 def _say(message: str) -> None:
     click.echo(f"balance: error: {message}", err=True)
-

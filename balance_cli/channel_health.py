@@ -1,0 +1,183 @@
+"""Which channels of a run can be used, and why the others cannot: absent, not finite, dead, clipped.
+
+Judged from the samples alone, in one pass over blocks. Two things must not be mistaken for faults: coarse quantisation
+of a quiet channel, which repeats values by itself, and a smooth signal, which dwells at its peaks. So both tests for
+faults compare a channel with itself.
+
+- Dead for part of the record: one stretch of identical samples far longer than the share p of repeated samples in
+  this very channel lets expect; among n independent samples the longest such stretch is about log n / log(1/p) long
+  (the longest run of heads; Erdos and Renyi, 1970).
+- Clipped: samples at the declared range; where none is declared, the record's extreme is met far more often than the
+  values next to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.geometry import Channel, Geometry
+from balance_cli.runs import Array, Run, pick_channels
+
+Integers = NDArray[np.int64]
+
+STRETCH_FACTOR = 5.0
+"""How many times the expected longest stretch of identical samples makes a channel dead there."""
+LEAST_STRETCH = 20
+"""Samples; a shorter stretch of identical samples is never taken for a fault."""
+LEAST_ROWS = 3
+"""Below as many samples a constant channel is no evidence."""
+NEAREST = 8
+"""Distinct values kept at either end of a channel's values."""
+LEAST_PLATEAU = 6
+PLATEAU_FACTOR = 5.0
+"""Clipped: the extreme is met at least so often, and so many times as often as each of the values next to it."""
+AT_RANGE = 1.0 - 1e-6
+"""Share of the declared range from which a sample is clipped."""
+
+
+@dataclass(frozen=True)
+class ChannelHealth:
+    """Channels of a run that can be used, in the geometry's order, and the others with the reason (channel -> text).
+
+    Channels with a high-pass are no part of a static run: there they are in neither.
+    """
+
+    live: tuple[str, ...]
+    left_out: dict[str, str]
+
+
+def live_channels(run: Run, geometry: Geometry) -> ChannelHealth:
+    """Judge every channel that the geometry declares. Reads all samples of the run, block by block."""
+    wanted = [channel for channel in geometry.channels if run.kind != "static" or channel.measures_dc]
+    present = [channel for channel in wanted if channel.name in run.channel_names]
+    records = _records(run, [channel.name for channel in present])
+    reasons = {channel.name: _fault(record, channel) for channel, record in zip(present, records, strict=True)}
+    left_out = {channel.name: reasons.get(channel.name, "absent from the run") for channel in wanted}
+    live = tuple(name for name, reason in left_out.items() if not reason)
+    return ChannelHealth(live, {name: reason for name, reason in left_out.items() if reason})
+
+
+# ---- what one pass gathers of a channel ------------------------------------------------------------------------------
+
+
+@dataclass
+class _Record:
+    """What one pass gathers of one channel.
+
+    `lowest` and `highest` are the distinct values nearest either end, outermost first, with how often each was met.
+    """
+
+    samples: int = 0
+    not_finite: int = 0
+    first_not_finite: int = -1
+    repeats: int = 0
+    stretch: int = 0
+    stretch_start: int = 0
+    stretch_value: float = np.nan
+    lowest: tuple[Array, Integers] = (np.empty(0), np.empty(0, np.int64))
+    highest: tuple[Array, Integers] = (np.empty(0), np.empty(0, np.int64))
+    plateau: int = 0
+    open_start: int = 0
+    last: float = np.nan
+
+    def add(self, values: Array) -> None:
+        """Take the next samples of the channel into account."""
+        finite = np.isfinite(values)
+        if not finite.all():
+            if not self.not_finite:
+                self.first_not_finite = self.samples + int(np.argmin(finite))
+            self.not_finite += int((~finite).sum())
+        self._add_stretches(values)
+        self._add_extremes(values[finite])
+        self.samples += len(values)
+
+    def _add_stretches(self, values: Array) -> None:
+        """Stretches of identical samples, the one still open at the end of the last block continued."""
+        new = np.r_[values[0] != self.last, values[1:] != values[:-1]]
+        self.repeats += int((~new).sum())
+        starts = self.samples + np.flatnonzero(new)
+        if not new[0]:
+            starts = np.r_[self.open_start, starts]
+        lengths = np.diff(np.r_[starts, self.samples + len(values)])
+        longest = int(np.argmax(lengths))
+        if lengths[longest] > self.stretch:
+            self.stretch, self.stretch_start = int(lengths[longest]), int(starts[longest])
+            self.stretch_value = float(values[max(self.stretch_start - self.samples, 0)])
+        self.open_start, self.last = int(starts[-1]), float(values[-1])
+
+    def _add_extremes(self, values: Array) -> None:
+        found, counts = np.unique(values, return_counts=True)
+        self.lowest = _outermost(*self.lowest, found[:NEAREST], counts[:NEAREST])
+        self.highest = _outermost(*self.highest, found[-NEAREST:], counts[-NEAREST:], highest=True)
+
+
+def _outermost(
+    known: Array, known_counts: Integers, found: Array, found_counts: Integers, highest: bool = False
+) -> tuple[Array, Integers]:
+    """The distinct values nearest one end among known and found ones, outermost first, with their summed counts."""
+    values, place = np.unique(np.r_[known, found], return_inverse=True)
+    counts = np.bincount(place, np.r_[known_counts, found_counts], len(values)).astype(np.int64)
+    order = slice(None, -NEAREST - 1, -1) if highest else slice(NEAREST)
+    return values[order], counts[order]
+
+
+def _records(run: Run, names: list[str]) -> list[_Record]:
+    records = [_Record() for _ in names]
+    for block in run.blocks():
+        samples = pick_channels(block.channels, run.channel_names, names)
+        for record, values in zip(records, samples.T, strict=True):
+            record.add(values)
+    return records
+
+
+# ---- what is wrong with it -------------------------------------------------------------------------------------------
+
+
+def _fault(record: _Record, channel: Channel) -> str:
+    """Why a channel cannot be used, or nothing."""
+    return _not_finite(record) or _dead(record) or _clipped(record, channel.range)
+
+
+def _not_finite(record: _Record) -> str:
+    if not record.not_finite:
+        return ""
+    share = f"{record.not_finite} of {record.samples} samples"
+    return f"not finite: {share}, the first is sample {record.first_not_finite}"
+
+
+def _dead(record: _Record) -> str:
+    if record.samples < LEAST_ROWS:
+        return ""
+    value = f"{record.stretch_value:.6g} V"
+    if record.stretch == record.samples:
+        return f"dead: constant at {value}"
+    if record.stretch <= _longest_credible_stretch(record):
+        return ""
+    last = record.stretch_start + record.stretch - 1
+    return f"dead for part of the record: constant at {value} from sample {record.stretch_start} to {last}"
+
+
+def _longest_credible_stretch(record: _Record) -> float:
+    """Samples; at most half the record, since a channel that mostly stands still measures nothing either."""
+    share = np.clip(record.repeats / (record.samples - 1), 1e-9, 1.0 - 1e-9)
+    expected = np.log(record.samples) / -np.log(share)
+    return float(max(LEAST_STRETCH, min(STRETCH_FACTOR * expected, record.samples / 2)))
+
+
+def _clipped(record: _Record, limit: float | None) -> str:
+    for values, counts in (record.lowest, record.highest):
+        extreme, times = float(values[0]), int(counts[0])
+        if limit is not None and abs(extreme) >= AT_RANGE * limit:
+            return f"clipped: reaches {extreme:.6g} V, its range is {limit:g} V"
+        if _is_plateau(record, counts):
+            return f"clipped: {times} samples at its extreme of {extreme:.6g} V"
+    return ""
+
+
+def _is_plateau(record: _Record, counts: Integers) -> bool:
+    """Whether the extreme (first count) stands out among its neighbours, in a channel of enough distinct values."""
+    distinct = len(counts) == NEAREST and record.highest[0][-1] > record.lowest[0][-1]
+    return bool(distinct and counts[0] >= LEAST_PLATEAU and counts[0] > PLATEAU_FACTOR * counts[1:].max())

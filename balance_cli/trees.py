@@ -1,0 +1,248 @@
+"""Frozen dataclasses <-> trees of arrays and scalars, by their type hints; trees <-> HDF5; digest of a tree.
+
+A tree is a dict whose values are trees, numpy arrays, strings, numbers, bools or None. What a hint means:
+
+- `ndarray` (real or complex), `str`, `int`, `float`, `complex`, `bool`, `None` and `X | None`: itself;
+- `tuple[X, ...]` of scalars: a one-dimensional array; of anything else: a tree with keys 0, 1, ...;
+- `dict[str, X]` (or with int keys): a tree with those keys, their order kept;
+- a dataclass: a tree of its fields; a field that the tree lacks takes its default;
+- `pandas.DataFrame`: a tree of its columns (its index is not kept);
+- a pydantic model (`Geometry`, say): its JSON text.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from typing import Any
+from urllib.parse import unquote
+
+import h5py
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel
+
+Tree = dict[str, Any]
+SCALARS = (bool, int, float, complex, str)
+COMPRESS_FROM = 4096
+"""Bytes above which a dataset is compressed."""
+
+
+# ---- dataclass -> tree -----------------------------------------------------------------------------------------------
+
+
+def to_tree(value: Any) -> Any:
+    """The value as a tree. TypeError for a type that has no place in an artefact."""
+    if value is None or isinstance(value, SCALARS):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return _plain_array(value)
+    return _container_to_tree(value)
+
+
+def _container_to_tree(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return value.model_dump_json(exclude_none=True)
+    if isinstance(value, pd.DataFrame):
+        return {str(name): _column(value[name]) for name in value.columns}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {item.name: to_tree(getattr(value, item.name)) for item in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): to_tree(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return _sequence_to_tree(value)
+    raise TypeError(f"{type(value).__name__} has no place in an artefact")
+
+
+def _sequence_to_tree(items: tuple[Any, ...] | list[Any]) -> Any:
+    kinds = {type(item.item() if isinstance(item, np.generic) else item) for item in items}
+    if items and (kinds == {int, float} or (len(kinds) == 1 and kinds <= set(SCALARS))):
+        return _plain_array(np.array(items, dtype=object if kinds == {str} else None))
+    return {str(index): to_tree(item) for index, item in enumerate(items)}
+
+
+def _plain_array(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    if array.dtype.kind in "biufc":
+        return array
+    if array.dtype.kind in "OU" and all(isinstance(item, str) for item in array.flat):
+        return array.astype(object)
+    raise TypeError(f"an array of {array.dtype} has no place in an artefact")
+
+
+def _column(column: pd.Series[Any]) -> np.ndarray[Any, Any]:
+    values = column.to_numpy()
+    return _plain_array(values if values.dtype.kind in "biufc" else values.astype(object))
+
+
+# ---- tree -> dataclass -----------------------------------------------------------------------------------------------
+
+
+def from_tree(tree: Any, hint: Any) -> Any:
+    """The inverse of `to_tree` for a value of this type hint.
+
+    Raises ValueError, KeyError or TypeError where the tree does not fit the hint.
+    """
+    origin = typing.get_origin(hint)
+    if origin is typing.Annotated:
+        return from_tree(tree, typing.get_args(hint)[0])
+    if origin in (typing.Union, types.UnionType):
+        return _from_union(tree, typing.get_args(hint))
+    if origin is tuple:
+        return _to_tuple(tree, typing.get_args(hint))
+    if origin in (dict, Mapping):
+        key, item = typing.get_args(hint)
+        return {key(name): from_tree(value, item) for name, value in _as_tree(tree).items()}
+    if origin is typing.Literal or hint is Any:
+        return tree
+    return _from_class(tree, origin or hint)
+
+
+def _from_union(tree: Any, options: tuple[Any, ...]) -> Any:
+    if tree is None:
+        return None
+    rest = [option for option in options if option is not type(None)]
+    if len(rest) == 1:
+        return from_tree(tree, rest[0])
+    if isinstance(tree, SCALARS) and type(tree) in rest:
+        return tree
+    return from_tree(tree, next(option for option in rest if _may_hold(option, tree)))
+
+
+def _may_hold(option: Any, tree: Any) -> bool:
+    """Whether a tree can be of this type, by its outer form alone."""
+    origin = typing.get_origin(option) or option
+    if isinstance(tree, dict):
+        fields = {item.name for item in dataclasses.fields(option)} if dataclasses.is_dataclass(option) else None
+        return fields == set(tree) if fields is not None else origin in (dict, Mapping, tuple, pd.DataFrame)
+    return (origin in (np.ndarray, tuple)) if isinstance(tree, np.ndarray) else origin in SCALARS
+
+
+def _to_tuple(tree: Any, hints: tuple[Any, ...]) -> tuple[Any, ...]:
+    items = tree.tolist() if isinstance(tree, np.ndarray) else list(_as_tree(tree).values())
+    repeated = len(hints) == 2 and hints[1] is Ellipsis
+    each = [hints[0]] * len(items) if repeated else list(hints)
+    return tuple(from_tree(item, hint) for item, hint in zip(items, each, strict=True))
+
+
+def _from_class(tree: Any, kind: Any) -> Any:
+    if kind is np.ndarray:
+        return _expect(tree, np.ndarray)
+    if kind is pd.DataFrame:
+        return pd.DataFrame({name: _text_column(column) for name, column in _as_tree(tree).items()})
+    if kind in SCALARS:
+        return _scalar(tree, kind)
+    if dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        known = {item.name: hints[item.name] for item in dataclasses.fields(kind)}
+        values = {name: from_tree(value, known[name]) for name, value in _as_tree(tree).items()}
+        return typing.cast(Any, kind)(**values)
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return kind.model_validate_json(_expect(tree, str))
+    raise TypeError(f"{kind} has no place in an artefact")
+
+
+def _text_column(column: Any) -> Any:
+    return list(column) if column.dtype == object else column
+
+
+def _scalar(tree: Any, kind: Any) -> Any:
+    if kind is float and type(tree) is int:
+        return float(tree)
+    return _expect(tree, kind)
+
+
+def _expect(tree: Any, kind: type) -> Any:
+    if not isinstance(tree, kind) or (isinstance(tree, bool) and kind is not bool):
+        raise ValueError(f"{type(tree).__name__} where {kind.__name__} was expected")
+    return tree
+
+
+def _as_tree(tree: Any) -> Tree:
+    result: Tree = _expect(tree, dict)
+    return result
+
+
+# ---- tree <-> HDF5 ---------------------------------------------------------------------------------------------------
+
+
+def write_tree(group: h5py.Group, tree: Tree) -> None:
+    """Write a tree into an empty group."""
+    for key, value in tree.items():
+        name = _stored_name(key)
+        if isinstance(value, dict):
+            write_tree(group.create_group(name, track_order=True), value)
+        elif value is None:
+            group.create_dataset(name, data=h5py.Empty("f8"))
+        elif isinstance(value, np.ndarray):
+            text = h5py.string_dtype() if value.dtype == object else None
+            large = {"compression": "gzip", "shuffle": True} if value.nbytes >= COMPRESS_FROM and value.ndim else {}
+            group.create_dataset(name, data=value, dtype=text, **large)
+        else:
+            group.create_dataset(name, data=value, dtype=h5py.string_dtype() if isinstance(value, str) else None)
+
+
+def read_tree(group: h5py.Group) -> Tree:
+    """The inverse of `write_tree`, everything read into memory."""
+    return {_key(name): _read(item) for name, item in group.items()}
+
+
+def _read(item: h5py.Group | h5py.Dataset) -> Any:
+    return read_tree(item) if isinstance(item, h5py.Group) else _value(item)
+
+
+def _value(dataset: h5py.Dataset) -> Any:
+    text = h5py.check_string_dtype(dataset.dtype) is not None
+    value = dataset.asstr()[()] if text and dataset.shape is not None else dataset[()]
+    if isinstance(value, h5py.Empty):
+        return None
+    if isinstance(value, np.ndarray):
+        return value
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _stored_name(key: str) -> str:
+    """A key as the name of an HDF5 link, which must not be empty, hold `/` or be `.`."""
+    if key in ("", "."):
+        return {"": "%", ".": "%2E"}[key]
+    return key.replace("%", "%25").replace("/", "%2F")
+
+
+def _key(name: str) -> str:
+    return "" if name == "%" else unquote(name)
+
+
+# ---- digest ----------------------------------------------------------------------------------------------------------
+
+
+def tree_digest(tree: Tree) -> str:
+    """Hex SHA-256 of a tree, independent of the order of keys and of how the tree was stored."""
+    hashed = hashlib.sha256()
+    for part in _leaves(tree, ""):
+        hashed.update(len(part).to_bytes(8, "little"))
+        hashed.update(part)
+    return hashed.hexdigest()
+
+
+def _leaves(value: Any, place: str) -> Iterator[bytes]:
+    yield place.encode()
+    if isinstance(value, dict):
+        yield b"tree"
+        for key in sorted(value):
+            yield from _leaves(value[key], f"{place}/{_stored_name(key)}")
+    elif isinstance(value, np.ndarray):
+        yield from _array_parts(value)
+    else:
+        yield f"{type(value).__name__}:{value!r}".encode()
+
+
+def _array_parts(array: np.ndarray[Any, Any]) -> Iterator[bytes]:
+    yield repr((array.dtype.kind, array.shape)).encode()
+    if array.dtype == object:
+        yield from (str(item).encode() for item in array.flat)
+    else:
+        yield np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
