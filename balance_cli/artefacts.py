@@ -22,7 +22,7 @@ import h5py
 from balance_cli import __version__
 from balance_cli.errors import UserError
 from balance_cli.files import written_whole
-from balance_cli.recognise import is_hdf5, stored_format, what_is
+from balance_cli.recognise import is_hdf5, require_file, stored_format, what_is
 from balance_cli.trees import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
 
 FORMATS = (
@@ -128,6 +128,7 @@ def load_artefact(path: Path, types: Mapping[str, type[Any]]) -> Artefact:
     Raises UserError where the file is something else, damaged, or changed since it was written.
     """
     path = Path(path)
+    require_file(path)
     expected = " or ".join(f"`{format}`" for format in types)
     if stored_format(path) not in types or not is_hdf5(path):
         raise UserError(f"is {what_is(path)}, where {expected} was expected", str(path), remedy="Give another file")

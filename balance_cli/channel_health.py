@@ -13,12 +13,13 @@ faults compare a channel with itself.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.geometry import Channel, Geometry
+from balance_cli.geometry import Geometry
 from balance_cli.runs import Array, Run, pick_channels
 
 Integers = NDArray[np.int64]
@@ -52,12 +53,22 @@ class ChannelHealth:
 def live_channels(run: Run, geometry: Geometry) -> ChannelHealth:
     """Judge every channel that the geometry declares. Reads all samples of the run, block by block."""
     wanted = [channel for channel in geometry.channels if run.kind != "static" or channel.measures_dc]
-    present = [channel for channel in wanted if channel.name in run.channel_names]
-    records = _records(run, [channel.name for channel in present])
-    reasons = {channel.name: _fault(record, channel) for channel, record in zip(present, records, strict=True)}
-    left_out = {channel.name: reasons.get(channel.name, "absent from the run") for channel in wanted}
+    present = {channel.name: channel.range for channel in wanted if channel.name in run.channel_names}
+    faults = channel_faults(run, present)
+    absent = {channel.name: "absent from the run" for channel in wanted if channel.name not in present}
+    left_out = {channel.name: {**faults, **absent}.get(channel.name, "") for channel in wanted}
     live = tuple(name for name, reason in left_out.items() if not reason)
     return ChannelHealth(live, {name: reason for name, reason in left_out.items() if reason})
+
+
+def channel_faults(run: Run, ranges: Mapping[str, float | None]) -> dict[str, str]:
+    """What is wrong with these channels of the run (name -> range at which it clips [V], if declared): name -> text.
+
+    Sound channels are not in the result.
+    """
+    records = _records(run, list(ranges))
+    faults = {name: _fault(record, ranges[name]) for name, record in zip(ranges, records, strict=True)}
+    return {name: fault for name, fault in faults.items() if fault}
 
 
 # ---- what one pass gathers of a channel ------------------------------------------------------------------------------
@@ -136,9 +147,9 @@ def _records(run: Run, names: list[str]) -> list[_Record]:
 # ---- what is wrong with it -------------------------------------------------------------------------------------------
 
 
-def _fault(record: _Record, channel: Channel) -> str:
+def _fault(record: _Record, limit: float | None) -> str:
     """Why a channel cannot be used, or nothing."""
-    return _not_finite(record) or _dead(record) or _clipped(record, channel.range)
+    return _not_finite(record) or _dead(record) or _clipped(record, limit)
 
 
 def _not_finite(record: _Record) -> str:

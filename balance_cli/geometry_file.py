@@ -19,7 +19,7 @@ from balance_cli.errors import UserError
 from balance_cli.files import written_whole
 from balance_cli.geometry import FORMAT, Geometry
 from balance_cli.geometry_checks import faults_between_parts
-from balance_cli.recognise import is_hdf5, what_is
+from balance_cli.recognise import is_hdf5, require_file, what_is
 
 Place = tuple[int | str, ...]
 
@@ -106,6 +106,7 @@ _Loader.add_implicit_resolver(
 
 
 def _read_yaml(path: Path) -> object:
+    require_file(path)
     if not path.is_file() or is_hdf5(path):
         raise UserError(f"is {what_is(path)}, where a geometry was expected", remedy="Give the YAML file of the rig")
     try:

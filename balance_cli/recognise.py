@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from balance_cli.errors import UserError
+
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 FIRST_BYTES = 65536
 """Where the `format` key of a YAML file is looked for."""
@@ -31,8 +33,6 @@ def what_is(path: Path) -> str:
     """A noun phrase for a message: what the file at `path` is."""
     if path.is_dir():
         return "a folder"
-    if not path.exists():
-        return "no file that exists"
     if not path.is_file():
         return "not an ordinary file"
     if path.stat().st_size == 0:
@@ -41,6 +41,12 @@ def what_is(path: Path) -> str:
     if declared is not None:
         return f"a file of format `{declared}`"
     return "an HDF5 file without a readable `format`" if is_hdf5(path) else "not an HDF5 file"
+
+
+def require_file(path: Path) -> None:
+    """UserError where nothing is at `path`."""
+    if not path.exists():
+        raise UserError("there is no such file", str(path), remedy="Check the name")
 
 
 def _hdf5_format(path: Path) -> str | None:

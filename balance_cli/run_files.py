@@ -15,7 +15,7 @@ from balance_cli.components import COMPONENTS, UNITS
 from balance_cli.errors import UserError
 from balance_cli.files import written_whole
 from balance_cli.geometry import Geometry
-from balance_cli.recognise import is_hdf5, what_is
+from balance_cli.recognise import is_hdf5, require_file, what_is
 from balance_cli.run_checks import FORMAT, Contents, Table, declared_run, faults_of, sample_faults
 from balance_cli.runs import Array, Block, Run, run_digest
 
@@ -182,8 +182,6 @@ def damage_as_user_error(path: Path) -> Iterator[None]:
     """Whatever a truncated or damaged HDF5 file makes h5py say, as one UserError."""
     try:
         yield
-    except FileNotFoundError as error:
-        raise UserError("there is no such file", str(path), remedy="Check the name") from error
     except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError, MemoryError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         fault = f"cannot be read, it is truncated or damaged ({reason})"
@@ -192,6 +190,7 @@ def damage_as_user_error(path: Path) -> Iterator[None]:
 
 def _contents(path: Path) -> Contents:
     """Everything in a run file but the samples. UserError where it is no run file."""
+    require_file(path)
     if not is_hdf5(path):
         raise _no_run(path)
     with damage_as_user_error(path), h5py.File(path, "r") as file:

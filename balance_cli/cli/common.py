@@ -2,12 +2,12 @@
 
 A command reads, does one step, writes, and says what happened:
 
-    @command("calibrate")
+    @balance_command("calibrate")
     @geometry_option
     @runs_argument
     @skip_bad_option
     @output_option("CAL")
-    def command_(session, geometry, runs, skip_bad, output):     # in the module: `command = ...`
+    def command(session, geometry, runs, skip_bad, output):      # the group looks for this name
         '''One line for the list of commands.'''
         from balance_cli.calibrate import calibrate
 
@@ -17,7 +17,7 @@ A command reads, does one step, writes, and says what happened:
         session.save(output, "balance-calibration/1", calibration)
         session.finish(summary={"trims": ...}, text=["2 trims", ...])
 
-`--json` and `-v` come with `@command`. What was read is remembered for the provenance. Outputs (`save`, `stage`,
+`--json` and `-v` come with the decorator. What was read is remembered for the provenance. Outputs (`save`, `stage`,
 `stage_in`) are prepared beside their places and moved there together when the command returns without an exception;
 so is the JSON. `session.warn` and `session.left_out` reach stderr and the JSON. `session.status = 3` sets the exit
 status of a call that otherwise succeeded. Own options: use the types InputFile, OutputFile and OutputFolder of
@@ -62,7 +62,7 @@ __all__ = [
     "OutputFile",
     "OutputFolder",
     "Session",
-    "command",
+    "balance_command",
     "geometry_option",
     "output_option",
     "runs_argument",
@@ -218,7 +218,7 @@ class Session:
         click.echo(f"balance: warning: {text}", err=True)
 
 
-def command(name: str, **attributes: Any) -> Callable[[Callable[..., None]], click.Command]:
+def balance_command(name: str, **attributes: Any) -> Callable[[Callable[..., None]], click.Command]:
     """As click.command, with `--json` and `-v`; the function gets the Session first, then its own parameters."""
 
     def decorate(function: Callable[..., None]) -> click.Command:

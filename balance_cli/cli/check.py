@@ -1,0 +1,61 @@
+"""`balance check`: say what each file is and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from balance_cli.cli.common import InputFile, Session, balance_command
+from balance_cli.cli.errors import USER_FAULT
+from balance_cli.errors import UserError
+
+if TYPE_CHECKING:
+    from balance_cli.cli.examine import Finding
+
+
+@balance_command("check")
+@click.argument("files", type=InputFile(), nargs=-1, required=True, metavar="FILE...")
+@click.option("-g", "--geometry", type=InputFile(), metavar="GEOMETRY", help="Geometry that the files should match.")
+def command(session: Session, files: tuple[Path, ...], geometry: Path | None) -> None:
+    """Say what each file is and what is wrong with it.
+
+    A file is known by its content: a geometry, a run file, a result of another command. All faults of a file are
+    listed, channels that are dead or clipped among them. Exit status 2 where any file has a fault.
+    """
+    from balance_cli.cli.examine import examine
+
+    rig = None if geometry is None else session.geometry(geometry)
+    found = {path: examine(path, rig) for path in session.progress(files, "files")}
+    faults = {path: [*finding.faults, *_shared_name(path, found)] for path, finding in found.items()}
+    faulty = sum(bool(own) for own in faults.values())
+    session.status = USER_FAULT if faulty else 0
+    lines = [line for path in found for line in (f"{path}: {found[path].about}", *_indented(faults[path]))]
+    session.finish(
+        {"files": {str(path): _summary(found[path], faults[path]) for path in found}, "faulty": faulty},
+        [*lines, f"{len(found)} files, {faulty} with faults"],
+    )
+
+
+def _shared_name(path: Path, found: Mapping[Path, Finding]) -> list[UserError]:
+    """A fault where an earlier one of the files has the same run name."""
+    finding = found[path]
+    if finding.kind != "run" or not finding.name:
+        return []
+    first = next(earlier for earlier, other in found.items() if (other.kind, other.name) == ("run", finding.name))
+    if first == path:
+        return []
+    return [UserError(f"run name `{finding.name}` is also that of {first}", str(path), "run", "Rename one of them")]
+
+
+def _indented(faults: list[UserError]) -> list[str]:
+    return [f"  fault: {replace(fault, file='')}" for fault in faults]
+
+
+def _summary(finding: Finding, faults: list[UserError]) -> dict[str, Any]:
+    about = {"kind": finding.kind, "about": finding.about, "name": finding.name, "rig": finding.rig}
+    listed = [{"place": fault.place, "fault": fault.fault, "remedy": fault.remedy} for fault in faults]
+    return {**about, "digest": finding.digest, "faults": listed}

@@ -1,0 +1,126 @@
+"""What a file is, by its content, and everything that is wrong with it (for `balance check`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from balance_cli.artefacts import FORMATS, Stored, read_stored
+from balance_cli.channel_health import channel_faults, live_channels
+from balance_cli.errors import UserError
+from balance_cli.geometry import FORMAT as GEOMETRY_FORMAT
+from balance_cli.geometry import Geometry
+from balance_cli.geometry_file import geometry_digest, read_geometry
+from balance_cli.recognise import require_file, stored_format, what_is
+from balance_cli.run_checks import FORMAT as RUN_FORMAT
+from balance_cli.run_files import mismatches, read_run
+from balance_cli.runs import Run
+
+LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One file: its kind (`geometry`, `run`, a format, `unknown`), what to say of it, and its faults."""
+
+    kind: str
+    about: str
+    name: str = ""
+    rig: str = ""
+    digest: str = ""
+    faults: tuple[UserError, ...] = ()
+
+
+def examine(path: Path, geometry: Geometry | None) -> Finding:
+    """Recognise a file and check it, against a geometry where one is given."""
+    declared = stored_format(path)
+    readers: dict[str, Callable[[Path, Geometry | None], Finding]] = {
+        GEOMETRY_FORMAT: _geometry,
+        RUN_FORMAT: _run,
+        **dict.fromkeys(FORMATS, _artefact),
+    }
+    if declared in readers:
+        return readers[declared](path, geometry)
+    if declared is None and path.is_file() and path.suffix in (".yaml", ".yml"):
+        return _geometry(path, geometry)
+    if declared is None and _is_load_table(path):
+        return Finding("loads", "table of harmonic loads")
+    return Finding("unknown", "not recognised", faults=(_unknown(path),))
+
+
+def _unknown(path: Path) -> UserError:
+    try:
+        require_file(path)
+    except UserError as error:
+        return error
+    remedy = "Known are geometries, run files and the results of the other commands"
+    return UserError(f"is {what_is(path)}", str(path), remedy=remedy)
+
+
+def _geometry(path: Path, other: Geometry | None) -> Finding:
+    geometry, faults = read_geometry(path)
+    if geometry is None:
+        return Finding("geometry", "geometry", faults=faults)
+    about = f"geometry `{geometry.name}` of rig `{geometry.rig}`: {len(geometry.cells)} cells, "
+    about += f"{len(geometry.channels)} channels, free in {' '.join(geometry.freedom)}"
+    digest = geometry_digest(geometry)
+    if other is not None and digest != geometry_digest(other):
+        fault = f"declares something else than the geometry `{other.name}` given with -g"
+        faults += (UserError(fault, str(path), remedy="Give one of the two"),)
+    return Finding("geometry", about, geometry.name, geometry.rig, digest, faults)
+
+
+def _run(path: Path, geometry: Geometry | None) -> Finding:
+    run, faults = read_run(path)
+    if run is None:
+        return Finding("run", "run file", faults=faults)
+    if geometry is None:
+        channels = channel_faults(run, dict.fromkeys(run.channel_names))
+    else:
+        channels = live_channels(run, geometry).left_out
+        faults += tuple(mismatches(run, geometry))
+    remedy = "It will be left out where the other channels determine the loads"
+    faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
+    return Finding("run", _about_run(run), run.name, run.rig, run.digest, faults)
+
+
+def _about_run(run: Run) -> str:
+    about = f"{run.kind} run `{run.name}` of rig `{run.rig}`: {len(run.channel_names)} channels, "
+    if run.sample_rate is None:
+        return about + f"{run.samples} load points, trim `{run.trim}`"
+    about += f"{run.samples / run.sample_rate:.4g} s at {run.sample_rate:g} Hz, rotor at {run.rotor_speed:g} Hz"
+    if run.excited:
+        levels = ", ".join(f"{name} {level:g} rms" for name, level in zip(run.excited, run.level, strict=True))
+        about += f", {run.excitation} of {levels}"
+    return about
+
+
+def _artefact(path: Path, geometry: Geometry | None) -> Finding:
+    format = str(stored_format(path))
+    try:
+        stored = read_stored(path)
+        made_from = _geometry_within(stored)
+    except UserError as error:
+        return Finding(format, "artefact", faults=(error.at(file=str(path)),))
+    about = f"{format} made by `balance {stored.provenance.command}` at {stored.provenance.created}"
+    about += f" from {len(stored.provenance.inputs)} inputs"
+    faults: tuple[UserError, ...] = ()
+    if geometry and made_from and geometry_digest(geometry) != geometry_digest(made_from):
+        fault = f"was made from another geometry (`{made_from.name}`) than `{geometry.name}`, given with -g"
+        faults = (UserError(fault, str(path), "geometry", "Make it again with this geometry"),)
+    rig = made_from.rig if made_from else ""
+    return Finding(format, about, path.name, rig, stored.digest, faults)
+
+
+def _geometry_within(stored: Stored) -> Geometry | None:
+    text = stored.tree.get("geometry")
+    return Geometry.model_validate_json(text) if isinstance(text, str) else None
+
+
+def _is_load_table(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        first = file.readline(1000).decode("utf-8", "replace")
+    return first.strip() == LOADS_HEADER
