@@ -38,7 +38,7 @@ EDGE_POLYNOMIAL = np.linalg.solve(
     np.array([1.0, 0.0, 0.0, 1.0, 0.5]),
 )
 STEEP = 2.0  # standard errors by which the spectrum must fall before the mean's noise is extrapolated to it
-STEEPEST = -2.0
+STEEPEST = -1.5  # beyond 1/f noise: there the load itself has moved, in a step or manoeuvre, and its mean is no guess
 LINE_OF_MEAN = 0.5
 OUTERMOST_OF_MEAN = 24  # lines: the mean is asked for its noise at the lowest frequencies
 
@@ -248,7 +248,7 @@ def _noise_of_mean(lines: ComplexArray, offsets: Array) -> PooledNoise:
     """Noise of harmonic 0: real, from the lines of one side (the other is its mirror image), 1/f drift allowed for.
 
     A mean is 2/N of nothing: X_0 is half of what the formula for k >= 1 gives. Where the spectrum of a signal falls
-    from line to line by more than chance, its power law is followed down to the mean.
+    from line to line by more than chance, as that of a drift does, its power law is followed down to the mean.
     """
     above = (offsets > 0) & (offsets <= OUTERMOST_OF_MEAN)
     pooled = pooled_noise(lines[above] / 2.0, offsets[above])
@@ -264,6 +264,6 @@ def _rise_to_mean(power: Array, lines: Array) -> Array:
     slope = x @ np.log(np.where(moved, power, 1.0) + np.finfo(float).tiny) / (x @ x)
     # The logarithm of an exponential variable scatters by pi/sqrt(6); the taper correlates about two lines.
     error = np.pi / np.sqrt(6.0) * np.sqrt(2.27 / (x @ x))
-    slope = np.where(moved & (slope < -STEEP * error), np.maximum(slope, STEEPEST), 0.0)
+    slope = np.where(moved & (slope < -STEEP * error) & (slope > STEEPEST), slope, 0.0)
     law = (lines[:, None] / LINE_OF_MEAN) ** slope
     return np.asarray(1.0 / np.mean(law, axis=0))
