@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.geometry import Geometry
+from balance_cli.identified import IdentifiedModel
 from balance_cli.jets import Jet
 from balance_cli.model.parameters import ParameterSet, declared_parameters
 from balance_cli.model.rigid import rigid_equations
@@ -32,7 +33,17 @@ class BalanceModel:
         jet = Jet(vector, np.eye(len(vector))[self.parameters.free])
         return assembled(rigid_equations(self.geometry, self.parameters.names, jet))
 
+    def all_free(self) -> BalanceModel:
+        """The same model with slopes for every parameter, exact ones included."""
+        sigma = np.where(self.parameters.sigma > 0, self.parameters.sigma, self.parameters.scale)
+        return replace(self, parameters=replace(self.parameters, sigma=sigma))
+
 
 def balance_model(geometry: Geometry) -> BalanceModel:
     """The model of a declared rig."""
     return BalanceModel(geometry, declared_parameters(geometry))
+
+
+def identified_system(model: IdentifiedModel) -> System:
+    """The system of a model at its estimate."""
+    return balance_model(model.geometry).system(model.parameters.value)

@@ -35,10 +35,13 @@ def modal_damping(M: Jet, K: Jet, zeta: Jet) -> Jet:
 def _rotation_terms(dK: np.ndarray, dM: np.ndarray, eigenvalues: np.ndarray, g: np.ndarray) -> np.ndarray:
     """-(A'g + gA) in closed form: off the diagonal a divided difference of g over the eigenvalues."""
     gap = eigenvalues[None, :] - eigenvalues[:, None]
-    close = np.abs(gap) <= DEGENERATE * np.max(np.abs(eigenvalues))
-    safe = np.where(close, 1.0, gap)
-    difference = np.where(close, 0.0, (g[None, :] - g[:, None]) / safe)
-    cross = (eigenvalues[None, :] * g[:, None] - eigenvalues[:, None] * g[None, :]) / safe
-    # On the diagonal, and in a degenerate plane, only the change of normalisation counts.
-    cross = np.where(close, 0.5 * (g[:, None] + g[None, :]), cross)
-    return np.asarray(dK * difference + dM * cross)
+    same = np.eye(len(g), dtype=bool)
+    close = (np.abs(gap) <= DEGENERATE * np.max(np.abs(eigenvalues))) & ~same
+    safe = np.where(close | same, 1.0, gap)
+    difference = np.where(same, 0.0, (g[None, :] - g[:, None]) / safe)
+    cross = np.where(same, g, (eigenvalues[None, :] * g[:, None] - eigenvalues[:, None] * g[None, :]) / safe)
+    # In a degenerate plane the vectors may be chosen freely; with one ratio for both, g = 2 zeta sqrt(lambda) is a
+    # smooth function, and the limits are dg/dlambda = g / (2 lambda) and g - lambda dg/dlambda = g / 2.
+    mean = 0.5 * (g[None, :] + g[:, None])
+    limit = mean / (2.0 * np.where(close, eigenvalues, 1.0))
+    return np.asarray(dK * np.where(close, limit, difference) + dM * np.where(close, 0.5 * mean, cross))

@@ -6,12 +6,13 @@ the rig's, psi about z, theta about y, phi about x, small angles.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import FREEDOMS
+from balance_cli.components import COMPONENTS, FREEDOMS
 from balance_cli.geometry import Geometry
 
 Array = NDArray[np.float64]
@@ -117,3 +118,23 @@ def plate_matrices(geometry: Geometry) -> PlateMatrices:
     C = cell_stiffness(geometry)
     F = load_matrix(geometry, part.centre_of_gravity)[free]
     return PlateMatrices(geometry.freedom, M, B.T @ (C[:, None] * B), B, C, F)
+
+
+def hub_arm(hub: Sequence[float]) -> float:
+    """Length [m] by which moments are made comparable with forces: the height of the hub over the plate."""
+    height = abs(float(hub[2]))
+    return height if height > 0 else 1.0
+
+
+# The load component that drives each freedom by itself.
+COMPONENT_OF_FREEDOM = {"x": "Fx", "y": "Fy", "z": "Fz", "psi": "Mz", "theta": "My", "phi": "Mx"}
+
+
+def carried_components(geometry: Geometry) -> tuple[str, ...]:
+    """The hub load components that this balance can tell: one per freedom of plate and shaft."""
+    carried = {COMPONENT_OF_FREEDOM[name] for name in geometry.freedom}
+    if geometry.torque_meter:
+        carried.add("Mz")
+    elif "psi" not in geometry.freedom:
+        carried.discard("Mz")
+    return tuple(name for name in COMPONENTS if name in carried)

@@ -1,0 +1,54 @@
+"""Jets against numerical derivatives."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from balance_cli.jets import Jet, block_diagonal, concatenate, constant, stack, variables
+
+vectors = arrays(float, 3, elements=st.floats(0.5, 2.0))
+
+
+def pieces(theta):
+    """Every rule of the calculus in one small matrix function."""
+    a, b, c = (theta[i] for i in range(3))
+    ones = np.ones((2, 2))
+    A = stack([stack([a, b]), stack([b * c, c + 2.0])])
+    B = A @ A.T - 0.3 * A + constant(np.eye(2), 3) * (a * b)
+    joined = block_diagonal(B, concatenate([A, ones * c], axis=1)[:, 1:3])
+    return joined.expanded(0)[0] @ stack([a, b, c, a.sqrt()]) + (2.0 - joined[0]) * b.reciprocal()
+
+
+def values(x):
+    return pieces(variables(x)).value
+
+
+@given(vectors)
+def test_slopes_are_the_derivatives(x):
+    jet = pieces(variables(x))
+    step = 1e-6
+    numerical = [(values(x + step * e) - values(x - step * e)) / (2 * step) for e in np.eye(3)]
+    np.testing.assert_allclose(jet.slope, numerical, rtol=1e-7, atol=1e-7)
+
+
+@given(vectors)
+def test_inverse_undoes_the_matrix(x):
+    theta = variables(x)
+    A = stack([stack([theta[0] + 3.0, theta[1]]), stack([theta[2], theta[0] + 5.0])])
+    product = A @ A.inverse()
+    np.testing.assert_allclose(product.value, np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(product.slope, 0.0, atol=1e-12)
+
+
+def test_numpy_leaves_the_operators_to_the_jet():
+    theta = variables([1.0, 2.0])
+    assert isinstance(np.eye(2) @ theta, Jet)
+    assert isinstance(np.array([2.0, 3.0]) * theta, Jet)
+    np.testing.assert_array_equal((1.0 - theta).slope, -np.eye(2))
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="mismatch"):
+        variables([1.0, 2.0]) @ np.eye(3)
