@@ -1,0 +1,52 @@
+# make run      environment, install, the whole chain on a campaign; results and the page in results/
+# make test     unit tests and the chain end to end
+# make lint     ruff and mypy
+# make bench    benchmarks: ratios, side by side in one run
+# make study    long statistical studies; tables in studies/
+#
+# Your own campaign: make run CAMPAIGN=path/to/folder (its *.h5 run files, and its geometry.yaml beside them).
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+BALANCE := $(BIN)/balance
+
+CAMPAIGN ?= sample_data
+GEOMETRY ?= $(firstword $(wildcard $(CAMPAIGN)/geometry.yaml) configs/rts-6.yaml)
+RESULTS ?= results
+
+.PHONY: run install test lint format bench study clean
+.DELETE_ON_ERROR:
+
+run: install
+	$(MAKE) --no-print-directory -f pipeline.mk BALANCE=$(BALANCE) PYTHON=$(BIN)/python \
+		CAMPAIGN=$(CAMPAIGN) GEOMETRY=$(GEOMETRY) RESULTS=$(RESULTS)
+
+install: $(INSTALLED)
+
+$(INSTALLED): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+	touch $@
+
+test: install
+	$(BIN)/python -m pytest -n 2
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: install
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: install
+	$(BIN)/python -m benchmarks
+
+study: install
+	$(BIN)/python -m studies
+
+clean:
+	rm -rf $(RESULTS) build dist .pytest_cache .mypy_cache .ruff_cache
