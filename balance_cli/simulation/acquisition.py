@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,16 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.geometry import Channel
-from balance_cli.runs import MemorySource, Run
+from balance_cli.runs import MemorySource, Run, run_digest
 from balance_cli.simulation.extensions import Signals
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, RotorPlan, SampledPlan, StaticPlan, SweepPlan
-from balance_cli.simulation.records import OVERSAMPLING, Grid, turning
+from balance_cli.simulation.records import Grid, turning
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.simulation.sensors import anti_alias, sensor_volts
 from balance_cli.simulation.truth import RunTruth, stream
 
 Array = NDArray[np.float64]
+
+
+MEASURED = ("sweep", "check")
+"""Kinds of sampled runs whose loads are recorded."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,8 @@ def true_loads(rig: TrueRig, meant: Array, kind: str) -> Array:
 def _recorded_loads(rig: TrueRig, meant: Array, kind: str) -> Array:
     """What the exciter's force cell reads; a component that is not applied is declared zero and stays so."""
     recorded = _in_turn((partial(extension.recorded_loads, kind=kind) for extension in rig.extensions), meant)
-    return np.where(np.any(meant != 0, axis=0), recorded, 0.0)
+    applied = meant != 0 if kind == "static" else np.any(meant != 0, axis=0)
+    return np.where(applied, recorded, 0.0)
 
 
 def _volts(rig: TrueRig, forces: Array, step: float | None, rng: np.random.Generator) -> Array:
@@ -65,9 +69,6 @@ def _clipped(volts: Array, channels: Iterable[Channel]) -> Array:
 
 
 def _run(rig: TrueRig, plan: AnyPlan, channels: Array, loads: Array | None) -> Run:
-    content = hashlib.sha256(f"{plan!r} {rig.geometry.rig}".encode())
-    for part in (channels,) if loads is None else (channels, loads):
-        content.update(np.ascontiguousarray(part).tobytes())
     return Run(
         name=plan.run,
         rig=rig.geometry.rig,
@@ -76,8 +77,11 @@ def _run(rig: TrueRig, plan: AnyPlan, channels: Array, loads: Array | None) -> R
         samples=len(channels),
         source=MemorySource(channels, loads),
         has_loads=loads is not None,
-        digest=content.hexdigest(),
     )
+
+
+def _digested(run: Run) -> Run:
+    return replace(run, digest=run_digest(run))
 
 
 def record_static(
@@ -93,11 +97,12 @@ def record_static(
     noisy = volts + noise.static_channel * rng.standard_normal(volts.shape)
     recorded = _recorded_loads(rig, meant, plan.kind)
     read = recorded + np.where(meant != 0, noise.static_load * rng.standard_normal(meant.shape), 0.0)
-    run = _run(rig, plan, _clipped(noisy, [rig.geometry.channels[i] for i in kept]), read)
+    clipped = _clipped(noisy, [rig.geometry.channels[i] for i in kept])
+    run = _run(rig, plan, noise.stored(clipped), noise.stored(read))
     names = tuple(rig.geometry.channel_names[i] for i in kept)
     rows = np.arange(len(meant), dtype=float)
     truth = RunTruth(plan.run, plan.kind, rows, true_loads(rig, meant, plan.kind), recorded, volts)
-    return replace(run, channel_names=names, trim=plan.trim), truth
+    return _digested(replace(run, channel_names=names, trim=plan.trim)), truth
 
 
 def record_samples(
@@ -105,7 +110,7 @@ def record_samples(
 ) -> tuple[Run, RunTruth]:
     """The record of a sampled run: loads `meant` (n, 6), cell forces and torque (n, c+1) on the fine grid."""
     geometry, noise, rng = rig.geometry, acquisition.noise, acquisition.stream(plan, "noise")
-    through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=OVERSAMPLING)
+    through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=grid.oversampling)
     volts = through(_volts(rig, forces, grid.step, acquisition.stream(plan, "pickup")))[: grid.samples]
     recorded = through(_recorded_loads(rig, meant, plan.kind))[: grid.samples]
     sigma = np.array([noise.of(channel) for channel in geometry.channels])
@@ -113,10 +118,11 @@ def record_samples(
     applied = np.any(meant != 0, axis=0)
     read = recorded + np.where(applied, noise.load * rng.standard_normal(recorded.shape), 0.0)
     converted = noise.rounded(_clipped(noisy, geometry.channels))
-    run = _run(rig, plan, converted, read if plan.kind in ("sweep", "check") else None)
-    true = true_loads(rig, meant, plan.kind)[::OVERSAMPLING][: grid.samples]
+    run = _run(rig, plan, noise.stored(converted), noise.stored(read) if plan.kind in MEASURED else None)
+    true = true_loads(rig, meant, plan.kind)[:: grid.oversampling][: grid.samples]
     truth = RunTruth(plan.run, plan.kind, grid.time, true, recorded, volts)
-    return _described(run, truth, plan)
+    run, truth = _described(run, truth, plan)
+    return _digested(run), truth
 
 
 def _described(run: Run, truth: RunTruth, plan: SampledPlan) -> tuple[Run, RunTruth]:

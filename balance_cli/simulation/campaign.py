@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +12,11 @@ from numpy.typing import NDArray
 from balance_cli.runs import Run
 from balance_cli.simulation.acquisition import Acquisition, record_samples, record_static, true_loads
 from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.motion import Motion, nonlinear_forces
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, CampaignPlan, SampledPlan, StaticPlan, campaign_plan
-from balance_cli.simulation.records import planned_record
-from balance_cli.simulation.response import linear_system
+from balance_cli.simulation.records import CONTACT_OVERSAMPLING, OVERSAMPLING, Grid, grid_of, planned_loads
+from balance_cli.simulation.response import state_matrix
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.simulation.statics import loading_sequence, static_forces
 from balance_cli.simulation.truth import RunTruth
@@ -34,23 +37,40 @@ def _static(rig: TrueRig, plan: StaticPlan, acquisition: Acquisition) -> tuple[R
     return record_static(rig, plan, meant, forces, acquisition)
 
 
-def _sampled(rig: TrueRig, plan: SampledPlan, acquisition: Acquisition) -> tuple[Run, RunTruth]:
-    grid, meant = planned_record(plan, acquisition.stream(plan, "loads"))
-    system = linear_system(equations_of_motion(rig, plan.rotor_speed))
-    forces = system.response(true_loads(rig, meant, plan.kind), grid.step)
-    return record_samples(rig, plan, grid, meant, forces, acquisition)
+def _same_motion(rig: TrueRig, plans: Sequence[SampledPlan]) -> Iterator[tuple[Motion, list[SampledPlan]]]:
+    """The sampled runs, those together in which the rig has the same equations of motion and the same sample rate."""
+    groups: dict[tuple[bytes, float], tuple[Motion, list[SampledPlan]]] = {}
+    for plan in plans:
+        mechanics = equations_of_motion(rig, plan.rotor_speed)
+        key = (state_matrix(mechanics).tobytes(), plan.sample_rate)
+        if key not in groups:
+            groups[key] = (Motion.of(mechanics), [])
+        groups[key][1].append(plan)
+    yield from groups.values()
+
+
+def _loads(rig: TrueRig, plan: SampledPlan, grid: Grid, acquisition: Acquisition) -> tuple[Array, Array]:
+    """The loads (n, 6) meant to act in a run, and those that do (made anew each time: cheaper than kept)."""
+    meant = planned_loads(plan, grid, acquisition.stream(plan, "loads"))
+    return meant, true_loads(rig, meant, plan.kind)
+
+
+def _sampled(rig: TrueRig, plans: Sequence[SampledPlan], acquisition: Acquisition) -> Iterator[tuple[Run, RunTruth]]:
+    for motion, group in _same_motion(rig, plans):
+        slips = any(force.limit for force in motion.mechanics.forces)
+        grids = [grid_of(plan, CONTACT_OVERSAMPLING if slips else OVERSAMPLING) for plan in group]
+        truly = (_loads(rig, plan, grid, acquisition)[1] for plan, grid in zip(group, grids, strict=True))
+        extra = nonlinear_forces(motion, truly, grids[0].step) if motion.mechanics.forces else None
+        for i, (plan, grid) in enumerate(zip(group, grids, strict=True)):
+            meant, true = _loads(rig, plan, grid, acquisition)
+            forces = motion.forces(true, extra[i] if extra else np.zeros((len(true), 0)), grid.step)
+            yield record_samples(rig, plan, grid, meant, forces, acquisition)
 
 
 def simulate_run(rig: TrueRig, plan: AnyPlan, noise: Noise | None = None, seed: int = 0) -> tuple[Run, RunTruth]:
-    """One run and its truth. The same rig, plan, noise and seed give the same run, whatever else is simulated.
-
-    The rig stands in equilibrium under the first load before the record begins. Raises UserError where the rig
-    cannot stand still.
-    """
-    acquisition = Acquisition(Noise() if noise is None else noise, seed)
-    if isinstance(plan, StaticPlan):
-        return _static(rig, plan, acquisition)
-    return _sampled(rig, plan, acquisition)
+    """One run and its truth, as `simulate_campaign`: the same whatever else is simulated."""
+    runs, truths = simulate_campaign(rig, CampaignPlan(runs=(plan,)), noise, seed)
+    return runs[0], truths[0]
 
 
 def simulate_campaign(
@@ -58,11 +78,16 @@ def simulate_campaign(
 ) -> Campaign:
     """All runs of a plan (or of the campaign `standard` or `short`), with their truths: `runs, truths = ...`.
 
-    Loads, noise and pickup of every run come from independent streams of `seed`: leaving a run out changes no other,
-    nor does the noise change the loads. Raises UserError as `simulate_run`.
+    The rig stands in equilibrium under the first load before a record begins. Loads, noise and pickup of every run
+    come from independent streams of `seed`: leaving a run out changes no other, nor does the noise change the loads.
+    Raises UserError where the rig cannot stand still.
     """
     if isinstance(plan, str):
         rotor = rig.geometry.rotor
         plan = campaign_plan(plan, rotor.speed) if rotor else campaign_plan(plan)
-    pairs = [simulate_run(rig, one, noise, seed) for one in plan.runs]
-    return Campaign(tuple(run for run, _ in pairs), tuple(truth for _, truth in pairs))
+    acquisition = Acquisition(Noise() if noise is None else noise, seed)
+    static = (_static(rig, one, acquisition) for one in plan.runs if isinstance(one, StaticPlan))
+    sampled = _sampled(rig, [one for one in plan.runs if not isinstance(one, StaticPlan)], acquisition)
+    pairs = {run.name: (run, truth) for run, truth in chain(static, sampled)}
+    ordered = [pairs[one.run] for one in plan.runs]
+    return Campaign(tuple(run for run, _ in ordered), tuple(truth for _, truth in ordered))

@@ -111,6 +111,10 @@ class ModalSystem:
                 y += np.outer(modal.real, column.real) - np.outer(modal.imag, column.imag)
         return y
 
+    def part(self, outputs: slice, inputs: slice) -> ModalSystem:
+        """The same system with only some of its outputs and inputs."""
+        return ModalSystem(self.poles, self.inputs[:, inputs], self.outputs[outputs], self.direct[outputs, inputs])
+
     def static(self) -> Array:
         """Response (y, u) to constant inputs."""
         gain: Array = self.direct - np.real((self.outputs / self.poles) @ self.inputs)

@@ -136,7 +136,10 @@ def modal_damping(mass: Array, stiffness: Array, ratios: Array) -> Array:
 
 
 def rigid_plate(rig: TrueRig) -> Mechanics:
-    """The rigid plate on its cells and the shaft beside it, without any extension."""
+    """The rigid plate on its cells and the shaft beside it, without any extension.
+
+    The shaft takes Mz beside the plate; without a torque meter there is no shaft, and Mz loads the plate.
+    """
     geometry = rig.geometry
     free = free_motions(rig)
     mass = body_mass(rig.mass, rig.inertia)[np.ix_(free, free)]
@@ -146,7 +149,8 @@ def rigid_plate(rig: TrueRig) -> Mechanics:
     damping = modal_damping(mass, stiffness, rig.damping_ratios)
     at_hub = np.vstack([displacement_rows(np.subtract(geometry.hub, rig.cg)), ROTATION_ROWS])
     loads = at_hub[:, free].T
-    loads[:, COMPONENTS.index("Mz")] = 0.0
+    if geometry.torque_meter:
+        loads[:, COMPONENTS.index("Mz")] = 0.0
     n = len(free)
     plate = Mechanics(
         names=tuple(FREEDOMS[i] for i in free),

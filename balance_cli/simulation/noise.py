@@ -22,7 +22,7 @@ class Noise:
     50, 50 to 150, 220 to 300 and 300 to 399 Hz, so it does not pass the 200 Hz filter). Below 2 Hz the piezo channels
     only seem noisier: there the start transient of their 3 s time constant goes on. Channels are rounded to
     `quantum` = 20 V / 2^16, loads are not. Static readings: 0.2 mV and 0.05 N or N m, not rounded. Load signals and
-    static loads that are not applied are exactly zero. The pulses carry no noise.
+    static loads that are not applied are exactly zero. The pulses carry no noise. All is stored in single precision.
     """
 
     strain: float = 1.0e-3
@@ -32,6 +32,7 @@ class Noise:
     static_channel: float = 2.0e-4
     static_load: float = 0.05
     quantum: float = 20.0 / 2**16
+    single_precision: bool = True
 
     def scaled(self, factor: float) -> Noise:
         """All noise times `factor`; without noise (0) nothing is rounded either."""
@@ -44,6 +45,7 @@ class Noise:
             static_channel=self.static_channel * factor,
             static_load=self.static_load * factor,
             quantum=self.quantum if factor else 0.0,
+            single_precision=self.single_precision and factor != 0,
         )
 
     def of(self, channel: Channel) -> float:
@@ -55,6 +57,10 @@ class Noise:
     def rounded(self, volts: Array) -> Array:
         """Volts as the converter gives them."""
         return np.round(volts / self.quantum) * self.quantum if self.quantum else volts
+
+    def stored(self, values: Array) -> Array:
+        """Values as a run file of this precision gives them back."""
+        return values.astype(np.float32).astype(np.float64) if self.single_precision else values
 
 
 NO_NOISE = Noise().scaled(0.0)

@@ -58,6 +58,16 @@ def elongation_matrix(mechanics: Mechanics) -> Array:
     return np.pad(rows, ((0, 0), (0, mechanics.size + len(mechanics.branches))))
 
 
-def linear_system(mechanics: Mechanics) -> ModalSystem:
-    """Cell forces and torque (c+1) from the hub loads (6), of a rig without nonlinear forces."""
-    return modal_system(state_matrix(mechanics), input_matrix(mechanics)[:, :6], force_matrix(mechanics))
+def full_system(mechanics: Mechanics) -> ModalSystem:
+    """Cell forces, torque and elongations (c+1+m) from hub loads and the m nonlinear forces (6+m)."""
+    outputs = np.vstack([force_matrix(mechanics), elongation_matrix(mechanics)])
+    return modal_system(state_matrix(mechanics), input_matrix(mechanics), outputs)
+
+
+def felt_forces(mechanics: Mechanics, extra: Array) -> Array:
+    """What of the nonlinear forces (n, m) the cells feel besides their linear force: (n, c+1)."""
+    felt = np.zeros((len(extra), len(mechanics.cell_rows) + 1))
+    for force, column in zip(mechanics.forces, extra.T, strict=True):
+        if force.felt:
+            felt[:, force.cell] += column
+    return felt

@@ -28,6 +28,21 @@ def high_pass(signal: Array, time_constant: float, step: float) -> Array:
     return signal - slow
 
 
+def delayed(signal: Array, delay: float, step: float) -> Array:
+    """A signal (n,) late by `delay` [s], by the polynomial through the six samples about each instant.
+
+    Before the first sample it had its value; after the last, where a negative delay asks, the last polynomial goes on.
+    """
+    whole = int(np.floor(-delay / step))
+    fraction = -delay / step - whole
+    offsets = np.arange(-2, 4)
+    others = [np.delete(offsets, i) for i in range(len(offsets))]
+    weights = [np.prod((fraction - rest) / (o - rest)) for o, rest in zip(offsets, others, strict=True)]
+    places = np.arange(len(signal)) + whole
+    shifted = sum(w * signal[np.clip(places + o, 0, len(signal) - 1)] for w, o in zip(weights, offsets, strict=True))
+    return np.asarray(shifted)
+
+
 def anti_alias(signals: Array, declared: AnalogueFilter | None, step: float, stride: int) -> Array:
     """Signals (n, s) through the analogue Butterworth filter, at every `stride`-th sample.
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
 from balance_cli.simulation.mechanics import Mechanics
+from balance_cli.simulation.nonlinear import Forces, rest
 from balance_cli.simulation.plans import Component, StaticPlan
-from balance_cli.simulation.response import linear_system
+from balance_cli.simulation.response import felt_forces, full_system
 
 Array = NDArray[np.float64]
 
@@ -33,5 +34,10 @@ def loading_sequence(plan: StaticPlan) -> Array:
 
 def static_forces(mechanics: Mechanics, loads: Array) -> Array:
     """Cell forces and torque (rows, c+1) at rest under `loads` (rows, 6), applied in this order."""
-    forces: Array = loads @ linear_system(mechanics).static().T
+    gain = full_system(mechanics).static()
+    cells = len(mechanics.cell_rows) + 1
+    if not mechanics.forces:
+        return np.asarray(loads @ gain.T)
+    extra = rest(Forces.of(mechanics.forces), gain[cells:], loads).force
+    forces: Array = np.hstack([loads, extra]) @ gain[:cells].T + felt_forces(mechanics, extra)
     return forces

@@ -1,0 +1,70 @@
+"""What an effect beyond the rigid plate may do to a simulated rig: one class for each effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.errors import UserError
+from balance_cli.simulation.mechanics import Mechanics
+from balance_cli.simulation.rig import TrueRig
+
+Array = NDArray[np.float64]
+ALL = "all"
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Volts (n, channels) before the anti-alias filter, sampled every `step` s; `rng` for what no two runs share.
+
+    Without a `step` the rows are readings at rest, one for each static load point.
+    """
+
+    volts: Array
+    names: tuple[str, ...]
+    step: float | None
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True)
+class Extension:
+    """An effect at the places `where`; its other fields are its parameters. A hook not overridden changes nothing."""
+
+    name: ClassVar[str]
+    where: tuple[str, ...] = ()
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """The equations of motion with the effect, at `rotor_speed` [Hz]."""
+        return mechanics
+
+    def true_loads(self, loads: Array, kind: str) -> Array:
+        """True hub loads (n, 6) of a run of this kind where the exciter's force cell feels `loads` (n, 6)."""
+        return loads
+
+    def recorded_loads(self, loads: Array, kind: str) -> Array:
+        """Recorded loads (n, 6) of a run of this kind where the exciter's force cell feels `loads` (n, 6)."""
+        return loads
+
+    def volts(self, signals: Signals) -> Array:
+        """Volts (n, channels) with the effect."""
+        return signals.volts
+
+    def places(self, names: tuple[str, ...]) -> list[int]:
+        """Indices of `where` among `names` (`all`: every one). UserError for a place that is none."""
+        if self.where == (ALL,):
+            return list(range(len(names)))
+        unknown = [place for place in self.where if place not in names]
+        if unknown or not self.where:
+            fault = f"`{self.name}` acts at {', '.join(names)}, not at {', '.join(unknown) or 'nothing'}"
+            raise UserError(fault, place="effects", remedy="Correct `where`")
+        return [names.index(place) for place in self.where]
+
+    def pair(self, names: tuple[str, ...]) -> tuple[int, int]:
+        """Indices of the two places among `names`. UserError where there are not two."""
+        found = self.places(names)
+        if len(found) != 2 or found[0] == found[1]:
+            raise UserError(f"`{self.name}` needs two different places", place="effects", remedy="Correct `where`")
+        return found[0], found[1]

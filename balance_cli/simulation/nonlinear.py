@@ -1,0 +1,160 @@
+"""Nonlinear cell forces: stepped through time for many records at once, and at rest along a loading sequence.
+
+The linear part of the rig is solved exactly; the nonlinear forces enter it as further inputs, held as polynomials of
+third degree through the last three samples and the next, which is found by iteration (an implicit exponential
+multistep method; Hochbruck and Ostermann, Acta Numerica 19, 2010, section 2.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.errors import UserError
+from balance_cli.simulation.integrate import ModalSystem, hold_weights
+from balance_cli.simulation.mechanics import CellForce
+
+Array = NDArray[np.float64]
+
+CORRECTIONS = 3
+SUBSTEPS = 8
+"""Steps in which the load is brought from one static point to the next."""
+
+
+@dataclass(frozen=True)
+class Forces:
+    """m nonlinear forces `k2 d^2 + k3 d^3` and slipping contacts, coefficients (m,) each."""
+
+    k2: Array
+    k3: Array
+    stick: Array
+    limit: Array
+
+    @classmethod
+    def of(cls, forces: Sequence[CellForce]) -> Forces:
+        """The coefficients of all forces."""
+        columns = [(f.k2, f.k3, f.stick_stiffness, f.limit) for f in forces]
+        return cls(*np.array(columns, float).reshape(-1, 4).T)
+
+    def contact(self, d: Array, before: Array, held: Array) -> Array:
+        """Contact forces at elongations d that were `before` when the contacts held the forces `held`."""
+        moved: Array = held + self.stick * (d - before)
+        return np.minimum(np.maximum(moved, -self.limit), self.limit)
+
+    def spring(self, d: Array) -> Array:
+        """The part that depends on the elongation alone."""
+        force: Array = (self.k2 + self.k3 * d) * d * d
+        return force
+
+    def slope(self, d: Array, before: Array, held: Array) -> Array:
+        """Derivative of the whole force by d."""
+        sticks = np.abs(held + self.stick * (d - before)) < self.limit
+        slope: Array = (2 * self.k2 + 3 * self.k3 * d) * d + np.where(sticks, self.stick, 0.0)
+        return slope
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A rig at rest: elongations, whole nonlinear forces and the contact's part of them, (rows, m) each."""
+
+    elongation: Array
+    force: Array
+    contact: Array
+
+
+def _equilibrium(forces: Forces, flexibility: Array, free: Array, before: Array, held: Array) -> Array:
+    """Elongations d with `d + flexibility f(d) = free` (Newton). UserError where the iteration does not end."""
+    d = before
+    for _ in range(60):
+        residual = d + flexibility @ (forces.spring(d) + forces.contact(d, before, held)) - free
+        slope = forces.slope(d, before, held)
+        step = np.linalg.solve(np.eye(len(d)) + flexibility * slope, residual)
+        d = d - step
+        if np.max(np.abs(step)) <= 1e-12 * max(1e-9, float(np.max(np.abs(d)))):
+            return d
+    raise UserError("the rig finds no equilibrium under its load", place="effects", remedy="Weaken the nonlinear force")
+
+
+def rest(forces: Forces, gain: Array, loads: Array) -> Rest:
+    """The rig at rest under `loads` (rows, 6), applied one after the other, from the unloaded rig on.
+
+    `gain` (m, 6+m): static elongations per hub load and per nonlinear force.
+    """
+    response, flexibility = gain[:, :6], -gain[:, 6:]
+    d = held = np.zeros(len(gain))
+    free = np.zeros(len(gain))
+    rows = []
+    for target in loads @ response.T:
+        for part in np.arange(1, SUBSTEPS + 1) / SUBSTEPS:
+            after = _equilibrium(forces, flexibility, free + part * (target - free), d, held)
+            d, held = after, forces.contact(after, d, held)
+        free = target
+        rows.append((d, forces.spring(d) + held, held))
+    return Rest(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+@dataclass(frozen=True)
+class _Stepper:
+    """One step of the linear rig under nonlinear forces: `[z, e] <- [z, f0, f-1, f-2] step + f1 (ahead, reach)`.
+
+    z (2p) are the real and imaginary parts of the modal states, e (m) the elongations that the forces cause.
+    """
+
+    step: Array
+    ahead: Array
+    reach: Array
+
+    @classmethod
+    def of(cls, system: ModalSystem, step: float) -> _Stepper:
+        offsets = np.array([0, -1, -2, 1])
+        decay = np.exp(system.poles * step)
+        weights = np.array([hold_weights(pole, step, offsets) for pole in system.poles])
+        p, m = system.inputs.shape
+        out = np.vstack([system.outputs.real.T, -system.outputs.imag.T])
+        states = np.zeros((2 * p + 3 * m, 2 * p))
+        turn = np.diag(decay)
+        states[: 2 * p] = np.block([[turn.real, turn.imag], [-turn.imag, turn.real]])
+        drives = [(weights[:, i, None] * system.inputs).T for i in range(4)]
+        real = [np.hstack([drive.real, drive.imag]) for drive in drives]
+        states[2 * p :] = np.vstack(real[:3])
+        return cls(np.hstack([states, states @ out]), real[3], real[3] @ out)
+
+
+def _started(system: ModalSystem, force: Array) -> Array:
+    """Modal states (runs, 2p) in equilibrium under constant forces (runs, m)."""
+    modal = -(force @ system.inputs.T) / system.poles
+    return np.hstack([modal.real, modal.imag])
+
+
+def stepped_forces(forces: Forces, system: ModalSystem, start: Rest, linear: Array, step: float) -> Array:
+    """Nonlinear forces (n, runs, m) of several records at once.
+
+    `system` takes these forces to elongations; `linear` (n, runs, m) are the elongations under the hub loads alone;
+    `start` is the rest (runs, m) from which the records begin.
+    """
+    stepper = _Stepper.of(system, step)
+    width = 2 * len(system.poles)
+    m = linear.shape[2]
+    slips, springs = bool(np.any(forces.limit)), bool(np.any(forces.k2) or np.any(forces.k3))
+    state = np.hstack([_started(system, start.force), start.force, start.force, start.force])
+    d, force, held = start.elongation, start.force, start.contact
+    result = np.empty_like(linear)
+    result[0] = force
+    for k in range(1, len(linear)):
+        ahead = state @ stepper.step
+        base = ahead[:, width:] + linear[k]
+        before, contact, after = d, held, force
+        for _ in range(CORRECTIONS):
+            d = base + after @ stepper.reach
+            if slips:
+                held = forces.contact(d, before, contact)
+            after = forces.spring(d) + held if springs else held
+        force = after
+        result[k] = force
+        state[:, width + m :] = state[:, width:-m]
+        state[:, width : width + m] = force
+        state[:, :width] = ahead[:, :width] + force @ stepper.ahead
+    return result
