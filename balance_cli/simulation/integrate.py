@@ -54,9 +54,9 @@ def _edge(first: Samples, positions: NDArray[np.int_]) -> Samples:
 
 
 def padded(signal: Samples) -> Samples:
-    """Samples (n, s) with two before and three after from the polynomials at either end; n at least 6."""
+    """Samples (n, s) with two before and two after, from the polynomials at either end; n at least 6."""
     head = _edge(signal[:6], np.array([-2, -1]))
-    tail = _edge(signal[-6:], np.array([6, 7, 8]))
+    tail = _edge(signal[-6:], np.array([6, 7]))
     return np.concatenate([head, signal, tail])
 
 
@@ -76,14 +76,20 @@ def _strided_weights(pole: complex, step: float, stride: int) -> NDArray[Any]:
     return weights.real if complex(pole).imag == 0 else weights
 
 
-def first_order(pole: complex, signal: Samples, step: float, start: NDArray[Any], stride: int = 1) -> NDArray[Any]:
-    """Solution of `x' = pole x + v` at every `stride`-th sample of v (n, s), from `start` (s,); (ceil(n/stride), s)."""
-    weights = _strided_weights(pole, step, stride)
-    steps = (len(signal) - 1) // stride
-    wide = padded(signal)
-    forcing = weights[0] * wide[: steps * stride : stride]
+def _forcing(weights: NDArray[Any], wide: Samples, stride: int) -> Samples:
+    """`sum_j weights_j wide[stride k + j]` for every k that lies wholly within `wide` (n, s)."""
+    if stride == 1:
+        return np.stack([np.convolve(column, weights[::-1], "valid") for column in wide.T], axis=1)
+    steps = (len(wide) - len(OFFSETS) + 1) // stride
+    forcing: Samples = weights[0] * wide[: steps * stride : stride]
     for i, weight in enumerate(weights[1:], 1):
         forcing += weight * wide[i : i + steps * stride : stride]
+    return forcing
+
+
+def first_order(pole: complex, signal: Samples, step: float, start: NDArray[Any], stride: int = 1) -> NDArray[Any]:
+    """Solution of `x' = pole x + v` at every `stride`-th sample of v (n, s), from `start` (s,); (ceil(n/stride), s)."""
+    forcing = _forcing(_strided_weights(pole, step, stride), padded(signal), stride)
     decay = np.exp(pole * step * stride)
     return recursion(decay.real if complex(pole).imag == 0 else decay, forcing, start)
 
@@ -102,13 +108,15 @@ class ModalSystem:
 
     def response(self, u: Array, step: float) -> Array:
         """Outputs (n, y) for inputs (n, u) sampled every `step` s, from equilibrium under the first sample."""
-        y: Array = u @ self.direct.T
         acting = np.flatnonzero(np.any(u != 0, axis=0))
-        for pole, row, column in zip(self.poles, self.inputs[:, acting], self.outputs.T, strict=True):
-            if np.any(row) and np.any(column):
-                drive = (u[:, acting] @ row)[:, None]
-                modal = first_order(pole, drive, step, -drive[0] / pole)[:, 0]
-                y += np.outer(modal.real, column.real) - np.outer(modal.imag, column.imag)
+        live = np.flatnonzero(np.any(self.inputs[:, acting], axis=1) & np.any(self.outputs, axis=0))
+        states = np.empty((len(u), len(live)), complex)
+        for i, mode in enumerate(live):
+            drive = np.dot(u[:, acting], self.inputs[mode, acting])[:, None]
+            states[:, i] = first_order(self.poles[mode], drive, step, -drive[0] / self.poles[mode])[:, 0]
+        outputs = self.outputs[:, live]
+        interleaved = np.stack([outputs.real, -outputs.imag], axis=-1).reshape(len(outputs), -1)
+        y: Array = states.view(float) @ interleaved.T + u @ self.direct.T
         return y
 
     def part(self, outputs: slice, inputs: slice) -> ModalSystem:
