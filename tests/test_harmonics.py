@@ -126,7 +126,7 @@ def test_coverage_of_the_sigma_on_coloured_noise(kind):
     time, azimuth = time_of(30), azimuth_from_pulses(pulse_times(30, 0.02))
     signal = periodic(truth, 2 * np.pi * (count(time, 0.02) - 1))
     inside, mean_inside, cross = [], [], []
-    for _ in range(10):
+    for _ in range(6):
         found = harmonics(run_of(signal + coloured(kind, rng, signal.shape)), azimuth)
         error = found.amplitude - truth
         variance = np.real(np.diagonal(found.covariance, axis1=1, axis2=2))
