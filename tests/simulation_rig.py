@@ -10,7 +10,7 @@ name: v1
 rig: R
 hub: [0.01, -0.02, 0.7]
 bodies:
-- {name: plate, mass: 60, position: [0, 0, 0], inertia: {xx: 2.0, yy: 3.0, zz: 5.0, xy: 0.1, xz: -0.2, yz: 0.05}}
+- {name: plate, mass: 60, position: [0, 0, 0], inertia: {xx: 2.0, yy: 3.0, zz: 4.8, xy: 0.1, xz: -0.2, yz: 0.05}}
 - {name: mast, mass: 40, position: [-0.05, 0.02, 0.4], inertia: {xx: 1.0, yy: 1.2, zz: 0.4, xz: 0.1}}
 cells:
 - {name: x, position: [0.02, 0.0, -0.05], axis: [2, 0, 0], stiffness: 3.0e6, full_range: 5000}

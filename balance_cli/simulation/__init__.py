@@ -3,7 +3,7 @@
 It shares no code with the frequency-domain model of the balance.
 """
 
-from balance_cli.simulation.campaign import Campaign, simulate_campaign, simulate_run
+from balance_cli.simulation.campaign import Campaign, simulate_campaign, simulate_run, simulated
 from balance_cli.simulation.noise import NO_NOISE, Noise
 from balance_cli.simulation.plans import (
     CampaignPlan,
@@ -34,6 +34,7 @@ __all__ = [
     "short_plan",
     "simulate_campaign",
     "simulate_run",
+    "simulated",
     "standard_plan",
     "true_rig",
 ]

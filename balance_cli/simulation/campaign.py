@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -67,10 +66,20 @@ def _sampled(rig: TrueRig, plans: Sequence[SampledPlan], acquisition: Acquisitio
             yield record_samples(rig, plan, grid, meant, forces, acquisition)
 
 
+def simulated(
+    rig: TrueRig, plan: CampaignPlan, noise: Noise | None = None, seed: int = 0
+) -> Iterator[tuple[Run, RunTruth]]:
+    """All runs of a plan with their truths, one by one, as `simulate_campaign` but in an order of its own."""
+    acquisition = Acquisition(Noise() if noise is None else noise, seed)
+    for one in plan.runs:
+        if isinstance(one, StaticPlan):
+            yield _static(rig, one, acquisition)
+    yield from _sampled(rig, [one for one in plan.runs if not isinstance(one, StaticPlan)], acquisition)
+
+
 def simulate_run(rig: TrueRig, plan: AnyPlan, noise: Noise | None = None, seed: int = 0) -> tuple[Run, RunTruth]:
     """One run and its truth, as `simulate_campaign`: the same whatever else is simulated."""
-    runs, truths = simulate_campaign(rig, CampaignPlan(runs=(plan,)), noise, seed)
-    return runs[0], truths[0]
+    return next(simulated(rig, CampaignPlan(runs=(plan,)), noise, seed))
 
 
 def simulate_campaign(
@@ -85,9 +94,6 @@ def simulate_campaign(
     if isinstance(plan, str):
         rotor = rig.geometry.rotor
         plan = campaign_plan(plan, rotor.speed) if rotor else campaign_plan(plan)
-    acquisition = Acquisition(Noise() if noise is None else noise, seed)
-    static = (_static(rig, one, acquisition) for one in plan.runs if isinstance(one, StaticPlan))
-    sampled = _sampled(rig, [one for one in plan.runs if not isinstance(one, StaticPlan)], acquisition)
-    pairs = {run.name: (run, truth) for run, truth in chain(static, sampled)}
+    pairs = {run.name: (run, truth) for run, truth in simulated(rig, plan, noise, seed)}
     ordered = [pairs[one.run] for one in plan.runs]
     return Campaign(tuple(run for run, _ in ordered), tuple(truth for _, truth in ordered))

@@ -1,0 +1,167 @@
+"""`balance simulate`: run files of a rig with known truth and chosen effects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from balance_cli.cli.common import Session, balance_command, geometry_option
+from balance_cli.cli.options import OutputFolder
+from balance_cli.errors import UserError
+
+if TYPE_CHECKING:
+    from balance_cli.geometry import Geometry
+    from balance_cli.simulation import CampaignPlan, TrueRig
+    from balance_cli.simulation.extensions import Extension
+
+
+@balance_command("simulate")
+@geometry_option
+@click.option(
+    "--plan",
+    default="standard",
+    show_default=True,
+    metavar="PLAN",
+    help="Which runs: `standard`, `short`, or a YAML file with a list of `runs`.",
+)
+@click.option("--only", multiple=True, metavar="RUN", help="Only this run of the plan (repeatable).")
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME[@PLACE[,PLACE]]",
+    help="An effect beyond the rigid plate, besides those that the geometry declares (repeatable).",
+)
+@click.option(
+    "--parameter",
+    "parameters",
+    multiple=True,
+    metavar="[EFFECT:]NAME=VALUE",
+    help="A parameter of an effect, SI units; with several effects name it as in `--effect` (repeatable).",
+)
+@click.option("--draw", is_flag=True, help="Draw the true rig from the tolerances; otherwise it is as declared.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random numbers.")
+@click.option(
+    "--noise",
+    type=click.FloatRange(min=0),
+    default=1.0,
+    show_default=True,
+    help="Noise, times that of the recorded campaign; 0 leaves rounding out too.",
+)
+@click.option("--double", is_flag=True, help="Store the samples in double precision.")
+@click.option("-o", "--output", type=OutputFolder(), required=True, metavar="DIR", help="New or empty folder.")
+def command(
+    session: Session,
+    geometry: Path,
+    plan: str,
+    only: tuple[str, ...],
+    effects: tuple[str, ...],
+    parameters: tuple[str, ...],
+    draw: bool,
+    seed: int,
+    noise: float,
+    double: bool,
+    output: Path,
+) -> None:
+    """Simulate run files with known truth and chosen effects."""
+    from dataclasses import replace
+
+    from balance_cli.simulation import Noise, simulated
+    from balance_cli.simulation.extensions import apply_effects
+
+    if output.exists() and any(output.iterdir()):
+        raise UserError("is not empty", str(output), remedy="Give a new or an empty folder")
+    declared = session.geometry(geometry)
+    runs = _planned(plan, only, declared)
+    rig = apply_effects(_rig(declared, draw, seed), (*declared.effects, *_chosen(effects, parameters)))
+    level = replace(Noise(), single_precision=not double).scaled(noise)
+    pairs = session.progress(simulated(rig, runs, level, seed), "runs", total=len(runs.runs))
+    summary = _written(session, output, rig, runs, pairs, {"geometry": declared.name, "seed": seed, "noise": noise})
+    session.finish(summary, [f"{len(runs.runs)} runs of {declared.rig}, their truth in truth.yaml and truth.h5"])
+
+
+def _written(
+    session: Session, output: Path, rig: TrueRig, plan: CampaignPlan, pairs: Iterable[Any], about: dict[str, Any]
+) -> dict[str, Any]:
+    """Prepare all files; returns the summary."""
+    from balance_cli.run_files import write_run
+    from balance_cli.simulation.files import described_rig, write_truth_arrays, write_truth_text
+
+    truths, described = [], {}
+    for run, truth in pairs:
+        write_run(session.stage_in(output, f"{run.name}.h5"), run)
+        truths.append(truth)
+        described[run.name] = {"kind": run.kind, "samples": run.samples, "digest": run.digest}
+    write_truth_arrays(session.stage_in(output, "truth.h5"), truths)
+    write_truth_text(session.stage_in(output, "truth.yaml"), rig, about, plan)
+    return {**about, "runs": described, "rig": described_rig(rig)}
+
+
+def _planned(plan: str, only: tuple[str, ...], geometry: Geometry) -> CampaignPlan:
+    from balance_cli.simulation import campaign_plan
+    from balance_cli.simulation.files import read_plan
+    from balance_cli.simulation.plans import PRESETS
+
+    speed = geometry.rotor.speed if geometry.rotor else 17.5
+    whole = campaign_plan(plan, speed) if plan in PRESETS else read_plan(Path(plan))
+    names = [run.run for run in whole.runs]
+    for name in only:
+        if name not in names:
+            raise UserError(f"the plan has no run `{name}`", "--only", remedy=f"It has {', '.join(names)}")
+    return whole.only(only) if only else whole
+
+
+def _rig(geometry: Geometry, draw: bool, seed: int) -> TrueRig:
+    from balance_cli.simulation import draw_rig, true_rig
+    from balance_cli.simulation.truth import stream
+
+    return draw_rig(geometry, stream(seed, "", "rig")) if draw else true_rig(geometry)
+
+
+def _chosen(effects: tuple[str, ...], parameters: tuple[str, ...]) -> list[Extension]:
+    """The effects of the command line with their parameters."""
+    from balance_cli.simulation.extensions import extension
+
+    values: dict[str, dict[str, str]] = {effect: {} for effect in effects}
+    for text in parameters:
+        place, name, value = _split_parameter(text)
+        values[_effect_meant(text, place, name, effects)][name] = value
+    chosen = []
+    for effect, given in values.items():
+        name, _, places = effect.partition("@")
+        chosen.append(extension(name, tuple(places.split(",")) if places else (), **given))
+        if not given:
+            raise UserError(f"`{effect}` has no parameter", "--effect", remedy="Give it one with `--parameter`")
+    return chosen
+
+
+def _split_parameter(text: str) -> tuple[str, str, str]:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise UserError(f"`{text}` has no `=`", "--parameter", remedy="Write NAME=VALUE or EFFECT:NAME=VALUE")
+    effect, _, name = key.rpartition(":")
+    return effect, name, value
+
+
+def _effect_meant(text: str, place: str, name: str, effects: tuple[str, ...]) -> str:
+    """The effect that a parameter belongs to: the one named, or the only one that has such a parameter."""
+    from balance_cli.simulation.extensions import EXTENSIONS, parameter_names
+
+    def has(effect: str) -> bool:
+        kind = EXTENSIONS.get(_name_of(effect))
+        return kind is not None and name in parameter_names(kind)
+
+    meant = [effect for effect in effects if place in (effect, _name_of(effect))] if place else list(effects)
+    meant = meant if len(meant) == 1 else [effect for effect in meant if has(effect)]
+    if len(meant) == 1:
+        return meant[0]
+    fault = f"`{text}` belongs to {'more than one' if meant else 'no'} effect"
+    known = f"Write EFFECT:NAME=VALUE; the effects are {', '.join(effects)}" if effects else "Give one with `--effect`"
+    raise UserError(fault, "--parameter", remedy=known)
+
+
+def _name_of(effect: str) -> str:
+    return effect.partition("@")[0]
