@@ -54,7 +54,8 @@ class Mechanics:
 
     `mass`, `damping`, `stiffness` (n, n), the stiffness without that of the cells; `loads` (n, 6) [1, m];
     `cell_rows` (c, n): elongations d = rows q [m]; `cell_stiffness` (c,) [N/m]; `torque_row` (n,): twist [N m] in the
-    shaft per coordinate. `names` (n,) of the coordinates.
+    shaft per coordinate. `names` (n,) of the coordinates. `plate` (6, n): motion x y z psi theta phi of the plate at
+    its centre of gravity `cg` (3,); `base` (6, n): that of the lower body at the rig's origin, none where it is rigid.
     """
 
     names: tuple[str, ...]
@@ -65,6 +66,9 @@ class Mechanics:
     cell_rows: Array
     cell_stiffness: Array
     torque_row: Array
+    plate: Array
+    base: Array
+    cg: Array
     branches: tuple[Branch, ...] = field(default=())
     forces: tuple[CellForce, ...] = field(default=())
 
@@ -77,6 +81,20 @@ class Mechanics:
         """Stiffness (n, n) of everything but the branches: `K + B' C B`."""
         total: Array = self.stiffness + self.cell_rows.T @ (self.cell_stiffness[:, None] * self.cell_rows)
         return total
+
+    def plate_point(self, position: ArrayLike) -> Array:
+        """Displacement (3, n) per coordinate of the plate at `position` (3,) in rig axes."""
+        rows: Array = displacement_rows(np.subtract(position, self.cg)) @ self.plate
+        return rows
+
+    def base_point(self, position: ArrayLike) -> Array:
+        """Displacement (3, n) per coordinate of the lower body at `position` (3,) in rig axes."""
+        rows: Array = displacement_rows(position) @ self.base
+        return rows
+
+    def stiffened(self, rows: Array, stiffness: Array) -> Mechanics:
+        """With springs (m,) [N/m] whose elongations are `rows` (m, n)."""
+        return replace(self, stiffness=self.stiffness + rows.T @ (stiffness[:, None] * rows))
 
     def widened(self, names: tuple[str, ...]) -> Mechanics:
         """The same with further coordinates, to which nothing is attached yet."""
@@ -92,6 +110,8 @@ class Mechanics:
             loads=np.pad(self.loads, ((0, more), (0, 0))),
             cell_rows=np.pad(self.cell_rows, wide),
             torque_row=np.pad(self.torque_row, (0, more)),
+            plate=np.pad(self.plate, wide),
+            base=np.pad(self.base, wide),
             branches=tuple(replace(b, row=np.pad(b.row, (0, more))) for b in self.branches),
         )
 
@@ -161,6 +181,9 @@ def rigid_plate(rig: TrueRig) -> Mechanics:
         cell_rows=rows,
         cell_stiffness=rig.stiffness,
         torque_row=np.zeros(n),
+        plate=np.eye(6)[:, free],
+        base=np.zeros((6, n)),
+        cg=rig.cg,
     )
     return _with_shaft(plate, rig) if geometry.torque_meter else plate
 

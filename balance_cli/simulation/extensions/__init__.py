@@ -10,7 +10,14 @@ from typing import Any, get_type_hints
 from balance_cli.errors import UserError
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.simulation.extensions.base import Extension, Signals
-from balance_cli.simulation.extensions.cells import CubicStiffness, DryFriction, QuadraticStiffness
+from balance_cli.simulation.extensions.cells import (
+    CellMisalignment,
+    CubicStiffness,
+    DryFriction,
+    QuadraticStiffness,
+    StructuralDamping,
+    TransverseStiffness,
+)
 from balance_cli.simulation.extensions.loads import ExciterMisalignment, LoadOffset
 from balance_cli.simulation.extensions.signals import (
     ChannelGain,
@@ -21,11 +28,26 @@ from balance_cli.simulation.extensions.signals import (
     MainsPickup,
     TimeDelay,
 )
+from balance_cli.simulation.extensions.structure import (
+    AddedMass,
+    GyroscopicCoupling,
+    MastBending,
+    ParallelStiffness,
+    SupportFlexibility,
+)
 from balance_cli.simulation.rig import TrueRig
 
 __all__ = ["EXTENSIONS", "Extension", "Signals", "apply_effects", "extension"]
 
 _IN_ORDER: tuple[type[Extension], ...] = (
+    SupportFlexibility,
+    MastBending,
+    AddedMass,
+    GyroscopicCoupling,
+    ParallelStiffness,
+    CellMisalignment,
+    TransverseStiffness,
+    StructuralDamping,
     CubicStiffness,
     QuadraticStiffness,
     DryFriction,

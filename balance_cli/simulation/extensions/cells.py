@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from balance_cli.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
-from balance_cli.simulation.mechanics import CellForce, Mechanics
+from balance_cli.simulation.mechanics import Branch, CellForce, Mechanics
 from balance_cli.simulation.rig import TrueRig
 
+Array = NDArray[np.float64]
 INSIDE, BESIDE = "inside", "beside"
 
 
@@ -63,3 +67,84 @@ class DryFriction(Extension):
         """With the contact at every place."""
         contact = CellForce(0, stick_stiffness=self.stick_stiffness, limit=self.force)
         return _with_forces(self, mechanics, rig, contact)
+
+
+def transverse_axes(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) across a unit `axis`: for a cell along x they are y and z, and so on in cyclic order.
+
+    The first is the rig axis that follows the axis nearest to the cell's, made orthogonal to the cell's.
+    """
+    following = np.eye(3)[(int(np.argmax(np.abs(axis))) + 1) % 3]
+    first = following - (following @ axis) * axis
+    first = first / np.linalg.norm(first)
+    return first, np.cross(axis, first)
+
+
+@dataclass(frozen=True)
+class CellMisalignment(Extension):
+    """The cell stands askew: its axis leans by `angle_1` and `angle_2` [rad] towards its two transverse axes."""
+
+    name: ClassVar[str] = "cell-misalignment"
+    angle_1: float = 0.0
+    angle_2: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """With the cell's force, and what it reads, along the leaning axis."""
+        rows = mechanics.cell_rows.copy()
+        for index in self.places(rig.geometry.cell_names):
+            cell = rig.geometry.cells[index]
+            first, second = transverse_axes(cell.direction)
+            axis = cell.direction + self.angle_1 * first + self.angle_2 * second
+            relative = mechanics.plate_point(cell.position) - mechanics.base_point(cell.position)
+            rows[index] = axis / np.linalg.norm(axis) @ relative
+        return replace(mechanics, cell_rows=rows)
+
+
+@dataclass(frozen=True)
+class TransverseStiffness(Extension):
+    """The cell resists sideways too: `stiffness` [N/m] across its axis, which no channel reads."""
+
+    name: ClassVar[str] = "transverse-stiffness"
+    stiffness: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """With two springs across each cell."""
+        for index in self.places(rig.geometry.cell_names):
+            cell = rig.geometry.cells[index]
+            across = np.array(transverse_axes(cell.direction))
+            relative = mechanics.plate_point(cell.position) - mechanics.base_point(cell.position)
+            mechanics = mechanics.stiffened(across @ relative, np.full(2, self.stiffness))
+        return mechanics
+
+
+CHAIN = np.geomspace(0.1, 3000.0, 10)
+"""Relaxation frequencies [Hz] of the Maxwell branches, about two to a decade."""
+
+REFERENCE = 20.0
+"""Frequency [Hz] at which the chain leaves the cell's stiffness as it is."""
+
+
+@dataclass(frozen=True)
+class StructuralDamping(Extension):
+    """The cell's force lags its elongation by the `loss_factor` at every frequency from 2 to 300 Hz.
+
+    A chain of Maxwell branches of equal stiffness `(2 / pi) eta k ln(ratio of neighbouring rates)`, the causal
+    realisation of `k (1 + j eta)`. It cannot but stiffen with frequency, by `(2 / pi) eta` for each factor e; at
+    20 Hz the stiffness is the cell's. The channels read the whole force.
+    """
+
+    name: ClassVar[str] = "structural-damping"
+    loss_factor: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """With the branches of each cell."""
+        share = 2 / np.pi * self.loss_factor * np.log(CHAIN[1] / CHAIN[0])
+        stored = share * np.sum(1 / (1 + (CHAIN / REFERENCE) ** 2))
+        stiffness = mechanics.cell_stiffness.copy()
+        branches = []
+        for index in self.places(rig.geometry.cell_names):
+            k = mechanics.cell_stiffness[index]
+            stiffness[index] = k * (1 - stored)
+            taus = 1 / (2 * np.pi * CHAIN)
+            branches += [Branch(mechanics.cell_rows[index], float(share * k), float(tau), index) for tau in taus]
+        return replace(mechanics, cell_stiffness=stiffness, branches=(*mechanics.branches, *branches))

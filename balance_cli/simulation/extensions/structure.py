@@ -1,0 +1,163 @@
+"""Effects in the structure: what the rigid plate on rigid ground leaves out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS, FREEDOMS
+from balance_cli.errors import UserError
+from balance_cli.simulation.extensions.base import Extension
+from balance_cli.simulation.mechanics import Mechanics, displacement_rows
+from balance_cli.simulation.rig import TrueRig
+
+Array = NDArray[np.float64]
+
+
+def _on_ground(mechanics: Mechanics, start: int, masses: Array, compliances: Array, ratio: float) -> Mechanics:
+    """New coordinates from `start` on with their own masses on springs, `d = 2 zeta sqrt(k m)` beside each."""
+    springs = 1 / compliances
+    for matrix, diagonal in (
+        (mechanics.mass, masses),
+        (mechanics.stiffness, springs),
+        (mechanics.damping, 2 * ratio * np.sqrt(springs * masses)),
+    ):
+        matrix[start:, start:] += np.diag(diagonal)
+    return mechanics
+
+
+def _flexible(extension: Extension, known: tuple[str, ...]) -> tuple[str, ...]:
+    """The motions of `where` that have a compliance. UserError for a motion that is none."""
+    chosen = [known[index] for index in extension.places(known)]
+    return tuple(name for name in known if name in chosen and getattr(extension, f"compliance_{name}") > 0)
+
+
+@dataclass(frozen=True)
+class SupportFlexibility(Extension):
+    """The lower body, to which the cells are fixed, is rigid and stands on springs of its own.
+
+    `where`: which of its motions x y z psi theta phi (of its point at the rig's origin) are flexible; for each its
+    `compliance` [m/N, rad/(N m)], null 0, and its inertia: `mass` [kg] in x y z, `inertia_*` [kg m2] in rotation.
+    `damping_ratio` is that of each of these motions alone, with the plate taken off. The plate's damping acts on its
+    motion relative to the lower body.
+    """
+
+    name: ClassVar[str] = "support-flexibility"
+    mass: float = 0.0
+    inertia_psi: float = 0.0
+    inertia_theta: float = 0.0
+    inertia_phi: float = 0.0
+    compliance_x: float = 0.0
+    compliance_y: float = 0.0
+    compliance_z: float = 0.0
+    compliance_psi: float = 0.0
+    compliance_theta: float = 0.0
+    compliance_phi: float = 0.0
+    damping_ratio: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """With the lower body's motions as further coordinates."""
+        motions = _flexible(self, FREEDOMS)
+        masses = np.array([self.mass if name in "xyz" else getattr(self, f"inertia_{name}") for name in motions])
+        if not np.all(masses > 0):
+            raise UserError("the lower body needs a mass or inertia for each motion", place="effects")
+        start = mechanics.size
+        base = np.eye(6)[:, [FREEDOMS.index(name) for name in motions]]
+        # the motion of the plate's centre of gravity when the plate goes along with the lower body
+        along = np.vstack([displacement_rows(mechanics.cg), np.eye(6)[3:]]) @ base
+        relative = np.hstack([np.eye(start), -mechanics.plate.T @ along])
+        wide = mechanics.widened(tuple(f"base {name}" for name in motions))
+        wide = replace(wide, base=np.hstack([np.zeros((6, start)), base]))
+        lower = [cell.direction @ wide.base_point(cell.position) for cell in rig.geometry.cells]
+        wide = replace(
+            wide, cell_rows=wide.cell_rows - np.array(lower), damping=relative.T @ mechanics.damping @ relative
+        )
+        compliances = np.array([getattr(self, f"compliance_{name}") for name in motions])
+        return _on_ground(wide, start, masses, compliances, self.damping_ratio)
+
+
+@dataclass(frozen=True)
+class MastBending(Extension):
+    """The hub, a point `mass` [kg] of the moving part, gives way sideways on the mast.
+
+    `where`: x, y, or both; `compliance_x`, `compliance_y` [m/N] of the hub relative to the plate, null 0;
+    `damping_ratio` of the hub on the mast alone. The hub forces act on the hub; its tilt is left out.
+    """
+
+    name: ClassVar[str] = "mast-bending"
+    mass: float = 0.0
+    compliance_x: float = 0.0
+    compliance_y: float = 0.0
+    damping_ratio: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """With the hub's deflections as further coordinates."""
+        motions = _flexible(self, ("x", "y"))
+        if motions and self.mass <= 0:
+            raise UserError("the hub on a flexible mast needs a mass", place="effects")
+        start = mechanics.size
+        axes = ["xyz".index(name) for name in motions]
+        wide = mechanics.widened(tuple(f"hub {name}" for name in motions))
+        carried = wide.plate_point(rig.geometry.hub)[axes]
+        wide.mass[start:] += self.mass * carried
+        wide.mass[:, start:] += self.mass * carried.T
+        wide.loads[start:, [COMPONENTS.index(f"F{name}") for name in motions]] += np.eye(len(motions))
+        compliances = np.array([getattr(self, f"compliance_{name}") for name in motions])
+        return _on_ground(wide, start, np.full(len(motions), self.mass), compliances, self.damping_ratio)
+
+
+@dataclass(frozen=True)
+class AddedMass(Extension):
+    """A point `mass` [kg] on the plate at x, y, z [m] that the geometry does not know."""
+
+    name: ClassVar[str] = "added-mass"
+    mass: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """With the mass; the damping matrix stays as it was."""
+        rows = mechanics.plate_point((self.x, self.y, self.z))
+        return replace(mechanics, mass=mechanics.mass + self.mass * rows.T @ rows)
+
+
+@dataclass(frozen=True)
+class ParallelStiffness(Extension):
+    """A path from the plate to ground beside the cells (hose, cable): three springs [N/m] at the point x, y, z [m]."""
+
+    name: ClassVar[str] = "parallel-stiffness"
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    stiffness_x: float = 0.0
+    stiffness_y: float = 0.0
+    stiffness_z: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """With the three springs."""
+        springs = np.array([self.stiffness_x, self.stiffness_y, self.stiffness_z])
+        return mechanics.stiffened(mechanics.plate_point((self.x, self.y, self.z)), springs)
+
+
+@dataclass(frozen=True)
+class GyroscopicCoupling(Extension):
+    """What spins about z with `polar_inertia` [kg m2] couples the tilts of the plate.
+
+    Its angular momentum H = I Omega (theta, -phi, 1) turns with the plate: about x acts `I Omega theta'`, about y
+    `-I Omega phi'` on the left of the equations of motion.
+    """
+
+    name: ClassVar[str] = "gyroscopic-coupling"
+    polar_inertia: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """With the coupling at this speed of the rotor."""
+        momentum = self.polar_inertia * 2 * np.pi * rotor_speed
+        coupling = np.zeros((6, 6))
+        phi, theta = FREEDOMS.index("phi"), FREEDOMS.index("theta")
+        coupling[phi, theta], coupling[theta, phi] = momentum, -momentum
+        return replace(mechanics, damping=mechanics.damping + mechanics.plate.T @ coupling @ mechanics.plate)

@@ -1,0 +1,91 @@
+"""Files of a simulation: the plan that the user writes, and the truth that goes with the run files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import yaml
+from pydantic import ValidationError
+
+from balance_cli.errors import UserError
+from balance_cli.simulation.extensions import Extension
+from balance_cli.simulation.plans import CampaignPlan
+from balance_cli.simulation.rig import TrueRig
+from balance_cli.simulation.truth import RunTruth
+
+TRUTH_FORMAT = "balance-truth/1"
+
+
+def read_plan(path: Path) -> CampaignPlan:
+    """A plan from YAML: the key `runs` with a list of runs, each with `run`, `kind` and its settings.
+
+    Raises UserError where the file cannot be read or holds no plan.
+    """
+    try:
+        declared = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError(f"cannot be read: {error.strerror}", str(path), remedy="Check the name") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise UserError(f"is not YAML: {' '.join(str(error).split())}", str(path), remedy="Mend the syntax") from error
+    try:
+        return CampaignPlan.model_validate(declared)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        message = first["msg"].removeprefix("Value error, ")
+        raise UserError(message, str(path), place, "Correct this entry of the plan") from error
+
+
+def described_rig(rig: TrueRig) -> dict[str, Any]:
+    """The true rig as plain numbers, in SI units."""
+    geometry = rig.geometry
+    return {
+        "mass": rig.mass,
+        "centre_of_gravity": rig.cg.tolist(),
+        "inertia": rig.inertia.tolist(),
+        "stiffness": dict(zip(geometry.cell_names, rig.stiffness.tolist(), strict=True)),
+        "damping_ratios": rig.damping_ratios.tolist(),
+        "torque": {
+            "stiffness": rig.torque_stiffness,
+            "inertia": rig.torque_inertia,
+            "damping_ratio": rig.torque_damping_ratio,
+        }
+        if geometry.torque_meter
+        else None,
+        "sensitivities": dict(zip(geometry.channel_names, rig.sensitivities.tolist(), strict=True)),
+        "effects": [described_effect(effect) for effect in rig.extensions],
+    }
+
+
+def described_effect(effect: Extension) -> dict[str, Any]:
+    """An effect as a geometry declares it."""
+    parameters = asdict(effect)
+    return {"name": effect.name, "where": list(parameters.pop("where")), "parameters": parameters}
+
+
+def write_truth_text(path: Path, rig: TrueRig, about: Mapping[str, Any], plan: CampaignPlan) -> None:
+    """The true rig, the plan, and what else there is to know `about` the simulation, as YAML."""
+    content = {
+        "format": TRUTH_FORMAT,
+        **about,
+        "rig": described_rig(rig),
+        "runs": [run.model_dump(mode="json", exclude_none=True) for run in plan.runs],
+    }
+    path.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+
+
+def write_truth_arrays(path: Path, truths: Sequence[RunTruth]) -> None:
+    """What was true in each run: one group for each, its datasets named as the fields of RunTruth."""
+    with h5py.File(path, "w") as file:
+        file.attrs["format"] = TRUTH_FORMAT
+        for truth in truths:
+            group = file.create_group(truth.name)
+            group.attrs["kind"] = truth.kind
+            for name, value in asdict(truth).items():
+                if isinstance(value, np.ndarray):
+                    group.create_dataset(name, data=value, compression="gzip", shuffle=True)
