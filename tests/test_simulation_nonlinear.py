@@ -24,7 +24,7 @@ OPEN = rig_geometry(acquisition={})
 PLAN = RotorPlan(
     run="c",
     rotor_speed=17.5,
-    duration=0.5,
+    duration=0.3,
     harmonics={"Fz": (300.0, 100.0, 0.0, 200.0), "Mx": (40.0,)},
     steady={"Fz": 400.0},
 )
@@ -90,7 +90,7 @@ def test_runs_together_are_the_runs_alone():
         extension("dry-friction", ("x",), force=2.0, stick_stiffness=1e6),
         extension("cubic-stiffness", ("z1", "z2"), k3=1e14),
     )
-    longer = PLAN.model_copy(update={"run": "d", "duration": 0.7, "rotor_speed": 16.0})
+    longer = PLAN.model_copy(update={"run": "d", "duration": 0.4, "rotor_speed": 16.0})
     runs, _ = simulate_campaign(rig, CampaignPlan(runs=(PLAN, longer)))
     for plan, run in zip((PLAN, longer), runs, strict=True):
         alone, _ = simulate_run(rig, plan)

@@ -77,6 +77,7 @@ def _run(rig: TrueRig, plan: AnyPlan, channels: Array, loads: Array | None) -> R
         samples=len(channels),
         source=MemorySource(channels, loads),
         has_loads=loads is not None,
+        note="simulated",
     )
 
 

@@ -58,11 +58,13 @@ def grid_of(plan: SampledPlan, oversampling: int = OVERSAMPLING) -> Grid:
 def _sweep_component(plan: SweepPlan, index: int, time: Array, rng: np.random.Generator) -> Array:
     level, band = plan.level[index], plan.band
     every, shift = (len(plan.excited), index) if plan.interleaved else (1, 0)
-    frequencies = np.geomspace(*band, plan.steps)
+    # several components at once must not move as one
+    ahead = index * plan.period / len(plan.excited)
+    frequencies = np.roll(np.geomspace(*band, plan.steps), index * plan.steps // len(plan.excited))
     wave: dict[str, Callable[[], Array]] = {
         "multisine": lambda: multisine(time, plan.period, band, level, rng, every, shift),
         "random": lambda: random_noise(time, band, level, rng),
-        "sine-sweep": lambda: sine_sweep(time, plan.period, band, level),
+        "sine-sweep": lambda: sine_sweep(time + ahead, plan.period, band, level),
         "stepped": lambda: stepped_sine(time, frequencies, plan.duration / plan.steps, level),
     }
     return wave[plan.excitation]()
