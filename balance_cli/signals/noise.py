@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,9 @@ Counts = NDArray[np.intp]
 
 LEAST_DOF = 150
 OUTLIER_PROBABILITY = 1e-3
+STEPS_PER_WINDOW = 8
+ROBUST_ITERATIONS = 3
+MEDIAN_LINES = 75
 
 
 def inverse_bias_factor(dof: float, n: int) -> float:
@@ -27,20 +32,20 @@ def inverse_bias_factor(dof: float, n: int) -> float:
     return (dof - n) / dof
 
 
-def window_sums(values: NDArray[np.generic], width: int) -> NDArray[np.generic]:
+def window_sums(values: NDArray[Any], width: int, step: int = 1) -> NDArray[Any]:
     """Sums of `width` neighbouring entries along axis 0; at the edges the window stays whole and is shifted inwards.
 
-    values (K, ...), result (K, ...): entry k holds the sum over the window centred on k where it fits.
+    values (K, ...); the result holds, for every `step`-th k, the sum over the window centred on k where it fits.
     """
     K = len(values)
     width = min(width, K)
     total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
-    start = np.clip(np.arange(K) - width // 2, 0, K - width)
+    start = np.clip(np.arange(0, K, step) - width // 2, 0, K - width)
     return np.asarray(total[start + width] - total[start])
 
 
 def pooled_covariance(scatter: ComplexArray, counts: Array, least_dof: float = LEAST_DOF) -> tuple[ComplexArray, float]:
-    """Noise covariance of one period at every line, pooled over neighbouring lines.
+    """Noise covariance of one degree of freedom at every line, pooled over neighbouring lines.
 
     scatter (K, n, n): sum of outer products of deviations at each line, with counts (K,) complex degrees of freedom.
     The window is the narrowest that gives `least_dof` everywhere (or all lines), so that the covariance follows the
@@ -48,48 +53,51 @@ def pooled_covariance(scatter: ComplexArray, counts: Array, least_dof: float = L
     pick-up) are down-weighted (Huber's weights on the Mahalanobis distance). Returns (K, n, n) and the dof.
     """
     width = _window(counts, least_dof)
-    dof = _least_sum(counts, width)
+    dof = float(np.min(window_sums(counts, width)))
+    step = max(width // STEPS_PER_WINDOW, 1)
+    nearest = np.minimum((np.arange(len(counts)) + step // 2) // step, (len(counts) - 1) // step)
     weights = _first_weights(scatter, counts)
-    covariance = scatter
-    for _ in range(4):
-        total = np.maximum(window_sums(weights * counts, width).real, 1e-300)
-        covariance = window_sums(weights[:, None, None] * scatter, width) / total[:, None, None]
-        weights = np.minimum(1.0, outlier_bound(counts, scatter.shape[1]) / distances(scatter, covariance, counts, dof))
-    return covariance, dof
+    for _ in range(ROBUST_ITERATIONS):
+        total = np.maximum(window_sums(weights * counts, width, step), 1e-300)
+        knots = window_sums(weights[:, None, None] * scatter, width, step) / total[:, None, None]
+        far = _distances(scatter, np.linalg.inv(knots)[nearest], counts, dof)
+        weights = np.minimum(1.0, outlier_bound(counts, scatter.shape[1]) / far)
+    return knots[nearest], dof
 
 
 def distances(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
     """Mahalanobis distance per degree of freedom (K,) of the scatter of each line; its mean is 1 for noise alone."""
+    return _distances(scatter, np.linalg.inv(covariance), counts, dof)
+
+
+def _distances(scatter: ComplexArray, inverse: ComplexArray, counts: Array, dof: float) -> Array:
     n = scatter.shape[1]
-    trace = np.trace(np.linalg.solve(covariance, scatter), axis1=1, axis2=2).real
-    return np.maximum(trace / (n * np.maximum(counts, 1)) * inverse_bias_factor(max(dof, n + 1), n), 1e-300)
+    trace = np.einsum("kij,kji->k", inverse, scatter).real
+    return np.maximum(trace / (n * np.maximum(counts, 1e-12)) * inverse_bias_factor(max(dof, n + 1), n), 1e-300)
 
 
 def outlier_bound(counts: Array, n: int, probability: float = OUTLIER_PROBABILITY) -> Array:
     """Distance (K,) that noise of n signals exceeds with this probability at one line (chi-square)."""
-    from scipy.stats import chi2
+    from scipy.special import gammainccinv
 
-    dof = 2.0 * n * np.maximum(counts, 1)
-    return np.asarray(chi2.isf(probability, dof) / dof)
+    half = n * np.maximum(counts, 1.0)
+    return np.asarray(gammainccinv(half, probability) / half)
 
 
 def _window(counts: Array, least_dof: float) -> int:
-    """Narrowest odd number of lines that gives `least_dof` at every line."""
-    width = 1
-    while width < len(counts) and _least_sum(counts, width) < least_dof:
-        width += 2
-    return min(width, len(counts))
-
-
-def _least_sum(counts: Array, width: int) -> float:
-    return float(np.min(window_sums(counts, width)))
+    """Narrowest odd number of lines that gives `least_dof` at every line (by bisection), or all of them."""
+    low, high = 0, (len(counts) - 1) // 2
+    while low < high:
+        middle = (low + high) // 2
+        enough = np.min(window_sums(counts, 2 * middle + 1)) >= least_dof
+        low, high = (low, middle) if enough else (middle + 1, high)
+    return 2 * low + 1
 
 
 def _first_weights(scatter: ComplexArray, counts: Array) -> Array:
     """Weights from the diagonal alone: each signal's power at a line against the median of its neighbours."""
-    from scipy.ndimage import median_filter
-
-    power = np.diagonal(scatter, axis1=1, axis2=2).real / np.maximum(counts, 1)[:, None]
-    typical = median_filter(power, size=(min(75, len(power)), 1), mode="nearest")
+    power = np.diagonal(scatter, axis1=1, axis2=2).real / np.maximum(counts, 1e-12)[:, None]
+    blocks = np.array_split(np.arange(len(power)), max(len(power) // MEDIAN_LINES, 1))
+    typical = np.concatenate([np.broadcast_to(np.median(power[b], axis=0), power[b].shape) for b in blocks])
     largest = np.max(power / np.maximum(typical, 1e-300), axis=1)
     return np.minimum(1.0, 20.0 / np.maximum(largest, 1e-300))

@@ -74,7 +74,7 @@ def _excess(spectra: ComplexArray) -> tuple[Array, float]:
     ones = np.ones(spectra.shape[1])
     power = np.array([distances(each, noise, ones, dof) for each in outer])
     width = min(BAND_LINES, spectra.shape[1])
-    banded = window_sums(power.T, width).real.T / width
+    banded = window_sums(power.T, width).T / width
     freedoms = 2 * n * width
     probability = FALSE_ALARM / banded.size
     return banded - 1.0, float(chi2.isf(probability, freedoms) / freedoms) - 1.0

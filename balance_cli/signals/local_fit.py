@@ -1,0 +1,242 @@
+"""Local models of a spectrum: in a window of neighbouring lines, `Y = (B U + C) / A` with low-order polynomials.
+
+B / A stands for the frequency response, C / A for the transient that leaks because the record does not repeat; all
+channels share the poles. A = 1 gives the local polynomial method (Pintelon and Schoukens, System Identification, 2nd
+ed., 2012, chapter 7), else the local rational method (McKelvey and Guerin, IFAC SYSID 2012; for several channels with
+a common denominator Voorhoeve, van der Maas and Oomen, Mech. Syst. Signal Process. 105, 2018). Here the fit is not the
+linearised one but output-error least squares: B and C are eliminated (variable projection, Golub and Pereyra 1973) and
+Gauss-Newton steps find A, so that noise does not shift the poles.
+
+Arrays carry the windows first: W windows of M lines, c channels, u inputs, q linear coefficients.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+ITERATIONS = 10
+RIDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Degrees of B (the response's numerator), C (the transient's numerator) and A (the common denominator)."""
+
+    response: int
+    transient: int
+    denominator: int
+
+    def coefficients(self, inputs: int) -> int:
+        """Linear coefficients q of one channel; `transient` is -1 where there is none."""
+        return inputs * (self.response + 1) + self.transient + 1
+
+
+@dataclass(frozen=True)
+class LocalFit:
+    """Fitted windows: denominator (W, na+1) in Legendre polynomials of r, coefficients (W, q, c), triangle (W, q, q)
+
+    with inverse Gram matrix of the coefficients triangle^-1 triangle^-*, residual (W, M, c), weighted.
+    """
+
+    orders: Orders
+    inputs: int
+    denominator: ComplexArray
+    coefficients: ComplexArray
+    triangle: ComplexArray
+    residual: ComplexArray
+
+    @property
+    def cost(self) -> Array:
+        """Sum of squared residuals (W,)."""
+        return np.asarray(np.sum(np.abs(self.residual) ** 2, axis=(1, 2)))
+
+
+@dataclass(frozen=True)
+class Windows:
+    """What is fitted: outputs Y (W, M, c) scaled to like noise, inputs U (W, M, u), weight (W, M) of each line, and
+
+    its place r (W, M) in the window, -1 to 1.
+    """
+
+    Y: ComplexArray
+    U: ComplexArray
+    weight: Array
+    r: Array
+
+    def subset(self, windows: NDArray[np.intp]) -> Windows:
+        """Some of the windows."""
+        return Windows(self.Y[windows], self.U[windows], self.weight[windows], self.r[windows])
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Weighted outputs (W, M, c), regressors before division by A (W, M, q), polynomials P (W, M, p) and weight."""
+
+    orders: Orders
+    inputs: int
+    Y: ComplexArray
+    columns: ComplexArray
+    weight: Array
+    P: Array
+
+
+def fit_windows(windows: Windows, orders: Orders) -> LocalFit:
+    """Fit every window with a model of these orders."""
+    P = legendre.legvander(windows.r, max(orders.response, orders.transient, orders.denominator, 0))
+    columns = _columns(windows.U, P, orders)
+    weighted = windows.Y * windows.weight[:, :, None]
+    problem = _Problem(orders, windows.U.shape[2], weighted, columns, windows.weight, P[:, :, : orders.denominator + 1])
+    if orders.denominator == 0:
+        return _linear_fit(problem, np.ones((len(windows.Y), 1), complex))
+    return _refined(problem, _first_denominator(problem))
+
+
+def response_rows(fit: LocalFit, window: int, r: Array) -> ComplexArray:
+    """Rows (len(r), u, q) that take the coefficients of one window to its response at the places r in [-1, 1]."""
+    o, u = fit.orders, fit.inputs
+    P = legendre.legvander(r, max(o.response, o.denominator)).astype(complex)
+    A = P[:, : o.denominator + 1] @ fit.denominator[window]
+    rows = np.zeros((len(r), u, o.coefficients(u)), complex)
+    for j in range(u):
+        rows[:, j, j * (o.response + 1) : (j + 1) * (o.response + 1)] = P[:, : o.response + 1] / A[:, None]
+    return rows
+
+
+def transient_rows(fit: LocalFit, window: int, r: Array) -> ComplexArray:
+    """Rows (len(r), q) that take the coefficients of one window to its transient at the places r."""
+    o, u = fit.orders, fit.inputs
+    P = legendre.legvander(r, max(o.transient, o.denominator, 0)).astype(complex)
+    A = P[:, : o.denominator + 1] @ fit.denominator[window]
+    rows = np.zeros((len(r), o.coefficients(u)), complex)
+    rows[:, u * (o.response + 1) :] = P[:, : o.transient + 1] / A[:, None]
+    return rows
+
+
+def poles(fit: LocalFit, window: int) -> ComplexArray:
+    """Poles of one window, in units of r (half the window's width)."""
+    if fit.orders.denominator == 0:
+        return np.zeros(0, complex)
+    power = legendre.leg2poly(fit.denominator[window])
+    return np.asarray(np.roots(power[::-1]), complex)
+
+
+def _columns(U: ComplexArray, P: Array, orders: Orders) -> ComplexArray:
+    """Regressors (W, M, q) before division by A: each input times each polynomial, then the transient's."""
+    W, M, _ = U.shape
+    inputs = (U[:, :, :, None] * P[:, :, None, : orders.response + 1]).reshape(W, M, -1)
+    return np.concatenate([inputs, P[:, :, : orders.transient + 1]], axis=2)
+
+
+def _orthogonal(columns: ComplexArray, factor: ComplexArray) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Thin QR of the scaled columns: basis (W, M, q), triangle, scale (W, q); a ridge guards inputs that are absent."""
+    X = columns * factor[:, :, None]
+    scale = np.maximum(np.linalg.norm(X, axis=1), 1e-300)
+    W, M, q = X.shape
+    ridge = np.broadcast_to(RIDGE * np.eye(q, dtype=complex), (W, q, q))
+    Q, R = np.linalg.qr(np.concatenate([X / scale[:, None, :], ridge], axis=1))
+    return Q[:, :M], R, scale
+
+
+def _adjoint(X: ComplexArray) -> ComplexArray:
+    return X.conj().swapaxes(1, 2)
+
+
+def _denominator_at(problem: _Problem, a: ComplexArray) -> ComplexArray:
+    """A (W, M) at every line."""
+    return np.asarray(np.matmul(problem.P, a[:, :, None])[:, :, 0])
+
+
+def _linear_fit(problem: _Problem, a: ComplexArray) -> LocalFit:
+    """The fit for a given denominator."""
+    factor = problem.weight / _kept_from_zero(_denominator_at(problem, a))
+    Q, R, scale = _orthogonal(problem.columns, factor)
+    projected = _adjoint(Q) @ problem.Y
+    coefficients = np.linalg.solve(R, projected) / scale[:, :, None]
+    residual = problem.Y - Q @ projected
+    return LocalFit(problem.orders, problem.inputs, a, coefficients, R * scale[:, None, :], residual)
+
+
+def _first_denominator(problem: _Problem) -> ComplexArray:
+    """Denominator of unit norm (W, na+1) that minimises A Y - B U - C (Levy), reweighted by 1/A (Sanathanan-Koerner)."""
+    inverse = np.ones(problem.weight.shape, complex)
+    for _ in range(3):
+        Q, _, _ = _orthogonal(problem.columns, problem.weight * inverse)
+        gram = _gram(_off(Q, _times(problem.Y * inverse[:, :, None], problem.P)))
+        a = np.linalg.eigh(gram)[1][:, :, 0]
+        inverse = 1.0 / _kept_from_zero(_denominator_at(problem, a))
+    return a
+
+
+def _kept_from_zero(A: ComplexArray) -> ComplexArray:
+    floor = 1e-6 * np.max(np.abs(A), axis=1, keepdims=True)
+    return np.where(np.abs(A) < floor, floor, A)
+
+
+def _times(Y: ComplexArray, P: Array) -> ComplexArray:
+    """Every channel times every polynomial (W, M, c, na+1)."""
+    return np.asarray(Y[:, :, :, None] * P[:, :, None, :])
+
+
+def _off(Q: ComplexArray, X: ComplexArray) -> ComplexArray:
+    """X (W, M, ...) less its projection on the basis Q."""
+    flat = X.reshape(X.shape[0], X.shape[1], -1)
+    return np.asarray((flat - Q @ (_adjoint(Q) @ flat)).reshape(X.shape))
+
+
+def _gram(X: ComplexArray) -> ComplexArray:
+    """Gram matrices (W, p, p) of X (W, M, c, p) over lines and channels."""
+    flat = X.reshape(X.shape[0], -1, X.shape[3])
+    return np.asarray(_adjoint(flat) @ flat)
+
+
+def _refined(problem: _Problem, a: ComplexArray) -> LocalFit:
+    """Gauss-Newton steps for the denominator, damped window by window (Levenberg-Marquardt)."""
+    fit = _linear_fit(problem, a)
+    damping = np.full(len(a), 1e-6)
+    for _ in range(ITERATIONS):
+        trial_a = fit.denominator + _step(problem, fit, damping)
+        trial = _linear_fit(problem, trial_a / np.linalg.norm(trial_a, axis=1, keepdims=True))
+        better = trial.cost < fit.cost
+        gain = np.where(better, 1.0 - trial.cost / np.maximum(fit.cost, 1e-300), 0.0)
+        fit = _chosen(better, trial, fit)
+        damping = np.where(better, damping / 10.0, damping * 30.0)
+        if np.all((gain < 1e-5) & (better | (damping > 1e3))):
+            break
+    return fit
+
+
+def _step(problem: _Problem, fit: LocalFit, damping: Array) -> ComplexArray:
+    """Step of the denominator (W, na+1); the direction along it, a mere scale, has no slope and gets no step."""
+    size = fit.orders.denominator + 1
+    inverse = 1.0 / _kept_from_zero(_denominator_at(problem, fit.denominator))
+    Q, _, _ = _orthogonal(problem.columns, problem.weight * inverse)
+    model = (problem.Y - fit.residual) * inverse[:, :, None]
+    flat = -_off(Q, _times(model, problem.P)).reshape(len(model), -1, size)
+    H = _adjoint(flat) @ flat
+    g = _adjoint(flat) @ fit.residual.reshape(len(model), -1, 1)
+    mean = np.trace(H, axis1=1, axis2=2).real / size + 1e-300
+    regular = H + ((damping + 1e-12) * mean)[:, None, None] * np.eye(size)
+    return np.asarray(np.linalg.solve(regular, g)[:, :, 0])
+
+
+def _chosen(where: NDArray[np.bool_], first: LocalFit, second: LocalFit) -> LocalFit:
+    """Window by window the first fit where told, else the second."""
+
+    def pick(one: ComplexArray, other: ComplexArray) -> ComplexArray:
+        return np.where(where.reshape(-1, *([1] * (one.ndim - 1))), one, other)
+
+    return LocalFit(
+        first.orders,
+        first.inputs,
+        pick(first.denominator, second.denominator),
+        pick(first.coefficients, second.coefficients),
+        pick(first.triangle, second.triangle),
+        pick(first.residual, second.residual),
+    )

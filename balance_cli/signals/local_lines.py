@@ -1,0 +1,139 @@
+"""Lines of records that do not repeat, for the same identification as periodic ones.
+
+The local models know the transient and how the response bends within a few lines. Both are taken out of a group of
+neighbouring lines, which then are u independent experiments at one frequency: with Q R the (weighted) loads of the
+group, Q* Y = R G' + noise. Groups do not overlap, and are narrow against the distance to the nearest pole, so that
+next to nothing is lost of what the lines say on the response. (Subtracting the estimated transient costs what its few
+coefficients cost; the covariance holds that.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.runs import Run
+from balance_cli.signals.lines import Lines
+from balance_cli.signals.local_fit import poles, response_rows
+from balance_cli.signals.local_models import LocalModels, design, influence, local_models, record_spectrum
+from balance_cli.signals.records import fault
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+POLE_SHARE = 0.3
+WIDEST_GROUP = 8
+LEAST_SIGNAL_TO_NOISE = 10.0
+
+
+@dataclass(frozen=True)
+class _Experiments:
+    """u experiments of one group: frequency [Hz], channels (u, c) and loads (u, u) in scaled units, line (index)."""
+
+    frequency: float
+    channels: ComplexArray
+    loads: ComplexArray
+    line: int
+
+
+def lines_from_local_model(
+    run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
+) -> Lines:
+    """Independent lines of a random, sine-sweep or stepped record within `band` [Hz].
+
+    Each group of neighbouring lines gives as many experiments as components were excited, one after the other at the
+    same frequency. The covariance holds the channels' noise and the loads', without correlation between them.
+    UserError: no loads, record too short, or no line at which the loads stand above their noise.
+    """
+    models = local_models(record_spectrum(run, channel_names, band))
+    everything = [group for w in range(len(models.fit)) for group in _groups(models, w)]
+    noise = models.noise.loads
+    kept = [group for group in everything if _strong(group.loads, noise)]
+    if not kept:
+        raise fault(run, "no line of the loads stands above their noise", "Excite more strongly", "loads")
+    return _lines(models, kept)
+
+
+def _groups(models: LocalModels, window: int) -> list[_Experiments]:
+    """The groups of lines for which this window speaks."""
+    excited = models.spectrum.excited
+    u = models.spectrum.loads.shape[1]
+    inverse = influence(models, window)
+    groups = []
+    for lines in _partition(models, window, u):
+        if np.all(excited[lines]):
+            groups.append(_experiments(models, window, inverse, lines))
+    return groups
+
+
+def _partition(models: LocalModels, window: int, inputs: int) -> list[Index]:
+    """Neighbouring lines, in groups narrower than a share of the distance to the nearest pole."""
+    fit, place = models.fit[window]
+    start, stop = models.owned[window]
+    half = (models.windows.r.shape[1] - 1) / 2
+    own = poles(fit, place) * half + half + models.first[window]
+    groups = []
+    while start < stop:
+        distance = np.min(np.abs(own - start), initial=np.inf)
+        size = int(np.clip(POLE_SHARE * distance, inputs, max(WIDEST_GROUP, 2 * inputs)))
+        size = size if stop - start - size >= inputs else stop - start
+        groups.append(np.arange(start, start + size))
+        start += size
+    return [group for group in groups if len(group) >= inputs]
+
+
+def _experiments(models: LocalModels, window: int, inverse: ComplexArray, lines: Index) -> _Experiments:
+    """Take transient and bend out of a group of lines, and turn it into independent experiments at its middle."""
+    s, level = models.spectrum, models.level
+    fit, place = models.fit[window]
+    inside = lines - models.first[window]
+    M = models.windows.r.shape[1]
+    everywhere = slice(models.first[window], models.first[window] + M)
+    r = models.windows.r[window, inside]
+    middle = int(lines[len(lines) // 2])
+    centre = response_rows(fit, place, r[len(r) // 2 : len(r) // 2 + 1])
+    driven_at_centre = np.sum(s.loads[lines][:, :, None] * centre, axis=1)
+    bend_and_transient = design(models, window, inside) - driven_at_centre
+    # What is left is linear in the window's outputs: their rows in the group less the coefficients' share.
+    operator = -(bend_and_transient @ inverse)
+    operator[np.arange(len(lines)), inside] += 1.0
+    weight = 1.0 / np.sqrt(level[lines])
+    Q, R = np.linalg.qr(s.loads[lines] * weight[:, None])
+    rows = (Q.conj().T * weight) @ operator
+    covariance = (rows * level[everywhere]) @ rows.conj().T / level[middle]
+    root = np.linalg.cholesky(covariance)
+    channels = np.linalg.solve(root, rows @ s.channels[everywhere])
+    return _Experiments(float(s.frequency[middle]), channels, np.linalg.solve(root, R), middle)
+
+
+def _strong(loads: ComplexArray, noise: ComplexArray) -> bool:
+    """Whether some load of the group stands well above its noise."""
+    amplitude = np.sqrt(np.sum(np.abs(loads) ** 2, axis=0))
+    return bool(np.any(amplitude > LEAST_SIGNAL_TO_NOISE * np.sqrt(np.diagonal(noise).real)))
+
+
+def _lines(models: LocalModels, groups: Sequence[_Experiments]) -> Lines:
+    """All experiments as lines, in volts and newtons."""
+    s = models.spectrum
+    u = s.loads.shape[1]
+    c = len(s.channel_names)
+    places = np.repeat([group.line for group in groups], u)
+    covariance = np.zeros((len(places), c + u, c + u), complex)
+    covariance[:, :c, :c] = models.noise.channels[places] * (s.channel_scale[:, None] * s.channel_scale)
+    covariance[:, c:, c:] = models.noise.loads * (s.load_scale[:, None] * s.load_scale)
+    return Lines(
+        run=s.run.name,
+        channel_names=s.channel_names,
+        components=s.components,
+        frequency=np.repeat([group.frequency for group in groups], u),
+        channels=np.concatenate([group.channels for group in groups]) * s.channel_scale,
+        loads=np.concatenate([group.loads for group in groups]) * s.load_scale,
+        covariance=covariance,
+        dof=models.noise.dof,
+        rotor_speed=s.run.rotor_speed,
+        level=s.run.level,
+    )

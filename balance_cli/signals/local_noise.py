@@ -1,0 +1,114 @@
+"""Noise of channels and loads, told apart in the residuals of local models.
+
+A residual is e = v_Y - G v_U: the noise of the channels, and that of the load signals seen through the response. Beside
+a lightly damped mode the second is much the larger and follows the mode; away from it the first is seen alone. So the
+two covariances are found together, as variance components (Searle, Casella and McCulloch, Variance Components, 1992,
+chapter 8), the channels' pooled over neighbouring lines, the loads' over all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.signals.noise import pooled_covariance
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+ITERATIONS = 10
+
+
+@dataclass(frozen=True)
+class NoiseComponents:
+    """Noise at K lines: `channels` (K, c, c), `loads` (u, u), and the complex degrees of freedom of the channels'."""
+
+    channels: ComplexArray
+    loads: ComplexArray
+    dof: float
+
+    def equation(self, response: ComplexArray) -> ComplexArray:
+        """Covariance (K, c, c) of `Y - G U` for a response G (K, c, u)."""
+        return np.asarray(self.channels + response @ self.loads @ response.conj().swapaxes(1, 2))
+
+    def excess(self, response: ComplexArray) -> Array:
+        """Mean variance (K,) of `Y - G U` in units of the channels' own noise: 1 where the loads add nothing."""
+        seen = np.linalg.solve(self.channels, response @ self.loads @ response.conj().swapaxes(1, 2))
+        return np.asarray(1.0 + np.trace(seen, axis1=1, axis2=2).real / self.channels.shape[1])
+
+
+def noise_components(
+    residual: ComplexArray, response: ComplexArray, counts: Array, start: NoiseComponents | None = None
+) -> NoiseComponents:
+    """Variance components of residuals (K, c) at lines with response (K, c, u) and counts (K,), the share of a degree
+
+    of freedom that the fit left to each line (the residual's expectation is that share of the noise).
+    """
+    scaled = residual / np.sqrt(counts)[:, None]
+    noise = start or _first_guess(scaled, response, counts)
+    for _ in range(ITERATIONS):
+        before = noise
+        noise = replace(noise, loads=_loads(scaled, response, noise))
+        noise = _with_channels(scaled, response, noise, counts)
+        if _alike(noise, before):
+            break
+    return noise
+
+
+def _first_guess(residual: ComplexArray, response: ComplexArray, counts: Array) -> NoiseComponents:
+    """Channels' noise from lines of small response, where the loads' noise is not seen; that of the loads zero."""
+    u = response.shape[2]
+    size = np.sum(np.abs(response) ** 2, axis=(1, 2))
+    weight = counts / (1.0 + size / max(float(np.median(size)), 1e-300)) ** 2
+    channels, dof = pooled_covariance(_outer(residual) * weight[:, None, None], weight)
+    return NoiseComponents(channels, np.zeros((u, u), complex), dof)
+
+
+def _with_channels(residual: ComplexArray, response: ComplexArray, noise: NoiseComponents, counts: Array) -> NoiseComponents:
+    """A better covariance of the channels: what the loads' noise explains is taken out (expectation-maximisation).
+
+    A line counts by the inverse square of its noise in units of the channels' own, so that what is assumed of the
+    loads matters little and the iteration converges within a few steps.
+    """
+    if not np.any(noise.loads):
+        return noise
+    weight = counts / noise.excess(response) ** 2
+    explained, posterior = _explained(residual, response, noise)
+    left = residual + np.matmul(response, explained[:, :, None])[:, :, 0]
+    scatter = _outer(left) + response @ posterior @ response.conj().swapaxes(1, 2)
+    channels, dof = pooled_covariance(scatter * weight[:, None, None], weight)
+    return replace(noise, channels=channels, dof=dof)
+
+
+def _alike(one: NoiseComponents, other: NoiseComponents) -> bool:
+    """Whether two steps differ by less than two per cent (the loads), or one (the channels, on average)."""
+    means = [np.diagonal(noise.channels, axis1=1, axis2=2).real.mean(axis=0) for noise in (one, other)]
+    return np.allclose(one.loads, other.loads, rtol=0.02, atol=0.0) and np.allclose(*means, rtol=0.01)
+
+
+def _outer(vectors: ComplexArray) -> ComplexArray:
+    """Outer product (K, c, c) of each vector (K, c) with itself."""
+    return np.asarray(vectors[:, :, None] * vectors[:, None, :].conj())
+
+
+def _explained(
+    residual: ComplexArray, response: ComplexArray, noise: NoiseComponents
+) -> tuple[ComplexArray, ComplexArray]:
+    """Mean (K, u) and covariance (K, u, u) of the loads' noise, given the residuals."""
+    gain = noise.loads @ np.linalg.solve(noise.equation(response), response).conj().swapaxes(1, 2)
+    mean = -np.matmul(gain, residual[:, :, None])[:, :, 0]
+    return mean, np.asarray(noise.loads - gain @ response @ noise.loads)
+
+
+def _loads(residual: ComplexArray, response: ComplexArray, noise: NoiseComponents) -> ComplexArray:
+    """One scoring step for the loads' covariance from the best linear estimate of the loads' noise at each line."""
+    weighted = np.linalg.solve(noise.channels, response)
+    information = response.conj().swapaxes(1, 2) @ weighted
+    size = np.trace(information, axis1=1, axis2=2).real[:, None, None] * 1e-9 + 1e-300
+    own = np.linalg.inv(information + size * np.eye(len(noise.loads)))
+    estimate = -np.matmul(own @ weighted.conj().swapaxes(1, 2), residual[:, :, None])[:, :, 0]
+    weight = np.trace(own + noise.loads, axis1=1, axis2=2).real ** -2.0
+    value, vector = np.linalg.eigh(np.einsum("k,kij->ij", weight, _outer(estimate) - own) / weight.sum())
+    return np.asarray((vector * np.maximum(value, 0.0)) @ vector.conj().T)
