@@ -73,7 +73,7 @@ def _yaml_format(path: Path) -> str | None:
 
 
 def text_of(value: object) -> str | None:
-    """An HDF5 attribute as text, or None where it is none."""
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    return str(value) if isinstance(value, str) else None
+    """An HDF5 attribute as text (what is not UTF-8 replaced), or None where it is none."""
+    if isinstance(value, str):
+        value = value.encode("utf-8", "surrogateescape")
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else None

@@ -23,12 +23,17 @@ MISSED_PULSE = 1.5
 
 @dataclass(frozen=True)
 class Table:
-    """A dataset (n, columns) without its samples: shape, numpy kind of its dtype, names of columns, their unit(s)."""
+    """A dataset (n, columns) without its samples.
+
+    `kind` is numpy's of its dtype, `units` are one for all columns or one each, `complete` says that every sample was
+    written.
+    """
 
     shape: tuple[int, ...]
     kind: str
     names: tuple[str, ...]
     units: tuple[str, ...]
+    complete: bool = True
 
 
 @dataclass(frozen=True)
@@ -181,6 +186,8 @@ def _table_faults(place: str, table: Table | None) -> Iterator[UserError]:
         fault = f"has the shape {table.shape}" if table.kind in "iuf" else "does not hold real numbers"
         yield UserError(fault, place=place, remedy="It should be numbers, samples by columns")
         return
+    if not table.complete:
+        yield UserError("not all samples were written", place=place, remedy="The record broke off; record it again")
     if len(table.names) != table.shape[1]:
         fault = f"{len(table.names)} names for {table.shape[1]} columns"
         yield UserError(fault, place=f"{place}, attribute names", remedy="Give one name a column")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -15,11 +16,17 @@ from balance_cli.components import COMPONENTS, UNITS
 from balance_cli.errors import UserError
 from balance_cli.files import written_whole
 from balance_cli.geometry import Geometry
-from balance_cli.recognise import is_hdf5, require_file, what_is
+from balance_cli.recognise import is_hdf5, require_file, text_of, what_is
 from balance_cli.run_checks import FORMAT, Contents, Table, declared_run, faults_of, sample_faults
 from balance_cli.runs import Array, Block, Run, run_digest
 
 CHUNK_ROWS = 4096
+MOST_ENTRIES = 10_000
+"""Entries of an attribute; no rig has so many channels."""
+ATTRIBUTES = (
+    *("format", "kind", "run", "rig", "sample_rate", "rotor_speed", "excited", "excitation", "level", "period", "trim"),
+    *("recorded", "note"),
+)
 
 
 @dataclass(frozen=True)
@@ -194,7 +201,7 @@ def _contents(path: Path) -> Contents:
     if not is_hdf5(path):
         raise _no_run(path)
     with damage_as_user_error(path), h5py.File(path, "r") as file:
-        attributes = {name: _plain(value) for name, value in file.attrs.items()}
+        attributes = _known_attributes(file, ATTRIBUTES)
         if attributes.get("format") != FORMAT:
             raise _no_run(path)
         pulses = file.get("rotor/pulse_times")
@@ -216,16 +223,38 @@ def _table(file: h5py.File, name: str, units: str) -> Table | None:
         return None
     if not isinstance(dataset, h5py.Dataset):
         raise UserError("is not a dataset", place=name, remedy="Write it as a dataset")
-    names, units_found = (_plain(dataset.attrs.get(name, ())) for name in ("names", units))
-    return Table(tuple(dataset.shape or ()), dataset.dtype.kind, _texts(names), _texts(units_found))
+    found = _known_attributes(dataset, ("names", units))
+    shape = tuple(dataset.shape or ())
+    names, unit = _texts(found.get("names")), _texts(found.get(units))
+    return Table(shape, dataset.dtype.kind, names, unit, _is_complete(dataset, shape))
+
+
+def _is_complete(dataset: h5py.Dataset, shape: tuple[int, ...]) -> bool:
+    """Whether all samples were written; HDF5 reads those that were not as zeros."""
+    if dataset.chunks is None:
+        return int(dataset.id.get_storage_size()) >= math.prod(shape) * dataset.dtype.itemsize
+    needed = math.prod(-(-size // chunk) for size, chunk in zip(shape, dataset.chunks, strict=True))
+    return int(dataset.id.get_num_chunks()) >= needed
+
+
+def _known_attributes(item: h5py.File | h5py.Dataset, names: Iterable[str]) -> dict[str, Any]:
+    """Those of the named attributes that are there; ValueError where one is longer than any can be (a damaged file)."""
+    found = {}
+    for name in names:
+        if name in item.attrs:
+            if math.prod(item.attrs.get_id(name).shape or ()) > MOST_ENTRIES:
+                raise ValueError(f"attribute {name} claims too many entries")
+            found[name] = _plain(item.attrs[name])
+    return found
 
 
 def _plain(value: Any) -> Any:
-    """An attribute as str, number, or list of these."""
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
+    """An attribute as str (what is not UTF-8 replaced), number, or list of several; one entry counts as a scalar."""
+    if isinstance(value, bytes | str):
+        return text_of(value)
     if isinstance(value, np.ndarray):
-        return [_plain(item) for item in value.ravel().tolist()]
+        entries = [_plain(item) for item in value.ravel().tolist()]
+        return entries[0] if len(entries) == 1 else entries
     return value.item() if isinstance(value, np.generic) else value
 
 
