@@ -1,0 +1,77 @@
+"""How far an identified model is from the measurement: against the noise of the runs, and relative to the signal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.estimation.paper.equations import Coefficients, model_response
+from balance_cli.estimation.paper.spectra import SensorSpectra
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+FRF_BAND = (5.0, 150.0)
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """`chi2` of the lines fitted against the noise measured in the runs, its `dof`, and relative errors.
+
+    `frf_errors` {run: rms(model - measurement) / rms(measurement)} of the responses s/u over sensors and lines from 5
+    to 150 Hz, whatever the band of the fit; `frf_error` is their root mean square. NaN where a run has no such line.
+    """
+
+    chi2: float
+    dof: int
+    frf_error: float
+    frf_errors: dict[str, float]
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """chi2 / dof; about 1 where nothing but the measured noise is left."""
+        return self.chi2 / self.dof if self.dof > 0 else float("nan")
+
+
+def misfit(everything: SensorSpectra, fitted: SensorSpectra, model: Coefficients, parameters: int) -> Misfit:
+    """Misfit of `model`: chi2 over the `fitted` lines, relative errors over `everything` in the common band."""
+    errors = frf_errors(everything.within(FRF_BAND), model)
+    present = [error for error in errors.values() if np.isfinite(error)]
+    frf_error = float(np.sqrt(np.mean(np.square(present)))) if present else float("nan")
+    dof = 2 * fitted.s.size - parameters
+    return Misfit(chi2_against_measured_noise(fitted, model), dof, frf_error, errors)
+
+
+def chi2_against_measured_noise(spectra: SensorSpectra, model: Coefficients) -> float:
+    """2 sum eps* C^-1 eps with C the covariance of eps = s - G u from the measured noise of both s and u.
+
+    C = [I, -G] cov[s, u] [I, -G]*. An inverse estimated with dof degrees of freedom is too large by dof / (dof - n)
+    (complex Wishart), which is taken out.
+    """
+    G = model_response(model, spectra.frequency)
+    n = G.shape[1]
+    T = np.concatenate([np.broadcast_to(np.eye(n), (len(G), n, n)), -G], axis=2)
+    error = _output_error(spectra, G)
+    C = T @ spectra.covariance @ np.conj(np.swapaxes(T, 1, 2))
+    weighted = np.linalg.solve(C, error[:, :, None])[:, :, 0]
+    known = np.isinf(spectra.dof)
+    unbiased = np.where(known, 1.0, 1.0 - n / np.maximum(spectra.dof, n + 1))
+    return float(2.0 * np.sum(unbiased * np.sum(np.conj(error) * weighted, axis=1).real))
+
+
+def frf_errors(spectra: SensorSpectra, model: Coefficients) -> dict[str, float]:
+    """rms(G u - s) / rms(s) of every run, each line divided by its |u| (its response, where one load is excited)."""
+    error = _output_error(spectra, model_response(model, spectra.frequency))
+    size = np.sum(np.abs(spectra.u) ** 2, axis=1)
+    difference, signal = (np.sum(np.abs(x) ** 2, axis=1) / size for x in (error, spectra.s))
+    found = {}
+    for i, run in enumerate(spectra.runs):
+        mine = spectra.run == i
+        found[run] = float(np.sqrt(difference[mine].sum() / signal[mine].sum())) if mine.any() else float("nan")
+    return found
+
+
+def _output_error(spectra: SensorSpectra, G: ComplexArray) -> ComplexArray:
+    return np.asarray(spectra.s - (G @ spectra.u[:, :, None])[:, :, 0])

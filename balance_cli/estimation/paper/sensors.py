@@ -1,0 +1,111 @@
+"""The n sensors of the paper's form: which cells stand alone, and which two are taken together (s_z34)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.errors import UserError
+from balance_cli.estimation.paper.plate import RigidPlate, rigid_plate
+from balance_cli.geometry import Geometry
+
+Array = NDArray[np.float64]
+
+PARALLEL = 1e-6
+"""Axes whose unit vectors differ by less than this are parallel."""
+NEARLY_BEST = 10.0
+"""A pair serves where the condition of its P is within this factor of the best pair's."""
+SINGULAR = 1e6
+"""Condition of the scaled P beyond which the sensors do not determine the motion of the plate."""
+
+
+@dataclass(frozen=True)
+class SensorRule:
+    """How n sensor forces follow from the cell forces: s = `matrix` (n, cells) times the cells' forces.
+
+    `names` (n,) of the sensors; `merged` names the two cells whose resultant is one sensor, empty where n cells
+    measure n freedoms; `condition` is that of P = matrix C B with unit rows and columns.
+    """
+
+    names: tuple[str, ...]
+    cells: tuple[str, ...]
+    matrix: Array
+    merged: tuple[str, ...]
+    condition: float
+
+
+def sensor_rule(geometry: Geometry) -> SensorRule:
+    """The sensors of the paper's form: n cells for n freedoms, or n + 1 of which two parallel ones are merged.
+
+    Of the parallel pairs it takes the last in declared order whose P is about as well conditioned as the best pair's.
+    The sum is exact: c3 d3 + c4 d4 = (c3 + c4) d(p) at the stiffness-weighted mean p of the two positions (note 6).
+
+    Raises UserError where the number of cells does not fit, no two are parallel, or the sensors leave P singular.
+    """
+    plate, n, cells = rigid_plate(geometry), len(geometry.freedom), len(geometry.cells)
+    if cells == n:
+        best = _rule(geometry, plate, None)
+    elif cells == n + 1:
+        best = _last_good(geometry, plate)
+    else:
+        raise _unfit(f"{cells} cells for {n} freedoms; it needs {n}, or {n + 1} of which two are parallel")
+    if best.condition > SINGULAR:
+        raise _unfit("the cells do not determine the motion of the plate")
+    return best
+
+
+def _last_good(geometry: Geometry, plate: RigidPlate) -> SensorRule:
+    axes = [cell.direction for cell in geometry.cells]
+    parallel = [(i, j) for j, i in combinations(range(len(axes))[::-1], 2) if _are_parallel(axes[i], axes[j])]
+    if not parallel:
+        raise _unfit("one cell more than freedoms, but no two cells have parallel axes to be taken together")
+    rules = [_rule(geometry, plate, pair) for pair in parallel]
+    least = min(rule.condition for rule in rules)
+    return next(rule for rule in rules if rule.condition <= NEARLY_BEST * least)
+
+
+def _are_parallel(a: Array, b: Array) -> bool:
+    return bool(np.linalg.norm(np.cross(a, b)) < PARALLEL)
+
+
+def _unfit(fault: str) -> UserError:
+    return UserError(f"the paper's form does not fit this rig: {fault}", place="cells", remedy="Use `--form physical`")
+
+
+def _rule(geometry: Geometry, plate: RigidPlate, pair: tuple[int, int] | None) -> SensorRule:
+    names, matrix = list(geometry.cell_names), np.eye(len(geometry.cells))
+    merged: tuple[str, ...] = ()
+    if pair is not None:
+        i, j = pair
+        # Opposite axes: the resultant along the first one's axis is the difference of the two readings.
+        matrix[i, j] = np.sign(geometry.cells[i].direction @ geometry.cells[j].direction)
+        matrix = np.delete(matrix, j, axis=0)
+        merged = (names[i], names[j])
+        names[i] = _resultant_name(*merged)
+        del names[j]
+    P = sensor_matrix(matrix, plate)
+    return SensorRule(tuple(names), geometry.cell_names, matrix, merged, _scaled_condition(P))
+
+
+def sensor_matrix(merge: Array, plate: RigidPlate) -> Array:
+    """P (n, n) [N per unit q]: s = P q, the merged form of C B (note 3)."""
+    return np.asarray(merge @ (plate.c[:, None] * plate.B))
+
+
+def _resultant_name(first: str, second: str) -> str:
+    """z3 and z4 give z34."""
+    same = [a == b for a, b in zip(first, second, strict=False)]
+    common = first[: [*same, False].index(False)]
+    rest = (first[len(common) :], second[len(common) :])
+    return common + "".join(rest) if common and all(rest) else f"{first}+{second}"
+
+
+def _scaled_condition(P: Array) -> float:
+    P = P / np.linalg.norm(P, axis=1, keepdims=True)
+    columns = np.linalg.norm(P, axis=0)
+    if np.any(columns == 0.0):
+        return float("inf")
+    return float(np.linalg.cond(P / columns))
