@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.paper.fit import PaperFit
 from balance_cli.geometry import Geometry
 
 Array = NDArray[np.float64]
@@ -53,14 +54,6 @@ class RunFit:
 
 
 @dataclass(frozen=True)
-class PhysicalModel:
-    """The physical form at its estimate: full covariance (p, p) of the parameters, zero rows for exact ones."""
-
-    parameters: ParameterTable
-    covariance: Array
-
-
-@dataclass(frozen=True)
 class FitQuality:
     """Chi-square against the measured noise, its degrees of freedom, and the relative error of all responses."""
 
@@ -77,26 +70,29 @@ class FitQuality:
 
 @dataclass(frozen=True)
 class IdentifiedModel:
-    """A balance model in physical form, computed or identified.
+    """A balance model, computed or identified.
 
-    `method` is `computed`, `ls`, `ml` or `ls+ml`; `start` says where the maximum likelihood began; `undetermined` says
-    in words what the data alone leave open; `live_channels` are the channels whose noise allowed a fit.
+    `form` is `physical` or `paper`; `method` is `computed`, `ls`, `ml` or `ls+ml`; `start` says where the maximum
+    likelihood began; `covariance` (p, p) is that of all parameters, zero rows for exact ones; `undetermined` says in
+    words what the data alone leave open; `channels_left_out` {run: {channel: why}}.
     """
 
     form: str
     method: str
     start: str
     geometry: Geometry
-    physical: PhysicalModel
+    parameters: ParameterTable
+    covariance: Array
     modes: ModeTable
     quality: FitQuality
     undetermined: tuple[str, ...]
-    left_out: dict[str, str]
+    channels_left_out: dict[str, dict[str, str]]
     iterations: int
     converged: bool
+    paper: PaperFit | None = None
 
     @property
     def misfit_scale(self) -> float:
         """Factor (Birge ratio) on every sigma where the model does not fit: sqrt(chi2/dof), at least 1."""
         ratio = self.quality.chi2_per_dof
-        return float(np.sqrt(ratio)) if np.isfinite(ratio) and ratio > 1.0 else 1.0
+        return float(np.sqrt(ratio)) if self.iterations and ratio > 1.0 else 1.0

@@ -3,57 +3,78 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.errors import UserError
 from balance_cli.estimation.equation_error import least_squares
-from balance_cli.estimation.gauss_newton import Minimum, minimise, prior_curvature
+from balance_cli.estimation.gauss_newton import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
+from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch, stacked
+from balance_cli.estimation.paper.fit import PAPER_BAND, PaperOptions
 from balance_cli.estimation.quality import fit_quality
 from balance_cli.estimation.support import parameter_support, undetermined
 from balance_cli.geometry import Geometry
-from balance_cli.identified import FitQuality, IdentifiedModel, ModeTable, ParameterTable, PhysicalModel
+from balance_cli.identified import IdentifiedModel, ModeTable, ParameterTable
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.modes import modes
-from balance_cli.signals.lines import Lines, StaticPoints
+from balance_cli.paper_form import paper_form
+from balance_cli.signals.lines import Lines
+from balance_cli.spectra import Spectra
 
 Array = NDArray[np.float64]
 
-METHODS = ("ls", "ml", "ls+ml", "computed")
+ALL_LINES = (0.0, np.inf)
+# The equation error takes the dynamic lines; frequency zero tells nothing of mass and damping.
+DYNAMIC = (0.5, np.inf)
 
 
 @dataclass(frozen=True)
 class IdentifyOptions:
-    """How to identify: `method` (one of METHODS) and the band [Hz] of the lines that take part."""
+    """How to identify: `method`, `form`, the damping matrix of the paper's form, and the band [Hz] of the lines.
 
-    method: str = "ls+ml"
-    band: tuple[float, float] = (0.0, np.inf)
+    Without a band the physical form uses all lines, the paper's those from 10 to 125 Hz.
+    """
+
+    method: Literal["ls", "ml", "ls+ml", "computed"] = "ls+ml"
+    form: Literal["physical", "paper"] = "physical"
+    damping: Literal["diagonal", "full"] = "diagonal"
+    band: tuple[float, float] | None = None
 
 
-def identify(
-    lines: Sequence[Lines],
-    statics: Sequence[StaticPoints],
-    geometry: Geometry,
-    options: IdentifyOptions | None = None,
-    left_out: dict[str, str] | None = None,
-) -> IdentifiedModel:
-    """Fit the physical form to the measured lines and the static points, with priors from the tolerances.
+def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | None = None) -> IdentifiedModel:
+    """Fit the balance to the lines of all sweeps and to the static points, at once.
 
     Raises UserError where there is nothing to fit.
     """
     options = options or IdentifyOptions()
-    model = balance_model(geometry)
-    batches = stacked([_in_band(item, options.band) for item in lines], statics, geometry.channel_names)
-    if options.method == "computed":
-        return _described(model, batches, _unfitted(model, batches), options.method, "geometry", left_out or {})
-    if not batches:
+    if options.method != "computed" and not (spectra.lines or spectra.statics):
         raise UserError("no sweep and no static run to identify from", remedy="Give at least one sweep run")
-    minimum, start = _fitted(model, batches, options)
-    return _described(model, batches, minimum, options.method, start, left_out or {})
+    if options.form == "paper":
+        return paper_form(spectra, geometry, _paper_options(options))
+    band = options.band or ALL_LINES
+    lines = tuple(item for item in (_in_band(run, band) for run in spectra.lines) if len(item.frequency))
+    return _physical_form(replace(spectra, lines=lines), geometry, options)
+
+
+def _paper_options(options: IdentifyOptions) -> PaperOptions:
+    if options.method == "computed":
+        raise UserError("the paper's form is identified, not computed", "--method", remedy="Use ls, ml or ls+ml")
+    return PaperOptions(method=options.method, damping=options.damping, band=options.band or PAPER_BAND)
+
+
+def _physical_form(spectra: Spectra, geometry: Geometry, options: IdentifyOptions) -> IdentifiedModel:
+    model = balance_model(geometry)
+    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    if options.method == "computed":
+        minimum, start = _unfitted(model, batches), "geometry"
+    else:
+        minimum, start = _fitted(model, batches, options)
+    return _described(model, batches, minimum, options.method, start, spectra.channels_left_out)
 
 
 def _in_band(lines: Lines, band: tuple[float, float]) -> Lines:
@@ -61,8 +82,13 @@ def _in_band(lines: Lines, band: tuple[float, float]) -> Lines:
     keep = (lines.frequency >= band[0]) & (lines.frequency <= band[1])
     if keep.all():
         return lines
-    arrays = {name: getattr(lines, name)[keep] for name in ("frequency", "channels", "loads", "covariance")}
-    return Lines(**{**lines.__dict__, **arrays})
+    return replace(
+        lines,
+        frequency=lines.frequency[keep],
+        channels=lines.channels[keep],
+        loads=lines.loads[keep],
+        covariance=lines.covariance[keep],
+    )
 
 
 def _unfitted(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
@@ -79,8 +105,7 @@ def _fitted(model: BalanceModel, batches: Sequence[Batch], options: IdentifyOpti
     declared = model.parameters.value
     if options.method == "ml":
         return maximum_likelihood(model, batches, declared), "geometry"
-    band = (max(options.band[0], 1.0), options.band[1])
-    first = least_squares(model.parameters, batches, model.system, band)
+    first = least_squares(model.parameters, batches, model.system, DYNAMIC)
     if options.method == "ls":
         data = data_curvature(batches, model.system(first.theta))
         total = data + prior_curvature(model.parameters, first.theta)
@@ -90,56 +115,51 @@ def _fitted(model: BalanceModel, batches: Sequence[Batch], options: IdentifyOpti
     return maximum_likelihood(model, batches, starts[best]), best
 
 
-def maximum_likelihood(model: BalanceModel, batches: Sequence[Batch], start: Array) -> Minimum:
-    """Maximise the likelihood of the lines (errors on channels and loads) times the priors, from `start`."""
-    return minimise(
-        model.parameters,
-        start,
-        lambda theta: data_curvature(batches, model.system(theta)),
-        lambda theta: data_chi2(batches, model.system(theta)),
-    )
-
-
 def _described(
     model: BalanceModel,
     batches: Sequence[Batch],
     minimum: Minimum,
     method: str,
     start: str,
-    left_out: dict[str, str],
+    left_out: dict[str, dict[str, str]],
 ) -> IdentifiedModel:
-    covariance = np.linalg.inv(minimum.total.information)
+    covariance = np.asarray(np.linalg.inv(minimum.total.information), float)
     support = parameter_support(model.parameters, minimum.data.information)
-    quality = fit_quality(batches, model.system(minimum.theta), support.determined)
     return IdentifiedModel(
         form="physical",
         method=method,
         start=start,
         geometry=model.geometry,
-        physical=_physical(model, minimum.theta, covariance, support.rests_on),
+        parameters=_table(model, minimum.theta, covariance, support.rests_on),
+        covariance=_with_exact(model, covariance),
         modes=mode_table(model, minimum.theta, covariance),
-        quality=quality if method != "computed" or batches else FitQuality(float("nan"), 0.0, float("nan"), {}),
-        undetermined=undetermined(model.parameters, minimum.data.information) if method != "computed" else (),
-        left_out=left_out,
+        quality=fit_quality(batches, model.system(minimum.theta), support.determined),
+        undetermined=() if method == "computed" else undetermined(model.parameters, minimum.data.information),
+        channels_left_out=left_out,
         iterations=minimum.iterations,
         converged=minimum.converged,
     )
 
 
-def _physical(model: BalanceModel, theta: Array, covariance: Array, rests_on: tuple[str, ...]) -> PhysicalModel:
+def _with_exact(model: BalanceModel, covariance: Array) -> Array:
+    """The covariance of the free parameters among all, zero rows and columns for exact ones."""
+    free, p = model.parameters.free, len(model.parameters)
+    full = np.zeros((p, p))
+    full[np.ix_(free, free)] = covariance
+    return full
+
+
+def _table(model: BalanceModel, theta: Array, covariance: Array, rests_on: tuple[str, ...]) -> ParameterTable:
     parameters = model.parameters
-    full = np.zeros((len(parameters), len(parameters)))
-    full[np.ix_(parameters.free, parameters.free)] = covariance
-    table = ParameterTable(
+    return ParameterTable(
         names=parameters.names,
         units=parameters.units,
         value=theta,
-        sigma=np.sqrt(np.diag(full)),
+        sigma=np.sqrt(np.diag(_with_exact(model, covariance))),
         declared=parameters.value,
         declared_sigma=parameters.sigma,
         rests_on=rests_on,
     )
-    return PhysicalModel(table, full)
 
 
 def mode_table(model: BalanceModel, theta: Array, covariance: Array) -> ModeTable:

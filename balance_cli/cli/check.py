@@ -58,4 +58,5 @@ def _indented(faults: list[UserError]) -> list[str]:
 def _summary(finding: Finding, faults: list[UserError]) -> dict[str, Any]:
     about = {"kind": finding.kind, "about": finding.about, "name": finding.name, "rig": finding.rig}
     listed = [{"place": fault.place, "fault": fault.fault, "remedy": fault.remedy} for fault in faults]
-    return {**about, "digest": finding.digest, "faults": listed}
+    run_kind = {"run_kind": finding.run_kind} if finding.run_kind else {}
+    return {**about, **run_kind, "digest": finding.digest, "faults": listed}

@@ -28,7 +28,8 @@ from __future__ import annotations
 
 import functools
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -167,6 +168,17 @@ class Session:
         """Say that a run (or channel) was read but not used, and why."""
         self._left_out[name] = reason
         self._say_warning(f"{name} left out: {reason}")
+
+    @contextmanager
+    def skipping(self, run: Run, skip_bad: bool) -> Iterator[None]:
+        """With `skip_bad`, go on without a run that turns out to be unusable, and list it."""
+        try:
+            yield
+        except UserError as error:
+            if not skip_bad:
+                raise error.at(str(run.path or run.name)) from error
+            self._skipped[str(run.path or run.name)] = str(error)
+            self._say_warning(f"skipped: {error}")
 
     def finish(self, summary: Mapping[str, Any], text: Iterable[str] = ()) -> None:
         """The summary (one JSON object) and what to tell the user, shown once all outputs are in place."""

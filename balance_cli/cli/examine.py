@@ -22,7 +22,7 @@ LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,p
 
 @dataclass(frozen=True)
 class Finding:
-    """One file: its kind (`geometry`, `run`, a format, `unknown`), what to say of it, and its faults."""
+    """One file: its kind (`geometry`, `run`, a format, `unknown`), what to say of it, its faults, and of a run its kind."""
 
     kind: str
     about: str
@@ -30,6 +30,7 @@ class Finding:
     rig: str = ""
     digest: str = ""
     faults: tuple[UserError, ...] = ()
+    run_kind: str = ""
 
 
 def examine(path: Path, geometry: Geometry | None) -> Finding:
@@ -82,7 +83,7 @@ def _run(path: Path, geometry: Geometry | None) -> Finding:
         faults += tuple(mismatches(run, geometry))
     remedy = "It will be left out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
-    return Finding("run", _about_run(run), run.name, run.rig, run.digest, faults)
+    return Finding("run", _about_run(run), run.name, run.rig, run.digest, faults, run.kind)
 
 
 def _about_run(run: Run) -> str:

@@ -73,7 +73,8 @@ def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArr
     surplus = measured.forces - q @ R.value.T
     d_surplus = -slopes_times(R.slope, q) - np.matmul(R.value, dq)
     error = np.concatenate([balance, surplus], axis=1) * measured.weight
-    return error.astype(complex), np.concatenate([slopes, d_surplus], axis=1) * measured.weight[:, :, None]
+    error_slopes = np.concatenate([slopes, d_surplus], axis=1) * measured.weight[:, :, None]
+    return np.asarray(error, complex), np.asarray(error_slopes, complex)
 
 
 def _pencil_times(system: System, measured: MeasuredForces, q: ComplexArray) -> ComplexArray:

@@ -8,10 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.coordinates import Coordinates, coordinates
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.model.parameters import ParameterSet
 
 Array = NDArray[np.float64]
+
+# Damping starts at none: what the priors alone hold has an information of 1e-10 of what the data hold, and any damping
+# would keep such directions from moving.
+LEAST_DAMPING = 1e-8
 
 
 @dataclass(frozen=True)
@@ -44,24 +49,29 @@ def minimise(
 ) -> Minimum:
     """Minimise chi2 of the data plus priors over the free parameters.
 
-    Marquardt's damping acts on parameters in units of their `scale`. Ends when the step promises to lower chi2 by
-    less than `tolerance`, or by less than 1e-9 of it.
+    Steps are taken in the coordinates that make the scale of the rig a straight line, damped after Marquardt. Ends
+    when the step promises to lower chi2 by less than `tolerance`, or by less than 1e-9 of it.
     """
-    scale = parameters.scale[parameters.free]
-    theta, damping = np.array(start, float), 1e-6
+    space = coordinates(parameters)
+    theta, damping = np.array(start, float), 0.0
     for iteration in range(1, iterations + 1):
         data = curvature(theta)
-        total = data + prior_curvature(parameters, theta)
-        total = _held_at_bounds(parameters, theta, total)
-        promised = _promised(total, scale)
+        whole = data + prior_curvature(parameters, theta)
+        total = _held_at_bounds(parameters, theta, _in_coordinates(parameters, space, theta, whole))
+        promised = _promised(total)
         if promised < max(tolerance, 1e-9 * total.chi2):
-            return Minimum(theta, data, data + prior_curvature(parameters, theta), iteration, True)
-        theta, damping, moved = _descend(parameters, theta, total, scale, damping, chi2)
+            return Minimum(theta, data, whole, iteration, True)
+        theta, damping, moved = _descend(parameters, space, theta, total, damping, chi2)
         if not moved:
-            total = data + prior_curvature(parameters, theta)
-            return Minimum(theta, data, total, iteration, promised < 1e-6 * total.chi2)
+            return Minimum(theta, data, whole, iteration, promised < 1e-6 * total.chi2)
     data = curvature(theta)
     return Minimum(theta, data, data + prior_curvature(parameters, theta), iterations, False)
+
+
+def _in_coordinates(parameters: ParameterSet, space: Coordinates, theta: Array, total: Curvature) -> Curvature:
+    """The curvature with respect to the coordinates of the free parameters."""
+    J = space.jacobian(theta)[np.ix_(parameters.free, parameters.free)]
+    return Curvature(total.chi2, J.T @ total.gradient, J.T @ total.information @ J)
 
 
 def _held_at_bounds(parameters: ParameterSet, theta: Array, total: Curvature) -> Curvature:
@@ -75,44 +85,48 @@ def _held_at_bounds(parameters: ParameterSet, theta: Array, total: Curvature) ->
         return total
     information = total.information.copy()
     information[held, :] = information[:, held] = 0.0
-    information[held, held] = 1.0 / parameters.scale[free][held] ** 2
+    information[held, held] = 1.0
     return Curvature(total.chi2, np.where(held, 0.0, total.gradient), information)
 
 
-def _scaled(total: Curvature, scale: Array) -> tuple[Array, Array]:
-    return total.information * np.outer(scale, scale), total.gradient * scale
+def _normalised(total: Curvature) -> tuple[Array, Array, Array]:
+    """Information and gradient with unit diagonal, and the factors that give steps back their size."""
+    size = 1.0 / np.sqrt(np.maximum(np.diag(total.information), 1e-300))
+    return total.information * np.outer(size, size), total.gradient * size, size
 
 
-def _promised(total: Curvature, scale: Array) -> float:
+def _promised(total: Curvature) -> float:
     """How much a full Gauss-Newton step would lower chi2."""
-    information, gradient = _scaled(total, scale)
-    return float(gradient @ np.linalg.lstsq(information, gradient, rcond=1e-14)[0])
+    information, gradient, _ = _normalised(total)
+    return float(gradient @ np.linalg.lstsq(information, gradient, rcond=1e-15)[0])
 
 
 def _descend(
     parameters: ParameterSet,
+    space: Coordinates,
     theta: Array,
     total: Curvature,
-    scale: Array,
     damping: float,
     chi2: Callable[[Array], float],
 ) -> tuple[Array, float, bool]:
     """One accepted step: raise the damping until chi2 falls."""
-    information, gradient = _scaled(total, scale)
-    diagonal = np.diag(information).copy()
+    information, gradient, size = _normalised(total)
     for _ in range(24):
-        damped = information + damping * np.diag(np.maximum(diagonal, 1e-12 * diagonal.max()))
-        step = -np.linalg.solve(damped, gradient) * scale
-        trial = _within(parameters, theta, step)
+        step = -np.linalg.solve(information + damping * np.eye(len(size)), gradient) * size
+        trial = _stepped(parameters, space, theta, step)
         if chi2(trial) + prior_curvature(parameters, trial).chi2 < total.chi2:
-            return trial, max(damping / 10.0, 1e-9), True
-        damping *= 10.0
+            return trial, (damping / 100.0 if damping > LEAST_DAMPING else 0.0), True
+        damping = max(10.0 * damping, LEAST_DAMPING)
     return theta, damping, False
 
 
-def _within(parameters: ParameterSet, theta: Array, step: Array) -> Array:
+def _stepped(parameters: ParameterSet, space: Coordinates, theta: Array, step: Array) -> Array:
     """The step taken, but at most nine tenths of the way to any bound."""
-    trial = theta.copy()
-    trial[parameters.free] += step
+    z = space.inward(theta)
+    # A factor of three is the most that one step may change a positive parameter.
+    z[parameters.free] += step * min(
+        1.0, 1.0 / max(np.abs(step[space.logarithmic[parameters.free]]).max(initial=0), 1e-300)
+    )
+    trial = space.outward(z)
     trial = np.where(trial <= parameters.lower, theta + 0.9 * (parameters.lower - theta), trial)
     return np.asarray(np.where(trial >= parameters.upper, theta + 0.9 * (parameters.upper - theta), trial))

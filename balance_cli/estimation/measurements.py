@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
 from balance_cli.signals.lines import Lines, StaticPoints
+from balance_cli.signals.noise import inverse_bias_factor
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -82,11 +83,6 @@ def _exact(lines: Lines) -> bool:
     return not np.any(lines.covariance[:, c:, c:])
 
 
-def inverse_bias_factor(dof: float, size: int) -> float:
-    """(dof - n) / dof: the mean of the inverse of a complex Wishart matrix of n signals is larger by its inverse."""
-    return 1.0 if np.isinf(dof) else max(dof - size, 1.0) / dof
-
-
 def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: tuple[str, ...]) -> Batch:
     spin, _, exact = key
     frequency, index = np.unique(np.concatenate([run.frequency for run in group]), return_inverse=True)
@@ -132,7 +128,7 @@ def _precision(lines: Lines, channel_names: tuple[str, ...], exact: bool) -> Com
     live, c, u = len(lines.channel_names), len(channel_names), len(lines.components)
     used = slice(0, live) if exact else slice(0, live + u)
     covariance = lines.covariance[:, used, used]
-    inverse = np.linalg.inv(covariance) * inverse_bias_factor(lines.dof, covariance.shape[1])
+    inverse = np.linalg.inv(covariance) * inverse_bias_factor(lines.dof, live)
     wide = np.zeros((len(inverse), c + u, c + u), complex)
     places = np.array(_places(lines, channel_names) + ([] if exact else list(range(c, c + u))))
     wide[:, places[:, None], places[None, :]] = inverse

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.likelihood import exciter_response, fitted
+from balance_cli.estimation.likelihood import fitted
 from balance_cli.estimation.measurements import Batch
 from balance_cli.identified import FitQuality, RunFit
 from balance_cli.model.system import System, solve

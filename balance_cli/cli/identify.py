@@ -1,0 +1,140 @@
+"""`balance identify`: fit the balance model to sweeps and static runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from balance_cli.cli.common import (
+    Session,
+    balance_command,
+    geometry_option,
+    output_option,
+    skip_bad_option,
+)
+from balance_cli.cli.options import InputFile
+
+if TYPE_CHECKING:
+    from balance_cli.identified import IdentifiedModel
+
+FORMAT = "balance-model/1"
+METHODS = ("ls", "ml", "ls+ml", "computed")
+
+
+@balance_command("identify")
+@geometry_option
+@click.argument("runs", type=InputFile(), nargs=-1, metavar="RUN...")
+@click.option(
+    "--method",
+    type=click.Choice(METHODS),
+    default="ls+ml",
+    show_default=True,
+    help="Least squares (equation error), maximum likelihood, both; or the geometry as computed, without a fit.",
+)
+@click.option(
+    "--form",
+    type=click.Choice(["physical", "paper"]),
+    default="physical",
+    show_default=True,
+    help="Physical parameters with priors; or the six-sensor state form of the 1985 paper.",
+)
+@click.option(
+    "--damping",
+    type=click.Choice(["diagonal", "full"]),
+    default="diagonal",
+    show_default=True,
+    help="Damping matrix of the paper's form.",
+)
+@click.option(
+    "--band",
+    type=(float, float),
+    default=None,
+    metavar="FROM TO",
+    help="Use lines within this band only [Hz]; the paper's form has 10 125 without it.",
+)
+@skip_bad_option
+@output_option("MODEL")
+def command(
+    session: Session,
+    geometry: Path,
+    runs: tuple[Path, ...],
+    method: Literal["ls", "ml", "ls+ml", "computed"],
+    form: Literal["physical", "paper"],
+    damping: Literal["diagonal", "full"],
+    band: tuple[float, float] | None,
+    skip_bad: bool,
+    output: Path,
+) -> None:
+    """Identify the balance from sweeps (and static runs) in the frequency domain.
+
+    Runs of other kinds are left out and named. With --method computed no run is needed: the model is the geometry.
+    """
+    from balance_cli.identify import IdentifyOptions, identify
+    from balance_cli.spectra import measured_spectra
+
+    rig = session.geometry(geometry)
+    records = session.runs(runs, rig, skip_bad)
+    spectra = measured_spectra(session.progress(records, "spectra", len(records)), rig)
+    for name, reason in spectra.unused.items():
+        session.left_out(name, reason)
+    options = IdentifyOptions(method=method, form=form, damping=damping, band=band)
+    model = identify(spectra, rig, options)
+    session.save(output, FORMAT, model)
+    session.finish(model_summary(model), model_text(model))
+
+
+def model_summary(model: IdentifiedModel) -> dict[str, Any]:
+    """The fixed keys of the contract, and what else tells how good the fit is."""
+    quality, table = model.quality, model.parameters
+    return {
+        "form": model.form,
+        "method": model.method,
+        "start": model.start,
+        "converged": model.converged,
+        "iterations": model.iterations,
+        "modes": _modes_summary(model),
+        "chi2_per_dof": quality.chi2_per_dof,
+        "frf_error": quality.frf_error,
+        "runs": {name: asdict(run) for name, run in quality.runs.items()},
+        "parameters": {
+            name: dict(zip(("value", "sigma", "unit", "rests_on"), entry, strict=True))
+            for name, *entry in zip(table.names, table.value, table.sigma, table.units, table.rests_on, strict=True)
+        },
+        "undetermined": model.undetermined,
+        "channels_left_out": model.channels_left_out,
+    }
+
+
+def _modes_summary(model: IdentifiedModel) -> list[dict[str, float]]:
+    modes = model.modes
+    return [
+        {
+            "frequency_hz": modes.frequency[i],
+            "damping_ratio": modes.damping_ratio[i],
+            "sigma_frequency_hz": modes.sigma_frequency[i],
+            "sigma_damping_ratio": modes.sigma_damping_ratio[i],
+        }
+        for i in range(len(modes.frequency))
+    ]
+
+
+def model_text(model: IdentifiedModel) -> Iterator[str]:
+    """What a user wants to know at once: modes, quality of the fit, what the data left open."""
+    quality, modes = model.quality, model.modes
+    yield f"{model.form} form, {model.method}, {model.iterations} iterations from {model.start}"
+    if not model.converged:
+        yield "NOT CONVERGED: take the result with care"
+    if quality.runs:
+        yield f"chi2/dof {quality.chi2_per_dof:.4g} against the measured noise"
+        yield f"error of all responses {100 * quality.frf_error:.3g} %"
+    if model.misfit_scale > 1.1:
+        yield "The model does not describe these data: every sigma below says less than it seems to"
+    yield "   Hz         sigma      damping    sigma"
+    for row in zip(modes.frequency, modes.sigma_frequency, modes.damping_ratio, modes.sigma_damping_ratio, strict=True):
+        yield "{:9.4f} {:9.2g} {:9.5f} {:9.2g}".format(*row)
+    for direction in model.undetermined:
+        yield f"the data alone leave open: {direction}"

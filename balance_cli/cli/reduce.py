@@ -1,0 +1,216 @@
+"""`balance reduce`: rotor-harmonic hub loads of check and wind runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from balance_cli.cli.common import Session, balance_command, output_option, skip_bad_option
+from balance_cli.cli.options import InputFile, OutputFolder
+from balance_cli.errors import UserError
+
+if TYPE_CHECKING:
+    from balance_cli.calibrated import Calibration
+    from balance_cli.hub_loads import Loads, RunLoads
+    from balance_cli.responses import ResponseSource
+    from balance_cli.runs import Run
+    from balance_cli.steady_loads import ZeroRecord
+
+FORMAT = "balance-loads/1"
+INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
+
+
+@balance_command("reduce")
+@click.option("--calibration", type=InputFile(), required=True, metavar="CAL", help="Static calibration.")
+@click.option("--model", type=InputFile(), metavar="MODEL", help="Response from this model.")
+@click.option("--transfer", type=InputFile(), metavar="TF", help="Response as measured, interpolated.")
+@click.option("--static", "static", is_flag=True, help="The static matrix at every harmonic: no dynamics undone.")
+@click.option(
+    "--interpolation",
+    type=click.Choice(INTERPOLATIONS),
+    default="local",
+    show_default=True,
+    help="How a measured response is taken to the harmonics.",
+)
+@click.option(
+    "--method",
+    type=click.Choice(["harmonic"]),
+    default="harmonic",
+    show_default=True,
+    help="Regression on azimuth over the whole record.",
+)
+@click.option("--harmonics", type=click.IntRange(1, 64), default=8, show_default=True, help="Highest rotor harmonic.")
+@click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record that the mean loads count from.")
+@click.option("--history", type=OutputFolder(), metavar="DIR", help="Write load histories RUN.h5 there too.")
+@click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN...")
+@skip_bad_option
+@output_option("LOADS", "Table of loads, .csv or .h5.")
+def command(
+    session: Session,
+    calibration: Path,
+    model: Path | None,
+    transfer: Path | None,
+    static: bool,
+    interpolation: str,
+    method: str,
+    harmonics: int,
+    zero: Path | None,
+    history: Path | None,
+    runs: tuple[Path, ...],
+    skip_bad: bool,
+    output: Path,
+) -> None:
+    """Rotor-harmonic hub loads, with the dynamics of the balance undone.
+
+    The mean comes from the strain and torque channels through the static calibration, the harmonics from all channels
+    through the response of a model or of a measurement, weighted by noise. A zero run among RUN... serves as --zero.
+    """
+    from balance_cli.calibrated import Calibration
+    from balance_cli.hub_loads import Loads
+    from balance_cli.reduce import ReduceOptions, reduce_run
+
+    _check_call(model, transfer, static, output)
+    cal: Calibration = session.artefact(calibration, {"balance-calibration/1": Calibration}, "calibration").content
+    source = _source(session, cal, model, transfer, interpolation)
+    records = session.runs(runs, cal.geometry, skip_bad)
+    reference = _zero(session, cal, zero, records)
+    options = ReduceOptions(harmonics)
+    reduced: dict[str, RunLoads] = {}
+    used = [run for run in records if _is_used(session, run)]
+    if not used:
+        raise UserError("no check or wind run among the runs", "RUN...", remedy="Give the runs that are to be reduced")
+    for run in session.progress(used, "runs", len(used)):
+        with session.skipping(run, skip_bad):
+            reduced[run.name] = reduce_run(run, cal.geometry, cal, source, reference, options)
+            _write_history(session, history, run, reduced[run.name])
+    loads = Loads(method, source.description, reduced)
+    _write(session, output, loads)
+    session.finish(_summary(loads), _text(loads))
+
+
+def _check_call(model: Path | None, transfer: Path | None, static: bool, output: Path) -> None:
+    if (model is not None) + (transfer is not None) + static != 1:
+        raise UserError(
+            "exactly one response is needed", "--model, --transfer, --static", remedy="Give one of the three"
+        )
+    if output.suffix not in (".csv", ".h5"):
+        raise UserError("the table is written as .csv or .h5", str(output), remedy="Let its name end so")
+
+
+def _source(
+    session: Session, calibration: Calibration, model: Path | None, transfer: Path | None, interpolation: str
+) -> ResponseSource:
+    """The response that was asked for. UserError where its geometry is not that of the calibration."""
+    from balance_cli import responses
+
+    if model is not None:
+        from balance_cli.identified import IdentifiedModel
+
+        identified: IdentifiedModel = session.artefact(model, {"balance-model/1": IdentifiedModel}, "model").content
+        _check_geometry(identified.geometry, calibration, model)
+        return responses.model_source(identified)
+    if transfer is not None:
+        from balance_cli.sweep_tf import Transfer
+
+        measured: Transfer = session.artefact(transfer, {"balance-transfer/1": Transfer}, "transfer").content
+        _check_geometry(measured.geometry, calibration, transfer)
+        return responses.transfer_source(measured, interpolation)
+    return responses.static_source(calibration)
+
+
+def _check_geometry(geometry: Any, calibration: Calibration, path: Path) -> None:
+    from balance_cli.geometry_file import geometry_digest
+
+    bare, other = (item.model_copy(update={"effects": ()}) for item in (geometry, calibration.geometry))
+    if geometry_digest(bare) != geometry_digest(other):
+        raise UserError(
+            f"was made from another geometry (`{geometry.name}`) than the calibration (`{calibration.geometry.name}`)",
+            str(path),
+            "geometry",
+            "Make both from the same geometry file",
+        )
+
+
+def _zero(session: Session, calibration: Calibration, path: Path | None, records: tuple[Run, ...]) -> ZeroRecord | None:
+    from balance_cli.channel_health import live_channels
+    from balance_cli.steady_loads import zero_record
+
+    zeros = [run for run in records if run.kind == "zero"]
+    if path is not None:
+        zeros = list(session.runs([path], calibration.geometry, role="zero"))
+    if len(zeros) > 1:
+        raise UserError(
+            "more than one zero run: " + ", ".join(run.name for run in zeros), "RUN...", remedy="Choose one with --zero"
+        )
+    if not zeros:
+        return None
+    wanted = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
+    live = live_channels(zeros[0], calibration.geometry).live
+    return zero_record(zeros[0], [name for name in wanted if name in live])
+
+
+def _is_used(session: Session, run: Run) -> bool:
+    if run.kind in ("check", "wind"):
+        return True
+    if run.kind != "zero":
+        session.left_out(run.name, f"a {run.kind} run has no rotor loads to reduce")
+    return False
+
+
+def _write_history(session: Session, folder: Path | None, run: Run, loads: RunLoads) -> None:
+    if folder is None:
+        return
+    from balance_cli.history import harmonic_history, write_history
+
+    write_history(session.stage_in(folder, f"{run.name}.h5"), harmonic_history(run, loads))
+
+
+def _write(session: Session, output: Path, loads: Loads) -> None:
+    if output.suffix == ".h5":
+        session.save(output, FORMAT, loads)
+        return
+    from balance_cli.hub_loads import load_table
+
+    load_table(loads).to_csv(session.stage(output), index=False)
+
+
+def _summary(loads: Loads) -> dict[str, Any]:
+    return {
+        "method": loads.method,
+        "response": loads.response,
+        "runs": {name: _run_summary(run) for name, run in loads.runs.items()},
+    }
+
+
+def _run_summary(run: RunLoads) -> dict[str, Any]:
+    summary = {
+        "redundancy": dict(enumerate(run.redundancy)),
+        "redundancy_limit": dict(enumerate(run.redundancy_limit)),
+        "condition": dict(enumerate(run.condition)),
+        "channels_left_out": run.left_out,
+        "interval_s": run.interval,
+        "trim": run.trim,
+        "notes": run.notes,
+    }
+    if run.check is not None:
+        summary |= {key: value for key, value in asdict(run.check).items() if key != "applied"}
+    return summary
+
+
+def _text(loads: Loads) -> Iterator[str]:
+    yield f"{len(loads.runs)} runs reduced, {loads.response}"
+    for name, run in loads.runs.items():
+        worst = max(range(1, len(run.redundancy)), key=lambda n: run.redundancy[n])
+        limit = run.redundancy_limit[worst]
+        yield f"{name}: redundancy up to {run.redundancy[worst]:.3g} (harmonic {worst}, limit {limit:.2f})"
+        if run.check is not None:
+            errors = {**run.check.load_error, **run.check.interaction}
+            yield "   error on known loads: " + ", ".join(f"{key} {100 * value:.2f} %" for key, value in errors.items())
+        for channel, reason in run.left_out.items():
+            yield f"   {channel} left out: {reason}"
+        for note in run.notes:
+            yield f"   {note}"

@@ -1,0 +1,124 @@
+"""Hub loads from channel amplitudes: least squares weighted by noise, with the error of the response carried along.
+
+For each harmonic y = T f + e with covariance C_noise + C_T(f). The estimate weighs by the noise alone: C_T grows with
+the loads that it is evaluated at, and a response that is wrong would choose its own weights (with the computed model
+of the sample balance, whose tolerances shift resonances by several half-widths, such a scheme diverges). Sigma and the
+test of the surplus take both parts. More channels than loads leave that surplus: wind-on nobody knows the true loads,
+and it is the only evidence that the response still holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from balance_cli.signals.noise import inverse_bias_factor
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# The chi-square of the surplus is exceeded by chance once in a thousand (contract, `redundancy`).
+SURPLUS_PROBABILITY = 0.999
+
+
+@dataclass(frozen=True)
+class SolvedLoads:
+    """Loads (h, m) complex of the m components asked for, at h harmonics.
+
+    covariance (h, 2m, 2m) of [Re, Im], not yet widened; noise_covariance the same from the record's noise alone, as if
+    the response were exact; surplus (h,) chi-square per degree of freedom; degrees (h,); limit (h,) its 99.9 % point;
+    condition (h,).
+    """
+
+    loads: ComplexArray
+    covariance: Array
+    noise_covariance: Array
+    surplus: Array
+    degrees: Array
+    limit: Array
+    condition: Array
+
+    @property
+    def misfit(self) -> NDArray[np.bool_]:
+        """Where the surplus equations contradict the response."""
+        return np.asarray(self.surplus > self.limit)
+
+    @property
+    def widened(self) -> Array:
+        """The covariance, times the surplus chi-square where that contradicts the response."""
+        factor = np.where(self.misfit, self.surplus, 1.0)
+        return np.asarray(self.covariance * factor[:, None, None])
+
+
+def solve_loads(
+    T: Array,
+    y: Array,
+    noise: Array,
+    dof: Array,
+    response_covariance: Callable[[Array], Array],
+    scale: Array,
+) -> SolvedLoads:
+    """Solve h systems at once in real form (`responses.stacked_real`).
+
+    T (h, a, b), y (h, a), noise (h, a, a) estimated with `dof` (h,) complex degrees of freedom; `response_covariance`
+    takes loads (h, b) to the covariance (h, a, a) of T f; `scale` (b,) makes the columns comparable for the condition.
+    """
+    a, b = T.shape[1:]
+    G, noise_only = _weighted_inverse(T, noise)
+    loads = np.einsum("hba,ha->hb", G, y)
+    of_response = response_covariance(loads)
+    total = noise + of_response
+    covariance = noise_only + G @ of_response @ np.swapaxes(G, 1, 2)
+    chi2 = _surplus(T, y, total)
+    degrees = np.full(len(T), float(a - b))
+    factor, limit = _surplus_law(total, noise, dof, a, degrees)
+    per_degree = np.where(degrees > 0, chi2 * factor / np.maximum(degrees, 1.0), np.nan)
+    singular = np.linalg.svd(_scaled(T, noise, scale), compute_uv=False)
+    return SolvedLoads(
+        loads=loads[:, : b // 2] + 1j * loads[:, b // 2 :],
+        covariance=covariance,
+        noise_covariance=noise_only,
+        surplus=per_degree,
+        degrees=degrees,
+        limit=limit,
+        condition=singular[:, 0] / singular[:, -1],
+    )
+
+
+def _weighted_inverse(T: Array, covariance: Array) -> tuple[Array, Array]:
+    """G = (T' C^-1 T)^-1 T' C^-1 and the covariance (T' C^-1 T)^-1 of G y."""
+    weighted = np.linalg.solve(covariance, T)
+    inverse = np.linalg.inv(np.swapaxes(T, 1, 2) @ weighted)
+    return np.asarray(inverse @ np.swapaxes(weighted, 1, 2)), np.asarray(inverse)
+
+
+def _surplus(T: Array, y: Array, total: Array) -> Array:
+    """Least chi-square (h,) that any loads leave, weighted by noise and response error together."""
+    G, _ = _weighted_inverse(T, total)
+    residual = y - np.einsum("hab,hb->ha", T, np.einsum("hba,ha->hb", G, y))
+    return np.asarray(np.einsum("ha,ha->h", residual, np.linalg.solve(total, residual[:, :, None])[:, :, 0]))
+
+
+def _surplus_law(total: Array, noise: Array, dof: Array, a: int, degrees: Array) -> tuple[Array, Array]:
+    """Factor that takes the bias off chi-square, and its 99.9 % point per degree of freedom.
+
+    The noise was estimated with few degrees of freedom: the inverse of such a matrix is too large on average, and the
+    surplus follows Hotelling's law rather than chi-square. Both matter only as far as noise makes up the covariance.
+    """
+    share = np.trace(np.linalg.solve(total, noise), axis1=1, axis2=2) / a
+    bias = np.array([inverse_bias_factor(float(d), a // 2) for d in dof])
+    factor = 1.0 - share * (1.0 - bias)
+    second = 2.0 * dof / np.maximum(share, 1e-12)
+    safe = np.maximum(degrees, 1.0)
+    limit = np.where(degrees > 0, stats.f.ppf(SURPLUS_PROBABILITY, safe, np.minimum(second, 1e9)), np.inf)
+    return factor, limit
+
+
+def _scaled(T: Array, noise: Array, scale: Array) -> Array:
+    """T with every channel in units of its noise and every load in units of force."""
+    sigma = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
+    return np.asarray(T / sigma[:, :, None] / scale)

@@ -1,0 +1,105 @@
+"""Reduced hub loads: what `reduce` leaves behind and the report and other people's scripts take up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+COLUMNS = (
+    "run",
+    "component",
+    "unit",
+    "harmonic",
+    "frequency_hz",
+    "cosine",
+    "sine",
+    "amplitude",
+    "phase_deg",
+    "sigma_cosine",
+    "sigma_sine",
+    "flag",
+)
+
+
+@dataclass(frozen=True)
+class CheckErrors:
+    """Reduced against applied loads of a check run, over harmonics 1 to 8 (contract, `load_error`).
+
+    load_error {component applied: relative error}, interaction {component not applied: relative to the largest applied
+    force}; load_noise and interaction_noise: what the record's noise alone would leave of each. `applied` (n+1, m) are
+    the loads as the exciter measured them, anti-alias filter taken out.
+    """
+
+    load_error: dict[str, float]
+    interaction: dict[str, float]
+    load_noise: dict[str, float]
+    interaction_noise: dict[str, float]
+    applied: ComplexArray
+
+
+@dataclass(frozen=True)
+class RunLoads:
+    """Hub loads of one run: m components, harmonics 0 to n.
+
+    amplitude (n+1, m) = cosine - j sine; sigma_cosine, sigma_sine (n+1, m); flags (n+1, m) words, empty where all is
+    well; redundancy, redundancy_limit, condition (n+1,), NaN where there is none; interval [s] that was used.
+    """
+
+    run: str
+    kind: str
+    response: str
+    trim: str
+    components: tuple[str, ...]
+    frequency_hz: Array
+    amplitude: ComplexArray
+    sigma_cosine: Array
+    sigma_sine: Array
+    flags: tuple[tuple[str, ...], ...]
+    redundancy: Array
+    redundancy_limit: Array
+    condition: Array
+    left_out: dict[str, str]
+    interval: tuple[float, float]
+    notes: tuple[str, ...] = ()
+    check: CheckErrors | None = None
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Hub loads of all runs of one reduction."""
+
+    method: str
+    response: str
+    runs: dict[str, RunLoads]
+
+
+def load_table(loads: Loads) -> pd.DataFrame:
+    """One row per run, component and harmonic (contract, LOADS)."""
+    import pandas as pd
+
+    rows = [row for run in loads.runs.values() for row in _rows(run)]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def _rows(run: RunLoads) -> list[tuple[object, ...]]:
+    from balance_cli.components import UNIT_OF
+
+    rows: list[tuple[object, ...]] = []
+    for m, component in enumerate(run.components):
+        for n, frequency in enumerate(run.frequency_hz):
+            value = complex(run.amplitude[n, m])
+            cosine, sine = value.real, -value.imag
+            phase = float(np.degrees(np.arctan2(-sine, cosine)))
+            sigmas = (run.sigma_cosine[n, m], run.sigma_sine[n, m])
+            identity = (run.run, component, UNIT_OF[component], n, frequency)
+            rows.append((*identity, cosine, sine, abs(value), phase, *sigmas, run.flags[n][m]))
+    return rows

@@ -1,0 +1,61 @@
+"""From runs to what the estimators use: lines of the sweeps, points of the static runs, each with its noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from balance_cli.channel_health import live_channels
+from balance_cli.errors import UserError
+from balance_cli.geometry import Geometry
+from balance_cli.runs import Run
+from balance_cli.signals.lines import Lines, StaticPoints
+from balance_cli.signals.local_lines import lines_from_local_model
+from balance_cli.signals.periodic import periodic_lines
+from balance_cli.signals.static_noise import static_points
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Lines and static points of a campaign.
+
+    `unused` {run: why}: runs of kinds that hold nothing for an identification; `channels_left_out`
+    {run: {channel: why}}: channels that were dead, clipped, absent or not finite.
+    """
+
+    lines: tuple[Lines, ...]
+    statics: tuple[StaticPoints, ...]
+    unused: dict[str, str]
+    channels_left_out: dict[str, dict[str, str]]
+
+
+def measured_spectra(runs: Iterable[Run], geometry: Geometry) -> Spectra:
+    """Lines of every sweep and points of every static run; the rest is said to be unused.
+
+    Periodic records give the lines of their steady periods; others the independent lines of a local rational model.
+    UserError where no channel of a run is left.
+    """
+    lines: list[Lines] = []
+    statics: list[StaticPoints] = []
+    unused: dict[str, str] = {}
+    left_out: dict[str, dict[str, str]] = {}
+    for run in runs:
+        if run.kind not in ("sweep", "static"):
+            unused[run.name] = f"a {run.kind} run takes no part in a fit"
+            continue
+        health = live_channels(run, geometry)
+        if health.left_out:
+            left_out[run.name] = health.left_out
+        if not health.live:
+            raise UserError("no channel is left", str(run.path or run.name), "channels", "Mend or leave out this run")
+        if run.kind == "static":
+            statics.append(static_points(run, health.live))
+        else:
+            lines.append(_sweep_lines(run, health.live))
+    return Spectra(tuple(lines), tuple(statics), unused, left_out)
+
+
+def _sweep_lines(run: Run, channel_names: tuple[str, ...]) -> Lines:
+    if run.period is not None:
+        return periodic_lines(run, channel_names)
+    return lines_from_local_model(run, channel_names)

@@ -1,0 +1,1 @@
+"""Long statistical studies: what the estimators promise, measured on simulated campaigns (`make study`)."""

@@ -1,0 +1,66 @@
+"""`make study`: run the studies that are missing, and write their tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import pandas as pd
+
+from balance_cli.geometry_file import load_geometry
+from studies.chunks import run_chunks
+from studies.coverage import CoverageTask, coverage_chunk, coverage_table
+from studies.recovery import recovery_chunk, recovery_table
+
+TABLES = Path(__file__).parent / "tables"
+GEOMETRY = Path(__file__).parents[1] / "configs" / "rts-6.yaml"
+FITS_PER_RIG = 50
+
+
+@click.group(invoke_without_command=True)
+@click.pass_context
+def studies(context: click.Context) -> None:
+    """Statistical studies on simulated campaigns; without a name, all of them."""
+    if context.invoked_subcommand is None:
+        context.invoke(coverage)
+        context.invoke(recovery)
+
+
+@studies.command()
+@click.option("--rigs", default=20, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def coverage(rigs: int = 20, jobs: int = 2) -> None:
+    """Coverage of the 95 % intervals over 50 fits of every rig."""
+    errors = run_chunks("coverage", _coverage, range(rigs), jobs)
+    table = coverage_table(errors)
+    pooled = errors["error"].abs().lt(1.959963984540054).groupby(errors["rests_on"]).agg(["mean", "size"])
+    _write("coverage", table)
+    click.echo(table.to_string(index=False))
+    click.echo(pooled.to_string())
+
+
+@studies.command()
+@click.option("--campaigns", default=20, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def recovery(campaigns: int = 20, jobs: int = 2) -> None:
+    """Responses and hub loads from whole simulated campaigns against the truth."""
+    table = recovery_table(run_chunks("recovery", _recovery, range(campaigns), jobs))
+    _write("recovery", table)
+    click.echo(table.to_string(index=False))
+
+
+def _coverage(seed: int) -> pd.DataFrame:
+    return coverage_chunk(load_geometry(GEOMETRY), CoverageTask(seed, FITS_PER_RIG))
+
+
+def _recovery(seed: int) -> pd.DataFrame:
+    return recovery_chunk(load_geometry(GEOMETRY), seed)
+
+
+def _write(name: str, table: pd.DataFrame) -> None:
+    TABLES.mkdir(exist_ok=True)
+    table.to_csv(TABLES / f"{name}.csv", index=False, float_format="%.6g")
+
+
+if __name__ == "__main__":
+    studies()

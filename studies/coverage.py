@@ -1,0 +1,154 @@
+"""Do the 95 % intervals hold the truth in 95 % of all fits? Parameters and noise redrawn each time.
+
+The response of a rig to noise-free multisines is simulated in time once (and scaled for the lower level, exact for a
+linear rig). Every fit then sees declared values drawn about the truth by the tolerances, and new noise in every period.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from balance_cli.estimation.maximum_likelihood import maximum_likelihood
+from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.support import parameter_support
+from balance_cli.geometry import Geometry
+from balance_cli.model.balance import balance_model
+from balance_cli.signals.lines import Lines, StaticPoints
+from balance_cli.signals.noise import pooled_covariance
+from balance_cli.simulation import Noise, draw_rig, simulate_run
+from balance_cli.simulation.plans import StaticPlan, SweepPlan, campaign_plan
+from balance_cli.simulation.rig import TrueRig
+from studies.truth import true_parameters
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+PERIODS = 3
+NINETY_FIVE = 1.959963984540054
+
+
+def noise_free(rig: TrueRig, seed: int) -> list[Lines | StaticPoints]:
+    """Steady lines of every sweep and rows of every static run of the standard campaign, without noise."""
+    assert rig.geometry.rotor is not None
+    found: list[Lines | StaticPoints] = []
+    for plan in campaign_plan("standard", rig.geometry.rotor.speed).runs:
+        if isinstance(plan, StaticPlan):
+            found.append(_static(rig, plan, seed))
+        elif isinstance(plan, SweepPlan):
+            found.append(_steady_lines(rig, plan, seed))
+    return found
+
+
+def _static(rig: TrueRig, plan: StaticPlan, seed: int) -> StaticPoints:
+    run, _ = simulate_run(rig, plan, Noise().scaled(0.0), seed)
+    block = run.read()
+    assert block.loads is not None
+    names = run.channel_names
+    return StaticPoints(run.name, plan.trim, names, block.channels, block.loads, np.eye(len(names)), np.inf)
+
+
+def _steady_lines(rig: TrueRig, plan: SweepPlan, seed: int) -> Lines:
+    """The last of many periods: the start transient has gone."""
+    run, _ = simulate_run(rig, plan.model_copy(update={"periods": 14}), Noise().scaled(0.0), seed)
+    samples = round(plan.period * plan.sample_rate)
+    block = run.read(run.samples - samples, run.samples)
+    assert block.loads is not None
+    frequency = np.fft.rfftfreq(samples, 1 / plan.sample_rate)
+    U, Y = (np.fft.rfft(x, axis=0) * 2 / samples for x in (block.loads, block.channels))
+    column = int(np.argmax(np.abs(U).max(axis=0)))
+    excited = np.abs(U[:, column]) > 1e-3 * np.abs(U[:, column]).max()
+    size = len(run.channel_names) + 1
+    covariance = np.zeros((int(excited.sum()), size, size), complex)
+    loads = U[excited][:, [column]]
+    return Lines(run.name, run.channel_names, run.excited, frequency[excited], Y[excited], loads, covariance, np.inf)
+
+
+def noisy(clean: Lines | StaticPoints, geometry: Geometry, rng: np.random.Generator) -> Lines | StaticPoints:
+    """The same with noise as recorded: three periods of a sweep, every row of a static run."""
+    return _noisy_points(clean, rng) if isinstance(clean, StaticPoints) else _noisy_lines(clean, geometry, rng)
+
+
+def _noisy_points(clean: StaticPoints, rng: np.random.Generator) -> StaticPoints:
+    """Noise on readings and loads; its covariance as the second differences of so many rows tell it."""
+    noise = Noise()
+    rows, c = clean.channels.shape
+    channels = clean.channels + noise.static_channel * rng.standard_normal((rows, c))
+    read = clean.loads + noise.static_load * rng.standard_normal((rows, 6))
+    C0 = np.linalg.lstsq(clean.loads - clean.loads.mean(0), clean.channels - clean.channels.mean(0), rcond=None)[0].T
+    true = np.eye(c) * noise.static_channel**2 + noise.static_load**2 * C0 @ C0.T
+    dof = rows // 2
+    deviations = rng.multivariate_normal(np.zeros(c), true, size=dof)
+    return replace(clean, channels=channels, loads=read, covariance=deviations.T @ deviations / dof, dof=dof / 2)
+
+
+def _noisy_lines(clean: Lines, geometry: Geometry, rng: np.random.Generator) -> Lines:
+    """Noise of three periods; the covariance of their mean from their scatter, as `periodic_lines` finds it."""
+    noise = Noise()
+    samples = 3200
+    by_name = {channel.name: channel for channel in geometry.channels}
+    sigma = np.array([noise.of(by_name[name]) for name in clean.channel_names] + [noise.load])
+    # E|X|^2 of X = 2/N sum x exp(-j w t) is 4 sigma^2 / N.
+    per_part = sigma * np.sqrt(2.0 / samples)
+    shape = (PERIODS, len(clean.frequency), len(sigma))
+    z = per_part * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    mean = z.mean(axis=0)
+    deviation = z - mean
+    scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
+    covariance, dof = pooled_covariance(scatter, np.full(len(mean), PERIODS - 1.0))
+    c = len(clean.channel_names)
+    return replace(
+        clean,
+        channels=clean.channels + mean[:, :c],
+        loads=clean.loads + mean[:, c:],
+        covariance=covariance / PERIODS,
+        dof=dof,
+    )
+
+
+@dataclass(frozen=True)
+class CoverageTask:
+    """One rig (by its seed) and so many fits of it."""
+
+    seed: int
+    fits: int
+
+
+def coverage_chunk(geometry: Geometry, task: CoverageTask) -> pd.DataFrame:
+    """Estimate minus truth in units of sigma for every fitted parameter, one row a fit and parameter."""
+    rng = np.random.default_rng([task.seed, 1985])
+    rig = draw_rig(geometry, rng)
+    clean = noise_free(rig, task.seed)
+    model = balance_model(geometry)
+    parameters = model.parameters
+    truth = true_parameters(rig, parameters)
+    rows = []
+    for fit in range(task.fits):
+        measured = [noisy(item, geometry, rng) for item in clean]
+        lines = [item for item in measured if isinstance(item, Lines)]
+        points = [item for item in measured if isinstance(item, StaticPoints)]
+        declared = truth + parameters.sigma * rng.standard_normal(len(truth))
+        shifted = replace(model, parameters=replace(parameters, value=declared))
+        minimum = maximum_likelihood(shifted, stacked(lines, points, geometry.channel_names), truth)
+        sigma = np.sqrt(np.diag(np.linalg.inv(minimum.total.information)))
+        error = (minimum.theta - truth)[parameters.free] / sigma
+        support = parameter_support(parameters, minimum.data.information)
+        rests = [word for word in support.rests_on if word != "exact"]
+        names = [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
+        rows += [
+            {"seed": task.seed, "fit": fit, "parameter": name, "rests_on": word, "error": value}
+            for name, word, value in zip(names, rests, error, strict=True)
+        ]
+    return pd.DataFrame(rows)
+
+
+def coverage_table(errors: pd.DataFrame) -> pd.DataFrame:
+    """Share of 95 % intervals that hold the truth, by parameter, with three binomial standard errors."""
+    held = errors.assign(held=errors["error"].abs() < NINETY_FIVE)
+    table = held.groupby(["rests_on", "parameter"], sort=False)["held"].agg(["mean", "size"]).reset_index()
+    table = table.rename(columns={"mean": "coverage", "size": "fits"})
+    table["three_sigma"] = 3 * np.sqrt(0.95 * 0.05 / table["fits"])
+    return table

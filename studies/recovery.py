@@ -1,0 +1,118 @@
+"""Whole simulated campaigns with nothing hidden: responses and hub loads against the truth.
+
+Each campaign has a rig drawn from the tolerances, simulated in time, recorded with the noise of the measured campaign,
+and goes through the chain as files would: spectra, maximum likelihood, reduction of its check runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from balance_cli.calibrate import calibrate
+from balance_cli.components import COMPONENTS
+from balance_cli.geometry import Geometry
+from balance_cli.hub_loads import RunLoads
+from balance_cli.identified import IdentifiedModel
+from balance_cli.identify import identify
+from balance_cli.model.balance import identified_system
+from balance_cli.model.system import output_slopes, solve
+from balance_cli.reduce import reduce_run
+from balance_cli.responses import Readings, model_source, selected
+from balance_cli.simulation import draw_rig, simulate_campaign
+from balance_cli.simulation.rig import TrueRig
+from balance_cli.spectra import measured_spectra
+from studies.truth import true_response
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+BAND = np.arange(5.0, 150.01, 0.25)
+
+
+def recovery_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
+    """Figures of one campaign, one row a component."""
+    rig = draw_rig(geometry, np.random.default_rng([seed, 7]))
+    runs, _ = simulate_campaign(rig, "standard", seed=seed)
+    model = identify(measured_spectra(runs, geometry), geometry)
+    error, predicted = _response_errors(rig, model)
+    calibration = calibrate(runs, geometry)
+    checks = [run for run in runs if run.kind == "check"]
+    known = TruthSource(rig, model_source(model).slowest_decay)
+    found = [reduce_run(run, geometry, calibration, model_source(model)) for run in checks]
+    best = [reduce_run(run, geometry, calibration, known) for run in checks]
+    return pd.DataFrame(
+        {
+            "seed": seed,
+            "component": COMPONENTS,
+            "chi2_per_dof": model.quality.chi2_per_dof,
+            "frf_error_p95": np.percentile(error, 95, axis=0),
+            "cramer_rao_p95": np.percentile(predicted, 95, axis=0),
+            "load_error": _load_error(found),
+            "load_error_true_response": _load_error(best),
+        }
+    )
+
+
+def _response_errors(rig: TrueRig, model: IdentifiedModel) -> tuple[Array, Array]:
+    """Relative error (k, 6) of each component's response over the cells, and its Cramer-Rao prediction."""
+    system = identified_system(model)
+    solution = solve(system, BAND)
+    truth = true_response(rig, BAND)
+    free = model.parameters.declared_sigma > 0
+    covariance = model.covariance[np.ix_(free, free)]
+    found = model_source(model).at(BAND, 0.0)
+    size = np.linalg.norm(truth, axis=1)
+    error = np.linalg.norm(found - truth, axis=1) / size
+    predicted = np.empty_like(error)
+    for j in range(6):
+        loads = np.zeros((len(BAND), 6), complex)
+        loads[:, j] = 1.0
+        J = output_slopes(system, solution, np.arange(len(BAND)), loads)
+        variance = np.real(np.einsum("kcp,pq,kcq->k", J, covariance, J.conj(), optimize=True))
+        predicted[:, j] = np.sqrt(variance) / size[:, j]
+    return error, predicted
+
+
+def _load_error(runs: list[RunLoads]) -> Array:
+    """Root mean square over the check runs of the hub-load error or interaction of each component."""
+    values = [{**run.check.load_error, **run.check.interaction} for run in runs if run.check is not None]
+    return np.array([np.sqrt(np.mean([value[name] ** 2 for value in values])) for name in COMPONENTS])
+
+
+@dataclass(frozen=True)
+class TruthSource:
+    """The true response, as `reduce` would have it if nothing about the balance were unknown."""
+
+    rig: TrueRig
+    slowest_decay: float
+    description: str = "true response"
+
+    def readings(self, frequency: Array, live: tuple[str, ...]) -> Readings:
+        """Rows are the channels."""
+        return selected(self.rig.geometry.channel_names, live, len(frequency))
+
+    def at(self, frequency: Array, spin: float) -> ComplexArray:
+        """T of the rig that was simulated."""
+        return true_response(self.rig, frequency)
+
+    def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
+        """Nothing is uncertain."""
+        count = 2 * len(self.rig.geometry.channels)
+        return np.zeros((len(frequency), count, count))
+
+
+def recovery_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Median and largest over the campaigns, by component, with the ratios that were asked for."""
+    rows = rows.assign(
+        frf_over_bound=rows["frf_error_p95"] / rows["cramer_rao_p95"],
+        load_over_best=rows["load_error"] / rows["load_error_true_response"],
+    )
+    columns = ["chi2_per_dof", "frf_error_p95", "cramer_rao_p95", "frf_over_bound", "load_error", "load_over_best"]
+    grouped = rows.groupby("component", sort=False)[columns]
+    table = grouped.agg(["median", "max"])
+    table.columns = [f"{name}_{statistic}" for name, statistic in table.columns]
+    return table.reset_index()

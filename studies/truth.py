@@ -1,0 +1,48 @@
+"""The true rig as the fits should find it: its parameters, and its response from its own equations of motion."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.model.parameters import ParameterSet
+from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.response import force_matrix, input_matrix, state_matrix
+from balance_cli.simulation.rig import TrueRig
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def true_parameters(rig: TrueRig, parameters: ParameterSet) -> Array:
+    """The rig's values in the order of `parameters`."""
+    cells = [cell.name for cell in rig.geometry.cells]
+    values = {f"stiffness.{name}": value for name, value in zip(cells, rig.stiffness, strict=True)}
+    values |= {"torque_meter.stiffness": rig.torque_stiffness, "torque_meter.inertia": rig.torque_inertia}
+    values |= {"torque_meter.damping_ratio": rig.torque_damping_ratio, "mass": rig.mass}
+    values |= {f"centre_of_gravity.{axis}": value for axis, value in zip("xyz", rig.cg, strict=True)}
+    for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        values[f"inertia.{'xyz'[i]}{'xyz'[j]}"] = rig.inertia[i, j] * (1.0 if i == j else -1.0)
+    values |= {f"damping_ratio.{i + 1}": value for i, value in enumerate(rig.damping_ratios)}
+    channels = rig.geometry.channel_names
+    values |= {f"sensitivity.{name}": value for name, value in zip(channels, rig.sensitivities, strict=True)}
+    return np.array([values[name] for name in parameters.names])
+
+
+def true_response(rig: TrueRig, frequency: Array) -> ComplexArray:
+    """T (k, c, 6) [V/N, V/(N m)] of the linear rig from its state-space matrices, C (jw - A)^-1 B."""
+    mechanics = equations_of_motion(rig)
+    A, B, C = state_matrix(mechanics), input_matrix(mechanics)[:, :6], force_matrix(mechanics)
+    s = 2j * np.pi * np.asarray(frequency, float)
+    forces = C @ np.linalg.solve(s[:, None, None] * np.eye(len(A)) - A, B.astype(complex))
+    cells = [cell.name for cell in rig.geometry.cells]
+    volts = []
+    for channel, sensitivity in zip(rig.geometry.channels, rig.sensitivities, strict=True):
+        row = -1 if channel.torque_meter else cells.index(str(channel.cell))
+        gain = np.full(len(s), sensitivity, complex)
+        if channel.lowpass is not None:
+            gain = gain / (1 + s / (2 * np.pi * channel.lowpass))
+        if channel.time_constant is not None:
+            gain = gain * s * channel.time_constant / (1 + s * channel.time_constant)
+        volts.append(gain[:, None] * forces[:, row])
+    return np.stack(volts, axis=1)
