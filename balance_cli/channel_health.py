@@ -26,15 +26,21 @@ Integers = NDArray[np.int64]
 
 STRETCH_FACTOR = 5.0
 """How many times the expected longest stretch of identical samples makes a channel dead there."""
+DWELL_FACTOR = 2.0
+"""How many mean intervals between turning points a stretch must last; at a peak a smooth signal dwells for less."""
 LEAST_STRETCH = 20
 """Samples; a shorter stretch of identical samples is never taken for a fault."""
 LEAST_ROWS = 3
 """Below as many samples a constant channel is no evidence."""
 NEAREST = 8
 """Distinct values kept at either end of a channel's values."""
-LEAST_PLATEAU = 6
-PLATEAU_FACTOR = 5.0
-"""Clipped: the extreme is met at least so often, and so many times as often as each of the values next to it."""
+PLATEAU_FACTOR = 1.5
+"""Clipped: the extreme is met so many times as often as all other values kept at that end together.
+
+At the peak of a sine, where values are densest, that ratio is 1 / (sqrt(8) - 1) = 0.55 for eight steps of a converter.
+"""
+LEAST_PLATEAU = 3
+"""Clipped, too: the extreme is met so often in a channel that repeats no other value (load points, say)."""
 AT_RANGE = 1.0 - 1e-6
 """Share of the declared range from which a sample is clipped."""
 
@@ -90,9 +96,10 @@ class _Record:
     stretch_value: float = np.nan
     lowest: tuple[Array, Integers] = (np.empty(0), np.empty(0, np.int64))
     highest: tuple[Array, Integers] = (np.empty(0), np.empty(0, np.int64))
-    plateau: int = 0
+    turns: int = 0
     open_start: int = 0
     last: float = np.nan
+    rising: float = 0.0
 
     def add(self, values: Array) -> None:
         """Take the next samples of the channel into account."""
@@ -117,7 +124,14 @@ class _Record:
         if lengths[longest] > self.stretch:
             self.stretch, self.stretch_start = int(lengths[longest]), int(starts[longest])
             self.stretch_value = float(values[max(self.stretch_start - self.samples, 0)])
+        self._add_turns(np.diff(np.r_[self.last, values]))
         self.open_start, self.last = int(starts[-1]), float(values[-1])
+
+    def _add_turns(self, steps: Array) -> None:
+        """Turning points: steps against the direction of the step before, stretches of identical samples skipped."""
+        directions = np.r_[self.rising, np.sign(steps[np.isfinite(steps) & (steps != 0.0)])]
+        self.turns += int((directions[1:] * directions[:-1] < 0).sum())
+        self.rising = float(directions[-1])
 
     def _add_extremes(self, values: Array) -> None:
         found, counts = np.unique(values, return_counts=True)
@@ -149,7 +163,7 @@ def _records(run: Run, names: list[str]) -> list[_Record]:
 
 def _fault(record: _Record, limit: float | None) -> str:
     """Why a channel cannot be used, or nothing."""
-    return _not_finite(record) or _dead(record) or _clipped(record, limit)
+    return _not_finite(record) or _constant(record) or _clipped(record, limit) or _dead_in_part(record)
 
 
 def _not_finite(record: _Record) -> str:
@@ -159,23 +173,29 @@ def _not_finite(record: _Record) -> str:
     return f"not finite: {share}, the first is sample {record.first_not_finite}"
 
 
-def _dead(record: _Record) -> str:
-    if record.samples < LEAST_ROWS:
+def _constant(record: _Record) -> str:
+    constant = record.samples >= LEAST_ROWS and record.stretch == record.samples
+    return f"dead: constant at {record.stretch_value:.6g} V" if constant else ""
+
+
+def _dead_in_part(record: _Record) -> str:
+    if not _stands_still(record):
         return ""
-    value = f"{record.stretch_value:.6g} V"
-    if record.stretch == record.samples:
-        return f"dead: constant at {value}"
-    if record.stretch <= _longest_credible_stretch(record):
-        return ""
-    last = record.stretch_start + record.stretch - 1
-    return f"dead for part of the record: constant at {value} from sample {record.stretch_start} to {last}"
+    first, last = record.stretch_start, record.stretch_start + record.stretch - 1
+    return f"dead for part of the record: constant at {record.stretch_value:.6g} V from sample {first} to {last}"
+
+
+def _stands_still(record: _Record) -> bool:
+    return record.samples >= LEAST_ROWS and record.stretch > _longest_credible_stretch(record)
 
 
 def _longest_credible_stretch(record: _Record) -> float:
     """Samples; at most half the record, since a channel that mostly stands still measures nothing either."""
     share = np.clip(record.repeats / (record.samples - 1), 1e-9, 1.0 - 1e-9)
     expected = np.log(record.samples) / -np.log(share)
-    return float(max(LEAST_STRETCH, min(STRETCH_FACTOR * expected, record.samples / 2)))
+    interval = record.samples / (record.turns + 1)
+    credible = max(STRETCH_FACTOR * expected, DWELL_FACTOR * interval)
+    return float(max(LEAST_STRETCH, min(credible, record.samples / 2)))
 
 
 def _clipped(record: _Record, limit: float | None) -> str:
@@ -183,12 +203,15 @@ def _clipped(record: _Record, limit: float | None) -> str:
         extreme, times = float(values[0]), int(counts[0])
         if limit is not None and abs(extreme) >= AT_RANGE * limit:
             return f"clipped: reaches {extreme:.6g} V, its range is {limit:g} V"
-        if _is_plateau(record, counts):
+        one_stretch = _stands_still(record) and record.stretch_value == extreme and 2 * record.stretch >= times
+        if extreme != 0.0 and _is_plateau(record, counts) and not one_stretch:
             return f"clipped: {times} samples at its extreme of {extreme:.6g} V"
     return ""
 
 
 def _is_plateau(record: _Record, counts: Integers) -> bool:
     """Whether the extreme (first count) stands out among its neighbours, in a channel of enough distinct values."""
-    distinct = len(counts) == NEAREST and record.highest[0][-1] > record.lowest[0][-1]
-    return bool(distinct and counts[0] >= LEAST_PLATEAU and counts[0] > PLATEAU_FACTOR * counts[1:].max())
+    if len(counts) < NEAREST or record.highest[0][-1] <= record.lowest[0][-1]:
+        return False
+    only_there = 0 < record.repeats < counts[0] and counts[1:].max() == 1
+    return bool(counts[0] > PLATEAU_FACTOR * counts[1:].sum() or (only_there and counts[0] >= LEAST_PLATEAU))

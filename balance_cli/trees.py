@@ -2,7 +2,7 @@
 
 A tree is a dict whose values are trees, numpy arrays, strings, numbers, bools or None. What a hint means:
 
-- `ndarray` (real or complex), `str`, `int`, `float`, `complex`, `bool`, `None` and `X | None`: itself;
+- `ndarray` (real, complex or text), `str`, `int`, `float`, `complex`, `bool`, `None` and `X | None`: itself;
 - `tuple[X, ...]` of scalars: a one-dimensional array; of anything else: a tree with keys 0, 1, ...;
 - `dict[str, X]` (or with int keys): a tree with those keys, their order kept;
 - a dataclass: a tree of its fields; a field that the tree lacks takes its default;
@@ -36,10 +36,10 @@ COMPRESS_FROM = 4096
 
 def to_tree(value: Any) -> Any:
     """The value as a tree. TypeError for a type that has no place in an artefact."""
+    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
+        return to_tree(value.item())
     if value is None or isinstance(value, SCALARS):
         return value
-    if isinstance(value, np.generic):
-        return value.item()
     if isinstance(value, np.ndarray):
         return _plain_array(value)
     return _container_to_tree(value)
@@ -131,7 +131,7 @@ def _to_tuple(tree: Any, hints: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _from_class(tree: Any, kind: Any) -> Any:
     if kind is np.ndarray:
-        return _expect(tree, np.ndarray)
+        return np.asarray(tree) if isinstance(tree, SCALARS) else _expect(tree, np.ndarray)
     if kind is pd.DataFrame:
         return pd.DataFrame({name: _text_column(column) for name, column in _as_tree(tree).items()})
     if kind in SCALARS:
