@@ -232,9 +232,11 @@ def _table(file: h5py.File, name: str, units: str) -> Table | None:
 def _is_complete(dataset: h5py.Dataset, shape: tuple[int, ...]) -> bool:
     """Whether all samples were written; HDF5 reads those that were not as zeros."""
     if dataset.chunks is None:
-        return int(dataset.id.get_storage_size()) >= math.prod(shape) * dataset.dtype.itemsize
-    needed = math.prod(-(-size // chunk) for size, chunk in zip(shape, dataset.chunks, strict=True))
-    return int(dataset.id.get_num_chunks()) >= needed
+        stored, needed = dataset.id.get_storage_size(), math.prod(shape) * dataset.dtype.itemsize
+    else:
+        chunks = (-(-size // chunk) for size, chunk in zip(shape, dataset.chunks, strict=True))
+        stored, needed = dataset.id.get_num_chunks(), math.prod(chunks)
+    return bool(stored >= needed)
 
 
 def _known_attributes(item: h5py.File | h5py.Dataset, names: Iterable[str]) -> dict[str, Any]:
