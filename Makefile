@@ -16,6 +16,9 @@ CAMPAIGN ?= sample_data
 GEOMETRY ?= $(firstword $(wildcard $(CAMPAIGN)/geometry.yaml) configs/rts-6.yaml)
 RESULTS ?= results
 
+# Many small matrices: threads in BLAS cost more than they bring.
+export OPENBLAS_NUM_THREADS ?= 1
+
 .PHONY: run install test lint format bench study clean
 .DELETE_ON_ERROR:
 

@@ -1,6 +1,11 @@
 """The program `balance`, also `python -m balance_cli`."""
 
-from balance_cli.cli import balance
+import os
+
+# The matrices here are many and small: threads in BLAS cost more than they bring, tenfold on a busy machine.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from balance_cli.cli import balance  # noqa: E402
 
 
 def main() -> None:

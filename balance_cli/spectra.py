@@ -32,6 +32,7 @@ class Spectra:
 def measured_spectra(runs: Iterable[Run], geometry: Geometry) -> Spectra:
     """Lines of every sweep and points of every static run; the rest is said to be unused.
 
+    So is a static run with too few rows to tell its own noise: the sweeps can do without it.
     Periodic records give the lines of their steady periods; others the independent lines of a local rational model.
     UserError where no channel of a run is left.
     """
@@ -49,7 +50,10 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry) -> Spectra:
         if not health.live:
             raise UserError("no channel is left", str(run.path or run.name), "channels", "Mend or leave out this run")
         if run.kind == "static":
-            statics.append(static_points(run, health.live))
+            try:
+                statics.append(static_points(run, health.live))
+            except UserError as error:
+                unused[run.name] = error.fault
         else:
             lines.append(_sweep_lines(run, health.live))
     return Spectra(tuple(lines), tuple(statics), unused, left_out)

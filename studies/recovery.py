@@ -16,21 +16,16 @@ from balance_cli.calibrate import calibrate
 from balance_cli.components import COMPONENTS
 from balance_cli.geometry import Geometry
 from balance_cli.hub_loads import RunLoads
-from balance_cli.identified import IdentifiedModel
 from balance_cli.identify import identify
-from balance_cli.model.balance import identified_system
-from balance_cli.model.system import output_slopes, solve
 from balance_cli.reduce import reduce_run
 from balance_cli.responses import Readings, model_source, selected
 from balance_cli.simulation import draw_rig, simulate_campaign
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.spectra import measured_spectra
-from studies.truth import true_response
+from studies.truth import response_errors, true_response
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-BAND = np.arange(5.0, 150.01, 0.25)
 
 
 def recovery_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
@@ -38,7 +33,7 @@ def recovery_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
     rig = draw_rig(geometry, np.random.default_rng([seed, 7]))
     runs, _ = simulate_campaign(rig, "standard", seed=seed)
     model = identify(measured_spectra(runs, geometry), geometry)
-    error, predicted = _response_errors(rig, model)
+    error, predicted = response_errors(rig, model)
     calibration = calibrate(runs, geometry)
     checks = [run for run in runs if run.kind == "check"]
     known = TruthSource(rig, model_source(model).slowest_decay)
@@ -55,26 +50,6 @@ def recovery_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
             "load_error_true_response": _load_error(best),
         }
     )
-
-
-def _response_errors(rig: TrueRig, model: IdentifiedModel) -> tuple[Array, Array]:
-    """Relative error (k, 6) of each component's response over the cells, and its Cramer-Rao prediction."""
-    system = identified_system(model)
-    solution = solve(system, BAND)
-    truth = true_response(rig, BAND)
-    free = model.parameters.declared_sigma > 0
-    covariance = model.covariance[np.ix_(free, free)]
-    found = model_source(model).at(BAND, 0.0)
-    size = np.linalg.norm(truth, axis=1)
-    error = np.linalg.norm(found - truth, axis=1) / size
-    predicted = np.empty_like(error)
-    for j in range(6):
-        loads = np.zeros((len(BAND), 6), complex)
-        loads[:, j] = 1.0
-        J = output_slopes(system, solution, np.arange(len(BAND)), loads)
-        variance = np.real(np.einsum("kcp,pq,kcq->k", J, covariance, J.conj(), optimize=True))
-        predicted[:, j] = np.sqrt(variance) / size[:, j]
-    return error, predicted
 
 
 def _load_error(runs: list[RunLoads]) -> Array:

@@ -5,13 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.identified import IdentifiedModel
+from balance_cli.model.balance import identified_system
 from balance_cli.model.parameters import ParameterSet
+from balance_cli.model.system import output_slopes, response, solve
 from balance_cli.simulation.mechanics import equations_of_motion
 from balance_cli.simulation.response import force_matrix, input_matrix, state_matrix
 from balance_cli.simulation.rig import TrueRig
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+BAND = np.arange(5.0, 150.01, 0.25)
 
 
 def true_parameters(rig: TrueRig, parameters: ParameterSet) -> Array:
@@ -46,3 +51,23 @@ def true_response(rig: TrueRig, frequency: Array) -> ComplexArray:
             gain = gain * s * channel.time_constant / (1 + s * channel.time_constant)
         volts.append(gain[:, None] * forces[:, row])
     return np.stack(volts, axis=1)
+
+
+def response_errors(rig: TrueRig, model: IdentifiedModel) -> tuple[Array, Array]:
+    """Relative error (k, 6) of each component's response over the cells, and its Cramer-Rao prediction."""
+    system = identified_system(model)
+    solution = solve(system, BAND)
+    truth = true_response(rig, BAND)
+    free = model.parameters.declared_sigma > 0
+    covariance = model.covariance[np.ix_(free, free)]
+    found = response(system, solution)
+    size = np.linalg.norm(truth, axis=1)
+    error = np.linalg.norm(found - truth, axis=1) / size
+    predicted = np.empty_like(error)
+    for j in range(6):
+        loads = np.zeros((len(BAND), 6), complex)
+        loads[:, j] = 1.0
+        J = output_slopes(system, solution, np.arange(len(BAND)), loads)
+        variance = np.real(np.einsum("kcp,pq,kcq->k", J, covariance, J.conj(), optimize=True))
+        predicted[:, j] = np.sqrt(variance) / size[:, j]
+    return error, predicted

@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
+# Degrees of freedom per signal that make the inverse of an estimated covariance worth having.
+ENOUGH_DOF = 2.0
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -127,9 +130,20 @@ def _precision(lines: Lines, channel_names: tuple[str, ...], exact: bool) -> Com
     """Inverse covariance, spread over all channels and the u loads."""
     live, c, u = len(lines.channel_names), len(channel_names), len(lines.components)
     used = slice(0, live) if exact else slice(0, live + u)
-    covariance = lines.covariance[:, used, used]
-    inverse = np.linalg.inv(covariance) * inverse_bias_factor(lines.dof, live)
+    inverse = _inverse(lines.covariance[:, used, used], lines.dof, live)
     wide = np.zeros((len(inverse), c + u, c + u), complex)
     places = np.array(_places(lines, channel_names) + ([] if exact else list(range(c, c + u))))
     wide[:, places[:, None], places[None, :]] = inverse
     return wide
+
+
+def _inverse(covariance: ComplexArray, dof: float, size: int) -> ComplexArray:
+    """Unbiased inverse of covariances (K, n, n) that were estimated with `dof` degrees of freedom.
+
+    With too few of them only the variances are known well enough to be inverted.
+    """
+    if dof > ENOUGH_DOF * size:
+        return np.asarray(np.linalg.inv(covariance) * inverse_bias_factor(dof, size), complex)
+    variances = np.real(np.diagonal(covariance, axis1=1, axis2=2))
+    factor = inverse_bias_factor(dof, 1) if dof > 1 else 1.0
+    return np.asarray(factor / variances[:, :, None] * np.eye(variances.shape[1]), complex)

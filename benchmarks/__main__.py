@@ -1,0 +1,8 @@
+"""`make bench`: every benchmark in turn."""
+
+import sys
+
+from benchmarks import maximum_likelihood
+
+if __name__ == "__main__":
+    sys.stdout.write(f"Maximum likelihood, sample campaign\n{maximum_likelihood.run()}\n")

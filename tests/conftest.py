@@ -1,0 +1,56 @@
+"""One small simulated campaign for all tests, integrated in time: the truth that the chain is held to."""
+
+import os
+from dataclasses import dataclass, replace
+
+# The matrices are many and small: threads in BLAS cost more than they bring. Before numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+import pytest
+
+
+@dataclass(frozen=True)
+class SimulatedCampaign:
+    """A rig drawn from the tolerances, its runs, and the truth of each."""
+
+    geometry: object
+    rig: object
+    runs: tuple
+    truths: dict
+
+    def of(self, *kinds):
+        return tuple(run for run in self.runs if run.kind in kinds)
+
+
+@pytest.fixture(scope="session")
+def campaign():
+    from rigs import rotor_balance
+
+    from balance_cli.simulation import draw_rig, short_plan, simulate_campaign
+
+    geometry = rotor_balance()
+    rig = draw_rig(geometry, np.random.default_rng(11))
+    # A mode of a tenth of a per cent would ring through the whole of so short a record.
+    rig = replace(rig, damping_ratios=np.maximum(rig.damping_ratios, 0.008))
+    plan = short_plan()
+    longer = [one.model_copy(update={"periods": 8}) if one.kind == "sweep" else one for one in plan.runs]
+    longer = [one.model_copy(update={"duration": 16.0}) if one.kind in ("check", "wind") else one for one in longer]
+    steps = [one.model_copy(update={"steps": 5}) if one.kind == "static" else one for one in longer]
+    runs, truths = simulate_campaign(rig, plan.model_copy(update={"runs": tuple(steps)}), seed=4)
+    return SimulatedCampaign(geometry, rig, runs, {truth.name: truth for truth in truths})
+
+
+@pytest.fixture(scope="session")
+def identified(campaign):
+    from balance_cli.identify import identify
+    from balance_cli.spectra import measured_spectra
+
+    return identify(measured_spectra(campaign.runs, campaign.geometry), campaign.geometry)
+
+
+@pytest.fixture(scope="session")
+def calibration(campaign):
+    from balance_cli.calibrate import calibrate
+
+    return calibrate(campaign.of("static"), campaign.geometry)
