@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.geometry import Geometry
+from balance_cli.components import COMPONENTS
+from balance_cli.geometry import Channel, Geometry
 from balance_cli.runs import Array, Run, pick_channels
 
 Integers = NDArray[np.int64]
@@ -59,22 +60,45 @@ class ChannelHealth:
 def live_channels(run: Run, geometry: Geometry) -> ChannelHealth:
     """Judge every channel that the geometry declares. Reads all samples of the run, block by block."""
     wanted = [channel for channel in geometry.channels if run.kind != "static" or channel.measures_dc]
-    present = {channel.name: channel.range for channel in wanted if channel.name in run.channel_names}
-    faults = channel_faults(run, present)
-    absent = {channel.name: "absent from the run" for channel in wanted if channel.name not in present}
+    present = [channel for channel in wanted if channel.name in run.channel_names]
+    driving = {channel.name: _driving_loads(channel, geometry) for channel in present}
+    faults = channel_faults(run, {channel.name: channel.range for channel in present}, driving)
+    absent = {channel.name: "absent from the run" for channel in wanted if channel not in present}
     left_out = {channel.name: {**faults, **absent}.get(channel.name, "") for channel in wanted}
     live = tuple(name for name, reason in left_out.items() if not reason)
     return ChannelHealth(live, {name: reason for name, reason in left_out.items() if reason})
 
 
-def channel_faults(run: Run, ranges: Mapping[str, float | None]) -> dict[str, str]:
+def channel_faults(
+    run: Run, ranges: Mapping[str, float | None], driving: Mapping[str, tuple[str, ...]] | None = None
+) -> dict[str, str]:
     """What is wrong with these channels of the run (name -> range at which it clips [V], if declared): name -> text.
 
-    Sound channels are not in the result.
+    Sound channels are not in the result. `driving` names the loads that reach a channel (default: all): in a static
+    run a channel may stand still as long as these do.
     """
-    records = _records(run, list(ranges))
-    faults = {name: _fault(record, ranges[name]) for name, record in zip(ranges, records, strict=True)}
+    records = dict(zip(ranges, _records(run, list(ranges)), strict=True))
+    faults = {}
+    for name, record in records.items():
+        components = COMPONENTS if driving is None else driving[name]
+        faults[name] = _fault(record, ranges[name], _may_stand_still(run, record, components))
     return {name: fault for name, fault in faults.items() if fault}
+
+
+def _driving_loads(channel: Channel, geometry: Geometry) -> tuple[str, ...]:
+    """With a torque meter Mz goes through it alone, and the other loads through the cells alone."""
+    if geometry.torque_meter is None:
+        return COMPONENTS
+    return tuple(name for name in COMPONENTS if (name == "Mz") == channel.torque_meter)
+
+
+def _may_stand_still(run: Run, record: _Record, components: tuple[str, ...]) -> bool:
+    """Whether the loads that reach a channel stood still during its longest stretch of identical load points."""
+    if run.kind != "static" or record.stretch < LEAST_ROWS:
+        return False
+    loads = run.read(record.stretch_start, record.stretch_start + record.stretch).loads
+    columns = [COMPONENTS.index(name) for name in components]
+    return loads is not None and not np.ptp(loads[:, columns], axis=0).any()
 
 
 # ---- what one pass gathers of a channel ------------------------------------------------------------------------------
@@ -161,8 +185,10 @@ def _records(run: Run, names: list[str]) -> list[_Record]:
 # ---- what is wrong with it -------------------------------------------------------------------------------------------
 
 
-def _fault(record: _Record, limit: float | None) -> str:
+def _fault(record: _Record, limit: float | None, may_stand_still: bool) -> str:
     """Why a channel cannot be used, or nothing."""
+    if may_stand_still:
+        return _not_finite(record) or _clipped(record, limit)
     return _not_finite(record) or _constant(record) or _clipped(record, limit) or _dead_in_part(record)
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from balance_cli.channel_health import channel_faults, live_channels
+from balance_cli.components import COMPONENTS
 from balance_cli.geometry import Geometry
 from balance_cli.geometry_file import geometry_from_dict, geometry_to_dict, load_geometry
 from balance_cli.run_files import open_run
@@ -200,5 +201,27 @@ def test_a_static_run_needs_only_the_channels_that_pass_a_constant_load() -> Non
         "z2.strain": "dead for part of the record",
     }
     assert len(health.live) == 6
+
+
+@pytest.mark.parametrize(("channel", "load"), [("torque", "Mz"), ("x.strain", "Fx")])
+def test_in_a_static_run_a_channel_may_stand_still_as_long_as_its_loads_do(channel: str, load: str) -> None:
+    """Load points without any noise: each channel stands still while nothing that reaches it changes."""
+    run = opened(ROOT / "sample_data" / "static-bare.h5")
+    column, component = run.channel_names.index(channel), COMPONENTS.index(load)
+    block = run.read()
+    samples, loads = block.channels.copy(), np.array(block.loads)
+    own = [component] if channel == "torque" else [0, 1, 2, 3, 4]
+    loads[:100, own] = 0.0
+    samples[:100, column] = 5.0
+    still = replace(run, source=MemorySource(samples, loads))
+    assert live_channels(still, RIG).left_out == {}
+    loads[50, component] = 1.0
+    assert list(live_channels(still, RIG).left_out) == [channel]
+    assert list(channel_faults(still, dict.fromkeys(run.channel_names))) == [channel]
+
+
+def test_one_load_point_is_no_evidence() -> None:
+    run = opened(ROOT / "sample_data" / "static-bare.h5")
+    samples, loads = run.read().channels, run.read().loads
     one = replace(run, samples=1, source=MemorySource(samples[:1], None if loads is None else loads[:1]))
     assert len(live_channels(one, RIG).live) == 8

@@ -77,6 +77,13 @@ def test_files_are_known_by_their_content(tmp_path: Path, artefact: Path) -> Non
     }
 
 
+def test_truth_of_simulated_runs_is_no_fault(tmp_path: Path) -> None:
+    words = ("-g", str(RIG), "--plan", "short", "--only", "static-bare", "-o", str(tmp_path / "runs"))
+    assert CliRunner().invoke(balance, ["simulate", *words]).exit_code == 0
+    files = found(*sorted((tmp_path / "runs").iterdir()))
+    assert {file["kind"] for file in files.values()} == {"run", "balance-truth/1"}
+
+
 def test_what_is_not_known_is_a_fault(tmp_path: Path) -> None:
     other = tmp_path / "other.txt"
     other.write_text("hello", encoding="utf-8")

@@ -19,10 +19,13 @@ from balance_cli.runs import Run
 
 LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
 
+OTHER_FORMATS = {"balance-history/1": "history of hub loads", "balance-truth/1": "truth behind simulated runs"}
+"""Formats that no command reads."""
+
 
 @dataclass(frozen=True)
 class Finding:
-    """One file: its kind (`geometry`, `run`, a format, `unknown`), what to say of it, its faults, and of a run its kind."""
+    """One file: its kind (`geometry`, `run`, a format, `unknown`), what to say of it, its faults; a run's own kind."""
 
     kind: str
     about: str
@@ -43,6 +46,8 @@ def examine(path: Path, geometry: Geometry | None) -> Finding:
     }
     if declared in readers:
         return readers[declared](path, geometry)
+    if declared in OTHER_FORMATS:
+        return Finding(str(declared), OTHER_FORMATS[str(declared)])
     if declared is None and path.is_file() and path.suffix in (".yaml", ".yml"):
         return _geometry(path, geometry)
     if declared is None and _is_load_table(path):
