@@ -1,0 +1,76 @@
+"""`balance report`: one page with everything that the artefacts tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from balance_cli.cli.common import InputFile, OutputFile, Session, balance_command, output_option
+from balance_cli.errors import UserError
+
+if TYPE_CHECKING:
+    from balance_cli.report.page import Page
+    from balance_cli.report.sources import Sources
+
+PICTURE_FORMATS = (".png", ".svg", ".pdf")
+
+
+@balance_command("report")
+@click.argument("artefacts", type=InputFile(), nargs=-1, required=True, metavar="ARTEFACT...")
+@click.option(
+    "--picture",
+    type=OutputFile(),
+    metavar="FILE",
+    help="Write the comparison of the methods on the check runs as .png, .svg or .pdf, too.",
+)
+@output_option("REPORT.html", "The page: one file that needs nothing else.")
+def command(session: Session, artefacts: tuple[Path, ...], picture: Path | None, output: Path) -> None:
+    """One self-contained page with pictures, from artefacts alone.
+
+    Any artefacts will do; the page has the sections that they give. Models, measured responses and loads given
+    together are compared with each other.
+    """
+    from balance_cli.report.page import page
+    from balance_cli.report.sources import FORMATS, sources
+
+    _check_names(output, picture)
+    paths = session.progress(artefacts, "artefacts", len(artefacts))
+    found = sources([(path, session.artefact(path, FORMATS)) for path in paths])
+    made = page(found)
+    session.stage(output).write_text(made.html, encoding="utf-8")
+    if picture is not None:
+        _draw(session, picture, found)
+    session.finish(
+        {"sections": made.sections, "figures": made.pictures, "artefacts": _labels(found)}, _text(made, found)
+    )
+
+
+def _check_names(output: Path, picture: Path | None) -> None:
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise UserError("the page is written as .html", str(output), remedy="Let its name end so")
+    if picture is not None and picture.suffix.lower() not in PICTURE_FORMATS:
+        raise UserError("a picture is written as .png, .svg or .pdf", str(picture), remedy="Let its name end so")
+
+
+def _draw(session: Session, picture: Path, found: Sources) -> None:
+    from balance_cli.report.check_runs import checked, comparison_figure
+    from balance_cli.report.drawing import save_picture
+
+    methods = checked(found)
+    if not methods:
+        raise UserError("no loads of check runs to draw", "--picture", remedy="Give loads reduced from check runs")
+    file_format = picture.suffix.lower().lstrip(".")
+    save_picture(session.stage(picture), "picture", lambda: comparison_figure(methods), file_format)
+
+
+def _labels(found: Sources) -> dict[str, str]:
+    return {source.file: source.label for source in found.everything}
+
+
+def _text(made: Page, found: Sources) -> Iterator[str]:
+    yield f"{len(found.everything)} artefacts, {len(made.sections)} sections, {len(made.pictures)} pictures"
+    for source in found.everything:
+        yield f"   {source.file}: {source.label}"

@@ -1,0 +1,129 @@
+"""What a page is made of: sections of texts, warnings, tables and pictures. Plain data; the template draws it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table: its text, a second small text beside it, what it spans, and how it is marked.
+
+    `mark` are names of styles: `good`, `bad`, `best`, `quiet`, `group`, `name`, in any number, separated by blanks.
+    """
+
+    text: str
+    note: str = ""
+    mark: str = ""
+    span: int = 1
+    title: str = ""
+
+
+Row = tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with its caption; `head` may have several rows."""
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    head: tuple[Row, ...]
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture as markup that stands alone (inline SVG); `name` is unique on the page."""
+
+    kind: ClassVar[str] = "picture"
+    name: str
+    caption: str
+    markup: str
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph."""
+
+    kind: ClassVar[str] = "text"
+    text: str
+
+
+@dataclass(frozen=True)
+class Warn:
+    """A paragraph that must not be overlooked."""
+
+    kind: ClassVar[str] = "warn"
+    text: str
+
+
+@dataclass(frozen=True)
+class Points:
+    """A list of short statements."""
+
+    kind: ClassVar[str] = "points"
+    items: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading below that of the section."""
+
+    kind: ClassVar[str] = "heading"
+    text: str
+
+
+@dataclass(frozen=True)
+class Figures:
+    """The verdict in numbers: (number, what it is, mark) side by side."""
+
+    kind: ClassVar[str] = "figures"
+    items: tuple[tuple[str, str, str], ...]
+
+
+@dataclass(frozen=True)
+class Details:
+    """Blocks that are shown on demand (and always in print)."""
+
+    kind: ClassVar[str] = "details"
+    summary: str
+    blocks: tuple[Block, ...]
+
+
+Block = Table | Picture | Text | Warn | Points | Heading | Figures | Details
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page; `key` is its anchor."""
+
+    key: str
+    title: str
+    blocks: tuple[Block, ...]
+
+
+def pictures(blocks: Sequence[Block]) -> Iterator[Picture]:
+    """All pictures among the blocks, those in details included."""
+    for block in blocks:
+        if isinstance(block, Picture):
+            yield block
+        elif isinstance(block, Details):
+            yield from pictures(block.blocks)
+
+
+def cells(*texts: str, mark: str = "") -> Row:
+    """A row of plain cells."""
+    return tuple(Cell(text, mark=mark) for text in texts)
+
+
+def named_row(name: str, *texts: str) -> Row:
+    """A row whose first cell names it."""
+    return (Cell(name, mark="name"), *cells(*texts))
+
+
+def group_row(text: str, span: int) -> Row:
+    """A row that heads those below it."""
+    return (Cell(text, mark="group", span=span),)

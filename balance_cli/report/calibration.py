@@ -1,0 +1,132 @@
+"""The static calibration: C0, residuals, hysteresis and condition, trim by trim."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibrated import Calibration, TrimCalibration
+from balance_cli.components import UNIT_OF
+from balance_cli.report.blocks import Block, Cell, Details, Row, Section, Table, Text, Warn, named_row
+from balance_cli.report.numbers import significant, with_sigma
+from balance_cli.report.sources import Source, Sources
+
+Array = NDArray[np.float64]
+
+LARGEST_LACK_OF_FIT = 1.5
+"""Above this a straight line is plainly not all there is."""
+SIGNIFICANT = 3.0
+
+
+def section(sources: Sources) -> Section | None:
+    """All calibrations, one after the other; None where there is none."""
+    blocks = [block for source in sources.calibrations for block in _calibration(source, len(sources.calibrations) > 1)]
+    return Section("calibration", "Static calibration", tuple(blocks)) if blocks else None
+
+
+def _calibration(source: Source[Calibration], named: bool) -> Iterator[Block]:
+    trims = source.content.trims
+    prefix = f"{source.file}: " if named else ""
+    rows = sum(trim.rows for trim in trims.values())
+    yield Text(
+        f"{prefix}{len(trims)} trim{'s' if len(trims) > 1 else ''}, {rows} load points, straight lines through each "
+        "trim by itself. Residual: standard deviation of back-calculated less applied loads."
+    )
+    for trim in trims.values():
+        yield from _warnings(trim)
+    yield residual_table(source.content)
+    if any(np.isfinite(trim.hysteresis.loads).any() for trim in trims.values()):
+        yield hysteresis_table(source.content)
+    for trim in trims.values():
+        yield matrix_table(trim)
+    yield Details("T0, the way back from channels to loads", tuple(inverse_table(trim) for trim in trims.values()))
+
+
+def _warnings(trim: TrimCalibration) -> Iterator[Block]:
+    for channel, reason in trim.left_out.items():
+        yield Warn(f"Trim {trim.trim}: channel {channel} left out: {reason}.")
+    if trim.lack_of_fit > LARGEST_LACK_OF_FIT:
+        yield Warn(
+            f"Trim {trim.trim}: a straight line does not describe the readings: the residual variance is "
+            f"{significant(trim.lack_of_fit, 2)} times that of the noise."
+        )
+
+
+def residual_table(calibration: Calibration) -> Table:
+    """Residuals in percent of full range by component, condition and lack of fit, one row a trim."""
+    components = next(iter(calibration.trims.values())).components
+    head = (
+        Cell("trim"),
+        *(Cell(name) for name in components),
+        Cell("condition"),
+        Cell("variance / noise"),
+        Cell("load points"),
+        Cell("runs"),
+    )
+    rows = tuple(_residual_row(trim) for trim in calibration.trims.values())
+    first = next(iter(calibration.trims.values()))
+    ranges = zip(first.components, first.full_range, strict=True)
+    full = ", ".join(f"{name} {significant(float(value))} {UNIT_OF[name]}" for name, value in ranges)
+    caption = (
+        f"Residual in % of full range ({full}); condition of C0 in units of full range and of the channels' noise; "
+        "variance of the residuals over that of the noise (1 where a straight line is all there is)."
+    )
+    return Table(caption, (head,), rows)
+
+
+def _residual_row(trim: TrimCalibration) -> Row:
+    percents = [significant(value, 2) for value in trim.residual_percent_fs.values()]
+    rest = (significant(trim.condition), significant(trim.lack_of_fit), str(trim.rows), ", ".join(trim.runs))
+    return named_row(trim.trim, *percents, *rest)
+
+
+def hysteresis_table(calibration: Calibration) -> Table:
+    """Mean width of the loading loops, as loads."""
+    components = next(iter(calibration.trims.values())).components
+    head = (Cell("trim"), *(Cell(f"{name} [{UNIT_OF[name]}]") for name in components))
+    rows = []
+    for trim in calibration.trims.values():
+        pairs = zip(trim.hysteresis.loads, trim.hysteresis.loads_sigma, trim.full_range, strict=True)
+        cells = [_hysteresis_cell(float(width), float(sigma), float(full)) for width, sigma, full in pairs]
+        rows.append((Cell(trim.trim, mark="name"), *cells))
+    caption = (
+        "Hysteresis: reading on the way up less reading on the way down, as load, with its standard error; small: % of "
+        "full range. Marked: more than three standard errors."
+    )
+    return Table(caption, (head,), tuple(rows))
+
+
+def _hysteresis_cell(width: float, sigma: float, full_range: float) -> Cell:
+    value, error = with_sigma(width, sigma)
+    mark = "bad" if abs(width) > SIGNIFICANT * sigma else ""
+    return Cell(f"{value} \N{PLUS-MINUS SIGN} {error}", f"{significant(100 * width / full_range, 2)} %", mark)
+
+
+def matrix_table(trim: TrimCalibration) -> Table:
+    """C0 with its standard errors."""
+    caption = f"C0 of trim {trim.trim} [\N{MICRO SIGN}V/N, \N{MICRO SIGN}V/(N m)] with standard errors."
+    scaled = (1e6 * trim.C0, 1e6 * trim.C0_sigma)
+    return _matrix(caption, trim.channel_names, trim.components, *scaled)
+
+
+def inverse_table(trim: TrimCalibration) -> Table:
+    """T0 with its standard errors."""
+    caption = f"T0 of trim {trim.trim} [N/V, N m/V] with standard errors."
+    return _matrix(caption, trim.components, trim.channel_names, trim.T0, trim.T0_sigma)
+
+
+def _matrix(
+    caption: str,
+    names: tuple[str, ...],
+    columns: tuple[str, ...],
+    values: Array,
+    sigmas: Array,
+) -> Table:
+    rows = []
+    for name, value_row, sigma_row in zip(names, values, sigmas, strict=True):
+        pairs = (with_sigma(float(v), float(s)) for v, s in zip(value_row, sigma_row, strict=True))
+        rows.append((Cell(name, mark="name"), *(Cell(value, f"\N{PLUS-MINUS SIGN} {sigma}") for value, sigma in pairs)))
+    head = (Cell(""), *(Cell(name) for name in columns))
+    return Table(caption, (head,), tuple(rows))

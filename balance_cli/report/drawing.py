@@ -1,0 +1,157 @@
+"""Figures to markup: one style, colours that colour-blind readers can tell apart, the same bytes for the same data."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+# Okabe and Ito's colours (Color Universal Design, 2008) and, after them, some of Tol's muted scheme.
+BLACK, GREY, ORANGE, SKY, GREEN = "#222222", "#8a8a8a", "#e69f00", "#56b4e9", "#009e73"
+YELLOW, BLUE, VERMILION, PURPLE = "#d6c61a", "#0072b2", "#d55e00", "#cc79a7"
+MORE = ("#882255", "#999933", "#44aa99", "#332288", "#aa4499")
+SCREEN_PIXELS = 192
+"""Resolution of rasterised curves [1/inch]: about twice that of a screen."""
+
+PICTURE_PIXELS = 180
+"""Resolution of a picture that is a file of its own [1/inch]."""
+
+STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.0,
+    "axes.titlesize": 8.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 4.0,
+    "axes.titley": 1.0,
+    "axes.labelsize": 8.0,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": "#666666",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e4e4e4",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 4.0,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.minor.size": 0.0,
+    "ytick.minor.size": 0.0,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "legend.handlelength": 1.8,
+    "hatch.linewidth": 0.6,
+    "svg.fonttype": "none",
+    "axes.unicode_minus": True,
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one model or method is drawn wherever it appears: colour, dashes of its line, marker."""
+
+    colour: str
+    dashes: tuple[float, ...] = ()
+    marker: str = "o"
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """Arguments of a curve."""
+        return {"color": self.colour, "linestyle": (0, self.dashes) if self.dashes else "-"}
+
+
+DATA = Look(BLACK)
+
+
+@contextmanager
+def style(name: str) -> Iterator[None]:
+    """The style of the page; identifiers inside the figure follow from its name."""
+    with matplotlib.rc_context({**STYLE, "svg.hashsalt": name}):
+        yield
+
+
+def svg(name: str, description: str, draw: Callable[[], Figure]) -> str:
+    """What `draw` returns, as inline SVG; `description` is read out where the picture cannot be seen."""
+    with style(name):
+        figure = draw()
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", dpi=SCREEN_PIXELS, metadata=dict.fromkeys(("Date", "Creator", "Format")))
+    return _inline(buffer.getvalue(), description)
+
+
+def save_picture(path: Path, name: str, draw: Callable[[], Figure], file_format: str) -> None:
+    """What `draw` returns, as a file of its own (`png`, `svg` or `pdf`)."""
+    dated = {"png": "Software", "pdf": "CreationDate"}.get(file_format, "Date")
+    with style(name):
+        draw().savefig(path, format=file_format, dpi=PICTURE_PIXELS, metadata={dated: None}, facecolor="white")
+
+
+NUMBERS = re.compile(r"(\d+\.\d{2})\d+")
+COORDINATES = re.compile(r'\b(?:d|x|y|width|height|transform|points)="[^"]*"')
+UNUSED_ID = re.compile(
+    r' id="(?:figure|axes|patch|line2d|text|matplotlib\.axis|xtick|ytick|legend|Path|Poly|Line)[^"]*"'
+)
+
+
+def _inline(text: str, description: str) -> str:
+    """The `svg` element alone: no prologue, no metadata, hundredths of a point, names that nothing refers to gone."""
+    text = text[text.index("<svg") :]
+    text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->\s*", "", text)
+    text = UNUSED_ID.sub("", text)
+    text = COORDINATES.sub(lambda match: NUMBERS.sub(r"\1", match.group()), text)
+    text = re.sub(r"\n\s*", "\n", text)
+    box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text)
+    assert box is not None
+    width = 4.0 / 3.0 * float(box.group(1))
+    opening = f'<svg viewBox="{box.group(0)[9:-1]}" style="width:{width:.0f}px" role="img"'
+    names = ' xmlns:xlink="http://www.w3.org/1999/xlink" xmlns="http://www.w3.org/2000/svg"'
+    return f'{opening} aria-label="{escape(description)}"{names}>{text[text.index(">") + 1 :]}'
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure [inch]; a page is 12 wide."""
+    return Figure(figsize=(width, height))
+
+
+def plain_log(axes: Axes, limits: tuple[float, float]) -> None:
+    """Logarithmic y-axis between `limits` with plain numbers: decades, or 1, 2 and 5 where it spans few of them."""
+    axes.set_yscale("log")
+    axes.set_ylim(*limits)
+    few = np.log10(limits[1] / limits[0]) < 1.7
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=20))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def decades(values: Sequence[float] | np.ndarray[Any, Any], least: float, margin: float = 1.15) -> tuple[float, float]:
+    """Limits of a logarithmic axis around the positive values, at least `least` decades wide."""
+    finite = np.asarray(values, float)
+    finite = finite[np.isfinite(finite) & (finite > 0)]
+    if not len(finite):
+        return 0.1, 0.1 * 10.0**least
+    low, high = float(finite.min()) / margin, float(finite.max()) * margin
+    missing = least - np.log10(high / low)
+    if missing > 0:
+        low, high = low * 10 ** (-missing / 2), high * 10 ** (missing / 2)
+    return low, high

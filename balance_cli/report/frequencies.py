@@ -1,0 +1,270 @@
+"""Eigenfrequencies computed and identified, side by side (the paper's figure 13)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from balance_cli.equations import SHAFT
+from balance_cli.identified import IdentifiedModel, ModeTable
+from balance_cli.report.blocks import Block, Cell, Details, Picture, Row, Section, Table, Text
+from balance_cli.report.drawing import new_figure, svg
+from balance_cli.report.numbers import MINUS, fixed, sentence, with_sigma
+from balance_cli.report.sources import Source, Sources
+
+CONSIDERABLE = 0.05
+"""Relative difference of a computed from an identified eigenfrequency that is called considerable."""
+ALIKE = 0.5
+"""Least modal assurance of two shapes that are taken for one mode."""
+
+
+@dataclass(frozen=True)
+class ModeMatch:
+    """Modes of several models, row by row: `index[r][m]` is the mode of model m in row r, None where it has none."""
+
+    index: tuple[tuple[int | None, ...], ...]
+
+
+def shaft_mode(modes: ModeTable) -> int | None:
+    """The mode in which the shaft alone moves; None where there is no torque meter (or no such mode)."""
+    if SHAFT not in modes.coordinates or not has_shapes(modes):
+        return None
+    share = np.abs(modes.shape) ** 2
+    of_shaft = share[:, modes.coordinates.index(SHAFT)] / share.sum(axis=1)
+    return int(np.argmax(of_shaft)) if of_shaft.max() > ALIKE else None
+
+
+def matched(models: Sequence[IdentifiedModel]) -> ModeMatch:
+    """Which mode of each model is which of the first one that has shapes.
+
+    Models in the same coordinates by their shapes; others by their frequencies, the shaft's aside.
+    """
+    first = next((model.modes for model in models if has_shapes(model.modes)), models[0].modes)
+    columns = [_partners(first, model.modes) for model in models]
+    rows = [tuple(column[i] for column in columns) for i in range(len(first.frequency))]
+    for m, (column, model) in enumerate(zip(columns, models, strict=True)):
+        for extra in sorted(set(range(len(model.modes.frequency))) - set(column)):
+            rows.append(tuple(extra if k == m else None for k in range(len(models))))
+    return ModeMatch(tuple(rows))
+
+
+def _partners(first: ModeTable, other: ModeTable) -> list[int | None]:
+    """For each mode of `first` its partner in `other`."""
+    shafts = (shaft_mode(first), shaft_mode(other))
+    mine = [i for i in range(len(first.frequency)) if i != shafts[0]]
+    others = [i for i in range(len(other.frequency)) if i != shafts[1]]
+    partners: list[int | None] = [None] * len(first.frequency)
+    if shafts[0] is not None:
+        partners[shafts[0]] = shafts[1]
+    for i, j in _pairs(first, other, mine, others):
+        partners[i] = j
+    return partners
+
+
+def _pairs(first: ModeTable, other: ModeTable, mine: list[int], others: list[int]) -> list[tuple[int, int]]:
+    """The pairing of the largest total modal assurance, nearness of frequencies deciding between equals.
+
+    Without shapes in common coordinates frequencies alone decide: in their order where there are as many of each.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    apart = np.abs(np.log(first.frequency[mine][:, None] / other.frequency[others]))
+    if has_shapes(first) and has_shapes(other) and set(first.coordinates) <= set(other.coordinates):
+        common = [other.coordinates.index(name) for name in first.coordinates]
+        assurance = modal_assurance(first.shape[mine], other.shape[np.ix_(others, common)])
+        rows, columns = linear_sum_assignment(assurance - 0.5 * np.tanh(apart), maximize=True)
+    elif len(mine) == len(others):
+        return list(zip(mine, others, strict=True))
+    else:
+        rows, columns = linear_sum_assignment(apart)
+    return [(mine[i], others[j]) for i, j in zip(rows, columns, strict=True)]
+
+
+def has_shapes(modes: ModeTable) -> bool:
+    """Whether the shapes of the modes are known."""
+    return len(modes.shape) == len(modes.frequency) > 0
+
+
+def modal_assurance(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Modal assurance criterion (m, k) of shapes (m, n) and (k, n): |a* b|^2 / (a* a)(b* b) (Allemang, Brown 1982)."""
+    sizes = np.outer(np.sum(np.abs(a) ** 2, axis=1), np.sum(np.abs(b) ** 2, axis=1))
+    return np.asarray(np.abs(a.conj() @ b.T) ** 2 / np.where(sizes > 0, sizes, 1.0))
+
+
+def sigma_scale(model: IdentifiedModel) -> float:
+    """Factor by which the misfit widens the sigmas; in the paper's form they come from the residuals as they are."""
+    return 1.0 if model.paper is not None else model.misfit_scale
+
+
+def reference(models: Sequence[Source[IdentifiedModel]]) -> Source[IdentifiedModel] | None:
+    """The identified model that others are compared with: the physical one by maximum likelihood, or the next best."""
+    for rank in ("closed", "identified", "paper", "ls", "paper-ls"):
+        for source in models:
+            if source.rank == rank:
+                return source
+    return None
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How the computed eigenfrequencies deviate: their number, and those considerably off (frequencies [Hz])."""
+
+    count: int
+    considerable: tuple[tuple[float, float], ...]
+    largest: float
+
+
+def deviation(computed: IdentifiedModel, identified: IdentifiedModel) -> Deviation:
+    """Computed against identified eigenfrequencies, the modes that both have."""
+    pairs = [
+        (float(computed.modes.frequency[i]), float(identified.modes.frequency[j]))
+        for i, j in matched([computed, identified]).index
+        if i is not None and j is not None
+    ]
+    off = [(c / f - 1.0, (c, f)) for c, f in pairs]
+    considerable = tuple(pair for relative, pair in off if abs(relative) > CONSIDERABLE)
+    return Deviation(len(pairs), considerable, max((abs(relative) for relative, _ in off), default=0.0))
+
+
+def section(sources: Sources) -> Section | None:
+    """Picture and tables of the modes of all models; None where there is no model."""
+    models = sources.models
+    if not models:
+        return None
+    match = matched([source.content for source in models])
+    blocks: list[Block] = [
+        Picture(
+            "eigenfrequencies",
+            "Eigenfrequencies of all models, with two sigma: computed from the tolerances of the geometry, identified "
+            "from the noise, widened by the misfit.",
+            svg("eigenfrequencies", "Eigenfrequencies of each model", lambda: frequency_figure(models, match)),
+        ),
+        frequency_table(models, match),
+        damping_table(models, match),
+    ]
+    statement = _statement(models)
+    if statement:
+        blocks.insert(0, Text(statement))
+    shapes = [shape_table(source) for source in models if has_shapes(source.content.modes)]
+    if shapes:
+        blocks.append(Details("Shapes of the modes", tuple(shapes)))
+    return Section("eigenfrequencies", "Eigenfrequencies, computed and identified", tuple(blocks))
+
+
+def _statement(models: Sequence[Source[IdentifiedModel]]) -> str:
+    computed = next((source for source in models if source.rank == "computed"), None)
+    best = reference(models)
+    if computed is None or best is None:
+        return ""
+    found = deviation(computed.content, best.content)
+    if not found.considerable:
+        return f"All {found.count} computed eigenfrequencies lie within {100 * CONSIDERABLE:.0f} % of {best.label}."
+    pairs = "; ".join(f"{c:.1f} against {f:.1f} Hz" for c, f in found.considerable)
+    verb = "differs" if len(found.considerable) == 1 else "differ"
+    return (
+        f"{len(found.considerable)} of {found.count} computed eigenfrequencies {verb} by more than "
+        f"{100 * CONSIDERABLE:.0f} % from those of {best.label}: {pairs}."
+    )
+
+
+def frequency_figure(models: Sequence[Source[IdentifiedModel]], match: ModeMatch) -> Figure:
+    """One row a model, frequency to the right; thin lines join the partners."""
+    figure = new_figure(12.0, 0.75 + 0.36 * len(models))
+    axes = figure.add_subplot()
+    for row, source in enumerate(models):
+        modes = source.content.modes
+        axes.errorbar(
+            modes.frequency,
+            np.full(len(modes.frequency), row),
+            xerr=2 * sigma_scale(source.content) * modes.sigma_frequency,
+            linestyle="",
+            marker=source.look.marker,
+            markersize=6,
+            color=source.look.colour,
+            elinewidth=1.4,
+            capsize=3,
+            zorder=3,
+        )
+    for partners in match.index:
+        known = [(float(models[m].content.modes.frequency[i]), m) for m, i in enumerate(partners) if i is not None]
+        axes.plot([x for x, _ in known], [y for _, y in known], color="#b0b0b0", linewidth=0.8, zorder=1)
+    axes.set_yticks(range(len(models)), [source.label for source in models])
+    axes.set_ylim(len(models) - 0.5, -0.5)
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel("eigenfrequency [Hz]")
+    axes.tick_params(axis="y", length=0, labelsize=8)
+    axes.grid(visible=False, axis="y")
+    height = 0.75 + 0.36 * len(models)
+    figure.subplots_adjust(left=0.16, right=0.99, top=1 - 0.08 / height, bottom=0.5 / height)
+    return figure
+
+
+def frequency_table(models: Sequence[Source[IdentifiedModel]], match: ModeMatch) -> Table:
+    """Frequencies with sigma, the difference from the reference beside."""
+    best = reference(models)
+    column = None if best is None else models.index(best)
+    rows = []
+    for r, partners in enumerate(match.index):
+        base = None if column is None else partners[column]
+        value = None if base is None or best is None else float(best.content.modes.frequency[base])
+        cells = [_frequency_cell(models[m].content, i, value) for m, i in enumerate(partners)]
+        rows.append((Cell(str(r + 1), mark="name"), *cells))
+    less = f"; small: difference from {best.label}" if best is not None and len(models) > 1 else ""
+    head = (Cell("mode"), *(Cell(source.label, title=source.file) for source in models))
+    return Table(f"Eigenfrequencies [Hz] with sigma, widened by the misfit{less}.", (head,), tuple(rows))
+
+
+def _frequency_cell(model: IdentifiedModel, i: int | None, base: float | None) -> Cell:
+    if i is None:
+        return Cell("")
+    modes = model.modes
+    value, sigma = with_sigma(float(modes.frequency[i]), sigma_scale(model) * float(modes.sigma_frequency[i]))
+    text = f"{value} \N{PLUS-MINUS SIGN} {sigma}"
+    relative = float(modes.frequency[i]) / base - 1.0 if base else 0.0
+    if relative == 0.0:
+        return Cell(text)
+    return Cell(text, signed_percent(relative), "bad" if abs(relative) > CONSIDERABLE else "")
+
+
+def signed_percent(relative: float) -> str:
+    """A relative difference in percent, with its sign."""
+    text = fixed(100 * relative, 2 if abs(relative) < 0.1 else 1)
+    return f"{text} %" if text.startswith(MINUS) else f"+{text} %"
+
+
+def damping_table(models: Sequence[Source[IdentifiedModel]], match: ModeMatch) -> Table:
+    """Damping ratios with sigma."""
+    rows: list[Row] = []
+    for r, partners in enumerate(match.index):
+        cells = [Cell("") if i is None else _damping_cell(models[m].content, i) for m, i in enumerate(partners)]
+        rows.append((Cell(str(r + 1), mark="name"), *cells))
+    head = (Cell("mode"), *(Cell(source.label, title=source.file) for source in models))
+    return Table("Damping ratios [%] with sigma, widened by the misfit.", (head,), tuple(rows))
+
+
+def _damping_cell(model: IdentifiedModel, i: int) -> Cell:
+    ratio = 100 * float(model.modes.damping_ratio[i])
+    value, sigma = with_sigma(ratio, 100 * sigma_scale(model) * float(model.modes.sigma_damping_ratio[i]))
+    return Cell(f"{value} \N{PLUS-MINUS SIGN} {sigma}", mark="bad" if ratio < 0 else "")
+
+
+def shape_table(source: Source[IdentifiedModel]) -> Table:
+    """Real parts of the mode shapes, largest motion 1."""
+    modes = source.content.modes
+    head = (Cell("Hz"), *(Cell(name) for name in modes.coordinates))
+    rows = [
+        (Cell(f"{frequency:.2f}", mark="name"), *(_shape_cell(complex(value)) for value in shape))
+        for frequency, shape in zip(modes.frequency, modes.shape, strict=True)
+    ]
+    motion = "motion of the centre of gravity [m] and angles [rad], largest 1; small: imaginary part"
+    caption = f"{sentence(source.label)}: {motion}."
+    return Table(caption, (head,), tuple(rows))
+
+
+def _shape_cell(value: complex) -> Cell:
+    imaginary = fixed(value.imag, 2) if abs(value.imag) >= 0.005 else ""
+    return Cell(fixed(value.real, 3), imaginary, "" if abs(value) >= 0.1 else "quiet")

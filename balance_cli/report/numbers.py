@@ -1,0 +1,72 @@
+"""Numbers as text: so many digits as they are worth."""
+
+from __future__ import annotations
+
+import math
+
+MINUS = "\N{MINUS SIGN}"
+NONE = "\N{EN DASH}"
+MOST_DIGITS = 7
+SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e5
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """A number to so many significant digits, without an exponent where it is readable without."""
+    if not math.isfinite(value):
+        return NONE
+    if value == 0:
+        return "0"
+    rounded = float(f"{value:.{digits - 1}e}")
+    exponent = math.floor(math.log10(abs(rounded)))
+    if -4 <= exponent < max(digits, 5):
+        return f"{rounded:.{max(digits - 1 - exponent, 0)}f}".replace("-", MINUS)
+    return f"{rounded:.{digits - 1}e}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e").replace("-", MINUS)
+
+
+def percent(ratio: float, digits: int = 2) -> str:
+    """A ratio in percent, without the sign; below a thousandth of a percent as such."""
+    if not math.isfinite(ratio):
+        return NONE
+    value = 100.0 * ratio
+    if 0 < abs(value) < 1e-3:
+        return "<0.001"
+    return significant(value, 3 if abs(value) >= 100 else digits)
+
+
+def with_sigma(value: float, sigma: float) -> tuple[str, str]:
+    """Value and sigma, both to the second significant digit of sigma (at most seven of value); exact values to six."""
+    if not (math.isfinite(sigma) and sigma > 0):
+        return (f"{value:.6g}".replace("-", MINUS) if math.isfinite(value) else NONE), NONE
+    if not math.isfinite(value):
+        return NONE, significant(sigma, 2)
+    decimals = 1 - math.floor(math.log10(float(f"{sigma:.1e}")))
+    size = max(abs(value), sigma)
+    exponent = math.floor(math.log10(size))
+    digits = max(exponent + 1 + decimals, 2)
+    if size >= LARGEST_PLAIN and digits <= MOST_DIGITS:
+        parts = (f"{part / 10**exponent:.{max(digits - 1, 0)}f}e{exponent}" for part in (value, sigma))
+        return (next(parts).replace("-", MINUS), next(parts))
+    if digits > MOST_DIGITS or size < SMALLEST_PLAIN or size >= LARGEST_PLAIN:
+        return significant(value, min(digits, MOST_DIGITS)), significant(sigma, 2)
+    decimals = max(decimals, 0)
+    return f"{value:.{decimals}f}".replace("-", MINUS), f"{sigma:.{decimals}f}"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals."""
+    if not math.isfinite(value):
+        return NONE
+    text = f"{value:.{decimals}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", MINUS)
+
+
+def sentence(text: str) -> str:
+    """A text that begins with a capital letter."""
+    return text[:1].upper() + text[1:]
+
+
+def listed(names: tuple[str, ...] | list[str]) -> str:
+    """Names as in a sentence: `a, b and c`."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,78 @@
+"""The page: sections in order, one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.resources import files
+
+from jinja2 import Environment, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+from balance_cli.report import (
+    calibration,
+    check_runs,
+    frequencies,
+    parameters,
+    provenance,
+    responses,
+    summary,
+    transfer,
+    wind_on,
+)
+from balance_cli.report.blocks import Section, pictures
+from balance_cli.report.sources import Sources
+
+# Results first, then what they rest on.
+SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
+    summary.section,
+    check_runs.section,
+    wind_on.section,
+    frequencies.section,
+    responses.section,
+    parameters.section,
+    transfer.section,
+    calibration.section,
+    provenance.section,
+)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page and what is on it: its HTML, {section key: title} and the names of its pictures, in order."""
+
+    html: str
+    sections: dict[str, str]
+    pictures: tuple[str, ...]
+
+
+def page(sources: Sources) -> Page:
+    """The whole page from artefacts; a section for which there is nothing is left out."""
+    made = tuple(sections(sources))
+    rig = summary.rig(sources)
+    title = f"Rotor balance {rig}" if rig else "Rotor balance"
+    style = Markup(_resource("page.css"))
+    html = _environment().from_string(_resource("page.html")).render(title=title, sections=made, style=style)
+    names = tuple(picture.name for section in made for picture in pictures(section.blocks))
+    return Page(html, {section.key: section.title for section in made}, names)
+
+
+def sections(sources: Sources) -> Iterator[Section]:
+    """Every section that the artefacts give."""
+    for make in SECTIONS:
+        section = make(sources)
+        if section is not None:
+            yield section
+
+
+def _resource(name: str) -> str:
+    return files("balance_cli.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _environment() -> Environment:
+    return Environment(
+        autoescape=select_autoescape(default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )

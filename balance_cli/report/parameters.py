@@ -1,0 +1,157 @@
+"""What was identified: how well each run fits, each parameter with what it rests on, and what the data leave open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from balance_cli.identified import IdentifiedModel
+from balance_cli.report.blocks import Block, Cell, Details, Heading, Points, Row, Section, Table, Text, Warn
+from balance_cli.report.frequencies import sigma_scale
+from balance_cli.report.numbers import fixed, percent, sentence, significant, with_sigma
+from balance_cli.report.sources import Source, Sources
+
+DESCRIBES = 1.2
+"""Largest chi2/dof of a model that describes its data."""
+PARAMETER_HEAD = ("parameter", "unit", "value", "sigma", "declared", "tolerance", "deviation", "rests on")
+FAR = 3.0
+"""Deviation from the declared value, in declared sigmas, that is marked."""
+
+
+def describes(model: IdentifiedModel) -> bool:
+    """Whether a fitted model describes its data within the noise."""
+    return model.quality.chi2_per_dof <= DESCRIBES
+
+
+def section(sources: Sources) -> Section | None:
+    """Fit of every run by every model, then the parameters of each fitted model; None where there is no model."""
+    models = [source for source in sources.models if source.content.quality.runs or source.content.iterations]
+    if not models:
+        return None
+    blocks: list[Block] = [
+        Text(
+            "Chi-square is taken against the noise measured in the runs, not against one estimated from residuals. "
+            "Near 1 per degree of freedom the model describes the data; well above, every sigma of a parameter says "
+            "less than it seems to, for it knows of noise alone."
+        )
+    ]
+    blocks += [warning for source in models for warning in _warnings(source)]
+    blocks.append(quality_table(models))
+    for source in models:
+        if source.content.method != "computed":
+            blocks += _parameters(source)
+    return Section("parameters", "Identification: fit and parameters", tuple(blocks))
+
+
+def _warnings(source: Source[IdentifiedModel]) -> Iterator[Block]:
+    model, quality = source.content, source.content.quality
+    if quality.runs and np.isfinite(quality.chi2_per_dof) and not describes(model) and model.method != "computed":
+        yield Warn(
+            f"{sentence(source.label)} does not describe these data: chi2/dof is {significant(quality.chi2_per_dof)}. "
+            "Something is missing in the model; its parameters absorb part of it."
+        )
+    if not model.converged:
+        yield Warn(f"{sentence(source.label)}: the fit did not converge.")
+    for run, channels in model.channels_left_out.items():
+        for channel, reason in channels.items():
+            yield Warn(f"{sentence(source.label)}: run {run}, channel {channel} left out: {reason}.")
+
+
+def quality_table(models: Sequence[Source[IdentifiedModel]]) -> Table:
+    """Chi2/dof and relative response error, run by run and overall, of every model."""
+    having = [source for source in models if source.content.quality.runs]
+    names = list(dict.fromkeys(name for source in having for name in source.content.quality.runs))
+    labels = (Cell(""), *(Cell(source.label, span=2, title=source.file) for source in having), Cell("noise"))
+    units = (Cell("run"), *(Cell(text) for _ in having for text in ("chi2/dof", "error %")), Cell("%"))
+    rows: list[Row] = [_run_row(name, having) for name in names]
+    total: list[Cell] = [Cell("all", mark="name total")]
+    for source in having:
+        quality = source.content.quality
+        total += [_ratio_cell(quality.chi2_per_dof, "total"), Cell(percent(quality.frf_error), mark="total")]
+    rows.append((*total, Cell("", mark="total")))
+    caption = (
+        "Fit of every run. Error: rms of model less measured response over rms of the measured one, 5 to 150 Hz; "
+        "noise: what the noise of the measurement leaves of it. Static runs have no such error."
+    )
+    return Table(caption, (labels, units), tuple(rows))
+
+
+def _run_row(name: str, models: Sequence[Source[IdentifiedModel]]) -> Row:
+    cells = [Cell(name, mark="name")]
+    noise = float("nan")
+    for source in models:
+        fit = source.content.quality.runs.get(name)
+        if fit is None:
+            cells += [Cell(""), Cell("")]
+            continue
+        noise = fit.frf_noise if np.isfinite(fit.frf_noise) else noise
+        cells += [_ratio_cell(fit.chi2 / fit.dof if fit.dof > 0 else float("nan")), Cell(percent(fit.frf_error))]
+    return (*cells, Cell(percent(noise), mark="quiet"))
+
+
+def _ratio_cell(ratio: float, mark: str = "") -> Cell:
+    style = "good" if ratio <= DESCRIBES else ""
+    return Cell(significant(ratio), mark=f"{mark} {style}".strip())
+
+
+def _parameters(source: Source[IdentifiedModel]) -> Iterator[Block]:
+    model = source.content
+    yield Heading(f"Parameters of {source.label}")
+    rests = model.parameters.rests_on
+    counts = {word: rests.count(word) for word in ("data", "prior", "exact")}
+    scale = f" Sigmas are those of the noise; for the misfit multiply them by {significant(sigma_scale(model), 2)}."
+    told = (
+        f"{counts['data']} parameters rest on the data, {counts['prior']} on the declared tolerances (more than half "
+        f"of their variance), {counts['exact']} are declared exact."
+    )
+    if counts["data"] == len(rests):
+        told = f"All {len(rests)} parameters rest on the data."
+    yield Text(f"{told} {_origin(model)}{scale if sigma_scale(model) > 1.05 else ''}")
+    if model.undetermined:
+        yield Text("The data alone leave open:")
+        yield Points(model.undetermined)
+    fitted = [i for i, word in enumerate(rests) if word != "exact"]
+    exact = [i for i, word in enumerate(rests) if word == "exact"]
+    table = parameter_table(source, fitted)
+    yield table if model.form == "physical" else Details(f"{len(fitted)} coefficients", (table,))
+    if exact:
+        yield Details(f"{len(exact)} parameters declared exact", (parameter_table(source, exact),))
+
+
+def _origin(model: IdentifiedModel) -> str:
+    return f"Started from {model.start}, {model.iterations} iterations." if model.iterations else "One linear solution."
+
+
+def parameter_table(source: Source[IdentifiedModel], index: Sequence[int]) -> Table:
+    """Value and sigma, declared value and tolerance, the deviation between them, and what the value rests on."""
+    head = tuple(Cell(name) for name in PARAMETER_HEAD)
+    rows = tuple(_parameter_row(source.content, i) for i in index)
+    caption = (
+        "Identified and declared values with one sigma each; deviation in units of the declared sigma "
+        "(marked above three); small: relative."
+    )
+    return Table(caption, (head,), rows)
+
+
+def _parameter_row(model: IdentifiedModel, i: int) -> Row:
+    table = model.parameters
+    value, sigma = with_sigma(float(table.value[i]), float(table.sigma[i]))
+    declared = significant(float(table.declared[i]), 5)
+    tolerance = float(table.declared_sigma[i])
+    change = float(table.value[i] - table.declared[i])
+    deviation = change / tolerance if np.isfinite(tolerance) and tolerance > 0 else float("nan")
+    relative = change / float(table.declared[i]) if table.declared[i] else float("nan")
+    far = "bad" if abs(deviation) > FAR else ""
+    return (
+        Cell(table.names[i], mark="name"),
+        Cell(table.units[i], mark="quiet"),
+        Cell(value),
+        Cell(sigma),
+        Cell(declared if np.isfinite(table.declared[i]) else ""),
+        Cell(significant(tolerance, 2) if np.isfinite(tolerance) and tolerance > 0 else ""),
+        Cell(
+            fixed(deviation, 1), f"{fixed(100 * relative, 1)} %" if np.isfinite(relative) else "", "bad" if far else ""
+        ),
+        Cell(table.rests_on[i], mark="" if table.rests_on[i] == "data" else "quiet"),
+    )

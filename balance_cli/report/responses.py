@@ -1,0 +1,203 @@
+"""Measured responses against every model: one picture a component, a panel a cell; the paper's figure 14; a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS
+from balance_cli.geometry import Geometry
+from balance_cli.identified import IdentifiedModel
+from balance_cli.report.blocks import Block, Cell, Details, Heading, Picture, Row, Section, Table, Text, group_row
+from balance_cli.report.drawing import svg
+from balance_cli.report.measured import (
+    Curve,
+    ModelResponse,
+    Sensor,
+    measured_curve,
+    model_response,
+    relative_error,
+    relative_noise,
+    sensors,
+    strongest,
+)
+from balance_cli.report.numbers import listed, percent
+from balance_cli.report.response_figures import Panel, component_figure, detail_figure
+from balance_cli.report.sources import Source, Sources
+from balance_cli.signals.lines import Response
+
+BAND = (2.0, 150.0)
+ERROR_BAND = (5.0, 150.0)
+NEAR_NOISE = 1.5
+"""An error up to so many times the noise counts as noise."""
+BURIED = 0.5
+"""A channel whose relative noise is above this shows nothing."""
+PAPER_PAIRS = (("x", "Fx"), ("x", "My"), ("y1", "Fy"), ("z1", "Fz"))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One component: the measured response, and what each model says at its lines, over the sensors shown."""
+
+    component: str
+    geometry: Geometry
+    shown: tuple[Sensor, ...]
+    measured: Response
+    models: tuple[tuple[Source[IdentifiedModel], ModelResponse], ...]
+
+
+def comparisons(sources: Sources) -> tuple[Comparison, ...]:
+    """Every component that was excited, at its highest level, against all models."""
+    responses = [response for source in sources.transfers for response in source.content.responses]
+    geometry = sources.transfers[0].content.geometry
+    chosen = {component: strongest(responses, component) for component in COMPONENTS}
+    measured = {component: response for component, response in chosen.items() if response is not None}
+    shown = sensors(geometry, list(measured.values()), [source.content for source in sources.models])
+    return tuple(
+        Comparison(component, geometry, shown, response, tuple(_told(sources, response, shown, geometry)))
+        for component, response in measured.items()
+    )
+
+
+def _told(
+    sources: Sources, measured: Response, shown: tuple[Sensor, ...], geometry: Geometry
+) -> Iterator[tuple[Source[IdentifiedModel], ModelResponse]]:
+    for source in sources.models:
+        yield source, model_response(source.content, measured.frequency, measured.rotor_speed, shown, geometry)
+
+
+def section(sources: Sources) -> Section | None:
+    """Pictures of all components and the table of errors; None without measured responses."""
+    if not any(source.content.responses for source in sources.transfers):
+        return None
+    compared = comparisons(sources)
+    blocks: list[Block] = [Text(_introduction(compared))]
+    if sources.models:
+        blocks += [*_paper_picture(compared), error_table(compared)]
+    blocks.append(Heading("Every cell and component"))
+    blocks += [_component_picture(each) for each in compared]
+    if sources.models:
+        blocks.append(Details("Errors of every channel", (channel_table(compared),)))
+    title = "Measured responses against the models" if sources.models else "Measured responses, cell by cell"
+    return Section("responses", title, tuple(blocks))
+
+
+def _introduction(compared: Sequence[Comparison]) -> str:
+    runs = listed([each.measured.run for each in compared])
+    channels = ", ".join(f"{sensor.name} by {' + '.join(sensor.channels)}" for sensor in compared[0].shown)
+    return (
+        f"Force of each cell per unit of hub load, from the runs of the highest level: {runs}. Each cell is shown by "
+        f"its quietest channel, sensitivity and dynamics of the channel divided out as declared ({channels}). "
+        "Residual: |model minus measurement| over |measurement|; grey: one standard deviation of the measurement. "
+        "What stands above the grey is the model's fault."
+    )
+
+
+def _panels(each: Comparison) -> Iterator[Panel]:
+    band = (each.measured.frequency >= BAND[0]) & (each.measured.frequency <= BAND[1])
+    column = COMPONENTS.index(each.component)
+    for sensor in each.shown:
+        measured = measured_curve(each.measured, sensor, each.component, each.geometry)
+        if measured is None or not band.any():
+            continue
+        models = tuple(
+            (source.label, source.look, told.sensors[sensor.name][band, column])
+            for source, told in each.models
+            if sensor.name in told.sensors
+        )
+        curve = Curve(measured.frequency[band], measured.value[band], measured.sigma[band])
+        yield Panel(sensor.name, each.component, curve, models)
+
+
+def _component_picture(each: Comparison) -> Picture:
+    panels = tuple(_panels(each))
+    name = f"response-{each.component}"
+    caption = f"{each.component} ({each.measured.run}): amplitude, phase and relative residual of every cell."
+    return Picture(name, caption, svg(name, caption, lambda: component_figure(panels)))
+
+
+def _paper_picture(compared: Sequence[Comparison]) -> Iterator[Picture]:
+    """The pairs of the paper's figure 14 where this rig has them, else the strongest cell of each component."""
+    panels = {(panel.sensor, panel.component): panel for each in compared for panel in _panels(each)}
+    pairs = [pair for pair in PAPER_PAIRS if pair in panels] or _strongest_pairs(panels)
+    if pairs:
+        chosen = tuple(panels[pair] for pair in pairs)
+        caption = "Fit of " + listed([f"{sensor}/{component}" for sensor, component in pairs]) + "."
+        yield Picture("fit", caption, svg("fit", caption, lambda: detail_figure(chosen)))
+
+
+def _strongest_pairs(panels: dict[tuple[str, str], Panel]) -> list[tuple[str, str]]:
+    pairs = []
+    for component in dict.fromkeys(component for _, component in panels):
+        sizes = {pair: float(np.median(np.abs(p.measured.value))) for pair, p in panels.items() if pair[1] == component}
+        pairs.append(max(sizes, key=lambda pair: sizes[pair]))
+    return pairs[:4]
+
+
+def _error_band(response: Response) -> NDArray[np.bool_]:
+    return (response.frequency >= ERROR_BAND[0]) & (response.frequency <= ERROR_BAND[1])
+
+
+def error_table(compared: Sequence[Comparison]) -> Table:
+    """Relative error over all sensors together, components down, models across, beside the noise."""
+    rows: list[Row] = []
+    for each in compared:
+        noise, errors = sensor_errors(each)
+        cells = (Cell(percent(error), mark="good" if error <= NEAR_NOISE * noise else "") for error in errors)
+        rows.append((Cell(each.component, mark="name"), *cells, Cell(percent(noise), mark="quiet")))
+    head = (Cell(""), *(Cell(source.label, title=source.file) for source, _ in compared[0].models), Cell("noise"))
+    caption = (
+        f"Relative error of the responses of all cells together, % (rms of model minus measurement over rms of "
+        f"measurement, {ERROR_BAND[0]:.0f} to {ERROR_BAND[1]:.0f} Hz), and what the noise of the measurement leaves. "
+        "The form of the paper is judged by its own sensors. Shaded: within 1.5 times the noise."
+    )
+    return Table(caption, (head,), tuple(rows))
+
+
+def sensor_errors(each: Comparison) -> tuple[float, list[float]]:
+    """Relative noise of the cells' measured responses, and the relative error of each model over those it tells."""
+    band, column = _error_band(each.measured), COMPONENTS.index(each.component)
+    curves = {s.name: measured_curve(each.measured, s, each.component, each.geometry) for s in each.shown}
+    measured = {name: curve for name, curve in curves.items() if curve is not None}
+    single = [name for sensor in each.shown if len(sensor.channels) == 1 for name in [sensor.name] if name in measured]
+    noise = relative_noise(
+        np.array([measured[name].sigma[band] for name in single]),
+        np.array([measured[name].value[band] for name in single]),
+    )
+    errors = []
+    for source, told in each.models:
+        known = [name for name in (told.sensors if source.content.paper else single) if name in measured]
+        model = np.array([told.sensors[name][band, column] for name in known])
+        error = relative_error(model, np.array([measured[name].value[band] for name in known]))
+        errors.append(error if model.any() else float("nan"))
+    return noise, errors
+
+
+def channel_table(compared: Sequence[Comparison]) -> Table:
+    """For each model that tells channels: channels down, components across; the noise in small."""
+    names = list(dict.fromkeys(name for each in compared for name in each.measured.channel_names))
+    rows: list[Row] = []
+    for m, (source, told) in enumerate(compared[0].models):
+        if told.channels:
+            rows.append(group_row(source.label, 1 + len(compared)))
+            for name in names:
+                rows.append((Cell(name, mark="name"), *(_channel_cell(each, m, name) for each in compared)))
+    head = (Cell(""), *(Cell(each.component) for each in compared))
+    caption = "Relative error of every channel, %; small: what the noise of the measurement leaves."
+    return Table(caption, (head,), tuple(rows))
+
+
+def _channel_cell(each: Comparison, m: int, name: str) -> Cell:
+    if name not in each.measured.channel_names or name not in each.models[m][1].channels:
+        return Cell("")
+    i, j = each.measured.channel_names.index(name), each.measured.components.index(each.component)
+    band = _error_band(each.measured)
+    measured = each.measured.response[band, i, j]
+    variance = each.measured.channel_covariance[band, i, i] * each.measured.load_covariance[band, j, j]
+    noise = relative_noise(np.sqrt(np.real(variance)), measured)
+    error = relative_error(each.models[m][1].channels[name][band, COMPONENTS.index(each.component)], measured)
+    mark = "quiet" if noise > BURIED else "good" if error <= NEAR_NOISE * noise else ""
+    return Cell(percent(error), percent(noise), mark)

@@ -1,0 +1,178 @@
+"""The measured responses by themselves: runs and levels, coherence, sigma, and what the two channels of a cell say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS, UNIT_OF
+from balance_cli.report.blocks import Block, Cell, Picture, Row, Section, Table
+from balance_cli.report.drawing import BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure, svg
+from balance_cli.report.measured import quotient
+from balance_cli.report.numbers import listed, percent, significant
+from balance_cli.report.sources import Sources
+from balance_cli.signals.lines import Response
+
+Array = NDArray[np.float64]
+
+BAND = (5.0, 150.0)
+CELL_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY, *MORE)
+
+
+def section(sources: Sources) -> Section | None:
+    """Tables and pictures of all measured responses; None where there are none."""
+    responses = [response for source in sources.transfers for response in source.content.responses]
+    if not responses:
+        return None
+    blocks: list[Block] = [
+        run_table(responses),
+        Picture(
+            "coherence",
+            "1 - coherence of the best-responding channel at every line, by component; thin: lower levels.",
+            svg("coherence", "Coherence by component", lambda: coherence_figure(responses)),
+        ),
+    ]
+    geometry = sources.transfers[0].content.geometry
+    pairs = channel_pairs({channel.name: channel.cell for channel in geometry.channels}, responses)
+    if pairs:
+        sensitivity = {channel.name: channel.sensitivity for channel in geometry.channels}
+        caption = (
+            "Piezo against strain channel of each cell, as forces: at every line from the response that shows the cell "
+            "best. What the amplifiers do to the signal, without any model of the plate (paper, figure 4)."
+        )
+        markup = svg("channel-ratio", caption, lambda: ratio_figure(pairs, responses, sensitivity))
+        blocks.append(Picture("channel-ratio", caption, markup))
+    return Section("sweeps", "Measured responses: coherence and noise", tuple(blocks))
+
+
+def best_channel(response: Response) -> tuple[Array, Array]:
+    """Coherence (k,) and relative sigma (k,) of the channel that responds best at each line (first component)."""
+    coherence = response.coherence.max(axis=2)
+    best = np.argmax(coherence, axis=1)
+    lines = np.arange(len(best))
+    variance = np.real(response.channel_covariance[lines, best, best] * response.load_covariance[:, 0, 0])
+    size = np.abs(response.response[lines, best, 0])
+    return coherence[lines, best], quotient(np.sqrt(variance), size)
+
+
+def run_table(responses: Sequence[Response]) -> Table:
+    """One row a run: what was excited, how strongly, lines, coherence, sigma, estimator."""
+    names = (
+        "run",
+        "excited",
+        "level rms",
+        "speed Hz",
+        "lines",
+        "from",
+        "to Hz",
+        "least coherence",
+        "sigma %",
+        "estimator",
+    )
+    head = tuple(Cell(name) for name in names)
+    caption = (
+        f"Runs. Coherence and relative sigma are those of the best-responding channel of each line, "
+        f"{BAND[0]:.0f} to {BAND[1]:.0f} Hz: the least, and the median."
+    )
+    return Table(caption, (head,), tuple(_run_row(response) for response in responses))
+
+
+def _run_row(response: Response) -> Row:
+    coherence, sigma = best_channel(response)
+    band = (response.frequency >= BAND[0]) & (response.frequency <= BAND[1])
+    levels = [
+        f"{significant(level)} {UNIT_OF[name]}"
+        for level, name in zip(response.level, response.components, strict=False)
+    ]
+    least = f"{coherence[band].min():.6f}" if band.any() else ""
+    texts = (
+        listed(response.components),
+        listed(levels),
+        significant(response.rotor_speed),
+        str(len(response.frequency)),
+        significant(float(response.frequency[0])),
+        significant(float(response.frequency[-1]), 4),
+        least,
+        percent(float(np.median(sigma[band]))) if band.any() else "",
+        response.estimator,
+    )
+    return (Cell(response.run, mark="name"), *(Cell(text) for text in texts))
+
+
+def coherence_figure(responses: Sequence[Response]) -> Figure:
+    """One panel a component: 1 - coherence over frequency, the strongest level thick."""
+    names = [name for name in COMPONENTS if any(name in response.components for response in responses)]
+    columns = min(len(names), 6)
+    figure = new_figure(12.0, 2.1 * -(-len(names) // columns))
+    panels = figure.subplots(-(-len(names) // columns), columns, squeeze=False, sharex=True, sharey=True)
+    for axes, name in zip(panels.ravel(), names, strict=False):
+        mine = [response for response in responses if name in response.components]
+        strongest = max(max(response.level, default=0.0) for response in mine)
+        for response in mine:
+            thick = max(response.level, default=0.0) == strongest
+            missing = np.maximum(1.0 - best_channel(response)[0], 1e-9)
+            look = {"color": BLUE, "linewidth": 1.0} if thick else {"color": SKY, "linewidth": 0.6}
+            axes.semilogy(response.frequency, missing, rasterized=True, zorder=3 if thick else 2, **look)
+        axes.set_title(name)
+        axes.set_xlim(0, 150)
+        axes.set_xlabel("frequency [Hz]")
+    panels[0, 0].set_ylim(1e-8, 1.5)
+    panels[0, 0].set_yticks([1e-8, 1e-6, 1e-4, 1e-2, 1], ["1e-8", "1e-6", "1e-4", "0.01", "1"])
+    panels[0, 0].set_ylabel("1 - coherence")
+    figure.subplots_adjust(left=0.055, right=0.995, top=0.9, bottom=0.2, wspace=0.07)
+    return figure
+
+
+def channel_pairs(cell_of: dict[str, str | None], responses: Sequence[Response]) -> dict[str, tuple[str, str]]:
+    """{cell: its two channels, the later declared one first}, where every response has both."""
+    present = set.intersection(*(set(response.channel_names) for response in responses))
+    pairs: dict[str, tuple[str, str]] = {}
+    for cell in dict.fromkeys(cell for cell in cell_of.values() if cell):
+        channels = [name for name, own in cell_of.items() if own == cell and name in present]
+        if len(channels) == 2:
+            pairs[cell] = (channels[1], channels[0])
+    return pairs
+
+
+def channel_ratio(
+    pair: tuple[str, str], responses: Sequence[Response], sensitivity: dict[str, float]
+) -> tuple[Array, NDArray[np.complex128]]:
+    """Ratio of a cell's two channels as forces: at each line that of the response that shows the cell best."""
+    best: dict[float, tuple[float, complex]] = {}
+    for response in responses:
+        a, b = (response.channel_names.index(name) for name in pair)
+        T = response.response[:, [a, b], 0] / np.array([sensitivity[name] for name in pair])
+        ratios = quotient(T[:, 0], T[:, 1])
+        variance = np.real(response.channel_covariance[:, [a, b], [a, b]] * response.load_covariance[:, :1, 0])
+        quality = np.min(quotient(np.abs(response.response[:, [a, b], 0]), np.sqrt(variance)), axis=1)
+        for frequency, good, ratio in zip(response.frequency, quality, ratios, strict=True):
+            if good > best.get(float(frequency), (0.0, 0j))[0]:
+                best[float(frequency)] = (float(good), complex(ratio))
+    frequencies = sorted(best)
+    return np.array(frequencies), np.array([best[f][1] for f in frequencies])
+
+
+def ratio_figure(
+    pairs: dict[str, tuple[str, str]], responses: Sequence[Response], sensitivity: dict[str, float]
+) -> Figure:
+    """Amplitude and phase of the ratio for every cell."""
+    figure = new_figure(12.0, 2.7)
+    left, right = figure.subplots(1, 2)
+    for i, (_, pair) in enumerate(pairs.items()):
+        frequency, ratio = channel_ratio(pair, responses, sensitivity)
+        colour = CELL_COLOURS[i % len(CELL_COLOURS)]
+        left.plot(frequency, np.abs(ratio), color=colour, linewidth=0.9, rasterized=True)
+        right.plot(frequency, np.degrees(np.angle(ratio)), color=colour, linewidth=0.9, rasterized=True)
+    left.set_title("amplitude")
+    right.set_title("phase [°]")
+    for axes in (left, right):
+        axes.set_xlim(0, 150)
+        axes.set_xlabel("frequency [Hz]")
+    handles = [Line2D([], [], color=CELL_COLOURS[i % len(CELL_COLOURS)]) for i in range(len(pairs))]
+    figure.legend(handles, list(pairs), loc="lower center", ncols=len(pairs))
+    figure.subplots_adjust(left=0.04, right=0.995, top=0.9, bottom=0.28, wspace=0.1)
+    return figure

@@ -1,0 +1,191 @@
+"""Wind-on loads: harmonics with sigma, and the surplus equations that tell whether the response still holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from balance_cli.components import COMPONENTS, UNIT_OF
+from balance_cli.hub_loads import Loads, RunLoads
+from balance_cli.report.blocks import (
+    Block,
+    Cell,
+    Details,
+    Heading,
+    Picture,
+    Points,
+    Row,
+    Section,
+    Table,
+    Text,
+    Warn,
+    group_row,
+)
+from balance_cli.report.drawing import svg
+from balance_cli.report.load_figures import (
+    REDUNDANCY_FLAG,
+    amplitude_sigma,
+    harmonics_figure,
+    redundancy_figure,
+    wind_runs,
+)
+from balance_cli.report.numbers import fixed, listed, significant, with_sigma
+from balance_cli.report.sources import RANKS, Source, Sources
+
+PREFERRED = ("closed", "identified", "paper", "ls", "paper-ls", "measured", "computed", "static")
+
+
+def preferred(sources: Sequence[Source[Loads]]) -> Source[Loads]:
+    """The loads shown in full: those of the response that says most."""
+    return min(sources, key=lambda source: PREFERRED.index(source.rank) if source.rank in RANKS else len(PREFERRED))
+
+
+def unexplained(run: RunLoads) -> list[int]:
+    """The harmonics whose surplus equations do not fit."""
+    return [int(n) for n in np.flatnonzero(run.redundancy > run.redundancy_limit)]
+
+
+def section(sources: Sources) -> Section | None:
+    """Loads of the wind-on runs, their redundancy and condition; None where there are none."""
+    having = tuple(source for source in sources.loads if wind_runs(source.content))
+    if not having:
+        return None
+    shown = preferred(having)
+    blocks: list[Block] = [
+        Text(
+            "Nobody knows the true loads of these runs, but there are more channels than loads: the surplus equations "
+            "fit within the noise as long as the response still holds (chi2 per degree of freedom near 1). Where they "
+            "do not, beyond the 99.9 % point, the row is flagged and its sigma widened."
+        ),
+        *_verdicts(having, shown),
+        Picture(
+            "redundancy",
+            "Chi-square of the surplus equations per degree of freedom, by harmonic. Dashed: the 99.9 % point.",
+            svg("redundancy", "Redundancy by harmonic of every run and method", lambda: redundancy_figure(having)),
+        ),
+        Heading(f"Loads by {shown.label}"),
+        Picture(
+            "harmonics",
+            f"Amplitude of the harmonics by {shown.label}, with one sigma. Open symbols: flagged by the redundancy.",
+            svg("harmonics", "Harmonic hub loads by component", lambda: harmonics_figure(shown.content)),
+        ),
+        *_load_tables(shown.content),
+        condition_table(having),
+        *_left_out(having),
+    ]
+    others = [source for source in having if source is not shown]
+    blocks += [Details(f"Loads by {source.label}", tuple(_load_tables(source.content))) for source in others]
+    return Section("wind-on", "Wind-on loads", tuple(blocks))
+
+
+def _verdicts(having: Sequence[Source[Loads]], shown: Source[Loads]) -> Iterator[Block]:
+    """One sentence a method; that of the loads shown is a warning where they do not fit."""
+    words = {source.label: _fit_words(source) for source in having}
+    if any(map(unexplained, wind_runs(shown.content).values())):
+        yield Warn(f"{words.pop(shown.label)} These loads may be wrong by more than their sigma says.")
+    yield Points(tuple(words.values()))
+
+
+def _fit_words(source: Source[Loads]) -> str:
+    runs = wind_runs(source.content).values()
+    failing = sum(len(unexplained(run)) for run in runs)
+    known = [float(value) for run in runs for value in run.redundancy if np.isfinite(value)]
+    if not known:
+        return f"By {source.label}: no surplus equation."
+    if not failing:
+        return f"By {source.label}: all {len(known)} harmonics fit the surplus equations within the noise."
+    size = significant(max(known))
+    return f"By {source.label}: {failing} of {len(known)} harmonics do not fit them (chi2/dof up to {size})."
+
+
+def _load_tables(loads: Loads) -> Iterator[Table]:
+    runs = list(wind_runs(loads).values())
+    names = [name for name in COMPONENTS if any(name in run.components for run in runs)]
+    head = (Cell(""), *(Cell(f"{name} [{UNIT_OF[name]}]") for name in names))
+    steady: list[Row] = [_steady_row(run, names) for run in runs]
+    yield Table(
+        "Mean loads (harmonic 0) with sigma, through the static calibration of the trim named.", (head,), tuple(steady)
+    )
+    rows: list[Row] = []
+    for run in runs:
+        rows.append(group_row(f"{run.run}: 1/rev {run.frequency_hz[1]:.3f} Hz, {_interval(run)}", 1 + len(names)))
+        rows += [_harmonic_row(run, n, names) for n in range(1, len(run.frequency_hz))]
+    caption = (
+        "Amplitude \N{PLUS-MINUS SIGN} sigma and phase in degrees (x = A cos(n psi + phase)). Marked rows: flagged."
+    )
+    yield Table(caption, (head,), tuple(rows))
+
+
+def _interval(run: RunLoads) -> str:
+    return f"{run.interval[0]:.2f} to {run.interval[1]:.2f} s"
+
+
+def _steady_row(run: RunLoads, names: Sequence[str]) -> Row:
+    cells = [Cell(run.run, f"trim {run.trim}" if run.trim else "", "name")]
+    for name in names:
+        if name not in run.components:
+            cells.append(Cell(""))
+            continue
+        m = run.components.index(name)
+        value, sigma = with_sigma(float(run.amplitude[0, m].real), float(run.sigma_cosine[0, m]))
+        cells.append(Cell(f"{value} \N{PLUS-MINUS SIGN} {sigma}", run.flags[0][m]))
+    return tuple(cells)
+
+
+def _harmonic_row(run: RunLoads, n: int, names: Sequence[str]) -> Row:
+    flagged = any(REDUNDANCY_FLAG in flag for flag in run.flags[n])
+    cells = [Cell(f"{n}", f"{run.frequency_hz[n]:.2f} Hz", "name bad" if flagged else "name")]
+    sigmas = amplitude_sigma(run)[n]
+    for name in names:
+        if name not in run.components:
+            cells.append(Cell(""))
+            continue
+        m = run.components.index(name)
+        value, sigma = with_sigma(float(np.abs(run.amplitude[n, m])), float(sigmas[m]))
+        phase = fixed(float(np.degrees(np.angle(run.amplitude[n, m]))), 1)
+        mark = "bad" if run.flags[n][m] else ""
+        cells.append(Cell(f"{value} \N{PLUS-MINUS SIGN} {sigma}", f"{phase}°", mark, title=run.flags[n][m]))
+    return tuple(cells)
+
+
+def condition_table(having: Sequence[Source[Loads]]) -> Table:
+    """Condition number of the response, by method, run and harmonic, and the redundancy beside it."""
+    longest = max(len(run.condition) for source in having for run in wind_runs(source.content).values())
+    head = (Cell(""), *(Cell(str(n)) for n in range(longest)))
+    rows: list[Row] = []
+    for source in having:
+        rows.append(group_row(source.label, 1 + longest))
+        for run in wind_runs(source.content).values():
+            rows.append((Cell(run.run, mark="name"), *(_condition_cell(run, n) for n in range(len(run.condition)))))
+    caption = (
+        "Condition number of the response by harmonic, loads against channels in units of their noise; small: "
+        "chi2/dof of the surplus. Marked: above its limit."
+    )
+    return Table(caption, (head,), tuple(rows))
+
+
+def _condition_cell(run: RunLoads, n: int) -> Cell:
+    above = bool(run.redundancy[n] > run.redundancy_limit[n])
+    limit = f"limit {significant(float(run.redundancy_limit[n]))}"
+    return Cell(
+        significant(float(run.condition[n])), significant(float(run.redundancy[n]), 2), "bad" if above else "", 1, limit
+    )
+
+
+def _left_out(having: Sequence[Source[Loads]]) -> Iterator[Block]:
+    found: dict[tuple[str, str, str], list[str]] = {}
+    notes: dict[tuple[str, str], list[str]] = {}
+    for source in having:
+        for name, run in source.content.runs.items():
+            for channel, reason in run.left_out.items():
+                found.setdefault((name, channel, reason), []).append(source.label)
+            for note in run.notes:
+                notes.setdefault((name, note), []).append(source.label)
+    for (name, channel, reason), labels in found.items():
+        where = "" if len(labels) == len(having) else f" (by {listed(labels)})"
+        yield Warn(f"{name}: channel {channel} left out: {reason}{where}.")
+    for name, note in notes:
+        yield Text(f"{name}: {note}.")
+    if not found:
+        yield Text("No channel was left out.")
