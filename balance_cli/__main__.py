@@ -5,7 +5,7 @@ import os
 # The matrices here are many and small: threads in BLAS cost more than they bring, tenfold on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from balance_cli.cli import balance  # noqa: E402
+from balance_cli.cli import balance
 
 
 def main() -> None:

@@ -4,6 +4,10 @@
 
 One row of E per spring: the cells in their declared order, then the torque meter, then whatever effects add. Every
 matrix is a jet, so derivatives with respect to all parameters go along.
+
+A flexible part is regular where it does nothing only if its compliance, not its stiffness, is the parameter. Its
+equations are then multiplied by the compliance (`row_factor`), and its spring is a one on the diagonal
+(`own_stiffness`): c (m q'' + d q' + ...) + q = c F u, which for c = 0 says q = 0.
 """
 
 from __future__ import annotations
@@ -11,8 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from balance_cli.jets import Jet, block_diagonal, concatenate, constant
+from balance_cli.kinematics import motion_at
+
+Array = NDArray[np.float64]
 
 SHAFT = "shaft"
 TORQUE = "torque"
@@ -40,6 +48,8 @@ class Equations:
 
     mass, damping, gyroscopic (per rad/s of spin), extra_stiffness (n, n); elongation (e, n); stiffness, loss (e,);
     inputs (n, 6); spill (6, 6) takes measured exciter loads to true ones; mixing (c, c) acts on the channels' volts.
+    centre (3,) [m] is the centre of gravity of the moving part, `freedom` which of its six motions the first
+    coordinates are; row_factor and own_stiffness (n,) are one and zero but for flexible parts.
     """
 
     coordinates: tuple[str, ...]
@@ -55,6 +65,10 @@ class Equations:
     paths: tuple[ChannelPath, ...]
     spill: Jet
     mixing: Jet
+    centre: Jet
+    freedom: tuple[int, ...]
+    row_factor: Jet
+    own_stiffness: Array
 
     @property
     def parameters(self) -> int:
@@ -66,8 +80,24 @@ class Equations:
         """Names of the channels in order."""
         return tuple(path.channel for path in self.paths)
 
-    def with_coordinates(self, names: tuple[str, ...], mass: Jet, damping: Jet, inputs: Jet) -> Equations:
-        """Further coordinates with their own mass and damping (m, m) and inputs (m, 6), not yet coupled."""
+    def motion(self, point: Jet | Array) -> Jet:
+        """Motion (3, n) of a point (3,) [m] of the moving part, rig axes, per unit of each coordinate."""
+        arm = point - self.centre
+        free = list(self.freedom)
+        still = motion_at(np.zeros(3))[:, free]
+        rows = constant(still, self.parameters)
+        for k, unit in enumerate(np.eye(3)):
+            rows = rows + arm[k] * (motion_at(unit)[:, free] - still)
+        others = constant(np.zeros((3, len(self.coordinates) - len(free))), self.parameters)
+        return concatenate([rows, others], axis=1)
+
+    def with_coordinates(
+        self, names: tuple[str, ...], mass: Jet, damping: Jet, inputs: Jet, compliance: Jet
+    ) -> Equations:
+        """Further flexible coordinates: mass and damping (m, m), inputs (m, 6), compliance (m,) of their springs.
+
+        They are not yet coupled to the others.
+        """
         added, p = len(names), self.parameters
         nothing = constant(np.zeros((added, added)), p)
         return replace(
@@ -79,6 +109,8 @@ class Equations:
             extra_stiffness=block_diagonal(self.extra_stiffness, nothing),
             elongation=concatenate([self.elongation, constant(np.zeros((len(self.springs), added)), p)], axis=1),
             inputs=concatenate([self.inputs, inputs]),
+            row_factor=concatenate([self.row_factor, compliance]),
+            own_stiffness=np.concatenate([self.own_stiffness, np.ones(added)]),
         )
 
     def with_springs(self, names: tuple[str, ...], elongation: Jet, stiffness: Jet) -> Equations:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
+from balance_cli.kinematics import motion_at
 from balance_cli.model.plate import (
     carried_components,
     elongation_matrix,
     load_matrix,
     mass_matrix,
-    motion_at,
     moving_part,
     plate_matrices,
 )

@@ -11,6 +11,7 @@ from balance_cli.geometry import Geometry
 from balance_cli.identified import IdentifiedModel
 from balance_cli.jets import Jet
 from balance_cli.model.parameters import ParameterSet, declared_parameters
+from balance_cli.model.placed_effects import effect_parameters, with_effects
 from balance_cli.model.rigid import rigid_equations
 from balance_cli.model.system import System, assembled
 
@@ -31,7 +32,9 @@ class BalanceModel:
         """
         vector = self.parameters.value if theta is None else np.asarray(theta, float)
         jet = Jet(vector, np.eye(len(vector))[self.parameters.free])
-        return assembled(rigid_equations(self.geometry, self.parameters.names, jet))
+        value = {name: jet[i] for i, name in enumerate(self.parameters.names)}
+        rigid = rigid_equations(self.geometry, value, jet.parameters)
+        return assembled(with_effects(rigid, self.geometry, value))
 
     def all_free(self) -> BalanceModel:
         """The same model with slopes for every parameter, exact ones included."""
@@ -41,7 +44,7 @@ class BalanceModel:
 
 def balance_model(geometry: Geometry) -> BalanceModel:
     """The model of a declared rig."""
-    return BalanceModel(geometry, declared_parameters(geometry))
+    return BalanceModel(geometry, declared_parameters(geometry) + effect_parameters(geometry))
 
 
 def identified_system(model: IdentifiedModel) -> System:

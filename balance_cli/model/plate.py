@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS, FREEDOMS
 from balance_cli.geometry import Geometry
+from balance_cli.kinematics import ROTATION_ORDER, motion_at
 
 Array = NDArray[np.float64]
 
@@ -36,28 +37,6 @@ def moving_part(geometry: Geometry) -> MovingPart:
     own = sum(body.inertia.tensor() for body in geometry.bodies)
     steiner = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, arms, strict=True))
     return MovingPart(float(masses.sum()), centre, own + steiner)
-
-
-# The paper's angles (psi, theta, phi) turn about (z, y, x): rows of q, columns of a rotation vector (x, y, z).
-ROTATION_ORDER = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-
-
-def cross_matrix(arm: Array) -> Array:
-    """The matrix [r]x with [r]x v = r x v, for arms (..., 3)."""
-    x, y, z = np.moveaxis(np.asarray(arm, float), -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def motion_at(arm: Array) -> Array:
-    """Motion (..., 3, 6) of points at `arm` (..., 3) [m] from the centre of gravity, per unit q: d = [I, R] q.
-
-    R q = rotation x arm, which gives (theta zeta - psi eta, psi xi - phi zeta, phi eta - theta xi).
-    """
-    rotation = -cross_matrix(arm) @ ROTATION_ORDER.T
-    identity = np.broadcast_to(np.eye(3), rotation.shape)
-    return np.concatenate([identity, rotation], axis=-1)
 
 
 def mass_matrix(mass: float, inertia: Array) -> Array:

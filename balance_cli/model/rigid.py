@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.equations import SHAFT, TORQUE, ChannelPath, Equations
 from balance_cli.geometry import Channel, Geometry
 from balance_cli.jets import Jet, block_diagonal, concatenate, constant, stack
+from balance_cli.kinematics import ROTATION_ORDER
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.parameters import INERTIA_NAMES
-from balance_cli.model.plate import ROTATION_ORDER, elongation_matrix, free_index, load_matrix
+from balance_cli.model.plate import elongation_matrix, free_index, load_matrix
 
 Array = NDArray[np.float64]
 
 
-def rigid_equations(geometry: Geometry, names: tuple[str, ...], theta: Jet) -> Equations:
-    """Plate and shaft at the parameters `theta` (p,), which bear `names`."""
-    value = dict(zip(names, (theta[i] for i in range(len(names))), strict=True))
+def rigid_equations(geometry: Geometry, value: Mapping[str, Jet], p: int) -> Equations:
+    """Plate and shaft at the parameters `value` by name, whose slopes refer to `p` free ones."""
     mass, B, F = _plate(geometry, value)
     k = stack([value[f"stiffness.{cell.name}"] for cell in geometry.cells])
     stiffness = B.T @ (k.expanded(-1) * B)
     zeta = stack([value[f"damping_ratio.{i + 1}"] for i in range(len(geometry.freedom))])
     damping = modal_damping(mass, stiffness, zeta)
-    p = theta.parameters
     springs: tuple[str, ...] = geometry.cell_names
     coordinates: tuple[str, ...] = geometry.freedom
     if geometry.torque_meter:
@@ -45,10 +46,14 @@ def rigid_equations(geometry: Geometry, names: tuple[str, ...], theta: Jet) -> E
         paths=tuple(_path(channel, springs, value, p) for channel in geometry.channels),
         spill=constant(np.eye(6), p),
         mixing=constant(np.eye(len(geometry.channels)), p),
+        centre=stack([value[f"centre_of_gravity.{axis}"] for axis in "xyz"]),
+        freedom=tuple(free_index(geometry)),
+        row_factor=constant(np.ones(n), p),
+        own_stiffness=np.zeros(n),
     )
 
 
-def _plate(geometry: Geometry, value: dict[str, Jet]) -> tuple[Jet, Jet, Jet]:
+def _plate(geometry: Geometry, value: Mapping[str, Jet]) -> tuple[Jet, Jet, Jet]:
     """M (n, n), B (cells, n) and F (n, 6) of the plate; B and F are linear in the centre of gravity."""
     free = free_index(geometry)
     mass = value["mass"] * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
@@ -74,7 +79,7 @@ def _inertia_pattern(name: str) -> Array:
 
 
 def _with_shaft(
-    value: dict[str, Jet], mass: Jet, damping: Jet, B: Jet, k: Jet, F: Jet
+    value: Mapping[str, Jet], mass: Jet, damping: Jet, B: Jet, k: Jet, F: Jet
 ) -> tuple[Jet, Jet, Jet, Jet, Jet]:
     """The shaft beside the plate: J phi'' + d phi' + k phi = Mz, d = 2 zeta sqrt(k J)."""
     J, stiffness = value["torque_meter.inertia"], value["torque_meter.stiffness"]
@@ -90,7 +95,7 @@ def _with_shaft(
     )
 
 
-def _path(channel: Channel, springs: tuple[str, ...], value: dict[str, Jet], p: int) -> ChannelPath:
+def _path(channel: Channel, springs: tuple[str, ...], value: Mapping[str, Jet], p: int) -> ChannelPath:
     spring = springs.index(TORQUE if channel.torque_meter else str(channel.cell))
     low = () if channel.lowpass is None else (constant(1.0 / (2 * np.pi * channel.lowpass), p),)
     high = () if channel.time_constant is None else (constant(1.0 / channel.time_constant, p),)

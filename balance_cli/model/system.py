@@ -55,20 +55,21 @@ class System:
 
 
 def assembled(equations: Equations) -> System:
-    """Form the pencil: K = E' diag(k) E + K_extra, H = E' diag(k eta) E."""
+    """Form the pencil: K = E' diag(k) E + K_extra, H = E' diag(k eta) E; rows of flexible parts by their compliance."""
     E, k = equations.elongation, equations.stiffness
     readings = k.expanded(-1) * E
+    factor = equations.row_factor.expanded(-1)
     pencil = Pencil(
-        mass=equations.mass,
-        damping=equations.damping,
-        gyroscopic=equations.gyroscopic,
-        stiffness=E.T @ readings + equations.extra_stiffness,
-        hysteresis=E.T @ ((k * equations.loss).expanded(-1) * E),
+        mass=factor * equations.mass,
+        damping=factor * equations.damping,
+        gyroscopic=factor * equations.gyroscopic,
+        stiffness=factor * (E.T @ readings + equations.extra_stiffness) + np.diag(equations.own_stiffness),
+        hysteresis=factor * (E.T @ ((k * equations.loss).expanded(-1) * E)),
     )
     return System(
         equations.coordinates,
         pencil,
-        equations.inputs,
+        factor * equations.inputs,
         readings,
         equations.paths,
         equations.spill,
