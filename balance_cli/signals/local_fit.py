@@ -98,35 +98,6 @@ def fit_windows(windows: Windows, orders: Orders) -> LocalFit:
     return _refined(problem, _first_denominator(problem))
 
 
-def response_rows(fit: LocalFit, window: int, r: Array) -> ComplexArray:
-    """Rows (len(r), u, q) that take the coefficients of one window to its response at the places r in [-1, 1]."""
-    o, u = fit.orders, fit.inputs
-    P = legendre.legvander(r, max(o.response, o.denominator)).astype(complex)
-    A = P[:, : o.denominator + 1] @ fit.denominator[window]
-    rows = np.zeros((len(r), u, o.coefficients(u)), complex)
-    for j in range(u):
-        rows[:, j, j * (o.response + 1) : (j + 1) * (o.response + 1)] = P[:, : o.response + 1] / A[:, None]
-    return rows
-
-
-def transient_rows(fit: LocalFit, window: int, r: Array) -> ComplexArray:
-    """Rows (len(r), q) that take the coefficients of one window to its transient at the places r."""
-    o, u = fit.orders, fit.inputs
-    P = legendre.legvander(r, max(o.transient, o.denominator, 0)).astype(complex)
-    A = P[:, : o.denominator + 1] @ fit.denominator[window]
-    rows = np.zeros((len(r), o.coefficients(u)), complex)
-    rows[:, u * (o.response + 1) :] = P[:, : o.transient + 1] / A[:, None]
-    return rows
-
-
-def poles(fit: LocalFit, window: int) -> ComplexArray:
-    """Poles of one window, in units of r (half the window's width)."""
-    if fit.orders.denominator == 0:
-        return np.zeros(0, complex)
-    power = legendre.leg2poly(fit.denominator[window])
-    return np.asarray(np.roots(power[::-1]), complex)
-
-
 def _columns(U: ComplexArray, P: Array, orders: Orders) -> ComplexArray:
     """Regressors (W, M, q) before division by A: each input times each polynomial, then the transient's."""
     W, M, _ = U.shape

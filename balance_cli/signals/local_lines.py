@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from balance_cli.runs import Run
 from balance_cli.signals.lines import Lines
-from balance_cli.signals.local_fit import poles, response_rows
-from balance_cli.signals.local_models import LocalModels, design, influence, local_models, record_spectrum
+from balance_cli.signals.local_models import LocalModels, local_models, record_spectrum
+from balance_cli.signals.local_window import design, influence, poles, response_rows
 from balance_cli.signals.records import fault
 
 Array = NDArray[np.float64]
@@ -32,17 +32,19 @@ LEAST_SIGNAL_TO_NOISE = 10.0
 
 @dataclass(frozen=True)
 class _Experiments:
-    """u experiments of one group: frequency [Hz], channels (u, c) and loads (u, u) in scaled units, line (index)."""
+    """u experiments of one group: frequency [Hz], channels (u, c) and loads (u, u) in scaled units, line (index), and
+
+    noise power (u,) in units of that of the line.
+    """
 
     frequency: float
     channels: ComplexArray
     loads: ComplexArray
     line: int
+    power: Array
 
 
-def lines_from_local_model(
-    run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
-) -> Lines:
+def lines_from_local_model(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> Lines:
     """Independent lines of a random, sine-sweep or stepped record within `band` [Hz].
 
     Each group of neighbouring lines gives as many experiments as components were excited, one after the other at the
@@ -62,20 +64,21 @@ def _groups(models: LocalModels, window: int) -> list[_Experiments]:
     """The groups of lines for which this window speaks."""
     excited = models.spectrum.excited
     u = models.spectrum.loads.shape[1]
-    inverse = influence(models, window)
+    inverse = influence(models.fit[window])
+    first = models.first[window]
+    noise = models.noise.equation(models.response)[first : first + inverse.shape[1]]
     groups = []
     for lines in _partition(models, window, u):
         if np.all(excited[lines]):
-            groups.append(_experiments(models, window, inverse, lines))
+            groups.append(_experiments(models, window, inverse, noise, lines))
     return groups
 
 
 def _partition(models: LocalModels, window: int, inputs: int) -> list[Index]:
     """Neighbouring lines, in groups narrower than a share of the distance to the nearest pole."""
-    fit, place = models.fit[window]
     start, stop = models.owned[window]
-    half = (models.windows.r.shape[1] - 1) / 2
-    own = poles(fit, place) * half + half + models.first[window]
+    half = (len(models.fit[window].r) - 1) / 2
+    own = poles(models.fit[window]) * half + half + models.first[window]
     groups = []
     while start < stop:
         distance = np.min(np.abs(own - start), initial=np.inf)
@@ -86,18 +89,18 @@ def _partition(models: LocalModels, window: int, inputs: int) -> list[Index]:
     return [group for group in groups if len(group) >= inputs]
 
 
-def _experiments(models: LocalModels, window: int, inverse: ComplexArray, lines: Index) -> _Experiments:
+def _experiments(
+    models: LocalModels, window: int, inverse: ComplexArray, noise: ComplexArray, lines: Index
+) -> _Experiments:
     """Take transient and bend out of a group of lines, and turn it into independent experiments at its middle."""
     s, level = models.spectrum, models.level
-    fit, place = models.fit[window]
+    fit = models.fit[window]
     inside = lines - models.first[window]
-    M = models.windows.r.shape[1]
-    everywhere = slice(models.first[window], models.first[window] + M)
-    r = models.windows.r[window, inside]
+    everywhere = slice(models.first[window], models.first[window] + len(fit.r))
     middle = int(lines[len(lines) // 2])
-    centre = response_rows(fit, place, r[len(r) // 2 : len(r) // 2 + 1])
+    centre = response_rows(fit, fit.r[inside][len(lines) // 2 : len(lines) // 2 + 1])
     driven_at_centre = np.sum(s.loads[lines][:, :, None] * centre, axis=1)
-    bend_and_transient = design(models, window, inside) - driven_at_centre
+    bend_and_transient = design(fit)[inside] - driven_at_centre
     # What is left is linear in the window's outputs: their rows in the group less the coefficients' share.
     operator = -(bend_and_transient @ inverse)
     operator[np.arange(len(lines)), inside] += 1.0
@@ -106,8 +109,16 @@ def _experiments(models: LocalModels, window: int, inverse: ComplexArray, lines:
     rows = (Q.conj().T * weight) @ operator
     covariance = (rows * level[everywhere]) @ rows.conj().T / level[middle]
     root = np.linalg.cholesky(covariance)
-    channels = np.linalg.solve(root, rows @ s.channels[everywhere])
-    return _Experiments(float(s.frequency[middle]), channels, np.linalg.solve(root, R), middle)
+    rows = np.linalg.solve(root, rows)
+    channels, loads = rows @ s.channels[everywhere], np.linalg.solve(root, R)
+    power = _power(rows, noise, noise[middle - models.first[window]])
+    return _Experiments(float(s.frequency[middle]), channels, loads, middle, power)
+
+
+def _power(rows: ComplexArray, noise: ComplexArray, own: ComplexArray) -> Array:
+    """Noise of weighted sums (u, M) over lines of noise (M, c, c), in units of the noise `own` (c, c)."""
+    summed = np.tensordot(np.abs(rows) ** 2, noise, axes=1)
+    return np.asarray(np.trace(np.linalg.solve(own, summed), axis1=1, axis2=2).real / len(own))
 
 
 def _strong(loads: ComplexArray, noise: ComplexArray) -> bool:
@@ -125,6 +136,7 @@ def _lines(models: LocalModels, groups: Sequence[_Experiments]) -> Lines:
     covariance = np.zeros((len(places), c + u, c + u), complex)
     covariance[:, :c, :c] = models.noise.channels[places] * (s.channel_scale[:, None] * s.channel_scale)
     covariance[:, c:, c:] = models.noise.loads * (s.load_scale[:, None] * s.load_scale)
+    covariance *= np.concatenate([group.power for group in groups])[:, None, None]
     return Lines(
         run=s.run.name,
         channel_names=s.channel_names,

@@ -66,7 +66,9 @@ def _first_guess(residual: ComplexArray, response: ComplexArray, counts: Array) 
     return NoiseComponents(channels, np.zeros((u, u), complex), dof)
 
 
-def _with_channels(residual: ComplexArray, response: ComplexArray, noise: NoiseComponents, counts: Array) -> NoiseComponents:
+def _with_channels(
+    residual: ComplexArray, response: ComplexArray, noise: NoiseComponents, counts: Array
+) -> NoiseComponents:
     """A better covariance of the channels: what the loads' noise explains is taken out (expectation-maximisation).
 
     A line counts by the inverse square of its noise in units of the channels' own, so that what is assumed of the

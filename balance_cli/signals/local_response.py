@@ -1,0 +1,99 @@
+"""Frequency responses from any record, without leakage: by local polynomial or local rational models of its spectrum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.runs import Run
+from balance_cli.signals.lines import Response
+from balance_cli.signals.local_models import RATIONAL_LINES, LocalModels, local_models, record_spectrum
+from balance_cli.signals.local_noise import NoiseComponents
+from balance_cli.signals.local_window import influence, pole_shift, response_rows
+from balance_cli.signals.noise import window_sums
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def local_response(
+    run: Run, channel_names: Sequence[str], estimator: str = "lrm", band: tuple[float, float] = (0.0, np.inf)
+) -> Response:
+    """Frequency response of one run at its own lines within `band` [Hz], by `lrm` or `lpm`.
+
+    Several components excited at once are told apart where their spectra differ. UserError: no loads, record too short.
+    """
+    models = local_models(record_spectrum(run, channel_names, band), estimator)
+    return _response(models, estimator)
+
+
+def _response(models: LocalModels, estimator: str) -> Response:
+    """Response with separable covariance and coherences, at the excited lines, in volts per newton."""
+    s = models.spectrum
+    kept = np.flatnonzero(s.excited)
+    channel_covariance, load_covariance = _covariances(models)
+    response = models.response[kept]
+    noise = NoiseComponents(models.noise.channels[kept], models.noise.loads, models.noise.dof).equation(response)
+    ordinary, multiple = coherences(response, noise, _local_power(s.loads)[kept])
+    volts, load = s.channel_scale, s.load_scale
+    return Response(
+        run=s.run.name,
+        channel_names=s.channel_names,
+        components=s.components,
+        estimator=estimator,
+        frequency=s.frequency[kept],
+        response=response * volts[:, None] / load,
+        channel_covariance=channel_covariance[kept] * (volts[:, None] * volts),
+        load_covariance=load_covariance[kept] / (load[:, None] * load),
+        coherence=ordinary,
+        multiple_coherence=multiple,
+        rotor_speed=s.run.rotor_speed,
+        level=s.run.level,
+    )
+
+
+def _covariances(models: LocalModels) -> tuple[ComplexArray, ComplexArray]:
+    """Channels' (K, c, c) and loads' (K, u, u) factor of the response's covariance.
+
+    The response at a line is a weighted sum over its window's outputs; so is its covariance, over their noise, and
+    the uncertainty of the poles adds its part. With several inputs the weights differ from input to input: the
+    channels' factor takes their mean, as if they did not.
+    """
+    noise = models.noise.equation(models.response)
+    K, c, u = models.response.shape
+    channels, loads = np.zeros((K, c, c), complex), np.zeros((K, u, u), complex)
+    for w, fit in enumerate(models.fit):
+        lines = np.arange(*models.owned[w])
+        r = fit.r[lines - models.first[w]]
+        own = noise[models.first[w] : models.first[w] + len(fit.r)]
+        weights = response_rows(fit, r) @ influence(fit)
+        loads[lines] = weights @ weights.conj().swapaxes(1, 2)
+        precision = np.linalg.inv(loads[lines])
+        share = np.einsum("kum,kuv,kvm->km", weights.conj(), precision, weights).real / u
+        channels[lines] = np.tensordot(share, own, axes=1)
+        if fit.orders.denominator:
+            shift = pole_shift(fit, r, own)
+            channels[lines] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
+    return channels, loads
+
+
+def _local_power(loads: ComplexArray) -> ComplexArray:
+    """Spectral matrix (K, u, u) of the loads, averaged over a window's lines."""
+    outer = loads[:, :, None] * loads[:, None, :].conj()
+    width = min(RATIONAL_LINES, len(loads))
+    return np.asarray(window_sums(outer, width) / width)
+
+
+def coherences(response: ComplexArray, noise: ComplexArray, power: ComplexArray) -> tuple[Array, Array]:
+    """Ordinary (K, c, u) and multiple (K, c) coherence for a response G, loads' power S and noise of `Y - G U`.
+
+    Multiple: G S G* over G S G* plus noise. Ordinary: |S_yu|^2 / (S_yy S_uu), S_yu = G S (Bendat and Piersol).
+    """
+    cross = response @ power
+    signal = np.einsum("kcu,kcu->kc", cross, response.conj()).real
+    total = signal + np.diagonal(noise, axis1=1, axis2=2).real
+    own = np.diagonal(power, axis1=1, axis2=2).real
+    ordinary = np.abs(cross) ** 2 / np.maximum(total[:, :, None] * own[:, None, :], 1e-300)
+    return np.clip(ordinary, 0.0, 1.0), np.clip(signal / np.maximum(total, 1e-300), 0.0, 1.0)
