@@ -17,8 +17,6 @@ from balance_cli.runs import Array, Run, Source
 FORMAT = "balance-run/1"
 WITH_LOADS = ("static", "sweep", "check")
 WITH_PULSES = ("check", "wind")
-MISSED_PULSE = 1.5
-"""A revolution that lasts this many times the median revolution holds a missed pulse."""
 
 
 @dataclass(frozen=True)
@@ -242,11 +240,6 @@ def _interval_faults(pulses: Array, contents: Contents, place: str, required: bo
         fault = f"pulse {backwards[0] + 1} is not later than the one before"
         yield UserError(fault, place=place, remedy="Times must increase")
         return
-    missed = np.flatnonzero(intervals > MISSED_PULSE * np.median(intervals)) if len(intervals) else intervals
-    if len(missed):
-        turns = intervals[missed[0]] / np.median(intervals)
-        fault = f"pulse {missed[0] + 1} comes {turns:.2f} revolutions after the one before: a pulse was missed"
-        yield UserError(fault, place=place, remedy="Insert it, or cut the record there")
     rate, channels = contents.attributes.get("sample_rate"), contents.channels
     if required and channels is not None and channels.shape and rate is not None and _is_number(rate, above=0.0):
         inside = (pulses >= 0) & (pulses <= channels.shape[0] / rate)

@@ -148,7 +148,8 @@ def coverage_chunk(geometry: Geometry, task: CoverageTask) -> pd.DataFrame:
 def coverage_table(errors: pd.DataFrame) -> pd.DataFrame:
     """Share of 95 % intervals that hold the truth, by parameter, with three binomial standard errors."""
     held = errors.assign(held=errors["error"].abs() < NINETY_FIVE)
-    table = held.groupby(["rests_on", "parameter"], sort=False)["held"].agg(["mean", "size"]).reset_index()
-    table = table.rename(columns={"mean": "coverage", "size": "fits"})
+    table = held.groupby("parameter", sort=False)["held"].agg(["mean", "size"])
+    table.insert(0, "rests_on", held.groupby("parameter")["rests_on"].agg(lambda words: words.mode()[0]))
+    table = table.rename(columns={"mean": "coverage", "size": "fits"}).reset_index()
     table["three_sigma"] = 3 * np.sqrt(0.95 * 0.05 / table["fits"])
-    return table
+    return table.sort_values("rests_on", kind="stable")

@@ -42,7 +42,7 @@ def test_files_hold_what_the_step_gives(folder):
     result = call(folder, *words, "--json", str(folder / "s.json"))
     assert result.exit_code == 0, result.output
     names = sorted(path.name for path in (folder / "out").iterdir())
-    assert names == ["f.h5", "s.h5", "truth.h5", "truth.yaml", "w.h5"]
+    assert names == ["f.h5", "s.h5", "truth.hdf5", "truth.yaml", "w.h5"]
     summary = json.loads((folder / "s.json").read_text())
     run = open_run(folder / "out" / "f.h5")
     assert run.digest == summary["runs"]["f"]["digest"]
@@ -53,7 +53,7 @@ def test_files_hold_what_the_step_gives(folder):
     rig = rig.extended(extension("time-delay", ("z1.strain",), delay=0.002))
     runs, truths = simulate_campaign(rig, read_plan(folder / "plan.yaml"), seed=7)
     np.testing.assert_array_equal(run.read().channels, runs[1].read().channels)
-    with h5py.File(folder / "out" / "truth.h5") as file:
+    with h5py.File(folder / "out" / "truth.hdf5") as file:
         np.testing.assert_array_equal(file["w/cosine"], truths[2].cosine)
         np.testing.assert_array_equal(file["f/loads"], truths[1].loads)
     assert open_run(folder / "out" / "w.h5").read().loads is None

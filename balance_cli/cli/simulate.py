@@ -80,7 +80,7 @@ def command(
     level = replace(Noise(), single_precision=not double).scaled(noise)
     pairs = session.progress(simulated(rig, runs, level, seed), "runs", total=len(runs.runs))
     summary = _written(session, output, rig, runs, pairs, {"geometry": declared.name, "seed": seed, "noise": noise})
-    session.finish(summary, [f"{len(runs.runs)} runs of {declared.rig}, their truth in truth.yaml and truth.h5"])
+    session.finish(summary, [f"{len(runs.runs)} runs of {declared.rig}, their truth in truth.yaml and truth.hdf5"])
 
 
 def _written(
@@ -95,7 +95,7 @@ def _written(
         write_run(session.stage_in(output, f"{run.name}.h5"), run)
         truths.append(truth)
         described[run.name] = {"kind": run.kind, "samples": run.samples, "digest": run.digest}
-    write_truth_arrays(session.stage_in(output, "truth.h5"), truths)
+    write_truth_arrays(session.stage_in(output, "truth.hdf5"), truths)
     write_truth_text(session.stage_in(output, "truth.yaml"), rig, about, plan)
     return {**about, "runs": described, "rig": described_rig(rig)}
 

@@ -28,6 +28,10 @@ class Batch:
     components (K, u) which of the six they are; precision (K, c+u, c+u), the inverse covariance of [channels, loads],
     zero where a channel is not live; `exact` where the loads carry no noise of their own; count (K,) real degrees of
     freedom of a line; run (K,) index into `runs`.
+
+    `efficiency` (K,) is what weights from an estimated covariance are worth beside the true ones (see `_efficiency`).
+    The precision holds it as a factor, so that the information says what the estimate is worth; chi-square against
+    the noise is that of the precision divided by it.
     """
 
     runs: tuple[str, ...]
@@ -41,6 +45,7 @@ class Batch:
     exact: bool
     count: Array
     run: Index
+    efficiency: Array
 
 
 def stacked(
@@ -91,6 +96,7 @@ def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: 
     frequency, index = np.unique(np.concatenate([run.frequency for run in group]), return_inverse=True)
     run = np.repeat(np.arange(len(group)), [len(item.frequency) for item in group])
     counts = [_count(item) for item in group]
+    efficiency = [np.full(len(item.frequency), _efficiency(item)) for item in group]
     return Batch(
         runs=tuple(item.run for item in group),
         spin=spin,
@@ -103,6 +109,7 @@ def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: 
         exact=exact,
         count=np.concatenate(counts),
         run=run,
+        efficiency=np.concatenate(efficiency),
     )
 
 
@@ -130,11 +137,21 @@ def _precision(lines: Lines, channel_names: tuple[str, ...], exact: bool) -> Com
     """Inverse covariance, spread over all channels and the u loads."""
     live, c, u = len(lines.channel_names), len(channel_names), len(lines.components)
     used = slice(0, live) if exact else slice(0, live + u)
-    inverse = _inverse(lines.covariance[:, used, used], lines.dof, live)
+    inverse = _inverse(lines.covariance[:, used, used], lines.dof, live) * _efficiency(lines)
     wide = np.zeros((len(inverse), c + u, c + u), complex)
     places = np.array(_places(lines, channel_names) + ([] if exact else list(range(c, c + u))))
     wide[:, places[:, None], places[None, :]] = inverse
     return wide
+
+
+def _efficiency(lines: Lines) -> float:
+    """The share of the information that is left when a sample covariance takes the place of the true one.
+
+    With P = (dof - n) W^-1, W complex Wishart, E[P] = C^-1 and E[P C P] = dof / (dof - n) C^-1 (Maiwald and Kraus,
+    IEE Proc. Radar 147, 2000): an estimate weighted by P scatters more by that factor than its information says.
+    """
+    size = len(lines.channel_names)
+    return inverse_bias_factor(lines.dof, size) if lines.dof > ENOUGH_DOF * size else 1.0
 
 
 def _inverse(covariance: ComplexArray, dof: float, size: int) -> ComplexArray:

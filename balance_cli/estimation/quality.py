@@ -43,7 +43,8 @@ def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
         mine = batch.run == i
         band = mine & in_band
         relative = [_relative(part[band], signal[band]) for part in (error, noise)]
-        qualities[name] = RunFit(float(fit.chi2[mine].sum()), float(batch.count[mine].sum()), *relative)
+        chi2 = float((fit.chi2[mine] / batch.efficiency[mine]).sum())
+        qualities[name] = RunFit(chi2, float(batch.count[mine].sum()), *relative)
     return qualities
 
 
