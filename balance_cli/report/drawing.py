@@ -109,7 +109,7 @@ def save_picture(path: Path, name: str, draw: Callable[[], Figure], file_format:
 NUMBERS = re.compile(r"(\d+\.\d{2})\d+")
 COORDINATES = re.compile(r'\b(?:d|x|y|width|height|transform|points)="[^"]*"')
 UNUSED_ID = re.compile(
-    r' id="(?:figure|axes|patch|line2d|text|matplotlib\.axis|xtick|ytick|legend|Path|Poly|Line)[^"]*"'
+    r' id="(?:figure|axes|patch|line2d|text|matplotlib\.axis|xtick|ytick|legend|Line|Fill|image)[^"]*"'
 )
 
 

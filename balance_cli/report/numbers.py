@@ -48,8 +48,7 @@ def with_sigma(value: float, sigma: float) -> tuple[str, str]:
         return (next(parts).replace("-", MINUS), next(parts))
     if digits > MOST_DIGITS or size < SMALLEST_PLAIN or size >= LARGEST_PLAIN:
         return significant(value, min(digits, MOST_DIGITS)), significant(sigma, 2)
-    decimals = max(decimals, 0)
-    return f"{value:.{decimals}f}".replace("-", MINUS), f"{sigma:.{decimals}f}"
+    return fixed(value, max(decimals, 0)), fixed(sigma, max(decimals, 0))
 
 
 def fixed(value: float, decimals: int) -> str:

@@ -137,21 +137,21 @@ def parameter_table(source: Source[IdentifiedModel], index: Sequence[int]) -> Ta
 def _parameter_row(model: IdentifiedModel, i: int) -> Row:
     table = model.parameters
     value, sigma = with_sigma(float(table.value[i]), float(table.sigma[i]))
-    declared = significant(float(table.declared[i]), 5)
-    tolerance = float(table.declared_sigma[i])
-    change = float(table.value[i] - table.declared[i])
+    tolerance, change = float(table.declared_sigma[i]), float(table.value[i] - table.declared[i])
+    told = bool(np.isfinite(table.declared[i]))
+    declared, width = with_sigma(float(table.declared[i]), tolerance) if told else ("", "")
     deviation = change / tolerance if np.isfinite(tolerance) and tolerance > 0 else float("nan")
-    relative = change / float(table.declared[i]) if table.declared[i] else float("nan")
+    # A relative change says something only of what is far from zero.
+    sizeable = told and abs(table.declared[i]) > FAR * tolerance
+    relative = f"{fixed(100 * change / float(table.declared[i]), 1)} %" if sizeable and table.declared[i] else ""
     far = "bad" if abs(deviation) > FAR else ""
     return (
         Cell(table.names[i], mark="name"),
         Cell(table.units[i], mark="quiet"),
         Cell(value),
         Cell(sigma),
-        Cell(declared if np.isfinite(table.declared[i]) else ""),
-        Cell(significant(tolerance, 2) if np.isfinite(tolerance) and tolerance > 0 else ""),
-        Cell(
-            fixed(deviation, 1), f"{fixed(100 * relative, 1)} %" if np.isfinite(relative) else "", "bad" if far else ""
-        ),
+        Cell(declared),
+        Cell(width),
+        Cell(fixed(deviation, 1), relative, far),
         Cell(table.rests_on[i], mark="" if table.rests_on[i] == "data" else "quiet"),
     )

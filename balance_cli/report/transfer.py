@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,8 +11,10 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS, UNIT_OF
+from balance_cli.estimation.paper.spectra import channel_response
+from balance_cli.geometry import Geometry
 from balance_cli.report.blocks import Block, Cell, Picture, Row, Section, Table
-from balance_cli.report.drawing import BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure, svg
+from balance_cli.report.drawing import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure, svg
 from balance_cli.report.measured import quotient
 from balance_cli.report.numbers import listed, percent, significant
 from balance_cli.report.sources import Sources
@@ -20,6 +23,7 @@ from balance_cli.signals.lines import Response
 Array = NDArray[np.float64]
 
 BAND = (5.0, 150.0)
+EXPECTED: dict[str, Any] = {"color": BLACK, "linestyle": "--", "zorder": 5}
 CELL_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY, *MORE)
 
 
@@ -39,12 +43,11 @@ def section(sources: Sources) -> Section | None:
     geometry = sources.transfers[0].content.geometry
     pairs = channel_pairs({channel.name: channel.cell for channel in geometry.channels}, responses)
     if pairs:
-        sensitivity = {channel.name: channel.sensitivity for channel in geometry.channels}
         caption = (
             "Piezo against strain channel of each cell, as forces: at every line from the response that shows the cell "
-            "best. What the amplifiers do to the signal, without any model of the plate (paper, figure 4)."
+            "best, without any model of the plate (paper, figure 4). Dashed: the dynamics declared for the channels."
         )
-        markup = svg("channel-ratio", caption, lambda: ratio_figure(pairs, responses, sensitivity))
+        markup = svg("channel-ratio", caption, lambda: ratio_figure(pairs, responses, geometry))
         blocks.append(Picture("channel-ratio", caption, markup))
     return Section("sweeps", "Measured responses: coherence and noise", tuple(blocks))
 
@@ -119,6 +122,7 @@ def coherence_figure(responses: Sequence[Response]) -> Figure:
             axes.semilogy(response.frequency, missing, rasterized=True, zorder=3 if thick else 2, **look)
         axes.set_title(name)
         axes.set_xlim(0, 150)
+        axes.set_xticks([0, 50, 100])
         axes.set_xlabel("frequency [Hz]")
     panels[0, 0].set_ylim(1e-8, 1.5)
     panels[0, 0].set_yticks([1e-8, 1e-6, 1e-4, 1e-2, 1], ["1e-8", "1e-6", "1e-4", "0.01", "1"])
@@ -156,23 +160,26 @@ def channel_ratio(
     return np.array(frequencies), np.array([best[f][1] for f in frequencies])
 
 
-def ratio_figure(
-    pairs: dict[str, tuple[str, str]], responses: Sequence[Response], sensitivity: dict[str, float]
-) -> Figure:
-    """Amplitude and phase of the ratio for every cell."""
+def ratio_figure(pairs: dict[str, tuple[str, str]], responses: Sequence[Response], geometry: Geometry) -> Figure:
+    """Amplitude and phase of the ratio for every cell, and as the channels' declared dynamics have it."""
     figure = new_figure(12.0, 2.7)
     left, right = figure.subplots(1, 2)
-    for i, (_, pair) in enumerate(pairs.items()):
+    declared = {channel.name: channel for channel in geometry.channels}
+    sensitivity = {name: channel.sensitivity for name, channel in declared.items()}
+    for i, pair in enumerate(pairs.values()):
         frequency, ratio = channel_ratio(pair, responses, sensitivity)
-        colour = CELL_COLOURS[i % len(CELL_COLOURS)]
-        left.plot(frequency, np.abs(ratio), color=colour, linewidth=0.9, rasterized=True)
-        right.plot(frequency, np.degrees(np.angle(ratio)), color=colour, linewidth=0.9, rasterized=True)
+        gains = [channel_response(declared[name], frequency) / sensitivity[name] for name in pair]
+        curves = ((ratio, {"color": CELL_COLOURS[i % len(CELL_COLOURS)]}), (gains[0] / gains[1], EXPECTED))
+        for value, look in curves:
+            left.plot(frequency, np.abs(value), linewidth=0.9, rasterized=True, **look)
+            right.plot(frequency, np.degrees(np.angle(value)), linewidth=0.9, rasterized=True, **look)
     left.set_title("amplitude")
     right.set_title("phase [°]")
     for axes in (left, right):
         axes.set_xlim(0, 150)
         axes.set_xlabel("frequency [Hz]")
     handles = [Line2D([], [], color=CELL_COLOURS[i % len(CELL_COLOURS)]) for i in range(len(pairs))]
-    figure.legend(handles, list(pairs), loc="lower center", ncols=len(pairs))
-    figure.subplots_adjust(left=0.04, right=0.995, top=0.9, bottom=0.28, wspace=0.1)
+    handles.append(Line2D([], [], linewidth=0.9, **EXPECTED))
+    figure.legend(handles, [*pairs, "as declared"], loc="lower center", ncols=len(handles))
+    figure.subplots_adjust(left=0.04, right=0.985, top=0.9, bottom=0.28, wspace=0.1)
     return figure
