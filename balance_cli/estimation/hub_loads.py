@@ -69,14 +69,16 @@ def solve_loads(
     """
     a, b = T.shape[1:]
     G, noise_only = _weighted_inverse(T, noise)
+    noise_only = noise_only * _worth_of_weights(dof, a - b)[:, None, None]
     loads = np.einsum("hba,ha->hb", G, y)
     of_response = response_covariance(loads)
     total = noise + of_response
     covariance = noise_only + G @ of_response @ np.swapaxes(G, 1, 2)
     chi2 = _surplus(T, y, total)
+    share = np.trace(np.linalg.solve(total, noise), axis1=1, axis2=2) / a
     degrees = np.full(len(T), float(a - b))
-    factor, limit = _surplus_law(total, noise, dof, a, degrees)
-    per_degree = np.where(degrees > 0, chi2 * factor / np.maximum(degrees, 1.0), np.nan)
+    bias, limit = _surplus_law(share, dof, a - b)
+    per_degree = np.where(degrees > 0, chi2 * bias / np.maximum(degrees, 1.0), np.nan)
     singular = np.linalg.svd(_scaled(T, noise, scale), compute_uv=False)
     return SolvedLoads(
         loads=loads[:, : b // 2] + 1j * loads[:, b // 2 :],
@@ -103,19 +105,32 @@ def _surplus(T: Array, y: Array, total: Array) -> Array:
     return np.asarray(np.einsum("ha,ha->h", residual, np.linalg.solve(total, residual[:, :, None])[:, :, 0]))
 
 
-def _surplus_law(total: Array, noise: Array, dof: Array, a: int, degrees: Array) -> tuple[Array, Array]:
-    """Factor that takes the bias off chi-square, and its 99.9 % point per degree of freedom.
+def _worth_of_weights(dof: Array, degrees: int) -> Array:
+    """Factor (h,) on the covariance of an estimate whose weights come from `dof` complex degrees of freedom.
 
-    The noise was estimated with few degrees of freedom: the inverse of such a matrix is too large on average, and the
-    surplus follows Hotelling's law rather than chi-square. Both matter only as far as noise makes up the covariance.
+    With q complex surplus equations (T' C^-1 T)^-1 comes out too small by (dof - q) / dof, and the estimate scatters
+    more than with the true weights by dof / (dof - q) (Rao, Proc. 5th Berkeley Symposium 1, 1967).
     """
-    share = np.trace(np.linalg.solve(total, noise), axis1=1, axis2=2) / a
-    bias = np.array([inverse_bias_factor(float(d), a // 2) for d in dof])
-    factor = 1.0 - share * (1.0 - bias)
-    second = 2.0 * dof / np.maximum(share, 1e-12)
-    safe = np.maximum(degrees, 1.0)
-    limit = np.where(degrees > 0, stats.f.ppf(SURPLUS_PROBABILITY, safe, np.minimum(second, 1e9)), np.inf)
-    return factor, limit
+    share = np.array([inverse_bias_factor(float(d), degrees // 2) for d in dof])
+    return np.asarray(1.0 / share**2)
+
+
+def _surplus_law(share: Array, dof: Array, degrees: int) -> tuple[Array, Array]:
+    """Factor that takes the bias off the surplus chi-square, and its 99.9 % point per degree of freedom.
+
+    With noise alone, estimated with dof complex degrees of freedom, q complex surplus equations follow Hotelling's
+    law: chi2 (dof - q + 1) / (2 q dof) is F with 2 q and 2 (dof - q + 1) degrees. Both corrections matter only as far
+    as noise makes up the covariance (`share`).
+    """
+    if degrees <= 0:
+        return np.ones_like(share), np.full_like(share, np.inf)
+    q = degrees // 2
+    unbiased = np.array([inverse_bias_factor(float(d), q) for d in dof])
+    second = np.minimum(2.0 * (dof - q + 1.0) / np.maximum(share, 1e-9), 1e9)
+    limit = stats.f.ppf(SURPLUS_PROBABILITY, degrees, second)
+    known = np.isinf(dof)
+    hotelling = np.where(known, 1.0, (dof - q) / np.where(known, 1.0, dof - q + 1.0))
+    return 1.0 - share * (1.0 - unbiased), np.asarray(limit * (1.0 - share * (1.0 - hotelling)))
 
 
 def _scaled(T: Array, noise: Array, scale: Array) -> Array:

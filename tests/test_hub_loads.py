@@ -1,0 +1,99 @@
+"""Loads from channel amplitudes: weights, covariance, the law of the surplus."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from balance_cli.estimation.hub_loads import solve_loads
+from balance_cli.responses import circular_real, stacked_real
+
+
+def problem(rng, harmonics=1, channels=9, loads=6):
+    T = rng.standard_normal((harmonics, channels, loads)) + 1j * rng.standard_normal((harmonics, channels, loads))
+    root = np.diag(rng.uniform(0.5, 2.0, channels)) @ (
+        np.eye(channels) + 0.3 * rng.standard_normal((channels, channels))
+    )
+    f = rng.standard_normal((harmonics, loads)) + 1j * rng.standard_normal((harmonics, loads))
+    return T, root, f
+
+
+def draw(rng, T, root, f):
+    noise = rng.standard_normal((2, len(T), len(root))) / np.sqrt(2)
+    y = np.einsum("hab,hb->ha", T, f) + (noise[0] + 1j * noise[1]) @ root.T
+    return np.concatenate([y.real, y.imag], axis=1)
+
+
+def no_error(loads):
+    return np.zeros((len(loads), 18, 18))
+
+
+def test_loads_and_covariance_are_those_of_weighted_least_squares():
+    rng = np.random.default_rng(0)
+    T, root, f = problem(rng, harmonics=4000)
+    T, f = np.repeat(T[:1], 4000, axis=0), np.repeat(f[:1], 4000, axis=0)
+    noise = circular_real(np.broadcast_to((root @ root.T).astype(complex), (4000, 9, 9)))
+    found = solve_loads(stacked_real(T), draw(rng, T, root, f), noise, np.full(4000, np.inf), no_error, np.ones(12))
+    error = np.concatenate([(found.loads - f).real, (found.loads - f).imag], axis=1)
+    scatter = np.cov(error.T)
+    np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=5 * np.sqrt(np.diag(scatter).max() / 4000))
+    np.testing.assert_allclose(scatter, found.covariance[0], atol=0.12 * np.diag(scatter).max())
+    assert np.mean(found.surplus) == pytest.approx(1.0, abs=0.03)
+    assert np.mean(found.misfit) == pytest.approx(0.001, abs=0.002)
+    np.testing.assert_allclose(found.limit, stats.chi2.ppf(0.999, 6) / 6, rtol=1e-6)
+
+
+def test_noise_that_was_estimated_does_not_raise_false_alarms():
+    rng = np.random.default_rng(1)
+    T, root, f = problem(rng, harmonics=3000)
+    dof = 38
+    draws = rng.standard_normal((2, 3000, dof, 9)) / np.sqrt(2)
+    samples = (draws[0] + 1j * draws[1]) @ root.T
+    estimated = np.einsum("hdi,hdj->hij", samples, samples.conj()) / dof
+    y = draw(rng, T, root, f)
+    found = solve_loads(stacked_real(T), y, circular_real(estimated), np.full(3000, float(dof)), no_error, np.ones(12))
+    assert np.mean(found.surplus) == pytest.approx(1.0, abs=0.04)
+    assert np.mean(found.misfit) == pytest.approx(0.001, abs=0.002)
+    error = (found.loads - f).real / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)[:, :6])
+    assert np.std(error) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_wrong_response_is_found_out_and_widens_sigma():
+    rng = np.random.default_rng(2)
+    T, root, f = problem(rng, harmonics=50)
+    noise = circular_real(np.broadcast_to((root @ root.T).astype(complex), (50, 9, 9)))
+    y = draw(rng, T, root, 30.0 * f)
+    wrong = T * (1 + 0.2 * rng.standard_normal(T.shape))
+    found = solve_loads(stacked_real(wrong), y, noise, np.full(50, np.inf), no_error, np.ones(12))
+    assert np.mean(found.misfit) > 0.9
+    ratio = found.widened[found.misfit] / found.covariance[found.misfit]
+    np.testing.assert_allclose(ratio[:, 0, 0], found.surplus[found.misfit])
+
+
+def test_the_error_of_the_response_reaches_sigma():
+    rng = np.random.default_rng(3)
+    T, root, f = problem(rng, harmonics=2000)
+    T, f = np.repeat(T[:1], 2000, axis=0), np.repeat(f[:1], 2000, axis=0)
+    noise = circular_real(np.broadcast_to((root @ root.T).astype(complex), (2000, 9, 9))) * 1e-4
+    relative = 0.02
+    draws = rng.standard_normal((2, *T.shape)) / np.sqrt(2)
+    true = T * (1 + relative * (draws[0] + 1j * draws[1]))
+
+    def response_covariance(loads):
+        size = np.abs(T) ** 2 @ np.abs(loads[:, :6] + 1j * loads[:, 6:])[:, :, None] ** 2
+        each = 0.5 * relative**2 * size[:, :, 0]
+        return np.einsum("ha,ab->hab", np.concatenate([each, each], axis=1), np.eye(18))
+
+    y = draw(rng, true, 1e-2 * root, f)
+    found = solve_loads(stacked_real(T), y, noise, np.full(2000, np.inf), response_covariance, np.ones(12))
+    scatter = np.var((found.loads - f).real, axis=0)
+    np.testing.assert_allclose(scatter, np.diagonal(found.covariance[0])[:6], rtol=0.2)
+    assert np.mean(found.surplus) == pytest.approx(1.0, abs=0.1)
+
+
+def test_condition_counts_channels_in_units_of_their_noise():
+    T = np.diag([1.0, 1.0, 4.0])[None]
+    noise = np.diag([1.0, 1.0, 4.0])[None]
+    found = solve_loads(
+        T[:, :, :2], np.ones((1, 3)), noise, np.array([np.inf]), lambda f: np.zeros((1, 3, 3)), np.ones(2)
+    )
+    assert found.condition[0] == pytest.approx(1.0)
