@@ -24,6 +24,8 @@ ComplexArray = NDArray[np.complex128]
 Values = TypeVar("Values", Array, ComplexArray)
 
 TORQUE_METER = "torque meter"
+ERROR_BAND = (5.0, 150.0)
+"""Band of relative errors of responses [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +51,31 @@ class Curve:
     sigma: Array
 
 
-def strongest(responses: Sequence[Response], component: str) -> Response | None:
-    """The response to this component that was measured at the highest level."""
-    having = [response for response in responses if component in response.components]
-    return max(having, key=lambda response: level(response, component), default=None)
+def level(response: Response) -> float:
+    """Highest level of the excitation [N, N m rms] of its components; 0 where none is told."""
+    return max((float(value) for value in response.level if np.isfinite(value)), default=0.0)
 
 
-def level(response: Response, component: str) -> float:
-    """Level of the excitation of a component [N, N m rms]; 0 where it is not told."""
-    return response.level[response.components.index(component)] if response.level else 0.0
+def error_band(frequency: Array) -> NDArray[np.bool_]:
+    """Lines (k,) over which relative errors are taken: 5 to 150 Hz."""
+    return (frequency >= ERROR_BAND[0]) & (frequency <= ERROR_BAND[1])
+
+
+def best_channel(response: Response) -> tuple[Array, Array]:
+    """Coherence (k,) and relative sigma (k,) of the channel that responds best at each line; one component."""
+    coherence = response.coherence[:, :, 0]
+    best, lines = np.argmax(coherence, axis=1), np.arange(len(coherence))
+    variance = np.real(response.channel_covariance[lines, best, best] * response.load_covariance[:, 0, 0])
+    return coherence[lines, best], quotient(np.sqrt(variance), np.abs(response.response[lines, best, 0]))
+
+
+def force_response(response: Response, geometry: Geometry) -> tuple[ComplexArray, Array]:
+    """Response (k, c) of every channel to one component, over the sensitivity, and its standard deviation (k, c)."""
+    sensitivity = {channel.name: channel.sensitivity for channel in geometry.channels}
+    weights = np.array([1.0 / sensitivity[name] for name in response.channel_names])
+    variance = np.real(np.diagonal(response.channel_covariance, axis1=1, axis2=2))
+    sigma = np.sqrt(variance * np.real(response.load_covariance[:, 0, 0])[:, None]) * np.abs(weights)
+    return response.response[:, :, 0] * weights, sigma
 
 
 def sensors(geometry: Geometry, responses: Sequence[Response], models: Sequence[IdentifiedModel]) -> tuple[Sensor, ...]:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
 from balance_cli.geometry import Geometry
@@ -14,23 +13,24 @@ from balance_cli.identified import IdentifiedModel
 from balance_cli.report.blocks import Block, Cell, Details, Heading, Picture, Row, Section, Table, Text, group_row
 from balance_cli.report.drawing import svg
 from balance_cli.report.measured import (
+    ERROR_BAND,
     Curve,
     ModelResponse,
     Sensor,
+    error_band,
     measured_curve,
     model_response,
     relative_error,
     relative_noise,
     sensors,
-    strongest,
 )
 from balance_cli.report.numbers import listed, percent
 from balance_cli.report.response_figures import Panel, component_figure, detail_figure
 from balance_cli.report.sources import Source, Sources
 from balance_cli.signals.lines import Response
+from balance_cli.sweep_tf import Transfer, combined, components_of
 
 BAND = (2.0, 150.0)
-ERROR_BAND = (5.0, 150.0)
 NEAR_NOISE = 1.5
 """An error up to so many times the noise counts as noise."""
 BURIED = 0.5
@@ -51,15 +51,19 @@ class Comparison:
 
 def comparisons(sources: Sources) -> tuple[Comparison, ...]:
     """Every component that was excited, at its highest level, against all models."""
-    responses = [response for source in sources.transfers for response in source.content.responses]
-    geometry = sources.transfers[0].content.geometry
-    chosen = {component: strongest(responses, component) for component in COMPONENTS}
-    measured = {component: response for component, response in chosen.items() if response is not None}
-    shown = sensors(geometry, list(measured.values()), [source.content for source in sources.models])
-    return tuple(
-        Comparison(component, geometry, shown, response, tuple(_told(sources, response, shown, geometry)))
-        for component, response in measured.items()
-    )
+    chosen: dict[str, tuple[Transfer, Response]] = {}
+    for source in sources.transfers:
+        for component in components_of(source.content):
+            chosen.setdefault(component, (source.content, combined(source.content, component)))
+    models = [source.content for source in sources.models]
+    found = []
+    for component in sorted(chosen, key=COMPONENTS.index):
+        transfer, response = chosen[component]
+        mine = [each for other, each in chosen.values() if other is transfer]
+        shown = sensors(transfer.geometry, mine, models)
+        told = tuple(_told(sources, response, shown, transfer.geometry))
+        found.append(Comparison(component, transfer.geometry, shown, response, told))
+    return tuple(found)
 
 
 def _told(
@@ -137,10 +141,6 @@ def _strongest_pairs(panels: dict[tuple[str, str], Panel]) -> list[tuple[str, st
     return pairs[:4]
 
 
-def _error_band(response: Response) -> NDArray[np.bool_]:
-    return (response.frequency >= ERROR_BAND[0]) & (response.frequency <= ERROR_BAND[1])
-
-
 def error_table(compared: Sequence[Comparison]) -> Table:
     """Relative error over all sensors together, components down, models across, beside the noise."""
     rows: list[Row] = []
@@ -159,7 +159,7 @@ def error_table(compared: Sequence[Comparison]) -> Table:
 
 def sensor_errors(each: Comparison) -> tuple[float, list[float]]:
     """Relative noise of the cells' measured responses, and the relative error of each model over those it tells."""
-    band, column = _error_band(each.measured), COMPONENTS.index(each.component)
+    band, column = error_band(each.measured.frequency), COMPONENTS.index(each.component)
     curves = {s.name: measured_curve(each.measured, s, each.component, each.geometry) for s in each.shown}
     measured = {name: curve for name, curve in curves.items() if curve is not None}
     single = [name for sensor in each.shown if len(sensor.channels) == 1 for name in [sensor.name] if name in measured]
@@ -194,7 +194,7 @@ def _channel_cell(each: Comparison, m: int, name: str) -> Cell:
     if name not in each.measured.channel_names or name not in each.models[m][1].channels:
         return Cell("")
     i, j = each.measured.channel_names.index(name), each.measured.components.index(each.component)
-    band = _error_band(each.measured)
+    band = error_band(each.measured.frequency)
     measured = each.measured.response[band, i, j]
     variance = each.measured.channel_covariance[band, i, i] * each.measured.load_covariance[band, j, j]
     noise = relative_noise(np.sqrt(np.real(variance)), measured)

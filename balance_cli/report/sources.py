@@ -69,9 +69,12 @@ class Sources:
     @property
     def geometries(self) -> tuple[Geometry, ...]:
         """The different geometries that the artefacts were made from, the declared effects aside."""
+        declared = [source.content.geometry for source in self.calibrations]
+        declared += [source.content.geometry for source in self.transfers]
+        declared += [source.content.geometry for source in self.models]
         different: list[Geometry] = []
-        for source in (*self.calibrations, *self.transfers, *self.models):
-            bare = source.content.geometry.model_copy(update={"effects": ()})
+        for geometry in declared:
+            bare = geometry.model_copy(update={"effects": ()})
             if bare not in different:
                 different.append(bare)
         return tuple(different)

@@ -40,7 +40,7 @@ def _made_from(sources: Sources) -> Iterator[str]:
         rows = sum(trim.rows for trim in trims.values())
         yield f"Calibration {calibration.file}: {rows} load points, trims {listed(list(trims))}."
     for transfer in sources.transfers:
-        runs = dict.fromkeys(response.run for response in transfer.content.responses)
+        runs = dict.fromkeys(name for response in transfer.content.responses for name in response.run.split("+"))
         yield f"Measured responses {transfer.file}: {len(runs)} runs."
     if sources.models:
         yield f"Models: {listed([f'{source.label} ({source.file})' for source in sources.models])}."

@@ -1,185 +1,128 @@
-"""The measured responses by themselves: runs and levels, coherence, sigma, and what the two channels of a cell say."""
+"""The measured responses by themselves: runs and levels, coherence, sigma, and whether they depend on the level."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS, UNIT_OF
-from balance_cli.estimation.paper.spectra import channel_response
-from balance_cli.geometry import Geometry
-from balance_cli.report.blocks import Block, Cell, Picture, Row, Section, Table
-from balance_cli.report.drawing import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure, svg
-from balance_cli.report.measured import quotient
+from balance_cli.report.blocks import Block, Cell, Picture, Row, Section, Table, Text, Warn
+from balance_cli.report.drawing import svg
+from balance_cli.report.measured import best_channel, error_band, force_response, level, relative_error, relative_noise
 from balance_cli.report.numbers import listed, percent, significant
-from balance_cli.report.sources import Sources
+from balance_cli.report.sources import Source, Sources
+from balance_cli.report.sweep_figures import channel_pairs, coherence_figure, ratio_figure
 from balance_cli.signals.lines import Response
+from balance_cli.sweep_tf import Transfer, one_component
 
-Array = NDArray[np.float64]
-
-BAND = (5.0, 150.0)
-EXPECTED: dict[str, Any] = {"color": BLACK, "linestyle": "--", "zorder": 5}
-CELL_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY, *MORE)
+SIGNIFICANT = 1.5
+"""A difference between levels above so many times the noise is marked."""
+RUN_HEAD = ("run", "excited", "level rms", "rotor Hz", "lines", "Hz", "steady part", "least coherence", "sigma %", "by")
 
 
 def section(sources: Sources) -> Section | None:
     """Tables and pictures of all measured responses; None where there are none."""
-    responses = [response for source in sources.transfers for response in source.content.responses]
-    if not responses:
-        return None
-    blocks: list[Block] = [
-        run_table(responses),
-        Picture(
-            "coherence",
-            "1 - coherence of the best-responding channel at every line, by component; thin: lower levels.",
-            svg("coherence", "Coherence by component", lambda: coherence_figure(responses)),
-        ),
-    ]
-    geometry = sources.transfers[0].content.geometry
-    pairs = channel_pairs({channel.name: channel.cell for channel in geometry.channels}, responses)
+    having = [source for source in sources.transfers if source.content.responses]
+    blocks = [block for source in having for block in _transfer(source, len(having) > 1)]
+    return Section("sweeps", "Measured responses: coherence and noise", tuple(blocks)) if blocks else None
+
+
+def _transfer(source: Source[Transfer], several: bool) -> Iterator[Block]:
+    transfer, suffix = source.content, f" ({source.file})" if several else ""
+    single = [one_component(response, name) for response in transfer.responses for name in response.components]
+    for run, channels in transfer.channels_left_out.items():
+        for channel, reason in channels.items():
+            yield Warn(f"Run {run}, channel {channel} left out: {reason}.")
+    for run, part in transfer.steady.items():
+        if not part.steady:
+            yield Warn(f"Run {run} did not become steady by test before its last two periods.")
+    if transfer.unused:
+        yield Text(f"Not used: {listed(list(transfer.unused))}.")
+    yield run_table(transfer)
+    name = f"coherence-{source.file}" if several else "coherence"
+    caption = f"1 - coherence of the best-responding channel of every line; light: lower levels{suffix}."
+    yield Picture(name, caption, svg(name, caption, lambda: coherence_figure(single)))
+    table = level_table(source, single)
+    if table.rows:
+        yield table
+    yield from _ratios(source, single, several, suffix)
+
+
+def _ratios(source: Source[Transfer], single: Sequence[Response], several: bool, suffix: str) -> Iterator[Block]:
+    geometry = source.content.geometry
+    pairs = channel_pairs({channel.name: channel.cell for channel in geometry.channels}, single)
     if pairs:
+        name = f"channel-ratio-{source.file}" if several else "channel-ratio"
         caption = (
             "Piezo against strain channel of each cell, as forces: at every line from the response that shows the cell "
-            "best, without any model of the plate (paper, figure 4). Dashed: the dynamics declared for the channels."
+            f"best, without any model of the plate (paper, figure 4). Dashed: the dynamics declared{suffix}."
         )
-        markup = svg("channel-ratio", caption, lambda: ratio_figure(pairs, responses, geometry))
-        blocks.append(Picture("channel-ratio", caption, markup))
-    return Section("sweeps", "Measured responses: coherence and noise", tuple(blocks))
+        yield Picture(name, caption, svg(name, caption, lambda: ratio_figure(pairs, single, geometry)))
 
 
-def best_channel(response: Response) -> tuple[Array, Array]:
-    """Coherence (k,) and relative sigma (k,) of the channel that responds best at each line (first component)."""
-    coherence = response.coherence.max(axis=2)
-    best = np.argmax(coherence, axis=1)
-    lines = np.arange(len(best))
-    variance = np.real(response.channel_covariance[lines, best, best] * response.load_covariance[:, 0, 0])
-    size = np.abs(response.response[lines, best, 0])
-    return coherence[lines, best], quotient(np.sqrt(variance), size)
-
-
-def run_table(responses: Sequence[Response]) -> Table:
-    """One row a run: what was excited, how strongly, lines, coherence, sigma, estimator."""
-    names = (
-        "run",
-        "excited",
-        "level rms",
-        "speed Hz",
-        "lines",
-        "from",
-        "to Hz",
-        "least coherence",
-        "sigma %",
-        "estimator",
-    )
-    head = tuple(Cell(name) for name in names)
+def run_table(transfer: Transfer) -> Table:
+    """One row a run and component: how strongly it was excited, lines, steady part, coherence, sigma, estimator."""
     caption = (
-        f"Runs. Coherence and relative sigma are those of the best-responding channel of each line, "
-        f"{BAND[0]:.0f} to {BAND[1]:.0f} Hz: the least, and the median."
+        "Runs. Coherence (the least) and relative sigma (the median) are those of the best-responding channel of each "
+        "line, 5 to 150 Hz. Steady part: what was used of a periodic record; small: from which period on, line by line."
     )
-    return Table(caption, (head,), tuple(_run_row(response) for response in responses))
+    rows = [_run_row(transfer, one_component(r, name), r) for r in transfer.responses for name in r.components]
+    return Table(caption, (tuple(Cell(name) for name in RUN_HEAD),), tuple(rows))
 
 
-def _run_row(response: Response) -> Row:
+def _run_row(transfer: Transfer, response: Response, whole: Response) -> Row:
     coherence, sigma = best_channel(response)
-    band = (response.frequency >= BAND[0]) & (response.frequency <= BAND[1])
-    levels = [
-        f"{significant(level)} {UNIT_OF[name]}"
-        for level, name in zip(response.level, response.components, strict=False)
-    ]
-    least = f"{coherence[band].min():.6f}" if band.any() else ""
-    texts = (
-        listed(response.components),
-        listed(levels),
-        significant(response.rotor_speed),
-        str(len(response.frequency)),
-        significant(float(response.frequency[0])),
-        significant(float(response.frequency[-1]), 4),
-        least,
-        percent(float(np.median(sigma[band]))) if band.any() else "",
-        response.estimator,
+    band, component = error_band(response.frequency), response.components[0]
+    return (
+        Cell(response.run, mark="name"),
+        Cell(component),
+        Cell(f"{significant(response.level[0])} {UNIT_OF[component]}"),
+        Cell(significant(response.rotor_speed)),
+        Cell(str(len(response.frequency))),
+        Cell(f"{significant(float(response.frequency[0]))} to {significant(float(response.frequency[-1]), 4)}"),
+        _steady_cell(transfer, whole.run),
+        Cell(f"{coherence[band].min():.6f}" if band.any() else ""),
+        Cell(percent(float(np.median(sigma[band]))) if band.any() else ""),
+        Cell(response.estimator),
     )
-    return (Cell(response.run, mark="name"), *(Cell(text) for text in texts))
 
 
-def coherence_figure(responses: Sequence[Response]) -> Figure:
-    """One panel a component: 1 - coherence over frequency, the strongest level thick."""
-    names = [name for name in COMPONENTS if any(name in response.components for response in responses)]
-    columns = min(len(names), 6)
-    figure = new_figure(12.0, 2.1 * -(-len(names) // columns))
-    panels = figure.subplots(-(-len(names) // columns), columns, squeeze=False, sharex=True, sharey=True)
-    for axes, name in zip(panels.ravel(), names, strict=False):
-        mine = [response for response in responses if name in response.components]
-        strongest = max(max(response.level, default=0.0) for response in mine)
-        for response in mine:
-            thick = max(response.level, default=0.0) == strongest
-            missing = np.maximum(1.0 - best_channel(response)[0], 1e-9)
-            look = {"color": BLUE, "linewidth": 1.0} if thick else {"color": SKY, "linewidth": 0.6}
-            axes.semilogy(response.frequency, missing, rasterized=True, zorder=3 if thick else 2, **look)
-        axes.set_title(name)
-        axes.set_xlim(0, 150)
-        axes.set_xticks([0, 50, 100])
-        axes.set_xlabel("frequency [Hz]")
-    panels[0, 0].set_ylim(1e-8, 1.5)
-    panels[0, 0].set_yticks([1e-8, 1e-6, 1e-4, 1e-2, 1], ["1e-8", "1e-6", "1e-4", "0.01", "1"])
-    panels[0, 0].set_ylabel("1 - coherence")
-    figure.subplots_adjust(left=0.055, right=0.995, top=0.9, bottom=0.2, wspace=0.07)
-    return figure
+def _steady_cell(transfer: Transfer, run: str) -> Cell:
+    """The part used of the first of the runs that were solved together (`a+b`)."""
+    part = transfer.steady.get(run) or transfer.steady.get(run.partition("+")[0])
+    if part is None:
+        return Cell("")
+    earliest = f"{part.first + 1}" if part.first == part.last else f"{part.first + 1} to {part.last + 1}"
+    return Cell(f"{part.start:.2f} to {part.stop:.2f} s", f"period {earliest} of {part.periods}")
 
 
-def channel_pairs(cell_of: dict[str, str | None], responses: Sequence[Response]) -> dict[str, tuple[str, str]]:
-    """{cell: its two channels, the later declared one first}, where every response has both."""
-    present = set.intersection(*(set(response.channel_names) for response in responses))
-    pairs: dict[str, tuple[str, str]] = {}
-    for cell in dict.fromkeys(cell for cell in cell_of.values() if cell):
-        channels = [name for name, own in cell_of.items() if own == cell and name in present]
-        if len(channels) == 2:
-            pairs[cell] = (channels[1], channels[0])
-    return pairs
+def level_table(source: Source[Transfer], single: Sequence[Response]) -> Table:
+    """For each component: the response at lower levels against that at the highest, all cells together."""
+    rows = []
+    for component in COMPONENTS:
+        mine = sorted((r for r in single if component in r.components), key=level, reverse=True)
+        for other in mine[1:]:
+            if np.array_equal(mine[0].frequency, other.frequency) and mine[0].channel_names == other.channel_names:
+                rows.append(_level_row(source, component, mine[0], other))
+    caption = (
+        "Does the response depend on the level? Relative difference of two runs over all channels, 5 to 150 Hz, and "
+        f"what the noise of both leaves. Marked: more than {SIGNIFICANT} times the noise."
+    )
+    head = tuple(Cell(name) for name in ("component", "levels rms", "runs", "difference %", "noise %"))
+    return Table(caption, (head,), tuple(rows))
 
 
-def channel_ratio(
-    pair: tuple[str, str], responses: Sequence[Response], sensitivity: dict[str, float]
-) -> tuple[Array, NDArray[np.complex128]]:
-    """Ratio of a cell's two channels as forces: at each line that of the response that shows the cell best."""
-    best: dict[float, tuple[float, complex]] = {}
-    for response in responses:
-        a, b = (response.channel_names.index(name) for name in pair)
-        T = response.response[:, [a, b], 0] / np.array([sensitivity[name] for name in pair])
-        ratios = quotient(T[:, 0], T[:, 1])
-        variance = np.real(response.channel_covariance[:, [a, b], [a, b]] * response.load_covariance[:, :1, 0])
-        quality = np.min(quotient(np.abs(response.response[:, [a, b], 0]), np.sqrt(variance)), axis=1)
-        for frequency, good, ratio in zip(response.frequency, quality, ratios, strict=True):
-            if good > best.get(float(frequency), (0.0, 0j))[0]:
-                best[float(frequency)] = (float(good), complex(ratio))
-    frequencies = sorted(best)
-    return np.array(frequencies), np.array([best[f][1] for f in frequencies])
-
-
-def ratio_figure(pairs: dict[str, tuple[str, str]], responses: Sequence[Response], geometry: Geometry) -> Figure:
-    """Amplitude and phase of the ratio for every cell, and as the channels' declared dynamics have it."""
-    figure = new_figure(12.0, 2.7)
-    left, right = figure.subplots(1, 2)
-    declared = {channel.name: channel for channel in geometry.channels}
-    sensitivity = {name: channel.sensitivity for name, channel in declared.items()}
-    for i, pair in enumerate(pairs.values()):
-        frequency, ratio = channel_ratio(pair, responses, sensitivity)
-        gains = [channel_response(declared[name], frequency) / sensitivity[name] for name in pair]
-        curves = ((ratio, {"color": CELL_COLOURS[i % len(CELL_COLOURS)]}), (gains[0] / gains[1], EXPECTED))
-        for value, look in curves:
-            left.plot(frequency, np.abs(value), linewidth=0.9, rasterized=True, **look)
-            right.plot(frequency, np.degrees(np.angle(value)), linewidth=0.9, rasterized=True, **look)
-    left.set_title("amplitude")
-    right.set_title("phase [°]")
-    for axes in (left, right):
-        axes.set_xlim(0, 150)
-        axes.set_xlabel("frequency [Hz]")
-    handles = [Line2D([], [], color=CELL_COLOURS[i % len(CELL_COLOURS)]) for i in range(len(pairs))]
-    handles.append(Line2D([], [], linewidth=0.9, **EXPECTED))
-    figure.legend(handles, [*pairs, "as declared"], loc="lower center", ncols=len(handles))
-    figure.subplots_adjust(left=0.04, right=0.985, top=0.9, bottom=0.28, wspace=0.1)
-    return figure
+def _level_row(source: Source[Transfer], component: str, high: Response, low: Response) -> Row:
+    band, geometry = error_band(high.frequency), source.content.geometry
+    one, sigma_one = force_response(high, geometry)
+    two, sigma_two = force_response(low, geometry)
+    difference = relative_error(two[band], one[band])
+    noise = relative_noise(np.hypot(sigma_one, sigma_two)[band], one[band])
+    return (
+        Cell(component, mark="name"),
+        Cell(f"{significant(level(low))} and {significant(level(high))} {UNIT_OF[component]}"),
+        Cell(f"{low.run} and {high.run}"),
+        Cell(percent(difference), mark="bad" if difference > SIGNIFICANT * noise else ""),
+        Cell(percent(noise), mark="quiet"),
+    )

@@ -1,0 +1,102 @@
+"""Pictures of the measured responses by themselves: coherence, and the ratio of the two channels of a cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS
+from balance_cli.estimation.paper.spectra import channel_response
+from balance_cli.geometry import Geometry
+from balance_cli.report.drawing import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure
+from balance_cli.report.measured import best_channel, level, quotient
+from balance_cli.signals.lines import Response
+
+Array = NDArray[np.float64]
+
+EXPECTED: dict[str, Any] = {"color": BLACK, "linestyle": "--", "zorder": 5}
+CELL_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY, *MORE)
+
+
+def coherence_figure(responses: Sequence[Response]) -> Figure:
+    """One panel a component: 1 - coherence over frequency, the strongest level thick."""
+    names = [name for name in COMPONENTS if any(name in response.components for response in responses)]
+    columns = min(len(names), 6)
+    figure = new_figure(12.0, 2.1 * -(-len(names) // columns))
+    panels = figure.subplots(-(-len(names) // columns), columns, squeeze=False, sharex=True, sharey=True)
+    for axes, name in zip(panels.ravel(), names, strict=False):
+        mine = [response for response in responses if name in response.components]
+        strongest = max(level(response) for response in mine)
+        for response in mine:
+            thick = level(response) == strongest
+            missing = np.maximum(1.0 - best_channel(response)[0], 1e-9)
+            look = {"color": BLUE, "linewidth": 1.0} if thick else {"color": SKY, "linewidth": 0.6}
+            axes.semilogy(response.frequency, missing, rasterized=True, zorder=3 if thick else 2, **look)
+        axes.set_title(name)
+        axes.set_xlim(0, 150)
+        axes.set_xticks([0, 50, 100])
+        axes.set_xlabel("frequency [Hz]")
+    panels[0, 0].set_ylim(1e-8, 1.5)
+    panels[0, 0].set_yticks([1e-8, 1e-6, 1e-4, 1e-2, 1], ["1e-8", "1e-6", "1e-4", "0.01", "1"])
+    panels[0, 0].set_ylabel("1 - coherence")
+    figure.subplots_adjust(left=0.055, right=0.995, top=0.9, bottom=0.2, wspace=0.07)
+    return figure
+
+
+def channel_pairs(cell_of: dict[str, str | None], responses: Sequence[Response]) -> dict[str, tuple[str, str]]:
+    """{cell: its two channels, the later declared one first}, where every response has both."""
+    present = set.intersection(*(set(response.channel_names) for response in responses))
+    pairs: dict[str, tuple[str, str]] = {}
+    for cell in dict.fromkeys(cell for cell in cell_of.values() if cell):
+        channels = [name for name, own in cell_of.items() if own == cell and name in present]
+        if len(channels) == 2:
+            pairs[cell] = (channels[1], channels[0])
+    return pairs
+
+
+def channel_ratio(
+    pair: tuple[str, str], responses: Sequence[Response], sensitivity: dict[str, float]
+) -> tuple[Array, NDArray[np.complex128]]:
+    """Ratio of a cell's two channels as forces: at each line that of the response that shows the cell best."""
+    best: dict[float, tuple[float, complex]] = {}
+    for response in responses:
+        a, b = (response.channel_names.index(name) for name in pair)
+        T = response.response[:, [a, b], 0] / np.array([sensitivity[name] for name in pair])
+        ratios = quotient(T[:, 0], T[:, 1])
+        variance = np.real(response.channel_covariance[:, [a, b], [a, b]] * response.load_covariance[:, :1, 0])
+        quality = np.min(quotient(np.abs(response.response[:, [a, b], 0]), np.sqrt(variance)), axis=1)
+        for frequency, good, ratio in zip(response.frequency, quality, ratios, strict=True):
+            if good > best.get(float(frequency), (0.0, 0j))[0]:
+                best[float(frequency)] = (float(good), complex(ratio))
+    frequencies = sorted(best)
+    return np.array(frequencies), np.array([best[f][1] for f in frequencies])
+
+
+def ratio_figure(pairs: dict[str, tuple[str, str]], responses: Sequence[Response], geometry: Geometry) -> Figure:
+    """Amplitude and phase of the ratio for every cell, and as the channels' declared dynamics have it."""
+    figure = new_figure(12.0, 2.7)
+    left, right = figure.subplots(1, 2)
+    declared = {channel.name: channel for channel in geometry.channels}
+    sensitivity = {name: channel.sensitivity for name, channel in declared.items()}
+    for i, pair in enumerate(pairs.values()):
+        frequency, ratio = channel_ratio(pair, responses, sensitivity)
+        gains = [channel_response(declared[name], frequency) / sensitivity[name] for name in pair]
+        curves = ((ratio, {"color": CELL_COLOURS[i % len(CELL_COLOURS)]}), (gains[0] / gains[1], EXPECTED))
+        for value, look in curves:
+            left.plot(frequency, np.abs(value), linewidth=0.9, rasterized=True, **look)
+            right.plot(frequency, np.degrees(np.angle(value)), linewidth=0.9, rasterized=True, **look)
+    left.set_title("amplitude")
+    right.set_title("phase [°]")
+    for axes in (left, right):
+        axes.set_xlim(0, 150)
+        axes.set_xlabel("frequency [Hz]")
+    handles = [Line2D([], [], color=CELL_COLOURS[i % len(CELL_COLOURS)]) for i in range(len(pairs))]
+    handles.append(Line2D([], [], linewidth=0.9, **EXPECTED))
+    figure.legend(handles, [*pairs, "as declared"], loc="lower center", ncols=len(handles))
+    figure.subplots_adjust(left=0.04, right=0.985, top=0.9, bottom=0.28, wspace=0.1)
+    return figure
