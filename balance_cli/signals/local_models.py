@@ -100,12 +100,12 @@ def local_models(spectrum: Spectrum, estimator: str = "lrm") -> LocalModels:
     """Fit the sliding windows twice: for the noise of channels and loads, then weighted with it."""
     u = spectrum.loads.shape[1]
     candidates, M, hop = _layout(estimator, u)
-    first, owned = _windows(len(spectrum.frequency), M, hop)
+    first, owned = sliding(len(spectrum.frequency), M, hop)
     index = first[:, None] + np.arange(M)
     r = np.broadcast_to(np.linspace(-1.0, 1.0, M), index.shape)
     spectrum = _like_noise(spectrum, index, r, candidates[-1])
     windows = Windows(spectrum.channels[index], spectrum.loads[index], np.ones(index.shape), r)
-    chosen = _best(windows, candidates)
+    chosen = best_fits(windows, candidates)
     draft = _assembled(spectrum, first, owned, chosen, np.ones(len(spectrum.frequency)))
     level = draft.noise.excess(draft.response)
     windows = replace(windows, weight=1.0 / np.sqrt(level[index]))
@@ -120,7 +120,7 @@ def _layout(estimator: str, inputs: int) -> tuple[tuple[Orders, ...], int, int]:
     return ORDERS, M, M // 3
 
 
-def _windows(K: int, M: int, hop: int) -> tuple[Index, Index]:
+def sliding(K: int, M: int, hop: int) -> tuple[Index, Index]:
     """First line (W,) of each window, shifted inwards at the edges, and the lines (W, 2) for which it speaks."""
     start = np.arange(0, K, hop)
     owned = np.stack([start, np.minimum(start + hop, K)], axis=1)
@@ -150,7 +150,7 @@ def _like_noise(spectrum: Spectrum, index: Index, r: Array, orders: Orders) -> S
     return replace(spectrum, channels=spectrum.channels / scale, channel_scale=spectrum.channel_scale * scale)
 
 
-def _best(windows: Windows, candidates: Sequence[Orders]) -> tuple[WindowFit, ...]:
+def best_fits(windows: Windows, candidates: Sequence[Orders]) -> tuple[WindowFit, ...]:
     """The fit of each window with the best orders."""
     fits = [fit_windows(windows, orders) for orders in candidates]
     best = np.argmin([_criterion(windows, fit) for fit in fits], axis=0)
@@ -186,13 +186,12 @@ def _assembled(
     draft: NoiseComponents | None = None,
 ) -> LocalModels:
     """Response at every line from the window that speaks for it, and the noise from what it leaves."""
-    response = np.zeros((*spectrum.channels.shape, spectrum.loads.shape[1]), complex)
+    response = stitched_response(fits, first, owned)
     residual = np.zeros_like(spectrum.channels)
     counts = np.ones(len(level))
     for w, fit in enumerate(fits):
         lines = np.arange(*owned[w])
         inside = lines - first[w]
-        response[lines] = (response_rows(fit, fit.r[inside]) @ fit.coefficients).swapaxes(1, 2)
         residual[lines] = fit.residual[inside]
         taken = np.einsum("kq,qk->k", design(fit)[inside], influence(fit)[:, inside]).real
         counts[lines] = np.clip(1.0 - taken, 0.05, 1.0)
@@ -200,6 +199,13 @@ def _assembled(
     start = None if draft is None else replace(draft, channels=draft.channels[used])
     noise = _everywhere(noise_components(residual[used], response[used], counts[used], start), used)
     return LocalModels(spectrum, first, owned, fits, response, noise, level)
+
+
+def stitched_response(fits: Sequence[WindowFit], first: Index, owned: Index) -> ComplexArray:
+    """Response (K, c, u) at every line from the window that speaks for it."""
+    places = [fit.r[np.arange(*owned[w]) - first[w]] for w, fit in enumerate(fits)]
+    parts = [response_rows(fit, r) @ fit.coefficients for fit, r in zip(fits, places, strict=True)]
+    return np.concatenate(parts).swapaxes(1, 2)
 
 
 def _everywhere(noise: NoiseComponents, used: NDArray[np.bool_]) -> NoiseComponents:

@@ -26,10 +26,10 @@ def local_response(
     Several components excited at once are told apart where their spectra differ. UserError: no loads, record too short.
     """
     models = local_models(record_spectrum(run, channel_names, band), estimator)
-    return _response(models, estimator)
+    return response_of(models, estimator)
 
 
-def _response(models: LocalModels, estimator: str) -> Response:
+def response_of(models: LocalModels, estimator: str) -> Response:
     """Response with separable covariance and coherences, at the excited lines, in volts per newton."""
     s = models.spectrum
     kept = np.flatnonzero(s.excited)

@@ -32,6 +32,7 @@ Counts = NDArray[np.intp]
 
 LEAST_SIGNAL_TO_NOISE = 10.0
 LEAST_SHARE_OF_STRONGEST = 10.0**-2.5
+LEAST_SHARE_OF_LINES = 0.1
 INFLATION_PROBABILITY = 1e-4
 
 
@@ -75,9 +76,16 @@ def periodic_record(
     mean, covariance, dof = _mean_and_covariance(spectra, start.first)
     covariance = covariance * (1.0 + start.bias)[:, None, None]
     u = len(components)
-    chosen = _excited(mean[:, -u:], covariance[:, -u:, -u:]) & (frequency >= band[0]) & (frequency <= band[1])
+    alive = _excited(mean[:, -u:], covariance[:, -u:, -u:])
+    alive &= ((frequency >= band[0]) & (frequency <= band[1]))[:, None]
+    chosen = np.any(alive, axis=1)
     if not np.any(chosen):
         raise fault(run, "no line of the loads repeats from period to period", "Check `period`", "attribute `period`")
+    shares = alive[chosen].mean(axis=0)
+    kept = [i for i, name in enumerate(components) if name in run.excited or shares[i] > LEAST_SHARE_OF_LINES]
+    components = tuple(components[i] for i in kept)
+    signals = np.array([*range(mean.shape[1] - u), *(mean.shape[1] - u + i for i in kept)])
+    mean, covariance, u = mean[:, signals], covariance[:, signals[:, None], signals], len(kept)
     lines = Lines(
         run=run.name,
         channel_names=tuple(channel_names),
@@ -151,12 +159,11 @@ def _inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, d
 
 
 def _excited(loads: ComplexArray, covariance: ComplexArray) -> NDArray[np.bool_]:
-    """Lines (K,) at which some load component stands well above its noise and is not a mere trace of the strongest."""
+    """Where (K, u) a load component stands well above its noise and is not a mere trace of its strongest line."""
     amplitude = np.abs(loads)
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
     above_noise = amplitude > LEAST_SIGNAL_TO_NOISE * sigma
-    strong = amplitude > LEAST_SHARE_OF_STRONGEST * amplitude.max(axis=0)
-    return np.any(above_noise & strong, axis=1)
+    return np.asarray(above_noise & (amplitude > LEAST_SHARE_OF_STRONGEST * amplitude.max(axis=0)))
 
 
 def _record(run: Run, lines: Lines, spectra: ComplexArray, samples: int, first: Counts, steady: bool) -> PeriodicRecord:

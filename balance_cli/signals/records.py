@@ -44,16 +44,15 @@ def samples_of(run: Run, channel_names: Sequence[str], start: int = 0, stop: int
 
 
 def measured_components(run: Run, loads: Array) -> tuple[str, ...]:
-    """The load components that were measured (a column of exact zeros was not): those declared excited come first.
+    """The load components that were measured; a column of exact zeros was not.
 
     loads (n, 6). UserError where a component declared as excited was not measured.
     """
-    measured = {name for name, column in zip(COMPONENTS, loads.T, strict=True) if np.any(column)}
+    measured = tuple(name for name, column in zip(COMPONENTS, loads.T, strict=True) if np.any(column))
     for name in run.excited:
         if name not in measured:
             raise fault(run, f"`{name}` is declared as excited but its column is zero", "", "loads")
-    others = tuple(name for name in COMPONENTS if name in measured and name not in run.excited)
-    return tuple(run.excited) + others
+    return measured
 
 
 def load_places(components: Sequence[str]) -> list[int]:

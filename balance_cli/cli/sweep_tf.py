@@ -1,0 +1,120 @@
+"""`balance sweep-tf`: frequency responses of the sweeps, with covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from balance_cli.cli.common import (
+    Session,
+    balance_command,
+    geometry_option,
+    output_option,
+    runs_argument,
+    skip_bad_option,
+)
+
+if TYPE_CHECKING:
+    from balance_cli.signals.lines import Response
+    from balance_cli.sweep_tf import Transfer
+
+FORMAT = "balance-transfer/1"
+ESTIMATORS = ("auto", "periodic", "lrm", "lpm", "h1", "h2", "hv")
+
+
+@balance_command("sweep-tf")
+@geometry_option
+@click.option(
+    "--estimator",
+    type=click.Choice(ESTIMATORS),
+    default="auto",
+    show_default=True,
+    help="auto: ratio of lines for periodic sweeps, local rational model (lrm) for others; lpm: local polynomial.",
+)
+@click.option("--from", "lowest", type=click.FloatRange(min=0), metavar="HZ", help="Lowest frequency wanted.")
+@click.option("--to", "highest", type=click.FloatRange(min=0), metavar="HZ", help="Highest frequency wanted.")
+@runs_argument
+@skip_bad_option
+@output_option("TF")
+def command(
+    session: Session,
+    geometry: Path,
+    estimator: str,
+    lowest: float | None,
+    highest: float | None,
+    runs: tuple[Path, ...],
+    skip_bad: bool,
+    output: Path,
+) -> None:
+    """Frequency responses of the sweeps, with covariance."""
+    from balance_cli.sweep_tf import estimate_responses
+
+    rig = session.geometry(geometry)
+    opened = session.runs(runs, rig, skip_bad)
+    band = (lowest or 0.0, float("inf") if highest is None else highest)
+    transfer = estimate_responses(session.progress(opened, "runs"), rig, estimator, band)
+    for name, reason in transfer.unused.items():
+        session.left_out(name, reason)
+    for run, channels in transfer.channels_left_out.items():
+        for name, reason in channels.items():
+            session.warn(f"run {run}: channel {name} left out: {reason}")
+    for run, part in transfer.steady.items():
+        if not part.steady:
+            session.warn(f"run {run}: still settling in its last two periods; their difference is in the covariance")
+    session.save(output, FORMAT, transfer)
+    session.finish(_summary(transfer), _text(transfer))
+
+
+def _summary(transfer: Transfer) -> dict[str, Any]:
+    from balance_cli.sweep_tf import components_of, least_coherence
+
+    return {
+        "geometry": transfer.geometry.name,
+        "estimator": transfer.estimator,
+        "runs": {response.run: _of_response(response) for response in transfer.responses},
+        "steady": transfer.steady,
+        "channels_left_out": transfer.channels_left_out,
+        "coherence_min": least_coherence(transfer),
+        "relative_sigma": {name: _median_sigma(transfer, name) for name in components_of(transfer)},
+    }
+
+
+def _of_response(response: Response) -> dict[str, Any]:
+    return {
+        "components": response.components,
+        "level": response.level,
+        "estimator": response.estimator,
+        "lines": len(response.frequency),
+        "from_hz": response.frequency[0],
+        "to_hz": response.frequency[-1],
+        "rotor_speed": response.rotor_speed,
+    }
+
+
+def _median_sigma(transfer: Transfer, component: str) -> float:
+    """Median over the lines of sigma over amplitude, in the best channel, at the highest level."""
+    import numpy as np
+
+    from balance_cli.sweep_tf import combined, relative_sigma
+
+    return float(np.median(relative_sigma(combined(transfer, component))))
+
+
+def _text(transfer: Transfer) -> Iterator[str]:
+    from balance_cli.sweep_tf import components_of, least_coherence
+
+    for response in transfer.responses:
+        low, high = response.frequency[0], response.frequency[-1]
+        part = transfer.steady.get(response.run)
+        steady = f", steady from {part.start:.4g} s" if part else ""
+        yield (
+            f"{response.run}: {' '.join(response.components)}, {response.estimator}, "
+            f"{len(response.frequency)} lines from {low:.4g} to {high:.4g} Hz{steady}"
+        )
+    coherence = least_coherence(transfer)
+    yield "component  least coherence  relative sigma"
+    for name in components_of(transfer):
+        yield f"{name:9s} {coherence[name]:16.4f}  {_median_sigma(transfer, name):.2e}"
