@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS, FREEDOMS
 from balance_cli.geometry import Geometry
+from balance_cli.jets import constant
 from balance_cli.kinematics import ROTATION_ORDER, motion_at
+from balance_cli.model.damping import modal_damping
 
 Array = NDArray[np.float64]
 
@@ -79,10 +81,11 @@ def cell_stiffness(geometry: Geometry) -> Array:
 
 @dataclass(frozen=True)
 class PlateMatrices:
-    """The rigid plate in its free coordinates: M, K (n, n), B (cells, n), C (cells,) [N/m], F (n, 6)."""
+    """The rigid plate in its free coordinates: M, D, K (n, n), B (cells, n), C (cells,) [N/m], F (n, 6)."""
 
     freedom: tuple[str, ...]
     M: Array
+    D: Array
     K: Array
     B: Array
     C: Array
@@ -90,13 +93,16 @@ class PlateMatrices:
 
 
 def plate_matrices(geometry: Geometry) -> PlateMatrices:
-    """M, K = B'CB, B, C and F of the declared plate (reading notes 1 and 2)."""
+    """M, D, K = B'CB, B, C and F of the declared plate (reading notes 1 and 2); D is the declared modal damping."""
     part, free = moving_part(geometry), free_index(geometry)
     M = mass_matrix(part.mass, part.inertia)[np.ix_(free, free)]
     B = elongation_matrix(geometry, part.centre_of_gravity)[:, free]
     C = cell_stiffness(geometry)
     F = load_matrix(geometry, part.centre_of_gravity)[free]
-    return PlateMatrices(geometry.freedom, M, B.T @ (C[:, None] * B), B, C, F)
+    K = B.T @ (C[:, None] * B)
+    zeta = constant(np.full(len(free), geometry.damping_ratio), 0)
+    D = modal_damping(constant(M, 0), constant(K, 0), zeta).value
+    return PlateMatrices(geometry.freedom, M, D, K, B, C, F)
 
 
 def hub_arm(hub: Sequence[float]) -> float:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
-from balance_cli.estimation.paper.plate import rigid_plate
 from balance_cli.estimation.paper.sensors import SensorRule, sensor_matrix
 from balance_cli.geometry import Geometry
+from balance_cli.model.plate import plate_matrices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -44,7 +44,7 @@ def free_coefficients(n: int, m: int, full_damping: bool) -> NDArray[np.bool_]:
 
 def declared_coefficients(geometry: Geometry, rule: SensorRule, inputs: tuple[str, ...]) -> Coefficients:
     """P M^-1 D P^-1, P M^-1 K P^-1 and P M^-1 F of the declared rigid plate (note 4); K is that of all the cells."""
-    plate = rigid_plate(geometry)
+    plate = plate_matrices(geometry)
     P = sensor_matrix(rule.matrix, plate)
     PM, P_inverse = P @ np.linalg.inv(plate.M), np.linalg.inv(P)
     F = plate.F[:, [COMPONENTS.index(name) for name in inputs]]

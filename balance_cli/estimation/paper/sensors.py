@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.errors import UserError
-from balance_cli.estimation.paper.plate import RigidPlate, rigid_plate
 from balance_cli.geometry import Geometry
+from balance_cli.model.plate import PlateMatrices, plate_matrices
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def sensor_rule(geometry: Geometry) -> SensorRule:
 
     Raises UserError where the number of cells does not fit, no two are parallel, or the sensors leave P singular.
     """
-    plate, n, cells = rigid_plate(geometry), len(geometry.freedom), len(geometry.cells)
+    plate, n, cells = plate_matrices(geometry), len(geometry.freedom), len(geometry.cells)
     if cells == n:
         best = _rule(geometry, plate, None)
     elif cells == n + 1:
@@ -57,7 +57,7 @@ def sensor_rule(geometry: Geometry) -> SensorRule:
     return best
 
 
-def _last_good(geometry: Geometry, plate: RigidPlate) -> SensorRule:
+def _last_good(geometry: Geometry, plate: PlateMatrices) -> SensorRule:
     axes = [cell.direction for cell in geometry.cells]
     parallel = [(i, j) for j, i in combinations(range(len(axes))[::-1], 2) if _are_parallel(axes[i], axes[j])]
     if not parallel:
@@ -75,7 +75,7 @@ def _unfit(fault: str) -> UserError:
     return UserError(f"the paper's form does not fit this rig: {fault}", place="cells", remedy="Use `--form physical`")
 
 
-def _rule(geometry: Geometry, plate: RigidPlate, pair: tuple[int, int] | None) -> SensorRule:
+def _rule(geometry: Geometry, plate: PlateMatrices, pair: tuple[int, int] | None) -> SensorRule:
     names, matrix = list(geometry.cell_names), np.eye(len(geometry.cells))
     merged: tuple[str, ...] = ()
     if pair is not None:
@@ -90,9 +90,9 @@ def _rule(geometry: Geometry, plate: RigidPlate, pair: tuple[int, int] | None) -
     return SensorRule(tuple(names), geometry.cell_names, matrix, merged, _scaled_condition(P))
 
 
-def sensor_matrix(merge: Array, plate: RigidPlate) -> Array:
+def sensor_matrix(merge: Array, plate: PlateMatrices) -> Array:
     """P (n, n) [N per unit q]: s = P q, the merged form of C B (note 3)."""
-    return np.asarray(merge @ (plate.c[:, None] * plate.B))
+    return np.asarray(merge @ (plate.C[:, None] * plate.B))
 
 
 def _resultant_name(first: str, second: str) -> str:

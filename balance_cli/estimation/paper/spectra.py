@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
 from balance_cli.errors import UserError
-from balance_cli.estimation.paper.plate import rigid_plate
 from balance_cli.estimation.paper.sensors import SensorRule
 from balance_cli.geometry import Channel, Geometry
+from balance_cli.model.plate import plate_matrices
 from balance_cli.signals.lines import Lines
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ class SensorSpectra:
 def plate_inputs(geometry: Geometry, runs: Sequence[Lines]) -> tuple[str, ...]:
     """The excited components that act on the plate, in the order of the hub loads (Mz goes beside the plate)."""
     excited = {component for run in runs for component in run.components}
-    acts = np.any(rigid_plate(geometry).F != 0.0, axis=0)
+    acts = np.any(plate_matrices(geometry).F != 0.0, axis=0)
     return tuple(name for name, does in zip(COMPONENTS, acts, strict=True) if does and name in excited)
 
 
