@@ -95,7 +95,7 @@ def spectral_matrix(z: Array, rate: float, segment: int, channels: int) -> Spect
     scale = (2.0 / np.sum(window)) ** 2 / max(K, 1)
     worth = K / (1.0 + 2.0 * OVERLAP_CORRELATION * (K - 1) / K) if K else 0.0
     frequency = np.arange(1, segment // 2) * rate / segment
-    return SpectralMatrix(frequency, products * scale, channels, worth)
+    return SpectralMatrix(frequency, np.asarray(products * scale, complex), channels, worth)
 
 
 def _segment(run: Run) -> int:
@@ -130,7 +130,7 @@ def _response(
         frequency=spectra.frequency,
         response=response,
         channel_covariance=noise * (K / (K - u)),
-        load_covariance=np.linalg.inv(spectra.input) / K,
+        load_covariance=np.asarray(np.linalg.inv(spectra.input) / K, complex),
         coherence=ordinary,
         multiple_coherence=multiple,
         rotor_speed=run.rotor_speed,

@@ -160,7 +160,7 @@ def _windows(response: Response, index: Index, r: Array) -> tuple[Windows, Array
 
 def _akaike(windows: Windows, fit: LocalFit) -> Array:
     outputs = windows.Y.shape[2]
-    return fit.cost + 2.0 * (outputs * fit.orders.coefficients(1) + fit.orders.denominator)
+    return np.asarray(fit.cost + 2.0 * (outputs * fit.orders.coefficients(1) + fit.orders.denominator), float)
 
 
 def _local_weights(response: Response, index: Index, fit: WindowFit, half: float, sigma: Array) -> _Weights:

@@ -89,7 +89,8 @@ class _Problem:
 
 def fit_windows(windows: Windows, orders: Orders) -> LocalFit:
     """Fit every window with a model of these orders."""
-    P = legendre.legvander(windows.r, max(orders.response, orders.transient, orders.denominator, 0))
+    degree = max(orders.response, orders.transient, orders.denominator)
+    P = np.asarray(legendre.legvander(windows.r, degree), float)
     columns = _columns(windows.U, P, orders)
     weighted = windows.Y * windows.weight[:, :, None]
     problem = _Problem(orders, windows.U.shape[2], weighted, columns, windows.weight, P[:, :, : orders.denominator + 1])
@@ -131,14 +132,15 @@ def _linear_fit(problem: _Problem, a: ComplexArray) -> LocalFit:
     projected = _adjoint(Q) @ problem.Y
     coefficients = np.linalg.solve(R, projected) / scale[:, :, None]
     residual = problem.Y - Q @ projected
-    return LocalFit(problem.orders, problem.inputs, a, coefficients, R * scale[:, None, :], residual)
+    triangle = np.asarray(R * scale[:, None, :], complex)
+    return LocalFit(problem.orders, problem.inputs, a, coefficients, triangle, residual)
 
 
 def _first_denominator(problem: _Problem) -> ComplexArray:
-    """Denominator of unit norm (W, na+1) that minimises A Y - B U - C (Levy), reweighted by 1/A (Sanathanan-Koerner)."""
+    """Denominator of unit norm (W, na+1) that minimises A Y - B U - C (Levy), twice more with weight 1/A."""
     inverse = np.ones(problem.weight.shape, complex)
     for _ in range(3):
-        Q, _, _ = _orthogonal(problem.columns, problem.weight * inverse)
+        Q, _, _ = _orthogonal(problem.columns, np.asarray(problem.weight * inverse, complex))
         gram = _gram(_off(Q, _times(problem.Y * inverse[:, :, None], problem.P)))
         a = np.linalg.eigh(gram)[1][:, :, 0]
         inverse = 1.0 / _kept_from_zero(_denominator_at(problem, a))

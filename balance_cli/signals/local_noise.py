@@ -86,8 +86,8 @@ def _with_channels(
 
 def _alike(one: NoiseComponents, other: NoiseComponents) -> bool:
     """Whether two steps differ by less than two per cent (the loads), or one (the channels, on average)."""
-    means = [np.diagonal(noise.channels, axis1=1, axis2=2).real.mean(axis=0) for noise in (one, other)]
-    return np.allclose(one.loads, other.loads, rtol=0.02, atol=0.0) and np.allclose(*means, rtol=0.01)
+    mine, others = (np.diagonal(noise.channels, axis1=1, axis2=2).real.mean(axis=0) for noise in (one, other))
+    return np.allclose(one.loads, other.loads, rtol=0.02, atol=0.0) and np.allclose(mine, others, rtol=0.01)
 
 
 def _outer(vectors: ComplexArray) -> ComplexArray:

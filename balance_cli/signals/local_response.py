@@ -1,4 +1,4 @@
-"""Frequency responses from any record, without leakage: by local polynomial or local rational models of its spectrum."""
+"""Frequency responses from any record, without leakage, by local polynomial or local rational models."""
 
 from __future__ import annotations
 

@@ -66,14 +66,24 @@ def pooled_covariance(scatter: ComplexArray, counts: Array, least_dof: float = L
 
 
 def distances(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
-    """Mahalanobis distance per degree of freedom (K,) of the scatter of each line; its mean is 1 for noise alone."""
-    return _distances(scatter, np.linalg.inv(covariance), counts, dof)
+    """Mahalanobis distance per degree of freedom (K,) of the scatter (K, n, n); its mean is 1 for noise alone."""
+    return _distances(scatter, np.asarray(np.linalg.inv(covariance), complex), counts, dof)
 
 
 def _distances(scatter: ComplexArray, inverse: ComplexArray, counts: Array, dof: float) -> Array:
     n = scatter.shape[1]
     trace = np.einsum("kij,kji->k", inverse, scatter).real
-    return np.maximum(trace / (n * np.maximum(counts, 1e-12)) * inverse_bias_factor(max(dof, n + 1), n), 1e-300)
+    return np.asarray(
+        np.maximum(trace / (n * np.maximum(counts, 1e-12)) * inverse_bias_factor(max(dof, n + 1), n), 1e-300), float
+    )
+
+
+def vector_distances(vectors: ComplexArray, covariance: ComplexArray, dof: float) -> Array:
+    """Mahalanobis distance per degree of freedom (..., K) of vectors (..., K, n); its mean is 1 for noise alone."""
+    n = vectors.shape[-1]
+    weighted = np.matmul(np.linalg.inv(covariance), vectors[..., None])[..., 0]
+    squared = np.sum(vectors.conj() * weighted, axis=-1).real
+    return np.asarray(squared / n * inverse_bias_factor(max(dof, n + 1), n), float)
 
 
 def outlier_bound(counts: Array, n: int, probability: float = OUTLIER_PROBABILITY) -> Array:
@@ -100,4 +110,4 @@ def _first_weights(scatter: ComplexArray, counts: Array) -> Array:
     blocks = np.array_split(np.arange(len(power)), max(len(power) // MEDIAN_LINES, 1))
     typical = np.concatenate([np.broadcast_to(np.median(power[b], axis=0), power[b].shape) for b in blocks])
     largest = np.max(power / np.maximum(typical, 1e-300), axis=1)
-    return np.minimum(1.0, 20.0 / np.maximum(largest, 1e-300))
+    return np.asarray(np.minimum(1.0, 20.0 / np.maximum(largest, 1e-300)), float)

@@ -6,7 +6,7 @@ Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ Counts = NDArray[np.intp]
 LEAST_SIGNAL_TO_NOISE = 10.0
 LEAST_SHARE_OF_STRONGEST = 10.0**-2.5
 LEAST_SHARE_OF_LINES = 0.1
+NOISE_LINES = 40
 INFLATION_PROBABILITY = 1e-4
 
 
@@ -70,34 +71,31 @@ def periodic_record(
     n = channels + components. UserError: no period, fewer than two whole periods, or nothing that repeats.
     """
     samples = whole_period(run)
-    spectra, components = _spectra(run, channel_names, samples)
-    frequency = np.arange(1, spectra.shape[1] + 1) * sample_rate(run) / samples
+    spectra, number, components = _spectra(run, channel_names, samples)
+    frequency = number * sample_rate(run) / samples
     start = steady_start(spectra)
     mean, covariance, dof = _mean_and_covariance(spectra, start.first)
     covariance = covariance * (1.0 + start.bias)[:, None, None]
-    u = len(components)
-    alive = _excited(mean[:, -u:], covariance[:, -u:, -u:])
-    alive &= ((frequency >= band[0]) & (frequency <= band[1]))[:, None]
-    chosen = np.any(alive, axis=1)
+    excited = _excited(mean, covariance, len(components))
+    chosen = np.any(excited, axis=1)
     if not np.any(chosen):
         raise fault(run, "no line of the loads repeats from period to period", "Check `period`", "attribute `period`")
-    shares = alive[chosen].mean(axis=0)
-    kept = [i for i, name in enumerate(components) if name in run.excited or shares[i] > LEAST_SHARE_OF_LINES]
-    components = tuple(components[i] for i in kept)
-    signals = np.array([*range(mean.shape[1] - u), *(mean.shape[1] - u + i for i in kept)])
-    mean, covariance, u = mean[:, signals], covariance[:, signals[:, None], signals], len(kept)
+    chosen &= (frequency >= band[0]) & (frequency <= band[1])
+    if not np.any(chosen):
+        raise fault(run, f"no line was excited from {band[0]:g} to {band[1]:g} Hz", "Ask for another band")
     lines = Lines(
         run=run.name,
         channel_names=tuple(channel_names),
         components=components,
         frequency=frequency[chosen],
-        channels=mean[chosen, :-u],
-        loads=mean[chosen, -u:],
+        channels=mean[chosen, : len(channel_names)],
+        loads=mean[chosen, len(channel_names) :],
         covariance=covariance[chosen],
         dof=dof,
         rotor_speed=run.rotor_speed,
         level=run.level,
     )
+    lines = _without_idle(lines, excited[chosen], run.excited)
     return _record(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
 
 
@@ -121,8 +119,13 @@ def whole_period(run: Run) -> int:
     )
 
 
-def _spectra(run: Run, channel_names: Sequence[str], samples: int) -> tuple[ComplexArray, tuple[str, ...]]:
-    """Amplitudes (P, K, c+u) of every whole period at lines 1 to K below the Nyquist frequency, and the components."""
+def _spectra(
+    run: Run, channel_names: Sequence[str], samples: int
+) -> tuple[ComplexArray, NDArray[np.intp], tuple[str, ...]]:
+    """Amplitudes (P, K, c+u) of every whole period around the lines that were excited, the numbers of these lines (K,)
+
+    and the components.
+    """
     periods = run.samples // samples
     offset = run.samples - periods * samples
     channel_places(run, channel_names)
@@ -136,7 +139,11 @@ def _spectra(run: Run, channel_names: Sequence[str], samples: int) -> tuple[Comp
     components = measured_components(run, every_load)
     c = len(channel_names)
     kept = [*range(c), *(c + place for place in load_places(components))]
-    return np.asarray(each)[:, :, kept], components
+    spectra = np.asarray(each)[:, :, kept]
+    late = np.abs(spectra[periods // 2 :, :, c:].mean(axis=0))
+    strong = np.flatnonzero(np.any(late > LEAST_SHARE_OF_STRONGEST * late.max(axis=0), axis=1))
+    lines = np.arange(max(strong[0] - NOISE_LINES // 4, 0), min(strong[-1] + NOISE_LINES, spectra.shape[1]))
+    return spectra[:, lines], lines + 1, components
 
 
 def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, ComplexArray, float]:
@@ -158,12 +165,26 @@ def _inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, d
     return np.where(far > outlier_bound(counts, scatter.shape[1], INFLATION_PROBABILITY), far, 1.0)
 
 
-def _excited(loads: ComplexArray, covariance: ComplexArray) -> NDArray[np.bool_]:
+def _excited(mean: ComplexArray, covariance: ComplexArray, inputs: int) -> NDArray[np.bool_]:
     """Where (K, u) a load component stands well above its noise and is not a mere trace of its strongest line."""
-    amplitude = np.abs(loads)
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real)
+    amplitude = np.abs(mean[:, -inputs:])
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real[:, -inputs:])
     above_noise = amplitude > LEAST_SIGNAL_TO_NOISE * sigma
     return np.asarray(above_noise & (amplitude > LEAST_SHARE_OF_STRONGEST * amplitude.max(axis=0)))
+
+
+def _without_idle(lines: Lines, excited: NDArray[np.bool_], declared: Sequence[str]) -> Lines:
+    """The lines without load components that were measured, but neither declared as excited nor anything but noise."""
+    share = excited.mean(axis=0)
+    kept = [i for i, name in enumerate(lines.components) if name in declared or share[i] > LEAST_SHARE_OF_LINES]
+    c = lines.channels.shape[1]
+    signals = np.array([*range(c), *(c + i for i in kept)])
+    return replace(
+        lines,
+        components=tuple(lines.components[i] for i in kept),
+        loads=lines.loads[:, kept],
+        covariance=lines.covariance[:, signals[:, None], signals],
+    )
 
 
 def _record(run: Run, lines: Lines, spectra: ComplexArray, samples: int, first: Counts, steady: bool) -> PeriodicRecord:

@@ -57,7 +57,7 @@ def second_differences(loads: Array) -> Array:
     operator[rows, middle] = 1.0
     operator[rows, middle - 1] = share - 1.0
     operator[rows, middle + 1] = -share
-    return operator / np.linalg.norm(operator, axis=1)[:, None]
+    return np.asarray(operator / np.linalg.norm(operator, axis=1)[:, None], float)
 
 
 def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[Array, float]:
@@ -102,7 +102,7 @@ def _first_weights(differences: Array) -> Array:
     """Weights from each channel's median: a difference beyond 6 robust standard deviations is reined in."""
     scale = 1.4826 * np.median(np.abs(differences), axis=0)
     largest = np.max(np.abs(differences) / np.maximum(scale, 1e-300), axis=1)
-    return np.minimum(1.0, (6.0 / np.maximum(largest, 1e-300)) ** 2)
+    return np.asarray(np.minimum(1.0, (6.0 / np.maximum(largest, 1e-300)) ** 2), float)
 
 
 def _huber(differences: Array, covariance: Array, variance: Array, dof: float, c: int) -> Array:
@@ -112,4 +112,4 @@ def _huber(differences: Array, covariance: Array, variance: Array, dof: float, c
     distance = np.sum(differences * np.linalg.solve(covariance, differences.T).T, axis=1) / np.maximum(variance, 1e-12)
     free = max(dof - c + 1.0, 1.0)
     bound = c * dof / free * float(f.isf(OUTLIER_PROBABILITY, c, free))
-    return np.minimum(1.0, bound / np.maximum(distance, 1e-300))
+    return np.asarray(np.minimum(1.0, bound / np.maximum(distance, 1e-300)), float)
