@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import pytest
 from report_content import artefact, campaign, loads, model
 
 from balance_cli.artefacts import Artefact
-from balance_cli.report.check_runs import Error, overall_error, pooled_errors, section
+from balance_cli.report.check_errors import Error, harmonic_errors, overall_error, pooled_errors
+from balance_cli.report.check_runs import section
 from balance_cli.report.page import page
 from balance_cli.report.parameters import section as parameter_section
 from balance_cli.report.sources import Sources, sources
@@ -173,6 +175,15 @@ def test_errors_are_pooled_over_the_check_runs():
     assert pooled_errors(content, "interaction")["Fx"].value == pytest.approx(0.05)
     overall = overall_error(content, "load_error")
     assert overall.value == pytest.approx(np.sqrt((0.5**2 + 1.0**2 + 0.5**2) / 3))
+
+
+def test_errors_by_harmonic_are_those_of_the_runs_that_applied_the_component():
+    content = loads()
+    first = content.runs["check-1"]
+    applied = first.amplitude / (1.0 + 0.1 * np.arange(4)[:, None])
+    runs = {"check-1": replace(first, check=replace(first.check, applied=applied)), "wind-1": content.runs["wind-1"]}
+    np.testing.assert_allclose(harmonic_errors(replace(content, runs=runs), "Fx"), [0.1, 0.2, 0.3])
+    assert len(harmonic_errors(replace(content, runs=runs), "My")) == 0
 
 
 def test_the_table_that_matters_shows_every_method_beside_its_noise():

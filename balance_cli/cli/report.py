@@ -56,7 +56,8 @@ def _check_names(output: Path, picture: Path | None) -> None:
 
 
 def _draw(session: Session, picture: Path, found: Sources) -> None:
-    from balance_cli.report.check_runs import checked, comparison_figure
+    from balance_cli.report.check_errors import checked
+    from balance_cli.report.check_figures import comparison_figure
     from balance_cli.report.drawing import save_picture
 
     methods = checked(found)

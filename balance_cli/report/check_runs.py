@@ -3,82 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-
-import numpy as np
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from balance_cli.components import COMPONENTS
 from balance_cli.hub_loads import Loads, RunLoads
 from balance_cli.report.blocks import Block, Cell, Details, Picture, Row, Section, Table, Text, group_row
-from balance_cli.report.drawing import BLACK, decades, new_figure, plain_log, svg
+from balance_cli.report.check_errors import (
+    KINDS,
+    TITLES,
+    Error,
+    check_runs,
+    checked,
+    overall_error,
+    pooled_errors,
+    run_errors,
+)
+from balance_cli.report.check_figures import comparison_figure, harmonic_error_figure
+from balance_cli.report.drawing import svg
 from balance_cli.report.numbers import percent
 from balance_cli.report.sources import Source, Sources
-
-NEAR_NOISE = 2.0
-"""An error up to so many times what noise alone leaves counts as noise."""
-KINDS = ("load_error", "interaction")
-TITLES = {
-    "load_error": "Hub-load error: % of the load applied",
-    "interaction": "Interaction: % of the largest force applied",
-}
-
-
-@dataclass(frozen=True)
-class Error:
-    """An error relative to the applied loads, and what the noise alone would leave of it."""
-
-    value: float
-    noise: float
-
-    @property
-    def is_noise(self) -> bool:
-        """Whether it is hardly more than noise."""
-        return self.value <= NEAR_NOISE * self.noise
-
-
-def check_runs(loads: Loads) -> dict[str, RunLoads]:
-    """The runs with known loads."""
-    return {name: run for name, run in loads.runs.items() if run.check is not None}
-
-
-def run_errors(run: RunLoads, kind: str) -> dict[str, Error]:
-    """{component: error} of one check run; `kind` is `load_error` or `interaction`."""
-    assert run.check is not None
-    values: dict[str, float] = getattr(run.check, kind)
-    noise = run.check.load_noise if kind == "load_error" else run.check.interaction_noise
-    return {name: Error(value, noise.get(name, float("nan"))) for name, value in values.items()}
-
-
-def pooled_errors(loads: Loads, kind: str) -> dict[str, Error]:
-    """{component: rms over the check runs that have it}, in the order of the components."""
-    runs = [run_errors(run, kind) for run in check_runs(loads).values()]
-    return {
-        name: rms_error([errors[name] for errors in runs if name in errors])
-        for name in COMPONENTS
-        if any(name in errors for errors in runs)
-    }
-
-
-def rms_error(errors: Sequence[Error]) -> Error:
-    """Root mean square of errors, and of what noise leaves."""
-    values, noise = ([getattr(error, part) for error in errors] for part in ("value", "noise"))
-    return Error(float(np.sqrt(np.mean(np.square(values)))), float(np.sqrt(np.mean(np.square(noise)))))
-
-
-def overall_error(loads: Loads, kind: str) -> Error | None:
-    """Rms over all components of all check runs; None where there is none."""
-    errors = [error for run in check_runs(loads).values() for error in run_errors(run, kind).values()]
-    return rms_error(errors) if errors else None
-
-
-def checked(sources: Sources) -> tuple[Source[Loads], ...]:
-    """The loads that hold check runs."""
-    return tuple(source for source in sources.loads if check_runs(source.content))
 
 
 def section(sources: Sources) -> Section | None:
@@ -101,6 +43,15 @@ def section(sources: Sources) -> Section | None:
                 "check-runs",
                 "Hub-load error and interaction of each method by component",
                 lambda: comparison_figure(methods),
+            ),
+        ),
+        Picture(
+            "check-harmonics",
+            "Where the error comes from: every harmonic by itself, rms over the check runs that applied the component.",
+            svg(
+                "check-harmonics",
+                "Hub-load error of each method by harmonic",
+                lambda: harmonic_error_figure(methods),
             ),
         ),
         Details("Every check run by itself", tuple(_run_tables(methods))),
@@ -165,47 +116,3 @@ def _interval(run: RunLoads) -> str:
 
 def _speed(run: RunLoads) -> str:
     return f"1/rev at {run.frequency_hz[1]:.3f} Hz" if len(run.frequency_hz) > 1 else "no harmonics"
-
-
-def comparison_figure(methods: Sequence[Source[Loads]], width: float = 12.0, height: float = 3.6) -> Figure:
-    """Bars of every method by component: error on the left, interaction on the right; black marks for the noise."""
-    figure = new_figure(width, height)
-    pooled = {kind: [pooled_errors(source.content, kind) for source in methods] for kind in KINDS}
-    shown = [kind for kind in KINDS if any(pooled[kind])]
-    axes = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
-    limits = _limits([error for kind in shown for errors in pooled[kind] for error in errors.values()])
-    for one, kind in zip(axes, shown, strict=True):
-        _bars(one, methods, pooled[kind], limits)
-        one.set_title(TITLES[kind].split(":")[0] + " on the check runs")
-        one.set_ylabel(TITLES[kind].split(": ")[1])
-        one.yaxis.set_tick_params(labelleft=True)
-    handles: list[Artist] = [Patch(facecolor=source.look.colour) for source in methods]
-    handles.append(Line2D([], [], color=BLACK, linewidth=1.4))
-    labels = [*(source.label for source in methods), "what noise alone would leave"]
-    figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 5))
-    lines = -(-len(labels) // 5)
-    figure.subplots_adjust(left=0.06, right=0.99, top=0.92, bottom=0.13 + 0.055 * lines, wspace=0.13)
-    return figure
-
-
-def _limits(errors: Sequence[Error]) -> tuple[float, float]:
-    values = [100 * part for error in errors for part in (error.value, error.noise)]
-    return decades(values, 2.0, margin=1.5)
-
-
-def _bars(
-    axes: Axes, methods: Sequence[Source[Loads]], pooled: Sequence[dict[str, Error]], limits: tuple[float, float]
-) -> None:
-    names = [name for name in COMPONENTS if any(name in errors for errors in pooled)]
-    width = 0.82 / len(methods)
-    plain_log(axes, limits)
-    for i, (source, errors) in enumerate(zip(methods, pooled, strict=True)):
-        mine = [name for name in names if name in errors]
-        place = np.array([names.index(name) for name in mine]) + (i - (len(methods) - 1) / 2) * width
-        height = [100 * errors[name].value - limits[0] for name in mine]
-        axes.bar(place, height, 0.88 * width, bottom=limits[0], color=source.look.colour, zorder=2)
-        noise = [100 * errors[name].noise for name in mine]
-        axes.hlines(noise, place - 0.44 * width, place + 0.44 * width, colors=BLACK, linewidth=1.4, zorder=3)
-    axes.set_xticks(range(len(names)), names)
-    axes.tick_params(axis="x", length=0, labelsize=8)
-    axes.grid(visible=False, axis="x")

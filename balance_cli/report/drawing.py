@@ -134,13 +134,21 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height))
 
 
+def _tick(value: float, _: object) -> str:
+    """A tick's number: plain, or as a power where it would be long."""
+    if 1e-4 <= abs(value) < 1e5:
+        return f"{value:g}"
+    mantissa, exponent = f"{value:.0e}".split("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
 def plain_log(axes: Axes, limits: tuple[float, float]) -> None:
     """Logarithmic y-axis between `limits` with plain numbers: decades, or 1, 2 and 5 where it spans few of them."""
     axes.set_yscale("log")
     axes.set_ylim(*limits)
     few = np.log10(limits[1] / limits[0]) < 1.7
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=20))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_major_formatter(FuncFormatter(_tick))
     axes.yaxis.set_minor_locator(NullLocator())
 
 

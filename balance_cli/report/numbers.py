@@ -6,7 +6,7 @@ import math
 
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"
-MOST_DIGITS = 7
+MOST_DIGITS = 8
 SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e5
 
 
@@ -34,7 +34,7 @@ def percent(ratio: float, digits: int = 2) -> str:
 
 
 def with_sigma(value: float, sigma: float) -> tuple[str, str]:
-    """Value and sigma, both to the second significant digit of sigma (at most seven of value); exact values to six."""
+    """Value and sigma, both to the second significant digit of sigma (at most eight of value); exact values to six."""
     if not (math.isfinite(sigma) and sigma > 0):
         return (f"{value:.6g}".replace("-", MINUS) if math.isfinite(value) else NONE), NONE
     if not math.isfinite(value):

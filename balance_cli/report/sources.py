@@ -111,7 +111,7 @@ def _distinct(named: list[Source[Any]]) -> list[Source[Any]]:
         seen[source.label] += 1
         several = again[source.label] > 1
         distinct.append(replace(source, label=f"{source.label} ({seen[source.label]})") if several else source)
-    return sorted(distinct, key=lambda source: _order(source.rank))
+    return sorted(distinct, key=lambda source: (_order(source.rank), source.label))
 
 
 def _order(rank: str) -> int:

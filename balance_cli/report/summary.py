@@ -8,7 +8,7 @@ import numpy as np
 
 from balance_cli.geometry import Geometry
 from balance_cli.report.blocks import Block, Figures, Points, Section, Warn
-from balance_cli.report.check_runs import checked, overall_error
+from balance_cli.report.check_errors import checked, overall_error
 from balance_cli.report.frequencies import CONSIDERABLE, deviation, reference
 from balance_cli.report.load_figures import wind_runs
 from balance_cli.report.numbers import listed, percent, sentence, significant

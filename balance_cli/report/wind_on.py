@@ -31,14 +31,19 @@ from balance_cli.report.load_figures import (
     wind_runs,
 )
 from balance_cli.report.numbers import fixed, listed, significant, with_sigma
-from balance_cli.report.sources import RANKS, Source, Sources
+from balance_cli.report.sources import Source, Sources
 
 PREFERRED = ("closed", "identified", "paper", "ls", "paper-ls", "measured", "computed", "static")
 
 
 def preferred(sources: Sequence[Source[Loads]]) -> Source[Loads]:
-    """The loads shown in full: those of the response that says most."""
-    return min(sources, key=lambda source: PREFERRED.index(source.rank) if source.rank in RANKS else len(PREFERRED))
+    """The loads shown in full: those whose surplus equations fit best, of equals those of the better model."""
+
+    def order(source: Source[Loads]) -> tuple[int, int]:
+        failing = sum(len(unexplained(run)) for run in wind_runs(source.content).values())
+        return failing, PREFERRED.index(source.rank) if source.rank in PREFERRED else len(PREFERRED)
+
+    return min(sources, key=order)
 
 
 def unexplained(run: RunLoads) -> list[int]:
@@ -122,7 +127,7 @@ def _interval(run: RunLoads) -> str:
 
 
 def _steady_row(run: RunLoads, names: Sequence[str]) -> Row:
-    cells = [Cell(run.run, f"trim {run.trim}" if run.trim else "", "name")]
+    cells = [Cell(run.run, f"trim \u201c{run.trim}\u201d" if run.trim else "", "name")]
     for name in names:
         if name not in run.components:
             cells.append(Cell(""))

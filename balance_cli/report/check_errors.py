@@ -1,0 +1,95 @@
+"""Errors of reduced hub loads on the check runs: per run, pooled by component, and by harmonic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS
+from balance_cli.hub_loads import Loads, RunLoads
+from balance_cli.report.sources import Source, Sources
+
+Array = NDArray[np.float64]
+
+NEAR_NOISE = 2.0
+"""An error up to so many times what noise alone leaves counts as noise."""
+KINDS = ("load_error", "interaction")
+TITLES = {
+    "load_error": "Hub-load error: % of the load applied",
+    "interaction": "Interaction: % of the largest force applied",
+}
+
+
+@dataclass(frozen=True)
+class Error:
+    """An error relative to the applied loads, and what the noise alone would leave of it."""
+
+    value: float
+    noise: float
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether it is hardly more than noise."""
+        return self.value <= NEAR_NOISE * self.noise
+
+
+def check_runs(loads: Loads) -> dict[str, RunLoads]:
+    """The runs with known loads."""
+    return {name: run for name, run in loads.runs.items() if run.check is not None}
+
+
+def run_errors(run: RunLoads, kind: str) -> dict[str, Error]:
+    """{component: error} of one check run; `kind` is `load_error` or `interaction`."""
+    assert run.check is not None
+    values: dict[str, float] = getattr(run.check, kind)
+    noise = run.check.load_noise if kind == "load_error" else run.check.interaction_noise
+    return {name: Error(value, noise.get(name, float("nan"))) for name, value in values.items()}
+
+
+def pooled_errors(loads: Loads, kind: str) -> dict[str, Error]:
+    """{component: rms over the check runs that have it}, in the order of the components."""
+    runs = [run_errors(run, kind) for run in check_runs(loads).values()]
+    return {
+        name: rms_error([errors[name] for errors in runs if name in errors])
+        for name in COMPONENTS
+        if any(name in errors for errors in runs)
+    }
+
+
+def rms_error(errors: Sequence[Error]) -> Error:
+    """Root mean square of errors, and of what noise leaves."""
+    values, noise = ([getattr(error, part) for error in errors] for part in ("value", "noise"))
+    return Error(float(np.sqrt(np.mean(np.square(values)))), float(np.sqrt(np.mean(np.square(noise)))))
+
+
+def overall_error(loads: Loads, kind: str) -> Error | None:
+    """Rms over all components of all check runs; None where there is none."""
+    errors = [error for run in check_runs(loads).values() for error in run_errors(run, kind).values()]
+    return rms_error(errors) if errors else None
+
+
+def checked(sources: Sources) -> tuple[Source[Loads], ...]:
+    """The loads that hold check runs."""
+    return tuple(source for source in sources.loads if check_runs(source.content))
+
+
+def harmonic_errors(loads: Loads, component: str) -> Array:
+    """Rms of reduced less applied over rms of applied, over the check runs in which it was applied (n,).
+
+    For harmonics 1 to n, each by itself; empty where the component was never applied.
+    """
+    errors, sizes = [], []
+    for run in check_runs(loads).values():
+        if run.check is not None and component in run.check.load_error:
+            m = run.components.index(component)
+            applied = run.check.applied[1:, m]
+            errors.append(np.abs(run.amplitude[1 : 1 + len(applied), m] - applied) ** 2)
+            sizes.append(np.abs(applied) ** 2)
+    if not errors:
+        return np.zeros(0)
+    lines = min(map(len, errors))
+    error, size = (np.mean([each[:lines] for each in parts], axis=0) for parts in (errors, sizes))
+    return np.asarray(np.sqrt(error / np.where(size > 0, size, np.nan)))

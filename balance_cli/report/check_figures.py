@@ -1,0 +1,87 @@
+"""Pictures of the errors on the check runs: by component, and by harmonic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from balance_cli.components import COMPONENTS
+from balance_cli.hub_loads import Loads
+from balance_cli.report.check_errors import KINDS, TITLES, Error, harmonic_errors, pooled_errors
+from balance_cli.report.drawing import BLACK, decades, new_figure, plain_log
+from balance_cli.report.sources import Source
+
+
+def comparison_figure(methods: Sequence[Source[Loads]], width: float = 12.0, height: float = 3.6) -> Figure:
+    """Bars of every method by component: error on the left, interaction on the right; black marks for the noise."""
+    figure = new_figure(width, height)
+    pooled = {kind: [pooled_errors(source.content, kind) for source in methods] for kind in KINDS}
+    shown = [kind for kind in KINDS if any(pooled[kind])]
+    axes = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
+    limits = _limits([error for kind in shown for errors in pooled[kind] for error in errors.values()])
+    for one, kind in zip(axes, shown, strict=True):
+        _bars(one, methods, pooled[kind], limits)
+        one.set_title(TITLES[kind].split(":")[0] + " on the check runs")
+        one.set_ylabel(TITLES[kind].split(": ")[1])
+        one.yaxis.set_tick_params(labelleft=True)
+    handles: list[Artist] = [Patch(facecolor=source.look.colour) for source in methods]
+    handles.append(Line2D([], [], color=BLACK, linewidth=1.4))
+    labels = [*(source.label for source in methods), "what noise alone would leave"]
+    figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 5))
+    lines = -(-len(labels) // 5)
+    figure.subplots_adjust(left=0.06, right=0.99, top=0.92, bottom=0.13 + 0.055 * lines, wspace=0.13)
+    return figure
+
+
+def _limits(errors: Sequence[Error]) -> tuple[float, float]:
+    values = [100 * part for error in errors for part in (error.value, error.noise)]
+    return decades(values, 2.0, margin=1.5)
+
+
+def _bars(
+    axes: Axes, methods: Sequence[Source[Loads]], pooled: Sequence[dict[str, Error]], limits: tuple[float, float]
+) -> None:
+    names = [name for name in COMPONENTS if any(name in errors for errors in pooled)]
+    width = 0.82 / len(methods)
+    plain_log(axes, limits)
+    for i, (source, errors) in enumerate(zip(methods, pooled, strict=True)):
+        mine = [name for name in names if name in errors]
+        place = np.array([names.index(name) for name in mine]) + (i - (len(methods) - 1) / 2) * width
+        height = [100 * errors[name].value - limits[0] for name in mine]
+        axes.bar(place, height, 0.88 * width, bottom=limits[0], color=source.look.colour, zorder=2)
+        noise = [100 * errors[name].noise for name in mine]
+        axes.hlines(noise, place - 0.44 * width, place + 0.44 * width, colors=BLACK, linewidth=1.4, zorder=3)
+    axes.set_xticks(range(len(names)), names)
+    axes.tick_params(axis="x", length=0, labelsize=8)
+    axes.grid(visible=False, axis="x")
+
+
+def harmonic_error_figure(methods: Sequence[Source[Loads]]) -> Figure:
+    """One panel a component: relative error of each harmonic by itself, one curve a method."""
+    errors = {
+        name: [(source, 100 * harmonic_errors(source.content, name)) for source in methods] for name in COMPONENTS
+    }
+    names = [name for name in COMPONENTS if any(len(values) for _, values in errors[name])]
+    figure = new_figure(12.0, 2.7)
+    panels = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
+    limits = decades(np.concatenate([values for name in names for _, values in errors[name]]), 2.0, 1.5)
+    for axes, name in zip(panels, names, strict=True):
+        plain_log(axes, limits)
+        axes.set_title(name)
+        axes.set_xlabel("harmonic")
+        for source, values in errors[name]:
+            axes.plot(np.arange(1, 1 + len(values)), values, marker=source.look.marker, **source.look.line)
+        axes.set_xticks(range(1, 1 + max(len(values) for _, values in errors[name])))
+    panels[0].set_ylabel("error [% of the load]")
+    handles = [Line2D([], [], marker=source.look.marker, **source.look.line) for source in methods]
+    labels = [source.label for source in methods]
+    figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 6))
+    lines = -(-len(labels) // 6)
+    figure.subplots_adjust(left=0.055, right=0.99, top=0.91, bottom=0.19 + 0.07 * lines, wspace=0.08)
+    return figure
