@@ -179,7 +179,7 @@ def _with_looks(
             continue
         look = LOOKS.get(source.rank, Look(MORE[0]))
         if source.rank in taken or source.rank not in LOOKS:
-            look = replace(look, colour=next(further))
+            look = replace(look, colour=next(further), dashes=(3, 1, 1, 1))
         looks[source.label] = look
         taken.add(source.rank)
     return (

@@ -101,7 +101,7 @@ def _fit_words(source: Source[Loads]) -> str:
     if not failing:
         return f"By {source.label}: all {len(known)} harmonics fit the surplus equations within the noise."
     size = significant(max(known))
-    return f"By {source.label}: {failing} of {len(known)} harmonics do not fit them (chi2/dof up to {size})."
+    return f"By {source.label}: {failing} of {len(known)} harmonics do not fit (chi2/dof up to {size})."
 
 
 def _load_tables(loads: Loads) -> Iterator[Table]:
