@@ -142,7 +142,7 @@ def _spectra(
     spectra = np.asarray(each)[:, :, kept]
     late = np.abs(spectra[periods // 2 :, :, c:].mean(axis=0))
     strong = np.flatnonzero(np.any(late > LEAST_SHARE_OF_STRONGEST * late.max(axis=0), axis=1))
-    lines = np.arange(max(strong[0] - NOISE_LINES // 4, 0), min(strong[-1] + NOISE_LINES, spectra.shape[1]))
+    lines = np.arange(max(strong[0] - 2, 0), min(strong[-1] + NOISE_LINES, spectra.shape[1]))
     return spectra[:, lines], lines + 1, components
 
 

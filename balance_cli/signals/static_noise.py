@@ -65,8 +65,8 @@ def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[A
 
     The differences are d = B y, B = M2 D M1: M1 projects on what is not linear in the loads, D is the operator, M2
     projects on what differences of squares and cubes of the loads do not explain. Their weighted squares have the
-    expectation tr(A) Sigma and tr(A)^2 / tr(A^2) degrees of freedom, A = B' W B. The weights W (Huber) take the force
-    out of rows that jump.
+    expectation tr(A) Sigma and tr(A)^2 / tr(A^2) degrees of freedom, A = B' W B. The weights W take the force out of
+    rows that jump.
     """
     linear, curved = _regressors(loads)
     differenced = _without(operator @ curved, _without(linear, operator.T).T)
@@ -80,7 +80,7 @@ def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[A
         trace = np.trace(weighted)
         covariance = (d.T * weights) @ d / trace + floor
         dof = float(trace**2 / np.sum(weighted * weighted.T))
-        weights = _huber(d, covariance, np.diagonal(gram), dof, c)
+        weights = _robust_weights(d, covariance, np.diagonal(gram), dof, c)
     return covariance, dof
 
 
@@ -105,11 +105,11 @@ def _first_weights(differences: Array) -> Array:
     return np.asarray(np.minimum(1.0, (6.0 / np.maximum(largest, 1e-300)) ** 2), float)
 
 
-def _huber(differences: Array, covariance: Array, variance: Array, dof: float, c: int) -> Array:
-    """Weights by Mahalanobis distance against Hotelling's distribution."""
+def _robust_weights(differences: Array, covariance: Array, variance: Array, dof: float, c: int) -> Array:
+    """Weights by Mahalanobis distance against Hotelling's distribution; the farther off, the less a difference adds."""
     from scipy.stats import f
 
     distance = np.sum(differences * np.linalg.solve(covariance, differences.T).T, axis=1) / np.maximum(variance, 1e-12)
     free = max(dof - c + 1.0, 1.0)
     bound = c * dof / free * float(f.isf(OUTLIER_PROBABILITY, c, free))
-    return np.asarray(np.minimum(1.0, bound / np.maximum(distance, 1e-300)), float)
+    return np.asarray(np.minimum(1.0, bound / np.maximum(distance, 1e-300)) ** 2, float)

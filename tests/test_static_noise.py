@@ -1,0 +1,117 @@
+"""Noise of static rows from differences along the loading: right whatever smooth misfit the straight line has."""
+
+import numpy as np
+import pytest
+
+from balance_cli.errors import UserError
+from balance_cli.runs import MemorySource, Run
+from balance_cli.signals.static_noise import second_differences, static_points
+
+CHANNELS = ("a", "b", "c", "d")
+SIGMA = 2e-4
+COVARIANCE = SIGMA**2 * (np.eye(4) + 0.4)
+AMPLITUDE = np.array([800.0, 800.0, 3500.0, 150.0, 150.0, 500.0])
+REPEATS = 120
+
+
+def sequence() -> np.ndarray:
+    """Each component in turn up, down, through zero and back, in steps of a fifth: 121 rows."""
+    cycle = np.concatenate([np.arange(1, 6), np.arange(4, -6, -1), np.arange(-4, 1)]) / 5
+    rows = [np.zeros((1, 6))]
+    for j in range(6):
+        block = np.zeros((len(cycle), 6))
+        block[:, j] = cycle * AMPLITUDE[j]
+        rows.append(block)
+    return np.concatenate(rows)
+
+
+def play(loads: np.ndarray, width: float) -> np.ndarray:
+    """Hysteresis -1 to 1 of each component: a contact that slips after `width` steps."""
+    step = width * np.abs(np.diff(loads, axis=0)).max(axis=0)
+    slider, state = np.zeros(6), []
+    for row in loads:
+        slider = np.clip(slider, row - step, row + step)
+        state.append((row - slider) / step)
+    return np.array(state)
+
+
+def misfit(kind: str, loads: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    if kind == "cubic":
+        return 10 * SIGMA * (loads / AMPLITUDE) ** 3 @ rng.normal(size=(6, 4))
+    if kind == "quadratic":
+        return 10 * SIGMA * (loads / AMPLITUDE) ** 2 @ rng.normal(size=(6, 4))
+    if kind == "hysteresis that jumps":
+        return 3 * SIGMA * play(loads, 0.5) @ rng.normal(size=(6, 4))
+    if kind == "hysteresis that bends":
+        return 2 * SIGMA * play(loads, 2.0) @ rng.normal(size=(6, 4))
+    if kind == "drift":
+        return 20 * SIGMA * np.linspace(0, 1, len(loads))[:, None] ** 2 * np.ones(4)
+    return np.zeros((len(loads), 4))
+
+
+def run_of(loads: np.ndarray, channels: np.ndarray) -> Run:
+    return Run("static", "rig", "static", CHANNELS, len(loads), MemorySource(channels, loads), trim="bare")
+
+
+def estimates(kind: str, load_noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(8)
+    C0 = 1e-3 * rng.normal(size=(4, 6))
+    root, loads, found, dofs = np.linalg.cholesky(COVARIANCE), sequence(), [], []
+    for _ in range(REPEATS):
+        channels = loads @ C0.T + rng.normal(size=(len(loads), 4)) @ root.T + misfit(kind, loads, rng)
+        read = loads + load_noise * rng.normal(size=loads.shape)
+        points = static_points(run_of(read, channels), CHANNELS)
+        found.append(points.covariance)
+        dofs.append(points.dof)
+    return np.array(found), np.array(dofs)
+
+
+@pytest.mark.parametrize(
+    "kind", ["none", "cubic", "quadratic", "hysteresis that jumps", "hysteresis that bends", "drift"]
+)
+def test_covariance_is_right_whatever_the_misfit(kind):
+    found, _ = estimates(kind)
+    tolerance = 0.09 if kind == "hysteresis that bends" else 0.05
+    assert found.mean(axis=0) / COVARIANCE[0, 0] == pytest.approx(COVARIANCE / COVARIANCE[0, 0], abs=tolerance)
+
+
+def test_degrees_of_freedom_are_those_of_the_scatter():
+    """The variance of a variance estimated with n degrees of freedom is 2/n of its square."""
+    found, dofs = estimates("none")
+    relative = np.diagonal(found, axis1=1, axis2=2) / np.diagonal(COVARIANCE)
+    assert dofs.mean() > 40
+    assert np.mean(np.var(relative, axis=0)) == pytest.approx(2 / dofs.mean(), rel=0.25)
+
+
+def test_noise_of_the_load_readings_is_in_it():
+    rng = np.random.default_rng(8)
+    C0 = 1e-3 * rng.normal(size=(4, 6))
+    found, _ = estimates("none", load_noise=0.2)
+    expected = COVARIANCE + 0.2**2 * C0 @ C0.T
+    assert np.diagonal(found.mean(axis=0)) == pytest.approx(np.diagonal(expected), rel=0.08)
+
+
+def test_one_wild_row_hardly_matters():
+    rng = np.random.default_rng(5)
+    loads = sequence()
+    channels = SIGMA * rng.normal(size=(len(loads), 4))
+    clean = static_points(run_of(loads, channels), CHANNELS).covariance
+    channels[47] += 50 * SIGMA
+    spoilt = static_points(run_of(loads, channels), CHANNELS).covariance
+    assert np.trace(spoilt) < 2.0 * np.trace(clean)
+
+
+def test_second_differences_vanish_on_straight_lines_of_uneven_steps():
+    loads = np.zeros((8, 6))
+    loads[:, 0] = [0, 1, 3, 4, 8, 9, 11, 12]
+    operator = second_differences(loads)
+    assert len(operator) == 5
+    assert operator @ loads[:, 0] == pytest.approx(np.zeros(5), abs=1e-12)
+    assert np.linalg.norm(operator, axis=1) == pytest.approx(np.ones(5))
+
+
+def test_random_poses_have_no_ramp():
+    rng = np.random.default_rng(6)
+    loads = rng.normal(size=(40, 6))
+    with pytest.raises(UserError, match="within a ramp"):
+        static_points(run_of(loads, rng.normal(size=(40, 4))), CHANNELS)
