@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from balance_cli.sweep_tf import Transfer
 from rigs import rotor_balance
 
 from balance_cli.artefacts import Artefact, Input, Provenance
@@ -21,6 +20,7 @@ from balance_cli.model.modes import modes
 from balance_cli.model.system import response, solve
 from balance_cli.runs import MemorySource, Run
 from balance_cli.signals.lines import Response
+from balance_cli.sweep_tf import Transfer
 
 FREQUENCY = np.linspace(2.0, 150.0, 45)
 NOISE = 1e-4
