@@ -20,6 +20,9 @@ ComplexArray = NDArray[np.complex128]
 
 ITERATIONS = 10
 
+# Of the variance with which one line tells a load's noise: the least that is assumed beside a load whose noise is seen.
+LEAST_LOAD_NOISE = 1e-4
+
 
 @dataclass(frozen=True)
 class NoiseComponents:
@@ -111,6 +114,11 @@ def _loads(residual: ComplexArray, response: ComplexArray, noise: NoiseComponent
     size = np.trace(information, axis1=1, axis2=2).real[:, None, None] * 1e-9 + 1e-300
     own = np.linalg.inv(information + size * np.eye(len(noise.loads)))
     estimate = -np.matmul(own @ weighted.conj().swapaxes(1, 2), residual[:, :, None])[:, :, 0]
-    weight = np.trace(own + noise.loads, axis1=1, axis2=2).real ** -2.0
-    value, vector = np.linalg.eigh(np.einsum("k,kij->ij", weight, _outer(estimate) - own) / weight.sum())
-    return np.asarray((vector * np.maximum(value, 0.0)) @ vector.conj().T)
+    # Every exciter has a force cell of its own: their noises are independent of one another.
+    own_variance = np.diagonal(own, axis1=1, axis2=2).real
+    weight = (own_variance + np.diag(noise.loads).real) ** -2.0
+    found = np.sum(weight * (np.abs(estimate) ** 2 - own_variance), axis=0) / weight.sum(axis=0)
+    if not np.any(found > 0.0):
+        return np.zeros_like(noise.loads)
+    least = LEAST_LOAD_NOISE * np.sum(weight * own_variance, axis=0) / weight.sum(axis=0)
+    return np.diag(np.maximum(found, least)).astype(complex)
