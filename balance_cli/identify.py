@@ -82,8 +82,12 @@ def _in_band(lines: Lines, band: tuple[float, float]) -> Lines:
     keep = (lines.frequency >= band[0]) & (lines.frequency <= band[1])
     if keep.all():
         return lines
+    window = lines.window
+    if window is not None:
+        window = replace(window, start=window.start[keep], widening=window.widening[keep])
     return replace(
         lines,
+        window=window,
         frequency=lines.frequency[keep],
         channels=lines.channels[keep],
         loads=lines.loads[keep],

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
-from balance_cli.signals.lines import Lines, StaticPoints
+from balance_cli.signals.lines import Lines, StaticPoints, Window
 from balance_cli.signals.noise import inverse_bias_factor
 
 Array = NDArray[np.float64]
@@ -32,6 +32,8 @@ class Batch:
     `efficiency` (K,) is what weights from an estimated covariance are worth beside the true ones (see `_efficiency`).
     The precision holds it as a factor, so that the information says what the estimate is worth; chi-square against
     the noise is that of the precision divided by it.
+
+    `windows`: of each run, where a periodic record's lines come from; None where no free motion can be in them.
     """
 
     runs: tuple[str, ...]
@@ -46,6 +48,13 @@ class Batch:
     count: Array
     run: Index
     efficiency: Array
+    windows: tuple[Window | None, ...]
+
+    @property
+    def parts(self) -> tuple[slice, ...]:
+        """The lines of each run; they stand together."""
+        ends = np.cumsum(np.bincount(self.run, minlength=len(self.runs)))
+        return tuple(slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
 
 def stacked(
@@ -110,6 +119,7 @@ def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: 
         count=np.concatenate(counts),
         run=run,
         efficiency=np.concatenate(efficiency),
+        windows=tuple(item.window for item in group),
     )
 
 
@@ -137,7 +147,10 @@ def _precision(lines: Lines, channel_names: tuple[str, ...], exact: bool) -> Com
     """Inverse covariance, spread over all channels and the u loads."""
     live, c, u = len(lines.channel_names), len(channel_names), len(lines.components)
     used = slice(0, live) if exact else slice(0, live + u)
-    inverse = _inverse(lines.covariance[:, used, used], lines.dof, live) * _efficiency(lines)
+    covariance = lines.covariance[:, used, used]
+    if lines.window is not None:
+        covariance = covariance / lines.window.widening[:, None, None]
+    inverse = _inverse(covariance, lines.dof, live) * _efficiency(lines)
     wide = np.zeros((len(inverse), c + u, c + u), complex)
     places = np.array(_places(lines, channel_names) + ([] if exact else list(range(c, c + u))))
     wide[:, places[:, None], places[None, :]] = inverse

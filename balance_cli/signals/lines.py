@@ -12,12 +12,27 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
+class Window:
+    """The samples that each of k lines was taken from: whole periods of the record, no taper.
+
+    `start` (k,) and `stop` [s] from the first sample, `step` [s] between samples. `widening` (k,) is the factor by
+    which the covariance of the lines was enlarged for what still rings in them: who models the free motion divides by it.
+    """
+
+    start: Array
+    stop: float
+    step: float
+    widening: Array
+
+
+@dataclass(frozen=True)
 class Lines:
     """Spectra of one run (or one experiment of it) at k lines: c channels, u excited load components.
 
     Amplitudes are complex, `x(t) = Re sum X exp(+j 2 pi f t)`. The noise of the stacked vector z = [channels, loads]
     is circular with covariance E[z z*] = `covariance` per line, that of the means as given (not of one period), and
     was estimated with `dof` complex degrees of freedom (infinite where it is known).
+    `window`: where in a periodic record they come from; None where no free motion can be in them.
 
     Shapes: frequency (k,) [Hz]; channels (k, c) [V]; loads (k, u) [N, N m]; covariance (k, c+u, c+u).
     """
@@ -32,6 +47,7 @@ class Lines:
     dof: float
     rotor_speed: float = 0.0
     level: tuple[float, ...] = ()
+    window: Window | None = None
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.runs import Run
-from balance_cli.signals.lines import Lines
+from balance_cli.signals.lines import Lines, Window
 from balance_cli.signals.noise import distances, inverse_bias_factor, outlier_bound, pooled_covariance
 from balance_cli.signals.records import (
     channel_places,
@@ -22,7 +22,7 @@ from balance_cli.signals.records import (
     sample_rate,
     samples_of,
 )
-from balance_cli.signals.steady import steady_start
+from balance_cli.signals.steady import SteadyStart, steady_start
 
 __all__ = ["PeriodicRecord", "inverse_bias_factor", "periodic_lines", "periodic_record", "whole_period"]
 
@@ -74,8 +74,7 @@ def periodic_record(
     spectra, number, components = _spectra(run, channel_names, samples)
     frequency = number * sample_rate(run) / samples
     start = steady_start(spectra)
-    mean, covariance, dof = _mean_and_covariance(spectra, start.first)
-    covariance = covariance * (1.0 + start.bias)[:, None, None]
+    mean, covariance, dof, widening = _mean_and_covariance(spectra, start)
     excited = _excited(mean, covariance, len(components))
     chosen = np.any(excited, axis=1)
     if not np.any(chosen):
@@ -94,6 +93,7 @@ def periodic_record(
         dof=dof,
         rotor_speed=run.rotor_speed,
         level=run.level,
+        window=_window(run, len(spectra), samples, start.first[chosen], widening[chosen]),
     )
     lines = _without_idle(lines, excited[chosen], run.excited)
     return _record(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
@@ -146,17 +146,24 @@ def _spectra(
     return spectra[:, lines], lines + 1, components
 
 
-def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, ComplexArray, float]:
-    """Mean (K, n) over the steady periods of each line, covariance of that mean (K, n, n), its dof."""
+def _mean_and_covariance(
+    spectra: ComplexArray, start: SteadyStart
+) -> tuple[ComplexArray, ComplexArray, float, Array]:
+    """Mean (K, n) over the steady periods of each line, covariance of that mean (K, n, n), its dof, and the factor
+
+    (K,) by which it was widened for what still rings.
+    """
     P = len(spectra)
-    used = np.arange(P)[:, None] >= first
+    used = np.arange(P)[:, None] >= start.first
     m = used.sum(axis=0).astype(float)
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
     scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
     covariance, dof = pooled_covariance(scatter, m - 1.0)
-    covariance = covariance * _inflation(scatter, covariance, m - 1.0, dof)[:, None, None]
-    return mean, covariance / m[:, None, None], dof
+    inflation = _inflation(scatter, covariance, m - 1.0, dof)
+    widening = (1.0 + start.bias) * np.where(start.steady, 1.0, inflation)
+    covariance = covariance * (inflation * (1.0 + start.bias) / m)[:, None, None]
+    return mean, covariance, dof, widening
 
 
 def _inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
@@ -185,6 +192,12 @@ def _without_idle(lines: Lines, excited: NDArray[np.bool_], declared: Sequence[s
         loads=lines.loads[:, kept],
         covariance=lines.covariance[:, signals[:, None], signals],
     )
+
+
+def _window(run: Run, periods: int, samples: int, first: Counts, widening: Array) -> Window:
+    rate = sample_rate(run)
+    offset = run.samples - periods * samples
+    return Window((offset + first * samples) / rate, run.samples / rate, 1.0 / rate, widening)
 
 
 def _record(run: Run, lines: Lines, spectra: ComplexArray, samples: int, first: Counts, steady: bool) -> PeriodicRecord:
