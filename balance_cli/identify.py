@@ -84,7 +84,7 @@ def _in_band(lines: Lines, band: tuple[float, float]) -> Lines:
         return lines
     window = lines.window
     if window is not None:
-        window = replace(window, start=window.start[keep], widening=window.widening[keep])
+        window = replace(window, start=window.start[keep], covariance=window.covariance[keep])
     return replace(
         lines,
         window=window,

@@ -83,20 +83,20 @@ def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = Fals
     chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted, axis=1))
     loads = batch.loads
     if downdate is not None:
-        SM, inverse = downdate
+        SM, normal = downdate
         # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
         right = np.matmul(SM.conj().swapaxes(1, 2), residual[:, :, None])
-        loads = loads + np.matmul(inverse, right)[:, :, 0]
+        loads = loads + np.linalg.solve(normal, right)[:, :, 0]
     return Fitted(_six(batch, loads), weighted, residual, chi2, downdate, free)
 
 
 def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """(S M)_Y (K, c, u) and (M' S M)^-1 (K, u, u) for the columns T (K, c, u) of the excited loads."""
+    """(S M)_Y (K, c, u) and M' S M (K, u, u) for the columns T (K, c, u) of the excited loads."""
     c = batch.channels.shape[1]
     S = batch.precision
     SM = np.matmul(S[:, :, :c], columns) + S[:, :, c:]
     normal = np.matmul(columns.conj().swapaxes(1, 2), SM[:, :c]) + SM[:, c:]
-    return SM[:, :c], np.asarray(np.linalg.inv(normal), complex)
+    return SM[:, :c], np.asarray(normal, complex)
 
 
 def _weighted(
@@ -107,8 +107,9 @@ def _weighted(
     weighted = np.matmul(batch.precision[lines, :c, :c], values)
     if downdate is None:
         return weighted
-    SM, inverse = downdate[0][lines], downdate[1][lines]
-    return np.asarray(weighted - np.matmul(SM, np.matmul(inverse, np.matmul(SM.conj().swapaxes(1, 2), values))))
+    SM, normal = downdate[0][lines], downdate[1][lines]
+    correction = np.linalg.solve(normal, np.matmul(SM.conj().swapaxes(1, 2), values))
+    return np.asarray(weighted - np.matmul(SM, correction))
 
 
 def _six(batch: Batch, loads: ComplexArray) -> ComplexArray:
@@ -135,10 +136,10 @@ def _information(batch: Batch, fit: Fitted, slopes: ComplexArray) -> Array:
     flat = slopes.reshape(K * c, p)
     information = np.real(flat.conj().T @ weighted.reshape(K * c, p))
     if fit.downdate is not None:
-        SM, inverse = fit.downdate
+        SM, normal = fit.downdate
         projected = np.matmul(SM.conj().swapaxes(1, 2), slopes)
         flat = projected.reshape(-1, p)
-        information -= np.real(flat.conj().T @ np.matmul(inverse, projected).reshape(-1, p))
+        information -= np.real(flat.conj().T @ np.linalg.solve(normal, projected).reshape(-1, p))
     return np.asarray(2.0 * information)
 
 

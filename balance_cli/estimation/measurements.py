@@ -147,10 +147,8 @@ def _precision(lines: Lines, channel_names: tuple[str, ...], exact: bool) -> Com
     """Inverse covariance, spread over all channels and the u loads."""
     live, c, u = len(lines.channel_names), len(channel_names), len(lines.components)
     used = slice(0, live) if exact else slice(0, live + u)
-    covariance = lines.covariance[:, used, used]
-    if lines.window is not None:
-        covariance = covariance / lines.window.widening[:, None, None]
-    inverse = _inverse(covariance, lines.dof, live) * _efficiency(lines)
+    noise = lines.window or lines
+    inverse = _inverse(noise.covariance[:, used, used], noise.dof, live) * _efficiency(lines)
     wide = np.zeros((len(inverse), c + u, c + u), complex)
     places = np.array(_places(lines, channel_names) + ([] if exact else list(range(c, c + u))))
     wide[:, places[:, None], places[None, :]] = inverse
@@ -164,7 +162,8 @@ def _efficiency(lines: Lines) -> float:
     IEE Proc. Radar 147, 2000): an estimate weighted by P scatters more by that factor than its information says.
     """
     size = len(lines.channel_names)
-    return inverse_bias_factor(lines.dof, size) if lines.dof > ENOUGH_DOF * size else 1.0
+    dof = (lines.window or lines).dof
+    return inverse_bias_factor(dof, size) if dof > ENOUGH_DOF * size else 1.0
 
 
 def _inverse(covariance: ComplexArray, dof: float, size: int) -> ComplexArray:

@@ -15,14 +15,16 @@ ComplexArray = NDArray[np.complex128]
 class Window:
     """The samples that each of k lines was taken from: whole periods of the record, no taper.
 
-    `start` (k,) and `stop` [s] from the first sample, `step` [s] between samples. `widening` (k,) is the factor by
-    which the covariance of the lines was enlarged for what still rings in them: who models the free motion divides by it.
+    `start` (k,) and `stop` [s] from the first sample, `step` [s] between samples. `covariance` (k, c+u, c+u) and `dof`
+    are those of the noise alone, for who models the free motion that still rings in the lines; what the lines state
+    themselves holds its scatter too.
     """
 
     start: Array
     stop: float
     step: float
-    widening: Array
+    covariance: ComplexArray
+    dof: float
 
 
 @dataclass(frozen=True)

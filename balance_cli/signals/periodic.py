@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from balance_cli.runs import Run
 from balance_cli.signals.lines import Lines, Window
-from balance_cli.signals.noise import distances, inverse_bias_factor, outlier_bound, pooled_covariance
+from balance_cli.signals.noise import distances, inverse_bias_factor, outlier_bound, pooled_covariance, window_sums
 from balance_cli.signals.records import (
     channel_places,
     fault,
@@ -22,7 +22,7 @@ from balance_cli.signals.records import (
     sample_rate,
     samples_of,
 )
-from balance_cli.signals.steady import SteadyStart, steady_start
+from balance_cli.signals.steady import steady_start
 
 __all__ = ["PeriodicRecord", "inverse_bias_factor", "periodic_lines", "periodic_record", "whole_period"]
 
@@ -35,6 +35,7 @@ LEAST_SHARE_OF_STRONGEST = 10.0**-2.5
 LEAST_SHARE_OF_LINES = 0.1
 NOISE_LINES = 40
 INFLATION_PROBABILITY = 1e-4
+DECAY_LINES = 11
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,9 @@ def periodic_record(
     spectra, number, components = _spectra(run, channel_names, samples)
     frequency = number * sample_rate(run) / samples
     start = steady_start(spectra)
-    mean, covariance, dof, widening = _mean_and_covariance(spectra, start)
+    mean, covariance, dof = _mean_and_covariance(spectra, start.first)
+    noise = (covariance, dof) if start.steady.all() or len(spectra) < 3 else _about_decay(spectra, start.first)
+    covariance = covariance * (1.0 + start.bias)[:, None, None]
     excited = _excited(mean, covariance, len(components))
     chosen = np.any(excited, axis=1)
     if not np.any(chosen):
@@ -93,7 +96,7 @@ def periodic_record(
         dof=dof,
         rotor_speed=run.rotor_speed,
         level=run.level,
-        window=_window(run, len(spectra), samples, start.first[chosen], widening[chosen]),
+        window=_window(run, len(spectra), samples, start.first[chosen], noise[0][chosen], noise[1]),
     )
     lines = _without_idle(lines, excited[chosen], run.excited)
     return _record(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
@@ -146,24 +149,48 @@ def _spectra(
     return spectra[:, lines], lines + 1, components
 
 
-def _mean_and_covariance(
-    spectra: ComplexArray, start: SteadyStart
-) -> tuple[ComplexArray, ComplexArray, float, Array]:
-    """Mean (K, n) over the steady periods of each line, covariance of that mean (K, n, n), its dof, and the factor
-
-    (K,) by which it was widened for what still rings.
-    """
+def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, ComplexArray, float]:
+    """Mean (K, n) over the steady periods of each line, covariance of that mean (K, n, n), its dof."""
     P = len(spectra)
-    used = np.arange(P)[:, None] >= start.first
+    used = np.arange(P)[:, None] >= first
     m = used.sum(axis=0).astype(float)
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
     scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
-    covariance, dof = pooled_covariance(scatter, m - 1.0)
-    inflation = _inflation(scatter, covariance, m - 1.0, dof)
-    widening = (1.0 + start.bias) * np.where(start.steady, 1.0, inflation)
-    covariance = covariance * (inflation * (1.0 + start.bias) / m)[:, None, None]
-    return mean, covariance, dof, widening
+    covariance, dof = _pooled(scatter, m - 1.0)
+    return mean, covariance / m[:, None, None], dof
+
+
+def _pooled(scatter: ComplexArray, counts: Array) -> tuple[ComplexArray, float]:
+    """Covariance (K, n, n) of one period and its dof; larger where a line scatters more than its neighbours."""
+    covariance, dof = pooled_covariance(scatter, counts)
+    return covariance * _inflation(scatter, covariance, counts, dof)[:, None, None], dof
+
+
+def _about_decay(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, float]:
+    """Covariance (K, n, n) of the mean over the periods used, and its dof, as free of a decay as it can be told."""
+    covariance, dof = _pooled(_scatter_about_decay(spectra), np.ones(spectra.shape[1]))
+    return covariance / (len(spectra) - first)[:, None, None], dof
+
+
+def _scatter_about_decay(spectra: ComplexArray) -> ComplexArray:
+    """Scatter (K, n, n) of the last two periods about a free motion, worth one degree of freedom.
+
+    From one period to the next that shrinks by the same complex factor r at neighbouring lines, so that
+    x_2 - x_1 - r (x_1 - x_0) holds noise alone, 1 + |1 + r|^2 + |r|^2 times that of one period. Where there are
+    periods enough an earlier difference, of other noise, is the instrument that r is found with.
+    """
+    differences = np.diff(spectra, axis=0)
+    early, late = differences[-2:]
+    instrument = differences[-4] if len(differences) > 3 else early
+    weight = 1.0 / np.maximum(np.median(np.abs(late) ** 2, axis=0), 1e-300)
+    width = min(DECAY_LINES, len(late))
+    common = window_sums(np.sum(instrument.conj() * late * weight, axis=1), width)
+    power = window_sums(np.sum(instrument.conj() * early * weight, axis=1), width)
+    r = common / np.where(power == 0, 1.0, power)
+    r = r / np.maximum(np.abs(r), 1.0)
+    left = (late - r[:, None] * early) / np.sqrt(1.0 + np.abs(1.0 + r) ** 2 + np.abs(r) ** 2)[:, None]
+    return np.asarray(left[:, :, None] * left[:, None, :].conj())
 
 
 def _inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
@@ -186,18 +213,24 @@ def _without_idle(lines: Lines, excited: NDArray[np.bool_], declared: Sequence[s
     kept = [i for i, name in enumerate(lines.components) if name in declared or share[i] > LEAST_SHARE_OF_LINES]
     c = lines.channels.shape[1]
     signals = np.array([*range(c), *(c + i for i in kept)])
+    window = lines.window
+    if window is not None:
+        window = replace(window, covariance=window.covariance[:, signals[:, None], signals])
     return replace(
         lines,
+        window=window,
         components=tuple(lines.components[i] for i in kept),
         loads=lines.loads[:, kept],
         covariance=lines.covariance[:, signals[:, None], signals],
     )
 
 
-def _window(run: Run, periods: int, samples: int, first: Counts, widening: Array) -> Window:
+def _window(
+    run: Run, periods: int, samples: int, first: Counts, covariance: ComplexArray, dof: float
+) -> Window:
     rate = sample_rate(run)
     offset = run.samples - periods * samples
-    return Window((offset + first * samples) / rate, run.samples / rate, 1.0 / rate, widening)
+    return Window((offset + first * samples) / rate, run.samples / rate, 1.0 / rate, covariance, dof)
 
 
 def _record(run: Run, lines: Lines, spectra: ComplexArray, samples: int, first: Counts, steady: bool) -> PeriodicRecord:
