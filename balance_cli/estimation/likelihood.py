@@ -104,7 +104,7 @@ def _weighted(
 ) -> ComplexArray:
     """P times columns (k, c, q) at these lines; the eliminated loads as a second, small product."""
     c = batch.channels.shape[1]
-    weighted = np.matmul(batch.precision[lines, :c, :c], values)
+    weighted = np.asarray(np.matmul(batch.precision[lines, :c, :c], values), complex)
     if downdate is None:
         return weighted
     SM, normal = downdate[0][lines], downdate[1][lines]

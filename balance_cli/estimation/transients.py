@@ -28,6 +28,8 @@ Weigh = Callable[[slice, ComplexArray], ComplexArray]
 
 # At rest the free motion is minus the forced one; its modes by themselves may be somewhat larger.
 LARGEST = 10.0
+# Decay, as a logarithm, that leaves nothing of a mode in any line.
+DECAYED = 18.4
 # Of the largest signal, where a computed one is zero.
 LEAST_SIGNAL = 1e-9
 
@@ -70,13 +72,17 @@ def transients(
 
     `weigh` multiplies columns (k, c, q) at the given lines by P, the precision with the true loads eliminated.
     """
-    found, known = [], {}
+    found: list[Transient] = []
+    known: dict[tuple[float, float], FreeMotion] = {}
     for lines, window in zip(batch.parts, batch.windows, strict=True):
         if window is None:
             continue
-        if window.step not in known:
-            known[window.step] = free_motion(system, batch.spin, 0.5 / window.step, slopes)
-        free, frequency = known[window.step], batch.frequency[batch.index[lines]]
+        key = (0.5 / window.step, DECAYED / max(float(window.start.min()), window.step))
+        if key not in known:
+            known[key] = free_motion(system, batch.spin, *key, slopes)
+        free, frequency = known[key], batch.frequency[batch.index[lines]]
+        if not len(free.s):
+            continue
         columns = transient_columns(free, window, frequency)
         found.append(_fitted(batch, lines, window, frequency, free, columns, weigh(lines, columns), residual[lines]))
     return tuple(found)
@@ -180,11 +186,12 @@ def _decay(s: ComplexArray, starts: Array, window: Window) -> tuple[ComplexArray
     t_f, t_e = starts[:, None], window.stop
     share = window.step / (t_e - t_f)
     first, last = np.exp(s * t_f), np.exp(s * t_e)
-    return share * (first - last), share * (t_f * first - t_e * last)
+    E, slope = share * (first - last), share * (t_f * first - t_e * last)
+    return np.asarray(E, complex), np.asarray(slope, complex)
 
 
 def _comb(s: ComplexArray, w: Array, window: Window) -> tuple[ComplexArray, ComplexArray]:
     """R (K, m) = 1 / (1 - exp((s - jw) h)), and dR/ds."""
     turned = np.exp((s - 1j * w[:, None]) * window.step)
     R = 1.0 / (1.0 - turned)
-    return R, window.step * turned * R**2
+    return np.asarray(R, complex), np.asarray(window.step * turned * R**2, complex)

@@ -40,11 +40,16 @@ class FreeMotion:
     volts_slope: ComplexArray
 
 
-def free_motion(system: System, spin: float, highest: float, slopes: bool = True) -> FreeMotion:
-    """The modes below `highest` [Hz] with their slopes (p = 0 of them without `slopes`) at rotor speed `spin` [Hz]."""
+def free_motion(
+    system: System, spin: float, highest: float, fastest: float = np.inf, slopes: bool = True
+) -> FreeMotion:
+    """The modes below `highest` [Hz] that decay by no more than `fastest` [1/s], at rotor speed `spin` [Hz].
+
+    Without `slopes` these are empty (p = 0).
+    """
     M, D, K = _matrices(system, spin)
     s, left, X = eigenvalues(M, D, K)
-    kept = s.imag < 2 * np.pi * highest
+    kept = (s.imag < 2 * np.pi * highest) & (-s.real < fastest)
     s, left, X = s[kept], left[kept], X[kept].T
     springs = [path.spring for path in system.paths]
     forces = (system.readings.value @ X)[springs]
@@ -97,7 +102,7 @@ def _gain_slopes(
 def _pair_slopes(
     system: System, spin: float, matrices: tuple[Array, Array], s: ComplexArray, left: ComplexArray, X: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """dX (p, n, m) and dS (p, m, m), column by column from
+    """Slopes dX (p, n, m) and dS (p, m, m), column by column from
 
     P(s_j) dx_j + sum_i (M (s_i + s_j) + D) x_i dS_ij = -dP(s_j) x_j, with W (dX, d(XS)) = 0 for W (X, XS) = I.
     """
@@ -106,9 +111,9 @@ def _pair_slopes(
     pencil = system.pencil
     W1, W2 = s[:, None] * (left @ M) + left @ D, left @ M
     normal = W1 @ X + W2 @ (X * s)
-    W1, W2 = np.linalg.solve(normal, W1), np.linalg.solve(normal, W2)
+    W1, W2 = (np.asarray(np.linalg.solve(normal, W), complex) for W in (W1, W2))
     K = pencil.stiffness.value + 1j * pencil.hysteresis.value
-    bordered = np.empty((m, n + m, n + m), complex)
+    bordered = np.empty((m, n + m, n + m), np.complex128)
     for j, sj in enumerate(s):
         coupling = M @ (X * (s + sj)) + D @ X
         bordered[j] = np.block([[sj**2 * M + sj * D + K, coupling], [W1 + sj * W2, W2 @ X]])
@@ -117,5 +122,5 @@ def _pair_slopes(
     change = (pencil.mass.slope @ X) * s**2 + (damping @ X) * s + elastic @ X
     right = np.zeros((m, n + m, len(change)), complex)
     right[:, :n] = -change.transpose(2, 1, 0)
-    solved = np.linalg.solve(bordered, right)
-    return solved[:, :n].transpose(2, 1, 0), solved[:, n:].transpose(2, 1, 0)
+    solved = np.asarray(np.linalg.solve(bordered, right), complex).transpose(2, 1, 0)
+    return solved[:, :n], solved[:, n:]

@@ -225,9 +225,7 @@ def _without_idle(lines: Lines, excited: NDArray[np.bool_], declared: Sequence[s
     )
 
 
-def _window(
-    run: Run, periods: int, samples: int, first: Counts, covariance: ComplexArray, dof: float
-) -> Window:
+def _window(run: Run, periods: int, samples: int, first: Counts, covariance: ComplexArray, dof: float) -> Window:
     rate = sample_rate(run)
     offset = run.samples - periods * samples
     return Window((offset + first * samples) / rate, run.samples / rate, 1.0 / rate, covariance, dof)
