@@ -36,6 +36,8 @@ LEAST_SHARE_OF_LINES = 0.1
 NOISE_LINES = 40
 INFLATION_PROBABILITY = 1e-4
 DECAY_LINES = 11
+# Differences of neighbouring lines share one: their mean square is worth two thirds of as many independent ones.
+WORTH_OF_DIFFERENCE = 2.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -169,16 +171,18 @@ def _pooled(scatter: ComplexArray, counts: Array) -> tuple[ComplexArray, float]:
 
 def _about_decay(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, float]:
     """Covariance (K, n, n) of the mean over the periods used, and its dof, as free of a decay as it can be told."""
-    covariance, dof = _pooled(_scatter_about_decay(spectra), np.ones(spectra.shape[1]))
+    counts = np.full(spectra.shape[1], WORTH_OF_DIFFERENCE)
+    covariance, dof = _pooled(_scatter_about_decay(spectra), counts)
     return covariance / (len(spectra) - first)[:, None, None], dof
 
 
 def _scatter_about_decay(spectra: ComplexArray) -> ComplexArray:
-    """Scatter (K, n, n) of the last two periods about a free motion, worth one degree of freedom.
+    """Scatter (K, n, n) of the last periods about a free motion, worth WORTH_OF_DIFFERENCE degrees of freedom.
 
     From one period to the next that shrinks by the same complex factor r at neighbouring lines, so that
     x_2 - x_1 - r (x_1 - x_0) holds noise alone, 1 + |1 + r|^2 + |r|^2 times that of one period. Where there are
-    periods enough an earlier difference, of other noise, is the instrument that r is found with.
+    periods enough an earlier difference, of other noise, is the instrument that r is found with. What several modes
+    leave far from their peaks is smooth in frequency, and goes with the difference of neighbouring lines.
     """
     differences = np.diff(spectra, axis=0)
     early, late = differences[-2:]
@@ -190,6 +194,8 @@ def _scatter_about_decay(spectra: ComplexArray) -> ComplexArray:
     r = common / np.where(power == 0, 1.0, power)
     r = r / np.maximum(np.abs(r), 1.0)
     left = (late - r[:, None] * early) / np.sqrt(1.0 + np.abs(1.0 + r) ** 2 + np.abs(r) ** 2)[:, None]
+    k = np.minimum(np.arange(len(left)), len(left) - 2)
+    left = (left[k + 1] - left[k]) * np.sqrt(WORTH_OF_DIFFERENCE / 2.0)
     return np.asarray(left[:, :, None] * left[:, None, :].conj())
 
 
