@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.geometry import Geometry
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -75,10 +77,11 @@ class RunLoads:
 
 @dataclass(frozen=True)
 class Loads:
-    """Hub loads of all runs of one reduction."""
+    """Hub loads of all runs of one reduction, and the geometry of the calibration behind them."""
 
     method: str
     response: str
+    geometry: Geometry
     runs: dict[str, RunLoads]
 
 
