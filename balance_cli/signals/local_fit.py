@@ -130,7 +130,7 @@ def _linear_fit(problem: _Problem, a: ComplexArray) -> LocalFit:
     factor = problem.weight / _kept_from_zero(_denominator_at(problem, a))
     Q, R, scale = _orthogonal(problem.columns, factor)
     projected = _adjoint(Q) @ problem.Y
-    coefficients = np.linalg.solve(R, projected) / scale[:, :, None]
+    coefficients = np.asarray(np.linalg.solve(R, projected) / scale[:, :, None], complex)
     residual = problem.Y - Q @ projected
     triangle = np.asarray(R * scale[:, None, :], complex)
     return LocalFit(problem.orders, problem.inputs, a, coefficients, triangle, residual)
