@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.runs import Run
-from balance_cli.signals.local_fit import LocalFit, Orders, Windows, fit_windows
+from balance_cli.signals.local_fit import Orders, Windows, fit_windows
 from balance_cli.signals.local_noise import NoiseComponents, noise_components
 from balance_cli.signals.local_window import WindowFit, design, influence, response_rows, split
 from balance_cli.signals.noise import window_sums
@@ -30,6 +30,7 @@ POLYNOMIAL = Orders(2, 2, 0)
 RATIONAL_LINES = 81
 POLYNOMIAL_FREEDOM = 8
 LEAST_POWER = 1e-4
+LEAST_DISTINCT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,10 @@ def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, f
     excited = has_power(Z[:, c:]) & inside
     if np.count_nonzero(excited) < RATIONAL_LINES:
         raise fault(run, "the record is too short (or its loads too narrow in frequency)", "Record more")
+    if np.median(distinctness(local_power(Z[excited, c:]))) < LEAST_DISTINCT:
+        raise fault(
+            run, "the loads excited at once are in proportion to each other", "Excite with other phases", "loads"
+        )
     reach = RATIONAL_LINES // 2
     kept = slice(max(int(np.argmax(excited)) - reach, 0), len(Z) - int(np.argmax(excited[::-1])) + reach)
     channel_scale = _rms(Z[kept, :c])
@@ -105,11 +110,14 @@ def local_models(spectrum: Spectrum, estimator: str = "lrm") -> LocalModels:
     r = np.broadcast_to(np.linspace(-1.0, 1.0, M), index.shape)
     spectrum = _like_noise(spectrum, index, r, candidates[-1])
     windows = Windows(spectrum.channels[index], spectrum.loads[index], np.ones(index.shape), r)
-    chosen = best_fits(windows, candidates)
-    draft = _assembled(spectrum, first, owned, chosen, np.ones(len(spectrum.frequency)))
+    few = [orders for orders in candidates if orders.response == candidates[0].response]
+    draft = _assembled(spectrum, first, owned, best_fits(windows, few), np.ones(len(spectrum.frequency)))
     level = draft.noise.excess(draft.response)
     windows = replace(windows, weight=1.0 / np.sqrt(level[index]))
-    return _assembled(spectrum, first, owned, _again(windows, chosen), level, draft.noise)
+    # The noise of the loads is in all channels alike, and would pass for a pole if that were not known.
+    white = np.asarray(np.linalg.inv(np.linalg.cholesky(draft.noise.equation(draft.response))), complex)
+    chosen = best_fits(windows, candidates, [white[start : start + M] for start in first])
+    return _assembled(spectrum, first, owned, chosen, level)
 
 
 def _layout(estimator: str, inputs: int) -> tuple[tuple[Orders, ...], int, int]:
@@ -135,6 +143,19 @@ def has_power(loads: ComplexArray) -> NDArray[np.bool_]:
     return np.asarray(np.any(power > LEAST_POWER * np.maximum(strong, 1e-300), axis=1))
 
 
+def local_power(loads: ComplexArray) -> ComplexArray:
+    """Spectral matrix (K, u, u) of the loads (K, u), averaged over a window's lines."""
+    outer = loads[:, :, None] * loads[:, None, :].conj()
+    width = min(RATIONAL_LINES, len(loads))
+    return np.asarray(window_sums(outer, width) / width)
+
+
+def distinctness(power: ComplexArray) -> Array:
+    """Smallest eigenvalue (K,) of the loads' spectral matrix scaled to unit diagonal: 0 where they are proportional."""
+    size = np.sqrt(np.maximum(np.diagonal(power, axis1=1, axis2=2).real, 1e-300))
+    return np.asarray(np.linalg.eigvalsh(power / (size[:, :, None] * size[:, None, :]))[:, 0])
+
+
 def _rms(values: ComplexArray) -> Array:
     rms = np.sqrt(np.mean(np.abs(values) ** 2, axis=0))
     return np.asarray(np.where(rms > 0, rms, 1.0))
@@ -150,31 +171,32 @@ def _like_noise(spectrum: Spectrum, index: Index, r: Array, orders: Orders) -> S
     return replace(spectrum, channels=spectrum.channels / scale, channel_scale=spectrum.channel_scale * scale)
 
 
-def best_fits(windows: Windows, candidates: Sequence[Orders]) -> tuple[WindowFit, ...]:
-    """The fit of each window with the best orders."""
-    fits = [fit_windows(windows, orders) for orders in candidates]
-    best = np.argmin([_criterion(windows, fit) for fit in fits], axis=0)
-    each = [split(fit, windows) for fit in fits]
+def best_fits(
+    windows: Windows, candidates: Sequence[Orders], white: Sequence[ComplexArray] | None = None
+) -> tuple[WindowFit, ...]:
+    """The fit of each window with the best orders, by Hannan and Quinn's criterion.
+
+    For N complex data and p complex parameters it is V + 2 p ln ln 2N, V the squared residuals whitened with `white`
+    (W arrays (M, c, c)), or N ln V + 2 p ln ln 2N where the noise is not known.
+    """
+    each = [split(fit_windows(windows, orders), windows) for orders in candidates]
+    _, M, c = windows.Y.shape
+    N = M * c
+    cost = np.array(
+        [[_misfit(fit, None if white is None else white[w]) for w, fit in enumerate(fits)] for fits in each]
+    )
+    inputs = windows.U.shape[2]
+    p = np.array([c * orders.coefficients(inputs) + orders.denominator for orders in candidates])
+    fidelity = cost if white is not None else N * np.log(np.maximum(cost, 1e-300))
+    best = np.argmin(fidelity + 2.0 * p[:, None] * log(log(2.0 * N)), axis=0)
     return tuple(each[choice][w] for w, choice in enumerate(best))
 
 
-def _criterion(windows: Windows, fit: LocalFit) -> Array:
-    """Hannan-Quinn criterion (W,) for N complex data and p complex parameters: N ln V + 2 p ln ln 2N."""
-    _, M, c = windows.Y.shape
-    N = M * c
-    p = c * fit.orders.coefficients(fit.inputs) + fit.orders.denominator
-    return np.asarray(N * np.log(np.maximum(fit.cost, 1e-300)) + 2.0 * p * log(log(2.0 * N)))
-
-
-def _again(windows: Windows, chosen: Sequence[WindowFit]) -> tuple[WindowFit, ...]:
-    """Fit once more with the orders chosen before and the windows' present weights."""
-    again = list(chosen)
-    for orders in {fit.orders for fit in chosen}:
-        members = np.array([w for w, fit in enumerate(chosen) if fit.orders == orders])
-        some = windows.subset(members)
-        for w, fit in zip(members, split(fit_windows(some, orders), some), strict=True):
-            again[w] = fit
-    return tuple(again)
+def _misfit(fit: WindowFit, white: ComplexArray | None) -> float:
+    """Sum of squares of a window's residual, whitened or weighted."""
+    if white is None:
+        return float(np.sum(np.abs(fit.residual * fit.weight[:, None]) ** 2))
+    return float(np.sum(np.abs(np.matmul(white, fit.residual[:, :, None])) ** 2))
 
 
 def _assembled(
@@ -183,7 +205,6 @@ def _assembled(
     owned: Index,
     fits: tuple[WindowFit, ...],
     level: Array,
-    draft: NoiseComponents | None = None,
 ) -> LocalModels:
     """Response at every line from the window that speaks for it, and the noise from what it leaves."""
     response = stitched_response(fits, first, owned)
@@ -196,8 +217,7 @@ def _assembled(
         taken = np.einsum("kq,qk->k", design(fit)[inside], influence(fit)[:, inside]).real
         counts[lines] = np.clip(1.0 - taken, 0.05, 1.0)
     used = spectrum.excited
-    start = None if draft is None else replace(draft, channels=draft.channels[used])
-    noise = _everywhere(noise_components(residual[used], response[used], counts[used], start), used)
+    noise = _everywhere(noise_components(residual[used], response[used], counts[used]), used)
     return LocalModels(spectrum, first, owned, fits, response, noise, level)
 
 

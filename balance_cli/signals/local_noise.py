@@ -42,15 +42,13 @@ class NoiseComponents:
         return np.asarray(1.0 + np.trace(seen, axis1=1, axis2=2).real / self.channels.shape[1])
 
 
-def noise_components(
-    residual: ComplexArray, response: ComplexArray, counts: Array, start: NoiseComponents | None = None
-) -> NoiseComponents:
+def noise_components(residual: ComplexArray, response: ComplexArray, counts: Array) -> NoiseComponents:
     """Variance components of residuals (K, c) at lines with response (K, c, u) and counts (K,), the share of a degree
 
     of freedom that the fit left to each line (the residual's expectation is that share of the noise).
     """
     scaled = residual / np.sqrt(counts)[:, None]
-    noise = start or _first_guess(scaled, response, counts)
+    noise = _first_guess(scaled, response, counts)
     for _ in range(ITERATIONS):
         before = noise
         noise = replace(noise, loads=_loads(scaled, response, noise))

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from balance_cli.runs import Run
 from balance_cli.signals.lines import Response
-from balance_cli.signals.local_models import RATIONAL_LINES, LocalModels, local_models, record_spectrum
+from balance_cli.signals.local_models import LocalModels, local_models, local_power, record_spectrum
 from balance_cli.signals.local_noise import NoiseComponents
 from balance_cli.signals.local_window import influence, pole_shift, response_rows
-from balance_cli.signals.noise import window_sums
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -36,7 +35,7 @@ def response_of(models: LocalModels, estimator: str) -> Response:
     channel_covariance, load_covariance = _covariances(models)
     response = models.response[kept]
     noise = NoiseComponents(models.noise.channels[kept], models.noise.loads, models.noise.dof).equation(response)
-    ordinary, multiple = coherences(response, noise, _local_power(s.loads)[kept])
+    ordinary, multiple = coherences(response, noise, local_power(s.loads)[kept])
     volts, load = s.channel_scale, s.load_scale
     return Response(
         run=s.run.name,
@@ -77,13 +76,6 @@ def _covariances(models: LocalModels) -> tuple[ComplexArray, ComplexArray]:
             shift = pole_shift(fit, r, own)
             channels[lines] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
     return channels, loads
-
-
-def _local_power(loads: ComplexArray) -> ComplexArray:
-    """Spectral matrix (K, u, u) of the loads, averaged over a window's lines."""
-    outer = loads[:, :, None] * loads[:, None, :].conj()
-    width = min(RATIONAL_LINES, len(loads))
-    return np.asarray(window_sums(outer, width) / width)
 
 
 def coherences(response: ComplexArray, noise: ComplexArray, power: ComplexArray) -> tuple[Array, Array]:
