@@ -26,6 +26,7 @@ ComplexArray = NDArray[np.complex128]
 ESTIMATORS = ("h1", "h2", "hv")
 SEGMENT = 4.0
 FEWEST_AVERAGES = 8
+SHORTEST_SEGMENT = 16
 OVERLAP_CORRELATION = (1.0 / 6.0) ** 2
 
 
@@ -103,7 +104,10 @@ def _segment(run: Run) -> int:
     rate = sample_rate(run)
     if run.period is not None and run.samples >= 2 * run.period * rate:
         return whole_period(run)
-    return int(min(SEGMENT * rate, 2 * run.samples / (FEWEST_AVERAGES + 1))) // 2 * 2
+    segment = int(min(SEGMENT * rate, 2 * run.samples / (FEWEST_AVERAGES + 1))) // 2 * 2
+    if segment < SHORTEST_SEGMENT:
+        raise fault(run, "the record is too short to average over", "Record more")
+    return segment
 
 
 def _response(
