@@ -167,3 +167,23 @@ def test_exactly_one_response_is_asked_for(folder, results, tmp_path):
     assert "exactly one" in call("reduce", *words, status=2).stderr
     both = ("--model", results / "model.h5", "--static")
     assert "exactly one" in call("reduce", *words, *both, status=2).stderr
+
+
+def test_loads_that_the_remaining_channels_do_not_determine_end_with_one_message(folder, results, campaign, tmp_path):
+    """The only torque channel is dead: nothing tells Mz."""
+    from dataclasses import replace
+
+    from balance_cli.runs import MemorySource
+
+    run = campaign.of("check")[0]
+    block = run.read()
+    channels = block.channels.copy()
+    channels[:, run.channel_names.index("torque")] = 0.0
+    write_run(tmp_path / "dead.h5", replace(run, source=MemorySource(channels, block.loads)))
+    words = ("--model", results / "model.h5", tmp_path / "dead.h5", "-o", tmp_path / "loads.csv")
+    result = call("reduce", "--calibration", results / "cal.h5", *words, status=2)
+    errors = [line for line in result.stderr.splitlines() if line.startswith("balance: error:")]
+    assert len(errors) == 1
+    assert "dead.h5" in errors[0]
+    assert "torque" in errors[0]
+    assert not (tmp_path / "loads.csv").exists()
