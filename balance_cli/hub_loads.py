@@ -52,8 +52,9 @@ class CheckErrors:
 class RunLoads:
     """Hub loads of one run: m components, harmonics 0 to n.
 
-    amplitude (n+1, m) = cosine - j sine; sigma_cosine, sigma_sine (n+1, m); flags (n+1, m) words, empty where all is
-    well; redundancy, redundancy_limit, condition (n+1,), NaN where there is none; interval [s] that was used.
+    frequency_hz (n+1,): n times the mean pulse rate of the record; amplitude (n+1, m) = cosine - j sine; sigma_cosine,
+    sigma_sine (n+1, m); flags (n+1, m) words, empty where all is well; redundancy, redundancy_limit, condition (n+1,),
+    NaN where there is none; interval [s] that was used.
     """
 
     run: str
