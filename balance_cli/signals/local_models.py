@@ -28,6 +28,9 @@ Index = NDArray[np.intp]
 ORDERS = tuple(Orders(degree, degree - 1, poles) for degree in (2, 3) for poles in (0, 1, 2, 3))
 POLYNOMIAL = Orders(2, 2, 0)
 RATIONAL_LINES = 81
+RATIONAL_WIDTH = 3.0
+MOST_LINES = 6000
+LEAST_DOF = 500
 POLYNOMIAL_FREEDOM = 8
 LEAST_POWER = 1e-4
 LEAST_DISTINCT = 1e-6
@@ -104,7 +107,7 @@ def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, f
 def local_models(spectrum: Spectrum, estimator: str = "lrm") -> LocalModels:
     """Fit the sliding windows twice: for the noise of channels and loads, then weighted with it."""
     u = spectrum.loads.shape[1]
-    candidates, M, hop = _layout(estimator, u)
+    candidates, M, hop = _layout(estimator, u, spectrum.frequency)
     first, owned = sliding(len(spectrum.frequency), M, hop)
     index = first[:, None] + np.arange(M)
     r = np.broadcast_to(np.linspace(-1.0, 1.0, M), index.shape)
@@ -115,16 +118,18 @@ def local_models(spectrum: Spectrum, estimator: str = "lrm") -> LocalModels:
     level = draft.noise.excess(draft.response)
     windows = replace(windows, weight=1.0 / np.sqrt(level[index]))
     # The noise of the loads is in all channels alike, and would pass for a pole if that were not known.
-    white = np.asarray(np.linalg.inv(np.linalg.cholesky(draft.noise.equation(draft.response))), complex)
-    chosen = best_fits(windows, candidates, [white[start : start + M] for start in first])
+    white = [whitener(draft.noise.equation(draft.response, slice(start, start + M))) for start in first]
+    chosen = best_fits(windows, candidates, white)
     return _assembled(spectrum, first, owned, chosen, level)
 
 
-def _layout(estimator: str, inputs: int) -> tuple[tuple[Orders, ...], int, int]:
+def _layout(estimator: str, inputs: int, frequency: Array) -> tuple[tuple[Orders, ...], int, int]:
     """Candidate orders, lines in a window, lines for which a window speaks."""
     if estimator == "lpm":
-        return (POLYNOMIAL,), POLYNOMIAL.coefficients(inputs) + POLYNOMIAL_FREEDOM | 1, 1
-    M = max(RATIONAL_LINES, 3 * max(o.coefficients(inputs) for o in ORDERS)) | 1
+        M = POLYNOMIAL.coefficients(inputs) + POLYNOMIAL_FREEDOM | 1
+        return (POLYNOMIAL,), M, 1 + len(frequency) // MOST_LINES
+    wide = int(RATIONAL_WIDTH / (frequency[1] - frequency[0]))
+    M = max(RATIONAL_LINES, wide, 3 * max(o.coefficients(inputs) for o in ORDERS)) | 1
     return ORDERS, M, M // 3
 
 
@@ -216,9 +221,21 @@ def _assembled(
         residual[lines] = fit.residual[inside]
         taken = np.einsum("kq,qk->k", design(fit)[inside], influence(fit)[:, inside]).real
         counts[lines] = np.clip(1.0 - taken, 0.05, 1.0)
-    used = spectrum.excited
-    noise = _everywhere(noise_components(residual[used], response[used], counts[used]), used)
-    return LocalModels(spectrum, first, owned, fits, response, noise, level)
+    used = every_line(spectrum.excited)
+    noise = noise_components(residual[used], response[used], counts[used], LEAST_DOF)
+    nearest = np.clip(np.searchsorted(used, np.arange(len(level))), 0, len(used) - 1)
+    return LocalModels(spectrum, first, owned, fits, response, replace(noise, channels=noise.channels[nearest]), level)
+
+
+def every_line(chosen: NDArray[np.bool_]) -> Index:
+    """The lines chosen, or every second, third ... of them, so that a long record does not give too many."""
+    lines = np.flatnonzero(chosen)
+    return lines[:: 1 + len(lines) // MOST_LINES]
+
+
+def whitener(covariance: ComplexArray) -> ComplexArray:
+    """Matrices (K, c, c) that make noise of this covariance (K, c, c) white."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), complex)
 
 
 def stitched_response(fits: Sequence[WindowFit], first: Index, owned: Index) -> ComplexArray:
@@ -226,10 +243,3 @@ def stitched_response(fits: Sequence[WindowFit], first: Index, owned: Index) -> 
     places = [fit.r[np.arange(*owned[w]) - first[w]] for w, fit in enumerate(fits)]
     parts = [response_rows(fit, r) @ fit.coefficients for fit, r in zip(fits, places, strict=True)]
     return np.concatenate(parts).swapaxes(1, 2)
-
-
-def _everywhere(noise: NoiseComponents, used: NDArray[np.bool_]) -> NoiseComponents:
-    """Noise at all lines: at those that were not used, that of the nearest that was."""
-    place = np.flatnonzero(used)
-    nearest = np.clip(np.searchsorted(place, np.arange(len(used))), 0, len(place) - 1)
-    return replace(noise, channels=noise.channels[nearest])
