@@ -2,7 +2,8 @@
 # make test     unit tests and the chain end to end
 # make lint     ruff and mypy
 # make bench    benchmarks: ratios, side by side in one run
-# make study    long statistical studies; tables in studies/
+# make study    long statistical studies; tables in studies/tables
+# make docs     docs/commands.md and the pages of effects, from the code
 #
 # Your own campaign: make run CAMPAIGN=path/to/folder (its *.h5 run files, and its geometry.yaml beside them).
 
@@ -19,7 +20,7 @@ RESULTS ?= results
 # Many small matrices: threads in BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: run install test lint format bench study clean
+.PHONY: run install test lint format bench study docs clean
 .DELETE_ON_ERROR:
 
 run: install
@@ -50,6 +51,9 @@ bench: install
 
 study: install
 	$(BIN)/python -m studies
+
+docs: install
+	$(BIN)/python tools/cli_reference.py
 
 clean:
 	rm -rf $(RESULTS) build dist .pytest_cache .mypy_cache .ruff_cache

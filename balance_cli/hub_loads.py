@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.geometry import Geometry
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -50,8 +52,9 @@ class CheckErrors:
 class RunLoads:
     """Hub loads of one run: m components, harmonics 0 to n.
 
-    amplitude (n+1, m) = cosine - j sine; sigma_cosine, sigma_sine (n+1, m); flags (n+1, m) words, empty where all is
-    well; redundancy, redundancy_limit, condition (n+1,), NaN where there is none; interval [s] that was used.
+    frequency_hz (n+1,): n times the mean pulse rate of the record; amplitude (n+1, m) = cosine - j sine; sigma_cosine,
+    sigma_sine (n+1, m); flags (n+1, m) words, empty where all is well; redundancy, redundancy_limit, condition (n+1,),
+    NaN where there is none; interval [s] that was used.
     """
 
     run: str
@@ -75,10 +78,11 @@ class RunLoads:
 
 @dataclass(frozen=True)
 class Loads:
-    """Hub loads of all runs of one reduction."""
+    """Hub loads of all runs of one reduction, and the geometry of the calibration behind them."""
 
     method: str
     response: str
+    geometry: Geometry
     runs: dict[str, RunLoads]
 
 

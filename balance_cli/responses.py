@@ -24,7 +24,7 @@ from balance_cli.identified import IdentifiedModel
 from balance_cli.model.balance import balance_model, identified_system
 from balance_cli.model.plate import hub_arm
 from balance_cli.model.system import output_slopes, response, solve
-from balance_cli.signals.interpolation import response_at
+from balance_cli.signals.interpolation import response_at, values_at
 from balance_cli.signals.lines import Response
 from balance_cli.sweep_tf import Transfer, combined
 
@@ -220,8 +220,8 @@ class TransferSource:
         for measured in self.responses:
             columns = [COMPONENTS.index(name) for name in measured.components]
             rows = [self.channel_names.index(name) for name in measured.channel_names]
-            at = response_at(measured, frequency, self.interpolation)
-            value[:, np.array(rows)[:, None], columns] = at.value
+            found = values_at(measured, frequency, self.interpolation)
+            value[:, np.array(rows)[:, None], columns] = found
         return value
 
     def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:

@@ -65,6 +65,8 @@ def estimate_responses(
 
     UserError: no sweep at all, a sweep with no live channel, or one that the estimator cannot use.
     """
+    if not band[0] < band[1]:
+        raise UserError(f"there is nothing between {band[0]:g} and {band[1]:g} Hz", "--from, --to")
     given = tuple(runs)
     sweeps = [run for run in given if run.kind == "sweep"]
     if not sweeps:

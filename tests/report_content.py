@@ -129,7 +129,7 @@ def loads(
         ),
         "wind-1": _run("wind-1", response_words, redundancy, None),
     }
-    return replace(Loads("harmonic", response_words, runs), **changes)  # type: ignore[arg-type]
+    return replace(Loads("harmonic", response_words, rotor_balance(), runs), **changes)  # type: ignore[arg-type]
 
 
 def _run(name: str, words: str, redundancy: float, check: CheckErrors | None) -> RunLoads:

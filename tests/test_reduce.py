@@ -109,7 +109,7 @@ def test_a_run_without_pulses_is_refused(campaign, calibration, identified, chec
 def test_the_table_has_one_row_per_component_and_harmonic(campaign, calibration, identified, check):
     options = ReduceOptions(harmonics=5)
     run = reduce_run(check, campaign.geometry, calibration, model_source(identified), options=options)
-    table = load_table(Loads("harmonic", "model", {run.run: run}))
+    table = load_table(Loads("harmonic", "model", campaign.geometry, {run.run: run}))
     assert tuple(table.columns) == COLUMNS
     assert len(table) == 6 * 6
     row = table[(table.component == "Mx") & (table.harmonic == 3)].iloc[0]

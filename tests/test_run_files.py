@@ -193,7 +193,6 @@ def replaced(name: str, change: Any) -> Any:
         ("check", replaced("rotor/pulse_times", lambda data: data[:1]), "rotor/pulse_times", "holds 1 pulses"),
         ("check", replaced("rotor/pulse_times", lambda data: data[::-1]), "rotor/pulse_times", "not later"),
         ("check", replaced("rotor/pulse_times", lambda data: data * np.nan), "rotor/pulse_times", "not finite"),
-        ("check", replaced("rotor/pulse_times", lambda data: np.delete(data, 4)), "rotor/pulse_times", "2.00 rev"),
         ("check", replaced("rotor/pulse_times", lambda data: data + 9.0), "rotor/pulse_times", "within the record"),
         ("check", replaced("loads", lambda data: data * np.nan), "loads, column Fx", "100 of 100"),
         ("sweep", replaced("loads", lambda data: data * 0.0), "loads, column Fx", "all zero"),

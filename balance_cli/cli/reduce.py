@@ -87,7 +87,7 @@ def command(
         with session.skipping(run, skip_bad):
             reduced[run.name] = reduce_run(run, cal.geometry, cal, source, reference, options)
             _write_history(session, history, run, reduced[run.name])
-    loads = Loads(method, source.description, reduced)
+    loads = Loads(method, source.description, cal.geometry, reduced)
     _write(session, output, loads)
     session.finish(_summary(loads), _text(loads))
 

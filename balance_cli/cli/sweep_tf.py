@@ -109,7 +109,7 @@ def _text(transfer: Transfer) -> Iterator[str]:
     for response in transfer.responses:
         low, high = response.frequency[0], response.frequency[-1]
         part = transfer.steady.get(response.run)
-        steady = f", steady from {part.start:.4g} s" if part else ""
+        steady = f", steady after {part.first} to {part.last} of {part.periods} periods" if part else ""
         yield (
             f"{response.run}: {' '.join(response.components)}, {response.estimator}, "
             f"{len(response.frequency)} lines from {low:.4g} to {high:.4g} Hz{steady}"

@@ -69,9 +69,7 @@ class Sources:
     @property
     def geometries(self) -> tuple[Geometry, ...]:
         """The different geometries that the artefacts were made from, the declared effects aside."""
-        declared = [source.content.geometry for source in self.calibrations]
-        declared += [source.content.geometry for source in self.transfers]
-        declared += [source.content.geometry for source in self.models]
+        declared = [source.content.geometry for source in self.everything]
         different: list[Geometry] = []
         for geometry in declared:
             bare = geometry.model_copy(update={"effects": ()})

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from balance_cli.runs import Run
 from balance_cli.signals.lines import Response
-from balance_cli.signals.local_models import has_power
+from balance_cli.signals.local_models import LEAST_DISTINCT, distinctness, has_power
 from balance_cli.signals.local_response import coherences
 from balance_cli.signals.periodic import whole_period
 from balance_cli.signals.records import fault, load_places, measured_components, sample_rate, samples_of
@@ -26,6 +26,7 @@ ComplexArray = NDArray[np.complex128]
 ESTIMATORS = ("h1", "h2", "hv")
 SEGMENT = 4.0
 FEWEST_AVERAGES = 8
+SHORTEST_SEGMENT = 16
 OVERLAP_CORRELATION = (1.0 / 6.0) ** 2
 
 
@@ -74,7 +75,7 @@ def averaged_response(
     power = np.diagonal(spectra.input, axis1=1, axis2=2).real
     inside = (spectra.frequency >= band[0]) & (spectra.frequency <= band[1]) & has_power(np.sqrt(power))
     spectra = SpectralMatrix(spectra.frequency[inside], spectra.products[inside], spectra.channels, spectra.averages)
-    if not np.any(inside) or np.min(_distinctness(spectra.input)) < 1e-9:
+    if not np.any(inside) or np.median(distinctness(spectra.input)) < LEAST_DISTINCT:
         raise fault(
             run, "the loads excited at once are in proportion to each other", "Excite with other phases", "loads"
         )
@@ -103,13 +104,10 @@ def _segment(run: Run) -> int:
     rate = sample_rate(run)
     if run.period is not None and run.samples >= 2 * run.period * rate:
         return whole_period(run)
-    return int(min(SEGMENT * rate, 2 * run.samples / (FEWEST_AVERAGES + 1))) // 2 * 2
-
-
-def _distinctness(power: ComplexArray) -> Array:
-    """Smallest eigenvalue (K,) of the loads' spectral matrix scaled to unit diagonal."""
-    size = np.sqrt(np.maximum(np.diagonal(power, axis1=1, axis2=2).real, 1e-300))
-    return np.asarray(np.linalg.eigvalsh(power / (size[:, :, None] * size[:, None, :]))[:, 0])
+    segment = int(min(SEGMENT * rate, 2 * run.samples / (FEWEST_AVERAGES + 1))) // 2 * 2
+    if segment < SHORTEST_SEGMENT:
+        raise fault(run, "the record is too short to average over", "Record more")
+    return segment
 
 
 def _response(

@@ -65,6 +65,28 @@ def response_at(response: Response, frequency: float | Array, method: str = "loc
     return ResponseAt(*arrays) if np.ndim(frequency) else ResponseAt(*(part[0] for part in arrays))
 
 
+def values_at(response: Response, frequency: Array, method: str = "local") -> ComplexArray:
+    """The response (h, c, u) alone at many frequencies (h,) [Hz], by one of METHODS; see `response_at`.
+
+    A local model is fitted once between each two lines and serves all frequencies there.
+    """
+    asked = np.asarray(frequency, float)
+    if method != "local" or len(response.frequency) < 5:
+        return response_at(response, asked, method).value
+    _check_range(response, asked)
+    index = _nearest(response, asked, LOCAL_LINES)
+    starts, gap = np.unique(index[:, 0], return_inverse=True)
+    windows_of = starts[:, None] + np.arange(index.shape[1])
+    centre = np.array([asked[gap == g].mean() for g in range(len(starts))])
+    fits, half, _ = _best_fits(response, windows_of, centre)
+    values = np.empty((len(asked), *response.response.shape[1:]), complex)
+    for g, fit in enumerate(fits):
+        mine = np.flatnonzero(gap == g)
+        weights = (response_rows(fit, (asked[mine] - centre[g]) / half[g]) @ influence(fit))[:, 0]
+        values[mine] = np.tensordot(weights, response.response[windows_of[g]], axes=1)
+    return values
+
+
 def _check_range(response: Response, asked: Array) -> None:
     lines = response.frequency
     slack = np.max(np.diff(lines)) if len(lines) > 1 else 0.0
@@ -132,16 +154,22 @@ def _by_spline(response: Response, asked: Array) -> list[_Weights]:
 def _by_local(response: Response, asked: Array) -> list[_Weights]:
     """Rational functions, their orders chosen by Akaike's criterion with the known noise: V + 2 p."""
     index = _nearest(response, asked, LOCAL_LINES)
-    M = index.shape[1]
-    if M < 5:
+    if index.shape[1] < 5:
         return _by_spline(response, asked)
-    half = np.max(np.abs(response.frequency[index] - asked[:, None]), axis=1)
-    windows, sigma = _windows(response, index, (response.frequency[index] - asked[:, None]) / half[:, None])
-    candidates = [orders for orders in ORDERS if orders.response + orders.denominator + 2 < M]
+    fits, half, sigma = _best_fits(response, index, asked)
+    return [_local_weights(response, index[h], fits[h], half[h], sigma[h]) for h in range(len(asked))]
+
+
+def _best_fits(response: Response, index: Index, centre: Array) -> tuple[list[WindowFit], Array, Array]:
+    """The best local model of each window (h, M) of lines about its `centre` (h,) [Hz]; half-widths; sigma (h, c u)."""
+    offset = response.frequency[index] - centre[:, None]
+    half = np.max(np.abs(offset), axis=1)
+    windows, sigma = _windows(response, index, offset / half[:, None])
+    candidates = [orders for orders in ORDERS if orders.response + orders.denominator + 2 < index.shape[1]]
     fits = [fit_windows(windows, orders) for orders in candidates]
     best = np.argmin([_akaike(windows, fit) for fit in fits], axis=0)
     each = [split(fit, windows) for fit in fits]
-    return [_local_weights(response, index[h], each[best[h]][h], half[h], sigma[h]) for h in range(len(asked))]
+    return [each[best[h]][h] for h in range(len(centre))], half, sigma
 
 
 def _windows(response: Response, index: Index, r: Array) -> tuple[Windows, Array]:

@@ -12,7 +12,7 @@ Arrays carry the windows first: W windows of M lines, c channels, u inputs, q li
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -23,6 +23,9 @@ ComplexArray = NDArray[np.complex128]
 
 ITERATIONS = 10
 RIDGE = 1e-9
+LEAST_GAIN = 1e-5
+LARGEST_DAMPING = 1e3
+_BY_WINDOW = ("denominator", "coefficients", "triangle", "residual")
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,10 @@ class LocalFit:
         """Sum of squared residuals (W,)."""
         return np.asarray(np.sum(np.abs(self.residual) ** 2, axis=(1, 2)))
 
+    def subset(self, windows: NDArray[np.intp]) -> LocalFit:
+        """Some of the windows."""
+        return replace(self, **{name: getattr(self, name)[windows] for name in _BY_WINDOW})
+
 
 @dataclass(frozen=True)
 class Windows:
@@ -85,6 +92,10 @@ class _Problem:
     columns: ComplexArray
     weight: Array
     P: Array
+
+    def subset(self, windows: NDArray[np.intp]) -> _Problem:
+        """Some of the windows."""
+        return replace(self, **{name: getattr(self, name)[windows] for name in ("Y", "columns", "weight", "P")})
 
 
 def fit_windows(windows: Windows, orders: Orders) -> LocalFit:
@@ -130,7 +141,7 @@ def _linear_fit(problem: _Problem, a: ComplexArray) -> LocalFit:
     factor = problem.weight / _kept_from_zero(_denominator_at(problem, a))
     Q, R, scale = _orthogonal(problem.columns, factor)
     projected = _adjoint(Q) @ problem.Y
-    coefficients = np.linalg.solve(R, projected) / scale[:, :, None]
+    coefficients = np.asarray(np.linalg.solve(R, projected) / scale[:, :, None], complex)
     residual = problem.Y - Q @ projected
     triangle = np.asarray(R * scale[:, None, :], complex)
     return LocalFit(problem.orders, problem.inputs, a, coefficients, triangle, residual)
@@ -170,46 +181,46 @@ def _gram(X: ComplexArray) -> ComplexArray:
 
 
 def _refined(problem: _Problem, a: ComplexArray) -> LocalFit:
-    """Gauss-Newton steps for the denominator, damped window by window (Levenberg-Marquardt)."""
+    """Gauss-Newton steps for the denominator, damped window by window (Levenberg-Marquardt), until none gains."""
     fit = _linear_fit(problem, a)
     damping = np.full(len(a), 1e-6)
+    active = np.arange(len(a))
     for _ in range(ITERATIONS):
-        trial_a = fit.denominator + _step(problem, fit, damping)
-        trial = _linear_fit(problem, trial_a / np.linalg.norm(trial_a, axis=1, keepdims=True))
-        better = trial.cost < fit.cost
-        gain = np.where(better, 1.0 - trial.cost / np.maximum(fit.cost, 1e-300), 0.0)
-        fit = _chosen(better, trial, fit)
-        damping = np.where(better, damping / 10.0, damping * 30.0)
-        if np.all((gain < 1e-5) & (better | (damping > 1e3))):
+        some, before = problem.subset(active), fit.subset(active)
+        moved = before.denominator + _step(some, before, damping[active])
+        after = _linear_fit(some, moved / np.linalg.norm(moved, axis=1, keepdims=True))
+        better = after.cost < before.cost
+        gain = 1.0 - after.cost / np.maximum(before.cost, 1e-300)
+        _put(fit, active[better], after.subset(np.flatnonzero(better)))
+        damping[active] = np.where(better, damping[active] / 10.0, damping[active] * 30.0)
+        active = active[np.where(better, gain > LEAST_GAIN, damping[active] < LARGEST_DAMPING)]
+        if not active.size:
             break
     return fit
 
 
+def _put(fit: LocalFit, windows: NDArray[np.intp], other: LocalFit) -> None:
+    """Overwrite some windows of a fit that is still being made."""
+    for name in _BY_WINDOW:
+        getattr(fit, name)[windows] = getattr(other, name)
+
+
 def _step(problem: _Problem, fit: LocalFit, damping: Array) -> ComplexArray:
-    """Step of the denominator (W, na+1); the direction along it, a mere scale, has no slope and gets no step."""
-    size = fit.orders.denominator + 1
+    """Step of the denominator (W, na+1); the direction along it, a mere scale, has no slope and gets no step.
+
+    The slopes are -P_i m with the model m = (B U + C) / A^2, less their projection on the regressors; the residual is
+    orthogonal to these.
+    """
     inverse = 1.0 / _kept_from_zero(_denominator_at(problem, fit.denominator))
-    Q, _, _ = _orthogonal(problem.columns, problem.weight * inverse)
+    Q, _, _ = _orthogonal(problem.columns, np.asarray(problem.weight * inverse, complex))
     model = (problem.Y - fit.residual) * inverse[:, :, None]
-    flat = -_off(Q, _times(model, problem.P)).reshape(len(model), -1, size)
-    H = _adjoint(flat) @ flat
-    g = _adjoint(flat) @ fit.residual.reshape(len(model), -1, 1)
+    P = problem.P
+    power = np.sum(np.abs(model) ** 2, axis=2)
+    explained = [(_adjoint(Q) @ (model * P[:, :, i, None])).reshape(len(model), -1) for i in range(P.shape[2])]
+    through = np.stack(explained, axis=2)
+    H = P.swapaxes(1, 2) @ (P * power[:, :, None]) - _adjoint(through) @ through
+    g = -P.swapaxes(1, 2) @ np.sum(model.conj() * fit.residual, axis=2)[:, :, None]
+    size = P.shape[2]
     mean = np.trace(H, axis1=1, axis2=2).real / size + 1e-300
     regular = H + ((damping + 1e-12) * mean)[:, None, None] * np.eye(size)
-    return np.asarray(np.linalg.solve(regular, g)[:, :, 0])
-
-
-def _chosen(where: NDArray[np.bool_], first: LocalFit, second: LocalFit) -> LocalFit:
-    """Window by window the first fit where told, else the second."""
-
-    def pick(one: ComplexArray, other: ComplexArray) -> ComplexArray:
-        return np.where(where.reshape(-1, *([1] * (one.ndim - 1))), one, other)
-
-    return LocalFit(
-        first.orders,
-        first.inputs,
-        pick(first.denominator, second.denominator),
-        pick(first.coefficients, second.coefficients),
-        pick(first.triangle, second.triangle),
-        pick(first.residual, second.residual),
-    )
+    return np.asarray(np.linalg.solve(regular, g)[:, :, 0], complex)

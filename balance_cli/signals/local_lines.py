@@ -26,7 +26,7 @@ ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 POLE_SHARE = 0.3
-WIDEST_GROUP = 8
+WIDEST_SHARE = 0.1
 LEAST_SIGNAL_TO_NOISE = 10.0
 
 
@@ -66,7 +66,7 @@ def _groups(models: LocalModels, window: int) -> list[_Experiments]:
     u = models.spectrum.loads.shape[1]
     inverse = influence(models.fit[window])
     first = models.first[window]
-    noise = models.noise.equation(models.response)[first : first + inverse.shape[1]]
+    noise = models.noise.equation(models.response, slice(first, first + inverse.shape[1]))
     groups = []
     for lines in _partition(models, window, u):
         if np.all(excited[lines]):
@@ -82,7 +82,7 @@ def _partition(models: LocalModels, window: int, inputs: int) -> list[Index]:
     groups = []
     while start < stop:
         distance = np.min(np.abs(own - start), initial=np.inf)
-        size = int(np.clip(POLE_SHARE * distance, inputs, max(WIDEST_GROUP, 2 * inputs)))
+        size = int(np.clip(POLE_SHARE * distance, inputs, max(WIDEST_SHARE * 2 * half, 2 * inputs)))
         size = size if stop - start - size >= inputs else stop - start
         groups.append(np.arange(start, start + size))
         start += size

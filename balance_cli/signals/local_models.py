@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.runs import Run
-from balance_cli.signals.local_fit import LocalFit, Orders, Windows, fit_windows
+from balance_cli.signals.local_fit import Orders, Windows, fit_windows
 from balance_cli.signals.local_noise import NoiseComponents, noise_components
 from balance_cli.signals.local_window import WindowFit, design, influence, response_rows, split
 from balance_cli.signals.noise import window_sums
@@ -28,8 +28,12 @@ Index = NDArray[np.intp]
 ORDERS = tuple(Orders(degree, degree - 1, poles) for degree in (2, 3) for poles in (0, 1, 2, 3))
 POLYNOMIAL = Orders(2, 2, 0)
 RATIONAL_LINES = 81
+RATIONAL_WIDTH = 3.0
+MOST_LINES = 6000
+LEAST_DOF = 500
 POLYNOMIAL_FREEDOM = 8
 LEAST_POWER = 1e-4
+LEAST_DISTINCT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,10 @@ def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, f
     excited = has_power(Z[:, c:]) & inside
     if np.count_nonzero(excited) < RATIONAL_LINES:
         raise fault(run, "the record is too short (or its loads too narrow in frequency)", "Record more")
+    if np.median(distinctness(local_power(Z[excited, c:]))) < LEAST_DISTINCT:
+        raise fault(
+            run, "the loads excited at once are in proportion to each other", "Excite with other phases", "loads"
+        )
     reach = RATIONAL_LINES // 2
     kept = slice(max(int(np.argmax(excited)) - reach, 0), len(Z) - int(np.argmax(excited[::-1])) + reach)
     channel_scale = _rms(Z[kept, :c])
@@ -99,24 +107,29 @@ def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, f
 def local_models(spectrum: Spectrum, estimator: str = "lrm") -> LocalModels:
     """Fit the sliding windows twice: for the noise of channels and loads, then weighted with it."""
     u = spectrum.loads.shape[1]
-    candidates, M, hop = _layout(estimator, u)
+    candidates, M, hop = _layout(estimator, u, spectrum.frequency)
     first, owned = sliding(len(spectrum.frequency), M, hop)
     index = first[:, None] + np.arange(M)
     r = np.broadcast_to(np.linspace(-1.0, 1.0, M), index.shape)
     spectrum = _like_noise(spectrum, index, r, candidates[-1])
     windows = Windows(spectrum.channels[index], spectrum.loads[index], np.ones(index.shape), r)
-    chosen = best_fits(windows, candidates)
-    draft = _assembled(spectrum, first, owned, chosen, np.ones(len(spectrum.frequency)))
+    few = [orders for orders in candidates if orders.response == candidates[0].response]
+    draft = _assembled(spectrum, first, owned, best_fits(windows, few), np.ones(len(spectrum.frequency)))
     level = draft.noise.excess(draft.response)
     windows = replace(windows, weight=1.0 / np.sqrt(level[index]))
-    return _assembled(spectrum, first, owned, _again(windows, chosen), level, draft.noise)
+    # The noise of the loads is in all channels alike, and would pass for a pole if that were not known.
+    white = [whitener(draft.noise.equation(draft.response, slice(start, start + M))) for start in first]
+    chosen = best_fits(windows, candidates, white)
+    return _assembled(spectrum, first, owned, chosen, level)
 
 
-def _layout(estimator: str, inputs: int) -> tuple[tuple[Orders, ...], int, int]:
+def _layout(estimator: str, inputs: int, frequency: Array) -> tuple[tuple[Orders, ...], int, int]:
     """Candidate orders, lines in a window, lines for which a window speaks."""
     if estimator == "lpm":
-        return (POLYNOMIAL,), POLYNOMIAL.coefficients(inputs) + POLYNOMIAL_FREEDOM | 1, 1
-    M = max(RATIONAL_LINES, 3 * max(o.coefficients(inputs) for o in ORDERS)) | 1
+        M = POLYNOMIAL.coefficients(inputs) + POLYNOMIAL_FREEDOM | 1
+        return (POLYNOMIAL,), M, 1 + len(frequency) // MOST_LINES
+    wide = int(RATIONAL_WIDTH / (frequency[1] - frequency[0]))
+    M = max(RATIONAL_LINES, wide, 3 * max(o.coefficients(inputs) for o in ORDERS)) | 1
     return ORDERS, M, M // 3
 
 
@@ -135,6 +148,19 @@ def has_power(loads: ComplexArray) -> NDArray[np.bool_]:
     return np.asarray(np.any(power > LEAST_POWER * np.maximum(strong, 1e-300), axis=1))
 
 
+def local_power(loads: ComplexArray) -> ComplexArray:
+    """Spectral matrix (K, u, u) of the loads (K, u), averaged over a window's lines."""
+    outer = loads[:, :, None] * loads[:, None, :].conj()
+    width = min(RATIONAL_LINES, len(loads))
+    return np.asarray(window_sums(outer, width) / width)
+
+
+def distinctness(power: ComplexArray) -> Array:
+    """Smallest eigenvalue (K,) of the loads' spectral matrix scaled to unit diagonal: 0 where they are proportional."""
+    size = np.sqrt(np.maximum(np.diagonal(power, axis1=1, axis2=2).real, 1e-300))
+    return np.asarray(np.linalg.eigvalsh(power / (size[:, :, None] * size[:, None, :]))[:, 0])
+
+
 def _rms(values: ComplexArray) -> Array:
     rms = np.sqrt(np.mean(np.abs(values) ** 2, axis=0))
     return np.asarray(np.where(rms > 0, rms, 1.0))
@@ -150,31 +176,32 @@ def _like_noise(spectrum: Spectrum, index: Index, r: Array, orders: Orders) -> S
     return replace(spectrum, channels=spectrum.channels / scale, channel_scale=spectrum.channel_scale * scale)
 
 
-def best_fits(windows: Windows, candidates: Sequence[Orders]) -> tuple[WindowFit, ...]:
-    """The fit of each window with the best orders."""
-    fits = [fit_windows(windows, orders) for orders in candidates]
-    best = np.argmin([_criterion(windows, fit) for fit in fits], axis=0)
-    each = [split(fit, windows) for fit in fits]
+def best_fits(
+    windows: Windows, candidates: Sequence[Orders], white: Sequence[ComplexArray] | None = None
+) -> tuple[WindowFit, ...]:
+    """The fit of each window with the best orders, by Hannan and Quinn's criterion.
+
+    For N complex data and p complex parameters it is V + 2 p ln ln 2N, V the squared residuals whitened with `white`
+    (W arrays (M, c, c)), or N ln V + 2 p ln ln 2N where the noise is not known.
+    """
+    each = [split(fit_windows(windows, orders), windows) for orders in candidates]
+    _, M, c = windows.Y.shape
+    N = M * c
+    cost = np.array(
+        [[_misfit(fit, None if white is None else white[w]) for w, fit in enumerate(fits)] for fits in each]
+    )
+    inputs = windows.U.shape[2]
+    p = np.array([c * orders.coefficients(inputs) + orders.denominator for orders in candidates])
+    fidelity = cost if white is not None else N * np.log(np.maximum(cost, 1e-300))
+    best = np.argmin(fidelity + 2.0 * p[:, None] * log(log(2.0 * N)), axis=0)
     return tuple(each[choice][w] for w, choice in enumerate(best))
 
 
-def _criterion(windows: Windows, fit: LocalFit) -> Array:
-    """Hannan-Quinn criterion (W,) for N complex data and p complex parameters: N ln V + 2 p ln ln 2N."""
-    _, M, c = windows.Y.shape
-    N = M * c
-    p = c * fit.orders.coefficients(fit.inputs) + fit.orders.denominator
-    return np.asarray(N * np.log(np.maximum(fit.cost, 1e-300)) + 2.0 * p * log(log(2.0 * N)))
-
-
-def _again(windows: Windows, chosen: Sequence[WindowFit]) -> tuple[WindowFit, ...]:
-    """Fit once more with the orders chosen before and the windows' present weights."""
-    again = list(chosen)
-    for orders in {fit.orders for fit in chosen}:
-        members = np.array([w for w, fit in enumerate(chosen) if fit.orders == orders])
-        some = windows.subset(members)
-        for w, fit in zip(members, split(fit_windows(some, orders), some), strict=True):
-            again[w] = fit
-    return tuple(again)
+def _misfit(fit: WindowFit, white: ComplexArray | None) -> float:
+    """Sum of squares of a window's residual, whitened or weighted."""
+    if white is None:
+        return float(np.sum(np.abs(fit.residual * fit.weight[:, None]) ** 2))
+    return float(np.sum(np.abs(np.matmul(white, fit.residual[:, :, None])) ** 2))
 
 
 def _assembled(
@@ -183,7 +210,6 @@ def _assembled(
     owned: Index,
     fits: tuple[WindowFit, ...],
     level: Array,
-    draft: NoiseComponents | None = None,
 ) -> LocalModels:
     """Response at every line from the window that speaks for it, and the noise from what it leaves."""
     response = stitched_response(fits, first, owned)
@@ -195,10 +221,21 @@ def _assembled(
         residual[lines] = fit.residual[inside]
         taken = np.einsum("kq,qk->k", design(fit)[inside], influence(fit)[:, inside]).real
         counts[lines] = np.clip(1.0 - taken, 0.05, 1.0)
-    used = spectrum.excited
-    start = None if draft is None else replace(draft, channels=draft.channels[used])
-    noise = _everywhere(noise_components(residual[used], response[used], counts[used], start), used)
-    return LocalModels(spectrum, first, owned, fits, response, noise, level)
+    used = every_line(spectrum.excited)
+    noise = noise_components(residual[used], response[used], counts[used], LEAST_DOF)
+    nearest = np.clip(np.searchsorted(used, np.arange(len(level))), 0, len(used) - 1)
+    return LocalModels(spectrum, first, owned, fits, response, replace(noise, channels=noise.channels[nearest]), level)
+
+
+def every_line(chosen: NDArray[np.bool_]) -> Index:
+    """The lines chosen, or every second, third ... of them, so that a long record does not give too many."""
+    lines = np.flatnonzero(chosen)
+    return lines[:: 1 + len(lines) // MOST_LINES]
+
+
+def whitener(covariance: ComplexArray) -> ComplexArray:
+    """Matrices (K, c, c) that make noise of this covariance (K, c, c) white."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), complex)
 
 
 def stitched_response(fits: Sequence[WindowFit], first: Index, owned: Index) -> ComplexArray:
@@ -206,10 +243,3 @@ def stitched_response(fits: Sequence[WindowFit], first: Index, owned: Index) -> 
     places = [fit.r[np.arange(*owned[w]) - first[w]] for w, fit in enumerate(fits)]
     parts = [response_rows(fit, r) @ fit.coefficients for fit, r in zip(fits, places, strict=True)]
     return np.concatenate(parts).swapaxes(1, 2)
-
-
-def _everywhere(noise: NoiseComponents, used: NDArray[np.bool_]) -> NoiseComponents:
-    """Noise at all lines: at those that were not used, that of the nearest that was."""
-    place = np.flatnonzero(used)
-    nearest = np.clip(np.searchsorted(place, np.arange(len(used))), 0, len(place) - 1)
-    return replace(noise, channels=noise.channels[nearest])

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 ITERATIONS = 10
+ALL = slice(None)
 
 # Of the variance with which one line tells a load's noise: the least that is assumed beside a load whose noise is seen.
 LEAST_LOAD_NOISE = 1e-4
@@ -32,9 +33,10 @@ class NoiseComponents:
     loads: ComplexArray
     dof: float
 
-    def equation(self, response: ComplexArray) -> ComplexArray:
-        """Covariance (K, c, c) of `Y - G U` for a response G (K, c, u)."""
-        return np.asarray(self.channels + response @ self.loads @ response.conj().swapaxes(1, 2))
+    def equation(self, response: ComplexArray, lines: slice = ALL) -> ComplexArray:
+        """Covariance (k, c, c) of `Y - G U` at some of the lines, for a response G (K, c, u)."""
+        G = response[lines]
+        return np.asarray(self.channels[lines] + G @ self.loads @ G.conj().swapaxes(1, 2))
 
     def excess(self, response: ComplexArray) -> Array:
         """Mean variance (K,) of `Y - G U` in units of the channels' own noise: 1 where the loads add nothing."""
@@ -43,34 +45,35 @@ class NoiseComponents:
 
 
 def noise_components(
-    residual: ComplexArray, response: ComplexArray, counts: Array, start: NoiseComponents | None = None
+    residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float
 ) -> NoiseComponents:
     """Variance components of residuals (K, c) at lines with response (K, c, u) and counts (K,), the share of a degree
 
-    of freedom that the fit left to each line (the residual's expectation is that share of the noise).
+    of freedom that the fit left to each line (the residual's expectation is that share of the noise). The channels'
+    covariance is pooled over lines enough for `least_dof`.
     """
     scaled = residual / np.sqrt(counts)[:, None]
-    noise = start or _first_guess(scaled, response, counts)
+    noise = _first_guess(scaled, response, counts, least_dof)
     for _ in range(ITERATIONS):
         before = noise
         noise = replace(noise, loads=_loads(scaled, response, noise))
-        noise = _with_channels(scaled, response, noise, counts)
+        noise = _with_channels(scaled, response, noise, counts, least_dof)
         if _alike(noise, before):
             break
     return noise
 
 
-def _first_guess(residual: ComplexArray, response: ComplexArray, counts: Array) -> NoiseComponents:
+def _first_guess(residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float) -> NoiseComponents:
     """Channels' noise from lines of small response, where the loads' noise is not seen; that of the loads zero."""
     u = response.shape[2]
     size = np.sum(np.abs(response) ** 2, axis=(1, 2))
     weight = counts / (1.0 + size / max(float(np.median(size)), 1e-300)) ** 2
-    channels, dof = pooled_covariance(_outer(residual) * weight[:, None, None], weight)
+    channels, dof = pooled_covariance(_outer(residual) * weight[:, None, None], weight, least_dof)
     return NoiseComponents(channels, np.zeros((u, u), complex), dof)
 
 
 def _with_channels(
-    residual: ComplexArray, response: ComplexArray, noise: NoiseComponents, counts: Array
+    residual: ComplexArray, response: ComplexArray, noise: NoiseComponents, counts: Array, least_dof: float
 ) -> NoiseComponents:
     """A better covariance of the channels: what the loads' noise explains is taken out (expectation-maximisation).
 
@@ -83,7 +86,7 @@ def _with_channels(
     explained, posterior = _explained(residual, response, noise)
     left = residual + np.matmul(response, explained[:, :, None])[:, :, 0]
     scatter = _outer(left) + response @ posterior @ response.conj().swapaxes(1, 2)
-    channels, dof = pooled_covariance(scatter * weight[:, None, None], weight)
+    channels, dof = pooled_covariance(scatter * weight[:, None, None], weight, least_dof)
     return replace(noise, channels=channels, dof=dof)
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.runs import Run
 from balance_cli.signals.lines import Response
-from balance_cli.signals.local_models import RATIONAL_LINES, LocalModels, local_models, record_spectrum
-from balance_cli.signals.local_noise import NoiseComponents
+from balance_cli.signals.local_models import LocalModels, every_line, local_models, local_power, record_spectrum
 from balance_cli.signals.local_window import influence, pole_shift, response_rows
-from balance_cli.signals.noise import window_sums
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -32,11 +31,11 @@ def local_response(
 def response_of(models: LocalModels, estimator: str) -> Response:
     """Response with separable covariance and coherences, at the excited lines, in volts per newton."""
     s = models.spectrum
-    kept = np.flatnonzero(s.excited)
-    channel_covariance, load_covariance = _covariances(models)
+    kept = every_line(s.excited)
+    channel_covariance, load_covariance = _covariances(models, kept)
     response = models.response[kept]
-    noise = NoiseComponents(models.noise.channels[kept], models.noise.loads, models.noise.dof).equation(response)
-    ordinary, multiple = coherences(response, noise, _local_power(s.loads)[kept])
+    noise = replace(models.noise, channels=models.noise.channels[kept]).equation(response)
+    ordinary, multiple = coherences(response, noise, local_power(s.loads)[kept])
     volts, load = s.channel_scale, s.load_scale
     return Response(
         run=s.run.name,
@@ -45,8 +44,8 @@ def response_of(models: LocalModels, estimator: str) -> Response:
         estimator=estimator,
         frequency=s.frequency[kept],
         response=response * volts[:, None] / load,
-        channel_covariance=channel_covariance[kept] * (volts[:, None] * volts),
-        load_covariance=load_covariance[kept] / (load[:, None] * load),
+        channel_covariance=channel_covariance * (volts[:, None] * volts),
+        load_covariance=load_covariance / (load[:, None] * load),
         coherence=ordinary,
         multiple_coherence=multiple,
         rotor_speed=s.run.rotor_speed,
@@ -54,36 +53,29 @@ def response_of(models: LocalModels, estimator: str) -> Response:
     )
 
 
-def _covariances(models: LocalModels) -> tuple[ComplexArray, ComplexArray]:
-    """Channels' (K, c, c) and loads' (K, u, u) factor of the response's covariance.
+def _covariances(models: LocalModels, kept: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
+    """Channels' (k, c, c) and loads' (k, u, u) factor of the response's covariance at the lines `kept` (k,).
 
     The response at a line is a weighted sum over its window's outputs; so is its covariance, over their noise, and
     the uncertainty of the poles adds its part. With several inputs the weights differ from input to input: the
     channels' factor takes their mean, as if they did not.
     """
-    noise = models.noise.equation(models.response)
-    K, c, u = models.response.shape
-    channels, loads = np.zeros((K, c, c), complex), np.zeros((K, u, u), complex)
+    c, u = models.response.shape[1:]
+    channels, loads = np.zeros((len(kept), c, c), complex), np.zeros((len(kept), u, u), complex)
     for w, fit in enumerate(models.fit):
-        lines = np.arange(*models.owned[w])
-        r = fit.r[lines - models.first[w]]
-        own = noise[models.first[w] : models.first[w] + len(fit.r)]
+        start = models.first[w]
+        mine = slice(*np.searchsorted(kept, models.owned[w]))
+        r = fit.r[kept[mine] - start]
+        noise = models.noise.equation(models.response, slice(start, start + len(fit.r)))
         weights = response_rows(fit, r) @ influence(fit)
-        loads[lines] = weights @ weights.conj().swapaxes(1, 2)
-        precision = np.linalg.inv(loads[lines])
-        share = np.einsum("kum,kuv,kvm->km", weights.conj(), precision, weights).real / u
-        channels[lines] = np.tensordot(share, own, axes=1)
+        loads[mine] = weights @ weights.conj().swapaxes(1, 2)
+        precision = np.linalg.inv(loads[mine])
+        share = np.einsum("kum,kuv,kvm->km", weights.conj(), precision, weights, optimize=True).real / u
+        channels[mine] = np.tensordot(share, noise, axes=1)
         if fit.orders.denominator:
-            shift = pole_shift(fit, r, own)
-            channels[lines] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
+            shift = pole_shift(fit, r, noise)
+            channels[mine] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
     return channels, loads
-
-
-def _local_power(loads: ComplexArray) -> ComplexArray:
-    """Spectral matrix (K, u, u) of the loads, averaged over a window's lines."""
-    outer = loads[:, :, None] * loads[:, None, :].conj()
-    width = min(RATIONAL_LINES, len(loads))
-    return np.asarray(window_sums(outer, width) / width)
 
 
 def coherences(response: ComplexArray, noise: ComplexArray, power: ComplexArray) -> tuple[Array, Array]:

@@ -53,7 +53,7 @@ def pooled_covariance(scatter: ComplexArray, counts: Array, least_dof: float = L
     pick-up) are down-weighted (Huber's weights on the Mahalanobis distance). Returns (K, n, n) and the dof.
     """
     width = _window(counts, least_dof)
-    dof = float(np.min(window_sums(counts, width)))
+    dof = float(np.median(window_sums(counts, width)))
     step = max(width // STEPS_PER_WINDOW, 1)
     nearest = np.minimum((np.arange(len(counts)) + step // 2) // step, (len(counts) - 1) // step)
     weights = _first_weights(scatter, counts)
