@@ -12,12 +12,13 @@ The free motion of records that began at rest is linear too, and is eliminated r
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.measurements import WORKERS, Batch
 from balance_cli.estimation.transients import Transient, eliminated, transient_slopes, transients
 from balance_cli.model.system import Solution, System, output_slopes, response, solve
 
@@ -163,14 +164,21 @@ def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
     """Chi-square, gradient and information of all measured lines."""
     p = system.parameters
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
-    for batch in batches:
-        total = total + batch_curvature(batch, system)
+    with ThreadPoolExecutor(WORKERS) as workers:
+        # Threads, because numpy lets go of the interpreter; summed in order, so that the result is always the same.
+        for part in workers.map(lambda batch: batch_curvature(batch, system), batches):
+            total = total + part
     return total
 
 
 def data_chi2(batches: Sequence[Batch], system: System) -> float:
     """Chi-square of all measured lines, without derivatives."""
-    return float(sum(fitted(b, system, solve(system, b.frequency, b.spin)).total for b in batches))
+
+    def chi2(batch: Batch) -> float:
+        return fitted(batch, system, solve(system, batch.frequency, batch.spin)).total
+
+    with ThreadPoolExecutor(WORKERS) as workers:
+        return float(sum(workers.map(chi2, batches)))
 
 
 def degrees_of_freedom(batches: Sequence[Batch]) -> int:

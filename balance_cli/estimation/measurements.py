@@ -18,6 +18,8 @@ Index = NDArray[np.intp]
 
 # Degrees of freedom per signal that make the inverse of an estimated covariance worth having.
 ENOUGH_DOF = 2.0
+# Batches that are worked on at once.
+WORKERS = 2
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,14 @@ def stacked(
     for run in everything:
         key = (run.rotor_speed, len(run.components), _exact(run))
         groups.setdefault(key, []).append(run)
-    return tuple(_batch(group, key, channel_names) for key, group in groups.items())
+    parts = [(key, part) for key, group in groups.items() for part in _shared_out(group)]
+    return tuple(_batch(part, key, channel_names) for key, part in parts)
+
+
+def _shared_out(group: list[Lines]) -> list[list[Lines]]:
+    """The runs in as many parts as there are workers, so that each has its own batch."""
+    size = -(-len(group) // WORKERS)
+    return [group[start : start + size] for start in range(0, len(group), size)]
 
 
 def static_lines(points: StaticPoints) -> Lines:
