@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.errors import UserError
 from balance_cli.runs import Run
 from balance_cli.signals.lines import Lines
-from balance_cli.signals.noise import distances, inverse_bias_factor, outlier_bound, pooled_covariance
+from balance_cli.signals.noise import distances, inverse_bias_factor, least_variance, outlier_bound, pooled_covariance
 from balance_cli.signals.records import (
     channel_places,
     fault,
@@ -24,7 +25,7 @@ from balance_cli.signals.records import (
 )
 from balance_cli.signals.steady import steady_start
 
-__all__ = ["PeriodicRecord", "inverse_bias_factor", "periodic_lines", "periodic_record", "whole_period"]
+__all__ = ["PeriodicRecord", "inverse_bias_factor", "periodic_lines", "periodic_record", "repeats", "whole_period"]
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -99,6 +100,14 @@ def periodic_record(
     return _record(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
 
 
+def repeats(run: Run) -> bool:
+    """Whether the run declares a period and holds at least two that can be cut."""
+    try:
+        return run.period is not None and whole_period(run) > 0
+    except UserError:
+        return False
+
+
 def whole_period(run: Run) -> int:
     """Samples in the shortest multiple of the declared period that is a whole number of samples, to 0.01 of one
 
@@ -154,7 +163,7 @@ def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexA
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
     scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
-    covariance, dof = pooled_covariance(scatter, m - 1.0)
+    covariance, dof = pooled_covariance(scatter, m - 1.0, floor=least_variance(spectra))
     covariance = covariance * _inflation(scatter, covariance, m - 1.0, dof)[:, None, None]
     return mean, covariance / m[:, None, None], dof
 
