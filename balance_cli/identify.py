@@ -52,8 +52,8 @@ def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | No
     Raises UserError where there is nothing to fit.
     """
     options = options or IdentifyOptions()
-    if options.method != "computed" and not (spectra.lines or spectra.statics):
-        raise UserError("no sweep and no static run to identify from", remedy="Give at least one sweep run")
+    if options.method != "computed" and not spectra.lines:
+        raise UserError("no sweep run to identify from", remedy="Give at least one sweep run")
     if options.form == "paper":
         return paper_form(spectra, geometry, _paper_options(options))
     band = options.band or ALL_LINES

@@ -21,7 +21,7 @@ from balance_cli.signals.averaged import averaged_response
 from balance_cli.signals.line_response import joint_response, response_across_lines
 from balance_cli.signals.lines import Response
 from balance_cli.signals.local_response import local_response
-from balance_cli.signals.periodic import PeriodicRecord, periodic_record, whole_period
+from balance_cli.signals.periodic import PeriodicRecord, periodic_record, repeats
 
 ESTIMATORS = ("auto", "periodic", "lrm", "lpm", *AVERAGED)
 
@@ -147,15 +147,7 @@ def _live(sweeps: Sequence[Run], geometry: Geometry) -> tuple[dict[str, tuple[st
 
 def _is_periodic(run: Run, estimator: str) -> bool:
     """Whether the lines of whole periods are to be used."""
-    if estimator != "auto":
-        return estimator == "periodic"
-    if run.period is None:
-        return False
-    try:
-        whole_period(run)
-    except UserError:
-        return False
-    return True
+    return repeats(run) if estimator == "auto" else estimator == "periodic"
 
 
 def _other(run: Run, channel_names: tuple[str, ...], estimator: str, band: tuple[float, float]) -> Response:

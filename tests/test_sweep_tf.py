@@ -87,6 +87,13 @@ def test_a_period_that_cannot_be_cut_gets_one_too():
     assert [r.estimator for r in estimate_responses([run], GEOMETRY).responses] == ["lrm"]
 
 
+def test_computed_records_without_noise():
+    rig = SweptRig(noise=0.0, load_noise=0.0)
+    for run in (rig.multisine(), rig.random(seconds=10.0)):
+        (response,) = estimate_responses([run], GEOMETRY, band=(5.0, 145.0)).responses
+        assert np.median(relative_error(rig, response.frequency, response.response)) < 1e-4
+
+
 @pytest.mark.parametrize("estimator", [name for name in ESTIMATORS if name not in ("auto", "periodic")])
 def test_every_estimator_takes_every_run(estimator):
     runs = [replace(RIG.multisine(periods=3), name="a"), replace(RIG.sine_sweep(seconds=10.0), name="b")]

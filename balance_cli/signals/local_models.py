@@ -18,7 +18,7 @@ from balance_cli.runs import Run
 from balance_cli.signals.local_fit import Orders, Windows, fit_windows
 from balance_cli.signals.local_noise import NoiseComponents, noise_components
 from balance_cli.signals.local_window import WindowFit, design, influence, response_rows, split
-from balance_cli.signals.noise import window_sums
+from balance_cli.signals.noise import LEAST_SHARE, window_sums
 from balance_cli.signals.records import fault, load_places, measured_components, sample_rate, samples_of
 
 Array = NDArray[np.float64]
@@ -172,7 +172,7 @@ def _like_noise(spectrum: Spectrum, index: Index, r: Array, orders: Orders) -> S
     fit = fit_windows(windows, orders)
     freedom = index.shape[1] - orders.coefficients(fit.inputs)
     sigma = np.sqrt(np.median(np.sum(np.abs(fit.residual) ** 2, axis=1), axis=0) / freedom)
-    scale = np.where(sigma > 0, sigma, 1.0)
+    scale = np.maximum(sigma, LEAST_SHARE)
     return replace(spectrum, channels=spectrum.channels / scale, channel_scale=spectrum.channel_scale * scale)
 
 

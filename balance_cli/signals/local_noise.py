@@ -21,6 +21,9 @@ ComplexArray = NDArray[np.complex128]
 ITERATIONS = 10
 ALL = slice(None)
 
+# Added to the channels' variances, which are about 1 in the units used: a computed record has no noise at all.
+LEAST_CHANNEL_NOISE = 1e-3
+
 # Of the variance with which one line tells a load's noise: the least that is assumed beside a load whose noise is seen.
 LEAST_LOAD_NOISE = 1e-4
 
@@ -68,7 +71,7 @@ def _first_guess(residual: ComplexArray, response: ComplexArray, counts: Array, 
     u = response.shape[2]
     size = np.sum(np.abs(response) ** 2, axis=(1, 2))
     weight = counts / (1.0 + size / max(float(np.median(size)), 1e-300)) ** 2
-    channels, dof = pooled_covariance(_outer(residual) * weight[:, None, None], weight, least_dof)
+    channels, dof = pooled_covariance(_outer(residual) * weight[:, None, None], weight, least_dof, LEAST_CHANNEL_NOISE)
     return NoiseComponents(channels, np.zeros((u, u), complex), dof)
 
 
@@ -86,7 +89,7 @@ def _with_channels(
     explained, posterior = _explained(residual, response, noise)
     left = residual + np.matmul(response, explained[:, :, None])[:, :, 0]
     scatter = _outer(left) + response @ posterior @ response.conj().swapaxes(1, 2)
-    channels, dof = pooled_covariance(scatter * weight[:, None, None], weight, least_dof)
+    channels, dof = pooled_covariance(scatter * weight[:, None, None], weight, least_dof, LEAST_CHANNEL_NOISE)
     return replace(noise, channels=channels, dof=dof)
 
 

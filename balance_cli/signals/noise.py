@@ -16,6 +16,7 @@ OUTLIER_PROBABILITY = 1e-3
 STEPS_PER_WINDOW = 8
 ROBUST_ITERATIONS = 3
 MEDIAN_LINES = 75
+LEAST_SHARE = 1e-7
 
 
 def inverse_bias_factor(dof: float, n: int) -> float:
@@ -44,14 +45,27 @@ def window_sums(values: NDArray[Any], width: int, step: int = 1) -> NDArray[Any]
     return np.asarray(total[start + width] - total[start])
 
 
-def pooled_covariance(scatter: ComplexArray, counts: Array, least_dof: float = LEAST_DOF) -> tuple[ComplexArray, float]:
+def least_variance(spectra: ComplexArray) -> Array:
+    """Variance (n,) that no noise of signals (..., n) is taken to fall below: rounding to single precision, say.
+
+    A computed record has no noise at all, and its covariance no inverse.
+    """
+    power = np.mean(np.abs(spectra) ** 2, axis=tuple(range(spectra.ndim - 1)))
+    return np.asarray(LEAST_SHARE**2 * np.maximum(power, LEAST_SHARE * power.max()) + np.finfo(float).tiny, float)
+
+
+def pooled_covariance(
+    scatter: ComplexArray, counts: Array, least_dof: float = LEAST_DOF, floor: Array | float = 0.0
+) -> tuple[ComplexArray, float]:
     """Noise covariance of one degree of freedom at every line, pooled over neighbouring lines.
 
     scatter (K, n, n): sum of outer products of deviations at each line, with counts (K,) complex degrees of freedom.
     The window is the narrowest that gives `least_dof` everywhere (or all lines), so that the covariance follows the
     colour of the noise and still can be inverted. Lines whose scatter is improbably large (residual transients,
-    pick-up) are down-weighted (Huber's weights on the Mahalanobis distance). Returns (K, n, n) and the dof.
+    pick-up) are down-weighted (Huber's weights on the Mahalanobis distance). `floor` (n,) or one number is added to
+    the variances. Returns (K, n, n) and the dof.
     """
+    scatter = scatter + counts[:, None, None] * (floor * np.eye(scatter.shape[1]))
     width = _window(counts, least_dof)
     dof = float(np.median(window_sums(counts, width)))
     step = max(width // STEPS_PER_WINDOW, 1)

@@ -11,9 +11,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.errors import UserError
 from balance_cli.runs import Run
 from balance_cli.signals.lines import Lines, Window
-from balance_cli.signals.noise import distances, inverse_bias_factor, outlier_bound, pooled_covariance, window_sums
+from balance_cli.signals.noise import (
+    distances,
+    inverse_bias_factor,
+    least_variance,
+    outlier_bound,
+    pooled_covariance,
+    window_sums,
+)
 from balance_cli.signals.records import (
     channel_places,
     fault,
@@ -24,7 +32,7 @@ from balance_cli.signals.records import (
 )
 from balance_cli.signals.steady import steady_start
 
-__all__ = ["PeriodicRecord", "inverse_bias_factor", "periodic_lines", "periodic_record", "whole_period"]
+__all__ = ["PeriodicRecord", "inverse_bias_factor", "periodic_lines", "periodic_record", "repeats", "whole_period"]
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -104,6 +112,14 @@ def periodic_record(
     return _record(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
 
 
+def repeats(run: Run) -> bool:
+    """Whether the run declares a period and holds at least two that can be cut."""
+    try:
+        return run.period is not None and whole_period(run) > 0
+    except UserError:
+        return False
+
+
 def whole_period(run: Run) -> int:
     """Samples in the shortest multiple of the declared period that is a whole number of samples, to 0.01 of one
 
@@ -159,20 +175,20 @@ def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexA
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
     scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
-    covariance, dof = _pooled(scatter, m - 1.0)
+    covariance, dof = _pooled(scatter, m - 1.0, least_variance(spectra))
     return mean, covariance / m[:, None, None], dof
 
 
-def _pooled(scatter: ComplexArray, counts: Array) -> tuple[ComplexArray, float]:
+def _pooled(scatter: ComplexArray, counts: Array, floor: Array) -> tuple[ComplexArray, float]:
     """Covariance (K, n, n) of one period and its dof; larger where a line scatters more than its neighbours."""
-    covariance, dof = pooled_covariance(scatter, counts)
+    covariance, dof = pooled_covariance(scatter, counts, floor=floor)
     return covariance * _inflation(scatter, covariance, counts, dof)[:, None, None], dof
 
 
 def _about_decay(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, float]:
     """Covariance (K, n, n) of the mean over the periods used, and its dof, as free of a decay as it can be told."""
     counts = np.full(spectra.shape[1], WORTH_OF_DIFFERENCE)
-    covariance, dof = _pooled(_scatter_about_decay(spectra), counts)
+    covariance, dof = _pooled(_scatter_about_decay(spectra), counts, least_variance(spectra))
     return covariance / (len(spectra) - first)[:, None, None], dof
 
 

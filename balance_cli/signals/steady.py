@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.noise import pooled_covariance, vector_distances, window_sums
+from balance_cli.signals.noise import least_variance, pooled_covariance, vector_distances, window_sums
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -81,7 +81,7 @@ def _views(spectra: ComplexArray) -> tuple[_View, _View]:
     scatter = np.einsum("pki,pkj->kij", late, late.conj()) / len(late)
     # Consecutive differences share a period: two of them are worth 1.6 independent ones (correlation -1/2).
     counts = np.full(K, 1.6 if len(late) == 2 else 1.0)
-    noise, dof = pooled_covariance(scatter * counts[:, None, None], counts)
+    noise, dof = pooled_covariance(scatter * counts[:, None, None], counts, floor=2.0 * least_variance(spectra))
     together = vector_distances(difference, noise, dof)[:, :, None]
     own = np.abs(difference) ** 2 / np.diagonal(noise, axis1=1, axis2=2).real
     narrow = _view(together, NARROW_LINES, n, dof, LARGEST_BIAS)
