@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -220,7 +221,7 @@ def _text(loads: Loads) -> Iterator[str]:
 
 def _surplus(run: RunLoads) -> str:
     worst = max(range(1, len(run.redundancy)), key=lambda n: run.redundancy[n])
-    if not run.redundancy[worst] == run.redundancy[worst]:
+    if math.isnan(run.redundancy[worst]):
         return "no more channels than loads, so that nothing tests the response"
     return f"redundancy up to {run.redundancy[worst]:.3g} (harmonic {worst}, limit {run.redundancy_limit[worst]:.2f})"
 
