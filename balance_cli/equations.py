@@ -2,8 +2,11 @@
 
     M q'' + (D + Omega G) q' + (E' diag(k (1 + j eta)) E + K_extra) q = F u,        force of spring i: k_i E_i q
 
-One row of E per spring: the cells in their declared order, then the torque meter, then whatever effects add. Every
-matrix is a jet, so derivatives with respect to all parameters go along.
+One row of E per spring that a channel can read: the cells in their declared order, then the torque meter. Every matrix
+is a jet, so derivatives with respect to all parameters go along.
+
+The cells stand on a lower body. Its motion is `base`, zero where it is rigid; cells are elongated by the motion of the
+plate relative to it.
 
 A flexible part is regular where it does nothing only if its compliance, not its stiffness, is the parameter. Its
 equations are then multiplied by the compliance (`row_factor`), and its spring is a one on the diagonal
@@ -47,9 +50,11 @@ class Equations:
     """Mechanics and channels of a balance with derivatives; n coordinates, e springs, c channels.
 
     mass, damping, gyroscopic (per rad/s of spin), extra_stiffness (n, n); elongation (e, n); stiffness, loss (e,);
-    inputs (n, 6); spill (6, 6) takes measured exciter loads to true ones; mixing (c, c) acts on the channels' volts.
-    centre (3,) [m] is the centre of gravity of the moving part, `freedom` which of its six motions the first
-    coordinates are; row_factor and own_stiffness (n,) are one and zero but for flexible parts.
+    extra_readings (e, n) are forces that the channels of a spring read besides its own; inputs (n, 6); spill (6, 6)
+    takes measured exciter loads to true ones; mixing (c, c) acts on the channels' volts. centre (3,) [m] is the centre
+    of gravity of the moving part, `freedom` which of its six motions the first coordinates are; base (6, n) is the
+    motion x y z psi theta phi of the lower body at the rig's origin; row_factor and own_stiffness (n,) are one and
+    zero but for flexible parts.
     """
 
     coordinates: tuple[str, ...]
@@ -61,12 +66,14 @@ class Equations:
     elongation: Jet
     stiffness: Jet
     loss: Jet
+    extra_readings: Jet
     inputs: Jet
     paths: tuple[ChannelPath, ...]
     spill: Jet
     mixing: Jet
     centre: Jet
     freedom: tuple[int, ...]
+    base: Jet
     row_factor: Jet
     own_stiffness: Array
 
@@ -82,14 +89,13 @@ class Equations:
 
     def motion(self, point: Jet | Array) -> Jet:
         """Motion (3, n) of a point (3,) [m] of the moving part, rig axes, per unit of each coordinate."""
-        arm = point - self.centre
-        free = list(self.freedom)
-        still = motion_at(np.zeros(3))[:, free]
-        rows = constant(still, self.parameters)
-        for k, unit in enumerate(np.eye(3)):
-            rows = rows + arm[k] * (motion_at(unit)[:, free] - still)
-        others = constant(np.zeros((3, len(self.coordinates) - len(free))), self.parameters)
+        rows = motion_of(point - self.centre)[:, list(self.freedom)]
+        others = constant(np.zeros((3, len(self.coordinates) - len(self.freedom))), self.parameters)
         return concatenate([rows, others], axis=1)
+
+    def relative_motion(self, point: Array) -> Jet:
+        """Motion (3, n) of a point (3,) [m] of the moving part against the lower body."""
+        return self.motion(point) - motion_at(point) @ self.base
 
     def with_coordinates(
         self, names: tuple[str, ...], mass: Jet, damping: Jet, inputs: Jet, compliance: Jet
@@ -100,6 +106,7 @@ class Equations:
         """
         added, p = len(names), self.parameters
         nothing = constant(np.zeros((added, added)), p)
+        unread = constant(np.zeros((len(self.springs), added)), p)
         return replace(
             self,
             coordinates=self.coordinates + names,
@@ -107,18 +114,23 @@ class Equations:
             damping=block_diagonal(self.damping, damping),
             gyroscopic=block_diagonal(self.gyroscopic, nothing),
             extra_stiffness=block_diagonal(self.extra_stiffness, nothing),
-            elongation=concatenate([self.elongation, constant(np.zeros((len(self.springs), added)), p)], axis=1),
+            elongation=concatenate([self.elongation, unread], axis=1),
+            extra_readings=concatenate([self.extra_readings, unread], axis=1),
             inputs=concatenate([self.inputs, inputs]),
+            base=concatenate([self.base, constant(np.zeros((6, added)), p)], axis=1),
             row_factor=concatenate([self.row_factor, compliance]),
             own_stiffness=np.concatenate([self.own_stiffness, np.ones(added)]),
         )
 
-    def with_springs(self, names: tuple[str, ...], elongation: Jet, stiffness: Jet) -> Equations:
-        """Further springs: elongation rows (m, n) and stiffness (m,)."""
-        return replace(
-            self,
-            springs=self.springs + names,
-            elongation=concatenate([self.elongation, elongation]),
-            stiffness=concatenate([self.stiffness, stiffness]),
-            loss=concatenate([self.loss, constant(np.zeros(len(names)), self.parameters)]),
-        )
+    def with_springs(self, motion: Jet, stiffness: Jet) -> Equations:
+        """Springs that no channel reads: elongation (m, n) per coordinate and stiffness (m,)."""
+        return replace(self, extra_stiffness=self.extra_stiffness + motion.T @ (stiffness.expanded(-1) * motion))
+
+
+def motion_of(arm: Jet) -> Jet:
+    """Motion (3, 6) of a point at `arm` (3,) [m] from the centre of gravity, per unit q; linear in the arm."""
+    still = motion_at(np.zeros(3))
+    rows = constant(still, arm.parameters)
+    for k, unit in enumerate(np.eye(3)):
+        rows = rows + arm[k] * (motion_at(unit) - still)
+    return rows

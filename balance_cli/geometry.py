@@ -150,11 +150,11 @@ class Rotor(Part):
 
 
 class DeclaredEffect(Part):
-    """An effect beyond the rigid plate: its name, its places, its parameters."""
+    """An effect beyond the rigid plate: its name, its places, its parameters (a choice between words is a text)."""
 
     name: Name
     where: tuple[str, ...] = ()
-    parameters: dict[str, float] = {}
+    parameters: dict[str, float | str] = {}
 
 
 class Geometry(Part):

@@ -17,11 +17,13 @@ from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch, stacked
 from balance_cli.estimation.paper.fit import PAPER_BAND, PaperOptions
 from balance_cli.estimation.quality import fit_quality
-from balance_cli.estimation.support import parameter_support, undetermined
+from balance_cli.estimation.starting_values import starting_values
+from balance_cli.estimation.support import covariance_of, parameter_support, undetermined
 from balance_cli.geometry import Geometry
 from balance_cli.identified import IdentifiedModel, ModeTable, ParameterTable
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.modes import modes
+from balance_cli.model.placed_effects import declare, without_effects
 from balance_cli.paper_form import paper_form
 from balance_cli.signals.lines import Lines
 from balance_cli.spectra import Spectra
@@ -49,16 +51,29 @@ class IdentifyOptions:
 def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | None = None) -> IdentifiedModel:
     """Fit the balance to the lines of all sweeps and to the static points, at once.
 
-    Raises UserError where there is nothing to fit.
+    The effects that the geometry declares are fitted too, from what is declared of them; the model's geometry has them
+    as found. Raises UserError where there is nothing to fit, and where effects are declared for a method or form that
+    knows none.
     """
     options = options or IdentifyOptions()
     if options.method != "computed" and not spectra.lines:
         raise UserError("no sweep run to identify from", remedy="Give at least one sweep run")
+    _check_effects(geometry, options)
     if options.form == "paper":
         return paper_form(spectra, geometry, _paper_options(options))
     band = options.band or ALL_LINES
     lines = tuple(item for item in (_in_band(run, band) for run in spectra.lines) if len(item.frequency))
     return _physical_form(replace(spectra, lines=lines), geometry, options)
+
+
+def _check_effects(geometry: Geometry, options: IdentifyOptions) -> None:
+    if not geometry.effects:
+        return
+    names = ", ".join(effect.name for effect in geometry.effects)
+    if options.form == "paper":
+        raise UserError(f"the paper's form knows no effects ({names})", "--form", remedy="Use `physical`")
+    if options.method == "ls":
+        raise UserError(f"least squares knows no effects ({names})", "--method", remedy="Use ml or ls+ml")
 
 
 def _paper_options(options: IdentifyOptions) -> PaperOptions:
@@ -71,6 +86,7 @@ def _physical_form(spectra: Spectra, geometry: Geometry, options: IdentifyOption
     model = balance_model(geometry)
     batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
     if options.method == "computed":
+        model = model.with_exact_effects()
         minimum, start = _unfitted(model, batches), "geometry"
     else:
         minimum, start = _fitted(model, batches, options)
@@ -109,14 +125,24 @@ def _fitted(model: BalanceModel, batches: Sequence[Batch], options: IdentifyOpti
     declared = model.parameters.value
     if options.method == "ml":
         return maximum_likelihood(model, batches, declared), "geometry"
-    first = least_squares(model.parameters, batches, model.system, DYNAMIC)
+    first = _least_squares(model, batches)
     if options.method == "ls":
         data = data_curvature(batches, model.system(first.theta))
         total = data + prior_curvature(model.parameters, first.theta)
         return Minimum(first.theta, data, total, first.iterations, first.converged), "geometry"
-    starts = {"least squares": first.theta, "geometry": declared}
+    if model.geometry.effects:
+        start = starting_values(model.parameters, batches, model.system, declared)
+        starts = {"least squares": start, "geometry": declared}
+    else:
+        starts = {"least squares": first.theta, "geometry": declared}
     best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
     return maximum_likelihood(model, batches, starts[best]), best
+
+
+def _least_squares(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
+    """The rigid balance by its equation error: the motion of a flexible part cannot be told from the cells' forces."""
+    rigid = balance_model(without_effects(model.geometry))
+    return least_squares(rigid.parameters, batches, rigid.system, DYNAMIC)
 
 
 def _described(
@@ -127,13 +153,13 @@ def _described(
     start: str,
     left_out: dict[str, dict[str, str]],
 ) -> IdentifiedModel:
-    covariance = np.asarray(np.linalg.inv(minimum.total.information), float)
+    covariance = covariance_of(minimum.total.information)
     support = parameter_support(model.parameters, minimum.data.information)
     return IdentifiedModel(
         form="physical",
         method=method,
         start=start,
-        geometry=model.geometry,
+        geometry=declare(model.geometry, model.parameters.names, minimum.theta.tolist()),
         parameters=_table(model, minimum.theta, covariance, support.rests_on),
         covariance=_with_exact(model, covariance),
         modes=mode_table(model, minimum.theta, covariance),

@@ -175,7 +175,7 @@ def _joined(
         response=source.description,
         trim=steady.trim,
         components=steady.components,
-        frequency_hz=np.arange(len(spectra.frequency_hz)) * azimuth.mean_rate,
+        frequency_hz=np.asarray(np.arange(len(spectra.frequency_hz)) * azimuth.mean_rate, float),
         amplitude=np.concatenate([steady.loads[None, :].astype(complex), dynamic.loads]),
         sigma_cosine=np.concatenate([steady.sigma[None, :], np.sqrt(variance[:, :m])]),
         sigma_sine=np.concatenate([np.zeros((1, m)), np.sqrt(variance[:, m:])]),

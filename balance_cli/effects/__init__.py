@@ -1,8 +1,43 @@
-"""The library of effects, in the order in which they act. A new effect is one file and one line here."""
+"""The library of effects, in the order in which they act. A new effect is one file and one line here.
 
-from balance_cli.effects import channel_gain
+What the cells stand on comes first: cells that lean or resist sideways act on the motion relative to it.
+"""
+
+from balance_cli.effects import (
+    added_mass,
+    cell_misalignment,
+    channel_gain,
+    crosstalk,
+    exciter_misalignment,
+    extra_mode,
+    gyroscopic_coupling,
+    high_pass,
+    low_pass,
+    mast_bending,
+    parallel_stiffness,
+    structural_damping,
+    support_flexibility,
+    time_delay,
+    transverse_stiffness,
+)
 from balance_cli.effects.base import Effect, EffectParameter, Where
 
-EFFECTS: tuple[Effect, ...] = (channel_gain.EFFECT,)
+EFFECTS: tuple[Effect, ...] = (
+    support_flexibility.EFFECT,
+    mast_bending.EFFECT,
+    added_mass.EFFECT,
+    gyroscopic_coupling.EFFECT,
+    parallel_stiffness.EFFECT,
+    cell_misalignment.EFFECT,
+    transverse_stiffness.EFFECT,
+    structural_damping.EFFECT,
+    extra_mode.EFFECT,
+    channel_gain.EFFECT,
+    low_pass.EFFECT,
+    high_pass.EFFECT,
+    time_delay.EFFECT,
+    crosstalk.EFFECT,
+    exciter_misalignment.EFFECT,
+)
 
 __all__ = ["EFFECTS", "Effect", "EffectParameter", "Where"]

@@ -6,12 +6,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from balance_cli.components import FREEDOMS
 from balance_cli.equations import Equations
 from balance_cli.geometry import Geometry
 from balance_cli.jets import Jet
+from balance_cli.kinematics import motion_at
 
 Where = tuple[str, ...]
+Array = NDArray[np.float64]
+
+ALL = "all"
+"""The place of an effect that is the same in every cell."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +26,11 @@ class EffectParameter:
     """One parameter: unit, the value at which it does nothing, bounds, the size of a change that matters, a sentence.
 
     `start` is where a fit begins when the null itself is singular for other parameters (a mass without compliance
-    does nothing).
+    does nothing). A `secondary` parameter does nothing by itself: it shapes what the others do once they have left
+    their nulls, so that at the null the equations do not depend on it; its own null is where it is left then.
+
+    A `reciprocal` parameter has an infinite null (the cutoff of a low-pass). What is fitted, and what the effect is
+    given, is one over it, under the name `1/NAME`; `scale` and `start` are those of the reciprocal.
     """
 
     name: str
@@ -30,16 +41,57 @@ class EffectParameter:
     lower: float = -np.inf
     upper: float = np.inf
     start: float | None = None
+    secondary: bool = False
+    reciprocal: bool = False
+
+    @property
+    def fitted_name(self) -> str:
+        """The name under which the parameter is fitted."""
+        return f"1/{self.name}" if self.reciprocal else self.name
+
+    @property
+    def fitted_unit(self) -> str:
+        """The unit of what is fitted."""
+        return f"1/{self.unit}" if self.reciprocal else self.unit
+
+    @property
+    def fitted_null(self) -> float:
+        """The null of what is fitted."""
+        return float(self.fitted(self.null))
+
+    @property
+    def fitted_start(self) -> float:
+        """Where a fit begins."""
+        return self.fitted_null if self.start is None else self.start
+
+    @property
+    def fitted_bounds(self) -> tuple[float, float]:
+        """Bounds of what is fitted, the lower one first."""
+        bounds = (self.fitted(self.lower), self.fitted(self.upper))
+        return (min(bounds), max(bounds))
+
+    def fitted(self, value: float) -> float:
+        """What is fitted, from the value (and the other way round: a reciprocal is its own inverse)."""
+        if not self.reciprocal:
+            return value
+        return np.inf if value == 0 else 1.0 / value
+
+    def fitted_sigma(self, value: float, sigma: float) -> float:
+        """Standard deviation of `fitted(value)` where that of `value` is `sigma`."""
+        if not self.reciprocal:
+            return sigma
+        return np.inf if value == 0 else sigma / value**2
 
 
 @dataclass(frozen=True)
 class Effect:
     """An effect: what it is, where it holds, where it was published, and what it adds to the equations.
 
-    `places(geometry)` are all places that it can have; `parameters(geometry, where)` its parameters there;
-    `apply(equations, geometry, where, values)` adds it, `values` being the parameters as jets by name. At the null of
-    every parameter the equations are left as they are. `trace` says what it leaves in a residual, `separated_by` which
-    measurement tells it from what looks alike.
+    `place` says in words what a place of it is; `places(geometry)` are all places that it can have;
+    `parameters(geometry, where)` its parameters there; `apply(equations, geometry, where, values)` adds it, `values`
+    being the parameters as jets by name. At the null of every parameter the equations are left as they are. `trace`
+    says what it leaves in a residual, `separated_by` which measurement tells it from what looks alike. What it adds is
+    written as formulas at the head of its file.
     """
 
     name: str
@@ -48,6 +100,7 @@ class Effect:
     reference: str
     trace: str
     separated_by: str
+    place: str
     places: Callable[[Geometry], tuple[Where, ...]]
     parameters: Callable[[Geometry, Where], tuple[EffectParameter, ...]]
     apply: Callable[[Equations, Geometry, Where, Mapping[str, Jet]], Equations]
@@ -58,6 +111,16 @@ def each_cell(geometry: Geometry) -> tuple[Where, ...]:
     return tuple((cell.name,) for cell in geometry.cells)
 
 
+def each_cell_or_all(geometry: Geometry) -> tuple[Where, ...]:
+    """All cells alike, or one of them."""
+    return ((ALL,), *each_cell(geometry))
+
+
+def cells_at(geometry: Geometry, where: Where) -> list[int]:
+    """Indices of the cells at a place, which is the name of one or `all`."""
+    return [i for i, cell in enumerate(geometry.cells) if where == (ALL,) or cell.name in where]
+
+
 def each_channel(geometry: Geometry) -> tuple[Where, ...]:
     """One place a channel."""
     return tuple((channel.name,) for channel in geometry.channels)
@@ -66,3 +129,49 @@ def each_channel(geometry: Geometry) -> tuple[Where, ...]:
 def nowhere_in_particular(_: Geometry) -> tuple[Where, ...]:
     """The one place of an effect of the whole rig."""
     return ((),)
+
+
+def subsets(names: tuple[str, ...]) -> tuple[Where, ...]:
+    """Every choice of at least one of `names`, the small ones first, each in the order of `names`."""
+    chosen = [tuple(name for i, name in enumerate(names) if bits >> i & 1) for bits in range(1, 2 ** len(names))]
+    return tuple(sorted(chosen, key=lambda where: (len(where), [names.index(name) for name in where])))
+
+
+def ordered_pairs(names: tuple[str, ...]) -> tuple[Where, ...]:
+    """Every two different names, in both orders."""
+    return tuple((one, other) for one in names for other in names if one != other)
+
+
+def transverse_axes(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) across a unit `axis`, in right-handed order; for a cell along x they are y and z.
+
+    The first is the rig axis that follows, in cyclic order, the one nearest to the cell's, less its part along the
+    cell.
+    """
+    following = np.eye(3)[(int(np.argmax(np.abs(axis))) + 1) % 3]
+    across = following - (following @ axis) * axis
+    first = across / np.linalg.norm(across)
+    return first, np.cross(axis, first)
+
+
+def stiffness_by_motion(geometry: Geometry) -> dict[str, float]:
+    """What the cells oppose to each motion x y z [N/m] psi theta phi [N m/rad] of the plate about the origin."""
+    rows = np.array([cell.direction @ motion_at(np.array(cell.position)) for cell in geometry.cells])
+    diagonal = np.array([cell.effective_stiffness for cell in geometry.cells]) @ rows**2
+    return dict(zip(FREEDOMS, diagonal.tolist(), strict=True))
+
+
+def inertia_by_motion(geometry: Geometry) -> dict[str, float]:
+    """Mass [kg] for x y z and moment of inertia [kg m2] about the origin for psi theta phi, of all bodies together."""
+    inertia = np.zeros((3, 3))
+    for body in geometry.bodies:
+        r = np.array(body.position)
+        inertia += body.inertia.tensor() + body.mass * (r @ r * np.eye(3) - np.outer(r, r))
+    mass = sum(body.mass for body in geometry.bodies)
+    return dict(zip(FREEDOMS, (mass, mass, mass, *np.diag(inertia)[::-1].tolist()), strict=True))
+
+
+def floored(jet: Jet, floor: float | Array) -> Jet:
+    """The jet, and `floor` without slope wherever it is less: keeps square roots and reciprocals regular at zero."""
+    above = jet.value > floor
+    return Jet(np.maximum(jet.value, floor), jet.slope * above)

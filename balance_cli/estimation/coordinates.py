@@ -2,7 +2,8 @@
 
 Multiplying all masses, inertias and stiffnesses by one factor leaves every response as it is. In the parameters
 themselves that valley is curved and steps along it must be tiny; with logarithms of the positive ones, and products of
-inertia relative to sqrt(Iii Ijj), it is straight. Logarithms also keep positive what must be.
+inertia relative to sqrt(Iii Ijj), it is straight. Logarithms also keep positive what must be. Parameters of effects may
+be zero; those that count in kg or N are taken relative to the mass.
 """
 
 from __future__ import annotations
@@ -16,21 +17,51 @@ from balance_cli.model.parameters import ParameterSet
 
 Array = NDArray[np.float64]
 
+POSITIVE = (
+    "stiffness.",
+    "mass",
+    "inertia.xx",
+    "inertia.yy",
+    "inertia.zz",
+    "torque_meter.inertia",
+    "torque_meter.stiffness",
+)
+
+POWER = {
+    "kg": 1.0,
+    "kg m2": 1.0,
+    "N/m": 1.0,
+    "N m/rad": 1.0,
+    "N s/m": 1.0,
+    "m/N": -1.0,
+    "rad/(N m)": -1.0,
+    "N/m2": 2.0,
+    "N/m3": 3.0,
+}
+"""How a parameter grows with the scale of the rig, by its unit: the loads stay, so that deflections shrink."""
+
 
 @dataclass(frozen=True)
 class Coordinates:
     """Map between parameters theta (p,) and coordinates z (p,).
 
     `logarithmic` (p,): z = ln theta; `products` (r, 3) rows (product, i, j) of indices: z = theta / sqrt(theta_i
-    theta_j); the others are themselves.
+    theta_j); `power` (p,): z = theta (m0 / m)^power, m the parameter at index `mass`, whose declared value is m0; the
+    others are themselves.
     """
 
     logarithmic: NDArray[np.bool_]
     products: NDArray[np.intp]
+    power: Array
+    mass: int
+    m0: float
+
+    def _growth(self, theta: Array) -> Array:
+        return np.asarray((theta[self.mass] / self.m0) ** self.power)
 
     def inward(self, theta: Array) -> Array:
         """Coordinates of a parameter vector."""
-        z = np.array(theta, float)
+        z = np.asarray(theta, float) / self._growth(theta)
         for product, i, j in self.products:
             z[product] = theta[product] / np.sqrt(theta[i] * theta[j])
         z[self.logarithmic] = np.log(theta[self.logarithmic])
@@ -42,28 +73,29 @@ class Coordinates:
         theta[self.logarithmic] = np.exp(z[self.logarithmic])
         for product, i, j in self.products:
             theta[product] = z[product] * np.sqrt(theta[i] * theta[j])
-        return theta
+        return np.asarray(theta * self._growth(theta))
 
     def jacobian(self, theta: Array) -> Array:
         """The derivative d theta / d z (p, p) at theta."""
-        J = np.diag(np.where(self.logarithmic, theta, 1.0))
+        J = np.diag(np.where(self.logarithmic, theta, self._growth(theta)))
         for product, i, j in self.products:
             J[product, product] = np.sqrt(theta[i] * theta[j])
             J[product, i] = J[product, j] = 0.5 * theta[product]
+        J[:, self.mass] += self.power * theta
         return J
 
 
 def coordinates(parameters: ParameterSet) -> Coordinates:
-    """Logarithms of the free stiffnesses, masses and inertias; products of inertia relative to these."""
+    """Logarithms of the free stiffnesses, masses and inertias; products of inertia and effects relative to these."""
     names = parameters.names
-    logarithmic = np.array([name.startswith(POSITIVE) or name.endswith(POSITIVE_ENDS) for name in names])
+    positive = np.array([name.startswith(POSITIVE) for name in names])
+    logarithmic = positive & parameters.free & (parameters.value > 0)
     products = []
     for pair in ("xy", "xz", "yz"):
         if f"inertia.{pair}" in names:
             products.append([names.index(f"inertia.{part}") for part in (pair, pair[0] * 2, pair[1] * 2)])
     chosen = np.array(products, dtype=np.intp).reshape(-1, 3)
-    return Coordinates(logarithmic & parameters.free & (parameters.value > 0), chosen)
-
-
-POSITIVE = ("stiffness.", "mass", "inertia.xx", "inertia.yy", "inertia.zz", "torque_meter.inertia")
-POSITIVE_ENDS = (".stiffness",)
+    mass = names.index("mass") if "mass" in names else 0
+    effects = np.isinf(parameters.sigma) if logarithmic[mass] else np.zeros(len(names), bool)
+    power = np.where(effects, [POWER.get(unit, 0.0) for unit in parameters.units], 0.0)
+    return Coordinates(logarithmic, chosen, power, mass, float(parameters.value[mass]))

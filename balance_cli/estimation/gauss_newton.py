@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 # Damping starts at none: what the priors alone hold has an information of 1e-10 of what the data hold, and any damping
 # would keep such directions from moving.
 LEAST_DAMPING = 1e-8
+# Scales that a parameter without a prior may go in one step, where it is not as large itself.
+FAR = 10.0
 
 
 @dataclass(frozen=True)
@@ -90,9 +92,16 @@ def _held_at_bounds(parameters: ParameterSet, theta: Array, total: Curvature) ->
 
 
 def _normalised(total: Curvature) -> tuple[Array, Array, Array]:
-    """Information and gradient with unit diagonal, and the factors that give steps back their size."""
-    size = 1.0 / np.sqrt(np.maximum(np.diag(total.information), 1e-300))
-    return total.information * np.outer(size, size), total.gradient * size, size
+    """Information and gradient with unit diagonal, and the factors that give steps back their size.
+
+    A parameter of which nothing is known (an effect's, where another of its parameters is null) keeps its value.
+    """
+    diagonal = np.diag(total.information)
+    known = diagonal > 0
+    size = np.where(known, 1.0 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
+    information = total.information * np.outer(size, size)
+    np.fill_diagonal(information, 1.0)
+    return information, total.gradient * size, size
 
 
 def _promised(total: Curvature) -> float:
@@ -118,18 +127,41 @@ def _descend(
     for trials in range(24):
         step = -np.linalg.solve(information + damping * np.eye(len(size)), gradient) * size
         trial = _stepped(parameters, space, theta, step)
-        data = curvature(trial) if trials == 0 else None
-        reached = chi2(trial) if data is None else data.chi2
-        if reached + prior_curvature(parameters, trial).chi2 < total.chi2:
+        data = _curvature_at(trial, curvature) if trials == 0 else None
+        reached = _chi2_at(trial, parameters, chi2, data)
+        if reached < total.chi2:
             easier = damping / 100.0 if damping > LEAST_DAMPING else 0.0
             return trial, curvature(trial) if data is None else data, easier
         damping = max(10.0 * damping, LEAST_DAMPING)
     return None
 
 
+def _curvature_at(trial: Array, curvature: Callable[[Array], Curvature]) -> Curvature | None:
+    """The data's curvature; None where no rig is like this (an inertia that is not positive, say)."""
+    try:
+        return curvature(trial)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _chi2_at(trial: Array, parameters: ParameterSet, chi2: Callable[[Array], float], data: Curvature | None) -> float:
+    """Chi-square of data and priors, the data's as known where it is; infinite where no rig is like this."""
+    try:
+        return (chi2(trial) if data is None else data.chi2) + prior_curvature(parameters, trial).chi2
+    except np.linalg.LinAlgError:
+        return np.inf
+
+
 def _stepped(parameters: ParameterSet, space: Coordinates, theta: Array, step: Array) -> Array:
-    """The step taken, but at most nine tenths of the way to any bound."""
+    """The step taken, but at most nine tenths of the way to any bound.
+
+    A parameter of which nothing is known beforehand may not leave its surroundings in one step: where it has little to
+    do yet, the straight line of a step says nothing of far away.
+    """
     z = space.inward(theta)
+    free = parameters.free
+    near = np.maximum(np.abs(theta[free]), FAR * parameters.scale[free])
+    step = np.where(np.isfinite(parameters.sigma[free]), step, np.clip(step, -near, near))
     # A factor of three is the most that one step may change a positive parameter.
     z[parameters.free] += step * min(
         1.0, 1.0 / max(np.abs(step[space.logarithmic[parameters.free]]).max(initial=0), 1e-300)

@@ -28,12 +28,28 @@ def parameter_support(parameters: ParameterSet, information: Array) -> Support:
     """
     free = parameters.free
     precision = np.diag(1.0 / parameters.sigma[free] ** 2)
-    covariance = np.linalg.inv(information + precision)
-    from_prior = np.diag(covariance @ precision @ covariance)
-    share = from_prior / np.diag(covariance)
+    covariance = covariance_of(information + precision)
+    variance = np.diag(covariance)
+    share = np.diag(covariance @ precision @ covariance) / np.where(variance > 0, variance, 1.0)
     words = iter(["prior" if part > 0.5 else "data" for part in share])
     rests_on = tuple(next(words) if is_free else "exact" for is_free in free)
     return Support(rests_on, float(np.trace(covariance @ information)))
+
+
+def covariance_of(information: Array) -> Array:
+    """Inverse (p, p) of an information matrix; zero for a parameter of which it holds nothing.
+
+    Units are taken out first. Along a direction of which nothing is left but rounding the variance is large, not
+    infinite.
+    """
+    known = np.flatnonzero(np.diag(information) > 0)
+    size = 1.0 / np.sqrt(np.diag(information)[known])
+    values, vectors = np.linalg.eigh(information[np.ix_(known, known)] * np.outer(size, size))
+    least = np.finfo(float).eps * max(len(known), 1)
+    covariance = np.zeros(information.shape)
+    inverse = (vectors / np.maximum(values, least)) @ vectors.T
+    covariance[np.ix_(known, known)] = inverse * np.outer(size, size)
+    return covariance
 
 
 def undetermined(parameters: ParameterSet, information: Array, limit: float = 1.0) -> tuple[str, ...]:

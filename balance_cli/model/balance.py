@@ -39,7 +39,16 @@ class BalanceModel:
     def all_free(self) -> BalanceModel:
         """The same model with slopes for every parameter, exact ones included."""
         sigma = np.where(self.parameters.sigma > 0, self.parameters.sigma, self.parameters.scale)
+        return self.with_sigma(sigma)
+
+    def with_sigma(self, sigma: Array) -> BalanceModel:
+        """The same model with other standard deviations (p,) of what is declared; 0 holds a parameter."""
         return replace(self, parameters=replace(self.parameters, sigma=sigma))
+
+    def with_exact_effects(self) -> BalanceModel:
+        """The same model with effects exactly as declared: no tolerance is declared for them."""
+        sigma = self.parameters.sigma
+        return self.with_sigma(np.where(np.isfinite(sigma), sigma, 0.0))
 
 
 def balance_model(geometry: Geometry) -> BalanceModel:
@@ -48,5 +57,6 @@ def balance_model(geometry: Geometry) -> BalanceModel:
 
 
 def identified_system(model: IdentifiedModel) -> System:
-    """The system of a model at its estimate."""
-    return balance_model(model.geometry).system(model.parameters.value)
+    """The system of a model at its estimate, with slopes for the parameters that have a place in its covariance."""
+    whole = balance_model(model.geometry).with_sigma(model.parameters.declared_sigma)
+    return whole.system(model.parameters.value)

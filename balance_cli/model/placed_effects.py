@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 
@@ -15,14 +15,18 @@ from balance_cli.geometry import DeclaredEffect, Geometry
 from balance_cli.jets import Jet
 from balance_cli.model.parameters import ParameterSet
 
+# More places than this are described in words.
+FEW = 20
+
 
 @dataclass(frozen=True)
 class PlacedEffect:
-    """An effect at one place, with its parameters there."""
+    """An effect at one place, with its parameters there and what is declared of them."""
 
     effect: Effect
     where: Where
     parameters: tuple[EffectParameter, ...]
+    declared: Mapping[str, float | str]
 
     @property
     def label(self) -> str:
@@ -30,78 +34,140 @@ class PlacedEffect:
         return f"{self.effect.name}@{','.join(self.where)}" if self.where else self.effect.name
 
     def full_name(self, parameter: EffectParameter) -> str:
-        """Name of a parameter among all of a model: `channel-gain@x.strain.gain`."""
-        return f"{self.label}.{parameter.name}"
+        """Name of a fitted parameter among all of a model: `channel-gain@x.strain.gain`."""
+        return f"{self.label}.{parameter.fitted_name}"
+
+    def start(self, parameter: EffectParameter) -> float:
+        """Where a fit begins: at what is declared, if anything is."""
+        if parameter.name not in self.declared:
+            return parameter.fitted_start
+        return parameter.fitted(float(self.declared[parameter.name]))
 
 
-def placed(name: str, where: Where, geometry: Geometry) -> PlacedEffect:
+@dataclass(frozen=True)
+class FittedEffect:
+    """An effect with its parameters as found: (name, value, sigma, unit) of each."""
+
+    name: str
+    where: Where
+    parameters: tuple[tuple[str, float, float, str], ...]
+
+
+def placed(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
     """The effect of this name at this place. UserError where there is no such effect, or not there."""
     by_name = {effect.name: effect for effect in EFFECTS}
     if name not in by_name:
-        near = get_close_matches(name, by_name, 1)
-        raise UserError(
-            f"there is no effect `{name}`",
-            place="effect",
-            remedy=f"Did you mean `{near[0]}`?" if near else f"There are: {', '.join(by_name)}",
-        )
+        raise UserError(f"there is no effect `{name}`", place="effects", remedy=_nearest(name, tuple(by_name)))
     effect = by_name[name]
-    if where not in effect.places(geometry):
-        there = "; ".join(",".join(place) or "no place" for place in effect.places(geometry))
-        raise UserError(
-            f"`{name}` has no place `{','.join(where)}`", place="effect", remedy=f"It can be at: {there or 'none here'}"
-        )
-    return PlacedEffect(effect, where, effect.parameters(geometry, where))
+    at = _place(effect, tuple(where), geometry)
+    return PlacedEffect(effect, at, effect.parameters(geometry, at), {})
+
+
+def _place(effect: Effect, where: Where, geometry: Geometry) -> Where:
+    """The place as the effect knows it; where it knows one order of the names only, any order will do."""
+    places = effect.places(geometry)
+    if where in places:
+        return where
+    same = [place for place in places if sorted(place) == sorted(where)]
+    if same:
+        return same[0]
+    words = tuple(",".join(place) or "no place" for place in places)
+    fault = f"`{effect.name}` has no place `{','.join(where)}`" if where else f"`{effect.name}` needs a place"
+    remedy = _nearest(",".join(where), words) if len(words) <= FEW else _nearest_of_many(effect, where, words)
+    raise UserError(fault, place="effects", remedy=remedy if places else "It has no place in this rig")
+
+
+def _nearest(word: str, known: Sequence[str]) -> str:
+    near = get_close_matches(word, known, 1)
+    listed = f"There are: {', '.join(known)}"
+    return f"Did you mean `{near[0]}`? {listed}" if near else listed
+
+
+def _nearest_of_many(effect: Effect, where: Where, known: Sequence[str]) -> str:
+    near = get_close_matches(",".join(where), known, 1, 0.0)
+    guess = f"Did you mean `{near[0]}`? " if near and where else ""
+    return f"{guess}Its place: {effect.place}"
 
 
 def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
-    """The effects of a geometry, in the order in which they act."""
-    found = [placed(item.name, item.where, geometry) for item in geometry.effects]
+    """The effects of a geometry, in the order in which they act.
+
+    UserError for one that is unknown, has no such place or parameter, or stands twice.
+    """
+    found = [_declared(item, geometry, i) for i, item in enumerate(geometry.effects)]
+    labels = [one.label for one in found]
+    for i, label in enumerate(labels):
+        if label in labels[:i]:
+            raise UserError(f"`{label}` stands twice", place=f"effects[{i}]", remedy="Remove one of them")
     order = [effect.name for effect in EFFECTS]
-    return tuple(sorted(found, key=lambda item: order.index(item.effect.name)))
+    return tuple(sorted(found, key=lambda item: (order.index(item.effect.name), item.where)))
+
+
+def _declared(item: DeclaredEffect, geometry: Geometry, index: int) -> PlacedEffect:
+    place = f"effects[{index}]"
+    try:
+        one = placed(item.name, item.where, geometry)
+    except UserError as error:
+        raise UserError(error.fault, error.file, place, error.remedy) from error
+    names = tuple(parameter.name for parameter in one.parameters)
+    for name, value in item.parameters.items():
+        if name not in names:
+            fault = f"`{one.label}` has no parameter `{name}`"
+            raise UserError(fault, place=place, remedy=_nearest(name, names))
+        if isinstance(value, str):
+            fault = f"`{name}` of `{one.label}` is `{value}`, not a number"
+            raise UserError(fault, place=place, remedy="Give a number in SI units")
+    return PlacedEffect(one.effect, one.where, one.parameters, item.parameters)
 
 
 def effect_parameters(geometry: Geometry) -> ParameterSet:
     """Parameters of all declared effects: they start as declared and nothing more is known of them."""
-    rows = [
-        (one, parameter, _value(declared, parameter))
-        for declared in geometry.effects
-        for one in (placed(declared.name, declared.where, geometry),)
-        for parameter in one.parameters
-    ]
+    rows = [(one, parameter) for one in declared_effects(geometry) for parameter in one.parameters]
+    bounds = np.array([parameter.fitted_bounds for _, parameter in rows]).reshape(-1, 2)
     return ParameterSet(
-        names=tuple(one.full_name(parameter) for one, parameter, _ in rows),
-        units=tuple(parameter.unit for _, parameter, _ in rows),
-        value=np.array([value for *_, value in rows], float),
+        names=tuple(one.full_name(parameter) for one, parameter in rows),
+        units=tuple(parameter.fitted_unit for _, parameter in rows),
+        value=np.array([one.start(parameter) for one, parameter in rows], float),
         sigma=np.full(len(rows), np.inf),
-        scale=np.array([parameter.scale for _, parameter, _ in rows], float),
-        lower=np.array([parameter.lower for _, parameter, _ in rows], float),
-        upper=np.array([parameter.upper for _, parameter, _ in rows], float),
+        scale=np.array([parameter.scale for _, parameter in rows], float),
+        lower=bounds[:, 0],
+        upper=bounds[:, 1],
     )
-
-
-def _value(declared: DeclaredEffect, parameter: EffectParameter) -> float:
-    start = parameter.null if parameter.start is None else parameter.start
-    return float(declared.parameters.get(parameter.name, start))
 
 
 def with_effects(equations: Equations, geometry: Geometry, value: Mapping[str, Jet]) -> Equations:
     """The equations with every declared effect added, `value` holding all parameters of the model by name."""
     for one in declared_effects(geometry):
-        values = {parameter.name: value[one.full_name(parameter)] for parameter in one.parameters}
+        values = {parameter.fitted_name: value[one.full_name(parameter)] for parameter in one.parameters}
         equations = one.effect.apply(equations, geometry, one.where, values)
     return equations
 
 
+def fitted_effects(
+    geometry: Geometry, names: Sequence[str], values: Iterable[float], sigma: Iterable[float]
+) -> tuple[FittedEffect, ...]:
+    """The effects of a geometry with values and sigmas from the parameters of a model, by their names."""
+    found = dict(zip(names, zip(values, sigma, strict=True), strict=True))
+
+    def described(one: PlacedEffect, parameter: EffectParameter) -> tuple[str, float, float, str]:
+        value, spread = found[one.full_name(parameter)]
+        return parameter.name, parameter.fitted(value), parameter.fitted_sigma(value, spread), parameter.unit
+
+    return tuple(
+        FittedEffect(one.effect.name, one.where, tuple(described(one, parameter) for parameter in one.parameters))
+        for one in declared_effects(geometry)
+    )
+
+
 def declare(geometry: Geometry, names: Sequence[str], values: Sequence[float]) -> Geometry:
-    """The geometry with its effects declared at these parameter values."""
-    value = dict(zip(names, values, strict=True))
+    """The geometry with its effects declared at these parameter values; an infinite one is its null, and left out."""
     effects = tuple(
         DeclaredEffect(
-            name=one.effect.name,
+            name=one.name,
             where=one.where,
-            parameters={parameter.name: float(value[one.full_name(parameter)]) for parameter in one.parameters},
+            parameters={name: float(value) for name, value, *_ in one.parameters if np.isfinite(value)},
         )
-        for one in declared_effects(geometry)
+        for one in fitted_effects(geometry, names, values, np.zeros(len(values)))
     )
     return geometry.model_copy(update={"effects": effects})
 
@@ -111,6 +177,13 @@ def add_effects(geometry: Geometry, words: Sequence[str]) -> Geometry:
     added = []
     for word in words:
         name, _, where = word.partition("@")
-        one = placed(name, tuple(part for part in where.split(",") if part), geometry)
+        one = placed(name.strip(), tuple(part.strip() for part in where.split(",") if part.strip()), geometry)
         added.append(DeclaredEffect(name=one.effect.name, where=one.where))
-    return geometry.model_copy(update={"effects": (*geometry.effects, *added)})
+    extended = geometry.model_copy(update={"effects": (*geometry.effects, *added)})
+    declared_effects(extended)
+    return extended
+
+
+def without_effects(geometry: Geometry) -> Geometry:
+    """The rigid balance alone."""
+    return geometry.model_copy(update={"effects": ()})

@@ -1,8 +1,9 @@
 """The balance at one parameter vector: frequency response of every channel, and its derivatives.
 
-With A(w) = K + j H + j w (D + Omega G) - w^2 M the springs' forces are f = k E A^-1 F u and the channels' volts
-y = X g(w) f. A change of parameters changes y by X g (d(kE) x + k E A^-1 (dF u - dA x)) + d(X g) f with x = A^-1 F u:
-one solution with A serves all parameters.
+With A(w) = K + j H + j w (D + Omega G) - w^2 M the springs' forces are f = (R + j L) A^-1 F u, R = k E and L = k eta E,
+and the channels' volts y = X g(w) f. A change of parameters changes y by
+X g (d(R + jL) x + (R + jL) A^-1 (dF u - dA x)) + d(X g) f with x = A^-1 F u: one solution with A serves all parameters.
+H and L are those of motion; at rest there is neither (their sign is that of the frequency).
 """
 
 from __future__ import annotations
@@ -33,15 +34,22 @@ class Pencil:
 
 @dataclass(frozen=True)
 class System:
-    """An evaluated balance: pencil, inputs (n, 6), readings k E (e, n), channel paths and mixing, all with slopes."""
+    """An evaluated balance, all with slopes: pencil, inputs (n, 6), channel paths, spill and mixing;
+
+    readings R = k E (e, n) and readings_loss L = k eta E (e, n), what of the forces is in quadrature; row_factor and
+    own_stiffness (n,) as in the equations.
+    """
 
     coordinates: tuple[str, ...]
     pencil: Pencil
     inputs: Jet
     readings: Jet
+    readings_loss: Jet
     paths: tuple[ChannelPath, ...]
     spill: Jet
     mixing: Jet
+    row_factor: Array
+    own_stiffness: Array
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -57,23 +65,27 @@ class System:
 def assembled(equations: Equations) -> System:
     """Form the pencil: K = E' diag(k) E + K_extra, H = E' diag(k eta) E; rows of flexible parts by their compliance."""
     E, k = equations.elongation, equations.stiffness
-    readings = k.expanded(-1) * E
+    springs = k.expanded(-1) * E
+    springs_loss = equations.loss.expanded(-1) * springs
     factor = equations.row_factor.expanded(-1)
     pencil = Pencil(
         mass=factor * equations.mass,
         damping=factor * equations.damping,
         gyroscopic=factor * equations.gyroscopic,
-        stiffness=factor * (E.T @ readings + equations.extra_stiffness) + np.diag(equations.own_stiffness),
-        hysteresis=factor * (E.T @ ((k * equations.loss).expanded(-1) * E)),
+        stiffness=factor * (E.T @ springs + equations.extra_stiffness) + np.diag(equations.own_stiffness),
+        hysteresis=factor * (E.T @ springs_loss),
     )
     return System(
-        equations.coordinates,
-        pencil,
-        factor * equations.inputs,
-        readings,
-        equations.paths,
-        equations.spill,
-        equations.mixing,
+        coordinates=equations.coordinates,
+        pencil=pencil,
+        inputs=factor * equations.inputs,
+        readings=springs + equations.extra_readings,
+        readings_loss=springs_loss,
+        paths=equations.paths,
+        spill=equations.spill,
+        mixing=equations.mixing,
+        row_factor=equations.row_factor.value,
+        own_stiffness=equations.own_stiffness,
     )
 
 
@@ -81,7 +93,7 @@ def assembled(equations: Equations) -> System:
 class Solution:
     """What a system gives at k frequencies, before any load is applied.
 
-    to_forces (k, e, n) = k E A^-1; forces (k, e, 6) per unit hub load; gains (k, c) volts per unit spring force.
+    to_forces (k, e, n) = (R + j L) A^-1; forces (k, e, 6) per unit hub load; gains (k, c) volts per unit spring force.
     """
 
     frequency: Array
@@ -96,7 +108,7 @@ def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float = 0.0) -> Co
     """A (k, n, n) at `frequency` (k,) [Hz] and rotor speed `spin` [Hz]."""
     w = (2 * np.pi * np.asarray(frequency, float))[:, None, None]
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
-    stiffness = pencil.stiffness.value + 1j * pencil.hysteresis.value
+    stiffness = pencil.stiffness.value + 1j * np.sign(w) * pencil.hysteresis.value
     return np.asarray(stiffness + 1j * w * damping - w**2 * pencil.mass.value)
 
 
@@ -104,7 +116,8 @@ def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
     """Invert the dynamic stiffness once; responses and derivatives follow from it."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
     inverse = np.asarray(np.linalg.inv(dynamic_stiffness(system.pencil, frequency, spin)), complex)
-    to_forces = np.asarray(system.readings.value @ inverse, complex)
+    moving = np.sign(frequency)[:, None, None]
+    to_forces = np.asarray((system.readings.value + 1j * moving * system.readings_loss.value) @ inverse, complex)
     forces = np.asarray(to_forces @ system.inputs.value, complex)
     return Solution(frequency, spin, to_forces, inverse, forces, channel_gains(system.paths, frequency))
 
@@ -144,11 +157,15 @@ def force_slopes(system: System, solution: Solution, index: NDArray[np.intp], lo
     w = 2 * np.pi * solution.frequency[index][:, None]
     driven = loads @ system.inputs.value.T
     x = np.matmul(solution.inverse[index], driven[:, :, None])[:, :, 0]
+    lagging = 1j * np.sign(w) * x
     damping = pencil.damping.slope + 2 * np.pi * solution.spin * pencil.gyroscopic.slope
     matrices = (system.inputs.slope, -pencil.stiffness.slope, -damping, pencil.mass.slope, -pencil.hysteresis.slope)
-    vectors = (loads, x, 1j * w * x, w**2 * x, 1j * x)
+    vectors = (loads, x, 1j * w * x, w**2 * x, lagging)
     change = slopes_times(np.concatenate(matrices, axis=2), np.concatenate(vectors, axis=1))
-    return np.asarray(solution.to_forces[index] @ change + slopes_times(system.readings.slope, x))
+    slopes = solution.to_forces[index] @ change + slopes_times(system.readings.slope, x)
+    if system.readings_loss.slope.any():
+        slopes += slopes_times(system.readings_loss.slope, lagging)
+    return np.asarray(slopes)
 
 
 def slopes_times(slopes: Array, vectors: ComplexArray) -> ComplexArray:

@@ -39,7 +39,7 @@ def _flexible(extension: Extension, known: tuple[str, ...]) -> tuple[str, ...]:
 class SupportFlexibility(Extension):
     """The lower body, to which the cells are fixed, is rigid and stands on springs of its own.
 
-    `where`: which of its motions x y z psi theta phi (of its point at the rig's origin) are flexible; for each its
+    `where`: which of its motions x y z psi theta phi (of its centre, at `x`, `y`, `z` [m]) are flexible; for each its
     `compliance` [m/N, rad/(N m)], null 0, and its inertia: `mass` [kg] in x y z, `inertia_*` [kg m2] in rotation.
     `damping_ratio` is that of each of these motions alone, with the plate taken off. The plate's damping acts on its
     motion relative to the lower body.
@@ -57,6 +57,9 @@ class SupportFlexibility(Extension):
     compliance_theta: float = 0.0
     compliance_phi: float = 0.0
     damping_ratio: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
         """With the lower body's motions as further coordinates."""
@@ -65,7 +68,9 @@ class SupportFlexibility(Extension):
         if not np.all(masses > 0):
             raise UserError("the lower body needs a mass or inertia for each motion", place="effects")
         start = mechanics.size
-        base = np.eye(6)[:, [FREEDOMS.index(name) for name in motions]]
+        # motion of the lower body at the rig's origin when its centre moves
+        at_origin = np.vstack([displacement_rows((-self.x, -self.y, -self.z)), np.eye(6)[3:]])
+        base = at_origin[:, [FREEDOMS.index(name) for name in motions]]
         # the motion of the plate's centre of gravity when the plate goes along with the lower body
         along = np.vstack([displacement_rows(mechanics.cg), np.eye(6)[3:]]) @ base
         relative = np.hstack([np.eye(start), -mechanics.plate.T @ along])
@@ -127,7 +132,10 @@ class AddedMass(Extension):
 
 @dataclass(frozen=True)
 class ParallelStiffness(Extension):
-    """A path from the plate to ground beside the cells (hose, cable): three springs [N/m] at the point x, y, z [m]."""
+    """A path from the plate to ground beside the cells (hose, cable): three springs [N/m] at the point x, y, z [m].
+
+    Beside each lies a dashpot of `damping_time` [s] times its stiffness.
+    """
 
     name: ClassVar[str] = "parallel-stiffness"
     x: float = 0.0
@@ -136,11 +144,14 @@ class ParallelStiffness(Extension):
     stiffness_x: float = 0.0
     stiffness_y: float = 0.0
     stiffness_z: float = 0.0
+    damping_time: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
-        """With the three springs."""
+        """With the three springs and their dashpots."""
         springs = np.array([self.stiffness_x, self.stiffness_y, self.stiffness_z])
-        return mechanics.stiffened(mechanics.plate_point((self.x, self.y, self.z)), springs)
+        rows = mechanics.plate_point((self.x, self.y, self.z))
+        dashpots = rows.T @ ((self.damping_time * springs)[:, None] * rows)
+        return replace(mechanics.stiffened(rows, springs), damping=mechanics.damping + dashpots)
 
 
 @dataclass(frozen=True)
