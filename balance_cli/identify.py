@@ -23,7 +23,7 @@ from balance_cli.geometry import Geometry
 from balance_cli.identified import IdentifiedModel, ModeTable, ParameterTable
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.modes import modes
-from balance_cli.model.placed_effects import declare, without_effects
+from balance_cli.model.placed_effects import FittedEffect, declare, fitted_effects, without_effects
 from balance_cli.paper_form import paper_form
 from balance_cli.signals.lines import Lines
 from balance_cli.spectra import Spectra
@@ -169,6 +169,12 @@ def _described(
         iterations=minimum.iterations,
         converged=minimum.converged,
     )
+
+
+def identified_effects(model: IdentifiedModel) -> tuple[FittedEffect, ...]:
+    """The effects of a model with what was found of them."""
+    table = model.parameters
+    return fitted_effects(model.geometry, table.names, table.value.tolist(), table.sigma.tolist())
 
 
 def _with_exact(model: BalanceModel, covariance: Array) -> Array:
