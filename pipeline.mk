@@ -1,67 +1,84 @@
 # The whole chain on one campaign, one rule a step: what a changed run file touches is made again, and nothing else.
 # Called by `make run`; BALANCE, PYTHON, CAMPAIGN, GEOMETRY and RESULTS come from there.
 
+ifneq ($(words $(CAMPAIGN)) $(words $(RESULTS)),1 1)
+$(error make cannot handle a space in CAMPAIGN=$(CAMPAIGN) or RESULTS=$(RESULTS): use a folder without one)
+endif
+ifeq ($(wildcard $(CAMPAIGN)/.),)
+$(error there is no folder CAMPAIGN=$(CAMPAIGN))
+endif
 RUNS := $(sort $(wildcard $(CAMPAIGN)/*.h5))
 ifeq ($(RUNS),)
 $(error there is no run file (*.h5) in CAMPAIGN=$(CAMPAIGN))
 endif
 
 R := $(RESULTS)
-KINDS := $(R)/kinds.mk
+INPUTS := $(GEOMETRY) $(RUNS)
+# Another campaign, a new file or a removed one: what the results were made from is written down, and compared.
+$(shell mkdir -p $(R); echo '$(INPUTS)' | cmp -s - $(R)/inputs.txt || echo '$(INPUTS)' > $(R)/inputs.txt)
 
-# Which run is of which kind: STATIC, SWEEP, CHECK, WIND and ZERO. A step then depends on the runs that it uses.
-include $(KINDS)
+# Which run is of which kind: STATIC, SWEEP, CHECK, WIND and ZERO. A step depends on the lists of the runs that it uses.
+include $(R)/kinds.mk
 
-MEASURED := $(STATIC) $(SWEEP)
 ROTOR := $(CHECK) $(WIND)
 zero := $(if $(ZERO),--zero $(firstword $(ZERO)))
-METHODS := static transfer computed rigid paper paper-full
-LOADS := $(METHODS:%=$(R)/loads-%.h5)
-MODELS := $(R)/model-computed.h5 $(R)/model-rigid.h5 $(R)/model-paper.h5 $(R)/model-paper-full.h5
-CAL := $(R)/calibration.h5
-TF := $(R)/transfer.h5
+rotor_lists := $(R)/check.list $(R)/wind.list $(R)/zero.list
+rig := $(R)/geometry.list
+sweeps := $(rig) $(R)/sweep.list
+measured := $(sweeps) $(R)/static.list
+CAL := $(if $(STATIC),$(R)/calibration.h5)
+TF := $(if $(SWEEP),$(R)/transfer.h5)
+MODELS := $(R)/model-computed.h5 $(if $(SWEEP),$(R)/model-rigid.h5 $(R)/model-paper.h5 $(R)/model-paper-full.h5)
+BY := computed $(if $(STATIC),static) $(if $(SWEEP),transfer rigid paper paper-full)
+REDUCED := $(and $(STATIC),$(ROTOR),yes)
+LOADS := $(if $(REDUCED),$(BY:%=$(R)/loads-%.h5))
 
 .DELETE_ON_ERROR:
 .PHONY: all
-all: $(R)/report.html $(R)/loads.csv $(R)/modes.json
+all: $(R)/modes.json $(R)/report.html $(if $(and $(REDUCED),$(TF)),$(R)/loads.csv)
+	@$(if $(STATIC),,echo "no static run: no calibration, so no loads")
+	@$(if $(SWEEP),,echo "no sweep: no response, nothing identified")
+	@$(if $(ROTOR),,echo "no check or wind run: nothing to reduce")
 
-$(KINDS): $(RUNS) $(GEOMETRY)
-	@mkdir -p $(R)
-	$(BALANCE) check -g $(GEOMETRY) $(RUNS) --json $(R)/check.json
-	$(PYTHON) tools/kinds.py $(R)/check.json > $@
+# A file with a fault is named here; channels that cannot be used are left out later, files that cannot at once.
+$(R)/kinds.mk: $(INPUTS) $(R)/inputs.txt
+	-$(BALANCE) check -g $(GEOMETRY) $(INPUTS) --json $(R)/check.json
+	$(PYTHON) tools/kinds.py $(R)/check.json
 
-$(R)/modes.json: $(GEOMETRY)
+$(R)/%.list: $(R)/kinds.mk ;
+
+$(R)/modes.json: $(rig)
 	$(BALANCE) modes -g $(GEOMETRY) --json $@
 
-$(CAL): $(GEOMETRY) $(STATIC)
+$(R)/calibration.h5: $(rig) $(R)/static.list
 	$(BALANCE) calibrate -g $(GEOMETRY) $(STATIC) -o $@ --json $(@:.h5=.json)
 
-$(TF): $(GEOMETRY) $(SWEEP)
+$(R)/transfer.h5: $(sweeps)
 	$(BALANCE) sweep-tf -g $(GEOMETRY) $(SWEEP) -o $@ --json $(@:.h5=.json)
 
-$(R)/model-computed.h5: $(GEOMETRY) $(MEASURED)
-	$(BALANCE) identify -g $(GEOMETRY) $(MEASURED) --method computed -o $@ --json $(@:.h5=.json)
+$(R)/model-computed.h5: $(measured)
+	$(BALANCE) identify -g $(GEOMETRY) $(STATIC) $(SWEEP) --method computed -o $@ --json $(@:.h5=.json)
 
-$(R)/model-rigid.h5: $(GEOMETRY) $(MEASURED)
-	$(BALANCE) identify -g $(GEOMETRY) $(MEASURED) -o $@ --json $(@:.h5=.json)
+$(R)/model-rigid.h5: $(measured)
+	$(BALANCE) identify -g $(GEOMETRY) $(STATIC) $(SWEEP) -o $@ --json $(@:.h5=.json)
 
-$(R)/model-paper.h5: $(GEOMETRY) $(SWEEP)
+$(R)/model-paper.h5: $(sweeps)
 	$(BALANCE) identify -g $(GEOMETRY) $(SWEEP) --form paper -o $@ --json $(@:.h5=.json)
 
-$(R)/model-paper-full.h5: $(GEOMETRY) $(SWEEP)
+$(R)/model-paper-full.h5: $(sweeps)
 	$(BALANCE) identify -g $(GEOMETRY) $(SWEEP) --form paper --damping full -o $@ --json $(@:.h5=.json)
 
-$(R)/loads-static.h5: $(CAL) $(ROTOR) $(ZERO)
+$(R)/loads-static.h5: $(CAL) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --static $(ROTOR) $(zero) -o $@ --json $(@:.h5=.json)
 
-$(R)/loads-transfer.h5: $(CAL) $(TF) $(ROTOR) $(ZERO)
+$(R)/loads-transfer.h5: $(CAL) $(TF) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --transfer $(TF) $(ROTOR) $(zero) -o $@ --json $(@:.h5=.json)
 
-$(R)/loads-%.h5: $(R)/model-%.h5 $(CAL) $(ROTOR) $(ZERO)
+$(R)/loads-%.h5: $(R)/model-%.h5 $(CAL) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --model $< $(ROTOR) $(zero) -o $@ --json $(@:.h5=.json)
 
 # The response whose surplus equations hold: on a rig that a rigid model does not describe, the measured one.
-$(R)/loads.csv: $(CAL) $(TF) $(ROTOR) $(ZERO)
+$(R)/loads.csv: $(CAL) $(TF) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --transfer $(TF) $(ROTOR) $(zero) -o $@
 
 $(R)/report.html: $(CAL) $(TF) $(MODELS) $(LOADS)

@@ -63,7 +63,7 @@ def _largest_force(applied: ComplexArray, reduced: RunLoads, geometry: Geometry)
     moment = np.array([COMPONENTS.index(name) >= 3 for name in reduced.components])
     sizes = _rms(applied)
     forces = sizes[~moment]
-    force = forces.max() if forces.size and forces.max() > 0 else (sizes[moment] / arm).max()
+    force = max(forces.max(initial=0.0), 0.0) or (sizes[moment] / arm).max(initial=0.0) or np.nan
     return np.asarray(np.where(moment, arm * force, force), float)
 
 

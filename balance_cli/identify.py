@@ -23,7 +23,7 @@ from balance_cli.geometry import Geometry
 from balance_cli.identified import IdentifiedModel, ModeTable, ParameterTable
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.modes import modes
-from balance_cli.model.placed_effects import declare, without_effects
+from balance_cli.model.placed_effects import FittedEffect, declare, fitted_effects, without_effects
 from balance_cli.paper_form import paper_form
 from balance_cli.signals.lines import Lines
 from balance_cli.spectra import Spectra
@@ -56,8 +56,8 @@ def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | No
     knows none.
     """
     options = options or IdentifyOptions()
-    if options.method != "computed" and not (spectra.lines or spectra.statics):
-        raise UserError("no sweep and no static run to identify from", remedy="Give at least one sweep run")
+    if options.method != "computed" and not spectra.lines:
+        raise UserError("no sweep run to identify from", remedy="Give at least one sweep run")
     _check_effects(geometry, options)
     if options.form == "paper":
         return paper_form(spectra, geometry, _paper_options(options))
@@ -98,8 +98,12 @@ def _in_band(lines: Lines, band: tuple[float, float]) -> Lines:
     keep = (lines.frequency >= band[0]) & (lines.frequency <= band[1])
     if keep.all():
         return lines
+    window = lines.window
+    if window is not None:
+        window = replace(window, start=window.start[keep], covariance=window.covariance[keep])
     return replace(
         lines,
+        window=window,
         frequency=lines.frequency[keep],
         channels=lines.channels[keep],
         loads=lines.loads[keep],
@@ -165,6 +169,12 @@ def _described(
         iterations=minimum.iterations,
         converged=minimum.converged,
     )
+
+
+def identified_effects(model: IdentifiedModel) -> tuple[FittedEffect, ...]:
+    """The effects of a model with what was found of them."""
+    table = model.parameters
+    return fitted_effects(model.geometry, table.names, table.value.tolist(), table.sigma.tolist())
 
 
 def _with_exact(model: BalanceModel, covariance: Array) -> Array:

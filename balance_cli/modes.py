@@ -31,7 +31,7 @@ class ComputedModes:
 
 def computed_modes(geometry: Geometry) -> ComputedModes:
     """Eigenfrequencies, shapes and their sensitivity to each cell and to the torque meter."""
-    model = balance_model(geometry)
+    model = balance_model(geometry).with_exact_effects()
     parameters = model.parameters
     covariance = np.diag(parameters.sigma[parameters.free] ** 2)
     table = mode_table(model, parameters.value, covariance)

@@ -21,7 +21,7 @@ from balance_cli.runs import Run
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.harmonic_spectrum import harmonic_lines
-from balance_cli.signals.harmonics import Harmonics, harmonics
+from balance_cli.signals.harmonics import FEWEST_REVOLUTIONS, Harmonics, harmonics
 from balance_cli.signals.settling import settling
 from balance_cli.steady_loads import SteadyLoads, ZeroRecord, steady_loads
 
@@ -59,7 +59,12 @@ def reduce_run(
     """
     options = options or ReduceOptions()
     health = live_channels(run, geometry)
+    if not health.live:
+        raise UserError("no channel is left", _place(run), "channels", "Mend the channels, or leave the run out")
     azimuth = _azimuth(run)
+    if azimuth.turns < FEWEST_REVOLUTIONS:
+        fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
+        raise UserError(fault, _place(run), "rotor/pulse_times", "Record for longer")
     limit = max(TIME_CONSTANTS * source.slowest_decay, LEAST_LIMIT)
     start = settling(run, azimuth, limit, health.live)
     signals = _signals(run, health)
@@ -70,11 +75,13 @@ def reduce_run(
     return _joined(run, spectra, steady, dynamic, source, health, azimuth, geometry)
 
 
+def _place(run: Run) -> str:
+    return str(run.path or run.name)
+
+
 def _azimuth(run: Run) -> Azimuth:
     if run.pulse_times is None:
-        raise UserError(
-            "no 1/rev pulses", str(run.path or run.name), "rotor/pulse_times", "Reduce runs of kind check or wind"
-        )
+        raise UserError("no 1/rev pulses", _place(run), "rotor/pulse_times", "Reduce runs of kind check or wind")
     return azimuth_from_pulses(run.pulse_times)
 
 
@@ -168,7 +175,7 @@ def _joined(
         response=source.description,
         trim=steady.trim,
         components=steady.components,
-        frequency_hz=np.arange(len(spectra.frequency_hz)) * azimuth.mean_rate,
+        frequency_hz=np.asarray(np.arange(len(spectra.frequency_hz)) * azimuth.mean_rate, float),
         amplitude=np.concatenate([steady.loads[None, :].astype(complex), dynamic.loads]),
         sigma_cosine=np.concatenate([steady.sigma[None, :], np.sqrt(variance[:, :m])]),
         sigma_sine=np.concatenate([np.zeros((1, m)), np.sqrt(variance[:, m:])]),

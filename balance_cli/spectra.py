@@ -11,7 +11,7 @@ from balance_cli.geometry import Geometry
 from balance_cli.runs import Run
 from balance_cli.signals.lines import Lines, StaticPoints
 from balance_cli.signals.local_lines import lines_from_local_model
-from balance_cli.signals.periodic import periodic_lines
+from balance_cli.signals.periodic import periodic_lines, repeats
 from balance_cli.signals.static_noise import static_points
 
 
@@ -60,6 +60,6 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry) -> Spectra:
 
 
 def _sweep_lines(run: Run, channel_names: tuple[str, ...]) -> Lines:
-    if run.period is not None:
+    if repeats(run):
         return periodic_lines(run, channel_names)
     return lines_from_local_model(run, channel_names)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from balance_cli.estimation.gauss_newton import prior_curvature
-from balance_cli.estimation.likelihood import data_chi2, exciter_response
+from balance_cli.estimation.likelihood import data_chi2, exciter_response, fitted
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch, stacked
 from balance_cli.geometry_file import load_geometry
@@ -106,12 +106,20 @@ def _filled(precision: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 
 def _whitened(batch: Batch, factor: NDArray[np.complex128], system: System) -> Array:
-    """sqrt(2) L* (z - M U0), real and imaginary parts, with U0 the weighted least-squares loads."""
-    T = exciter_response(system, solve(system, batch.frequency, batch.spin))
+    """sqrt(2) L* (z - M U0), real and imaginary parts, with U0 the weighted least-squares loads.
+
+    The free motion is taken out of z; the rows that bound it follow.
+    """
+    solution = solve(system, batch.frequency, batch.spin)
+    T, free = exciter_response(system, solution), fitted(batch, system, solution).transients
     columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
     M = np.concatenate([columns, np.broadcast_to(np.eye(columns.shape[2]), (len(columns), *2 * columns.shape[2:]))], 1)
-    z = np.concatenate([batch.channels, batch.loads], axis=1)[:, :, None]
+    channels = batch.channels.copy()
+    for one in free:
+        channels[one.lines] -= one.columns @ one.x
+    z = np.concatenate([channels, batch.loads], axis=1)[:, :, None]
     A, b = factor @ M, factor @ z
     U = np.linalg.solve(A.conj().swapaxes(1, 2) @ A, A.conj().swapaxes(1, 2) @ b)
     r = np.sqrt(2.0) * (b - A @ U).reshape(-1)
+    r = np.concatenate([r, *(one.bound @ one.x for one in free)])
     return np.concatenate([r.real, r.imag])

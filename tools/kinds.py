@@ -1,21 +1,35 @@
-"""Make variables STATIC, SWEEP, CHECK, WIND and ZERO from the summary of `balance check --json`."""
+"""From the summary of `balance check --json`: which runs are of which kind, for the pipeline of a campaign.
+
+Writes `kinds.mk`, the make variables STATIC, SWEEP, CHECK, WIND and ZERO; and beside it one list a kind (and one of the
+geometry) with the digest of every file, touched only where it changes: a step depends on the lists of what it uses, so
+that it is made again when their content changes, whatever the files' times.
+"""
 
 import json
 import sys
-from collections import defaultdict
 from pathlib import Path
 
 KINDS = ("static", "sweep", "check", "wind", "zero")
 
 
 def main(summary: Path) -> None:
-    """Print one line for each kind of run."""
+    """Write the variables and the lists into the folder of the summary."""
     files = json.loads(summary.read_text(encoding="utf-8"))["files"]
-    by_kind = defaultdict(list)
+    digests = {kind: {} for kind in (*KINDS, "geometry")}
     for path, about in files.items():
-        by_kind[about.get("run_kind", "")].append(path)
-    for kind in KINDS:
-        sys.stdout.write(f"{kind.upper()} := {' '.join(by_kind[kind])}\n")
+        kind = about.get("run_kind") or about["kind"]
+        if kind in digests:
+            digests[kind][path] = about["digest"]
+    for kind, members in digests.items():
+        text = "".join(f"{digest}  {Path(path).name}\n" for path, digest in members.items())
+        _write_if_changed(summary.with_name(f"{kind}.list"), text)
+    variables = [f"{kind.upper()} := {' '.join(digests[kind])}\n" for kind in KINDS]
+    summary.with_name("kinds.mk").write_text("".join(variables), encoding="utf-8")
+
+
+def _write_if_changed(path: Path, text: str) -> None:
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

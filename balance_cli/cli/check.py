@@ -27,8 +27,11 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     listed, channels that are dead or clipped among them. Exit status 2 where any file has a fault.
     """
     from balance_cli.cli.examine import examine
+    from balance_cli.model.placed_effects import check_effects
 
     rig = None if geometry is None else session.geometry(geometry)
+    if rig is not None:
+        check_effects(rig, str(geometry))
     found = {path: examine(path, rig) for path in session.progress(files, "files")}
     faults = {path: [*finding.faults, *_shared_name(path, found)] for path, finding in found.items()}
     faulty = sum(bool(own) for own in faults.values())

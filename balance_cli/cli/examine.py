@@ -68,6 +68,7 @@ def _geometry(path: Path, other: Geometry | None) -> Finding:
     geometry, faults = read_geometry(path)
     if geometry is None:
         return Finding("geometry", "geometry", faults=faults)
+    faults += _effect_faults(geometry, path)
     about = f"geometry `{geometry.name}` of rig `{geometry.rig}`: {len(geometry.cells)} cells, "
     about += f"{len(geometry.channels)} channels, free in {' '.join(geometry.freedom)}"
     digest = geometry_digest(geometry)
@@ -75,6 +76,16 @@ def _geometry(path: Path, other: Geometry | None) -> Finding:
         fault = f"declares something else than the geometry `{other.name}` given with -g"
         faults += (UserError(fault, str(path), remedy="Give one of the two"),)
     return Finding("geometry", about, geometry.name, geometry.rig, digest, faults)
+
+
+def _effect_faults(geometry: Geometry, path: Path) -> tuple[UserError, ...]:
+    from balance_cli.model.placed_effects import check_effects
+
+    try:
+        check_effects(geometry, str(path))
+    except UserError as error:
+        return (error,)
+    return ()
 
 
 def _run(path: Path, geometry: Geometry | None) -> Finding:

@@ -20,6 +20,7 @@ from balance_cli.cli.options import InputFile
 
 if TYPE_CHECKING:
     from balance_cli.identified import IdentifiedModel
+    from balance_cli.model.placed_effects import FittedEffect
 
 FORMAT = "balance-model/1"
 METHODS = ("ls", "ml", "ls+ml", "computed")
@@ -50,6 +51,13 @@ METHODS = ("ls", "ml", "ls+ml", "computed")
     help="Damping matrix of the paper's form.",
 )
 @click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME[@PLACE[,PLACE]]",
+    help="An effect beyond the rigid balance to be fitted, besides those that the geometry declares (repeatable).",
+)
+@click.option(
     "--band",
     type=(float, float),
     default=None,
@@ -65,6 +73,7 @@ def command(
     method: Literal["ls", "ml", "ls+ml", "computed"],
     form: Literal["physical", "paper"],
     damping: Literal["diagonal", "full"],
+    effects: tuple[str, ...],
     band: tuple[float, float] | None,
     skip_bad: bool,
     output: Path,
@@ -74,9 +83,12 @@ def command(
     Runs of other kinds are left out and named. With --method computed no run is needed: the model is the geometry.
     """
     from balance_cli.identify import IdentifyOptions, identify
+    from balance_cli.model.placed_effects import add_effects, check_effects
     from balance_cli.spectra import measured_spectra
 
     rig = session.geometry(geometry)
+    check_effects(rig, str(geometry))
+    rig = add_effects(rig, effects)
     records = session.runs(runs, rig, skip_bad)
     spectra = measured_spectra(session.progress(records, "spectra", len(records)), rig)
     for name, reason in spectra.unused.items():
@@ -89,6 +101,8 @@ def command(
 
 def model_summary(model: IdentifiedModel) -> dict[str, Any]:
     """The fixed keys of the contract, and what else tells how good the fit is."""
+    from balance_cli.identify import identified_effects
+
     quality, table = model.quality, model.parameters
     return {
         "form": model.form,
@@ -104,9 +118,18 @@ def model_summary(model: IdentifiedModel) -> dict[str, Any]:
             name: dict(zip(("value", "sigma", "unit", "rests_on"), entry, strict=True))
             for name, *entry in zip(table.names, table.value, table.sigma, table.units, table.rests_on, strict=True)
         },
+        "effects": [_effect_summary(effect) for effect in identified_effects(model)],
         "undetermined": model.undetermined,
         "channels_left_out": model.channels_left_out,
     }
+
+
+def _effect_summary(effect: FittedEffect) -> dict[str, Any]:
+    """An effect as the contract's section on effects has it."""
+    parameters = {
+        item.name: {"value": item.value, "sigma": item.sigma, "unit": item.unit} for item in effect.parameters
+    }
+    return {"name": effect.name, "where": effect.where, "parameters": parameters}
 
 
 def _modes_summary(model: IdentifiedModel) -> list[dict[str, float]]:
@@ -124,6 +147,8 @@ def _modes_summary(model: IdentifiedModel) -> list[dict[str, float]]:
 
 def model_text(model: IdentifiedModel) -> Iterator[str]:
     """What a user wants to know at once: modes, quality of the fit, what the data left open."""
+    from balance_cli.identify import identified_effects
+
     quality, modes = model.quality, model.modes
     yield f"{model.form} form, {model.method}, {model.iterations} iterations from {model.start}"
     if not model.converged:
@@ -136,5 +161,9 @@ def model_text(model: IdentifiedModel) -> Iterator[str]:
     yield "   Hz         sigma      damping    sigma"
     for row in zip(modes.frequency, modes.sigma_frequency, modes.damping_ratio, modes.sigma_damping_ratio, strict=True):
         yield "{:9.4f} {:9.2g} {:9.5f} {:9.2g}".format(*row)
+    for effect in identified_effects(model):
+        yield f"{effect.label}:"
+        for item in effect.parameters:
+            yield f"   {item.name:<20} {item.value:12.5g} +- {item.sigma:<9.2g} {item.unit}"
     for direction in model.undetermined:
         yield f"the data alone leave open: {direction}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -86,6 +87,8 @@ def command(
     for run in session.progress(used, "runs", len(used)):
         with session.skipping(run, skip_bad):
             reduced[run.name] = reduce_run(run, cal.geometry, cal, source, reference, options)
+            for channel, reason in reduced[run.name].left_out.items():
+                session.warn(f"{run.name}: channel {channel} left out: {reason}")
             _write_history(session, history, run, reduced[run.name])
     loads = Loads(method, source.description, cal.geometry, reduced)
     _write(session, output, loads)
@@ -142,6 +145,10 @@ def _zero(session: Session, calibration: Calibration, path: Path | None, records
     zeros = [run for run in records if run.kind == "zero"]
     if path is not None:
         zeros = list(session.runs([path], calibration.geometry, role="zero"))
+        if zeros[0].kind != "zero":
+            raise UserError(
+                f"is a {zeros[0].kind} run", str(path), "attribute `kind`", "Give a wind-off record of kind `zero`"
+            )
     if len(zeros) > 1:
         raise UserError(
             "more than one zero run: " + ", ".join(run.name for run in zeros), "RUN...", remedy="Choose one with --zero"
@@ -204,13 +211,20 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
 def _text(loads: Loads) -> Iterator[str]:
     yield f"{len(loads.runs)} runs reduced, {loads.response}"
     for name, run in loads.runs.items():
-        worst = max(range(1, len(run.redundancy)), key=lambda n: run.redundancy[n])
-        limit = run.redundancy_limit[worst]
-        yield f"{name}: redundancy up to {run.redundancy[worst]:.3g} (harmonic {worst}, limit {limit:.2f})"
+        yield f"{name}, {run.interval[0]:.2f} to {run.interval[1]:.2f} s: {_surplus(run)}"
         if run.check is not None:
-            errors = {**run.check.load_error, **run.check.interaction}
-            yield "   error on known loads: " + ", ".join(f"{key} {100 * value:.2f} %" for key, value in errors.items())
-        for channel, reason in run.left_out.items():
-            yield f"   {channel} left out: {reason}"
+            yield f"   error of the loads applied: {_percent(run.check.load_error)}"
+            yield f"   interaction in the others: {_percent(run.check.interaction)}"
         for note in run.notes:
             yield f"   {note}"
+
+
+def _surplus(run: RunLoads) -> str:
+    worst = max(range(1, len(run.redundancy)), key=lambda n: run.redundancy[n])
+    if math.isnan(run.redundancy[worst]):
+        return "no more channels than loads, so that nothing tests the response"
+    return f"redundancy up to {run.redundancy[worst]:.3g} (harmonic {worst}, limit {run.redundancy_limit[worst]:.2f})"
+
+
+def _percent(errors: dict[str, float]) -> str:
+    return ", ".join(f"{name} {100 * value:.2f} %" for name, value in errors.items()) or "none"

@@ -56,17 +56,17 @@ def minimise(
     """
     space = coordinates(parameters)
     theta, damping = np.array(start, float), 0.0
+    data = curvature(theta)
     for iteration in range(1, iterations + 1):
-        data = curvature(theta)
         whole = data + prior_curvature(parameters, theta)
         total = _held_at_bounds(parameters, theta, _in_coordinates(parameters, space, theta, whole))
         promised = _promised(total)
         if promised < max(tolerance, 1e-9 * total.chi2):
             return Minimum(theta, data, whole, iteration, True)
-        theta, damping, moved = _descend(parameters, space, theta, total, damping, chi2)
-        if not moved:
+        step = _descend(parameters, space, theta, total, damping, curvature, chi2)
+        if step is None:
             return Minimum(theta, data, whole, iteration, promised < 1e-6 * total.chi2)
-    data = curvature(theta)
+        theta, data, damping = step
     return Minimum(theta, data, data + prior_curvature(parameters, theta), iterations, False)
 
 
@@ -116,23 +116,38 @@ def _descend(
     theta: Array,
     total: Curvature,
     damping: float,
+    curvature: Callable[[Array], Curvature],
     chi2: Callable[[Array], float],
-) -> tuple[Array, float, bool]:
-    """One accepted step: raise the damping until chi2 falls."""
+) -> tuple[Array, Curvature, float] | None:
+    """One accepted step, with the data's curvature there and the damping to begin the next with; None without one.
+
+    The first trial nearly always serves, so its curvature is asked for at once; further ones ask for chi2 alone.
+    """
     information, gradient, size = _normalised(total)
-    for _ in range(24):
+    for trials in range(24):
         step = -np.linalg.solve(information + damping * np.eye(len(size)), gradient) * size
         trial = _stepped(parameters, space, theta, step)
-        if _chi2_at(trial, parameters, chi2) < total.chi2:
-            return trial, (damping / 100.0 if damping > LEAST_DAMPING else 0.0), True
+        data = _curvature_at(trial, curvature) if trials == 0 else None
+        reached = _chi2_at(trial, parameters, chi2, data)
+        if reached < total.chi2:
+            easier = damping / 100.0 if damping > LEAST_DAMPING else 0.0
+            return trial, curvature(trial) if data is None else data, easier
         damping = max(10.0 * damping, LEAST_DAMPING)
-    return theta, damping, False
+    return None
 
 
-def _chi2_at(trial: Array, parameters: ParameterSet, chi2: Callable[[Array], float]) -> float:
-    """Chi-square of data and priors; infinite where no rig is like this (an inertia that is not positive, say)."""
+def _curvature_at(trial: Array, curvature: Callable[[Array], Curvature]) -> Curvature | None:
+    """The data's curvature; None where no rig is like this (an inertia that is not positive, say)."""
     try:
-        return chi2(trial) + prior_curvature(parameters, trial).chi2
+        return curvature(trial)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _chi2_at(trial: Array, parameters: ParameterSet, chi2: Callable[[Array], float], data: Curvature | None) -> float:
+    """Chi-square of data and priors, the data's as known where it is; infinite where no rig is like this."""
+    try:
+        return (chi2(trial) if data is None else data.chi2) + prior_curvature(parameters, trial).chi2
     except np.linalg.LinAlgError:
         return np.inf
 

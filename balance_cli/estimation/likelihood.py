@@ -6,17 +6,20 @@ System Identification, 2nd ed., chapter 9): with M = [T; I], U0 = (M' S M)^-1 M'
     chi2 = 2 sum r* S r,   gradient = -4 Re sum dY* (S r)_Y,   curvature = 4 Re sum dY* P dY (Gauss-Newton)
 
 where dY = dT U0 and P = S_YY - S_YM (M'SM)^-1 S_MY. With noise on the channels alone U0 = U and P = S_YY.
+The free motion of records that began at rest is linear too, and is eliminated run by run (see `transients`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.measurements import WORKERS, Batch
+from balance_cli.estimation.transients import Transient, eliminated, transient_slopes, transients
 from balance_cli.model.system import Solution, System, output_slopes, response, solve
 
 Array = NDArray[np.float64]
@@ -27,7 +30,8 @@ ComplexArray = NDArray[np.complex128]
 class Fitted:
     """One batch at one parameter vector: estimated loads (K, 6), weighted residual S r of the channels (K, c),
 
-    residual of the channels (K, c) about the measured loads, and chi2 (K,) of each line.
+    residual of the channels (K, c) about the measured loads, and chi2 (K,) of each line, the free motion of the
+    `transients` taken out of all of them; `downdate`: what the eliminated loads take from the precision.
     """
 
     loads: ComplexArray
@@ -35,6 +39,12 @@ class Fitted:
     residual: ComplexArray
     chi2: Array
     downdate: tuple[ComplexArray, ComplexArray] | None
+    transients: tuple[Transient, ...]
+
+    @property
+    def total(self) -> float:
+        """Chi-square of all lines, and of the bounds of the free motion."""
+        return float(self.chi2.sum() + sum(one.chi2 for one in self.transients))
 
 
 @dataclass(frozen=True)
@@ -54,33 +64,53 @@ def exciter_response(system: System, solution: Solution) -> ComplexArray:
     return np.asarray(response(system, solution) @ system.spill.value)
 
 
-def fitted(batch: Batch, system: System, solution: Solution) -> Fitted:
-    """Eliminate the true loads of every line and weigh what is left."""
+def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = False) -> Fitted:
+    """Eliminate the true loads of every line and the free motion of every run, and weigh what is left.
+
+    With `slopes` the free motion comes with its derivatives.
+    """
     T = exciter_response(system, solution)
     columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
-    predicted = np.matmul(columns, batch.loads[:, :, None])[:, :, 0]
-    residual = batch.channels - predicted
-    if batch.exact:
-        return _with_exact_loads(batch, residual)
+    residual = batch.channels - np.matmul(columns, batch.loads[:, :, None])[:, :, 0]
+    downdate = None if batch.exact else _downdate(batch, columns)
+
+    def weigh(lines: slice, values: ComplexArray) -> ComplexArray:
+        return _weighted(batch, downdate, lines, values)
+
+    free = transients(batch, system, residual, weigh, slopes)
+    for one in free:
+        residual[one.lines] -= one.columns @ one.x
+    weighted = weigh(slice(None), residual[:, :, None])[:, :, 0]
+    chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted, axis=1))
+    loads = batch.loads
+    if downdate is not None:
+        SM, normal = downdate
+        # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
+        right = np.matmul(SM.conj().swapaxes(1, 2), residual[:, :, None])
+        loads = loads + np.linalg.solve(normal, right)[:, :, 0]
+    return Fitted(_six(batch, loads), weighted, residual, chi2, downdate, free)
+
+
+def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """(S M)_Y (K, c, u) and M' S M (K, u, u) for the columns T (K, c, u) of the excited loads."""
     c = batch.channels.shape[1]
     S = batch.precision
     SM = np.matmul(S[:, :, :c], columns) + S[:, :, c:]
     normal = np.matmul(columns.conj().swapaxes(1, 2), SM[:, :c]) + SM[:, c:]
-    # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
-    Sr = np.matmul(S[:, :, :c], residual[:, :, None])[:, :, 0]
-    right = np.matmul(columns.conj().swapaxes(1, 2), Sr[:, :c, None])[:, :, 0] + Sr[:, c:]
-    correction = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    weighted = Sr - np.matmul(SM, correction[:, :, None])[:, :, 0]
-    chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted[:, :c], axis=1))
-    loads = _six(batch, batch.loads + correction)
-    return Fitted(loads, weighted[:, :c], residual, chi2, (SM[:, :c], np.linalg.inv(normal)))
+    return SM[:, :c], np.asarray(normal, complex)
 
 
-def _with_exact_loads(batch: Batch, residual: ComplexArray) -> Fitted:
+def _weighted(
+    batch: Batch, downdate: tuple[ComplexArray, ComplexArray] | None, lines: slice, values: ComplexArray
+) -> ComplexArray:
+    """P times columns (k, c, q) at these lines; the eliminated loads as a second, small product."""
     c = batch.channels.shape[1]
-    weighted = np.matmul(batch.precision[:, :c, :c], residual[:, :, None])[:, :, 0]
-    chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted, axis=1))
-    return Fitted(_six(batch, batch.loads), weighted, residual, chi2, None)
+    weighted = np.asarray(np.matmul(batch.precision[lines, :c, :c], values), complex)
+    if downdate is None:
+        return weighted
+    SM, normal = downdate[0][lines], downdate[1][lines]
+    correction = np.linalg.solve(normal, np.matmul(SM.conj().swapaxes(1, 2), values))
+    return np.asarray(weighted - np.matmul(SM, correction))
 
 
 def _six(batch: Batch, loads: ComplexArray) -> ComplexArray:
@@ -107,35 +137,48 @@ def _information(batch: Batch, fit: Fitted, slopes: ComplexArray) -> Array:
     flat = slopes.reshape(K * c, p)
     information = np.real(flat.conj().T @ weighted.reshape(K * c, p))
     if fit.downdate is not None:
-        SM, inverse = fit.downdate
+        SM, normal = fit.downdate
         projected = np.matmul(SM.conj().swapaxes(1, 2), slopes)
         flat = projected.reshape(-1, p)
-        information -= np.real(flat.conj().T @ np.matmul(inverse, projected).reshape(-1, p))
+        information -= np.real(flat.conj().T @ np.linalg.solve(normal, projected).reshape(-1, p))
     return np.asarray(2.0 * information)
 
 
 def batch_curvature(batch: Batch, system: System) -> Curvature:
     """Chi-square, gradient and information of one batch."""
     solution = solve(system, batch.frequency, batch.spin)
-    fit = fitted(batch, system, solution)
+    fit = fitted(batch, system, solution, slopes=True)
     slopes = channel_slopes(batch, system, solution, fit.loads)
+    for one in fit.transients:
+        slopes[one.lines] += transient_slopes(one)
     p = slopes.shape[2]
     gradient = -2.0 * np.real(slopes.reshape(-1, p).conj().T @ fit.weighted.reshape(-1))
-    return Curvature(float(fit.chi2.sum()), gradient, _information(batch, fit, slopes))
+    information = _information(batch, fit, slopes)
+    for one in fit.transients:
+        part, taken = eliminated(one, slopes[one.lines])
+        gradient, information = gradient + part, information + taken
+    return Curvature(fit.total, gradient, information)
 
 
 def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
     """Chi-square, gradient and information of all measured lines."""
     p = system.parameters
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
-    for batch in batches:
-        total = total + batch_curvature(batch, system)
+    with ThreadPoolExecutor(WORKERS) as workers:
+        # Threads, because numpy lets go of the interpreter; summed in order, so that the result is always the same.
+        for part in workers.map(lambda batch: batch_curvature(batch, system), batches):
+            total = total + part
     return total
 
 
 def data_chi2(batches: Sequence[Batch], system: System) -> float:
     """Chi-square of all measured lines, without derivatives."""
-    return float(sum(fitted(b, system, solve(system, b.frequency, b.spin)).chi2.sum() for b in batches))
+
+    def chi2(batch: Batch) -> float:
+        return fitted(batch, system, solve(system, batch.frequency, batch.spin)).total
+
+    with ThreadPoolExecutor(WORKERS) as workers:
+        return float(sum(workers.map(chi2, batches)))
 
 
 def degrees_of_freedom(batches: Sequence[Batch]) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
-from balance_cli.signals.lines import Lines, StaticPoints
+from balance_cli.signals.lines import Lines, StaticPoints, Window
 from balance_cli.signals.noise import inverse_bias_factor
 
 Array = NDArray[np.float64]
@@ -18,6 +18,8 @@ Index = NDArray[np.intp]
 
 # Degrees of freedom per signal that make the inverse of an estimated covariance worth having.
 ENOUGH_DOF = 2.0
+# Batches that are worked on at once.
+WORKERS = 2
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class Batch:
     `efficiency` (K,) is what weights from an estimated covariance are worth beside the true ones (see `_efficiency`).
     The precision holds it as a factor, so that the information says what the estimate is worth; chi-square against
     the noise is that of the precision divided by it.
+
+    `windows`: of each run, where a periodic record's lines come from; None where no free motion can be in them.
     """
 
     runs: tuple[str, ...]
@@ -46,6 +50,13 @@ class Batch:
     count: Array
     run: Index
     efficiency: Array
+    windows: tuple[Window | None, ...]
+
+    @property
+    def parts(self) -> tuple[slice, ...]:
+        """The lines of each run; they stand together."""
+        ends = np.cumsum(np.bincount(self.run, minlength=len(self.runs)))
+        return tuple(slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
 
 def stacked(
@@ -57,7 +68,14 @@ def stacked(
     for run in everything:
         key = (run.rotor_speed, len(run.components), _exact(run))
         groups.setdefault(key, []).append(run)
-    return tuple(_batch(group, key, channel_names) for key, group in groups.items())
+    parts = [(key, part) for key, group in groups.items() for part in _shared_out(group)]
+    return tuple(_batch(part, key, channel_names) for key, part in parts)
+
+
+def _shared_out(group: list[Lines]) -> list[list[Lines]]:
+    """The runs in as many parts as there are workers, so that each has its own batch."""
+    size = -(-len(group) // WORKERS)
+    return [group[start : start + size] for start in range(0, len(group), size)]
 
 
 def static_lines(points: StaticPoints) -> Lines:
@@ -110,6 +128,7 @@ def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: 
         count=np.concatenate(counts),
         run=run,
         efficiency=np.concatenate(efficiency),
+        windows=tuple(item.window for item in group),
     )
 
 
@@ -137,7 +156,8 @@ def _precision(lines: Lines, channel_names: tuple[str, ...], exact: bool) -> Com
     """Inverse covariance, spread over all channels and the u loads."""
     live, c, u = len(lines.channel_names), len(channel_names), len(lines.components)
     used = slice(0, live) if exact else slice(0, live + u)
-    inverse = _inverse(lines.covariance[:, used, used], lines.dof, live) * _efficiency(lines)
+    noise = lines.window or lines
+    inverse = _inverse(noise.covariance[:, used, used], noise.dof, live) * _efficiency(lines)
     wide = np.zeros((len(inverse), c + u, c + u), complex)
     places = np.array(_places(lines, channel_names) + ([] if exact else list(range(c, c + u))))
     wide[:, places[:, None], places[None, :]] = inverse
@@ -151,7 +171,8 @@ def _efficiency(lines: Lines) -> float:
     IEE Proc. Radar 147, 2000): an estimate weighted by P scatters more by that factor than its information says.
     """
     size = len(lines.channel_names)
-    return inverse_bias_factor(lines.dof, size) if lines.dof > ENOUGH_DOF * size else 1.0
+    dof = (lines.window or lines).dof
+    return inverse_bias_factor(dof, size) if dof > ENOUGH_DOF * size else 1.0
 
 
 def _inverse(covariance: ComplexArray, dof: float, size: int) -> ComplexArray:

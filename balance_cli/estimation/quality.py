@@ -44,7 +44,8 @@ def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
         band = mine & in_band
         relative = [_relative(part[band], signal[band]) for part in (error, noise)]
         chi2 = float((fit.chi2[mine] / batch.efficiency[mine]).sum())
-        qualities[name] = RunFit(chi2, float(batch.count[mine].sum()), *relative)
+        amplitudes = sum(one.determined for one in fit.transients if one.lines == batch.parts[i])
+        qualities[name] = RunFit(chi2, float(batch.count[mine].sum() - amplitudes), *relative)
     return qualities
 
 

@@ -36,7 +36,7 @@ def modes(system: System, spin: float = 0.0) -> Modes:
     Slopes are ds = -y (s^2 dM + s dD + dK + j dH) x / y (2 s M + D) x, with y the left eigenvector.
     """
     M, D, K = _matrices(system, spin)
-    s, left, right = _eigen(M, D, K)
+    s, left, right = eigenvalues(M, D, K)
     norm = np.einsum("mi,mij,mj->m", left, 2 * s[:, None, None] * M + D, right)
     ds = -_pencil_slopes(system, spin, s, left, right) / norm[:, None]
     size = np.abs(s)
@@ -53,7 +53,7 @@ def _matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
     return pencil.mass.value, damping, pencil.stiffness.value + 1j * pencil.hysteresis.value
 
 
-def _eigen(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+def eigenvalues(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Oscillatory eigenvalues (m,) of rising size with left and right vectors (m, n) of the quadratic problem.
 
     The companion pencil is [[0, I], [-K, -D]] v = s [[I, 0], [0, M]] v; M may be singular (infinite eigenvalues).

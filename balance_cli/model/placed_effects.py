@@ -19,6 +19,10 @@ from balance_cli.model.parameters import ParameterSet
 FEW = 20
 
 
+def _label(name: str, where: Where) -> str:
+    return f"{name}@{','.join(where)}" if where else name
+
+
 @dataclass(frozen=True)
 class PlacedEffect:
     """An effect at one place, with its parameters there and what is declared of them."""
@@ -31,7 +35,7 @@ class PlacedEffect:
     @property
     def label(self) -> str:
         """NAME@PLACE,PLACE as on the command line."""
-        return f"{self.effect.name}@{','.join(self.where)}" if self.where else self.effect.name
+        return _label(self.effect.name, self.where)
 
     def full_name(self, parameter: EffectParameter) -> str:
         """Name of a fitted parameter among all of a model: `channel-gain@x.strain.gain`."""
@@ -45,12 +49,27 @@ class PlacedEffect:
 
 
 @dataclass(frozen=True)
+class FittedParameter:
+    """A parameter of an effect as found; sigma is 0 where it was held, infinite where nothing told of it."""
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class FittedEffect:
-    """An effect with its parameters as found: (name, value, sigma, unit) of each."""
+    """An effect with its parameters as found."""
 
     name: str
     where: Where
-    parameters: tuple[tuple[str, float, float, str], ...]
+    parameters: tuple[FittedParameter, ...]
+
+    @property
+    def label(self) -> str:
+        """NAME@PLACE,PLACE as on the command line."""
+        return _label(self.name, self.where)
 
 
 def placed(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
@@ -87,6 +106,14 @@ def _nearest_of_many(effect: Effect, where: Where, known: Sequence[str]) -> str:
     near = get_close_matches(",".join(where), known, 1, 0.0)
     guess = f"Did you mean `{near[0]}`? " if near and where else ""
     return f"{guess}Its place: {effect.place}"
+
+
+def check_effects(geometry: Geometry, file: str) -> None:
+    """UserError, with the file named, for an effect of a geometry that is unknown or cannot be there."""
+    try:
+        declared_effects(geometry)
+    except UserError as error:
+        raise error.at(file) from error
 
 
 def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
@@ -149,9 +176,10 @@ def fitted_effects(
     """The effects of a geometry with values and sigmas from the parameters of a model, by their names."""
     found = dict(zip(names, zip(values, sigma, strict=True), strict=True))
 
-    def described(one: PlacedEffect, parameter: EffectParameter) -> tuple[str, float, float, str]:
-        value, spread = found[one.full_name(parameter)]
-        return parameter.name, parameter.fitted(value), parameter.fitted_sigma(value, spread), parameter.unit
+    def described(one: PlacedEffect, parameter: EffectParameter) -> FittedParameter:
+        value, spread = (float(number) for number in found[one.full_name(parameter)])
+        sigma = parameter.fitted_sigma(value, spread)
+        return FittedParameter(parameter.name, parameter.fitted(value), sigma, parameter.unit)
 
     return tuple(
         FittedEffect(one.effect.name, one.where, tuple(described(one, parameter) for parameter in one.parameters))
@@ -165,7 +193,7 @@ def declare(geometry: Geometry, names: Sequence[str], values: Sequence[float]) -
         DeclaredEffect(
             name=one.name,
             where=one.where,
-            parameters={name: float(value) for name, value, *_ in one.parameters if np.isfinite(value)},
+            parameters={item.name: item.value for item in one.parameters if np.isfinite(item.value)},
         )
         for one in fitted_effects(geometry, names, values, np.zeros(len(values)))
     )

@@ -125,11 +125,11 @@ def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
 def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
     """The gains g (k, c), volts per unit force of each channel's spring at `frequency` (k,) [Hz]."""
     s = 2j * np.pi * np.asarray(frequency, float)
-    return np.stack([path.gain.value * _dynamics(path, s) for path in paths], axis=1)
+    return np.stack([path.gain.value * channel_dynamics(path, s) for path in paths], axis=1)
 
 
-def _dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:
-    """First-order filters and delay of one channel at s = j omega (k,)."""
+def channel_dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+    """First-order filters and delay of one channel at s (k,), j omega or any other."""
     value = np.ones_like(s)
     for tau in path.low_pass:
         value = value / (1 + s * tau.value)
@@ -178,10 +178,11 @@ def slopes_times(slopes: Array, vectors: ComplexArray) -> ComplexArray:
 def log_gain_slopes(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
     """Derivatives (k, c, p) of ln g: of gain, time constants, rates and delay of each channel."""
     s = 2j * np.pi * np.asarray(frequency, float)[:, None]
-    return np.stack([_log_slope(path, s) for path in paths], axis=1)
+    return np.stack([log_gain_slope(path, s) for path in paths], axis=1)
 
 
-def _log_slope(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+def log_gain_slope(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+    """Derivatives (k, p) of ln g of one channel at s (k, 1)."""
     slope = np.broadcast_to(path.gain.slope / path.gain.value, (len(s), path.gain.parameters)).astype(complex)
     for tau in path.low_pass:
         slope = slope - s / (1 + s * tau.value) * tau.slope

@@ -12,12 +12,29 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
+class Window:
+    """The samples that each of k lines was taken from: whole periods of the record, no taper.
+
+    `start` (k,) and `stop` [s] from the first sample, `step` [s] between samples. `covariance` (k, c+u, c+u) and `dof`
+    are those of the noise alone, for who models the free motion that still rings in the lines; what the lines state
+    themselves holds its scatter too.
+    """
+
+    start: Array
+    stop: float
+    step: float
+    covariance: ComplexArray
+    dof: float
+
+
+@dataclass(frozen=True)
 class Lines:
     """Spectra of one run (or one experiment of it) at k lines: c channels, u excited load components.
 
     Amplitudes are complex, `x(t) = Re sum X exp(+j 2 pi f t)`. The noise of the stacked vector z = [channels, loads]
     is circular with covariance E[z z*] = `covariance` per line, that of the means as given (not of one period), and
     was estimated with `dof` complex degrees of freedom (infinite where it is known).
+    `window`: where in a periodic record they come from; None where no free motion can be in them.
 
     Shapes: frequency (k,) [Hz]; channels (k, c) [V]; loads (k, u) [N, N m]; covariance (k, c+u, c+u).
     """
@@ -32,6 +49,7 @@ class Lines:
     dof: float
     rotor_speed: float = 0.0
     level: tuple[float, ...] = ()
+    window: Window | None = None
 
 
 @dataclass(frozen=True)

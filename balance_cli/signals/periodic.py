@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 
 from balance_cli.errors import UserError
 from balance_cli.runs import Run
-from balance_cli.signals.lines import Lines
-from balance_cli.signals.noise import distances, inverse_bias_factor, least_variance, outlier_bound, pooled_covariance
+from balance_cli.signals.lines import Lines, Window
+from balance_cli.signals.noise import (
+    distances,
+    inverse_bias_factor,
+    least_variance,
+    outlier_bound,
+    pooled_covariance,
+    window_sums,
+)
 from balance_cli.signals.records import (
     channel_places,
     fault,
@@ -36,6 +43,9 @@ LEAST_SHARE_OF_STRONGEST = 0.01
 LEAST_SHARE_OF_LINES = 0.1
 NOISE_LINES = 40
 INFLATION_PROBABILITY = 1e-4
+DECAY_LINES = 11
+# Differences of neighbouring lines share one: their mean square is worth two thirds of as many independent ones.
+WORTH_OF_DIFFERENCE = 2.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -76,6 +86,7 @@ def periodic_record(
     frequency = number * sample_rate(run) / samples
     start = steady_start(spectra)
     mean, covariance, dof = _mean_and_covariance(spectra, start.first)
+    noise = (covariance, dof) if start.steady.all() or len(spectra) < 3 else _about_decay(spectra, start.first)
     covariance = covariance * (1.0 + start.bias)[:, None, None]
     excited = _excited(mean, covariance, len(components))
     chosen = np.any(excited, axis=1)
@@ -95,6 +106,7 @@ def periodic_record(
         dof=dof,
         rotor_speed=run.rotor_speed,
         level=run.level,
+        window=_window(run, len(spectra), samples, start.first[chosen], noise[0][chosen], noise[1]),
     )
     lines = _without_idle(lines, excited[chosen], run.excited)
     return _record(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
@@ -163,9 +175,44 @@ def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexA
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
     scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
-    covariance, dof = pooled_covariance(scatter, m - 1.0, floor=least_variance(spectra))
-    covariance = covariance * _inflation(scatter, covariance, m - 1.0, dof)[:, None, None]
+    covariance, dof = _pooled(scatter, m - 1.0, least_variance(spectra))
     return mean, covariance / m[:, None, None], dof
+
+
+def _pooled(scatter: ComplexArray, counts: Array, floor: Array) -> tuple[ComplexArray, float]:
+    """Covariance (K, n, n) of one period and its dof; larger where a line scatters more than its neighbours."""
+    covariance, dof = pooled_covariance(scatter, counts, floor=floor)
+    return covariance * _inflation(scatter, covariance, counts, dof)[:, None, None], dof
+
+
+def _about_decay(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, float]:
+    """Covariance (K, n, n) of the mean over the periods used, and its dof, as free of a decay as it can be told."""
+    counts = np.full(spectra.shape[1], WORTH_OF_DIFFERENCE)
+    covariance, dof = _pooled(_scatter_about_decay(spectra), counts, least_variance(spectra))
+    return covariance / (len(spectra) - first)[:, None, None], dof
+
+
+def _scatter_about_decay(spectra: ComplexArray) -> ComplexArray:
+    """Scatter (K, n, n) of the last periods about a free motion, worth WORTH_OF_DIFFERENCE degrees of freedom.
+
+    From one period to the next that shrinks by the same complex factor r at neighbouring lines, so that
+    x_2 - x_1 - r (x_1 - x_0) holds noise alone, 1 + |1 + r|^2 + |r|^2 times that of one period. Where there are
+    periods enough an earlier difference, of other noise, is the instrument that r is found with. What several modes
+    leave far from their peaks is smooth in frequency, and goes with the difference of neighbouring lines.
+    """
+    differences = np.diff(spectra, axis=0)
+    early, late = differences[-2:]
+    instrument = differences[-4] if len(differences) > 3 else early
+    weight = 1.0 / np.maximum(np.median(np.abs(late) ** 2, axis=0), 1e-300)
+    width = min(DECAY_LINES, len(late))
+    common = window_sums(np.sum(instrument.conj() * late * weight, axis=1), width)
+    power = window_sums(np.sum(instrument.conj() * early * weight, axis=1), width)
+    r = common / np.where(power == 0, 1.0, power)
+    r = r / np.maximum(np.abs(r), 1.0)
+    left = (late - r[:, None] * early) / np.sqrt(1.0 + np.abs(1.0 + r) ** 2 + np.abs(r) ** 2)[:, None]
+    k = np.minimum(np.arange(len(left)), len(left) - 2)
+    left = (left[k + 1] - left[k]) * np.sqrt(WORTH_OF_DIFFERENCE / 2.0)
+    return np.asarray(left[:, :, None] * left[:, None, :].conj())
 
 
 def _inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
@@ -188,12 +235,22 @@ def _without_idle(lines: Lines, excited: NDArray[np.bool_], declared: Sequence[s
     kept = [i for i, name in enumerate(lines.components) if name in declared or share[i] > LEAST_SHARE_OF_LINES]
     c = lines.channels.shape[1]
     signals = np.array([*range(c), *(c + i for i in kept)])
+    window = lines.window
+    if window is not None:
+        window = replace(window, covariance=window.covariance[:, signals[:, None], signals])
     return replace(
         lines,
+        window=window,
         components=tuple(lines.components[i] for i in kept),
         loads=lines.loads[:, kept],
         covariance=lines.covariance[:, signals[:, None], signals],
     )
+
+
+def _window(run: Run, periods: int, samples: int, first: Counts, covariance: ComplexArray, dof: float) -> Window:
+    rate = sample_rate(run)
+    offset = run.samples - periods * samples
+    return Window((offset + first * samples) / rate, run.samples / rate, 1.0 / rate, covariance, dof)
 
 
 def _record(run: Run, lines: Lines, spectra: ComplexArray, samples: int, first: Counts, steady: bool) -> PeriodicRecord:

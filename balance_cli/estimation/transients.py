@@ -1,0 +1,197 @@
+"""The free motion in the lines of records that began at rest, eliminated like the true loads.
+
+A window of N samples, whole periods of the line, from t_f to t_e holds of a motion Re v exp(s t)
+
+    Z(w) = (v/N) (exp(s t_f) - exp(s t_e)) / (1 - exp((s - jw) h)),        Y = Z(w) + conj Z(-w),
+
+h being the step between samples. The complex amplitudes a (m,) of the modes at t = 0 are unknown in every run: as 2m
+real numbers x they enter Y = C x linearly. What has died away by t_f no line can tell; there the amplitude is held by
+what it cannot exceed, a multiple of the rms of the channels: 0 = Q x with unit variance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.estimation.measurements import Batch
+from balance_cli.model.free_motion import FreeMotion, divided_differences, free_motion
+from balance_cli.model.system import System
+from balance_cli.signals.lines import Window
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Weigh = Callable[[slice, ComplexArray], ComplexArray]
+
+# At rest the free motion is minus the forced one; its modes by themselves may be somewhat larger.
+LARGEST = 10.0
+# Decay, as a logarithm, that leaves nothing of a mode in any line.
+DECAYED = 18.4
+# Of the largest signal, where a computed one is zero.
+LEAST_SIGNAL = 1e-9
+
+
+@dataclass(frozen=True)
+class Transient:
+    """The free motion of one run: its `lines`, window and modes; columns C (K, c, 2m) and weighted P C.
+
+    held (c,) [1/V]: one over the largest free motion of a channel, and Q (c, 2m) that times the motion at t = 0;
+    normal (2m, 2m) = 2 Re C* P C + Re Q* Q; x (2m,): the estimate.
+    """
+
+    lines: slice
+    window: Window
+    frequency: Array
+    free: FreeMotion
+    columns: ComplexArray
+    weighted: ComplexArray
+    held: Array
+    bound: ComplexArray
+    normal: Array
+    x: Array
+
+    @property
+    def chi2(self) -> float:
+        """|Q x|^2."""
+        return float(np.sum(np.abs(self.bound @ self.x) ** 2))
+
+    @property
+    def determined(self) -> float:
+        """Number of amplitudes that the lines determine."""
+        held = np.real(self.bound.conj().T @ self.bound)
+        return float(len(self.x) - np.trace(_solve(self.normal, held)))
+
+
+def transients(
+    batch: Batch, system: System, residual: ComplexArray, weigh: Weigh, slopes: bool
+) -> tuple[Transient, ...]:
+    """The free motion of every run of the batch that has any, fitted to the residual Y - T U (K, c).
+
+    `weigh` multiplies columns (k, c, q) at the given lines by P, the precision with the true loads eliminated.
+    """
+    found: list[Transient] = []
+    known: dict[tuple[float, float], FreeMotion] = {}
+    for lines, window in zip(batch.parts, batch.windows, strict=True):
+        if window is None:
+            continue
+        key = (0.5 / window.step, DECAYED / max(float(window.start.min()), window.step))
+        if key not in known:
+            known[key] = free_motion(system, batch.spin, *key, slopes)
+        free, frequency = known[key], batch.frequency[batch.index[lines]]
+        if not len(free.s):
+            continue
+        columns = transient_columns(free, window, frequency)
+        found.append(_fitted(batch, lines, window, frequency, free, columns, weigh(lines, columns), residual[lines]))
+    return tuple(found)
+
+
+def _fitted(
+    batch: Batch,
+    lines: slice,
+    window: Window,
+    frequency: Array,
+    free: FreeMotion,
+    columns: ComplexArray,
+    weighted: ComplexArray,
+    residual: ComplexArray,
+) -> Transient:
+    m2 = columns.shape[2]
+    held = _held(batch, lines)
+    bound = held[:, None] * np.concatenate([free.volts, 1j * free.volts], axis=1)
+    flat = weighted.reshape(-1, m2).conj().T
+    normal = 2.0 * np.real(flat @ columns.reshape(-1, m2)) + np.real(bound.conj().T @ bound)
+    x = _solve(normal, 2.0 * np.real(flat @ residual.reshape(-1)))
+    return Transient(lines, window, frequency, free, columns, weighted, held, bound, normal, x)
+
+
+def _held(batch: Batch, lines: slice) -> Array:
+    """One over the largest free motion (c,) [1/V] that is expected of each live channel."""
+    rms = np.sqrt(0.5 * np.sum(np.abs(batch.channels[lines]) ** 2, axis=0))
+    c = len(rms)
+    live = np.real(np.diagonal(batch.precision[lines.start]))[:c] > 0
+    return np.where(live, 1.0 / (LARGEST * np.maximum(rms, LEAST_SIGNAL * rms.max())), 0.0)
+
+
+def _solve(normal: Array, right: Array) -> Array:
+    """Solution with a symmetric matrix of columns of very different size, some of them perhaps alike."""
+    size = 1.0 / np.sqrt(np.diag(normal))
+    scaled = normal * np.outer(size, size) + 1e-13 * np.eye(len(size))
+    factor = size if right.ndim == 1 else size[:, None]
+    return np.asarray(factor * np.linalg.solve(scaled, factor * right))
+
+
+def transient_columns(free: FreeMotion, window: Window, frequency: Array) -> ComplexArray:
+    """C (K, c, 2m): the lines of the free motion per unit of the real, then of the imaginary parts of a."""
+    starts, index = np.unique(window.start, return_inverse=True)
+    decay = _decay(free.s, starts, window)[0][index]
+    each = [(decay * _comb(free.s, w, window)[0])[:, None, :] * free.volts for w in _both(frequency)]
+    return _real_columns(each[0], each[1].conj())
+
+
+def transient_slopes(fit: Transient) -> ComplexArray:
+    """Derivatives (K, c, p) of C x by the parameters."""
+    free, window = fit.free, fit.window
+    a = _complex(fit.x)
+    starts, index = np.unique(window.start, return_inverse=True)
+    values, derivative = _decay(free.s, starts, window)
+    change = divided_differences(values, derivative, free.s) * a
+    d_xi = np.einsum("fij,pij->fip", change, free.s_slope)[index]
+    xi = (values * a)[index]
+    parts = [_line_slopes(free, window, w, xi, d_xi) for w in _both(fit.frequency)]
+    return np.asarray(parts[0] + parts[1].conj())
+
+
+def _line_slopes(free: FreeMotion, window: Window, w: Array, xi: ComplexArray, d_xi: ComplexArray) -> ComplexArray:
+    """Slopes (K, c, p) of Phi R(S) xi, with xi = E(S) a (K, m) and its slopes (K, m, p)."""
+    p, c, m = free.volts_slope.shape
+    values, derivative = _comb(free.s, w, window)
+    change = divided_differences(values, derivative, free.s) * xi[:, None, :]
+    inner = np.matmul(change.swapaxes(0, 1), free.s_slope.transpose(1, 2, 0)).swapaxes(0, 1)
+    inner = inner + values[:, :, None] * d_xi
+    outer = (values * xi) @ free.volts_slope.transpose(2, 1, 0).reshape(m, c * p)
+    return np.asarray(free.volts @ inner + outer.reshape(-1, c, p))
+
+
+def eliminated(fit: Transient, slopes: ComplexArray) -> tuple[Array, Array]:
+    """What the run's free motion adds to half the gradient (p,) and to the information (p, p) of slopes (K, c, p)."""
+    p = slopes.shape[2]
+    of_bound = fit.held[:, None] * (fit.free.volts_slope @ _complex(fit.x)).T
+    gradient = np.real(of_bound.conj().T @ (fit.bound @ fit.x))
+    weighted = fit.weighted.reshape(-1, len(fit.x)).conj().T
+    cross = 2.0 * np.real(weighted @ slopes.reshape(-1, p)) + np.real(fit.bound.conj().T @ of_bound)
+    own = np.real(of_bound.conj().T @ of_bound)
+    return gradient, own - cross.T @ _solve(fit.normal, cross)
+
+
+def _both(frequency: Array) -> Sequence[Array]:
+    w = 2 * np.pi * frequency
+    return w, -w
+
+
+def _complex(x: Array) -> ComplexArray:
+    m = len(x) // 2
+    return np.asarray(x[:m] + 1j * x[m:])
+
+
+def _real_columns(positive: ComplexArray, negative: ComplexArray) -> ComplexArray:
+    """Columns of real and imaginary parts, where the latter enter with their conjugates in `negative`."""
+    return np.concatenate([positive + negative, 1j * (positive - negative)], axis=-1)
+
+
+def _decay(s: ComplexArray, starts: Array, window: Window) -> tuple[ComplexArray, ComplexArray]:
+    """E (f, m) = (exp(s t_f) - exp(s t_e)) / N for each start, and dE/ds."""
+    t_f, t_e = starts[:, None], window.stop
+    share = window.step / (t_e - t_f)
+    first, last = np.exp(s * t_f), np.exp(s * t_e)
+    E, slope = share * (first - last), share * (t_f * first - t_e * last)
+    return np.asarray(E, complex), np.asarray(slope, complex)
+
+
+def _comb(s: ComplexArray, w: Array, window: Window) -> tuple[ComplexArray, ComplexArray]:
+    """R (K, m) = 1 / (1 - exp((s - jw) h)), and dR/ds."""
+    turned = np.exp((s - 1j * w[:, None]) * window.step)
+    R = 1.0 / (1.0 - turned)
+    return np.asarray(R, complex), np.asarray(window.step * turned * R**2, complex)

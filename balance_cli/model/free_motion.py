@@ -1,0 +1,126 @@
+"""The free motion of a balance, as its channels read it: what is left of a start long after the load has settled.
+
+The modes s of the upper half plane form an invariant pair, M X S^2 + D X S + (K + jH) X = 0 with S = diag(s), and the
+free motion is q(t) = Re X exp(S t) a with one complex amplitude a per mode. A channel reads Re Phi exp(S t) a with
+Phi = c (r_c X) g_c(S): a filter answers exp(s t) with its gain at s, once its own start has gone.
+
+A change of parameters changes the pair as a whole; S then is no longer diagonal, but nothing has to be divided by the
+difference of two eigenvalues of it, so that equal frequencies do no harm (Kressner, Numer. Math. 114, 2009). For any
+function of S, (d f(S))_ij = f[s_i, s_j] dS_ij with the divided difference f[a, b] (Daleckii and Krein).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.equations import ChannelPath
+from balance_cli.model.modes import eigenvalues
+from balance_cli.model.system import System, channel_dynamics, log_gain_slope
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Nearer than this share of their size two values of s count as one.
+SAME = 1e-7
+
+
+@dataclass(frozen=True)
+class FreeMotion:
+    """Modes s (m,) [1/s] and what the channels read of each, volts (c, m), at t = 0 and unit amplitude.
+
+    Derivatives by the parameters: s_slope (p, m, m) of the matrix S, volts_slope (p, c, m).
+    """
+
+    s: ComplexArray
+    volts: ComplexArray
+    s_slope: ComplexArray
+    volts_slope: ComplexArray
+
+
+def free_motion(
+    system: System, spin: float, highest: float, fastest: float = np.inf, slopes: bool = True
+) -> FreeMotion:
+    """The modes below `highest` [Hz] that decay by no more than `fastest` [1/s], at rotor speed `spin` [Hz].
+
+    Without `slopes` these are empty (p = 0).
+    """
+    M, D, K = _matrices(system, spin)
+    s, left, X = eigenvalues(M, D, K)
+    kept = (s.imag < 2 * np.pi * highest) & (-s.real < fastest)
+    s, left, X = s[kept], left[kept], X[kept].T
+    springs = [path.spring for path in system.paths]
+    forces = (system.readings.value @ X)[springs]
+    gains = np.stack([_gain(path, s) for path in system.paths])
+    volts = system.mixing.value @ (gains * forces)
+    if not slopes:
+        return FreeMotion(s, volts, np.zeros((0, len(s), len(s)), complex), np.zeros((0, *volts.shape), complex))
+    dX, dS = _pair_slopes(system, spin, (M, D), s, left, X)
+    d_forces = (system.readings.slope @ X + system.readings.value @ dX)[:, springs]
+    d_volts = gains * d_forces + _gain_slopes(system, s, gains, forces, dS)
+    d_volts = system.mixing.value @ d_volts + system.mixing.slope @ (gains * forces)
+    return FreeMotion(s, volts, dS, d_volts)
+
+
+def _matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
+    pencil = system.pencil
+    damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
+    return pencil.mass.value, damping, pencil.stiffness.value + 1j * pencil.hysteresis.value
+
+
+def divided_differences(values: ComplexArray, derivative: ComplexArray, s: ComplexArray) -> ComplexArray:
+    """f[s_i, s_j] (..., m, m) of a function with values f(s_j) (..., m) and derivatives f'(s_j) (..., m)."""
+    difference = s[:, None] - s
+    same = np.abs(difference) < SAME * np.abs(s)
+    quotient = (values[..., :, None] - values[..., None, :]) / np.where(same, 1.0, difference)
+    return np.asarray(np.where(same, derivative[..., :, None], quotient))
+
+
+def _gain(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+    return np.asarray(path.gain.value * channel_dynamics(path, s), complex)
+
+
+def _gain_derivative(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+    """dg/ds; filters are smooth over a hundred thousandth of s."""
+    step = 1e-5 * np.abs(s)
+    return (_gain(path, s + step) - _gain(path, s - step)) / (2 * step)
+
+
+def _gain_slopes(
+    system: System, s: ComplexArray, gains: ComplexArray, forces: ComplexArray, dS: ComplexArray
+) -> ComplexArray:
+    """Change (p, c, m) of r g(S) for rows r (c, m): by S itself, and by the parameters of the filters."""
+    rows = []
+    for i, path in enumerate(system.paths):
+        change = divided_differences(gains[i], _gain_derivative(path, s), s) * dS
+        rows.append(forces[i] @ change + (forces[i] * gains[i]) * log_gain_slope(path, s[:, None]).T)
+    return np.stack(rows, axis=1)
+
+
+def _pair_slopes(
+    system: System, spin: float, matrices: tuple[Array, Array], s: ComplexArray, left: ComplexArray, X: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Slopes dX (p, n, m) and dS (p, m, m), column by column from
+
+    P(s_j) dx_j + sum_i (M (s_i + s_j) + D) x_i dS_ij = -dP(s_j) x_j, with W (dX, d(XS)) = 0 for W (X, XS) = I.
+    """
+    M, D = matrices
+    n, m = X.shape
+    pencil = system.pencil
+    W1, W2 = s[:, None] * (left @ M) + left @ D, left @ M
+    normal = W1 @ X + W2 @ (X * s)
+    W1, W2 = (np.asarray(np.linalg.solve(normal, W), complex) for W in (W1, W2))
+    K = pencil.stiffness.value + 1j * pencil.hysteresis.value
+    bordered = np.empty((m, n + m, n + m), np.complex128)
+    for j, sj in enumerate(s):
+        coupling = M @ (X * (s + sj)) + D @ X
+        bordered[j] = np.block([[sj**2 * M + sj * D + K, coupling], [W1 + sj * W2, W2 @ X]])
+    damping = pencil.damping.slope + 2 * np.pi * spin * pencil.gyroscopic.slope
+    elastic = pencil.stiffness.slope + 1j * pencil.hysteresis.slope
+    change = (pencil.mass.slope @ X) * s**2 + (damping @ X) * s + elastic @ X
+    right = np.zeros((m, n + m, len(change)), complex)
+    right[:, :n] = -change.transpose(2, 1, 0)
+    solved = np.asarray(np.linalg.solve(bordered, right), complex).transpose(2, 1, 0)
+    return solved[:, :n], solved[:, n:]
