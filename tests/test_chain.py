@@ -187,3 +187,17 @@ def test_loads_that_the_remaining_channels_do_not_determine_end_with_one_message
     assert "dead.h5" in errors[0]
     assert "torque" in errors[0]
     assert not (tmp_path / "loads.csv").exists()
+
+
+def test_a_zero_must_be_a_wind_off_record(folder, results, tmp_path):
+    words = ("--model", results / "model.h5", folder / "wind-1.h5", "-o", tmp_path / "loads.csv")
+    result = call("reduce", "--calibration", results / "cal.h5", *words, "--zero", folder / "check-1.h5", status=2)
+    assert "is a check run" in result.stderr
+    assert not (tmp_path / "loads.csv").exists()
+
+
+def test_static_runs_alone_identify_nothing(folder, tmp_path):
+    result = call(
+        "identify", "-g", folder / "geometry.yaml", folder / "static-bare.h5", "-o", tmp_path / "m.h5", status=2
+    )
+    assert "no sweep" in result.stderr

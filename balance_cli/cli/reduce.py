@@ -173,6 +173,8 @@ def _write_history(session: Session, folder: Path | None, run: Run, loads: RunLo
         return
     from balance_cli.history import harmonic_history, write_history
 
+    if Path(run.name).name != run.name:
+        raise UserError(f"run name `{run.name}` is no file name", str(run.path), "attribute `run`", "Rename the run")
     write_history(session.stage_in(folder, f"{run.name}.h5"), harmonic_history(run, loads))
 
 
