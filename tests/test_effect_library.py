@@ -14,7 +14,7 @@ from balance_cli.model.system import output_slopes, response, solve
 
 RIG = rotor_balance()
 FREQUENCY = np.linspace(3.0, 149.0, 37)
-PLACED = [(effect, where) for effect in EFFECTS for where in {effect.places(RIG)[0], effect.places(RIG)[-1]}]
+PLACED = [(effect, where) for effect in EFFECTS for where in dict.fromkeys(effect.places(RIG)[i] for i in (0, -1))]
 IDS = [f"{effect.name}@{','.join(where)}" for effect, where in PLACED]
 SPIN = 17.5
 
