@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 # Damping starts at none: what the priors alone hold has an information of 1e-10 of what the data hold, and any damping
 # would keep such directions from moving.
 LEAST_DAMPING = 1e-8
+# Scales from a bound at which it is reached.
+AT_BOUND = 1e-2
 # Scales that a parameter without a prior may go in one step, where it is not as large itself.
 FAR = 10.0
 
@@ -77,11 +79,15 @@ def _in_coordinates(parameters: ParameterSet, space: Coordinates, theta: Array, 
 
 
 def _held_at_bounds(parameters: ParameterSet, theta: Array, total: Curvature) -> Curvature:
-    """The same curvature with the parameters held that rest on a bound and would cross it."""
+    """The same curvature with the parameters held that rest on a bound and would cross it.
+
+    Those without a prior rest there exactly; the others, whose bounds are no place to be, at a hundredth of a sigma.
+    """
     free = parameters.free
-    position, near = theta[free], 1e-2 * parameters.scale[free]
-    below = (position - parameters.lower[free] < near) & (total.gradient > 0)
-    above = (parameters.upper[free] - position < near) & (total.gradient < 0)
+    near = np.where(np.isinf(parameters.sigma[free]), 0.0, AT_BOUND * parameters.scale[free])
+    position = theta[free]
+    below = (position - parameters.lower[free] <= near) & (total.gradient > 0)
+    above = (parameters.upper[free] - position <= near) & (total.gradient < 0)
     held = below | above
     if not held.any():
         return total
@@ -125,7 +131,7 @@ def _descend(
     """
     information, gradient, size = _normalised(total)
     for trials in range(24):
-        step = -np.linalg.solve(information + damping * np.eye(len(size)), gradient) * size
+        step = -_solved(information + damping * np.eye(len(size)), gradient) * size
         trial = _stepped(parameters, space, theta, step)
         data = _curvature_at(trial, curvature) if trials == 0 else None
         reached = _chi2_at(trial, parameters, chi2, data)
@@ -134,6 +140,14 @@ def _descend(
             return trial, curvature(trial) if data is None else data, easier
         damping = max(10.0 * damping, LEAST_DAMPING)
     return None
+
+
+def _solved(information: Array, gradient: Array) -> Array:
+    """The Gauss-Newton step; the shortest one where two parameters do the same."""
+    try:
+        return np.asarray(np.linalg.solve(information, gradient))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(information, gradient, rcond=1e-12)[0])
 
 
 def _curvature_at(trial: Array, curvature: Callable[[Array], Curvature]) -> Curvature | None:
@@ -153,7 +167,7 @@ def _chi2_at(trial: Array, parameters: ParameterSet, chi2: Callable[[Array], flo
 
 
 def _stepped(parameters: ParameterSet, space: Coordinates, theta: Array, step: Array) -> Array:
-    """The step taken, but at most nine tenths of the way to any bound.
+    """The step taken, but at most nine tenths of the way to any bound, or onto it for one without a prior that is near.
 
     A parameter of which nothing is known beforehand may not leave its surroundings in one step: where it has little to
     do yet, the straight line of a step says nothing of far away.
@@ -167,5 +181,10 @@ def _stepped(parameters: ParameterSet, space: Coordinates, theta: Array, step: A
         1.0, 1.0 / max(np.abs(step[space.logarithmic[parameters.free]]).max(initial=0), 1e-300)
     )
     trial = space.outward(z)
-    trial = np.where(trial <= parameters.lower, theta + 0.9 * (parameters.lower - theta), trial)
-    return np.asarray(np.where(trial >= parameters.upper, theta + 0.9 * (parameters.upper - theta), trial))
+    trial = np.where(trial <= parameters.lower, _toward(parameters.lower, theta, parameters), trial)
+    return np.asarray(np.where(trial >= parameters.upper, _toward(parameters.upper, theta, parameters), trial))
+
+
+def _toward(bound: Array, theta: Array, parameters: ParameterSet) -> Array:
+    close = np.isinf(parameters.sigma) & (np.abs(theta - bound) <= AT_BOUND * parameters.scale)
+    return np.where(close, bound, theta + 0.9 * (bound - theta))
