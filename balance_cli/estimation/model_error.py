@@ -1,0 +1,111 @@
+"""Weights that carry the error of the model: what a fit needs as long as its model is known to be wrong.
+
+Under a misfit the likelihood of the noise alone is decided by the few lines of the sharpest peaks, has a minimum for
+every way to lay one peak over another, and makes every sigma meaningless. An error of the model that is a share e of
+the response around each line, independent from line to line and from channel to channel, is added to the noise:
+
+    cov(y_i) = noise + e^2 s_i^2,        s_i^2: mean of |y_i|^2 over lines within a few percent of the frequency
+
+e is chosen so that chi-square equals its degrees of freedom (a random effect, by the method of moments: DerSimonian and
+Laird, Controlled Clinical Trials 7, 1986). As the model gets better e shrinks, and where nothing is missing it is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.estimation.likelihood import fitted
+from balance_cli.estimation.measurements import WORKERS, Batch
+from balance_cli.model.system import System, solve
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Shares = Mapping[str, float]
+
+# Half the band around a line over which the response is averaged, as a share of its frequency, and at least [Hz].
+SHARE_OF_FREQUENCY = 0.04
+LEAST_BAND = 0.5
+# Of the strongest line of a run, below which no response counts as known to a share of itself.
+LEAST_SHARE = 1e-3
+LARGEST_ERROR = 1.0
+SMALLEST_ERROR = 1e-6
+BISECTIONS = 12
+
+
+def with_model_error(batches: Sequence[Batch], shares: Shares) -> tuple[Batch, ...]:
+    """The same lines with a model error, a share of the response by run, in the covariance of the channels."""
+    return tuple(_with_error(batch, np.array([shares[name] for name in batch.runs])) for batch in batches)
+
+
+def _with_error(batch: Batch, shares: Array) -> Batch:
+    """P = (C + E)^-1 = S - S_Y (E_live^-1 + S_YY)^-1 S_Y', with E the error's variance and S the noise's precision."""
+    if not shares.any():
+        return batch
+    c = batch.channels.shape[1]
+    variance = shares[batch.run, None] ** 2 * response_size(batch)
+    S = batch.precision
+    live = np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c] > 0
+    # Where nothing is added its inverse is a large number beside the noise's precision, not infinite.
+    least = 1e-12 / np.maximum(np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c], 1e-300)
+    inverse = np.where(live, 1.0 / np.maximum(variance, np.minimum(least, 1e100)), 1.0)
+    inner = S[:, :c, :c] + inverse[:, :, None] * np.eye(c)
+    removed = S[:, :, :c] @ np.linalg.solve(inner, S[:, :c, :])
+    return replace(batch, precision=np.asarray(S - removed, complex))
+
+
+def response_size(batch: Batch) -> Array:
+    """Mean |y|^2 (K, c) [V^2] of each channel around each line of its run."""
+    power = np.abs(batch.channels) ** 2
+    usual = np.maximum(power.mean(axis=0), np.finfo(float).tiny)
+    whole = (power / usual).mean(axis=1)[:, None] * usual
+    size = np.empty(power.shape)
+    frequency = batch.frequency[batch.index]
+    for lines in batch.parts:
+        size[lines] = _smoothed(frequency[lines], 0.5 * (power[lines] + whole[lines]))
+    return size
+
+
+def _smoothed(frequency: Array, power: Array) -> Array:
+    """Mean of power (k, c) over the lines within the band around each, by running sums; lines in rising frequency."""
+    order = np.argsort(frequency, kind="stable")
+    rising = frequency[order]
+    half = np.maximum(SHARE_OF_FREQUENCY * rising, LEAST_BAND)
+    first, last = np.searchsorted(rising, rising - half), np.searchsorted(rising, rising + half, side="right")
+    sums = np.concatenate([np.zeros((1, power.shape[1])), np.cumsum(power[order], axis=0)])
+    mean = np.empty_like(power)
+    mean[order] = (sums[last] - sums[first]) / (last - first)[:, None]
+    return np.asarray(np.maximum(mean, LEAST_SHARE**2 * power.max(axis=0)))
+
+
+def shares_that_explain(batches: Sequence[Batch], system: System) -> Shares:
+    """The share e of each run at which its chi-square is its degrees of freedom; 0 where it is no more already.
+
+    Chi-square falls as e grows: bisection in ln e, all runs at once.
+    """
+    names = [name for batch in batches for name in batch.runs]
+    dof = np.concatenate([np.bincount(batch.run, batch.count, len(batch.runs)) for batch in batches])
+    wrong = _run_chi2(batches, system) > dof
+    low = np.full(len(names), np.log(SMALLEST_ERROR))
+    high = np.full(len(names), np.log(LARGEST_ERROR))
+    for _ in range(BISECTIONS if wrong.any() else 0):
+        middle = 0.5 * (low + high)
+        trial = dict(zip(names, np.where(wrong, np.exp(middle), 0.0).tolist(), strict=True))
+        too_small = _run_chi2(with_model_error(batches, trial), system) > dof
+        low, high = np.where(too_small, middle, low), np.where(too_small, high, middle)
+    return dict(zip(names, np.where(wrong, np.exp(high), 0.0).tolist(), strict=True))
+
+
+def _run_chi2(batches: Sequence[Batch], system: System) -> Array:
+    """Chi-square of every run, in the order of the batches."""
+
+    def of_batch(batch: Batch) -> Array:
+        fit = fitted(batch, system, solve(system, batch.frequency, batch.spin))
+        return np.bincount(batch.run, fit.chi2 / batch.efficiency, len(batch.runs))
+
+    with ThreadPoolExecutor(WORKERS) as workers:
+        return np.concatenate(list(workers.map(of_batch, batches)))
