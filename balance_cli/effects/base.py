@@ -92,6 +92,10 @@ class Effect:
     being the parameters as jets by name. At the null of every parameter the equations are left as they are. `trace`
     says what it leaves in a residual, `separated_by` which measurement tells it from what looks alike. What it adds is
     written as formulas at the head of its file.
+
+    For a search: `searched(geometry)` are the places worth trying where not all are (a large place, that is made
+    smaller afterwards); `starts(geometry, where)` fitted values to begin from, several where one start may lead into a
+    wrong minimum; `once`: a rig has it once at most; `empirical`: it describes and does not explain.
     """
 
     name: str
@@ -104,6 +108,10 @@ class Effect:
     places: Callable[[Geometry], tuple[Where, ...]]
     parameters: Callable[[Geometry, Where], tuple[EffectParameter, ...]]
     apply: Callable[[Equations, Geometry, Where, Mapping[str, Jet]], Equations]
+    searched: Callable[[Geometry], tuple[Where, ...]] | None = None
+    starts: Callable[[Geometry, Where], tuple[Mapping[str, float], ...]] | None = None
+    once: bool = False
+    empirical: bool = False
 
 
 def each_cell(geometry: Geometry) -> tuple[Where, ...]:

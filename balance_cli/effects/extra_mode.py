@@ -78,4 +78,5 @@ EFFECT = Effect(
     places=_places,
     parameters=_parameters,
     apply=_apply,
+    empirical=True,
 )

@@ -41,6 +41,10 @@ TRANSLATIONS = FREEDOMS[:3]
 SMALL = 1e-2
 # Square roots are taken as if masses and compliances were at least this part of their scale.
 FLOOR = 1e-6
+# Where a search begins: compliances relative to those of the cells, and the depth of the lower body's centre below the
+# lowest cell, relative to the height of the hub over it.
+SOFTNESS = (0.1, 0.3, 0.03)
+START_DEPTH = 0.2
 
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
@@ -150,6 +154,19 @@ def _carried(equations: Equations, lower: Jet) -> Jet:
     return concatenate([along[list(equations.freedom)], constant(np.zeros((others, lower.value.shape[1])), p)])
 
 
+def _searched(geometry: Geometry) -> tuple[Where, ...]:
+    """All motions at once; those that turn out stiff are taken out afterwards."""
+    return _places(geometry)[-1:]
+
+
+def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
+    """A lower body as heavy as the moving part, more or less stiff, its centre below the cells."""
+    stiffness = stiffness_by_motion(geometry)
+    lowest = min(cell.position[2] for cell in geometry.cells)
+    below = {"z": lowest - START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3)}
+    return tuple({**below, **{f"compliance_{name}": share / stiffness[name] for name in where}} for share in SOFTNESS)
+
+
 def _at_least(inertia: Jet, compliance: Jet, geometry: Geometry, where: Where) -> Jet:
     """Inertia over compliance (m,), both kept off zero, where the square root of either has no derivative."""
     parameters = {item.name: item for item in _parameters(geometry, where)}
@@ -175,4 +192,7 @@ EFFECT = Effect(
     places=_places,
     parameters=_parameters,
     apply=_apply,
+    searched=_searched,
+    starts=_starts,
+    once=True,
 )

@@ -82,6 +82,23 @@ def _smoothed(frequency: Array, power: Array) -> Array:
     return np.asarray(np.maximum(mean, LEAST_SHARE**2 * power.max(axis=0)))
 
 
+def log_volume(batches: Sequence[Batch], shares: Shares) -> float:
+    """2 ln det(cov + E) - 2 ln det(cov) of all lines (once for real ones): what a model error adds to -2 ln likelihood.
+
+    With it, fits of different model error can be compared.
+    """
+    total = 0.0
+    for batch in batches:
+        by_run = np.array([shares[name] for name in batch.runs])
+        if not by_run.any():
+            continue
+        c = batch.channels.shape[1]
+        root = by_run[batch.run, None] * np.sqrt(response_size(batch))
+        inner = np.eye(c) + root[:, :, None] * batch.precision[:, :c, :c] * root[:, None, :]
+        total += float(np.sum(batch.count / c * np.linalg.slogdet(inner)[1]))
+    return total
+
+
 def shares_that_explain(batches: Sequence[Batch], system: System) -> Shares:
     """The share e of each run at which its chi-square is its degrees of freedom; 0 where it is no more already.
 
@@ -105,7 +122,7 @@ def _run_chi2(batches: Sequence[Batch], system: System) -> Array:
 
     def of_batch(batch: Batch) -> Array:
         fit = fitted(batch, system, solve(system, batch.frequency, batch.spin))
-        return np.bincount(batch.run, fit.chi2 / batch.efficiency, len(batch.runs))
+        return np.asarray(np.bincount(batch.run, fit.chi2 / batch.efficiency, len(batch.runs)), float)
 
     with ThreadPoolExecutor(WORKERS) as workers:
         return np.concatenate(list(workers.map(of_batch, batches)))

@@ -1,0 +1,109 @@
+"""Fits during the search: with a model error that shrinks as the model gets better, from several starts.
+
+Fits with different model errors are compared by -2 ln likelihood, the volume of the error included: an effect is worth
+what it takes off the error of all runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.diagnosis.candidates import Candidate
+from balance_cli.diagnosis.score import extended, with_candidates
+from balance_cli.diagnosis.search_lines import SearchLines
+from balance_cli.estimation.gauss_newton import minimise, prior_curvature
+from balance_cli.estimation.likelihood import data_chi2, data_curvature
+from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.model_error import (
+    Shares,
+    log_volume,
+    shares_that_explain,
+    with_model_error,
+)
+from balance_cli.geometry import Geometry
+from balance_cli.model.balance import BalanceModel
+
+Array = NDArray[np.float64]
+
+# Steps that tell one start from another, and those of a fit.
+FIRST_STEPS = 8
+STEPS = 30
+ROUNDS = 5
+# A model error that shrinks by less than this share in a round has settled.
+SETTLED = 0.05
+
+
+@dataclass(frozen=True)
+class State:
+    """A model during the search: its parameters, the model error by run, -2 ln likelihood of fitted and judging lines.
+
+    `error`: rms of the model error over the runs.
+    """
+
+    model: BalanceModel
+    theta: Array
+    shares: Shares
+    fitted: float
+    folds: float
+
+    @property
+    def geometry(self) -> Geometry:
+        """The geometry with the effects found so far."""
+        return self.model.geometry
+
+    @property
+    def error(self) -> float:
+        """Rms over the runs of the model error, a share of the response."""
+        return float(np.sqrt(np.mean(np.square(list(self.shares.values())))))
+
+
+def settled(model: BalanceModel, theta: Array, lines: SearchLines) -> State:
+    """Fit and model error in turn, until the error no longer shrinks."""
+    shares = shares_that_explain(lines.fitted, model.system(theta))
+    for _ in range(ROUNDS):
+        theta = steps(model, theta, with_model_error(lines.fitted, shares), STEPS)
+        before, shares = shares, shares_that_explain(lines.fitted, model.system(theta))
+        if all(shares[run] >= (1.0 - SETTLED) * before[run] for run in shares):
+            break
+    return State(model, theta, shares, criterion(model, theta, lines.fitted), criterion(model, theta, lines.folds))
+
+
+def steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int) -> Array:
+    """At most `count` steps of the maximum likelihood from `theta`."""
+    return minimise(
+        model.parameters,
+        theta,
+        lambda at: data_curvature(batches, model.system(at)),
+        lambda at: data_chi2(batches, model.system(at)),
+        iterations=count,
+        tolerance=0.5,
+    ).theta
+
+
+def criterion(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
+    """-2 ln likelihood (up to a constant of the data) with the model error that the lines themselves ask for."""
+    system = model.system(theta)
+    shares = shares_that_explain(batches, system)
+    chi2 = data_chi2(with_model_error(batches, shares), system)
+    return chi2 + log_volume(batches, shares) + prior_curvature(model.parameters, theta).chi2
+
+
+def with_candidate(state: State, candidate: Candidate, lines: SearchLines) -> State:
+    """The model with the candidate, fitted from the best of its starts."""
+    batches = with_model_error(lines.fitted, state.shares)
+    tries = [_tried(state, candidate, n, batches) for n in range(len(candidate.starts))]
+    model, theta, _ = min(tries, key=lambda item: item[2])
+    return settled(model, theta, lines)
+
+
+def _tried(
+    state: State, candidate: Candidate, number: int, batches: Sequence[Batch]
+) -> tuple[BalanceModel, Array, float]:
+    geometry = with_candidates(state.geometry, [(candidate, number)], started=True)
+    model, theta = extended(state.model, state.theta, geometry)
+    theta = steps(model, theta, batches, FIRST_STEPS)
+    return model, theta, data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
