@@ -1,4 +1,4 @@
-"""The score test: what a candidate would gain, from its derivative at the null with all fitted parameters projected out.
+"""The score test: what a candidate would gain, from its derivative at the null, all fitted parameters projected out.
 
 With half the gradient g and the information I of the model in which the candidate stands at its null (f: fitted
 parameters with their priors, c: the candidate's own),
@@ -12,7 +12,8 @@ candidates, for each leaves the equations at its null as they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +21,8 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.candidates import Candidate, tested
 from balance_cli.estimation.gauss_newton import prior_curvature
-from balance_cli.estimation.likelihood import Curvature, data_curvature
-from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.likelihood import batch_slopes
+from balance_cli.estimation.measurements import WORKERS, Batch, by_run
 from balance_cli.estimation.support import covariance_of
 from balance_cli.geometry import Geometry
 from balance_cli.model.balance import BalanceModel, balance_model
@@ -29,8 +30,6 @@ from balance_cli.model.balance import BalanceModel, balance_model
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# Parameters of candidates that go into one curvature: more make it large, fewer make many.
-AT_ONCE = 60
 # Of a candidate's information, what the fitted parameters must leave for it to be seen beside them.
 LEAST_SHARE = 1e-9
 
@@ -61,13 +60,13 @@ def scores(
 ) -> tuple[Score, ...]:
     """The score of every candidate, the best of its starts."""
     best: dict[str, Score] = {}
+    separate = by_run(batches)
     for number in range(max((len(one.starts) for one in candidates), default=0)):
         with_start = [one for one in candidates if len(one.starts) > number and _starts_matter(one, number)]
-        for group in _groups(with_start):
-            for score in _group_scores(model, theta, batches, group, number):
-                label = score.candidate.label
-                if label not in best or score.gain > best[label].gain:
-                    best[label] = score
+        for score in _scores_of_start(model, theta, separate, with_start, number):
+            label = score.candidate.label
+            if label not in best or score.gain > best[label].gain:
+                best[label] = score
     return tuple(best[one.label] for one in candidates)
 
 
@@ -76,31 +75,65 @@ def _starts_matter(candidate: Candidate, number: int) -> bool:
     return number == 0 or candidate.at_null(candidate.starts[number]) != candidate.at_null(candidate.starts[0])
 
 
-def _groups(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
-    group: list[Candidate] = []
-    for one in candidates:
-        size = sum(len(tested(other.one.parameters)) for other in [*group, one])
-        if group and size > AT_ONCE:
-            yield group
-            group = []
-        group.append(one)
-    if group:
-        yield group
+@dataclass(frozen=True)
+class _Places:
+    """Where things stand among the free parameters: those fitted, and each candidate's own."""
+
+    fitted: Index
+    own: tuple[Index, ...]
 
 
-def _group_scores(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], group: Sequence[Candidate], number: int
+def _scores_of_start(
+    model: BalanceModel, theta: Array, batches: Sequence[Batch], chosen: Sequence[Candidate], number: int
 ) -> list[Score]:
-    geometry = with_candidates(model.geometry, [(one, number) for one in group])
+    if not chosen:
+        return []
+    geometry = with_candidates(model.geometry, [(one, number) for one in chosen])
     wide, at = extended(model, theta, geometry)
-    names = {one.one.full_name(item) for one in group for item in tested(one.one.parameters)}
+    own = [[one.one.full_name(item) for item in tested(one.one.parameters)] for one in chosen]
+    names = {name for each in own for name in each}
     wide = _only(wide, model, names)
-    data = data_curvature(batches, wide.system(at))
-    total = data + prior_curvature(wide.parameters, at)
     free = [name for name, is_free in zip(wide.parameters.names, wide.parameters.free, strict=True) if is_free]
+    where = {name: i for i, name in enumerate(free)}
     fitted = np.array([i for i, name in enumerate(free) if name not in names], dtype=np.intp)
-    inverse = covariance_of(total.information[np.ix_(fitted, fitted)])
-    return [_score(one, number, wide, total, data, free, fitted, inverse) for one in group]
+    places = _Places(fitted, tuple(np.array([where[name] for name in each], dtype=np.intp) for each in own))
+    projected = _projected(wide, at, batches, places)
+    return [_score(one, number, part) for one, part in zip(chosen, projected, strict=True)]
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Of a candidate: s (q,), V (q, q) with the fitted parameters projected out; `raw` (q,) is V's diagonal before."""
+
+    s: Array
+    V: Array
+    raw: Array
+
+
+def _projected(wide: BalanceModel, at: Array, batches: Sequence[Batch], places: _Places) -> list[Projected]:
+    system = wide.system(at)
+    prior = prior_curvature(wide.parameters, at)
+    gradient, cross = prior.gradient.copy(), prior.information[places.fitted].copy()
+    blocks = [np.zeros((len(own), len(own))) for own in places.own]
+
+    def parts(batch: Batch) -> tuple[Array, Array, list[Array]]:
+        found = batch_slopes(batch, system)
+        weighted = found.weighted()
+        own = found.diagonal_blocks(weighted, places.own)
+        return found.gradient(), found.information(weighted, places.fitted, slice(None)), own
+
+    with ThreadPoolExecutor(WORKERS) as workers:
+        for part_gradient, part_cross, part_blocks in workers.map(parts, batches):
+            gradient, cross = gradient + part_gradient, cross + part_cross
+            blocks = [one + other for one, other in zip(blocks, part_blocks, strict=True)]
+    inverse = covariance_of(cross[:, places.fitted])
+    step = inverse @ gradient[places.fitted]
+    return [
+        Projected(
+            -(gradient[own] - cross[:, own].T @ step), V - cross[:, own].T @ inverse @ cross[:, own], np.diag(V).copy()
+        )
+        for own, V in zip(places.own, blocks, strict=True)
+    ]
 
 
 def with_candidates(geometry: Geometry, chosen: Sequence[tuple[Candidate, int]], started: bool = False) -> Geometry:
@@ -129,28 +162,14 @@ def _only(wide: BalanceModel, model: BalanceModel, names: set[str]) -> BalanceMo
     return wide.with_sigma(np.array(sigma, float))
 
 
-def _score(
-    one: Candidate,
-    number: int,
-    wide: BalanceModel,
-    total: Curvature,
-    data: Curvature,
-    free: Sequence[str],
-    fitted: Index,
-    inverse: Array,
-) -> Score:
+def _score(one: Candidate, number: int, part: Projected) -> Score:
     items = tested(one.one.parameters)
-    own = np.array([free.index(one.one.full_name(item)) for item in items], dtype=np.intp)
-    cross = total.information[np.ix_(own, fitted)] @ inverse
-    s = -(total.gradient[own] - cross @ total.gradient[fitted])
-    V = total.information[np.ix_(own, own)] - cross @ total.information[np.ix_(fitted, own)]
-    raw = np.diag(data.information)[own]
-    seen = np.diag(V) > LEAST_SHARE * np.maximum(raw, 1e-300)
+    seen = np.diag(part.V) > LEAST_SHARE * np.maximum(part.raw, 1e-300)
     scale = np.array([item.scale for item in items])
     lower = np.array([item.fitted_bounds[0] >= item.fitted_null for item in items])
     upper = np.array([item.fitted_bounds[1] <= item.fitted_null for item in items])
-    gain, used = best_gain(s[seen], V[np.ix_(seen, seen)], lower[seen], upper[seen])
-    return Score(one, number, gain, used, float(scale[seen] ** 2 @ np.diag(V)[seen]))
+    gain, used = best_gain(part.s[seen], part.V[np.ix_(seen, seen)], lower[seen], upper[seen])
+    return Score(one, number, gain, used, float(scale[seen] ** 2 @ np.diag(part.V)[seen]))
 
 
 def best_gain(s: Array, V: Array, lower: NDArray[np.bool_], upper: NDArray[np.bool_]) -> tuple[float, int]:

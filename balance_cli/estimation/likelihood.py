@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.measurements import WORKERS, Batch
-from balance_cli.estimation.transients import Transient, eliminated, transient_slopes, transients
+from balance_cli.estimation.transients import Taken, Transient, eliminated, transient_slopes, transients
 from balance_cli.model.system import Solution, System, output_slopes, response, solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -130,34 +131,63 @@ def channel_slopes(batch: Batch, system: System, solution: Solution, loads: Comp
     return slopes
 
 
-def _information(batch: Batch, fit: Fitted, slopes: ComplexArray) -> Array:
-    """2 Re sum dY* P dY, the downdate for the eliminated loads taken as a second, small product."""
-    K, c, p = slopes.shape
-    weighted = np.matmul(batch.precision[:, :c, :c], slopes)
-    flat = slopes.reshape(K * c, p)
-    information = np.real(flat.conj().T @ weighted.reshape(K * c, p))
-    if fit.downdate is not None:
-        SM, normal = fit.downdate
-        projected = np.matmul(SM.conj().swapaxes(1, 2), slopes)
-        flat = projected.reshape(-1, p)
-        information -= np.real(flat.conj().T @ np.linalg.solve(normal, projected).reshape(-1, p))
-    return np.asarray(2.0 * information)
+@dataclass(frozen=True)
+class Slopes:
+    """One batch with its slopes (K, c, p), those of the free motion included, and what eliminating that takes."""
+
+    batch: Batch
+    fit: Fitted
+    slopes: ComplexArray
+    taken: tuple[Taken, ...]
+
+    def gradient(self) -> Array:
+        """Half the gradient (p,) of chi-square."""
+        p = self.slopes.shape[2]
+        gradient = -2.0 * np.real(self.slopes.reshape(-1, p).conj().T @ self.fit.weighted.reshape(-1))
+        return np.asarray(gradient + sum(one.gradient for one in self.taken))
+
+    def weighted(self) -> ComplexArray:
+        """P dY (K, c, p), the true loads eliminated; a second, small product."""
+        return _weighted(self.batch, self.fit.downdate, slice(None), self.slopes)
+
+    def information(self, weighted: ComplexArray, rows: Index | slice, columns: Index | slice) -> Array:
+        """The part (rows, columns) of 2 Re sum dY* P dY."""
+        information = 2.0 * _product(self.slopes[:, :, rows], weighted[:, :, columns])
+        for one in self.taken:
+            information = information + one.information(rows, columns)
+        return np.asarray(information)
+
+    def diagonal_blocks(self, weighted: ComplexArray, blocks: Sequence[Index]) -> list[Array]:
+        """The information of each block of parameters by itself; single ones, which are many, all at once."""
+        alone = 2.0 * np.sum(self.slopes.real * weighted.real + self.slopes.imag * weighted.imag, axis=(0, 1))
+        for one in self.taken:
+            alone = alone + one.diagonal()
+        several = {i: self.information(weighted, block, block) for i, block in enumerate(blocks) if len(block) > 1}
+        return [several[i] if i in several else alone[block][:, None] for i, block in enumerate(blocks)]
 
 
-def batch_curvature(batch: Batch, system: System) -> Curvature:
-    """Chi-square, gradient and information of one batch."""
+def _product(left: ComplexArray, right: ComplexArray) -> Array:
+    """Re sum over lines and channels of left* right, (K, n, a) and (K, n, b): (a, b)."""
+    a, b = left.shape[2], right.shape[2]
+    return np.asarray(np.real(left.reshape(-1, a).conj().T @ right.reshape(-1, b)))
+
+
+def batch_slopes(batch: Batch, system: System) -> Slopes:
+    """The batch at one parameter vector, with the derivatives of all its lines."""
     solution = solve(system, batch.frequency, batch.spin)
     fit = fitted(batch, system, solution, slopes=True)
     slopes = channel_slopes(batch, system, solution, fit.loads)
     for one in fit.transients:
         slopes[one.lines] += transient_slopes(one)
-    p = slopes.shape[2]
-    gradient = -2.0 * np.real(slopes.reshape(-1, p).conj().T @ fit.weighted.reshape(-1))
-    information = _information(batch, fit, slopes)
-    for one in fit.transients:
-        part, taken = eliminated(one, slopes[one.lines])
-        gradient, information = gradient + part, information + taken
-    return Curvature(fit.total, gradient, information)
+    taken = tuple(eliminated(one, slopes[one.lines]) for one in fit.transients)
+    return Slopes(batch, fit, slopes, taken)
+
+
+def batch_curvature(batch: Batch, system: System) -> Curvature:
+    """Chi-square, gradient and information of one batch."""
+    found = batch_slopes(batch, system)
+    whole = slice(None)
+    return Curvature(found.fit.total, found.gradient(), found.information(found.weighted(), whole, whole))
 
 
 def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,45 @@ class Batch:
         """The lines of each run; they stand together."""
         ends = np.cumsum(np.bincount(self.run, minlength=len(self.runs)))
         return tuple(slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True))
+
+
+def selected_lines(batch: Batch, chosen: NDArray[np.bool_]) -> Batch:
+    """The batch with the `chosen` lines (K,) alone; every run keeps at least its name."""
+    windows: list[Window | None] = []
+    for part, window in zip(batch.parts, batch.windows, strict=True):
+        kept = chosen[part]
+        narrowed = window and replace(window, start=window.start[kept], covariance=window.covariance[kept])
+        windows.append(narrowed if kept.any() else None)
+    return replace(
+        batch,
+        index=batch.index[chosen],
+        channels=batch.channels[chosen],
+        loads=batch.loads[chosen],
+        components=batch.components[chosen],
+        precision=batch.precision[chosen],
+        count=batch.count[chosen],
+        run=batch.run[chosen],
+        efficiency=batch.efficiency[chosen],
+        windows=tuple(windows),
+    )
+
+
+def by_run(batches: Sequence[Batch]) -> tuple[Batch, ...]:
+    """Each run a batch of its own: smaller arrays where there are many derivatives."""
+    return tuple(_one_run(batch, i) for batch in batches for i in range(len(batch.runs)))
+
+
+def _one_run(batch: Batch, i: int) -> Batch:
+    chosen = selected_lines(batch, batch.run == i)
+    frequency, index = np.unique(batch.frequency[chosen.index], return_inverse=True)
+    return replace(
+        chosen,
+        runs=(batch.runs[i],),
+        windows=(batch.windows[i],),
+        run=np.zeros_like(chosen.run),
+        frequency=frequency,
+        index=index.reshape(-1),
+    )
 
 
 def stacked(

@@ -24,6 +24,7 @@ from balance_cli.signals.lines import Window
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 Weigh = Callable[[slice, ComplexArray], ComplexArray]
 
 # At rest the free motion is minus the forced one; its modes by themselves may be somewhat larger.
@@ -155,15 +156,37 @@ def _line_slopes(free: FreeMotion, window: Window, w: Array, xi: ComplexArray, d
     return np.asarray(free.volts @ inner + outer.reshape(-1, c, p))
 
 
-def eliminated(fit: Transient, slopes: ComplexArray) -> tuple[Array, Array]:
-    """What the run's free motion adds to half the gradient (p,) and to the information (p, p) of slopes (K, c, p)."""
+@dataclass(frozen=True)
+class Taken:
+    """What a run's eliminated free motion does to slopes (K, c, p): `gradient` (p,) is added to half the gradient, and
+
+    with B (c, p) `bound` and X (2m, p) `cross` the information gains Re B* B - X' N^-1 X, N (2m, 2m) `normal`.
+    """
+
+    gradient: Array
+    bound: ComplexArray
+    cross: Array
+    normal: Array
+
+    def information(self, rows: Index | slice, columns: Index | slice) -> Array:
+        """The part (rows, columns) of what is added to the information."""
+        own = np.real(self.bound[:, rows].conj().T @ self.bound[:, columns])
+        return np.asarray(own - self.cross[:, rows].T @ _solve(self.normal, self.cross[:, columns]))
+
+    def diagonal(self) -> Array:
+        """The diagonal (p,) of what is added to the information."""
+        solved = _solve(self.normal, self.cross)
+        return np.asarray(np.sum(np.abs(self.bound) ** 2, axis=0) - np.sum(self.cross * solved, axis=0))
+
+
+def eliminated(fit: Transient, slopes: ComplexArray) -> Taken:
+    """The part of the run's free motion in gradient and information of slopes (K, c, p)."""
     p = slopes.shape[2]
     of_bound = fit.held[:, None] * (fit.free.volts_slope @ _complex(fit.x)).T
     gradient = np.real(of_bound.conj().T @ (fit.bound @ fit.x))
     weighted = fit.weighted.reshape(-1, len(fit.x)).conj().T
     cross = 2.0 * np.real(weighted @ slopes.reshape(-1, p)) + np.real(fit.bound.conj().T @ of_bound)
-    own = np.real(of_bound.conj().T @ of_bound)
-    return gradient, own - cross.T @ _solve(fit.normal, cross)
+    return Taken(gradient, of_bound, cross, fit.normal)
 
 
 def _both(frequency: Array) -> Sequence[Array]:

@@ -151,8 +151,14 @@ def spring_forces(solution: Solution, index: NDArray[np.intp], loads: ComplexArr
     return np.asarray(np.matmul(solution.forces[index], loads[:, :, None])[:, :, 0])
 
 
-def force_slopes(system: System, solution: Solution, index: NDArray[np.intp], loads: ComplexArray) -> ComplexArray:
-    """Derivatives (K, e, p) of the spring forces for loads (K, 6) at lines `index` (K,)."""
+def force_slopes(
+    system: System,
+    solution: Solution,
+    index: NDArray[np.intp],
+    loads: ComplexArray,
+    chosen: NDArray[np.bool_] | slice = slice(None),
+) -> ComplexArray:
+    """Derivatives (K, e, p) of the spring forces for loads (K, 6) at lines `index` (K,), by the `chosen` parameters."""
     pencil = system.pencil
     w = 2 * np.pi * solution.frequency[index][:, None]
     driven = loads @ system.inputs.value.T
@@ -161,10 +167,10 @@ def force_slopes(system: System, solution: Solution, index: NDArray[np.intp], lo
     damping = pencil.damping.slope + 2 * np.pi * solution.spin * pencil.gyroscopic.slope
     matrices = (system.inputs.slope, -pencil.stiffness.slope, -damping, pencil.mass.slope, -pencil.hysteresis.slope)
     vectors = (loads, x, 1j * w * x, w**2 * x, lagging)
-    change = slopes_times(np.concatenate(matrices, axis=2), np.concatenate(vectors, axis=1))
-    slopes = solution.to_forces[index] @ change + slopes_times(system.readings.slope, x)
+    change = slopes_times(np.concatenate([part[chosen] for part in matrices], axis=2), np.concatenate(vectors, axis=1))
+    slopes = solution.to_forces[index] @ change + slopes_times(system.readings.slope[chosen], x)
     if system.readings_loss.slope.any():
-        slopes += slopes_times(system.readings_loss.slope, lagging)
+        slopes += slopes_times(system.readings_loss.slope[chosen], lagging)
     return np.asarray(slopes)
 
 
@@ -192,15 +198,39 @@ def log_gain_slope(path: ChannelPath, s: ComplexArray) -> ComplexArray:
 
 
 def output_slopes(system: System, solution: Solution, index: NDArray[np.intp], loads: ComplexArray) -> ComplexArray:
-    """Derivatives (K, c, p) of the channels' volts for loads (K, 6) at lines `index` (K,) of the solution."""
+    """Derivatives (K, c, p) of the channels' volts for loads (K, 6) at lines `index` (K,) of the solution.
+
+    Each kind of slope is formed for the parameters that have it: most have one kind alone.
+    """
     springs = [path.spring for path in system.paths]
     forces = spring_forces(solution, index, loads)
     gains = solution.gains[index]
     volts = gains * forces[:, springs]
-    slopes = gains[:, :, None] * force_slopes(system, solution, index, loads)[:, springs]
-    log_slopes = log_gain_slopes(system.paths, solution.frequency)
-    if log_slopes.any():
-        slopes += volts[:, :, None] * log_slopes[index]
-    if system.mixing.slope.any() or np.any(system.mixing.value != np.eye(len(springs))):
-        slopes = system.mixing.value @ slopes + slopes_times(system.mixing.slope, volts)
+    moving = moving_parameters(system)
+    slopes = np.zeros((len(index), len(springs), system.parameters), complex)
+    slopes[:, :, moving] = gains[:, :, None] * force_slopes(system, solution, index, loads, moving)[:, springs]
+    s = np.asarray(2j * np.pi * solution.frequency[:, None], np.complex128)
+    for c, path in enumerate(system.paths):
+        own = _path_parameters(path)
+        if own.any():
+            slopes[:, c, own] += np.asarray(volts[:, c, None] * log_gain_slope(path, s)[:, own][index])
+    if np.any(system.mixing.value != np.eye(len(springs))):
+        slopes = system.mixing.value @ slopes
+    mixed = system.mixing.slope.any(axis=(1, 2))
+    if mixed.any():
+        slopes[:, :, mixed] += slopes_times(system.mixing.slope[mixed], volts)
     return np.asarray(slopes)
+
+
+def moving_parameters(system: System) -> NDArray[np.bool_]:
+    """Which parameters (p,) change the forces of the springs; those of channels and exciters do not."""
+    pencil = system.pencil
+    parts = (pencil.mass, pencil.damping, pencil.gyroscopic, pencil.stiffness, pencil.hysteresis)
+    every = (*parts, system.inputs, system.readings, system.readings_loss)
+    return np.asarray(np.any([part.slope.any(axis=(1, 2)) for part in every], axis=0))
+
+
+def _path_parameters(path: ChannelPath) -> NDArray[np.bool_]:
+    """Which parameters (p,) change the gain of a channel."""
+    every = (path.gain, *path.low_pass, *path.high_pass, *(() if path.delay is None else (path.delay,)))
+    return np.asarray(np.any([part.slope != 0 for part in every], axis=0))
