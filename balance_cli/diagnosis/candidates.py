@@ -61,13 +61,14 @@ def candidates(geometry: Geometry, empirical: bool = False) -> tuple[Candidate, 
         if effect.once and effect.name in names:
             continue
         places = effect.places(geometry) if effect.searched is None else effect.searched(geometry)
-        found += [_candidate(effect, where, geometry) for where in places if (effect.name, where) not in taken]
+        found += [candidate_at(effect.name, where, geometry) for where in places if (effect.name, where) not in taken]
     return tuple(found)
 
 
-def _candidate(effect: Effect, where: Where, geometry: Geometry) -> Candidate:
-    one = placed(effect.name, where, geometry)
-    starts = ({},) if effect.starts is None else effect.starts(geometry, where)
+def candidate_at(name: str, where: Where, geometry: Geometry) -> Candidate:
+    """The candidate of this name at this place. UserError where there is none."""
+    one = placed(name, where, geometry)
+    starts = ({},) if one.effect.starts is None else one.effect.starts(geometry, where)
     return Candidate(one, tuple(starts))
 
 

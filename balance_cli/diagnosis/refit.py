@@ -31,8 +31,10 @@ Array = NDArray[np.float64]
 
 # Steps that tell one start from another, and those of a fit.
 FIRST_STEPS = 8
-STEPS = 30
-ROUNDS = 5
+STEPS = 15
+ROUNDS = 8
+# A step that promises less chi-square is the last.
+PROMISED = 1.0
 # A model error that shrinks by less than this share in a round has settled.
 SETTLED = 0.05
 
@@ -80,7 +82,7 @@ def steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: in
         lambda at: data_curvature(batches, model.system(at)),
         lambda at: data_chi2(batches, model.system(at)),
         iterations=count,
-        tolerance=0.5,
+        tolerance=PROMISED,
     ).theta
 
 
@@ -107,3 +109,21 @@ def _tried(
     model, theta = extended(state.model, state.theta, geometry)
     theta = steps(model, theta, batches, FIRST_STEPS)
     return model, theta, data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
+
+
+def refitted_from(state: State, candidate: Candidate, lines: SearchLines) -> State:
+    """The same effects, with one of them begun anew from its best start and the others as they are."""
+    batches = with_model_error(lines.fitted, state.shares)
+    tries = [_begun_anew(state, candidate, n, batches) for n in range(len(candidate.starts))]
+    theta, _ = min(tries, key=lambda item: item[1])
+    return settled(state.model, theta, lines)
+
+
+def _begun_anew(state: State, candidate: Candidate, number: int, batches: Sequence[Batch]) -> tuple[Array, float]:
+    model, theta = state.model, state.theta.copy()
+    start = candidate.starts[number]
+    for item in candidate.one.parameters:
+        place = model.parameters.index(candidate.one.full_name(item))
+        theta[place] = start.get(item.fitted_name, item.fitted_start)
+    theta = steps(model, theta, batches, FIRST_STEPS)
+    return theta, data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2

@@ -13,8 +13,8 @@ from balance_cli.signals.lines import Lines
 from balance_cli.spectra import Spectra
 
 # Lines of all sweeps together that a fit of the search takes, and at least of each run.
-ENOUGH = 500
-FEWEST = 24
+ENOUGH = 300
+FEWEST = 20
 
 
 @dataclass(frozen=True)

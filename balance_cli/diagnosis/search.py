@@ -1,0 +1,147 @@
+"""The search: while the model is wrong, add the effect that takes most off its error, and start again where it is stuck.
+
+Every fit here has a model error (see `estimation.model_error`), so that the ranking does not rest on the noise alone.
+The search ends when no candidate lowers -2 ln likelihood on the lines that were fitted and on those that were not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from balance_cli.diagnosed import Trial
+from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates
+from balance_cli.diagnosis.refit import State, refitted_from, settled, with_candidate
+from balance_cli.diagnosis.score import Score, scores
+from balance_cli.diagnosis.search_lines import SearchLines
+from balance_cli.estimation.model_error import with_model_error
+from balance_cli.model.balance import BalanceModel
+
+# Leading candidates of a round that are refitted, and the share of the best score that makes one worth it.
+LEADING = 3
+WORTH_IT = 0.2
+# Largest number of effects that a search adds.
+MOST_EFFECTS = 12
+# A model error smaller than this share of the response is left to the tests against the noise.
+SMALL_ERROR = 3e-4
+# -2 ln likelihood that a parameter costs, and a share of the model error's own that is no progress.
+PENALTY = 6.0
+SLIGHT = 2e-3
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where the search ended, what it tried, and for each label the score with which it came in and its rivals' gains."""
+
+    state: State
+    trials: tuple[Trial, ...]
+    rivals: dict[str, dict[str, float]]
+
+
+def search(
+    model: BalanceModel, theta: np.ndarray[tuple[int], np.dtype[np.float64]], lines: SearchLines, say: Say
+) -> Found:
+    """Add effects one by one until none helps; where the error stays large, once more from other starts."""
+    state = settled(model, theta, lines)
+    trials: list[Trial] = []
+    rivals: dict[str, dict[str, float]] = {}
+    stuck = False
+    for number in range(1, MOST_EFFECTS + 1):
+        if state.error < SMALL_ERROR:
+            break
+        say(f"search, round {number}: model error {100 * state.error:.2g} %")
+        added = _round(state, lines, number, trials, rivals)
+        if added is None:
+            again = None if stuck else started_again(state, lines)
+            if again is None:
+                break
+            state, stuck = again, True
+            continue
+        state, stuck = added, False
+    return Found(_unstuck(state, lines), tuple(trials), rivals)
+
+
+def _unstuck(state: State, lines: SearchLines) -> State:
+    if state.error < SMALL_ERROR:
+        return state
+    return started_again(state, lines) or state
+
+
+def _round(
+    state: State, lines: SearchLines, number: int, trials: list[Trial], rivals: dict[str, dict[str, float]]
+) -> State | None:
+    """The state with the best candidate of one round; None where none helps."""
+    ranked = ranked_scores(state, lines)
+    tried = [(score, with_candidate(state, score.candidate, lines)) for score in leading(ranked)]
+    if not tried:
+        return None
+    gains = {score.candidate.label: state.fitted - new.fitted - PENALTY * score.parameters for score, new in tried}
+    best_score, best = min(tried, key=lambda item: item[1].fitted)
+    label = best_score.candidate.label
+    least = max(2.0 * np.log(len(ranked)), SLIGHT * _size(state))
+    accepted = gains[label] > least and best.folds < state.folds
+    for score, new in tried:
+        chosen = accepted and score is best_score
+        why = _why(gains[score.candidate.label], least, state.folds - new.folds, chosen)
+        trials.append(_trial(number, score, gains[score.candidate.label], len(ranked), chosen, why))
+    if not accepted:
+        return None
+    rivals[label] = gains
+    return best
+
+
+def _size(state: State) -> float:
+    """How much -2 ln likelihood a model error is worth: what would be gained if it went."""
+    return abs(state.fitted) * min(1.0, state.error / SMALL_ERROR) ** 2
+
+
+def _why(gain: float, least: float, folds: float, chosen: bool) -> str:
+    if chosen:
+        return ""
+    if gain <= least:
+        return "gains too little"
+    return "another gained more" if folds > 0 else "gains nothing on lines that were not fitted"
+
+
+def _trial(number: int, score: Score, gain: float, count: int, accepted: bool, why: str) -> Trial:
+    return Trial(
+        round=number,
+        label=score.candidate.label,
+        score=score.gain,
+        parameters=score.parameters,
+        p_value=min(1.0, count * score.p_value),
+        gain=gain,
+        decision="accepted" if accepted else "rejected",
+        why=why,
+    )
+
+
+def ranked_scores(state: State, lines: SearchLines) -> list[Score]:
+    """Scores of all candidates under the model error, best first; physical ones only."""
+    batches = with_model_error(lines.fitted, state.shares)
+    found = scores(state.model, state.theta, batches, candidates(state.geometry))
+    return sorted(found, key=lambda score: -score.gain)
+
+
+def leading(ranked: Sequence[Score]) -> list[Score]:
+    """The leading candidates, one place of each effect."""
+    chosen: dict[str, Score] = {}
+    for score in ranked:
+        if score.gain > WORTH_IT * ranked[0].gain and score.gain > PENALTY * score.parameters:
+            chosen.setdefault(score.candidate.effect.name, score)
+    return list(chosen.values())[:LEADING]
+
+
+def started_again(state: State, lines: SearchLines) -> State | None:
+    """The same effects, those with several starts begun anew beside the others as they are; None where it is no better."""
+    best = state
+    for effect in state.geometry.effects:
+        candidate: Candidate = candidate_at(effect.name, effect.where, state.geometry)
+        if len(candidate.starts) > 1:
+            new = refitted_from(best, candidate, lines)
+            best = new if new.fitted < best.fitted - PENALTY else best
+    return best if best is not state else None
