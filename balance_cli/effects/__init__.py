@@ -7,20 +7,24 @@ from balance_cli.effects import (
     added_mass,
     cell_misalignment,
     channel_gain,
+    channel_offset,
     crosstalk,
+    cubic_stiffness,
     exciter_misalignment,
     extra_mode,
     gyroscopic_coupling,
     high_pass,
+    load_offset,
     low_pass,
     mast_bending,
     parallel_stiffness,
+    quadratic_stiffness,
     structural_damping,
     support_flexibility,
     time_delay,
     transverse_stiffness,
 )
-from balance_cli.effects.base import Effect, EffectParameter, Where
+from balance_cli.effects.base import Choice, Effect, EffectParameter, Where
 
 EFFECTS: tuple[Effect, ...] = (
     support_flexibility.EFFECT,
@@ -31,6 +35,8 @@ EFFECTS: tuple[Effect, ...] = (
     cell_misalignment.EFFECT,
     transverse_stiffness.EFFECT,
     structural_damping.EFFECT,
+    cubic_stiffness.EFFECT,
+    quadratic_stiffness.EFFECT,
     extra_mode.EFFECT,
     channel_gain.EFFECT,
     low_pass.EFFECT,
@@ -38,6 +44,8 @@ EFFECTS: tuple[Effect, ...] = (
     time_delay.EFFECT,
     crosstalk.EFFECT,
     exciter_misalignment.EFFECT,
+    load_offset.EFFECT,
+    channel_offset.EFFECT,
 )
 
-__all__ = ["EFFECTS", "Effect", "EffectParameter", "Where"]
+__all__ = ["EFFECTS", "Choice", "Effect", "EffectParameter", "Where"]

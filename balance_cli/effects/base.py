@@ -84,6 +84,15 @@ class EffectParameter:
 
 
 @dataclass(frozen=True)
+class Choice:
+    """A parameter that is one of a few words, the first unless another is declared."""
+
+    name: str
+    words: tuple[str, ...]
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Effect:
     """An effect: what it is, where it holds, where it was published, and what it adds to the equations.
 
@@ -96,6 +105,10 @@ class Effect:
     For a search: `searched(geometry)` are the places worth trying where not all are (a large place, that is made
     smaller afterwards); `starts(geometry, where)` fitted values to begin from, several where one start may lead into a
     wrong minimum; `once`: a rig has it once at most; `empirical`: it describes and does not explain.
+
+    Where there is a `choice`, every word of it makes a place of its own: the word is the last name of `where`.
+    `needs_mean`: it shows, among other things, in the mean of a record and in static rows that are not straight, or
+    through channels as functions of time.
     """
 
     name: str
@@ -112,6 +125,8 @@ class Effect:
     starts: Callable[[Geometry, Where], tuple[Mapping[str, float], ...]] | None = None
     once: bool = False
     empirical: bool = False
+    choice: Choice | None = None
+    needs_mean: bool = False
 
 
 def each_cell(geometry: Geometry) -> tuple[Where, ...]:
@@ -127,6 +142,15 @@ def each_cell_or_all(geometry: Geometry) -> tuple[Where, ...]:
 def cells_at(geometry: Geometry, where: Where) -> list[int]:
     """Indices of the cells at a place, which is the name of one or `all`."""
     return [i for i, cell in enumerate(geometry.cells) if where == (ALL,) or cell.name in where]
+
+
+INSIDE, BESIDE = "inside", "beside"
+SIDE = Choice("side", (INSIDE, BESIDE), "`inside` the cell, whose channels read the force too, or `beside` it.")
+
+
+def each_cell_and_side(geometry: Geometry) -> tuple[Where, ...]:
+    """Each cell, inside and beside it."""
+    return tuple((cell.name, side) for cell in geometry.cells for side in SIDE.words)
 
 
 def each_channel(geometry: Geometry) -> tuple[Where, ...]:

@@ -6,7 +6,8 @@ System Identification, 2nd ed., chapter 9): with M = [T; I], U0 = (M' S M)^-1 M'
     chi2 = 2 sum r* S r,   gradient = -4 Re sum dY* (S r)_Y,   curvature = 4 Re sum dY* P dY (Gauss-Newton)
 
 where dY = dT U0 and P = S_YY - S_YM (M'SM)^-1 S_MY. With noise on the channels alone U0 = U and P = S_YY.
-The free motion of records that began at rest is linear too, and is eliminated run by run (see `transients`).
+The free motion of records that began at rest is linear too, and is eliminated run by run (see `transients`). What
+offsets and forces along the springs add to z is known at given parameters, and is taken out first.
 """
 
 from __future__ import annotations
@@ -18,9 +19,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.cell_forces import CellForces, cell_forces
 from balance_cli.estimation.measurements import WORKERS, Batch
 from balance_cli.estimation.transients import Transient, eliminated, transient_slopes, transients
-from balance_cli.model.system import Solution, System, output_slopes, response, solve
+from balance_cli.model.system import (
+    Solution,
+    System,
+    extra_forces,
+    output_slopes,
+    response,
+    solve,
+    volts_of_forces,
+)
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -31,7 +41,8 @@ class Fitted:
     """One batch at one parameter vector: estimated loads (K, 6), weighted residual S r of the channels (K, c),
 
     residual of the channels (K, c) about the measured loads, and chi2 (K,) of each line, the free motion of the
-    `transients` taken out of all of them; `downdate`: what the eliminated loads take from the precision.
+    `transients` taken out of all of them; `downdate`: what the eliminated loads take from the precision; `forces`:
+    those along the springs that are not linear.
     """
 
     loads: ComplexArray
@@ -40,6 +51,7 @@ class Fitted:
     chi2: Array
     downdate: tuple[ComplexArray, ComplexArray] | None
     transients: tuple[Transient, ...]
+    forces: CellForces | None
 
     @property
     def total(self) -> float:
@@ -71,7 +83,13 @@ def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = Fals
     """
     T = exciter_response(system, solution)
     columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
-    residual = batch.channels - np.matmul(columns, batch.loads[:, :, None])[:, :, 0]
+    forces = cell_forces(batch, system, slopes)
+    loads = _without_offset(batch, system)
+    residual = batch.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
+    if np.any(system.channel_offset.value):
+        residual -= batch.constant_volts[:, None] * system.channel_offset.value
+    if forces is not None:
+        residual -= _extra_volts(batch, system, solution, forces)
     downdate = None if batch.exact else _downdate(batch, columns)
 
     def weigh(lines: slice, values: ComplexArray) -> ComplexArray:
@@ -82,13 +100,25 @@ def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = Fals
         residual[one.lines] -= one.columns @ one.x
     weighted = weigh(slice(None), residual[:, :, None])[:, :, 0]
     chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted, axis=1))
-    loads = batch.loads
     if downdate is not None:
         SM, normal = downdate
         # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
         right = np.matmul(SM.conj().swapaxes(1, 2), residual[:, :, None])
         loads = loads + np.linalg.solve(normal, right)[:, :, 0]
-    return Fitted(_six(batch, loads), weighted, residual, chi2, downdate, free)
+    return Fitted(_six(batch, loads), weighted, residual, chi2, downdate, free, forces)
+
+
+def _without_offset(batch: Batch, system: System) -> ComplexArray:
+    """The measured loads (K, u) less what the force cells read too much."""
+    if not np.any(system.load_offset.value):
+        return batch.loads
+    return np.asarray(batch.loads - batch.constant_loads * system.load_offset.value[batch.components])
+
+
+def _extra_volts(batch: Batch, system: System, solution: Solution, forces: CellForces) -> ComplexArray:
+    """Volts (K, c) of the forces along the springs."""
+    read = extra_forces(system, solution, batch.index, forces.inputs)[:, [path.spring for path in system.paths]]
+    return np.asarray((solution.gains[batch.index] * read) @ system.mixing.value.T)
 
 
 def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -120,14 +150,39 @@ def _six(batch: Batch, loads: ComplexArray) -> ComplexArray:
     return six
 
 
-def channel_slopes(batch: Batch, system: System, solution: Solution, loads: ComplexArray) -> ComplexArray:
-    """DY (K, c, p) for estimated exciter loads (K, 6), spill included."""
+def channel_slopes(batch: Batch, system: System, solution: Solution, fit: Fitted) -> ComplexArray:
+    """DY (K, c, p) at the estimated exciter loads, spill, offsets and forces along the springs included."""
+    loads, forces = fit.loads, fit.forces
     true_loads = loads @ system.spill.value.T
-    slopes = output_slopes(system, solution, batch.index, true_loads)
+    slopes = output_slopes(system, solution, batch.index, true_loads, None if forces is None else forces.inputs)
     if np.any(system.spill.slope):
         spilt = np.einsum("pij,kj->kip", system.spill.slope, loads)
         slopes = slopes + np.matmul(response(system, solution)[batch.index], spilt)
+    if forces is not None:
+        _add_force_slopes(slopes, batch, system, solution, forces)
+    _add_offset_slopes(slopes, batch, system, solution)
     return slopes
+
+
+def _add_force_slopes(
+    slopes: ComplexArray, batch: Batch, system: System, solution: Solution, forces: CellForces
+) -> None:
+    acting, read = volts_of_forces(system, solution)
+    for one in forces.slopes:
+        volts = acting[:, :, one.spring] + (read[:, :, one.spring] if one.read else 0.0)
+        part = slopes[one.lines]
+        for place, column in enumerate(one.columns):
+            part[:, :, column] += volts[batch.index[one.lines]] * one.slope[:, place, None]
+
+
+def _add_offset_slopes(slopes: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:
+    """Offsets of the channels add to what they read; those of the loads lower what is taken to act."""
+    if np.any(system.channel_offset.slope):
+        slopes += batch.constant_volts[:, None, None] * system.channel_offset.slope.T
+    if np.any(system.load_offset.slope):
+        held = exciter_response(system, solution)[batch.index[:, None], :, batch.components].swapaxes(1, 2)
+        offset = system.load_offset.slope.T[batch.components] * batch.constant_loads[:, :, None]
+        slopes -= np.matmul(held, offset)
 
 
 def _information(batch: Batch, fit: Fitted, slopes: ComplexArray) -> Array:
@@ -148,7 +203,7 @@ def batch_curvature(batch: Batch, system: System) -> Curvature:
     """Chi-square, gradient and information of one batch."""
     solution = solve(system, batch.frequency, batch.spin)
     fit = fitted(batch, system, solution, slopes=True)
-    slopes = channel_slopes(batch, system, solution, fit.loads)
+    slopes = channel_slopes(batch, system, solution, fit)
     for one in fit.transients:
         slopes[one.lines] += transient_slopes(one)
     p = slopes.shape[2]

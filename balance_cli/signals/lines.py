@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+# A cube of a signal has three times its bandwidth; what a contact does has more.
+OVERSAMPLING = 4
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,68 @@ class Window:
 
 
 @dataclass(frozen=True)
+class Waveform:
+    """Channels of a run through time, from which forces can be told that are no linear function of them.
+
+    `volts` (F, c) and `share` (F, c): amplitudes before the anti-alias filter at `frequency` (F,) [Hz], the harmonics
+    0, 1, 2 ... of 1/T, and the weight of each channel among those of its spring. A period T of `samples` samples recurs
+    for ever. `number` (K,): which of the F a line is; `behind` (K,): the filter that it then has passed.
+    """
+
+    frequency: Array
+    volts: ComplexArray
+    share: Array
+    samples: int
+    number: NDArray[np.intp]
+    behind: ComplexArray
+
+    @property
+    def recurs(self) -> bool:
+        """Whether what is in the record comes again and again."""
+        return True
+
+    def in_time(self, amplitudes: ComplexArray) -> Array:
+        """Amplitudes (F, ...) as a function of time (n, ...), finely sampled; at frequency zero twice the mean."""
+        n = OVERSAMPLING * self.samples
+        return np.asarray(np.fft.irfft(amplitudes * (n / 2.0), n, axis=0))
+
+    def at_lines(self, force: Array) -> ComplexArray:
+        """A function of time (n, ...) at the lines (K, ...), behind the anti-alias filter."""
+        spectrum = np.fft.rfft(force, axis=0)[self.number] * (2.0 / len(force))
+        return np.asarray((spectrum.T * self.behind).T)
+
+
+@dataclass(frozen=True)
+class LoadPoints:
+    """Channels of a static run point by point, as a waveform: `volts` (m, c) and `share` (m, c) at frequency zero.
+
+    `projection` (K, m) takes a value at each point to the lines.
+    """
+
+    volts: ComplexArray
+    share: Array
+    projection: Array
+
+    @property
+    def frequency(self) -> Array:
+        """Zero (m,) [Hz]."""
+        return np.zeros(len(self.volts))
+
+    @property
+    def recurs(self) -> bool:
+        """The first point follows on the unloaded rig."""
+        return False
+
+    def in_time(self, amplitudes: ComplexArray) -> Array:
+        """The points (m, ...) themselves."""
+        return np.asarray(amplitudes.real)
+
+    def at_lines(self, force: Array) -> ComplexArray:
+        """Values at the points (m, ...) as lines (K, ...)."""
+        return np.tensordot(self.projection, force, axes=1).astype(complex)
+
+
+@dataclass(frozen=True)
 class Lines:
     """Spectra of one run (or one experiment of it) at k lines: c channels, u excited load components.
 
@@ -35,6 +100,10 @@ class Lines:
     is circular with covariance E[z z*] = `covariance` per line, that of the means as given (not of one period), and
     was estimated with `dof` complex degrees of freedom (infinite where it is known).
     `window`: where in a periodic record they come from; None where no free motion can be in them.
+    At frequency zero the amplitude is twice the mean, and the covariance twice the variance of that, as the noise is
+    real; it is infinite where a channel tells nothing. `constant_volts` (k,) and `constant_loads` (k, u): what one volt
+    too much in every channel, one unit in every load that was applied, adds to the lines. `waveform`: the channels
+    through time. None: nothing, or not asked for.
 
     Shapes: frequency (k,) [Hz]; channels (k, c) [V]; loads (k, u) [N, N m]; covariance (k, c+u, c+u).
     """
@@ -50,6 +119,30 @@ class Lines:
     rotor_speed: float = 0.0
     level: tuple[float, ...] = ()
     window: Window | None = None
+    constant_volts: Array | None = None
+    constant_loads: Array | None = None
+    waveform: Waveform | LoadPoints | None = None
+
+    def at(self, keep: NDArray[np.bool_]) -> Lines:
+        """Only the lines (k,) that are kept."""
+        window, waveform = self.window, self.waveform
+        if window is not None:
+            window = replace(window, start=window.start[keep], covariance=window.covariance[keep])
+        if isinstance(waveform, Waveform):
+            waveform = replace(waveform, number=waveform.number[keep], behind=waveform.behind[keep])
+        elif waveform is not None:
+            waveform = replace(waveform, projection=waveform.projection[keep])
+        return replace(
+            self,
+            frequency=self.frequency[keep],
+            channels=self.channels[keep],
+            loads=self.loads[keep],
+            covariance=self.covariance[keep],
+            window=window,
+            constant_volts=None if self.constant_volts is None else self.constant_volts[keep],
+            constant_loads=None if self.constant_loads is None else self.constant_loads[keep],
+            waveform=waveform,
+        )
 
 
 @dataclass(frozen=True)
@@ -58,6 +151,7 @@ class StaticPoints:
 
     `covariance` (c, c) is the noise of a row's `channels - C0 loads` (so it holds the load readings' noise too),
     measured from second differences along the loading sequence and not from the residual of a fit.
+    `share` (c,): the weight of each channel among those of its spring, where forces are to be told from them.
     """
 
     run: str
@@ -67,6 +161,7 @@ class StaticPoints:
     loads: Array
     covariance: Array
     dof: float
+    share: Array | None = None
 
 
 @dataclass(frozen=True)

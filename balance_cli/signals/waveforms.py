@@ -1,0 +1,139 @@
+"""What lines leave out, for effects that need it: the mean of a record, and its channels through time.
+
+A force that is no linear function of the channels is computed in time. The channels must then be as they were before
+the anti-alias filter, and each spring's channels be brought together: every one tells the spring's force where it
+hears it best, by the inverse of its variance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.geometry import Channel, Geometry
+from balance_cli.runs import Run
+from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.lines import Lines, StaticPoints, Waveform
+from balance_cli.signals.periodic import whole_period
+from balance_cli.signals.records import load_places, sample_rate, samples_of
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Where the anti-alias filter leaves less, a channel is left out rather than its noise amplified.
+LEAST_PASSED = 0.3
+# The scatter of the periods' means is taken for noise up to what is exceeded with this probability.
+DRIFT_PROBABILITY = 1e-4
+
+
+def with_mean_and_waveform(run: Run, lines: Lines, geometry: Geometry) -> Lines:
+    """The lines of a periodic record, with its mean as a line at frequency zero (the last), and its mean period.
+
+    Both are of the periods that are steady at every line.
+    """
+    window = lines.window
+    assert window is not None
+    n, rate = whole_period(run), sample_rate(run)
+    first = round(float(window.start.max()) * rate)
+    channels, loads = samples_of(run, lines.channel_names, first)
+    periods = np.hstack([channels, loads[:, load_places(lines.components)]]).reshape(-1, n, lines.covariance.shape[1])
+    lines = _with_mean(lines, periods.mean(axis=1), first / rate, rate * (window.stop - window.start[0]) / n, geometry)
+    c = len(lines.channel_names)
+    number = np.rint(lines.frequency * n / rate).astype(np.intp)
+    waveform = waveform_of(periods[:, :, :c].mean(axis=0), rate, lines, number, geometry)
+    return replace(lines, waveform=waveform)
+
+
+def waveform_of(samples: Array, rate: float, lines: Lines, number: NDArray[np.intp], geometry: Geometry) -> Waveform:
+    """Samples (n, c) of what recurs, as amplitudes before the anti-alias filter, for lines of these numbers (K,)."""
+    n = len(samples)
+    frequency = np.arange((n + 1) // 2) * (rate / n)
+    passed = anti_alias(geometry.acquisition, frequency)
+    heard = np.abs(passed) >= LEAST_PASSED
+    amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
+    volts = np.where(heard[:, None], amplitudes / np.where(heard, passed, 1.0)[:, None], 0.0)
+    dynamic = lines.frequency > 0
+    variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
+    share = channel_shares(geometry, lines.channel_names, frequency, variance[: len(lines.channel_names)])
+    return Waveform(frequency, volts, share, n, number, passed[number])
+
+
+def channel_shares(geometry: Geometry, names: Sequence[str], frequency: Array, variance: Array) -> Array:
+    """Weights (F, c) of channels of given variance (c,) among those of their spring; zero where none hears anything."""
+    by_name = {channel.name: channel for channel in geometry.channels}
+    channels = [by_name[name] for name in names]
+    gains = np.stack([_declared_gain(channel, frequency) for channel in channels], axis=1)
+    weight = np.abs(gains) ** 2 / np.where(variance > 0, variance, 1.0)
+    springs = [channel.cell for channel in channels]
+    alike = np.array([[one == other for other in springs] for one in springs], float)
+    total = weight @ alike
+    return np.asarray(weight / np.where(total > 0, total, 1.0))
+
+
+def with_shares(points: StaticPoints, geometry: Geometry) -> StaticPoints:
+    """The points with the weight of each channel among those of its spring."""
+    share = channel_shares(geometry, points.channel_names, np.zeros(1), np.diag(points.covariance))[0]
+    return replace(points, share=share)
+
+
+def _declared_gain(channel: Channel, frequency: Array) -> ComplexArray:
+    s = 2j * np.pi * frequency
+    gain = np.full(len(s), channel.sensitivity, complex)
+    if channel.lowpass is not None:
+        gain = gain / (1.0 + s / (2 * np.pi * channel.lowpass))
+    return gain if channel.time_constant is None else gain * s / (s + 1.0 / channel.time_constant)
+
+
+def _with_mean(lines: Lines, means: Array, start: float, periods: float, geometry: Geometry) -> Lines:
+    """The lines and, from the means (m, c+u) of m periods, one at frequency zero.
+
+    Its noise is that of the lowest line, the mean of as many `periods`, unless the means scatter more than that.
+    """
+    window = lines.window
+    assert window is not None
+    by_name = {channel.name: channel for channel in geometry.channels}
+    deaf = [not by_name[name].measures_dc for name in lines.channel_names]
+    factor = 2.0 * periods / len(means) * _drift(means, lines, periods, deaf)
+    c, z = len(deaf), 2.0 * means.mean(axis=0)
+    count = len(lines.frequency)
+    volts, units = np.zeros(count + 1), np.zeros((count + 1, len(lines.components)))
+    volts[-1] = units[-1] = 2.0
+    return replace(
+        lines,
+        frequency=np.append(lines.frequency, 0.0),
+        channels=np.vstack([lines.channels, z[:c]]),
+        loads=np.vstack([lines.loads, z[c:]]),
+        covariance=_with_last(lines.covariance, factor, deaf),
+        window=replace(
+            window,
+            start=np.append(window.start, start),
+            covariance=_with_last(window.covariance, factor, deaf),
+        ),
+        constant_volts=volts,
+        constant_loads=units,
+    )
+
+
+def _with_last(covariance: ComplexArray, factor: float, deaf: Sequence[bool]) -> ComplexArray:
+    """Covariances (k, n, n), and the first one once more times a factor; infinite where a channel is deaf."""
+    last = factor * covariance[:1].real.astype(complex)
+    for i in np.flatnonzero(deaf):
+        last[:, i, :] = last[:, :, i] = 0.0
+        last[:, i, i] = np.inf
+    return np.concatenate([covariance, last])
+
+
+def _drift(means: Array, lines: Lines, periods: float, deaf: Sequence[bool]) -> float:
+    """How much more the means (m, n) of the periods scatter than noise would make them; 1 where that may be chance."""
+    if len(means) < 2:
+        return 1.0
+    from scipy.stats import chi2
+
+    c, free = len(deaf), len(means) - 1
+    noise = np.diagonal(lines.covariance[0]).real[:c] * periods / 4.0
+    ratio = (np.var(means[:, :c], axis=0, ddof=1) / noise)[~np.array(deaf)]
+    largest = float(ratio.max(initial=0.0))
+    return largest if largest > chi2.isf(DRIFT_PROBABILITY / c, free) / free else 1.0
