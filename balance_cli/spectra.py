@@ -14,7 +14,11 @@ from balance_cli.signals.lines import Lines, StaticPoints
 from balance_cli.signals.local_lines import lines_from_local_model
 from balance_cli.signals.periodic import periodic_lines, repeats
 from balance_cli.signals.static_noise import static_points
-from balance_cli.signals.waveforms import with_mean_and_waveform, with_shares
+from balance_cli.signals.waveforms import (
+    local_lines_with_mean_and_waveform,
+    with_mean_and_waveform,
+    with_shares,
+)
 
 
 @dataclass(frozen=True)
@@ -68,4 +72,6 @@ def _sweep_lines(run: Run, channel_names: tuple[str, ...], geometry: Geometry, m
     if repeats(run):
         lines = periodic_lines(run, channel_names)
         return with_mean_and_waveform(run, lines, geometry) if means else lines
+    if means:
+        return local_lines_with_mean_and_waveform(run, channel_names, geometry)
     return lines_from_local_model(run, channel_names)

@@ -19,8 +19,18 @@ from numpy.typing import NDArray
 from balance_cli.equations import CellForce
 from balance_cli.estimation.measurements import Batch
 from balance_cli.jets import Jet, constant
-from balance_cli.model.system import SpringInputs, System, channel_gains, log_gain_slope
-from balance_cli.signals.lines import LoadPoints, Waveform
+from balance_cli.model.system import (
+    Solution,
+    SpringInputs,
+    System,
+    channel_gains,
+    extra_forces,
+    log_gain_slope,
+    output_slopes,
+    solve,
+    volts_of_forces,
+)
+from balance_cli.signals.lines import LoadPoints, RecordWaveform, Waveform
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -33,9 +43,8 @@ EXACT = 1e-12
 
 @dataclass(frozen=True)
 class ForceSlopes:
-    """Derivatives (k, q) of one force by the parameters `columns` (q,) at the lines of one run."""
+    """Derivatives (k, q) of one force by the parameters `columns` (q,)."""
 
-    lines: slice
     spring: int
     read: bool
     columns: Index
@@ -44,32 +53,74 @@ class ForceSlopes:
 
 @dataclass(frozen=True)
 class CellForces:
-    """All such forces at the lines of a batch, and their derivatives, one by one."""
+    """The forces in one run, at lines `index` of a solution: all together where there are any, derivatives one by one.
 
-    inputs: SpringInputs
+    `lines` are those of the run in its batch, `waveform` makes them from those at which the forces are.
+    """
+
+    lines: slice
+    waveform: Waveform | LoadPoints
+    solution: Solution
+    index: Index
+    inputs: SpringInputs | None
     slopes: tuple[ForceSlopes, ...]
 
+    def volts(self, system: System) -> ComplexArray:
+        """What the channels (k, c) read of the forces, through the balance and at once."""
+        if self.inputs is None:
+            return np.zeros((1, len(system.paths)), complex)
+        read = extra_forces(system, self.solution, self.index, self.inputs)[:, [path.spring for path in system.paths]]
+        return self._at_lines((self.solution.gains[self.index] * read) @ system.mixing.value.T)
 
-def cell_forces(batch: Batch, system: System, slopes: bool) -> CellForces | None:
-    """The forces at all lines of a batch; None where the system has none. LinAlgError where a cell would give way."""
-    if not system.forces:
-        return None
-    shape = (len(batch.index), len(system.stiffness.value))
+    def add_slopes(self, system: System, total: ComplexArray) -> None:
+        """Add to `total` (k, c, p) the derivatives of the volts."""
+        loads = np.zeros((len(self.index), 6), complex)
+        if self.inputs is not None:
+            total += self._at_lines(output_slopes(system, self.solution, self.index, loads, self.inputs))
+        acting, read = volts_of_forces(system, self.solution)
+        for one in self.slopes:
+            volts = acting[:, :, one.spring] + (read[:, :, one.spring] if one.read else 0.0)
+            for place, column in enumerate(one.columns):
+                total[:, :, column] += self._at_lines(volts[self.index] * one.slope[:, place, None])
+
+    def _at_lines(self, values: ComplexArray) -> ComplexArray:
+        return self.waveform.mixed(values) if isinstance(self.waveform, RecordWaveform) else values
+
+
+def cell_forces(batch: Batch, system: System, solution: Solution, slopes: bool) -> tuple[CellForces, ...]:
+    """The forces in every run of a batch, at its lines or (record by record) at their neighbours.
+
+    LinAlgError where a cell would give way.
+    """
+    found = []
+    for lines, waveform in zip(batch.parts, batch.waveforms, strict=True):
+        if waveform is None or not system.forces:
+            continue
+        if isinstance(waveform, RecordWaveform):
+            own = solve(system, waveform.frequency[waveform.number], batch.spin)
+            found.append(_forces_in(lines, waveform, system, own, np.arange(len(own.frequency)), slopes))
+        else:
+            found.append(_forces_in(lines, waveform, system, solution, batch.index[lines], slopes))
+    return tuple(found)
+
+
+def _forces_in(
+    lines: slice, waveform: Waveform | LoadPoints, system: System, solution: Solution, index: Index, slopes: bool
+) -> CellForces:
+    shape = (len(index), len(system.stiffness.value))
     inputs = SpringInputs(np.zeros(shape, complex), np.zeros(shape, complex))
     found: list[ForceSlopes] = []
-    for lines, waveform in zip(batch.parts, batch.waveforms, strict=True):
-        if waveform is None:
-            continue
-        for force, through_time, columns in _in_time(waveform, system, slopes):
-            if force.values.value[0] != 0.0:
-                at_lines = waveform.at_lines(through_time.value)
-                inputs.acting[lines, force.spring] += at_lines
-                if force.read:
-                    inputs.read[lines, force.spring] += at_lines
-            if slopes and len(columns):
-                slope = waveform.at_lines(through_time.slope.T)
-                found.append(ForceSlopes(lines, force.spring, force.read, columns, slope))
-    return CellForces(inputs, tuple(found))
+    for force, through_time, columns in _in_time(waveform, system, slopes):
+        if force.values.value[0] != 0.0:
+            at_lines = waveform.at_lines(through_time.value)
+            inputs.acting[:, force.spring] += at_lines
+            if force.read:
+                inputs.read[:, force.spring] += at_lines
+        if slopes and len(columns):
+            slope = waveform.at_lines(through_time.slope.T)
+            found.append(ForceSlopes(force.spring, force.read, columns, slope))
+    present = any(force.values.value[0] != 0.0 for force in system.forces)
+    return CellForces(lines, waveform, solution, index, inputs if present else None, tuple(found))
 
 
 def _in_time(

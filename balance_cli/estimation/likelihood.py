@@ -22,15 +22,7 @@ from numpy.typing import NDArray
 from balance_cli.estimation.cell_forces import CellForces, cell_forces
 from balance_cli.estimation.measurements import WORKERS, Batch
 from balance_cli.estimation.transients import Transient, eliminated, transient_slopes, transients
-from balance_cli.model.system import (
-    Solution,
-    System,
-    extra_forces,
-    output_slopes,
-    response,
-    solve,
-    volts_of_forces,
-)
+from balance_cli.model.system import Solution, System, output_slopes, response, solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -51,7 +43,7 @@ class Fitted:
     chi2: Array
     downdate: tuple[ComplexArray, ComplexArray] | None
     transients: tuple[Transient, ...]
-    forces: CellForces | None
+    forces: tuple[CellForces, ...]
 
     @property
     def total(self) -> float:
@@ -83,13 +75,13 @@ def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = Fals
     """
     T = exciter_response(system, solution)
     columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
-    forces = cell_forces(batch, system, slopes)
+    forces = cell_forces(batch, system, solution, slopes)
     loads = _without_offset(batch, system)
     residual = batch.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
     if np.any(system.channel_offset.value):
         residual -= batch.constant_volts[:, None] * system.channel_offset.value
-    if forces is not None:
-        residual -= _extra_volts(batch, system, solution, forces)
+    for run in forces:
+        residual[run.lines] -= run.volts(system)
     downdate = None if batch.exact else _downdate(batch, columns)
 
     def weigh(lines: slice, values: ComplexArray) -> ComplexArray:
@@ -113,12 +105,6 @@ def _without_offset(batch: Batch, system: System) -> ComplexArray:
     if not np.any(system.load_offset.value):
         return batch.loads
     return np.asarray(batch.loads - batch.constant_loads * system.load_offset.value[batch.components])
-
-
-def _extra_volts(batch: Batch, system: System, solution: Solution, forces: CellForces) -> ComplexArray:
-    """Volts (K, c) of the forces along the springs."""
-    read = extra_forces(system, solution, batch.index, forces.inputs)[:, [path.spring for path in system.paths]]
-    return np.asarray((solution.gains[batch.index] * read) @ system.mixing.value.T)
 
 
 def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -152,27 +138,16 @@ def _six(batch: Batch, loads: ComplexArray) -> ComplexArray:
 
 def channel_slopes(batch: Batch, system: System, solution: Solution, fit: Fitted) -> ComplexArray:
     """DY (K, c, p) at the estimated exciter loads, spill, offsets and forces along the springs included."""
-    loads, forces = fit.loads, fit.forces
+    loads = fit.loads
     true_loads = loads @ system.spill.value.T
-    slopes = output_slopes(system, solution, batch.index, true_loads, None if forces is None else forces.inputs)
+    slopes = output_slopes(system, solution, batch.index, true_loads)
     if np.any(system.spill.slope):
         spilt = np.einsum("pij,kj->kip", system.spill.slope, loads)
         slopes = slopes + np.matmul(response(system, solution)[batch.index], spilt)
-    if forces is not None:
-        _add_force_slopes(slopes, batch, system, solution, forces)
+    for run in fit.forces:
+        run.add_slopes(system, slopes[run.lines])
     _add_offset_slopes(slopes, batch, system, solution)
     return slopes
-
-
-def _add_force_slopes(
-    slopes: ComplexArray, batch: Batch, system: System, solution: Solution, forces: CellForces
-) -> None:
-    acting, read = volts_of_forces(system, solution)
-    for one in forces.slopes:
-        volts = acting[:, :, one.spring] + (read[:, :, one.spring] if one.read else 0.0)
-        part = slopes[one.lines]
-        for place, column in enumerate(one.columns):
-            part[:, :, column] += volts[batch.index[one.lines]] * one.slope[:, place, None]
 
 
 def _add_offset_slopes(slopes: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:

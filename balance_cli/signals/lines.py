@@ -30,6 +30,12 @@ class Window:
     dof: float
 
 
+def hann_mean(values: Array) -> Array:
+    """Mean (...) of values (n, ...), the ends of the record faded out."""
+    n = len(values)
+    return np.asarray(np.tensordot((1.0 - np.cos(2 * np.pi * np.arange(n) / n)) / n, values, axes=1))
+
+
 @dataclass(frozen=True)
 class Waveform:
     """Channels of a run through time, from which forces can be told that are no linear function of them.
@@ -60,6 +66,35 @@ class Waveform:
         """A function of time (n, ...) at the lines (K, ...), behind the anti-alias filter."""
         spectrum = np.fft.rfft(force, axis=0)[self.number] * (2.0 / len(force))
         return np.asarray((spectrum.T * self.behind).T)
+
+
+@dataclass(frozen=True)
+class RecordWaveform(Waveform):
+    """The waveform of a record that does not recur, whose lines are weighted sums of neighbouring ones of it.
+
+    `number` and `behind` are those of the neighbours, R in all; a line is the sum over `weight` (K, M) times those from
+    `first` (K,) on. The last neighbour is the mean, weighted by a Hann window.
+    """
+
+    first: NDArray[np.intp]
+    weight: ComplexArray
+
+    @property
+    def recurs(self) -> bool:
+        """The record begins at rest."""
+        return False
+
+    def at_lines(self, force: Array) -> ComplexArray:
+        """A function of time (n, ...) at the neighbours (R, ...), behind the anti-alias filter."""
+        neighbours = super().at_lines(force)
+        neighbours[-1] = 2.0 * hann_mean(force)
+        return neighbours
+
+    def mixed(self, values: ComplexArray) -> ComplexArray:
+        """Values (R, ...) at the neighbours as lines (K, ...)."""
+        M = self.weight.shape[1]
+        rows = (values[a : a + M].reshape(M, -1).T @ w for a, w in zip(self.first, self.weight, strict=True))
+        return np.stack(list(rows)).reshape(len(self.first), *values.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -128,7 +163,9 @@ class Lines:
         window, waveform = self.window, self.waveform
         if window is not None:
             window = replace(window, start=window.start[keep], covariance=window.covariance[keep])
-        if isinstance(waveform, Waveform):
+        if isinstance(waveform, RecordWaveform):
+            waveform = replace(waveform, first=waveform.first[keep], weight=waveform.weight[keep])
+        elif isinstance(waveform, Waveform):
             waveform = replace(waveform, number=waveform.number[keep], behind=waveform.behind[keep])
         elif waveform is not None:
             waveform = replace(waveform, projection=waveform.projection[keep])

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from balance_cli.geometry import Channel, Geometry
 from balance_cli.runs import Run
 from balance_cli.signals.anti_alias import anti_alias
-from balance_cli.signals.lines import Lines, StaticPoints, Waveform
+from balance_cli.signals.lines import Lines, RecordWaveform, StaticPoints, Waveform, hann_mean
+from balance_cli.signals.local_lines import local_lines
 from balance_cli.signals.periodic import whole_period
 from balance_cli.signals.records import load_places, sample_rate, samples_of
 
@@ -40,11 +41,33 @@ def with_mean_and_waveform(run: Run, lines: Lines, geometry: Geometry) -> Lines:
     first = round(float(window.start.max()) * rate)
     channels, loads = samples_of(run, lines.channel_names, first)
     periods = np.hstack([channels, loads[:, load_places(lines.components)]]).reshape(-1, n, lines.covariance.shape[1])
-    lines = _with_mean(lines, periods.mean(axis=1), first / rate, rate * (window.stop - window.start[0]) / n, geometry)
+    number_of_periods = rate * (window.stop - window.start[0]) / n
+    factor = number_of_periods / len(periods) * _drift(periods.mean(axis=1), lines, number_of_periods, geometry)
+    lines = _with_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, geometry)
     c = len(lines.channel_names)
     number = np.rint(lines.frequency * n / rate).astype(np.intp)
     waveform = waveform_of(periods[:, :, :c].mean(axis=0), rate, lines, number, geometry)
     return replace(lines, waveform=waveform)
+
+
+def local_lines_with_mean_and_waveform(run: Run, channel_names: Sequence[str], geometry: Geometry) -> Lines:
+    """The lines of a record that does not repeat, with its mean as a line at frequency zero (the last), and all of it.
+
+    The mean is weighted by a Hann window, so that the ends of the record do not matter; its noise is 3/2 times that of
+    the plain one.
+    """
+    local = local_lines(run, channel_names)
+    channels, loads = samples_of(run, channel_names)
+    mean = hann_mean(np.hstack([channels, loads[:, load_places(local.lines.components)]]))
+    number = np.append(local.number, 0)
+    whole = waveform_of(channels, sample_rate(run), local.lines, number, geometry)
+    M = local.weight.shape[1]
+    waveform = RecordWaveform(
+        **vars(whole),
+        first=np.append(local.first, len(number) - M),
+        weight=np.vstack([local.weight, np.eye(M)[-1]]),
+    )
+    return replace(_with_mean(local.lines, mean, 1.5, 0.0, geometry), waveform=waveform)
 
 
 def waveform_of(samples: Array, rate: float, lines: Lines, number: NDArray[np.intp], geometry: Geometry) -> Waveform:
@@ -87,17 +110,23 @@ def _declared_gain(channel: Channel, frequency: Array) -> ComplexArray:
     return gain if channel.time_constant is None else gain * s / (s + 1.0 / channel.time_constant)
 
 
-def _with_mean(lines: Lines, means: Array, start: float, periods: float, geometry: Geometry) -> Lines:
-    """The lines and, from the means (m, c+u) of m periods, one at frequency zero.
-
-    Its noise is that of the lowest line, the mean of as many `periods`, unless the means scatter more than that.
-    """
-    window = lines.window
-    assert window is not None
+def _deaf(lines: Lines, geometry: Geometry) -> list[bool]:
+    """Which channels (c,) do not hear a constant load."""
     by_name = {channel.name: channel for channel in geometry.channels}
-    deaf = [not by_name[name].measures_dc for name in lines.channel_names]
-    factor = 2.0 * periods / len(means) * _drift(means, lines, periods, deaf)
-    c, z = len(deaf), 2.0 * means.mean(axis=0)
+    return [not by_name[name].measures_dc for name in lines.channel_names]
+
+
+def _with_mean(lines: Lines, mean: Array, factor: float, start: float, geometry: Geometry) -> Lines:
+    """The lines and, from the mean (c+u,) from `start` [s] on, one at frequency zero.
+
+    Its noise is `factor` times that of the lowest line.
+    """
+    deaf, factor = _deaf(lines, geometry), 2.0 * factor
+    c, z = len(deaf), 2.0 * mean
+    window = lines.window
+    if window is not None:
+        covariance = _with_last(window.covariance, factor, deaf)
+        window = replace(window, start=np.append(window.start, start), covariance=covariance)
     count = len(lines.frequency)
     volts, units = np.zeros(count + 1), np.zeros((count + 1, len(lines.components)))
     volts[-1] = units[-1] = 2.0
@@ -107,11 +136,7 @@ def _with_mean(lines: Lines, means: Array, start: float, periods: float, geometr
         channels=np.vstack([lines.channels, z[:c]]),
         loads=np.vstack([lines.loads, z[c:]]),
         covariance=_with_last(lines.covariance, factor, deaf),
-        window=replace(
-            window,
-            start=np.append(window.start, start),
-            covariance=_with_last(window.covariance, factor, deaf),
-        ),
+        window=window,
         constant_volts=volts,
         constant_loads=units,
     )
@@ -126,12 +151,16 @@ def _with_last(covariance: ComplexArray, factor: float, deaf: Sequence[bool]) ->
     return np.concatenate([covariance, last])
 
 
-def _drift(means: Array, lines: Lines, periods: float, deaf: Sequence[bool]) -> float:
-    """How much more the means (m, n) of the periods scatter than noise would make them; 1 where that may be chance."""
+def _drift(means: Array, lines: Lines, periods: float, geometry: Geometry) -> float:
+    """How much more the means (m, n) of the periods scatter than noise would make them; 1 where that may be chance.
+
+    The noise is that of the lowest line, the mean of as many `periods`.
+    """
     if len(means) < 2:
         return 1.0
     from scipy.stats import chi2
 
+    deaf = _deaf(lines, geometry)
     c, free = len(deaf), len(means) - 1
     noise = np.diagonal(lines.covariance[0]).real[:c] * periods / 4.0
     ratio = (np.var(means[:, :c], axis=0, ddof=1) / noise)[~np.array(deaf)]
