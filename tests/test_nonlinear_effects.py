@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rigs import rotor_balance
 
+from balance_cli.effects.dry_friction import last_slip
 from balance_cli.errors import UserError
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measurements import stacked
@@ -14,7 +15,7 @@ from balance_cli.identify import identify, identified_effects
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import add_effects, declare, declared_effects
 from balance_cli.signals.lines import OVERSAMPLING
-from balance_cli.simulation import draw_rig, short_plan, simulate_campaign
+from balance_cli.simulation import CampaignPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
 from balance_cli.simulation.extensions import apply_effects
 from balance_cli.spectra import measured_spectra
 
@@ -24,6 +25,7 @@ TRUTH = {
     ("cubic-stiffness", ("x",), "beside"): {"k3": 3e11},
     ("quadratic-stiffness", ("z1",), "inside"): {"k2": 3e8},
     ("quadratic-stiffness", ("z1",), "beside"): {"k2": -3e8},
+    ("dry-friction", ("x",), None): {"force": 0.5, "stick_stiffness": 1.5e6},
     ("channel-offset", ("z2.strain",), None): {"offset": 0.004},
     ("load-offset", ("Fz",), None): {"offset": -1.5},
 }
@@ -80,12 +82,15 @@ def found(true_rig):
 def test_found_as_simulated(found, healthy, key):
     model, other = found[key]
     (effect,) = identified_effects(model)
-    (parameter,) = effect.parameters
-    (truth,) = TRUTH[key].values()
-    assert abs(parameter.value - truth) < 3 * parameter.sigma
-    assert parameter.sigma < 0.1 * abs(truth)
+    slips = effect.name == "dry-friction"
+    for parameter in effect.parameters:
+        truth = TRUTH[key][parameter.name]
+        # Noise at the reversals of a contact is no noise of its force: half a per cent of a force known to 0.03 %.
+        spread = np.hypot(3 * parameter.sigma, 0.005 * truth if slips else 0.0)
+        assert abs(parameter.value - truth) < spread
+        assert parameter.sigma < 0.1 * abs(truth)
     # The short records hold some of the piezo channels' start, in a linear rig as in this one.
-    assert model.quality.chi2_per_dof < healthy.quality.chi2_per_dof + 0.02
+    assert model.quality.chi2_per_dof < healthy.quality.chi2_per_dof + (0.3 if slips else 0.02)
     assert other.quality.chi2 > model.quality.chi2 + 25
 
 
@@ -94,8 +99,7 @@ def test_nothing_found_where_nothing_is(linear_runs, healthy):
     model = identify(spectra, with_effects(*(declared(*key, {}) for key in TRUTH)))
     assert healthy.quality.chi2 - model.quality.chi2 < 25
     for effect in identified_effects(model):
-        (parameter,) = effect.parameters
-        assert abs(parameter.value) < 4 * parameter.sigma
+        assert abs(effect.parameters[0].value) < 4 * effect.parameters[0].sigma
 
 
 def test_means_leave_the_chi_square_of_a_healthy_rig_right(linear_runs):
@@ -121,6 +125,7 @@ EVERYTHING = (
     declared("cubic-stiffness", ("z1",), "beside", {"k3": 3e11}),
     declared("quadratic-stiffness", ("z2",), "beside", {"k2": 0.0}),
     declared("quadratic-stiffness", ("z2",), "inside", {"k2": 1e8}),
+    declared("dry-friction", ("y1",), None, {"force": 2.0, "stick_stiffness": 1e6}),
     DeclaredEffect(name="structural-damping", where=("all",), parameters={"loss_factor": 0.01}),
     DeclaredEffect(name="time-delay", where=("x.piezo",), parameters={"delay": 1e-3}),
     DeclaredEffect(name="low-pass", where=("z1.strain",), parameters={"cutoff": 300.0}),
@@ -170,7 +175,9 @@ def test_a_waveform_gives_back_what_was_recorded(linear_runs):
     run = next(run for run in linear_runs if run.name == "sweep-Fx")
     (lines,) = measured_spectra([run], RIG, means=True).lines
     waveform = lines.waveform
-    np.testing.assert_allclose(waveform.at_lines(waveform.in_time(waveform.volts)), lines.channels, rtol=0.02, atol=1e-3)
+    np.testing.assert_allclose(
+        waveform.at_lines(waveform.in_time(waveform.volts)), lines.channels, rtol=0.02, atol=1e-3
+    )
     assert len(waveform.in_time(waveform.volts)) == OVERSAMPLING * waveform.samples
 
 
@@ -185,4 +192,53 @@ def test_the_side_is_kept_and_checked():
     with pytest.raises(UserError, match="beside"):
         declared_effects(with_effects(declared("cubic-stiffness", ("x",), "besides", {})))
     with pytest.raises(UserError, match="Did you mean"):
-        declared_effects(with_effects(DeclaredEffect(name="cubic-stiffness", where=("x",), parameters={"sides": "beside"})))
+        declared_effects(
+            with_effects(DeclaredEffect(name="cubic-stiffness", where=("x",), parameters={"sides": "beside"}))
+        )
+
+
+@pytest.mark.parametrize("recurs", [True, False])
+@pytest.mark.parametrize("force", [2.0, 9.0, 30.0])
+def test_a_contact_goes_the_way_of_its_rule(recurs, force):
+    t = np.arange(3000) / 3000
+    d = 1e-5 * np.sin(2 * np.pi * 3 * t) + 6e-6 * np.cos(2 * np.pi * 17 * t + 1)
+    kappa, held, before, expected = 1e6, 0.0, 0.0, []
+    for now in np.tile(d, 2 if recurs else 1):
+        held = float(np.clip(held + kappa * (now - before), -force, force))
+        before = now
+        expected.append(held)
+    last, direction = last_slip(d, force / kappa, recurs)
+    found = kappa * (d - np.where(last >= 0, d[last], 0.0)) + force * direction
+    np.testing.assert_allclose(found, expected[-3000:], atol=1e-9)
+
+
+def test_a_record_that_does_not_repeat_tells_the_same_force(true_rig):
+    """Random excitation: the force goes through the sums of neighbouring lines that the local model made."""
+    random = [
+        SweepPlan(run=f"random-{name}", excited=(name,), level=(level,), excitation="random", period=8.0, periods=3)
+        for name, level in (("Fx", 40.0), ("My", 15.0))
+    ]
+    effect = declared("cubic-stiffness", ("x",), "beside", {"k3": 1e12})
+    runs, _ = simulate_campaign(apply_effects(true_rig, [effect]), CampaignPlan(runs=tuple(random)), seed=6)
+    spectra = measured_spectra(runs, RIG, means=True)
+    model = identify(spectra, with_effects(declared("cubic-stiffness", ("x",), "beside", {})))
+    rigid = identify(spectra, RIG)
+    parameter = identified_effects(model)[0].parameters[0]
+    assert abs(parameter.value - 1e12) < 3 * parameter.sigma
+    assert parameter.sigma < 1e11
+    assert rigid.quality.chi2 > model.quality.chi2 + 100
+
+
+def test_slopes_of_a_record_that_does_not_repeat(true_rig):
+    plan = SweepPlan(run="random", excited=("Fx",), level=(40.0,), excitation="random", period=10.0, periods=1)
+    runs, _ = simulate_campaign(true_rig, CampaignPlan(runs=(plan,)), seed=7)
+    spectra = measured_spectra(runs, RIG, means=True)
+    batches = stacked(spectra.lines, spectra.statics, RIG.channel_names)
+    model = balance_model(with_effects(EVERYTHING[0], EVERYTHING[1], EVERYTHING[-1])).all_free()
+    theta, scale = model.parameters.value, model.parameters.scale
+    gradient = 2.0 * data_curvature(batches, model.system(theta)).gradient
+    for name in ("stiffness.x", "sensitivity.x.piezo", "cubic-stiffness@x,inside.k3", "load-offset@Fx.offset"):
+        i = model.parameters.index(name)
+        step = 1e-4 * scale[i] * np.eye(len(theta))[i]
+        above, below = (data_chi2(batches, model.system(theta + s)) for s in (step, -step))
+        assert gradient[i] == pytest.approx((above - below) / (2e-4 * scale[i]), rel=2e-3), name

@@ -123,9 +123,7 @@ def _forces_in(
     return CellForces(lines, waveform, solution, index, inputs if present else None, tuple(found))
 
 
-def _in_time(
-    waveform: Waveform | LoadPoints, system: System, slopes: bool
-) -> Iterator[tuple[CellForce, Jet, Index]]:
+def _in_time(waveform: Waveform | LoadPoints, system: System, slopes: bool) -> Iterator[tuple[CellForce, Jet, Index]]:
     """Each force as a function of time, with slopes for the parameters `columns`."""
     for spring in dict.fromkeys(force.spring for force in system.forces):
         forces = [force for force in system.forces if force.spring == spring]

@@ -153,11 +153,14 @@ def channel_slopes(batch: Batch, system: System, solution: Solution, fit: Fitted
 def _add_offset_slopes(slopes: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:
     """Offsets of the channels add to what they read; those of the loads lower what is taken to act."""
     if np.any(system.channel_offset.slope):
-        slopes += batch.constant_volts[:, None, None] * system.channel_offset.slope.T
+        lines = np.flatnonzero(batch.constant_volts)
+        slopes[lines] += batch.constant_volts[lines, None, None] * system.channel_offset.slope.T
     if np.any(system.load_offset.slope):
-        held = exciter_response(system, solution)[batch.index[:, None], :, batch.components].swapaxes(1, 2)
-        offset = system.load_offset.slope.T[batch.components] * batch.constant_loads[:, :, None]
-        slopes -= np.matmul(held, offset)
+        lines = np.flatnonzero(np.any(batch.constant_loads, axis=1))
+        components = batch.components[lines]
+        held = exciter_response(system, solution)[batch.index[lines, None], :, components].swapaxes(1, 2)
+        offset = system.load_offset.slope.T[components] * batch.constant_loads[lines, :, None]
+        slopes[lines] -= np.matmul(held, offset)
 
 
 def _information(batch: Batch, fit: Fitted, slopes: ComplexArray) -> Array:

@@ -46,7 +46,7 @@ def with_mean_and_waveform(run: Run, lines: Lines, geometry: Geometry) -> Lines:
     lines = _with_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, geometry)
     c = len(lines.channel_names)
     number = np.rint(lines.frequency * n / rate).astype(np.intp)
-    waveform = waveform_of(periods[:, :, :c].mean(axis=0), rate, lines, number, geometry)
+    waveform = waveform_of(periods[:, :, :c].mean(axis=0), rate, lines, number, geometry, denoised=True)
     return replace(lines, waveform=waveform)
 
 
@@ -70,8 +70,19 @@ def local_lines_with_mean_and_waveform(run: Run, channel_names: Sequence[str], g
     return replace(_with_mean(local.lines, mean, 1.5, 0.0, geometry), waveform=waveform)
 
 
-def waveform_of(samples: Array, rate: float, lines: Lines, number: NDArray[np.intp], geometry: Geometry) -> Waveform:
-    """Samples (n, c) of what recurs, as amplitudes before the anti-alias filter, for lines of these numbers (K,)."""
+def waveform_of(
+    samples: Array,
+    rate: float,
+    lines: Lines,
+    number: NDArray[np.intp],
+    geometry: Geometry,
+    denoised: bool = False,
+) -> Waveform:
+    """Samples (n, c) of what recurs, as amplitudes before the anti-alias filter, for lines of these numbers (K,).
+
+    Where `denoised`, each amplitude is lessened by the share of noise in its power (Wiener): a contact that slips at
+    the least reversal would take noise for motion. That needs noise told from distortion, as periods do.
+    """
     n = len(samples)
     frequency = np.arange((n + 1) // 2) * (rate / n)
     passed = anti_alias(geometry.acquisition, frequency)
@@ -80,7 +91,10 @@ def waveform_of(samples: Array, rate: float, lines: Lines, number: NDArray[np.in
     volts = np.where(heard[:, None], amplitudes / np.where(heard, passed, 1.0)[:, None], 0.0)
     dynamic = lines.frequency > 0
     variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
-    share = channel_shares(geometry, lines.channel_names, frequency, variance[: len(lines.channel_names)])
+    variance = variance[: len(lines.channel_names)]
+    if denoised:
+        volts = volts * np.maximum(1.0 - variance / np.maximum(np.abs(amplitudes) ** 2, 1e-300), 0.0)
+    share = channel_shares(geometry, lines.channel_names, frequency, variance)
     return Waveform(frequency, volts, share, n, number, passed[number])
 
 
