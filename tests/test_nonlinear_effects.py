@@ -11,7 +11,7 @@ from balance_cli.errors import UserError
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measurements import stacked
 from balance_cli.geometry import DeclaredEffect
-from balance_cli.identify import identify, identified_effects
+from balance_cli.identify import identified_effects, identify
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import add_effects, declare, declared_effects
 from balance_cli.signals.lines import OVERSAMPLING
@@ -156,7 +156,8 @@ def test_slopes_of_the_likelihood_are_the_derivatives(linear_runs):
 def test_a_force_at_its_null_changes_nothing_and_still_has_its_slope(linear_runs):
     spectra = measured_spectra([run for run in linear_runs if run.name == "sweep-Fx"], RIG, means=True)
     batches = stacked(spectra.lines, spectra.statics, RIG.channel_names)
-    effects = [declared(name, (cell,), side, {}) for name, side in (("cubic-stiffness", "inside"), ("cubic-stiffness", "beside")) for cell in RIG.cell_names]  # fmt: skip
+    sides = ("inside", "beside")
+    effects = [declared("cubic-stiffness", (cell,), side, {}) for side in sides for cell in RIG.cell_names]
     model = balance_model(with_effects(*effects))
     assert data_chi2(batches, model.system()) == data_chi2(batches, balance_model(RIG).system())
     curvature = data_curvature(batches, model.system())

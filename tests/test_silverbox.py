@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from balance_cli.geometry_file import geometry_from_dict
-from balance_cli.identify import identify, identified_effects
+from balance_cli.identify import identified_effects, identify
 from balance_cli.model.placed_effects import add_effects
 from balance_cli.simulation import true_rig
 from balance_cli.simulation.extensions import apply_effects

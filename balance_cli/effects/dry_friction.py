@@ -54,8 +54,8 @@ def _slipping(d: Jet, values: Jet, recurs: bool, least: float) -> Jet:
     limit = force if force.value > least else Jet(np.array(least), np.zeros(force.parameters))
     stiffness = kappa * limit.reciprocal()
     last, direction = last_slip(d.value, float(1.0 / stiffness.value), recurs)
-    slipped = (last >= 0).astype(float)
-    return (d - slipped * d[last]) * stiffness + direction
+    since = Jet(d.value[last], d.slope[:, last]) * (last >= 0)
+    return (d - since) * stiffness + direction
 
 
 def last_slip(d: Array, distance: float, recurs: bool) -> tuple[NDArray[np.intp], Array]:

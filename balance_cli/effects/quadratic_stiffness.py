@@ -38,8 +38,8 @@ EFFECT = Effect(
     validity="The law holds at every frequency; elongations within what the records reached.",
     reference="Nayfeh and Mook, Nonlinear Oscillations, 1979, section 2.3 (quadratic and cubic restoring forces).",
     trace="Static curves bend one way; a motion shifts the mean, and stiffness depends on the steady load.",
-    separated_by="A static run to the full range both ways; sweeps about two steady loads; `inside` and `beside` differ "
-    "in whether the cells' sum still is the load.",
+    separated_by="A static run to the full range both ways; sweeps about two steady loads; `inside` and `beside` "
+    "differ in whether the cells' sum still is the load.",
     place="a cell, then `inside` or `beside` (`inside` where nothing is said)",
     places=each_cell_and_side,
     parameters=_parameters,

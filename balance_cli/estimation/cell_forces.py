@@ -225,7 +225,7 @@ def _reading(
     volts = (waveform.volts - still * system.channel_offset.value) @ unmixing.T
     parts = weight * volts[:, mine]
     slope = np.zeros((len(parts), len(columns)), complex)
-    s = 2j * np.pi * waveform.frequency[:, None]
+    s = np.asarray(2j * np.pi * waveform.frequency[:, None], complex)
     for i, path in enumerate(paths if len(columns) else []):
         slope -= parts[:, i, None] * log_gain_slope(path, s)[:, columns]
     offset = system.channel_offset.slope[columns]

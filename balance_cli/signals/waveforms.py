@@ -84,7 +84,7 @@ def waveform_of(
     the least reversal would take noise for motion. That needs noise told from distortion, as periods do.
     """
     n = len(samples)
-    frequency = np.arange((n + 1) // 2) * (rate / n)
+    frequency = np.asarray(np.arange((n + 1) // 2) * (rate / n), float)
     passed = anti_alias(geometry.acquisition, frequency)
     heard = np.abs(passed) >= LEAST_PASSED
     amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
