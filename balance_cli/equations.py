@@ -65,6 +65,15 @@ class CellForce:
 
 
 @dataclass(frozen=True)
+class Pickup:
+    """A tone in one channel (its index): square of its amplitude [V2], its frequency [Hz]; any phase in each run."""
+
+    channel: int
+    power: Jet
+    frequency: Jet
+
+
+@dataclass(frozen=True)
 class Equations:
     """Mechanics and channels of a balance with derivatives; n coordinates, e springs, c channels.
 
@@ -73,8 +82,8 @@ class Equations:
     takes measured exciter loads to true ones; mixing (c, c) acts on the channels' volts. centre (3,) [m] is the centre
     of gravity of the moving part, `freedom` which of its six motions the first coordinates are; base (6, n) is the
     motion x y z psi theta phi of the lower body at the rig's origin; row_factor and own_stiffness (n,) are one and
-    zero but for flexible parts. `forces` act along springs; channel_offset (c,) [V] and load_offset (6,) [N, N m] are
-    what the channels and the exciters' force cells read too much.
+    zero but for flexible parts. `forces` act along springs, `pickups` are in channels; channel_offset (c,) [V] and
+    load_offset (6,) [N, N m] are what the channels and the exciters' force cells read too much.
     """
 
     coordinates: tuple[str, ...]
@@ -99,6 +108,7 @@ class Equations:
     channel_offset: Jet
     load_offset: Jet
     forces: tuple[CellForce, ...] = ()
+    pickups: tuple[Pickup, ...] = ()
 
     @property
     def parameters(self) -> int:

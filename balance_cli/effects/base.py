@@ -30,7 +30,8 @@ class EffectParameter:
     their nulls, so that at the null the equations do not depend on it; its own null is where it is left then.
 
     A `reciprocal` parameter has an infinite null (the cutoff of a low-pass). What is fitted, and what the effect is
-    given, is one over it, under the name `1/NAME`; `scale` and `start` are those of the reciprocal.
+    given, is one over it, under the name `1/NAME`; `scale` and `start` are those of the reciprocal. Of a `squared`
+    parameter the data tell the square alone: that is fitted, as `NAME^2`; `scale` is that of the parameter itself.
     """
 
     name: str
@@ -43,16 +44,17 @@ class EffectParameter:
     start: float | None = None
     secondary: bool = False
     reciprocal: bool = False
+    squared: bool = False
 
     @property
     def fitted_name(self) -> str:
         """The name under which the parameter is fitted."""
-        return f"1/{self.name}" if self.reciprocal else self.name
+        return f"{self.name}^2" if self.squared else f"1/{self.name}" if self.reciprocal else self.name
 
     @property
     def fitted_unit(self) -> str:
         """The unit of what is fitted."""
-        return f"1/{self.unit}" if self.reciprocal else self.unit
+        return f"{self.unit}2" if self.squared else f"1/{self.unit}" if self.reciprocal else self.unit
 
     @property
     def fitted_null(self) -> float:
@@ -71,16 +73,29 @@ class EffectParameter:
         return (min(bounds), max(bounds))
 
     def fitted(self, value: float) -> float:
-        """What is fitted, from the value (and the other way round: a reciprocal is its own inverse)."""
+        """What is fitted, from the value."""
+        if self.squared:
+            return value**2
         if not self.reciprocal:
             return value
         return np.inf if value == 0 else 1.0 / value
 
-    def fitted_sigma(self, value: float, sigma: float) -> float:
-        """Standard deviation of `fitted(value)` where that of `value` is `sigma`."""
+    def natural(self, fitted: float) -> float:
+        """The value, from what is fitted."""
+        return float(np.sqrt(max(fitted, 0.0))) if self.squared else self.fitted(fitted)
+
+    def natural_sigma(self, fitted: float, sigma: float) -> float:
+        """Standard deviation of the value where that of what is fitted is `sigma`."""
+        if self.squared:
+            return sigma / (2.0 * float(np.sqrt(max(fitted, 0.5 * sigma)))) if sigma > 0 else 0.0
         if not self.reciprocal:
             return sigma
-        return np.inf if value == 0 else sigma / value**2
+        return np.inf if fitted == 0 else sigma / fitted**2
+
+    @property
+    def fitted_scale(self) -> float:
+        """The size of a change of what is fitted that matters."""
+        return self.scale**2 if self.squared else self.scale
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ System Identification, 2nd ed., chapter 9): with M = [T; I], U0 = (M' S M)^-1 M'
 
 where dY = dT U0 and P = S_YY - S_YM (M'SM)^-1 S_MY. With noise on the channels alone U0 = U and P = S_YY.
 The free motion of records that began at rest is linear too, and is eliminated run by run (see `transients`). What
-offsets and forces along the springs add to z is known at given parameters, and is taken out first.
+offsets and forces along the springs add to z is known at given parameters, and is taken out first. Pick-up of unknown
+phase goes out last (see `pickup`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.cell_forces import CellForces, cell_forces
 from balance_cli.estimation.measurements import WORKERS, Batch
+from balance_cli.estimation.pickup import Tone, tones
 from balance_cli.estimation.transients import Transient, eliminated, transient_slopes, transients
 from balance_cli.model.system import Solution, System, output_slopes, response, solve
 
@@ -34,7 +36,7 @@ class Fitted:
 
     residual of the channels (K, c) about the measured loads, and chi2 (K,) of each line, the free motion of the
     `transients` taken out of all of them; `downdate`: what the eliminated loads take from the precision; `forces`:
-    those along the springs that are not linear.
+    those along the springs that are not linear; `tones`: pick-up in each run.
     """
 
     loads: ComplexArray
@@ -44,11 +46,13 @@ class Fitted:
     downdate: tuple[ComplexArray, ComplexArray] | None
     transients: tuple[Transient, ...]
     forces: tuple[CellForces, ...]
+    tones: tuple[Tone, ...]
 
     @property
     def total(self) -> float:
-        """Chi-square of all lines, and of the bounds of the free motion."""
-        return float(self.chi2.sum() + sum(one.chi2 for one in self.transients))
+        """Chi-square of all lines, and of the bounds of the free motion; averaged over the phases of pick-up."""
+        held = sum(one.chi2 for one in self.transients)
+        return float(self.chi2.sum() + held + sum(one.chi2 for one in self.tones))
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,7 @@ def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = Fals
         return _weighted(batch, downdate, lines, values)
 
     free = transients(batch, system, residual, weigh, slopes)
+    heard, free = tones(batch, system, residual, weigh, free) if system.pickups else ((), free)
     for one in free:
         residual[one.lines] -= one.columns @ one.x
     weighted = weigh(slice(None), residual[:, :, None])[:, :, 0]
@@ -97,7 +102,7 @@ def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = Fals
         # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
         right = np.matmul(SM.conj().swapaxes(1, 2), residual[:, :, None])
         loads = loads + np.linalg.solve(normal, right)[:, :, 0]
-    return Fitted(_six(batch, loads), weighted, residual, chi2, downdate, free, forces)
+    return Fitted(_six(batch, loads), weighted, residual, chi2, downdate, free, forces, heard)
 
 
 def _without_offset(batch: Batch, system: System) -> ComplexArray:
@@ -184,11 +189,14 @@ def batch_curvature(batch: Batch, system: System) -> Curvature:
     slopes = channel_slopes(batch, system, solution, fit)
     for one in fit.transients:
         slopes[one.lines] += transient_slopes(one)
+    lacking = [tone.curvature(slopes[tone.form.lines]) for tone in fit.tones]
     p = slopes.shape[2]
     gradient = -2.0 * np.real(slopes.reshape(-1, p).conj().T @ fit.weighted.reshape(-1))
     information = _information(batch, fit, slopes)
     for one in fit.transients:
         part, taken = eliminated(one, slopes[one.lines])
+        gradient, information = gradient + part, information + taken
+    for part, taken in lacking:
         gradient, information = gradient + part, information + taken
     return Curvature(fit.total, gradient, information)
 

@@ -58,6 +58,10 @@ class Transient:
         """|Q x|^2."""
         return float(np.sum(np.abs(self.bound @ self.x) ** 2))
 
+    def solved(self, right: Array) -> Array:
+        """Amplitudes (2m, ...) from what columns have to do with them."""
+        return _solve(self.normal, right)
+
     @property
     def determined(self) -> float:
         """Number of amplitudes that the lines determine."""

@@ -181,7 +181,7 @@ def effect_parameters(geometry: Geometry) -> ParameterSet:
         units=tuple(parameter.fitted_unit for _, parameter in rows),
         value=np.array([one.start(parameter) for one, parameter in rows], float),
         sigma=np.full(len(rows), np.inf),
-        scale=np.array([parameter.scale for _, parameter in rows], float),
+        scale=np.array([parameter.fitted_scale for _, parameter in rows], float),
         lower=bounds[:, 0],
         upper=bounds[:, 1],
     )
@@ -203,8 +203,8 @@ def fitted_effects(
 
     def described(one: PlacedEffect, parameter: EffectParameter) -> FittedParameter:
         value, spread = (float(number) for number in found[one.full_name(parameter)])
-        sigma = parameter.fitted_sigma(value, spread)
-        return FittedParameter(parameter.name, parameter.fitted(value), sigma, parameter.unit)
+        sigma = parameter.natural_sigma(value, spread)
+        return FittedParameter(parameter.name, parameter.natural(value), sigma, parameter.unit)
 
     def described_effect(one: PlacedEffect) -> FittedEffect:
         where, choice = _apart(one)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.equations import CellForce, ChannelPath, Equations
+from balance_cli.equations import CellForce, ChannelPath, Equations, Pickup
 from balance_cli.jets import Jet
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ class System:
 
     readings R = k E (e, n) and readings_loss L = k eta E (e, n), what of the forces is in quadrature; reactions (n, e)
     of the balance to a force along each spring; stiffness and loss (e,) of the springs; row_factor and own_stiffness
-    (n,), cell forces and offsets as in the equations.
+    (n,), cell forces, pickups and offsets as in the equations.
     """
 
     coordinates: tuple[str, ...]
@@ -58,6 +58,7 @@ class System:
     channel_offset: Jet
     load_offset: Jet
     forces: tuple[CellForce, ...]
+    pickups: tuple[Pickup, ...]
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -100,6 +101,7 @@ def assembled(equations: Equations) -> System:
         channel_offset=equations.channel_offset,
         load_offset=equations.load_offset,
         forces=equations.forces,
+        pickups=equations.pickups,
     )
 
 

@@ -53,6 +53,11 @@ class Waveform:
     behind: ComplexArray
 
     @property
+    def step(self) -> float:
+        """Time between samples [s]."""
+        return 1.0 / (float(self.frequency[1]) * self.samples)
+
+    @property
     def recurs(self) -> bool:
         """Whether what is in the record comes again and again."""
         return True
