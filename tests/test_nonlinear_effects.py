@@ -10,6 +10,7 @@ from balance_cli.effects.dry_friction import last_slip
 from balance_cli.errors import UserError
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.support import unseen
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.identify import identified_effects, identify
 from balance_cli.model.balance import balance_model
@@ -267,3 +268,12 @@ def test_the_score_of_a_pickup_has_no_bias_where_there_is_none(true_rig):
         scores += list(curvature.gradient[own] / np.sqrt(np.diag(curvature.information)[own]))
     assert abs(np.mean(scores)) < 3.0 / np.sqrt(len(scores))
     assert 0.4 < np.var(scores) < 2.5
+
+
+def test_an_offset_that_no_mean_shows_is_named(linear_runs):
+    spectra = measured_spectra([run for run in linear_runs if run.name in ("sweep-Fx", "sweep-Fz")], RIG, means=True)
+    batches = stacked(spectra.lines, spectra.statics, RIG.channel_names)
+    places = ("channel-offset@x.piezo", "channel-offset@x.strain", "load-offset@Fx", "load-offset@My")
+    model = balance_model(add_effects(RIG, places))
+    names = unseen(model.parameters, data_curvature(batches, model.system()).information)
+    assert [name for name in names if "offset" in name] == ["load-offset@My.offset", "channel-offset@x.piezo.offset"]
