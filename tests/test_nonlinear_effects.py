@@ -1,11 +1,12 @@
 """Effects that no response shows: forces that are not linear, and offsets; truth from the simulation in time."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from rigs import rotor_balance
 
+from balance_cli.calibrate import calibrate
 from balance_cli.effects.dry_friction import last_slip
 from balance_cli.errors import UserError
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
@@ -14,11 +15,14 @@ from balance_cli.estimation.support import unseen
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.identify import identified_effects, identify
 from balance_cli.model.balance import balance_model
-from balance_cli.model.placed_effects import add_effects, declare, declared_effects
+from balance_cli.model.placed_effects import add_effects, declare, declared_effects, without_effects
+from balance_cli.reduce import reduce_run
+from balance_cli.responses import model_source
 from balance_cli.signals.lines import OVERSAMPLING
-from balance_cli.simulation import CampaignPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
+from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
 from balance_cli.simulation import true_rig as true_rig_of
 from balance_cli.simulation.extensions import apply_effects
+from balance_cli.simulation.plans import SHAPE
 from balance_cli.spectra import measured_spectra
 
 RIG = rotor_balance()
@@ -277,3 +281,30 @@ def test_an_offset_that_no_mean_shows_is_named(linear_runs):
     model = balance_model(add_effects(RIG, places))
     names = unseen(model.parameters, data_curvature(batches, model.system()).information)
     assert [name for name in names if "offset" in name] == ["load-offset@My.offset", "channel-offset@x.piezo.offset"]
+
+
+def test_hub_loads_of_a_rig_that_is_not_linear(true_rig):
+    """The model knows the force that the cells told, and takes it out before it looks for loads."""
+    effect = declared("cubic-stiffness", ("x",), "beside", {"k3": 1e13})
+    truly = apply_effects(true_rig, [effect])
+    loads = {"Fx": tuple(400.0 * share for share in SHAPE), "Mx": tuple(40.0 * share for share in SHAPE)}
+    check = RotorPlan(run="check", rotor_speed=17.5, duration=16.0, harmonics=loads)
+    plan = short_plan()
+    swept = tuple(one.model_copy(update={"periods": 9}) for one in plan.runs if one.kind == "sweep")
+    statics = tuple(one.model_copy(update={"steps": 5}) for one in plan.runs if one.kind == "static")
+    runs, _ = simulate_campaign(truly, CampaignPlan(runs=(*statics, *swept, check)), seed=5)
+    calibration = calibrate([run for run in runs if run.kind == "static"], RIG)
+    spectra = measured_spectra(runs, RIG, means=True)
+    model = identify(spectra, with_effects(declared("cubic-stiffness", ("x",), "beside", {})))
+    blind = replace(model, geometry=without_effects(model.geometry), parameters=first(model.parameters, -1))
+    blind = replace(blind, covariance=model.covariance[:-1, :-1])
+    errors = [
+        reduce_run(runs[-1], RIG, calibration, model_source(one)).check.load_error["Fx"] for one in (model, blind)
+    ]
+    assert errors[0] < 0.3 * errors[1]
+    assert errors[0] < 0.01
+
+
+def first(table, count):
+    """The first parameters of a table."""
+    return replace(table, **{item.name: getattr(table, item.name)[:count] for item in fields(table)})

@@ -104,6 +104,12 @@ def cell_forces(batch: Batch, system: System, solution: Solution, slopes: bool) 
     return tuple(found)
 
 
+def forces_at(waveform: Waveform, system: System, solution: Solution) -> CellForces:
+    """The forces of one record at all lines of its waveform, without derivatives."""
+    everything = np.arange(len(waveform.frequency))
+    return _forces_in(slice(None), waveform, system, solution, everything, slopes=False)
+
+
 def _forces_in(
     lines: slice, waveform: Waveform | LoadPoints, system: System, solution: Solution, index: Index, slopes: bool
 ) -> CellForces:

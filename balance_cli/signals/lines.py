@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,8 @@ class Waveform:
 
     `volts` (F, c) and `share` (F, c): amplitudes before the anti-alias filter at `frequency` (F,) [Hz], the harmonics
     0, 1, 2 ... of 1/T, and the weight of each channel among those of its spring. A period T of `samples` samples recurs
-    for ever. `number` (K,): which of the F a line is; `behind` (K,): the filter that it then has passed.
+    for ever. `number` (K,): which of the F a line is; `behind` (K,): the filter that it then has passed. Where it does
+    not `recur`, it is all that there was.
     """
 
     frequency: Array
@@ -51,16 +52,12 @@ class Waveform:
     samples: int
     number: NDArray[np.intp]
     behind: ComplexArray
+    recurs: bool = True
 
     @property
     def step(self) -> float:
         """Time between samples [s]."""
         return 1.0 / (float(self.frequency[1]) * self.samples)
-
-    @property
-    def recurs(self) -> bool:
-        """Whether what is in the record comes again and again."""
-        return True
 
     def in_time(self, amplitudes: ComplexArray) -> Array:
         """Amplitudes (F, ...) as a function of time (n, ...), finely sampled; at frequency zero twice the mean."""
@@ -81,13 +78,8 @@ class RecordWaveform(Waveform):
     `first` (K,) on. The last neighbour is the mean, weighted by a Hann window.
     """
 
-    first: NDArray[np.intp]
-    weight: ComplexArray
-
-    @property
-    def recurs(self) -> bool:
-        """The record begins at rest."""
-        return False
+    first: NDArray[np.intp] = field(kw_only=True)
+    weight: ComplexArray = field(kw_only=True)
 
     def at_lines(self, force: Array) -> ComplexArray:
         """A function of time (n, ...) at the neighbours (R, ...), behind the anti-alias filter."""

@@ -24,6 +24,10 @@ from balance_cli.signals.records import load_places, sample_rate, samples_of
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+# Below this many radians in a time constant a high-pass is trusted with this share of its weight only: undoing it there
+# makes a ramp of the start of the record.
+MEMORY = 20.0
+REMEMBERED = 1e-9
 # Where the anti-alias filter leaves less, a channel is left out rather than its noise amplified.
 LEAST_PASSED = 0.3
 # The scatter of the periods' means is taken for noise up to what is exceeded with this probability.
@@ -63,7 +67,7 @@ def local_lines_with_mean_and_waveform(run: Run, channel_names: Sequence[str], g
     whole = waveform_of(channels, sample_rate(run), local.lines, number, geometry)
     M = local.weight.shape[1]
     waveform = RecordWaveform(
-        **vars(whole),
+        **{**vars(whole), "recurs": False},
         first=np.append(local.first, len(number) - M),
         weight=np.vstack([local.weight, np.eye(M)[-1]]),
     )
@@ -83,12 +87,8 @@ def waveform_of(
     Where `denoised`, each amplitude is lessened by the share of noise in its power (Wiener): a contact that slips at
     the least reversal would take noise for motion. That needs noise told from distortion, as periods do.
     """
+    amplitudes, volts, frequency, passed = _before_filter(samples, rate, geometry)
     n = len(samples)
-    frequency = np.asarray(np.arange((n + 1) // 2) * (rate / n), float)
-    passed = anti_alias(geometry.acquisition, frequency)
-    heard = np.abs(passed) >= LEAST_PASSED
-    amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
-    volts = np.where(heard[:, None], amplitudes / np.where(heard, passed, 1.0)[:, None], 0.0)
     dynamic = lines.frequency > 0
     variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
     variance = variance[: len(lines.channel_names)]
@@ -98,16 +98,51 @@ def waveform_of(
     return Waveform(frequency, volts, share, n, number, passed[number])
 
 
+def _before_filter(
+    samples: Array, rate: float, geometry: Geometry
+) -> tuple[ComplexArray, ComplexArray, Array, ComplexArray]:
+    """Amplitudes (F, c) of samples (n, c), those before the anti-alias filter, frequency (F,) [Hz], and the filter."""
+    n = len(samples)
+    frequency = np.asarray(np.arange((n + 1) // 2) * (rate / n), float)
+    passed = anti_alias(geometry.acquisition, frequency)
+    heard = np.abs(passed) >= LEAST_PASSED
+    amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
+    volts = np.where(heard[:, None], amplitudes / np.where(heard, passed, 1.0)[:, None], 0.0)
+    return amplitudes, volts, frequency, passed
+
+
+def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: Geometry) -> Waveform:
+    """All of a record's live channels (n, l) [V], among all channels, as a waveform with all its lines.
+
+    Of a spring's channels that hears most which gives most volts: their noises are taken for equal.
+    """
+    _, volts, frequency, passed = _before_filter(samples, rate, geometry)
+    share = channel_shares(geometry, live, frequency, np.ones(len(live)))
+    places = [geometry.channel_names.index(name) for name in live]
+    wide = np.zeros((len(volts), len(geometry.channels)), complex)
+    wide_share = np.zeros(wide.shape)
+    wide[:, places], wide_share[:, places] = volts, share
+    return Waveform(frequency, wide, wide_share, len(samples), np.arange(len(frequency)), passed, recurs=False)
+
+
 def channel_shares(geometry: Geometry, names: Sequence[str], frequency: Array, variance: Array) -> Array:
     """Weights (F, c) of channels of given variance (c,) among those of their spring; zero where none hears anything."""
     by_name = {channel.name: channel for channel in geometry.channels}
     channels = [by_name[name] for name in names]
     gains = np.stack([_declared_gain(channel, frequency) for channel in channels], axis=1)
     weight = np.abs(gains) ** 2 / np.where(variance > 0, variance, 1.0)
+    weight = weight * np.stack([_forgetful(channel, frequency) for channel in channels], axis=1)
     springs = [channel.cell for channel in channels]
     alike = np.array([[one == other for other in springs] for one in springs], float)
     total = weight @ alike
     return np.asarray(weight / np.where(total > 0, total, 1.0))
+
+
+def _forgetful(channel: Channel, frequency: Array) -> Array:
+    """One; next to nothing (F,) where a high-pass works at frequencies at which it remembers how the record began."""
+    if channel.time_constant is None:
+        return np.ones(len(frequency))
+    return np.where(2 * np.pi * frequency * channel.time_constant < MEMORY, REMEMBERED, 1.0)
 
 
 def with_shares(points: StaticPoints, geometry: Geometry) -> StaticPoints:
