@@ -227,7 +227,7 @@ def test_a_record_that_does_not_repeat_tells_the_same_force(true_rig):
     """Random excitation: the force goes through the sums of neighbouring lines that the local model made."""
     random = [
         SweepPlan(run=f"random-{name}", excited=(name,), level=(level,), excitation="random", period=8.0, periods=2)
-        for name, level in (("Fx", 40.0), ("My", 15.0))
+        for name, level in (("Fx", 40.0),)
     ]
     effect = declared("cubic-stiffness", ("x",), "beside", {"k3": 1e12})
     runs, _ = simulate_campaign(apply_effects(true_rig, [effect]), CampaignPlan(runs=tuple(random)), seed=6)

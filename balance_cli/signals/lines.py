@@ -90,8 +90,11 @@ class RecordWaveform(Waveform):
     def mixed(self, values: ComplexArray) -> ComplexArray:
         """Values (R, ...) at the neighbours as lines (K, ...)."""
         M = self.weight.shape[1]
-        rows = (values[a : a + M].reshape(M, -1).T @ w for a, w in zip(self.first, self.weight, strict=True))
-        return np.stack(list(rows)).reshape(len(self.first), *values.shape[1:])
+        lines = np.empty((len(self.first), *values.shape[1:]), complex)
+        for first in np.unique(self.first):
+            mine = self.first == first
+            lines[mine] = np.tensordot(self.weight[mine], values[first : first + M], axes=1)
+        return lines
 
 
 @dataclass(frozen=True)
