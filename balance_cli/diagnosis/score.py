@@ -146,7 +146,7 @@ def _score(
     V = total.information[np.ix_(own, own)] - cross @ total.information[np.ix_(fitted, own)]
     raw = np.diag(data.information)[own]
     seen = np.diag(V) > LEAST_SHARE * np.maximum(raw, 1e-300)
-    scale = np.array([item.scale for item in items])
+    scale = np.array([item.fitted_scale for item in items])
     lower = np.array([item.fitted_bounds[0] >= item.fitted_null for item in items])
     upper = np.array([item.fitted_bounds[1] <= item.fitted_null for item in items])
     gain, used = best_gain(s[seen], V[np.ix_(seen, seen)], lower[seen], upper[seen])

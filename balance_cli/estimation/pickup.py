@@ -176,9 +176,11 @@ def _columns(batch: Batch, run: int, waveform: Waveform, f: float) -> tuple[Comp
         step = waveform.step
         start, count = np.zeros(len(frequency)), np.full(len(frequency), waveform.samples)
     else:
-        assert window is not None
-        frequency, step, start = batch.frequency[batch.index[lines]], window.step, window.start
-        count = np.rint((window.stop - window.start) / step).astype(int)
+        frequency, step = batch.frequency[batch.index[lines]], waveform.step
+        # Where nothing is said of the window, one period stands for all.
+        start = np.zeros(len(frequency)) if window is None else window.start
+        length = waveform.samples * step if window is None else window.stop - window.start
+        count = np.broadcast_to(np.rint(length / step).astype(int), frequency.shape)
     passed = abs(waveform.behind[np.argmin(np.abs(waveform.frequency[waveform.number] - f))])
     positive, d_positive = _phasors(f, frequency, start, step, count)
     negative, d_negative = _phasors(-f, frequency, start, step, count)
