@@ -11,10 +11,14 @@ plate relative to it.
 A flexible part is regular where it does nothing only if its compliance, not its stiffness, is the parameter. Its
 equations are then multiplied by the compliance (`row_factor`), and its spring is a one on the diagonal
 (`own_stiffness`): c (m q'' + d q' + ...) + q = c F u, which for c = 0 says q = 0.
+
+A force along a spring that is not linear in its elongation d = E q is an input like a load, -E' f(d), for d is known:
+the spring's channels measure it (`CellForce`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,6 +50,30 @@ class ChannelPath:
 
 
 @dataclass(frozen=True)
+class CellForce:
+    """A force along a spring, f = strength * shape(d), that is not linear in the elongation d [m].
+
+    `values` (q,): the strength, which is zero where there is no such force, then what the shape depends on. `shape`
+    takes d (n,) through time, the values and whether the n elongations recur for ever (if not, the spring was unloaded
+    before the first). `read`: the force acts inside the cell, whose channels read it; beside it they do not.
+    """
+
+    spring: int
+    values: Jet
+    shape: Callable[[Jet, Jet, bool], Jet]
+    read: bool
+
+
+@dataclass(frozen=True)
+class Pickup:
+    """A tone in one channel (its index): square of its amplitude [V2], its frequency [Hz]; any phase in each run."""
+
+    channel: int
+    power: Jet
+    frequency: Jet
+
+
+@dataclass(frozen=True)
 class Equations:
     """Mechanics and channels of a balance with derivatives; n coordinates, e springs, c channels.
 
@@ -54,7 +82,8 @@ class Equations:
     takes measured exciter loads to true ones; mixing (c, c) acts on the channels' volts. centre (3,) [m] is the centre
     of gravity of the moving part, `freedom` which of its six motions the first coordinates are; base (6, n) is the
     motion x y z psi theta phi of the lower body at the rig's origin; row_factor and own_stiffness (n,) are one and
-    zero but for flexible parts.
+    zero but for flexible parts. `forces` act along springs, `pickups` are in channels; channel_offset (c,) [V] and
+    load_offset (6,) [N, N m] are what the channels and the exciters' force cells read too much.
     """
 
     coordinates: tuple[str, ...]
@@ -76,6 +105,10 @@ class Equations:
     base: Jet
     row_factor: Jet
     own_stiffness: Array
+    channel_offset: Jet
+    load_offset: Jet
+    forces: tuple[CellForce, ...] = ()
+    pickups: tuple[Pickup, ...] = ()
 
     @property
     def parameters(self) -> int:
@@ -121,6 +154,10 @@ class Equations:
             row_factor=concatenate([self.row_factor, compliance]),
             own_stiffness=np.concatenate([self.own_stiffness, np.ones(added)]),
         )
+
+    def with_force(self, force: CellForce) -> Equations:
+        """A further force along a spring."""
+        return replace(self, forces=(*self.forces, force))
 
     def with_springs(self, motion: Jet, stiffness: Jet) -> Equations:
         """Springs that no channel reads: elongation (m, n) per coordinate and stiffness (m,)."""

@@ -89,26 +89,14 @@ def _physical_form(spectra: Spectra, geometry: Geometry, options: IdentifyOption
         model = model.with_exact_effects()
         minimum, start = _unfitted(model, batches), "geometry"
     else:
-        minimum, start = _fitted(model, batches, options)
+        minimum, start = _fitted(model, batches, _driven_batches(spectra, geometry), options)
     return _described(model, batches, minimum, options.method, start, spectra.channels_left_out)
 
 
 def _in_band(lines: Lines, band: tuple[float, float]) -> Lines:
     """The lines inside the band; the same object where all are."""
     keep = (lines.frequency >= band[0]) & (lines.frequency <= band[1])
-    if keep.all():
-        return lines
-    window = lines.window
-    if window is not None:
-        window = replace(window, start=window.start[keep], covariance=window.covariance[keep])
-    return replace(
-        lines,
-        window=window,
-        frequency=lines.frequency[keep],
-        channels=lines.channels[keep],
-        loads=lines.loads[keep],
-        covariance=lines.covariance[keep],
-    )
+    return lines if keep.all() else lines.at(keep)
 
 
 def _unfitted(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
@@ -120,18 +108,30 @@ def _unfitted(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
     return Minimum(theta, data, data + prior_curvature(model.parameters, theta), 0, True)
 
 
-def _fitted(model: BalanceModel, batches: Sequence[Batch], options: IdentifyOptions) -> tuple[Minimum, str]:
-    """The estimate, and where it started: least squares or geometry, whichever fits the lines better."""
+def _driven_batches(spectra: Spectra, geometry: Geometry) -> tuple[Batch, ...]:
+    """The lines that have loads, without the means; the straight part of the static rows."""
+    lines = [run.at(run.frequency > 0) for run in spectra.lines]
+    statics = [replace(points, share=None) for points in spectra.statics]
+    return stacked(lines, statics, geometry.channel_names)
+
+
+def _fitted(
+    model: BalanceModel, batches: Sequence[Batch], driven: Sequence[Batch], options: IdentifyOptions
+) -> tuple[Minimum, str]:
+    """The estimate, and where it started: least squares or geometry, whichever fits the lines better.
+
+    The `driven` lines serve for a start.
+    """
     declared = model.parameters.value
     if options.method == "ml":
         return maximum_likelihood(model, batches, declared), "geometry"
-    first = _least_squares(model, batches)
+    first = _least_squares(model, driven)
     if options.method == "ls":
         data = data_curvature(batches, model.system(first.theta))
         total = data + prior_curvature(model.parameters, first.theta)
         return Minimum(first.theta, data, total, first.iterations, first.converged), "geometry"
     if model.geometry.effects:
-        start = starting_values(model.parameters, batches, model.system, declared)
+        start = starting_values(model.parameters, driven, model.system, declared)
         starts = {"least squares": start, "geometry": declared}
     else:
         starts = {"least squares": first.theta, "geometry": declared}

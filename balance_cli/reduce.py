@@ -16,7 +16,7 @@ from balance_cli.estimation.hub_loads import SolvedLoads, solve_loads
 from balance_cli.geometry import Geometry
 from balance_cli.hub_loads import RunLoads
 from balance_cli.model.plate import carried_components
-from balance_cli.responses import ResponseSource, circular_real, load_scale, stacked_real
+from balance_cli.responses import ModelSource, ResponseSource, circular_real, load_scale, stacked_real
 from balance_cli.runs import Run
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
@@ -65,6 +65,8 @@ def reduce_run(
     if azimuth.turns < FEWEST_REVOLUTIONS:
         fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
         raise UserError(fault, _place(run), "rotor/pulse_times", "Record for longer")
+    if isinstance(source, ModelSource):
+        run = source.linear_part(run, health.live)
     limit = max(TIME_CONSTANTS * source.slowest_decay, LEAST_LIMIT)
     start = settling(run, azimuth, limit, health.live)
     signals = _signals(run, health)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from balance_cli.calibrated import Calibration
 from balance_cli.components import COMPONENTS
 from balance_cli.errors import UserError
+from balance_cli.estimation.linear_part import linear_part
 from balance_cli.estimation.paper.fit import PaperFit, response_jacobian
 from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.spectra import channel_response
@@ -24,6 +25,7 @@ from balance_cli.identified import IdentifiedModel
 from balance_cli.model.balance import balance_model, identified_system
 from balance_cli.model.plate import hub_arm
 from balance_cli.model.system import output_slopes, response, solve
+from balance_cli.runs import Run
 from balance_cli.signals.interpolation import response_at, values_at
 from balance_cli.signals.lines import Response
 from balance_cli.sweep_tf import Transfer, combined
@@ -115,6 +117,10 @@ class ModelSource:
         """T of the model."""
         system = identified_system(self.model)
         return response(system, solve(system, frequency, spin))
+
+    def linear_part(self, run: Run, live: tuple[str, ...]) -> Run:
+        """The run without what forces along the cells that are not linear did to its channels."""
+        return linear_part(run, identified_system(self.model), self.model.geometry, live)
 
     def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
         """J Cov J' with J = d(T f)/d(parameters)."""

@@ -126,9 +126,12 @@ def model_summary(model: IdentifiedModel) -> dict[str, Any]:
 
 def _effect_summary(effect: FittedEffect) -> dict[str, Any]:
     """An effect as the contract's section on effects has it."""
-    parameters = {
+    parameters: dict[str, dict[str, Any]] = {
         item.name: {"value": item.value, "sigma": item.sigma, "unit": item.unit} for item in effect.parameters
     }
+    if effect.choice:
+        name, word = effect.choice
+        parameters[name] = {"value": word, "sigma": None, "unit": ""}
     return {"name": effect.name, "where": effect.where, "parameters": parameters}
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from balance_cli.effects import EFFECTS, Effect, EffectParameter, Where
 from balance_cli.geometry import DeclaredEffect, Geometry
-from balance_cli.model.placed_effects import PlacedEffect, placed
+from balance_cli.model.placed_effects import PlacedEffect, declared_effects, placed
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Candidate:
         return self._declared({one.name: start.get(one.fitted_name, one.fitted_start) for one in self.one.parameters})
 
     def _declared(self, fitted: Mapping[str, float]) -> DeclaredEffect:
-        values = {one.name: one.fitted(fitted[one.name]) for one in self.one.parameters}
+        values = {one.name: one.natural(fitted[one.name]) for one in self.one.parameters}
         finite = {name: float(value) for name, value in values.items() if abs(value) != float("inf")}
         return DeclaredEffect(name=self.effect.name, where=self.one.where, parameters=finite)
 
@@ -52,7 +52,7 @@ def tested(parameters: tuple[EffectParameter, ...]) -> tuple[EffectParameter, ..
 
 def candidates(geometry: Geometry, empirical: bool = False) -> tuple[Candidate, ...]:
     """All candidates that the geometry's effects leave, empirical ones only where asked for."""
-    taken = {(item.name, item.where) for item in geometry.effects}
+    taken = {(item.effect.name, item.where) for item in declared_effects(geometry)}
     names = {item.name for item in geometry.effects}
     found = []
     for effect in EFFECTS:

@@ -165,7 +165,7 @@ def _only(wide: BalanceModel, model: BalanceModel, names: set[str]) -> BalanceMo
 def _score(one: Candidate, number: int, part: Projected) -> Score:
     items = tested(one.one.parameters)
     seen = np.diag(part.V) > LEAST_SHARE * np.maximum(part.raw, 1e-300)
-    scale = np.array([item.scale for item in items])
+    scale = np.array([item.fitted_scale for item in items])
     lower = np.array([item.fitted_bounds[0] >= item.fitted_null for item in items])
     upper = np.array([item.fitted_bounds[1] <= item.fitted_null for item in items])
     gain, used = best_gain(part.s[seen], part.V[np.ix_(seen, seen)], lower[seen], upper[seen])

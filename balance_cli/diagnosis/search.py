@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates
@@ -18,6 +19,8 @@ from balance_cli.diagnosis.score import Score, scores
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.estimation.model_error import with_model_error
 from balance_cli.model.balance import BalanceModel
+
+Array = NDArray[np.float64]
 
 # Leading candidates of a round that are refitted, and the share of the best score that makes one worth it.
 LEADING = 3
@@ -35,7 +38,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Found:
-    """Where the search ended, what it tried, and for each label the score with which it came in and its rivals' gains."""
+    """Where the search ended, what it tried, and for each effect the gains of the rivals in its round."""
 
     state: State
     trials: tuple[Trial, ...]
@@ -137,7 +140,7 @@ def leading(ranked: Sequence[Score]) -> list[Score]:
 
 
 def started_again(state: State, lines: SearchLines) -> State | None:
-    """The same effects, those with several starts begun anew beside the others as they are; None where it is no better."""
+    """The same effects, those with several starts begun anew beside the others; None where that is no better."""
     best = state
     for effect in state.geometry.effects:
         candidate: Candidate = candidate_at(effect.name, effect.where, state.geometry)

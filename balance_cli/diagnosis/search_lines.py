@@ -46,12 +46,7 @@ def _stacked(lines: Sequence[Lines], spectra: Spectra, channel_names: tuple[str,
 def _every(lines: Lines, stride: int, first: int) -> Lines:
     if len(lines.frequency) < 2 * stride:
         return replace(lines, window=None)
-    chosen: NDArray[np.intp] = np.arange(first, len(lines.frequency), stride)
-    return replace(
-        lines,
-        frequency=lines.frequency[chosen],
-        channels=lines.channels[chosen],
-        loads=lines.loads[chosen],
-        covariance=lines.covariance[chosen],
-        window=None,
-    )
+    every: NDArray[np.intp] = np.arange(len(lines.frequency))
+    # The mean of a record stands alone.
+    chosen = (every % stride == first) | (lines.frequency == 0)
+    return replace(lines.at(chosen), window=None)

@@ -7,20 +7,26 @@ from balance_cli.effects import (
     added_mass,
     cell_misalignment,
     channel_gain,
+    channel_offset,
     crosstalk,
+    cubic_stiffness,
+    dry_friction,
     exciter_misalignment,
     extra_mode,
     gyroscopic_coupling,
     high_pass,
+    load_offset,
     low_pass,
+    mains_pickup,
     mast_bending,
     parallel_stiffness,
+    quadratic_stiffness,
     structural_damping,
     support_flexibility,
     time_delay,
     transverse_stiffness,
 )
-from balance_cli.effects.base import Effect, EffectParameter, Where
+from balance_cli.effects.base import Choice, Effect, EffectParameter, Where
 
 EFFECTS: tuple[Effect, ...] = (
     support_flexibility.EFFECT,
@@ -31,6 +37,9 @@ EFFECTS: tuple[Effect, ...] = (
     cell_misalignment.EFFECT,
     transverse_stiffness.EFFECT,
     structural_damping.EFFECT,
+    cubic_stiffness.EFFECT,
+    quadratic_stiffness.EFFECT,
+    dry_friction.EFFECT,
     extra_mode.EFFECT,
     channel_gain.EFFECT,
     low_pass.EFFECT,
@@ -38,6 +47,9 @@ EFFECTS: tuple[Effect, ...] = (
     time_delay.EFFECT,
     crosstalk.EFFECT,
     exciter_misalignment.EFFECT,
+    load_offset.EFFECT,
+    mains_pickup.EFFECT,
+    channel_offset.EFFECT,
 )
 
-__all__ = ["EFFECTS", "Effect", "EffectParameter", "Where"]
+__all__ = ["EFFECTS", "Choice", "Effect", "EffectParameter", "Where"]

@@ -30,7 +30,8 @@ class EffectParameter:
     their nulls, so that at the null the equations do not depend on it; its own null is where it is left then.
 
     A `reciprocal` parameter has an infinite null (the cutoff of a low-pass). What is fitted, and what the effect is
-    given, is one over it, under the name `1/NAME`; `scale` and `start` are those of the reciprocal.
+    given, is one over it, under the name `1/NAME`; `scale` and `start` are those of the reciprocal. Of a `squared`
+    parameter the data tell the square alone: that is fitted, as `NAME^2`; `scale` is that of the parameter itself.
     """
 
     name: str
@@ -43,16 +44,17 @@ class EffectParameter:
     start: float | None = None
     secondary: bool = False
     reciprocal: bool = False
+    squared: bool = False
 
     @property
     def fitted_name(self) -> str:
         """The name under which the parameter is fitted."""
-        return f"1/{self.name}" if self.reciprocal else self.name
+        return f"{self.name}^2" if self.squared else f"1/{self.name}" if self.reciprocal else self.name
 
     @property
     def fitted_unit(self) -> str:
         """The unit of what is fitted."""
-        return f"1/{self.unit}" if self.reciprocal else self.unit
+        return f"{self.unit}2" if self.squared else f"1/{self.unit}" if self.reciprocal else self.unit
 
     @property
     def fitted_null(self) -> float:
@@ -71,16 +73,38 @@ class EffectParameter:
         return (min(bounds), max(bounds))
 
     def fitted(self, value: float) -> float:
-        """What is fitted, from the value (and the other way round: a reciprocal is its own inverse)."""
+        """What is fitted, from the value."""
+        if self.squared:
+            return value**2
         if not self.reciprocal:
             return value
         return np.inf if value == 0 else 1.0 / value
 
-    def fitted_sigma(self, value: float, sigma: float) -> float:
-        """Standard deviation of `fitted(value)` where that of `value` is `sigma`."""
+    def natural(self, fitted: float) -> float:
+        """The value, from what is fitted."""
+        return float(np.sqrt(max(fitted, 0.0))) if self.squared else self.fitted(fitted)
+
+    def natural_sigma(self, fitted: float, sigma: float) -> float:
+        """Standard deviation of the value where that of what is fitted is `sigma`."""
+        if self.squared:
+            return sigma / (2.0 * float(np.sqrt(max(fitted, 0.5 * sigma)))) if sigma > 0 else 0.0
         if not self.reciprocal:
             return sigma
-        return np.inf if value == 0 else sigma / value**2
+        return np.inf if fitted == 0 else sigma / fitted**2
+
+    @property
+    def fitted_scale(self) -> float:
+        """The size of a change of what is fitted that matters."""
+        return self.scale**2 if self.squared else self.scale
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A parameter that is one of a few words, the first unless another is declared."""
+
+    name: str
+    words: tuple[str, ...]
+    sentence: str
 
 
 @dataclass(frozen=True)
@@ -96,6 +120,10 @@ class Effect:
     For a search: `searched(geometry)` are the places worth trying where not all are (a large place, that is made
     smaller afterwards); `starts(geometry, where)` fitted values to begin from, several where one start may lead into a
     wrong minimum; `once`: a rig has it once at most; `empirical`: it describes and does not explain.
+
+    Where there is a `choice`, every word of it makes a place of its own: the word is the last name of `where`.
+    `needs_mean`: it shows, among other things, in the mean of a record and in static rows that are not straight, or
+    through channels as functions of time.
     """
 
     name: str
@@ -112,6 +140,8 @@ class Effect:
     starts: Callable[[Geometry, Where], tuple[Mapping[str, float], ...]] | None = None
     once: bool = False
     empirical: bool = False
+    choice: Choice | None = None
+    needs_mean: bool = False
 
 
 def each_cell(geometry: Geometry) -> tuple[Where, ...]:
@@ -127,6 +157,15 @@ def each_cell_or_all(geometry: Geometry) -> tuple[Where, ...]:
 def cells_at(geometry: Geometry, where: Where) -> list[int]:
     """Indices of the cells at a place, which is the name of one or `all`."""
     return [i for i, cell in enumerate(geometry.cells) if where == (ALL,) or cell.name in where]
+
+
+INSIDE, BESIDE = "inside", "beside"
+SIDE = Choice("side", (INSIDE, BESIDE), "`inside` the cell, whose channels read the force too, or `beside` it.")
+
+
+def each_cell_and_side(geometry: Geometry) -> tuple[Where, ...]:
+    """Each cell, inside and beside it."""
+    return tuple((cell.name, side) for cell in geometry.cells for side in SIDE.words)
 
 
 def each_channel(geometry: Geometry) -> tuple[Where, ...]:

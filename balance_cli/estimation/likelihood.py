@@ -6,7 +6,9 @@ System Identification, 2nd ed., chapter 9): with M = [T; I], U0 = (M' S M)^-1 M'
     chi2 = 2 sum r* S r,   gradient = -4 Re sum dY* (S r)_Y,   curvature = 4 Re sum dY* P dY (Gauss-Newton)
 
 where dY = dT U0 and P = S_YY - S_YM (M'SM)^-1 S_MY. With noise on the channels alone U0 = U and P = S_YY.
-The free motion of records that began at rest is linear too, and is eliminated run by run (see `transients`).
+The free motion of records that began at rest is linear too, and is eliminated run by run (see `transients`). What
+offsets and forces along the springs add to z is known at given parameters, and is taken out first. Pick-up of unknown
+phase goes out last (see `pickup`).
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.cell_forces import CellForces, cell_forces
 from balance_cli.estimation.measurements import WORKERS, Batch
+from balance_cli.estimation.pickup import Tone, tones
 from balance_cli.estimation.transients import Taken, Transient, eliminated, transient_slopes, transients
 from balance_cli.model.system import Solution, System, output_slopes, response, solve
 
@@ -32,7 +36,8 @@ class Fitted:
     """One batch at one parameter vector: estimated loads (K, 6), weighted residual S r of the channels (K, c),
 
     residual of the channels (K, c) about the measured loads, and chi2 (K,) of each line, the free motion of the
-    `transients` taken out of all of them; `downdate`: what the eliminated loads take from the precision.
+    `transients` taken out of all of them; `downdate`: what the eliminated loads take from the precision; `forces`:
+    those along the springs that are not linear; `tones`: pick-up in each run.
     """
 
     loads: ComplexArray
@@ -41,11 +46,14 @@ class Fitted:
     chi2: Array
     downdate: tuple[ComplexArray, ComplexArray] | None
     transients: tuple[Transient, ...]
+    forces: tuple[CellForces, ...]
+    tones: tuple[Tone, ...]
 
     @property
     def total(self) -> float:
-        """Chi-square of all lines, and of the bounds of the free motion."""
-        return float(self.chi2.sum() + sum(one.chi2 for one in self.transients))
+        """Chi-square of all lines, and of the bounds of the free motion; averaged over the phases of pick-up."""
+        held = sum(one.chi2 for one in self.transients)
+        return float(self.chi2.sum() + held + sum(one.chi2 for one in self.tones))
 
 
 @dataclass(frozen=True)
@@ -72,24 +80,37 @@ def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = Fals
     """
     T = exciter_response(system, solution)
     columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
-    residual = batch.channels - np.matmul(columns, batch.loads[:, :, None])[:, :, 0]
+    forces = cell_forces(batch, system, solution, slopes)
+    loads = _without_offset(batch, system)
+    residual = batch.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
+    if np.any(system.channel_offset.value):
+        residual -= batch.constant_volts[:, None] * system.channel_offset.value
+    for run in forces:
+        residual[run.lines] -= run.volts(system)
     downdate = None if batch.exact else _downdate(batch, columns)
 
     def weigh(lines: slice, values: ComplexArray) -> ComplexArray:
         return _weighted(batch, downdate, lines, values)
 
     free = transients(batch, system, residual, weigh, slopes)
+    heard, free = tones(batch, system, residual, weigh, free) if system.pickups else ((), free)
     for one in free:
         residual[one.lines] -= one.columns @ one.x
     weighted = weigh(slice(None), residual[:, :, None])[:, :, 0]
     chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted, axis=1))
-    loads = batch.loads
     if downdate is not None:
         SM, normal = downdate
         # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
         right = np.matmul(SM.conj().swapaxes(1, 2), residual[:, :, None])
         loads = loads + np.linalg.solve(normal, right)[:, :, 0]
-    return Fitted(_six(batch, loads), weighted, residual, chi2, downdate, free)
+    return Fitted(_six(batch, loads), weighted, residual, chi2, downdate, free, forces, heard)
+
+
+def _without_offset(batch: Batch, system: System) -> ComplexArray:
+    """The measured loads (K, u) less what the force cells read too much."""
+    if not np.any(system.load_offset.value):
+        return batch.loads
+    return np.asarray(batch.loads - batch.constant_loads * system.load_offset.value[batch.components])
 
 
 def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -121,30 +142,52 @@ def _six(batch: Batch, loads: ComplexArray) -> ComplexArray:
     return six
 
 
-def channel_slopes(batch: Batch, system: System, solution: Solution, loads: ComplexArray) -> ComplexArray:
-    """DY (K, c, p) for estimated exciter loads (K, 6), spill included."""
+def channel_slopes(batch: Batch, system: System, solution: Solution, fit: Fitted) -> ComplexArray:
+    """DY (K, c, p) at the estimated exciter loads, spill, offsets and forces along the springs included."""
+    loads = fit.loads
     true_loads = loads @ system.spill.value.T
     slopes = output_slopes(system, solution, batch.index, true_loads)
     if np.any(system.spill.slope):
         spilt = np.einsum("pij,kj->kip", system.spill.slope, loads)
         slopes = slopes + np.matmul(response(system, solution)[batch.index], spilt)
+    for run in fit.forces:
+        run.add_slopes(system, slopes[run.lines])
+    _add_offset_slopes(slopes, batch, system, solution)
     return slopes
+
+
+def _add_offset_slopes(slopes: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:
+    """Offsets of the channels add to what they read; those of the loads lower what is taken to act."""
+    if np.any(system.channel_offset.slope):
+        lines = np.flatnonzero(batch.constant_volts)
+        slopes[lines] += batch.constant_volts[lines, None, None] * system.channel_offset.slope.T
+    if np.any(system.load_offset.slope):
+        lines = np.flatnonzero(np.any(batch.constant_loads, axis=1))
+        components = batch.components[lines]
+        held = exciter_response(system, solution)[batch.index[lines, None], :, components].swapaxes(1, 2)
+        offset = system.load_offset.slope.T[components] * batch.constant_loads[lines, :, None]
+        slopes[lines] -= np.matmul(held, offset)
 
 
 @dataclass(frozen=True)
 class Slopes:
-    """One batch with its slopes (K, c, p), those of the free motion included, and what eliminating that takes."""
+    """One batch with its slopes (K, c, p), those of the free motion included, and what eliminating that takes;
+
+    `lacking`: of each tone of the mains, what gradient (p,) and information (p, p) lack besides.
+    """
 
     batch: Batch
     fit: Fitted
     slopes: ComplexArray
     taken: tuple[Taken, ...]
+    lacking: tuple[tuple[Array, Array], ...]
 
     def gradient(self) -> Array:
         """Half the gradient (p,) of chi-square."""
         p = self.slopes.shape[2]
         gradient = -2.0 * np.real(self.slopes.reshape(-1, p).conj().T @ self.fit.weighted.reshape(-1))
-        return np.asarray(gradient + sum(one.gradient for one in self.taken))
+        gradient = gradient + sum(one.gradient for one in self.taken)
+        return np.asarray(gradient + sum(part for part, _ in self.lacking))
 
     def weighted(self) -> ComplexArray:
         """P dY (K, c, p), the true loads eliminated; a second, small product."""
@@ -155,6 +198,8 @@ class Slopes:
         information = 2.0 * _product(self.slopes[:, :, rows], weighted[:, :, columns])
         for one in self.taken:
             information = information + one.information(rows, columns)
+        for _, whole in self.lacking:
+            information = information + whole[rows][:, columns]
         return np.asarray(information)
 
     def diagonal_blocks(self, weighted: ComplexArray, blocks: Sequence[Index]) -> list[Array]:
@@ -162,6 +207,8 @@ class Slopes:
         alone = 2.0 * np.sum(self.slopes.real * weighted.real + self.slopes.imag * weighted.imag, axis=(0, 1))
         for one in self.taken:
             alone = alone + one.diagonal()
+        for _, whole in self.lacking:
+            alone = alone + np.diag(whole)
         several = {i: self.information(weighted, block, block) for i, block in enumerate(blocks) if len(block) > 1}
         return [several[i] if i in several else alone[block][:, None] for i, block in enumerate(blocks)]
 
@@ -176,11 +223,12 @@ def batch_slopes(batch: Batch, system: System) -> Slopes:
     """The batch at one parameter vector, with the derivatives of all its lines."""
     solution = solve(system, batch.frequency, batch.spin)
     fit = fitted(batch, system, solution, slopes=True)
-    slopes = channel_slopes(batch, system, solution, fit.loads)
+    slopes = channel_slopes(batch, system, solution, fit)
     for one in fit.transients:
         slopes[one.lines] += transient_slopes(one)
+    lacking = tuple(tone.curvature(slopes[tone.form.lines]) for tone in fit.tones)
     taken = tuple(eliminated(one, slopes[one.lines]) for one in fit.transients)
-    return Slopes(batch, fit, slopes, taken)
+    return Slopes(batch, fit, slopes, taken, lacking)
 
 
 def batch_curvature(batch: Batch, system: System) -> Curvature:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
-from balance_cli.signals.lines import Lines, StaticPoints, Window
+from balance_cli.signals.lines import Lines, LoadPoints, StaticPoints, Waveform, Window
 from balance_cli.signals.noise import inverse_bias_factor
 
 Array = NDArray[np.float64]
@@ -36,6 +36,7 @@ class Batch:
     the noise is that of the precision divided by it.
 
     `windows`: of each run, where a periodic record's lines come from; None where no free motion can be in them.
+    constant_volts (K,), constant_loads (K, u) and `waveforms` as in `Lines`, all channels in their order.
     """
 
     runs: tuple[str, ...]
@@ -51,6 +52,9 @@ class Batch:
     run: Index
     efficiency: Array
     windows: tuple[Window | None, ...]
+    constant_volts: Array
+    constant_loads: Array
+    waveforms: tuple[Waveform | LoadPoints | None, ...]
 
     @property
     def parts(self) -> tuple[slice, ...]:
@@ -62,10 +66,12 @@ class Batch:
 def selected_lines(batch: Batch, chosen: NDArray[np.bool_]) -> Batch:
     """The batch with the `chosen` lines (K,) alone; every run keeps at least its name."""
     windows: list[Window | None] = []
-    for part, window in zip(batch.parts, batch.windows, strict=True):
+    waveforms: list[Waveform | LoadPoints | None] = []
+    for part, window, waveform in zip(batch.parts, batch.windows, batch.waveforms, strict=True):
         kept = chosen[part]
         narrowed = window and replace(window, start=window.start[kept], covariance=window.covariance[kept])
         windows.append(narrowed if kept.any() else None)
+        waveforms.append(waveform.at(kept) if waveform is not None and kept.any() else None)
     return replace(
         batch,
         index=batch.index[chosen],
@@ -77,6 +83,9 @@ def selected_lines(batch: Batch, chosen: NDArray[np.bool_]) -> Batch:
         run=batch.run[chosen],
         efficiency=batch.efficiency[chosen],
         windows=tuple(windows),
+        constant_volts=batch.constant_volts[chosen],
+        constant_loads=batch.constant_loads[chosen],
+        waveforms=tuple(waveforms),
     )
 
 
@@ -92,6 +101,7 @@ def _one_run(batch: Batch, i: int) -> Batch:
         chosen,
         runs=(batch.runs[i],),
         windows=(batch.windows[i],),
+        waveforms=(batch.waveforms[i],),
         run=np.zeros_like(chosen.run),
         frequency=frequency,
         index=index.reshape(-1),
@@ -101,7 +111,10 @@ def _one_run(batch: Batch, i: int) -> Batch:
 def stacked(
     lines: Sequence[Lines], statics: Sequence[StaticPoints], channel_names: tuple[str, ...]
 ) -> tuple[Batch, ...]:
-    """All runs as few batches: lines of alike runs share their frequencies and so the model's inversions."""
+    """All runs as few batches: lines of alike runs share their frequencies and so the model's inversions.
+
+    Of the static runs it is the straight part of the rows, or all of them where the points come with `share`.
+    """
     everything = [*lines, *(static_lines(points) for points in statics)]
     groups: dict[tuple[float, int, bool], list[Lines]] = {}
     for run in everything:
@@ -122,11 +135,12 @@ def static_lines(points: StaticPoints) -> Lines:
 
     With the centred loads U = Q R the rows carry C0 R' with noise `covariance` in each of the six columns, so that
     the straight part of all rows is kept without loss. The noise is real: as circular noise it counts double.
+    Where the points come with `share`, Q is made complete: lines without load hold what in the rows is not straight.
     """
     channels = points.channels - points.channels.mean(axis=0)
     loads = points.loads - points.loads.mean(axis=0)
     varied = np.ptp(points.loads, axis=0) > 0
-    Q, R = np.linalg.qr(loads[:, varied])
+    Q, R = np.linalg.qr(loads[:, varied]) if points.share is None else _complete_qr(loads[:, varied])
     components = tuple(name for name, used in zip(COMPONENTS, varied, strict=True) if used)
     count, c = len(R), len(points.channel_names)
     padded = np.zeros((count, c + count, c + count), complex)
@@ -140,7 +154,21 @@ def static_lines(points: StaticPoints) -> Lines:
         loads=R.astype(complex),
         covariance=padded,
         dof=points.dof,
+        constant_loads=Q.T @ (points.loads[:, varied] != 0.0),
+        waveform=None if points.share is None else _load_points(points, Q.T),
     )
+
+
+def _complete_qr(loads: Array) -> tuple[Array, Array]:
+    """Q (m, m-1) of all that is orthogonal to a constant, its first columns those of the centred loads, and R."""
+    ones = np.ones((len(loads), 1))
+    Q, R = np.linalg.qr(np.hstack([ones, loads]), "complete")
+    return np.asarray(Q[:, 1:]), np.asarray(R[1:, 1:])
+
+
+def _load_points(points: StaticPoints, projection: Array) -> LoadPoints:
+    share = np.broadcast_to(np.asarray(points.share), points.channels.shape)
+    return LoadPoints(points.channels.astype(complex), share, projection)
 
 
 def _exact(lines: Lines) -> bool:
@@ -168,12 +196,39 @@ def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: 
         run=run,
         efficiency=np.concatenate(efficiency),
         windows=tuple(item.window for item in group),
+        constant_volts=np.concatenate([_constant_volts(item) for item in group]),
+        constant_loads=np.concatenate([_constant_loads(item) for item in group]),
+        waveforms=tuple(_all_waveforms(item, channel_names) for item in group),
     )
 
 
 def _count(lines: Lines) -> Array:
     per_channel = np.where(lines.frequency > 0, 2.0, 1.0)
-    return np.asarray(per_channel * len(lines.channel_names))
+    return np.asarray(per_channel * np.sum(_heard(lines.covariance)[:, : len(lines.channel_names)], axis=1))
+
+
+def _heard(covariance: ComplexArray) -> NDArray[np.bool_]:
+    """Which signals (K, n) tell something at a line: their variance is finite."""
+    return np.isfinite(np.diagonal(covariance, axis1=1, axis2=2))
+
+
+def _constant_volts(lines: Lines) -> Array:
+    return np.zeros(len(lines.frequency)) if lines.constant_volts is None else lines.constant_volts
+
+
+def _constant_loads(lines: Lines) -> Array:
+    return np.zeros(lines.loads.shape) if lines.constant_loads is None else lines.constant_loads
+
+
+def _all_waveforms(lines: Lines, channel_names: tuple[str, ...]) -> Waveform | LoadPoints | None:
+    waveform = lines.waveform
+    if waveform is None:
+        return None
+    volts = np.zeros((len(waveform.volts), len(channel_names)), complex)
+    share = np.zeros(volts.shape)
+    places = _places(lines, channel_names)
+    volts[:, places], share[:, places] = waveform.volts, waveform.share
+    return replace(waveform, volts=volts, share=share)
 
 
 def _component_index(lines: Lines) -> Index:
@@ -196,11 +251,23 @@ def _precision(lines: Lines, channel_names: tuple[str, ...], exact: bool) -> Com
     live, c, u = len(lines.channel_names), len(channel_names), len(lines.components)
     used = slice(0, live) if exact else slice(0, live + u)
     noise = lines.window or lines
-    inverse = _inverse(noise.covariance[:, used, used], noise.dof, live) * _efficiency(lines)
+    inverse = _inverse(_finite(noise.covariance[:, used, used]), noise.dof, live) * _efficiency(lines)
+    inverse = np.where(_heard(noise.covariance)[:, used, None], inverse, 0.0)
     wide = np.zeros((len(inverse), c + u, c + u), complex)
     places = np.array(_places(lines, channel_names) + ([] if exact else list(range(c, c + u))))
     wide[:, places[:, None], places[None, :]] = inverse
     return wide
+
+
+def _finite(covariance: ComplexArray) -> ComplexArray:
+    """Covariances (K, n, n) with one in the place of an infinite variance."""
+    heard = _heard(covariance)
+    if heard.all():
+        return covariance
+    finite = covariance.copy()
+    diagonal = np.arange(covariance.shape[1])
+    finite[:, diagonal, diagonal] = np.where(heard, finite[:, diagonal, diagonal], 1.0)
+    return finite
 
 
 def _efficiency(lines: Lines) -> float:

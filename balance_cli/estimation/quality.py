@@ -33,7 +33,8 @@ def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
     fit = fitted(batch, system, solve(system, batch.frequency, batch.spin))
     frequency = batch.frequency[batch.index]
     in_band = (frequency >= FRF_BAND[0]) & (frequency <= FRF_BAND[1])
-    size = np.sum(np.abs(batch.loads) ** 2, axis=1)
+    # At rest there may be lines without any load.
+    size = np.where(in_band, np.sum(np.abs(batch.loads) ** 2, axis=1), 1.0)
     live = _live(batch)
     error = np.sum(np.where(live, np.abs(fit.residual) ** 2, 0.0), axis=1) / size
     noise = np.sum(_noise(batch, live), axis=1) / size

@@ -66,6 +66,12 @@ def undetermined(parameters: ParameterSet, information: Array, limit: float = 1.
     return tuple(_in_words(names, vectors[:, i] * sigma / size) for i in np.flatnonzero(values < limit))
 
 
+def unseen(parameters: ParameterSet, information: Array) -> tuple[str, ...]:
+    """Free parameters of which the data, at these values, say nothing whatever: an offset that no mean can show."""
+    names = [name for name, is_free in zip(parameters.names, parameters.free, strict=True) if is_free]
+    return tuple(name for name, known in zip(names, np.diag(information), strict=True) if known == 0.0)
+
+
 def _in_words(names: list[str], change: Array) -> str:
     relative = change / change[np.argmax(np.abs(change))]
     large = [i for i in np.argsort(-np.abs(relative)) if abs(relative[i]) > 0.05]

@@ -59,6 +59,10 @@ class Transient:
         """|Q x|^2."""
         return float(np.sum(np.abs(self.bound @ self.x) ** 2))
 
+    def solved(self, right: Array) -> Array:
+        """Amplitudes (2m, ...) from what columns have to do with them."""
+        return _solve(self.normal, right)
+
     @property
     def determined(self) -> float:
         """Number of amplitudes that the lines determine."""
@@ -117,8 +121,9 @@ def _held(batch: Batch, lines: slice) -> Array:
 
 
 def _solve(normal: Array, right: Array) -> Array:
-    """Solution with a symmetric matrix of columns of very different size, some of them perhaps alike."""
-    size = 1.0 / np.sqrt(np.diag(normal))
+    """Solution with a symmetric matrix of columns of very different size, some perhaps alike, or zero: unread modes."""
+    diagonal = np.diag(normal)
+    size = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     scaled = normal * np.outer(size, size) + 1e-13 * np.eye(len(size))
     factor = size if right.ndim == 1 else size[:, None]
     return np.asarray(factor * np.linalg.solve(scaled, factor * right))

@@ -25,7 +25,10 @@ def _label(name: str, where: Where) -> str:
 
 @dataclass(frozen=True)
 class PlacedEffect:
-    """An effect at one place, with its parameters there and what is declared of them."""
+    """An effect at one place, with its parameters there and what is declared of them.
+
+    Where the effect has a choice, its word is the last name of `where`.
+    """
 
     effect: Effect
     where: Where
@@ -60,16 +63,17 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class FittedEffect:
-    """An effect with its parameters as found."""
+    """An effect with its parameters as found; `choice` is the name of a parameter that is a word, and the word."""
 
     name: str
     where: Where
     parameters: tuple[FittedParameter, ...]
+    choice: tuple[str, str] | None = None
 
     @property
     def label(self) -> str:
         """NAME@PLACE,PLACE as on the command line."""
-        return _label(self.name, self.where)
+        return _label(self.name, self.where if self.choice is None else (*self.where, self.choice[1]))
 
 
 def placed(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
@@ -87,6 +91,8 @@ def _place(effect: Effect, where: Where, geometry: Geometry) -> Where:
     places = effect.places(geometry)
     if where in places:
         return where
+    if effect.choice and (*where, effect.choice.words[0]) in places:
+        return (*where, effect.choice.words[0])
     same = [place for place in places if sorted(place) == sorted(where)]
     if same:
         return same[0]
@@ -133,18 +139,37 @@ def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
 def _declared(item: DeclaredEffect, geometry: Geometry, index: int) -> PlacedEffect:
     place = f"effects[{index}]"
     try:
-        one = placed(item.name, item.where, geometry)
+        one = placed(item.name, _with_choice(item), geometry)
     except UserError as error:
         raise UserError(error.fault, error.file, place, error.remedy) from error
     names = tuple(parameter.name for parameter in one.parameters)
-    for name, value in item.parameters.items():
+    choice = one.effect.choice
+    numbers = {name: value for name, value in item.parameters.items() if choice is None or name != choice.name}
+    for name, value in numbers.items():
         if name not in names:
             fault = f"`{one.label}` has no parameter `{name}`"
-            raise UserError(fault, place=place, remedy=_nearest(name, names))
+            raise UserError(fault, place=place, remedy=_nearest(name, (*names, *([choice.name] if choice else []))))
         if isinstance(value, str):
             fault = f"`{name}` of `{one.label}` is `{value}`, not a number"
             raise UserError(fault, place=place, remedy="Give a number in SI units")
-    return PlacedEffect(one.effect, one.where, one.parameters, item.parameters)
+    return PlacedEffect(one.effect, one.where, one.parameters, numbers)
+
+
+def _with_choice(item: DeclaredEffect) -> Where:
+    """The names of the place, the word that is declared for the effect's choice among them."""
+    choice = next((effect.choice for effect in EFFECTS if effect.name == item.name), None)
+    if choice is None or choice.name not in item.parameters:
+        return item.where
+    word = str(item.parameters[choice.name])
+    if word not in choice.words:
+        fault = f"`{choice.name}` of `{item.name}` is `{word}`"
+        raise UserError(fault, remedy=_nearest(word, choice.words))
+    return (*item.where, word)
+
+
+def needs_mean(geometry: Geometry) -> bool:
+    """Whether an effect of the geometry shows in means and waveforms, which are not needed otherwise."""
+    return any(one.effect.needs_mean for one in declared_effects(geometry))
 
 
 def effect_parameters(geometry: Geometry) -> ParameterSet:
@@ -156,7 +181,7 @@ def effect_parameters(geometry: Geometry) -> ParameterSet:
         units=tuple(parameter.fitted_unit for _, parameter in rows),
         value=np.array([one.start(parameter) for one, parameter in rows], float),
         sigma=np.full(len(rows), np.inf),
-        scale=np.array([parameter.scale for _, parameter in rows], float),
+        scale=np.array([parameter.fitted_scale for _, parameter in rows], float),
         lower=bounds[:, 0],
         upper=bounds[:, 1],
     )
@@ -178,13 +203,21 @@ def fitted_effects(
 
     def described(one: PlacedEffect, parameter: EffectParameter) -> FittedParameter:
         value, spread = (float(number) for number in found[one.full_name(parameter)])
-        sigma = parameter.fitted_sigma(value, spread)
-        return FittedParameter(parameter.name, parameter.fitted(value), sigma, parameter.unit)
+        sigma = parameter.natural_sigma(value, spread)
+        return FittedParameter(parameter.name, parameter.natural(value), sigma, parameter.unit)
 
-    return tuple(
-        FittedEffect(one.effect.name, one.where, tuple(described(one, parameter) for parameter in one.parameters))
-        for one in declared_effects(geometry)
-    )
+    def described_effect(one: PlacedEffect) -> FittedEffect:
+        where, choice = _apart(one)
+        parameters = tuple(described(one, parameter) for parameter in one.parameters)
+        return FittedEffect(one.effect.name, where, parameters, choice)
+
+    return tuple(described_effect(one) for one in declared_effects(geometry))
+
+
+def _apart(one: PlacedEffect) -> tuple[Where, tuple[str, str] | None]:
+    """Where an effect is, and its choice."""
+    choice = one.effect.choice
+    return (one.where, None) if choice is None else (one.where[:-1], (choice.name, one.where[-1]))
 
 
 def declare(geometry: Geometry, names: Sequence[str], values: Sequence[float]) -> Geometry:
@@ -193,7 +226,10 @@ def declare(geometry: Geometry, names: Sequence[str], values: Sequence[float]) -
         DeclaredEffect(
             name=one.name,
             where=one.where,
-            parameters={item.name: item.value for item in one.parameters if np.isfinite(item.value)},
+            parameters={
+                **{item.name: item.value for item in one.parameters if np.isfinite(item.value)},
+                **dict([one.choice] if one.choice else []),
+            },
         )
         for one in fitted_effects(geometry, names, values, np.zeros(len(values)))
     )

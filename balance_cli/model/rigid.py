@@ -52,6 +52,8 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Jet], p: int) -> Equ
         base=constant(np.zeros((6, n)), p),
         row_factor=constant(np.ones(n), p),
         own_stiffness=np.zeros(n),
+        channel_offset=constant(np.zeros(len(geometry.channels)), p),
+        load_offset=constant(np.zeros(6), p),
     )
 
 

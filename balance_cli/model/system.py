@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.equations import ChannelPath, Equations
+from balance_cli.equations import CellForce, ChannelPath, Equations, Pickup
 from balance_cli.jets import Jet
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,9 @@ class Pencil:
 class System:
     """An evaluated balance, all with slopes: pencil, inputs (n, 6), channel paths, spill and mixing;
 
-    readings R = k E (e, n) and readings_loss L = k eta E (e, n), what of the forces is in quadrature; row_factor and
-    own_stiffness (n,) as in the equations.
+    readings R = k E (e, n) and readings_loss L = k eta E (e, n), what of the forces is in quadrature; reactions (n, e)
+    of the balance to a force along each spring; stiffness and loss (e,) of the springs; row_factor and own_stiffness
+    (n,), cell forces, pickups and offsets as in the equations.
     """
 
     coordinates: tuple[str, ...]
@@ -45,11 +47,18 @@ class System:
     inputs: Jet
     readings: Jet
     readings_loss: Jet
+    reactions: Jet
+    stiffness: Jet
+    loss: Jet
     paths: tuple[ChannelPath, ...]
     spill: Jet
     mixing: Jet
     row_factor: Array
     own_stiffness: Array
+    channel_offset: Jet
+    load_offset: Jet
+    forces: tuple[CellForce, ...]
+    pickups: tuple[Pickup, ...]
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -81,11 +90,18 @@ def assembled(equations: Equations) -> System:
         inputs=factor * equations.inputs,
         readings=springs + equations.extra_readings,
         readings_loss=springs_loss,
+        reactions=-(factor * E.T),
+        stiffness=k,
+        loss=equations.loss,
         paths=equations.paths,
         spill=equations.spill,
         mixing=equations.mixing,
         row_factor=equations.row_factor.value,
         own_stiffness=equations.own_stiffness,
+        channel_offset=equations.channel_offset,
+        load_offset=equations.load_offset,
+        forces=equations.forces,
+        pickups=equations.pickups,
     )
 
 
@@ -146,28 +162,62 @@ def response(system: System, solution: Solution) -> ComplexArray:
     return np.asarray(system.mixing.value @ volts)
 
 
-def spring_forces(solution: Solution, index: NDArray[np.intp], loads: ComplexArray) -> ComplexArray:
-    """Forces (K, e) of the springs for loads (K, 6) at lines `index` (K,) of the solution."""
-    return np.asarray(np.matmul(solution.forces[index], loads[:, :, None])[:, :, 0])
+@dataclass(frozen=True)
+class SpringInputs:
+    """Forces along the springs at K lines besides those of the linear balance: `acting` (K, e) on it, and `read` (K, e)
+
+    by the channels of each spring.
+    """
+
+    acting: ComplexArray
+    read: ComplexArray
+
+
+def spring_forces(
+    system: System, solution: Solution, index: Index, loads: ComplexArray, extra: SpringInputs | None = None
+) -> ComplexArray:
+    """Forces (K, e) of the springs for loads (K, 6), and further forces along them, at lines `index` (K,)."""
+    forces = np.asarray(np.matmul(solution.forces[index], loads[:, :, None])[:, :, 0])
+    return forces if extra is None else forces + extra_forces(system, solution, index, extra)
+
+
+def extra_forces(system: System, solution: Solution, index: Index, extra: SpringInputs) -> ComplexArray:
+    """The part (K, e) of the springs' forces, as read, that is due to the further ones."""
+    through = (solution.to_forces @ system.reactions.value)[index]
+    return np.asarray(np.matmul(through, extra.acting[:, :, None])[:, :, 0] + extra.read)
+
+
+def volts_of_forces(system: System, solution: Solution) -> tuple[ComplexArray, ComplexArray]:
+    """Volts (k, c, e) per unit of a force that acts along each spring, and of one that its channels read."""
+    springs = [path.spring for path in system.paths]
+    gains, mixing = solution.gains[:, :, None], system.mixing.value
+    acting = gains * (solution.to_forces @ system.reactions.value)[:, springs]
+    read = gains * np.eye(len(system.stiffness.value))[springs]
+    return np.asarray(mixing @ acting), np.asarray(mixing @ read)
 
 
 def force_slopes(
     system: System,
     solution: Solution,
-    index: NDArray[np.intp],
+    index: Index,
     loads: ComplexArray,
+    extra: SpringInputs | None = None,
     chosen: NDArray[np.bool_] | slice = slice(None),
 ) -> ComplexArray:
-    """Derivatives (K, e, p) of the spring forces for loads (K, 6) at lines `index` (K,), by the `chosen` parameters."""
+    """Derivatives (K, e, p) of the spring forces for given loads (K, 6) and further forces at lines `index` (K,)."""
     pencil = system.pencil
     w = 2 * np.pi * solution.frequency[index][:, None]
     driven = loads @ system.inputs.value.T
+    if extra is not None:
+        driven = driven + extra.acting @ system.reactions.value.T
     x = np.matmul(solution.inverse[index], driven[:, :, None])[:, :, 0]
     lagging = 1j * np.sign(w) * x
     damping = pencil.damping.slope + 2 * np.pi * solution.spin * pencil.gyroscopic.slope
     matrices = (system.inputs.slope, -pencil.stiffness.slope, -damping, pencil.mass.slope, -pencil.hysteresis.slope)
     vectors = (loads, x, 1j * w * x, w**2 * x, lagging)
     change = slopes_times(np.concatenate([part[chosen] for part in matrices], axis=2), np.concatenate(vectors, axis=1))
+    if extra is not None:
+        change += slopes_times(system.reactions.slope[chosen], extra.acting)
     slopes = solution.to_forces[index] @ change + slopes_times(system.readings.slope[chosen], x)
     if system.readings_loss.slope.any():
         slopes += slopes_times(system.readings_loss.slope[chosen], lagging)
@@ -197,18 +247,21 @@ def log_gain_slope(path: ChannelPath, s: ComplexArray) -> ComplexArray:
     return slope if path.delay is None else slope - s * path.delay.slope
 
 
-def output_slopes(system: System, solution: Solution, index: NDArray[np.intp], loads: ComplexArray) -> ComplexArray:
+def output_slopes(
+    system: System, solution: Solution, index: Index, loads: ComplexArray, extra: SpringInputs | None = None
+) -> ComplexArray:
     """Derivatives (K, c, p) of the channels' volts for loads (K, 6) at lines `index` (K,) of the solution.
 
-    Each kind of slope is formed for the parameters that have it: most have one kind alone.
+    Further forces along the springs are taken as given; what they change by themselves is added elsewhere. Each kind
+    of slope is formed for the parameters that have it: most have one kind alone.
     """
     springs = [path.spring for path in system.paths]
-    forces = spring_forces(solution, index, loads)
+    forces = spring_forces(system, solution, index, loads, extra)
     gains = solution.gains[index]
     volts = gains * forces[:, springs]
     moving = moving_parameters(system)
     slopes = np.zeros((len(index), len(springs), system.parameters), complex)
-    slopes[:, :, moving] = gains[:, :, None] * force_slopes(system, solution, index, loads, moving)[:, springs]
+    slopes[:, :, moving] = gains[:, :, None] * force_slopes(system, solution, index, loads, extra, moving)[:, springs]
     s = np.asarray(2j * np.pi * solution.frequency[:, None], np.complex128)
     for c, path in enumerate(system.paths):
         own = _path_parameters(path)
@@ -226,7 +279,7 @@ def moving_parameters(system: System) -> NDArray[np.bool_]:
     """Which parameters (p,) change the forces of the springs; those of channels and exciters do not."""
     pencil = system.pencil
     parts = (pencil.mass, pencil.damping, pencil.gyroscopic, pencil.stiffness, pencil.hysteresis)
-    every = (*parts, system.inputs, system.readings, system.readings_loss)
+    every = (*parts, system.inputs, system.readings, system.readings_loss, system.reactions)
     return np.asarray(np.any([part.slope.any(axis=(1, 2)) for part in every], axis=0))
 
 

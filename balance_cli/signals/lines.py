@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+# A cube of a signal has three times its bandwidth; what a contact does has more.
+OVERSAMPLING = 4
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,115 @@ class Window:
     dof: float
 
 
+def hann_mean(values: Array) -> Array:
+    """Mean (...) of values (n, ...), the ends of the record faded out."""
+    n = len(values)
+    return np.asarray(np.tensordot((1.0 - np.cos(2 * np.pi * np.arange(n) / n)) / n, values, axes=1))
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """Channels of a run through time, from which forces can be told that are no linear function of them.
+
+    `volts` (F, c) and `share` (F, c): amplitudes before the anti-alias filter at `frequency` (F,) [Hz], the harmonics
+    0, 1, 2 ... of 1/T, and the weight of each channel among those of its spring. A period T of `samples` samples recurs
+    for ever. `number` (K,): which of the F a line is; `behind` (K,): the filter that it then has passed. Where it does
+    not `recur`, it is all that there was.
+    """
+
+    frequency: Array
+    volts: ComplexArray
+    share: Array
+    samples: int
+    number: NDArray[np.intp]
+    behind: ComplexArray
+    recurs: bool = True
+
+    @property
+    def step(self) -> float:
+        """Time between samples [s]."""
+        return 1.0 / (float(self.frequency[1]) * self.samples)
+
+    def in_time(self, amplitudes: ComplexArray) -> Array:
+        """Amplitudes (F, ...) as a function of time (n, ...), finely sampled; at frequency zero twice the mean."""
+        n = OVERSAMPLING * self.samples
+        return np.asarray(np.fft.irfft(amplitudes * (n / 2.0), n, axis=0))
+
+    def at(self, keep: NDArray[np.bool_]) -> Waveform:
+        """For the lines (K,) that are kept."""
+        return replace(self, number=self.number[keep], behind=self.behind[keep])
+
+    def at_lines(self, force: Array) -> ComplexArray:
+        """A function of time (n, ...) at the lines (K, ...), behind the anti-alias filter."""
+        spectrum = np.fft.rfft(force, axis=0)[self.number] * (2.0 / len(force))
+        return np.asarray((spectrum.T * self.behind).T)
+
+
+@dataclass(frozen=True)
+class RecordWaveform(Waveform):
+    """The waveform of a record that does not recur, whose lines are weighted sums of neighbouring ones of it.
+
+    `number` and `behind` are those of the neighbours, R in all; a line is the sum over `weight` (K, M) times those from
+    `first` (K,) on. The last neighbour is the mean, weighted by a Hann window.
+    """
+
+    first: NDArray[np.intp] = field(kw_only=True)
+    weight: ComplexArray = field(kw_only=True)
+
+    def at(self, keep: NDArray[np.bool_]) -> RecordWaveform:
+        """For the lines (K,) that are kept."""
+        return replace(self, first=self.first[keep], weight=self.weight[keep])
+
+    def at_lines(self, force: Array) -> ComplexArray:
+        """A function of time (n, ...) at the neighbours (R, ...), behind the anti-alias filter."""
+        neighbours = super().at_lines(force)
+        neighbours[-1] = 2.0 * hann_mean(force)
+        return neighbours
+
+    def mixed(self, values: ComplexArray) -> ComplexArray:
+        """Values (R, ...) at the neighbours as lines (K, ...)."""
+        M = self.weight.shape[1]
+        lines = np.empty((len(self.first), *values.shape[1:]), complex)
+        for first in np.unique(self.first):
+            mine = self.first == first
+            lines[mine] = np.tensordot(self.weight[mine], values[first : first + M], axes=1)
+        return lines
+
+
+@dataclass(frozen=True)
+class LoadPoints:
+    """Channels of a static run point by point, as a waveform: `volts` (m, c) and `share` (m, c) at frequency zero.
+
+    `projection` (K, m) takes a value at each point to the lines.
+    """
+
+    volts: ComplexArray
+    share: Array
+    projection: Array
+
+    @property
+    def frequency(self) -> Array:
+        """Zero (m,) [Hz]."""
+        return np.zeros(len(self.volts))
+
+    @property
+    def recurs(self) -> bool:
+        """The first point follows on the unloaded rig."""
+        return False
+
+    def at(self, keep: NDArray[np.bool_]) -> LoadPoints:
+        """For the lines (K,) that are kept."""
+        return replace(self, projection=self.projection[keep])
+
+    def in_time(self, amplitudes: ComplexArray) -> Array:
+        """The points (m, ...) themselves."""
+        return np.asarray(amplitudes.real)
+
+    def at_lines(self, force: Array) -> ComplexArray:
+        """Values at the points (m, ...) as lines (K, ...)."""
+        return np.tensordot(self.projection, force, axes=1).astype(complex)
+
+
 @dataclass(frozen=True)
 class Lines:
     """Spectra of one run (or one experiment of it) at k lines: c channels, u excited load components.
@@ -35,6 +147,10 @@ class Lines:
     is circular with covariance E[z z*] = `covariance` per line, that of the means as given (not of one period), and
     was estimated with `dof` complex degrees of freedom (infinite where it is known).
     `window`: where in a periodic record they come from; None where no free motion can be in them.
+    At frequency zero the amplitude is twice the mean, and the covariance twice the variance of that, as the noise is
+    real; it is infinite where a channel tells nothing. `constant_volts` (k,) and `constant_loads` (k, u): what one volt
+    too much in every channel, one unit in every load that was applied, adds to the lines. `waveform`: the channels
+    through time. None: nothing, or not asked for.
 
     Shapes: frequency (k,) [Hz]; channels (k, c) [V]; loads (k, u) [N, N m]; covariance (k, c+u, c+u).
     """
@@ -50,6 +166,26 @@ class Lines:
     rotor_speed: float = 0.0
     level: tuple[float, ...] = ()
     window: Window | None = None
+    constant_volts: Array | None = None
+    constant_loads: Array | None = None
+    waveform: Waveform | LoadPoints | None = None
+
+    def at(self, keep: NDArray[np.bool_]) -> Lines:
+        """Only the lines (k,) that are kept."""
+        window = self.window
+        if window is not None:
+            window = replace(window, start=window.start[keep], covariance=window.covariance[keep])
+        return replace(
+            self,
+            frequency=self.frequency[keep],
+            channels=self.channels[keep],
+            loads=self.loads[keep],
+            covariance=self.covariance[keep],
+            window=window,
+            constant_volts=None if self.constant_volts is None else self.constant_volts[keep],
+            constant_loads=None if self.constant_loads is None else self.constant_loads[keep],
+            waveform=None if self.waveform is None else self.waveform.at(keep),
+        )
 
 
 @dataclass(frozen=True)
@@ -58,6 +194,7 @@ class StaticPoints:
 
     `covariance` (c, c) is the noise of a row's `channels - C0 loads` (so it holds the load readings' noise too),
     measured from second differences along the loading sequence and not from the residual of a fit.
+    `share` (c,): the weight of each channel among those of its spring, where forces are to be told from them.
     """
 
     run: str
@@ -67,6 +204,7 @@ class StaticPoints:
     loads: Array
     covariance: Array
     dof: float
+    share: Array | None = None
 
 
 @dataclass(frozen=True)

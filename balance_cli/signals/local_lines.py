@@ -19,7 +19,7 @@ from balance_cli.runs import Run
 from balance_cli.signals.lines import Lines
 from balance_cli.signals.local_models import LocalModels, local_models, record_spectrum
 from balance_cli.signals.local_window import design, influence, poles, response_rows
-from balance_cli.signals.records import fault
+from balance_cli.signals.records import fault, sample_rate
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -34,7 +34,7 @@ LEAST_SIGNAL_TO_NOISE = 10.0
 class _Experiments:
     """u experiments of one group: frequency [Hz], channels (u, c) and loads (u, u) in scaled units, line (index), and
 
-    noise power (u,) in units of that of the line.
+    noise power (u,) in units of that of the line; `rows` (u, M), the weights of the window's lines, from `first` on.
     """
 
     frequency: float
@@ -42,9 +42,29 @@ class _Experiments:
     loads: ComplexArray
     line: int
     power: Array
+    first: int
+    rows: ComplexArray
+
+
+@dataclass(frozen=True)
+class LocalLines:
+    """Lines of a record, and what they are: sums over `weight` (K, M) times the record's lines from number `first` on.
+
+    `number` (R,) are those of the neighbours to which `first` (K,) refers.
+    """
+
+    lines: Lines
+    number: Index
+    first: Index
+    weight: ComplexArray
 
 
 def lines_from_local_model(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> Lines:
+    """The lines of `local_lines`."""
+    return local_lines(run, channel_names, band).lines
+
+
+def local_lines(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> LocalLines:
     """Independent lines of a random, sine-sweep or stepped record within `band` [Hz].
 
     Each group of neighbouring lines gives as many experiments as components were excited, one after the other at the
@@ -57,7 +77,10 @@ def lines_from_local_model(run: Run, channel_names: Sequence[str], band: tuple[f
     kept = [group for group in everything if _strong(group.loads, noise)]
     if not kept:
         raise fault(run, "no line of the loads stands above their noise", "Excite more strongly", "loads")
-    return _lines(models, kept)
+    u = models.spectrum.loads.shape[1]
+    first = np.repeat([group.first for group in kept], u)
+    number = np.rint(models.spectrum.frequency * run.samples / sample_rate(run)).astype(np.intp)
+    return LocalLines(_lines(models, kept), number, first, np.concatenate([group.rows for group in kept]))
 
 
 def _groups(models: LocalModels, window: int) -> list[_Experiments]:
@@ -112,7 +135,7 @@ def _experiments(
     rows = np.linalg.solve(root, rows)
     channels, loads = rows @ s.channels[everywhere], np.linalg.solve(root, R)
     power = _power(rows, noise, noise[middle - models.first[window]])
-    return _Experiments(float(s.frequency[middle]), channels, loads, middle, power)
+    return _Experiments(float(s.frequency[middle]), channels, loads, middle, power, int(models.first[window]), rows)
 
 
 def _power(rows: ComplexArray, noise: ComplexArray, own: ComplexArray) -> Array:

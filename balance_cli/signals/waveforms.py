@@ -1,0 +1,217 @@
+"""What lines leave out, for effects that need it: the mean of a record, and its channels through time.
+
+A force that is no linear function of the channels is computed in time. The channels must then be as they were before
+the anti-alias filter, and each spring's channels be brought together: every one tells the spring's force where it
+hears it best, by the inverse of its variance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.geometry import Channel, Geometry
+from balance_cli.runs import Run
+from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.lines import Lines, RecordWaveform, StaticPoints, Waveform, hann_mean
+from balance_cli.signals.local_lines import local_lines
+from balance_cli.signals.periodic import whole_period
+from balance_cli.signals.records import load_places, sample_rate, samples_of
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Below this many radians in a time constant a high-pass is trusted with this share of its weight only: undoing it there
+# makes a ramp of the start of the record.
+MEMORY = 20.0
+REMEMBERED = 1e-9
+# Where the anti-alias filter leaves less, a channel is left out rather than its noise amplified.
+LEAST_PASSED = 0.3
+# The scatter of the periods' means is taken for noise up to what is exceeded with this probability.
+DRIFT_PROBABILITY = 1e-4
+
+
+def with_mean_and_waveform(run: Run, lines: Lines, geometry: Geometry) -> Lines:
+    """The lines of a periodic record, with its mean as a line at frequency zero (the last), and its mean period.
+
+    Both are of the periods that are steady at every line.
+    """
+    window = lines.window
+    assert window is not None
+    n, rate = whole_period(run), sample_rate(run)
+    first = round(float(window.start.max()) * rate)
+    channels, loads = samples_of(run, lines.channel_names, first)
+    periods = np.hstack([channels, loads[:, load_places(lines.components)]]).reshape(-1, n, lines.covariance.shape[1])
+    number_of_periods = rate * (window.stop - window.start[0]) / n
+    factor = number_of_periods / len(periods) * _drift(periods.mean(axis=1), lines, number_of_periods, geometry)
+    lines = _with_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, geometry)
+    c = len(lines.channel_names)
+    number = np.rint(lines.frequency * n / rate).astype(np.intp)
+    waveform = waveform_of(periods[:, :, :c].mean(axis=0), rate, lines, number, geometry, denoised=True)
+    return replace(lines, waveform=waveform)
+
+
+def local_lines_with_mean_and_waveform(run: Run, channel_names: Sequence[str], geometry: Geometry) -> Lines:
+    """The lines of a record that does not repeat, with its mean as a line at frequency zero (the last), and all of it.
+
+    The mean is weighted by a Hann window, so that the ends of the record do not matter; its noise is 3/2 times that of
+    the plain one.
+    """
+    local = local_lines(run, channel_names)
+    channels, loads = samples_of(run, channel_names)
+    mean = hann_mean(np.hstack([channels, loads[:, load_places(local.lines.components)]]))
+    number = np.append(local.number, 0)
+    whole = waveform_of(channels, sample_rate(run), local.lines, number, geometry)
+    M = local.weight.shape[1]
+    waveform = RecordWaveform(
+        **{**vars(whole), "recurs": False},
+        first=np.append(local.first, len(number) - M),
+        weight=np.vstack([local.weight, np.eye(M)[-1]]),
+    )
+    return replace(_with_mean(local.lines, mean, 1.5, 0.0, geometry), waveform=waveform)
+
+
+def waveform_of(
+    samples: Array,
+    rate: float,
+    lines: Lines,
+    number: NDArray[np.intp],
+    geometry: Geometry,
+    denoised: bool = False,
+) -> Waveform:
+    """Samples (n, c) of what recurs, as amplitudes before the anti-alias filter, for lines of these numbers (K,).
+
+    Where `denoised`, each amplitude is lessened by the share of noise in its power (Wiener): a contact that slips at
+    the least reversal would take noise for motion. That needs noise told from distortion, as periods do.
+    """
+    amplitudes, volts, frequency, passed = _before_filter(samples, rate, geometry)
+    n = len(samples)
+    dynamic = lines.frequency > 0
+    variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
+    variance = variance[: len(lines.channel_names)]
+    if denoised:
+        volts = volts * np.maximum(1.0 - variance / np.maximum(np.abs(amplitudes) ** 2, 1e-300), 0.0)
+    share = channel_shares(geometry, lines.channel_names, frequency, variance)
+    return Waveform(frequency, volts, share, n, number, passed[number])
+
+
+def _before_filter(
+    samples: Array, rate: float, geometry: Geometry
+) -> tuple[ComplexArray, ComplexArray, Array, ComplexArray]:
+    """Amplitudes (F, c) of samples (n, c), those before the anti-alias filter, frequency (F,) [Hz], and the filter."""
+    n = len(samples)
+    frequency = np.asarray(np.arange((n + 1) // 2) * (rate / n), float)
+    passed = anti_alias(geometry.acquisition, frequency)
+    heard = np.abs(passed) >= LEAST_PASSED
+    amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
+    volts = np.where(heard[:, None], amplitudes / np.where(heard, passed, 1.0)[:, None], 0.0)
+    return amplitudes, volts, frequency, passed
+
+
+def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: Geometry) -> Waveform:
+    """All of a record's live channels (n, l) [V], among all channels, as a waveform with all its lines.
+
+    Of a spring's channels that hears most which gives most volts: their noises are taken for equal.
+    """
+    _, volts, frequency, passed = _before_filter(samples, rate, geometry)
+    share = channel_shares(geometry, live, frequency, np.ones(len(live)))
+    places = [geometry.channel_names.index(name) for name in live]
+    wide = np.zeros((len(volts), len(geometry.channels)), complex)
+    wide_share = np.zeros(wide.shape)
+    wide[:, places], wide_share[:, places] = volts, share
+    return Waveform(frequency, wide, wide_share, len(samples), np.arange(len(frequency)), passed, recurs=False)
+
+
+def channel_shares(geometry: Geometry, names: Sequence[str], frequency: Array, variance: Array) -> Array:
+    """Weights (F, c) of channels of given variance (c,) among those of their spring; zero where none hears anything."""
+    by_name = {channel.name: channel for channel in geometry.channels}
+    channels = [by_name[name] for name in names]
+    gains = np.stack([_declared_gain(channel, frequency) for channel in channels], axis=1)
+    weight = np.abs(gains) ** 2 / np.where(variance > 0, variance, 1.0)
+    weight = weight * np.stack([_forgetful(channel, frequency) for channel in channels], axis=1)
+    springs = [channel.cell for channel in channels]
+    alike = np.array([[one == other for other in springs] for one in springs], float)
+    total = weight @ alike
+    return np.asarray(weight / np.where(total > 0, total, 1.0))
+
+
+def _forgetful(channel: Channel, frequency: Array) -> Array:
+    """One; next to nothing (F,) where a high-pass works at frequencies at which it remembers how the record began."""
+    if channel.time_constant is None:
+        return np.ones(len(frequency))
+    return np.where(2 * np.pi * frequency * channel.time_constant < MEMORY, REMEMBERED, 1.0)
+
+
+def with_shares(points: StaticPoints, geometry: Geometry) -> StaticPoints:
+    """The points with the weight of each channel among those of its spring."""
+    share = channel_shares(geometry, points.channel_names, np.zeros(1), np.diag(points.covariance))[0]
+    return replace(points, share=share)
+
+
+def _declared_gain(channel: Channel, frequency: Array) -> ComplexArray:
+    s = 2j * np.pi * frequency
+    gain = np.full(len(s), channel.sensitivity, complex)
+    if channel.lowpass is not None:
+        gain = gain / (1.0 + s / (2 * np.pi * channel.lowpass))
+    return gain if channel.time_constant is None else gain * s / (s + 1.0 / channel.time_constant)
+
+
+def _deaf(lines: Lines, geometry: Geometry) -> list[bool]:
+    """Which channels (c,) do not hear a constant load."""
+    by_name = {channel.name: channel for channel in geometry.channels}
+    return [not by_name[name].measures_dc for name in lines.channel_names]
+
+
+def _with_mean(lines: Lines, mean: Array, factor: float, start: float, geometry: Geometry) -> Lines:
+    """The lines and, from the mean (c+u,) from `start` [s] on, one at frequency zero.
+
+    Its noise is `factor` times that of the lowest line.
+    """
+    deaf, factor = _deaf(lines, geometry), 2.0 * factor
+    c, z = len(deaf), 2.0 * mean
+    window = lines.window
+    if window is not None:
+        covariance = _with_last(window.covariance, factor, deaf)
+        window = replace(window, start=np.append(window.start, start), covariance=covariance)
+    count = len(lines.frequency)
+    volts, units = np.zeros(count + 1), np.zeros((count + 1, len(lines.components)))
+    volts[-1] = units[-1] = 2.0
+    return replace(
+        lines,
+        frequency=np.append(lines.frequency, 0.0),
+        channels=np.vstack([lines.channels, z[:c]]),
+        loads=np.vstack([lines.loads, z[c:]]),
+        covariance=_with_last(lines.covariance, factor, deaf),
+        window=window,
+        constant_volts=volts,
+        constant_loads=units,
+    )
+
+
+def _with_last(covariance: ComplexArray, factor: float, deaf: Sequence[bool]) -> ComplexArray:
+    """Covariances (k, n, n), and the first one once more times a factor; infinite where a channel is deaf."""
+    last = factor * covariance[:1].real.astype(complex)
+    for i in np.flatnonzero(deaf):
+        last[:, i, :] = last[:, :, i] = 0.0
+        last[:, i, i] = np.inf
+    return np.concatenate([covariance, last])
+
+
+def _drift(means: Array, lines: Lines, periods: float, geometry: Geometry) -> float:
+    """How much more the means (m, n) of the periods scatter than noise would make them; 1 where that may be chance.
+
+    The noise is that of the lowest line, the mean of as many `periods`.
+    """
+    if len(means) < 2:
+        return 1.0
+    from scipy.stats import chi2
+
+    deaf = _deaf(lines, geometry)
+    c, free = len(deaf), len(means) - 1
+    noise = np.diagonal(lines.covariance[0]).real[:c] * periods / 4.0
+    ratio = (np.var(means[:, :c], axis=0, ddof=1) / noise)[~np.array(deaf)]
+    largest = float(ratio.max(initial=0.0))
+    return largest if largest > chi2.isf(DRIFT_PROBABILITY / c, free) / free else 1.0
