@@ -4,14 +4,16 @@ The campaigns come from the integration in time, which shares no code with the m
 forgetting the effect costs a chi-square of some thousands, of a few hundred thousand where it has many parameters.
 """
 
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from effect_checks import (
-    FREQUENCY,
     RIG,
     SPIN,
+    WEIGHED,
     Truth,
     campaign,
     check_change,
@@ -28,7 +30,7 @@ from balance_cli.errors import UserError
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.identified import IdentifiedModel
 from balance_cli.model.placed_effects import add_effects, declared_effects
-from balance_cli.simulation.extensions import apply_effects
+from balance_cli.simulation.extensions import Extension, apply_effects
 
 PLACED = [(effect, where) for effect in EFFECTS for where in dict.fromkeys(effect.places(RIG)[i] for i in (0, -1))]
 IDS = [f"{effect.name}@{','.join(where)}" for effect, where in PLACED]
@@ -52,40 +54,56 @@ def test_it_does_something_away_from_its_null(effect):
 # ---- found in simulated campaigns ------------------------------------------------------------------------------------
 
 
-def truth(name, where=(), *, plan=None, spin=0.0, **parameters):
+def truth(name, where=(), *, geometry=RIG, spin=0.0, **parameters):
     """The effect of the simulation that has the same name."""
     declared = DeclaredEffect(name=name, where=where, parameters=parameters)
-    plan = plan or campaign(spinning=spin > 0)
-    return Truth(where, parameters, lambda rig: apply_effects(rig, [declared]), plan, spin)
+    plan = campaign(spinning=spin > 0)
+    return Truth(where, parameters, lambda rig: apply_effects(rig, [declared]), plan, spin, geometry)
 
 
-def hidden_mast():
-    """A light hub on a soft mast, which the fitted model is told nothing about: it looks for a mode without a cause."""
-    declared = DeclaredEffect(
-        name="mast-bending", where=("x",), parameters={"mass": 1.0, "compliance_x": 3e-6, "damping_ratio": 0.02}
-    )
-    return Truth(("Fx",), {}, lambda rig: apply_effects(rig, [declared]), only_better=True)
+@dataclass(frozen=True)
+class Pendulum(Extension):
+    """Something of `mass` [kg] that hangs on the hub and swings along x at `frequency` [Hz]: no effect of the library.
+
+    It moves by s along x, and what holds it pulls at the hub.
+    """
+
+    name: ClassVar[str] = "pendulum"
+    mass: float = 0.02
+    frequency: float = 90.0
+    damping_ratio: float = 0.02
+
+    def mechanics(self, mechanics, rig, rotor_speed):
+        wide = mechanics.widened(("pendulum",))
+        row = np.zeros((1, wide.size))
+        row[0, -1] = -1.0
+        row += wide.plate_point(rig.geometry.hub)[:1]
+        rate = 2 * np.pi * self.frequency
+        wide.mass[-1, -1] = self.mass
+        damping = wide.damping + 2 * self.damping_ratio * rate * self.mass * row.T @ row
+        return replace(wide, damping=damping).stiffened(row, np.array([self.mass * rate**2]))
 
 
 TRUTHS = {
     "support-flexibility": truth(
-        "support-flexibility", ("x", "y"), mass=300.0, compliance_x=2e-8, compliance_y=3e-8, damping_ratio=0.03
+        "support-flexibility", ("x", "y"), mass=300.0, compliance_x=2e-9, compliance_y=3e-9, damping_ratio=0.03
     ),
     "mast-bending": truth(
         "mast-bending", ("x", "y"), mass=10.0, compliance_x=4e-9, compliance_y=6e-9, damping_ratio=0.02
     ),
-    "added-mass": truth("added-mass", mass=0.4, x=0.4, y=-0.3, z=0.6),
+    # With tolerances on the moving part a mass more is only another moving part: hardly any direction is left to it.
+    "added-mass": truth("added-mass", mass=0.4, x=0.4, y=-0.3, z=0.6, geometry=WEIGHED),
     "gyroscopic-coupling": truth("gyroscopic-coupling", polar_inertia=0.01, spin=SPIN),
     "parallel-stiffness": truth(
-        "parallel-stiffness", x=0.3, y=-0.2, z=0.2, stiffness_x=2e4, stiffness_y=1e4, stiffness_z=4e4, damping_time=1e-4
+        "parallel-stiffness", x=0.3, y=-0.2, z=0.2, stiffness_x=2e3, stiffness_y=1e3, stiffness_z=4e3, damping_time=1e-3
     ),
     "cell-misalignment": truth("cell-misalignment", ("z1",), angle_1=2e-4, angle_2=-3e-4),
     "transverse-stiffness": truth("transverse-stiffness", ("all",), stiffness=500.0),
     "structural-damping": truth("structural-damping", ("all",), loss_factor=6e-4),
-    "extra-mode": hidden_mast(),
+    "extra-mode": Truth(("Fx",), {}, lambda rig: rig.extended(Pendulum()), campaign("Fx"), only_better=True),
     "channel-gain": truth("channel-gain", ("x.strain",), gain=1.001),
     "low-pass": truth("low-pass", ("x.strain",), cutoff=2e4),
-    "high-pass": truth("high-pass", ("x.piezo",), cutoff=0.02),
+    "high-pass": truth("high-pass", ("x.piezo",), cutoff=0.03),
     "time-delay": truth("time-delay", ("z1.piezo",), delay=1e-6),
     "crosstalk": truth("crosstalk", ("x.strain", "z1.strain"), fraction=1e-3),
     "exciter-misalignment": truth("exciter-misalignment", ("Fz", "Fx"), fraction=2e-4),
@@ -112,7 +130,7 @@ def test_it_is_found_in_a_simulated_campaign(name):
 def test_what_has_no_cause_in_the_library_is_described(name):
     found = recovery(name)
     assert found.found.converged
-    assert found.found.quality.chi2_per_dof < 0.05 * found.without.quality.chi2_per_dof
+    assert found.found.quality.chi2_per_dof < 0.25 * found.without.quality.chi2_per_dof
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name in TRUTHS])

@@ -34,9 +34,7 @@ def maximum_likelihood(
     )
 
 
-def best_of_starts(
-    model: BalanceModel, batches: Sequence[Batch], starts: Mapping[str, Array]
-) -> tuple[Minimum, str]:
+def best_of_starts(model: BalanceModel, batches: Sequence[Batch], starts: Mapping[str, Array]) -> tuple[Minimum, str]:
     """The best maximum that is reached from any of the starts, and the name of that start.
 
     Which start is nearer in chi-square says little: one that is far in many parameters may lead to the better end.

@@ -192,9 +192,7 @@ class _Lines:
         return 1j * np.sign(self.frequency)[:, None]
 
 
-def _motions(
-    batches: Sequence[Batch], start: System, highest: float = np.inf
-) -> list[Callable[[System], Residual]]:
+def _motions(batches: Sequence[Batch], start: System, highest: float = np.inf) -> list[Callable[[System], Residual]]:
     """The equations of motion of the lines up to `highest` [Hz]."""
     stride = _stride(batches, highest)
     return [_motion(batch, start, stride, highest) for batch in batches if batch.frequency[0] <= highest]
