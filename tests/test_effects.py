@@ -1,4 +1,4 @@
-"""Every effect of the library through the same checks: nothing at its null, exact slopes, found in a simulated campaign.
+"""Every effect of the library through the same checks: nothing at its null, exact slopes, found where it was simulated.
 
 The campaigns come from the integration in time, which shares no code with the model that is fitted. Sizes are such that
 forgetting the effect costs a chi-square of some thousands, of a few hundred thousand where it has many parameters.

@@ -88,9 +88,7 @@ def _centre(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     axes = sorted({axis for name in where for axis in shown.get(name, "")})
     far = reach(geometry)
     return tuple(
-        EffectParameter(
-            axis, "m", 0.0, 0.05, f"Position of the lower body's centre, {axis}.", -far, far, secondary=True
-        )
+        EffectParameter(axis, "m", 0.0, 0.05, f"Position {axis} of its centre.", -far, far, secondary=True)
         for axis in axes
     )
 

@@ -10,13 +10,13 @@ estimates have hardly any, and come first:
 
        A(w) x = F u,        R x = f,
 
-   are more than the unknown x; with x eliminated by least squares, what is left is free of the plate's resonances. (With
-   x taken from some of the equations exactly, it would have the poles of those.) Variable projection: Golub and Pereyra,
-   SIAM J. Numer. Anal. 10 (1973) 413; the derivative is that of Kaufman, BIT 15 (1975) 49.
+   are more than the unknown x; with x eliminated by least squares, what is left is free of the plate's resonances.
+   (With x taken from some of the equations exactly, it would have the poles of those.) Variable projection: Golub and
+   Pereyra, SIAM J. Numer. Anal. 10 (1973) 413; the derivative is that of Kaufman, BIT 15 (1975) 49.
 
 The motion of a flexible part is not measured, and its resonance stays. At low frequency it is only a deflection that
-grows with w^2, so lines are taken in from there upwards, each band beginning where the one below it ended (Bunks et al.,
-Geophysics 60 (1995) 1457, do so with waves).
+grows with w^2, so lines are taken in from there upwards, each band beginning where the one below it ended (as Bunks et
+al., Geophysics 60 (1995) 1457, do with waves).
 
 Both are biased by noise, as every equation error is, and serve as a start only. Of an effect that is hardly above the
 noise the second says little: then it is better to begin with that effect where it stands, and the rest fitted round it.
