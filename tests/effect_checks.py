@@ -15,7 +15,8 @@ from balance_cli.geometry import DeclaredEffect, Geometry
 from balance_cli.identified import IdentifiedModel
 from balance_cli.identify import identified_effects, identify
 from balance_cli.model.balance import balance_model, identified_system
-from balance_cli.model.system import output_slopes, response, solve
+from balance_cli.model.system import System, output_slopes, response, solve
+from balance_cli.runs import Run
 from balance_cli.simulation import (
     NO_NOISE,
     CampaignPlan,
@@ -118,6 +119,8 @@ def campaign(*components, spinning=False, periods=14, period=1.0):
 class Truth:
     """An effect that a rig truly has: parameters as the simulation knows them, and how the rig gets it.
 
+    `declared` is what a user declares of the effect to begin with.
+
     `only_better`: the fitted effect is a description of what the rig has, so its parameters have no true values.
     """
 
@@ -127,6 +130,7 @@ class Truth:
     plan: CampaignPlan = field(default_factory=campaign)
     spin: float = 0.0
     geometry: Geometry = RIG
+    declared: dict[str, float] = field(default_factory=dict)
     only_better: bool = False
 
 
@@ -162,7 +166,7 @@ def recovered(name: str, truth: Truth, seed: int) -> Recovery:
     rig = truth.rig(replace(rig, **damping, torque_damping_ratio=max(rig.torque_damping_ratio, 0.008)))
     runs, _ = simulate_campaign(rig, truth.plan, seed=seed)
     spectra = measured_spectra(runs, geometry)
-    effect = DeclaredEffect(name=name, where=truth.where)
+    effect = DeclaredEffect(name=name, where=truth.where, parameters=truth.declared)
     found = identify(spectra, geometry.model_copy(update={"effects": (effect,)}))
     return Recovery(truth, identify(spectra, geometry), found, response_error(found, rig, truth.spin))
 
@@ -179,11 +183,15 @@ def response_error(model: IdentifiedModel, rig: TrueRig, spin: float) -> float:
     Its last period is steady: what is recorded there is the rig's true response, whatever effect it has.
     """
     run, _ = simulate_run(rig, _held_out().model_copy(update={"rotor_speed": spin}), NO_NOISE)
-    block, samples = run.read(), round(_held_out().period * run.sample_rate)
+    return response_difference(identified_system(model), run, _held_out().period, spin)
+
+
+def response_difference(system: System, run: Run, period: float, spin: float) -> float:
+    """What the last period of a run without noise and the system's own response differ by, relative, 5 to 150 Hz."""
+    block, samples = run.read(), round(period * run.sample_rate)
     Y, U = (np.fft.rfft(signals[-samples:], axis=0) for signals in (block.channels, block.loads))
     frequency = np.fft.rfftfreq(samples, 1 / run.sample_rate)
     lines = np.flatnonzero((frequency >= 5) & (frequency <= 150))
-    system = identified_system(model)
     T = exciter_response(system, solve(system, frequency[lines], spin))
     error = Y[lines] - np.einsum("kcu,ku->kc", T, U[lines])
     return float(np.linalg.norm(error) / np.linalg.norm(Y[lines]))
