@@ -54,6 +54,7 @@ study: install
 
 docs: install
 	$(BIN)/python tools/cli_reference.py
+	$(BIN)/python tools/effect_pages.py
 
 clean:
 	rm -rf $(RESULTS) build dist .pytest_cache .mypy_cache .ruff_cache

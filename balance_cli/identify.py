@@ -13,7 +13,7 @@ from balance_cli.errors import UserError
 from balance_cli.estimation.equation_error import least_squares
 from balance_cli.estimation.gauss_newton import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
-from balance_cli.estimation.maximum_likelihood import maximum_likelihood
+from balance_cli.estimation.maximum_likelihood import best_of_starts, maximum_likelihood
 from balance_cli.estimation.measurements import Batch, stacked
 from balance_cli.estimation.paper.fit import PAPER_BAND, PaperOptions
 from balance_cli.estimation.quality import fit_quality
@@ -121,6 +121,7 @@ def _fitted(
     """The estimate, and where it started: least squares or geometry, whichever fits the lines better.
 
     The `driven` lines serve for a start.
+    With effects both are followed some way, and the better one to its end.
     """
     declared = model.parameters.value
     if options.method == "ml":
@@ -131,10 +132,9 @@ def _fitted(
         total = data + prior_curvature(model.parameters, first.theta)
         return Minimum(first.theta, data, total, first.iterations, first.converged), "geometry"
     if model.geometry.effects:
-        start = starting_values(model.parameters, driven, model.system, declared)
-        starts = {"least squares": start, "geometry": declared}
-    else:
-        starts = {"least squares": first.theta, "geometry": declared}
+        found = starting_values(model.parameters, driven, model.system, declared)
+        return best_of_starts(model, batches, {"least squares": found.freed, "geometry": found.held})
+    starts = {"least squares": first.theta, "geometry": declared}
     best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
     return maximum_likelihood(model, batches, starts[best]), best
 

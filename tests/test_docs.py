@@ -41,8 +41,9 @@ def listed_commands() -> list[str]:
     return balance.list_commands(click.Context(balance))
 
 
-def reference_module():
-    spec = importlib.util.spec_from_file_location("cli_reference", ROOT / "tools" / "cli_reference.py")
+def tool(name: str):
+    """A program of `tools`, as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -83,7 +84,13 @@ def test_options_that_are_named_exist(page):
 
 def test_command_reference_is_that_of_the_commands():
     written = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    assert written == reference_module().reference(), "docs/commands.md is out of date: run `make docs`"
+    assert written == tool("cli_reference").reference(), "docs/commands.md is out of date: run `make docs`"
+
+
+def test_pages_of_effects_are_those_of_the_effects():
+    expected = tool("effect_pages").pages()
+    written = {page: page.read_text(encoding="utf-8") for page in [*ROOT.glob("docs/effects/*.md"), *expected]}
+    assert written == expected, "the pages of the effects are out of date: run `make docs`"
 
 
 def test_readme_lists_every_command():

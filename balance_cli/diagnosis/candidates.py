@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from balance_cli.effects import EFFECTS, Effect, EffectParameter, Where
+from balance_cli import effects
+from balance_cli.effects import Effect, EffectParameter, Where
 from balance_cli.geometry import DeclaredEffect, Geometry
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects, placed
 
@@ -55,7 +56,7 @@ def candidates(geometry: Geometry, empirical: bool = False) -> tuple[Candidate, 
     taken = {(item.effect.name, item.where) for item in declared_effects(geometry)}
     names = {item.name for item in geometry.effects}
     found = []
-    for effect in EFFECTS:
+    for effect in effects.EFFECTS:
         if effect.empirical and not empirical:
             continue
         if effect.once and effect.name in names:

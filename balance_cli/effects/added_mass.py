@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from balance_cli.effects.base import Effect, EffectParameter, Where, nowhere_in_particular
+from balance_cli.effects.base import Effect, EffectParameter, Where, nowhere_in_particular, reach
 from balance_cli.equations import Equations
 from balance_cli.geometry import Geometry
 from balance_cli.jets import Jet, stack
@@ -22,8 +22,11 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     total = sum(body.mass for body in geometry.bodies)
     start = 0.01 * total
     mass = EffectParameter("mass", "kg", 0.0, start, "The mass; negative where less is there.", start=start)
+    far = reach(geometry)
     position = (
-        EffectParameter(axis, "m", 0.0, 0.1, f"Its position along {axis}, rig axes.", start=0.5 * at, secondary=True)
+        EffectParameter(
+            axis, "m", 0.0, 0.1, f"Its position along {axis}, rig axes.", -far, far, start=0.5 * at, secondary=True
+        )
         for axis, at in zip("xyz", geometry.hub, strict=True)
     )
     return (mass, *position)

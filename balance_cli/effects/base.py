@@ -218,6 +218,12 @@ def inertia_by_motion(geometry: Geometry) -> dict[str, float]:
     return dict(zip(FREEDOMS, (mass, mass, mass, *np.diag(inertia)[::-1].tolist()), strict=True))
 
 
+def reach(geometry: Geometry) -> float:
+    """Twice the distance [m] from the origin of what lies farthest from it: nothing that matters lies beyond."""
+    points = [geometry.hub, *(cell.position for cell in geometry.cells), *(body.position for body in geometry.bodies)]
+    return 2.0 * float(np.linalg.norm(np.array(points), axis=1).max()) or np.inf
+
+
 def floored(jet: Jet, floor: float | Array) -> Jet:
     """The jet, and `floor` without slope wherever it is less: keeps square roots and reciprocals regular at zero."""
     above = jet.value > floor

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from balance_cli.effects.base import Effect, EffectParameter, Where, nowhere_in_particular, stiffness_by_motion
+from balance_cli.effects.base import Effect, EffectParameter, Where, nowhere_in_particular, reach, stiffness_by_motion
 from balance_cli.equations import Equations
 from balance_cli.geometry import Geometry
 from balance_cli.jets import Jet, stack
@@ -26,9 +26,10 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     cells = stiffness_by_motion(geometry)
     largest = max(cells[axis] for axis in "xyz")
     # Half way up to the hub: at the origin itself the moments of the springs would have no slope to begin with.
+    far = reach(geometry)
     point = (
         EffectParameter(
-            axis, "m", 0.0, 0.1, f"The point where it holds the plate, {axis}.", start=0.5 * at, secondary=True
+            axis, "m", 0.0, 0.1, f"The point where it holds the plate, {axis}.", -far, far, 0.5 * at, secondary=True
         )
         for axis, at in zip("xyz", geometry.hub, strict=True)
     )

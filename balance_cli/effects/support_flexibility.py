@@ -28,6 +28,7 @@ from balance_cli.effects.base import (
     Where,
     floored,
     inertia_by_motion,
+    reach,
     stiffness_by_motion,
     subsets,
 )
@@ -78,15 +79,16 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         start=0.02,
         secondary=True,
     )
-    return (*_inertias(geometry, where), *compliances, damping, *_centre(where))
+    return (*_inertias(geometry, where), *compliances, damping, *_centre(geometry, where))
 
 
-def _centre(where: Where) -> tuple[EffectParameter, ...]:
+def _centre(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     """Position of the centre, as far as the rotations of the lower body show it."""
     shown = {"psi": "xy", "theta": "xz", "phi": "yz"}
     axes = sorted({axis for name in where for axis in shown.get(name, "")})
+    far = reach(geometry)
     return tuple(
-        EffectParameter(axis, "m", 0.0, 0.05, f"Position of the lower body's centre, {axis}.", secondary=True)
+        EffectParameter(axis, "m", 0.0, 0.05, f"Position {axis} of its centre.", -far, far, secondary=True)
         for axis in axes
     )
 

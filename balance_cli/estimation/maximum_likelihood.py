@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +16,44 @@ from balance_cli.model.balance import BalanceModel
 Array = NDArray[np.float64]
 
 
-def maximum_likelihood(model: BalanceModel, batches: Sequence[Batch], start: Array) -> Minimum:
+ITERATIONS = 60
+# After so many the starts of a fit are compared, and the best goes on alone.
+TRIAL = 12
+
+
+def maximum_likelihood(
+    model: BalanceModel, batches: Sequence[Batch], start: Array, iterations: int = ITERATIONS
+) -> Minimum:
     """Maximise the likelihood of the lines (errors on channels and loads) times the priors, from `start`."""
     return minimise(
         model.parameters,
         start,
         lambda theta: data_curvature(batches, model.system(theta)),
         lambda theta: data_chi2(batches, model.system(theta)),
+        iterations=iterations,
     )
+
+
+def best_of_starts(model: BalanceModel, batches: Sequence[Batch], starts: Mapping[str, Array]) -> tuple[Minimum, str]:
+    """The best maximum that is reached from any of the starts, and the name of that start.
+
+    Which start is nearer in chi-square says little: one that is far in many parameters may lead to the better end.
+    Raises LinAlgError where no rig is like any of them.
+    """
+    trials = {name: _trial(model, batches, start) for name, start in starts.items()}
+    found = {name: trial for name, trial in trials.items() if trial is not None}
+    if not found:
+        raise np.linalg.LinAlgError("no rig is like any of the starts")
+    best = min(found, key=lambda name: found[name].total.chi2)
+    first = found[best]
+    if first.converged:
+        return first, best
+    rest = maximum_likelihood(model, batches, first.theta, ITERATIONS - TRIAL)
+    return replace(rest, iterations=first.iterations + rest.iterations), best
+
+
+def _trial(model: BalanceModel, batches: Sequence[Batch], start: Array) -> Minimum | None:
+    try:
+        return maximum_likelihood(model, batches, start, TRIAL)
+    except np.linalg.LinAlgError:
+        return None

@@ -10,11 +10,16 @@ estimates have hardly any, and come first:
 
        A(w) x = F u,        R x = f,
 
-   are more than the unknown x; with x eliminated by least squares, what is left is free of resonances. (With x taken
-   from some of the equations exactly, it would have the poles of those.) Variable projection: Golub and Pereyra, SIAM
-   J. Numer. Anal. 10 (1973) 413; the derivative is that of Kaufman, BIT 15 (1975) 49.
+   are more than the unknown x; with x eliminated by least squares, what is left is free of the plate's resonances.
+   (With x taken from some of the equations exactly, it would have the poles of those.) Variable projection: Golub and
+   Pereyra, SIAM J. Numer. Anal. 10 (1973) 413; the derivative is that of Kaufman, BIT 15 (1975) 49.
 
-Both are biased by noise, as every equation error is, and serve as a start only.
+The motion of a flexible part is not measured, and its resonance stays. At low frequency it is only a deflection that
+grows with w^2, so lines are taken in from there upwards, each band beginning where the one below it ended (as Bunks et
+al., Geophysics 60 (1995) 1457, do with waves).
+
+Both are biased by noise, as every equation error is, and serve as a start only. Of an effect that is hardly above the
+noise the second says little: then it is better to begin with that effect where it stands, and the rest fitted round it.
 """
 
 from __future__ import annotations
@@ -37,9 +42,13 @@ ComplexArray = NDArray[np.complex128]
 
 # A start needs no more lines; beyond this number every second, third .. line serves.
 ENOUGH_LINES = 600
-# Scales within which channels are aligned: what two of them share cannot be seen in their ratio.
+# Scales within which effects are sought: what two channels share cannot be seen in their ratio, for one.
 WITHIN = 100.0
-ROUNDS = 3
+# Scales within which an effect stays where it stands.
+HELD = 1e-3
+# Highest frequencies [Hz] of the bands that are taken in one after another where parts are flexible.
+BANDS = (20.0, 40.0, 80.0, np.inf)
+ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -50,21 +59,32 @@ class Residual:
     slope: ComplexArray
 
 
+@dataclass(frozen=True)
+class Starts:
+    """Two full parameter vectors: effects where they stand with the rest fitted round them, and everything fitted."""
+
+    held: Array
+    freed: Array
+
+
 def starting_values(
     parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], start: Array
-) -> Array:
-    """The full parameter vector after both estimates, from `start`; priors hold what the data leave open."""
-    near = parameters_within(parameters, start)
-    stride = 1 + sum(len(batch.index) for batch in batches) // ENOUGH_LINES
-    aligned = _minimum(near, [_alignment(batch, stride) for batch in batches], system, start)
+) -> Starts:
+    """Where to begin, from `start`; priors hold what the data leave open."""
+    near = parameters_within(parameters, start, WITHIN)
+    aligned = _minimum(near, [_alignment(batch, _stride(batches)) for batch in batches], system, start)
     known = system(aligned)
-    return _minimum(parameters, [_motion(batch, known, stride) for batch in batches], system, aligned)
+    held = _minimum(parameters_within(parameters, aligned, HELD), _motions(batches, known), system, aligned)
+    freed = held
+    for highest in BANDS if np.any(known.own_stiffness) else (np.inf,):
+        freed = _minimum(near, _motions(batches, known, highest), system, freed)
+    return Starts(held, freed)
 
 
-def parameters_within(parameters: ParameterSet, start: Array) -> ParameterSet:
-    """The same parameters, none without a prior: those that had none are held near `start` by a wide one."""
+def parameters_within(parameters: ParameterSet, start: Array, scales: float) -> ParameterSet:
+    """The same parameters, none without a prior: those that had none are held within so many scales of `start`."""
     unknown = np.isinf(parameters.sigma)
-    sigma = np.where(unknown, WITHIN * parameters.scale, parameters.sigma)
+    sigma = np.where(unknown, scales * parameters.scale, parameters.sigma)
     return replace(parameters, value=np.where(unknown, start, parameters.value), sigma=sigma)
 
 
@@ -172,9 +192,15 @@ class _Lines:
         return 1j * np.sign(self.frequency)[:, None]
 
 
-def _motion(batch: Batch, start: System, stride: int) -> Callable[[System], Residual]:
+def _motions(batches: Sequence[Batch], start: System, highest: float = np.inf) -> list[Callable[[System], Residual]]:
+    """The equations of motion of the lines up to `highest` [Hz]."""
+    stride = _stride(batches, highest)
+    return [_motion(batch, start, stride, highest) for batch in batches if batch.frequency[0] <= highest]
+
+
+def _motion(batch: Batch, start: System, stride: int, highest: float) -> Callable[[System], Residual]:
     """What is left of the equations of motion and the readings once the motion of each line has been fitted to both."""
-    measured, chosen = measured_forces(batch, start), _every(batch, stride)
+    measured, chosen = measured_forces(batch, start), _every(batch, stride, highest)
     frequency, loads = measured.frequency[chosen], measured.loads[chosen]
     weight = _row_weight(start, frequency, loads)
     lines = _Lines(measured.spin, frequency, measured.forces[chosen], loads, weight)
@@ -228,10 +254,17 @@ def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
 # ---- shared ----------------------------------------------------------------------------------------------------------
 
 
-def _every(batch: Batch, stride: int) -> NDArray[np.intp]:
-    """Every `stride`-th line; all at frequency zero, which are few."""
-    still = batch.frequency[batch.index] == 0
-    return np.flatnonzero(still | (np.arange(len(still)) % stride == 0))
+def _stride(batches: Sequence[Batch], highest: float = np.inf) -> int:
+    """Which lines up to `highest` [Hz] are enough: every one, every second ..."""
+    lines = sum(int(np.sum(batch.frequency[batch.index] <= highest)) for batch in batches)
+    return 1 + lines // ENOUGH_LINES
+
+
+def _every(batch: Batch, stride: int, highest: float = np.inf) -> NDArray[np.intp]:
+    """Every `stride`-th line up to `highest` [Hz]; all at frequency zero, which are few."""
+    frequency = batch.frequency[batch.index]
+    below = np.flatnonzero(frequency <= highest)
+    return np.asarray(below[(frequency[below] == 0) | (np.arange(len(below)) % stride == 0)])
 
 
 def _precision(batch: Batch) -> Array:

@@ -31,6 +31,8 @@ Weigh = Callable[[slice, ComplexArray], ComplexArray]
 LARGEST = 10.0
 # Decay, as a logarithm, that leaves nothing of a mode in any line.
 DECAYED = 18.4
+# Growth, as a logarithm, that no record shows.
+GROWN = 50.0
 # Of the largest signal, where a computed one is zero.
 LEAST_SIGNAL = 1e-9
 
@@ -210,8 +212,13 @@ def _real_columns(positive: ComplexArray, negative: ComplexArray) -> ComplexArra
 
 
 def _decay(s: ComplexArray, starts: Array, window: Window) -> tuple[ComplexArray, ComplexArray]:
-    """E (f, m) = (exp(s t_f) - exp(s t_e)) / N for each start, and dE/ds."""
+    """E (f, m) = (exp(s t_f) - exp(s t_e)) / N for each start, and dE/ds.
+
+    LinAlgError for a motion that grows beyond measure: no rig that was recorded does.
+    """
     t_f, t_e = starts[:, None], window.stop
+    if np.any(s.real * t_e > GROWN):
+        raise np.linalg.LinAlgError("the free motion grows without bound")
     share = window.step / (t_e - t_f)
     first, last = np.exp(s * t_f), np.exp(s * t_e)
     E, slope = share * (first - last), share * (t_f * first - t_e * last)

@@ -8,7 +8,8 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from balance_cli.effects import EFFECTS, Effect, EffectParameter, Where
+from balance_cli import effects as library
+from balance_cli.effects import Effect, EffectParameter, Where
 from balance_cli.equations import Equations
 from balance_cli.errors import UserError
 from balance_cli.geometry import DeclaredEffect, Geometry
@@ -78,7 +79,7 @@ class FittedEffect:
 
 def placed(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
     """The effect of this name at this place. UserError where there is no such effect, or not there."""
-    by_name = {effect.name: effect for effect in EFFECTS}
+    by_name = {effect.name: effect for effect in library.EFFECTS}
     if name not in by_name:
         raise UserError(f"there is no effect `{name}`", place="effects", remedy=_nearest(name, tuple(by_name)))
     effect = by_name[name]
@@ -132,7 +133,7 @@ def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
     for i, label in enumerate(labels):
         if label in labels[:i]:
             raise UserError(f"`{label}` stands twice", place=f"effects[{i}]", remedy="Remove one of them")
-    order = [effect.name for effect in EFFECTS]
+    order = [effect.name for effect in library.EFFECTS]
     return tuple(sorted(found, key=lambda item: (order.index(item.effect.name), item.where)))
 
 

@@ -78,7 +78,7 @@ def _nearest(name: str, known: Iterable[str]) -> str:
 def extension(name: str, where: Iterable[str] = (), **parameters: float | str) -> Extension:
     """The extension of this name, at these places. UserError where no effect or parameter has the name."""
     if name not in EXTENSIONS:
-        raise UserError(f"there is no effect `{name}`", place="effects", remedy=_nearest(name, EXTENSIONS))
+        raise UserError(f"there is no effect `{name}` to simulate", place="effects", remedy=_nearest(name, EXTENSIONS))
     kind = EXTENSIONS[name]
     known = parameter_names(kind)
     for parameter in parameters:

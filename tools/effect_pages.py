@@ -1,0 +1,129 @@
+"""The pages of the effects, docs/effects.md and docs/effects/NAME.md, from the effects themselves (`make docs`)."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import textwrap
+from pathlib import Path
+
+import numpy as np
+
+from balance_cli.effects import EFFECTS, Effect, EffectParameter, Where
+from balance_cli.geometry import Geometry
+from balance_cli.geometry_file import load_geometry
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "docs" / "effects"
+INDEX = ROOT / "docs" / "effects.md"
+EXAMPLE = ROOT / "configs" / "rts-6.yaml"
+
+MARK = "<!-- Written by `make docs` from the effects themselves; changes made here are lost. -->"
+INDEX_HEAD = f"""# Effects
+
+{MARK}
+
+What the rigid balance lacks: each a physical thing, each one file in `balance_cli/effects`. `identify --effect` fits
+them, and the `effects` of a geometry declare them. They act in this order, in whatever order they are named.
+
+| effect | place | what |
+|---|---|---|
+"""
+LEGEND = """At their nulls the balance is as it would be without the effect; a parameter that shapes what others do has
+none of its own. The size is that of a change that matters."""
+INDEX_FOOT = """
+How to add one: [a new effect](new-effect.md). What a simulated rig may have is in the
+[command reference](commands.md#effects-of-simulate).
+"""
+
+
+def pages() -> dict[Path, str]:
+    """Every page by its path."""
+    geometry = load_geometry(EXAMPLE)
+    rows = [f"| [{effect.name}](effects/{effect.name}.md) | {effect.place} | {effect.summary} |" for effect in EFFECTS]
+    index = INDEX_HEAD + "\n".join(rows) + "\n" + INDEX_FOOT
+    return {INDEX: index} | {FOLDER / f"{effect.name}.md": page(effect, geometry) for effect in EFFECTS}
+
+
+def page(effect: Effect, geometry: Geometry) -> str:
+    """The page of one effect, its parameters shown for a rig."""
+    where = _telling_place(effect, geometry)
+    call = f"{effect.name}@{','.join(where)}" if where else effect.name
+    places = len(effect.places(geometry))
+    return "\n".join(
+        [
+            f"# {effect.name}\n",
+            f"{MARK}\n",
+            _paragraph(effect.summary),
+            _paragraph(f"Place: {effect.place}. The rig of `configs/{EXAMPLE.name}` has {_count(places)} for it."),
+            "## What it adds\n",
+            f"{_formulas(effect)}\n",
+            "## Parameters\n",
+            _paragraph(f"Of `{call}` in that rig. {LEGEND}"),
+            "| parameter | unit | null | size | bounds | what |",
+            "|---|---|---|---|---|---|",
+            *(_row(parameter) for parameter in effect.parameters(geometry, where)),
+            "\n## Where it holds\n",
+            _paragraph(effect.validity),
+            "## What it leaves in a residual\n",
+            _paragraph(effect.trace),
+            "## What tells it from others\n",
+            _paragraph(effect.separated_by),
+            "## Reference\n",
+            _paragraph(effect.reference),
+            "[All effects](../effects.md)\n",
+        ]
+    )
+
+
+def _telling_place(effect: Effect, geometry: Geometry) -> Where:
+    """The place with the most parameters, the first of several."""
+    return max(effect.places(geometry), key=lambda where: len(effect.parameters(geometry, where)))
+
+
+def _paragraph(text: str) -> str:
+    return textwrap.fill(" ".join(text.split()), 120, break_long_words=False, break_on_hyphens=False) + "\n"
+
+
+def _count(places: int) -> str:
+    return "one place" if places == 1 else f"{places} places"
+
+
+def _formulas(effect: Effect) -> str:
+    """The docstring of the effect's file."""
+    return inspect.cleandoc(importlib.import_module(effect.apply.__module__).__doc__ or "")
+
+
+def _row(parameter: EffectParameter) -> str:
+    null = "-" if parameter.secondary else _number(parameter.null)
+    size = f"{parameter.scale:.2g} {parameter.fitted_unit}" if parameter.reciprocal else f"{parameter.scale:.2g}"
+    cells = (f"`{parameter.name}`", parameter.unit, null, size, _bounds(parameter), parameter.sentence)
+    return f"| {' | '.join(cells)} |"
+
+
+def _bounds(parameter: EffectParameter) -> str:
+    lower, upper = parameter.lower, parameter.upper
+    if np.isinf(lower) and np.isinf(upper):
+        return "none"
+    if np.isinf(upper):
+        return f"from {_number(lower)}"
+    return f"{_number(lower)} to {_number(upper)}"
+
+
+def _number(value: float) -> str:
+    return "infinite" if np.isinf(value) else f"{value:.3g}"
+
+
+def main() -> None:
+    """Write the pages, and remove those of effects that are no more."""
+    FOLDER.mkdir(exist_ok=True)
+    written = pages()
+    for path in FOLDER.glob("*.md"):
+        if path not in written:
+            path.unlink()
+    for path, text in written.items():
+        path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
