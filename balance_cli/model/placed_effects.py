@@ -158,7 +158,7 @@ def _declared(item: DeclaredEffect, geometry: Geometry, index: int) -> PlacedEff
 
 def _with_choice(item: DeclaredEffect) -> Where:
     """The names of the place, the word that is declared for the effect's choice among them."""
-    choice = next((effect.choice for effect in EFFECTS if effect.name == item.name), None)
+    choice = next((effect.choice for effect in library.EFFECTS if effect.name == item.name), None)
     if choice is None or choice.name not in item.parameters:
         return item.where
     word = str(item.parameters[choice.name])
