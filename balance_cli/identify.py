@@ -90,7 +90,7 @@ def _physical_form(spectra: Spectra, geometry: Geometry, options: IdentifyOption
         minimum, start = _unfitted(model, batches), "geometry"
     else:
         minimum, start = _fitted(model, batches, _driven_batches(spectra, geometry), options)
-    return _described(model, batches, minimum, options.method, start, spectra.channels_left_out)
+    return described(model, batches, minimum, options.method, start, spectra.channels_left_out)
 
 
 def _in_band(lines: Lines, band: tuple[float, float]) -> Lines:
@@ -145,7 +145,7 @@ def _least_squares(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
     return least_squares(rigid.parameters, batches, rigid.system, DYNAMIC)
 
 
-def _described(
+def described(
     model: BalanceModel,
     batches: Sequence[Batch],
     minimum: Minimum,
@@ -153,6 +153,7 @@ def _described(
     start: str,
     left_out: dict[str, dict[str, str]],
 ) -> IdentifiedModel:
+    """The model at a minimum, with all that is known of it; `start` and `method` say how it was found."""
     covariance = covariance_of(minimum.total.information)
     support = parameter_support(model.parameters, minimum.data.information)
     return IdentifiedModel(

@@ -29,6 +29,8 @@ from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
 
+PENALTY = 6.0
+"""What a parameter costs, in -2 ln likelihood."""
 # Steps that tell one start from another, and those of a fit.
 FIRST_STEPS = 8
 STEPS = 15

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates
-from balance_cli.diagnosis.refit import State, refitted_from, settled, with_candidate
+from balance_cli.diagnosis.refit import PENALTY, State, refitted_from, settled, with_candidate
 from balance_cli.diagnosis.score import Score, scores
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.estimation.model_error import with_model_error
@@ -29,8 +29,7 @@ WORTH_IT = 0.2
 MOST_EFFECTS = 12
 # A model error smaller than this share of the response is left to the tests against the noise.
 SMALL_ERROR = 3e-4
-# -2 ln likelihood that a parameter costs, and a share of the model error's own that is no progress.
-PENALTY = 6.0
+# A share of what the model error costs that is no progress.
 SLIGHT = 2e-3
 
 Say = Callable[[str], None]

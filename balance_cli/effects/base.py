@@ -123,7 +123,7 @@ class Effect:
 
     Where there is a `choice`, every word of it makes a place of its own: the word is the last name of `where`.
     `needs_mean`: it shows, among other things, in the mean of a record and in static rows that are not straight, or
-    through channels as functions of time.
+    through channels as functions of time. `needs_spin`: it shows with the rotor turning alone.
     """
 
     name: str
@@ -139,6 +139,7 @@ class Effect:
     searched: Callable[[Geometry], tuple[Where, ...]] | None = None
     starts: Callable[[Geometry, Where], tuple[Mapping[str, float], ...]] | None = None
     once: bool = False
+    needs_spin: bool = False
     empirical: bool = False
     choice: Choice | None = None
     needs_mean: bool = False

@@ -58,4 +58,5 @@ EFFECT = Effect(
     places=_places,
     parameters=_parameters,
     apply=_apply,
+    needs_spin=True,
 )

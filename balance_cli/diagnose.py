@@ -1,0 +1,216 @@
+"""Close the loop: find what a model lacks, add it, and say what it was worth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.diagnosed import (
+    EXPLAINED,
+    NOTHING_MISSING,
+    PARTLY_EXPLAINED,
+    UNEXPLAINED,
+    Diagnosis,
+    Evidence,
+    FoundEffect,
+    Trial,
+)
+from balance_cli.diagnosis.confirm import SIGNIFICANT, Confirmed, Fit, chance, confirm, fitted
+from balance_cli.diagnosis.model_free import model_free_tests
+from balance_cli.diagnosis.needed import STRONG, effect_wald, indistinguishable, pruned, without
+from balance_cli.diagnosis.residual_map import location, residual_map
+from balance_cli.diagnosis.search import Found, search
+from balance_cli.diagnosis.search_lines import search_lines
+from balance_cli.diagnosis.testable import not_testable
+from balance_cli.errors import UserError
+from balance_cli.estimation.likelihood import data_curvature
+from balance_cli.estimation.measurements import Batch, stacked
+from balance_cli.estimation.quality import fit_quality
+from balance_cli.estimation.support import parameter_support
+from balance_cli.identified import FitQuality, IdentifiedModel
+from balance_cli.identify import described, identified_effects
+from balance_cli.model.balance import BalanceModel, balance_model
+from balance_cli.model.placed_effects import FittedEffect, declared_effects
+from balance_cli.spectra import Spectra
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+GOOD_FIT = 1.2
+"""Chi-square per degree of freedom up to which a model describes its data (contract, verdicts)."""
+
+
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """`alternatives`: also look for what cannot be told apart, which takes a refit for each rival."""
+
+    alternatives: bool = True
+
+
+def diagnose(
+    model: IdentifiedModel,
+    spectra: Spectra,
+    options: DiagnoseOptions | None = None,
+    progress: Progress | None = None,
+) -> tuple[Diagnosis, IdentifiedModel]:
+    """The diagnosis, without hold-out runs, and the closed model.
+
+    `spectra` come with means and waveforms. Raises UserError for a model of the paper's form, and without any sweep.
+    """
+    if model.form != "physical":
+        raise UserError("the paper's form has no parameters to add to", "MODEL", remedy="Identify with --form physical")
+    if not spectra.lines:
+        raise UserError("no sweep run to diagnose with", remedy="Give at least one sweep run")
+    say = _Steps(progress)
+    names = model.geometry.channel_names
+    batches = stacked(spectra.lines, spectra.statics, names)
+    start = balance_model(model.geometry)
+    theta = np.array(model.parameters.value, float)
+    say("search")
+    found = search(start, theta, search_lines(spectra, names), say)
+    say("maximum likelihood of all lines")
+    fit = fitted(found.state.model, found.state.theta, batches)
+    confirmed = confirm(fit, batches, 1 + len(found.trials), say)
+    say("what is needed")
+    count = len(confirmed.scores)
+    fit, removed = pruned(confirmed.fit, batches, count, 1 + len(found.trials) + len(confirmed.trials))
+    closed = described(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra.channels_left_out)
+    trials = (*found.trials, *confirmed.trials, *removed)
+    options = options or DiagnoseOptions()
+    effects = _effects(fit, closed, batches, trials, found, confirmed, model, options, say)
+    before = (start, theta)
+    quality = _quality(start, theta, batches)
+    residuals = residual_map(batches, before, (fit.model, fit.theta))
+    verdict = _verdict(effects, confirmed, closed.quality)
+    diagnosis = Diagnosis(
+        geometry=model.geometry,
+        verdict=verdict,
+        effects=effects,
+        trials=trials,
+        tests=model_free_tests(spectra, model.geometry, float(closed.modes.frequency.min())),
+        not_testable=not_testable(confirmed.scores, spectra),
+        chi2_per_dof_before=quality.chi2_per_dof,
+        chi2_per_dof_after=closed.quality.chi2_per_dof,
+        frf_error_before=quality.frf_error,
+        frf_error_after=closed.quality.frf_error,
+        modes_before=model.modes,
+        modes_after=closed.modes,
+        residual=residuals,
+        candidates=count,
+        location="" if verdict in (NOTHING_MISSING, EXPLAINED) else location(residuals),
+        notes=_notes(spectra),
+    )
+    say("done")
+    return diagnosis, closed
+
+
+class _Steps:
+    """Tells the progress; every call is a step further, the last one the end."""
+
+    EXPECTED = 16
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress, self._count = progress, 0
+
+    def __call__(self, what: str) -> None:
+        self._count += 1
+        if self._progress is not None:
+            self._progress(what, 1.0 if what == "done" else min(self._count / self.EXPECTED, 0.95))
+
+
+def _quality(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> FitQuality:
+    """How well the model given describes the lines, as it is."""
+    system = model.system(theta)
+    determined = parameter_support(model.parameters, data_curvature(batches, system).information).determined
+    return fit_quality(batches, system, determined)
+
+
+def _verdict(effects: Sequence[FoundEffect], confirmed: Confirmed, quality: FitQuality) -> str:
+    """As in the contract; a fit that is no good is never `nothing missing`."""
+    described_well = confirmed.left >= SIGNIFICANT and quality.chi2_per_dof <= GOOD_FIT
+    if not effects:
+        return NOTHING_MISSING if described_well else UNEXPLAINED
+    return EXPLAINED if described_well else PARTLY_EXPLAINED
+
+
+def _effects(
+    fit: Fit,
+    closed: IdentifiedModel,
+    batches: Sequence[Batch],
+    trials: Sequence[Trial],
+    found: Found,
+    confirmed: Confirmed,
+    model: IdentifiedModel,
+    options: DiagnoseOptions,
+    say: Callable[[str], None],
+) -> tuple[FoundEffect, ...]:
+    """The effects that the loop has added, strongest first; those of the model given are not news."""
+    given = {one.label for one in declared_effects(model.geometry)}
+    described_effects = {one.label: one for one in identified_effects(closed)}
+    rivals = {**_search_rivals(found), **{label: _within(gaps) for label, gaps in confirmed.rivals.items()}}
+    result = []
+    for one in declared_effects(fit.model.geometry):
+        if one.label in given:
+            continue
+        say(f"evidence of {one.label}")
+        gain, known = effect_wald(fit, one)
+        if gain < STRONG:
+            gain = without(fit, one, batches).chi2 - fit.chi2
+        same = indistinguishable(fit, one, batches, rivals.get(one.label, ())) if options.alternatives else ()
+        came = next((item for item in trials if item.decision == "accepted" and _same(item.label, one.label)), None)
+        evidence = Evidence(
+            gain=gain,
+            parameters=known,
+            p_value=chance(gain, max(known, 1), len(confirmed.scores)),
+            score=came.score if came else float("nan"),
+            folds=came.gain if came else float("nan"),
+            round=came.round if came else 0,
+            empirical=one.effect.empirical,
+        )
+        result.append(_found(described_effects[one.label], evidence, same, one.effect.separated_by))
+    return tuple(sorted(result, key=lambda item: -item.evidence.gain))
+
+
+def _same(tried: str, label: str) -> bool:
+    """Whether an effect that was tried is this one, perhaps at a smaller place by now."""
+    name, _, where = label.partition("@")
+    other, _, there = tried.partition("@")
+    return name == other and set(where.split(",")) <= set(there.split(","))
+
+
+def _search_rivals(found: Found) -> dict[str, tuple[str, ...]]:
+    """Rivals that came near an effect in its round of the search."""
+    near = {}
+    for label, gains in found.rivals.items():
+        near[label] = tuple(name for name, gain in gains.items() if name != label and gain > 0.9 * gains[label])
+    return near
+
+
+def _within(gaps: dict[str, float]) -> tuple[str, ...]:
+    return tuple(name for name, gap in sorted(gaps.items(), key=lambda item: item[1]) if gap < NEAR)
+
+
+NEAR = 30.0
+"""Chi-square by which a rival may have been behind in its round and still be looked at in the end."""
+
+
+def _found(effect: FittedEffect, evidence: Evidence, same: tuple[str, ...], separated_by: str) -> FoundEffect:
+    return FoundEffect(effect.name, effect.where, effect.parameters, evidence, same, separated_by if same else "")
+
+
+def _notes(spectra: Spectra) -> tuple[str, ...]:
+    """What the runs given leave untested."""
+    notes = []
+    levels = {(run.components, run.rotor_speed): set() for run in spectra.lines}  # type: ignore[var-annotated]
+    for run in spectra.lines:
+        levels[(run.components, run.rotor_speed)].add(tuple(run.level))
+    if all(len(each) == 1 for each in levels.values()):
+        notes.append("every component was excited at one level only: nothing was compared across levels")
+    if len({run.rotor_speed for run in spectra.lines}) == 1:
+        notes.append("all sweeps have one rotor speed: nothing was compared across speeds")
+    if not spectra.statics:
+        notes.append("no static run: what the balance does at rest was not tested")
+    return tuple(notes)

@@ -1,0 +1,152 @@
+"""Against the noise alone, with all lines: what is still missing, and what is no longer needed.
+
+Where the search has ended (or nothing was wrong), a candidate must show more than chance allows among all that were
+tried, must gain on blocks of lines that its step has not seen, and must keep its gain when everything is refitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.diagnosed import Trial
+from balance_cli.diagnosis.candidates import Candidate, candidates
+from balance_cli.diagnosis.folds import fold_gain
+from balance_cli.diagnosis.refit import PENALTY
+from balance_cli.diagnosis.score import Score, extended, scores, with_candidates
+from balance_cli.estimation.gauss_newton import Minimum
+from balance_cli.estimation.maximum_likelihood import maximum_likelihood
+from balance_cli.estimation.measurements import Batch
+from balance_cli.model.balance import BalanceModel
+
+Array = NDArray[np.float64]
+
+SIGNIFICANT = 0.01
+"""Corrected probability below which a gain is no chance."""
+MOST_ROUNDS = 8
+# Candidates of a round that are refitted, and how near the best score they come, that a refit may turn them round.
+MOST_REFITS = 4
+NEAR_BEST = 12.0
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model and its maximum likelihood on all lines."""
+
+    model: BalanceModel
+    minimum: Minimum
+
+    @property
+    def theta(self) -> Array:
+        """The estimate."""
+        return self.minimum.theta
+
+    @property
+    def chi2(self) -> float:
+        """Chi-square of data and priors."""
+        return self.minimum.total.chi2
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """The fit with what was added, the scores at its end, and by label how much more chi-square each rival left.
+
+    `left`: the smallest corrected probability of a candidate that did not turn out to be chance.
+    """
+
+    fit: Fit
+    trials: tuple[Trial, ...]
+    scores: tuple[Score, ...]
+    rivals: dict[str, dict[str, float]]
+    left: float
+
+
+def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Fit:
+    """The maximum likelihood from `theta`."""
+    return Fit(model, maximum_likelihood(model, batches, theta))
+
+
+def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> Confirmed:
+    """Add what is significant, one by one."""
+    trials: list[Trial] = []
+    rivals: dict[str, dict[str, float]] = {}
+    refused: set[str] = set()
+    found: tuple[Score, ...] = ()
+    left = 1.0
+    for number in range(first_round, first_round + MOST_ROUNDS):
+        say(f"all lines, round {number}")
+        found = scores(fit.model, fit.theta, batches, candidates(fit.model.geometry))
+        open_ones = [score for score in found if score.candidate.label not in refused]
+        left = min((chance(score.gain, score.parameters, len(found)) for score in open_ones), default=1.0)
+        chosen = significant(open_ones, len(found))
+        if not chosen:
+            break
+        tried = [_refitted(fit, score, batches) for score in chosen]
+        best = max(range(len(tried)), key=lambda i: fit.chi2 - tried[i].chi2 - PENALTY * chosen[i].parameters)
+        folds = fold_gain(fit.model, fit.theta, batches, chosen[best])
+        accepted = chance(fit.chi2 - tried[best].chi2, chosen[best].parameters, len(found)) < SIGNIFICANT and folds > 0
+        for i, (score, new) in enumerate(zip(chosen, tried, strict=True)):
+            trials.append(_trial(number, score, fit.chi2 - new.chi2, len(found), accepted and i == best))
+        if accepted:
+            label = chosen[best].candidate.label
+            others = {
+                chosen[i].candidate.label: tried[i].chi2 - tried[best].chi2 for i in range(len(tried)) if i != best
+            }
+            rivals[label], fit = others, tried[best]
+        else:
+            refused.update(score.candidate.label for score in chosen)
+    return Confirmed(fit, tuple(trials), found, rivals, left)
+
+
+def significant(found: Sequence[Score], count: int) -> list[Score]:
+    """The best candidates by what they would gain less their price, where the best is significant at all."""
+    worth = sorted(found, key=lambda score: PENALTY * score.parameters - score.gain)
+    if not worth or chance(worth[0].gain, worth[0].parameters, count) >= SIGNIFICANT:
+        return []
+    best = worth[0].gain - PENALTY * worth[0].parameters
+    near = [score for score in worth if score.gain - PENALTY * score.parameters > best - NEAR_BEST - 0.1 * best]
+    return near[:MOST_REFITS]
+
+
+def chance(gain: float, parameters: int, count: int) -> float:
+    """Probability that the best of `count` candidates gains so much where nothing is missing (Bonferroni)."""
+    from scipy.stats import chi2
+
+    return min(1.0, count * float(chi2.sf(gain, parameters)))
+
+
+def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
+    """The fit with a candidate added, from where its score was taken."""
+    return min(
+        (_from(fit, score.candidate, score.start, started, batches) for started in _ways(score.candidate)),
+        key=lambda item: item.chi2,
+    )
+
+
+def _ways(candidate: Candidate) -> tuple[bool, ...]:
+    """Begin away from the null; at it, too, where nothing shapes what it does."""
+    return (True,) if any(item.secondary for item in candidate.one.parameters) else (False,)
+
+
+def _from(fit: Fit, candidate: Candidate, number: int, started: bool, batches: Sequence[Batch]) -> Fit:
+    geometry = with_candidates(fit.model.geometry, [(candidate, number)], started)
+    model, theta = extended(fit.model, fit.theta, geometry)
+    return fitted(model, theta, batches)
+
+
+def _trial(number: int, score: Score, gain: float, count: int, accepted: bool) -> Trial:
+    return Trial(
+        round=number,
+        label=score.candidate.label,
+        score=score.gain,
+        parameters=score.parameters,
+        p_value=min(1.0, count * score.p_value),
+        gain=gain,
+        decision="accepted" if accepted else "rejected",
+        why="" if accepted else "another gained more, or the gain did not hold",
+    )

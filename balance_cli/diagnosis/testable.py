@@ -1,0 +1,36 @@
+"""Effects of which the given runs hold nothing, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from balance_cli import effects
+from balance_cli.diagnosed import Untestable
+from balance_cli.diagnosis.score import Score
+from balance_cli.effects import Effect
+from balance_cli.spectra import Spectra
+
+BLIND = 1e-3
+"""Chi-square by which a change that matters is no change at all."""
+WEAK = 4.0
+"""Chi-square below which a change that matters cannot be told from noise."""
+
+
+def not_testable(scores: Sequence[Score], spectra: Spectra) -> tuple[Untestable, ...]:
+    """Each effect that was a candidate and could not show at any of its places, the empirical ones left out."""
+    found = []
+    for effect in effects.EFFECTS:
+        expected = [score.expected for score in scores if score.candidate.effect.name == effect.name]
+        if expected and max(expected) < WEAK:
+            found.append(Untestable(effect.name, _why(effect, max(expected), spectra)))
+    return tuple(found)
+
+
+def _why(effect: Effect, expected: float, spectra: Spectra) -> str:
+    if expected >= BLIND:
+        return f"a change that matters would change chi-square by {expected:.1g} only"
+    if effect.needs_spin and not any(run.rotor_speed for run in spectra.lines):
+        return "all runs were recorded at rest; it needs sweeps with the rotor turning"
+    if effect.needs_mean and not any((run.frequency == 0).any() for run in spectra.lines):
+        return "no record has a mean that a channel measures"
+    return "no run holds anything of it; " + effect.separated_by[0].lower() + effect.separated_by[1:]
