@@ -28,6 +28,7 @@ from balance_cli.diagnosis.testable import not_testable
 from balance_cli.errors import UserError
 from balance_cli.estimation.likelihood import data_curvature
 from balance_cli.estimation.measurements import Batch, stacked
+from balance_cli.estimation.model_error import with_model_error
 from balance_cli.estimation.quality import fit_quality
 from balance_cli.estimation.support import parameter_support
 from balance_cli.identified import FitQuality, IdentifiedModel
@@ -41,6 +42,10 @@ Progress = Callable[[str, float], None]
 
 GOOD_FIT = 1.2
 """Chi-square per degree of freedom up to which a model describes its data (contract, verdicts)."""
+
+
+WRONG = 3e-3
+"""Model error at the end of a search, a share of the response, that goes on into the weights."""
 
 
 @dataclass(frozen=True)
@@ -72,15 +77,19 @@ def diagnose(
     say("search")
     found = search(start, theta, search_lines(spectra, names), say)
     say("maximum likelihood of all lines")
-    fit = fitted(found.state.model, found.state.theta, batches)
-    confirmed = confirm(fit, batches, 1 + len(found.trials), say)
+    # While the model is still wrong, nothing can be judged by the noise alone.
+    wrong = found.state.error > WRONG
+    judged = with_model_error(batches, found.state.shares) if wrong else batches
+    fit = fitted(found.state.model, found.state.theta, judged)
+    rounds = max((trial.round for trial in found.trials), default=0)
+    confirmed = confirm(fit, judged, rounds + 1, say)
     say("what is needed")
     count = len(confirmed.scores)
-    fit, removed = pruned(confirmed.fit, batches, count, 1 + len(found.trials) + len(confirmed.trials))
+    fit, removed = pruned(confirmed.fit, judged, count, rounds + len({item.round for item in confirmed.trials}) + 1)
     closed = described(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra.channels_left_out)
     trials = (*found.trials, *confirmed.trials, *removed)
     options = options or DiagnoseOptions()
-    effects = _effects(fit, closed, batches, trials, found, confirmed, model, options, say)
+    effects = _effects(fit, closed, judged, trials, found, confirmed, model, options, say)
     before = (start, theta)
     quality = _quality(start, theta, batches)
     residuals = residual_map(batches, before, (fit.model, fit.theta))

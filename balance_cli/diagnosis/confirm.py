@@ -16,7 +16,7 @@ from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidates
 from balance_cli.diagnosis.folds import fold_gain
 from balance_cli.diagnosis.refit import PENALTY
-from balance_cli.diagnosis.score import Score, extended, scores, with_candidates
+from balance_cli.diagnosis.score import Score, best_scores, extended, with_candidates
 from balance_cli.estimation.gauss_newton import Minimum
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch
@@ -66,9 +66,9 @@ class Confirmed:
     left: float
 
 
-def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Fit:
+def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch], iterations: int = 60) -> Fit:
     """The maximum likelihood from `theta`."""
-    return Fit(model, maximum_likelihood(model, batches, theta))
+    return Fit(model, maximum_likelihood(model, batches, theta, iterations))
 
 
 def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> Confirmed:
@@ -80,7 +80,7 @@ def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> C
     left = 1.0
     for number in range(first_round, first_round + MOST_ROUNDS):
         say(f"all lines, round {number}")
-        found = scores(fit.model, fit.theta, batches, candidates(fit.model.geometry))
+        found = best_scores(fit.model, fit.theta, batches, candidates(fit.model.geometry))
         open_ones = [score for score in found if score.candidate.label not in refused]
         left = min((chance(score.gain, score.parameters, len(found)) for score in open_ones), default=1.0)
         chosen = significant(open_ones, len(found))

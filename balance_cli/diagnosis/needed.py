@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates, smaller_places, tested
 from balance_cli.diagnosis.confirm import SIGNIFICANT, Fit, chance, fitted
-from balance_cli.diagnosis.score import extended, scores, with_candidates
+from balance_cli.diagnosis.score import best_scores, extended, with_candidates
 from balance_cli.effects import Where
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.support import covariance_of
@@ -177,6 +177,6 @@ def _near(fit: Fit, one: PlacedEffect, batches: Sequence[Batch], gain: float) ->
     """Candidates that score about as well as the effect where it is taken out."""
     less = without(fit, one, batches)
     lost = less.chi2 - fit.chi2
-    found = scores(less.model, less.theta, batches, candidates(balance_model(less.model.geometry).geometry))
+    found = best_scores(less.model, less.theta, batches, candidates(balance_model(less.model.geometry).geometry))
     near = [item for item in found if item.candidate.label != one.label and item.gain > lost - SHORT - 0.1 * lost]
     return [item.candidate.label for item in sorted(near, key=lambda item: -item.gain)]

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 PENALTY = 6.0
 """What a parameter costs, in -2 ln likelihood."""
 # Steps that tell one start from another, and those of a fit.
-FIRST_STEPS = 8
+FIRST_STEPS = 6
 STEPS = 15
 ROUNDS = 8
 # A step that promises less chi-square is the last.
@@ -65,15 +65,18 @@ class State:
         return float(np.sqrt(np.mean(np.square(list(self.shares.values())))))
 
 
-def settled(model: BalanceModel, theta: Array, lines: SearchLines) -> State:
+def settled(model: BalanceModel, theta: Array, lines: SearchLines, near: Shares | None = None) -> State:
     """Fit and model error in turn, until the error no longer shrinks."""
-    shares = shares_that_explain(lines.fitted, model.system(theta))
+    shares = shares_that_explain(lines.fitted, model.system(theta), near)
     for _ in range(ROUNDS):
         theta = steps(model, theta, with_model_error(lines.fitted, shares), STEPS)
-        before, shares = shares, shares_that_explain(lines.fitted, model.system(theta))
+        before, shares = shares, shares_that_explain(lines.fitted, model.system(theta), shares)
         if all(shares[run] >= (1.0 - SETTLED) * before[run] for run in shares):
             break
-    return State(model, theta, shares, criterion(model, theta, lines.fitted), criterion(model, theta, lines.folds))
+    prior = prior_curvature(model.parameters, theta).chi2
+    other = shares_that_explain(lines.folds, model.system(theta), shares)
+    fitted, folds = (criterion(model, theta, *pair) + prior for pair in ((lines.fitted, shares), (lines.folds, other)))
+    return State(model, theta, shares, fitted, folds)
 
 
 def steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int) -> Array:
@@ -88,20 +91,31 @@ def steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: in
     ).theta
 
 
-def criterion(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
-    """-2 ln likelihood (up to a constant of the data) with the model error that the lines themselves ask for."""
-    system = model.system(theta)
-    shares = shares_that_explain(batches, system)
-    chi2 = data_chi2(with_model_error(batches, shares), system)
-    return chi2 + log_volume(batches, shares) + prior_curvature(model.parameters, theta).chi2
+def criterion(model: BalanceModel, theta: Array, batches: Sequence[Batch], shares: Shares) -> float:
+    """-2 ln likelihood (up to a constant of the data) of these lines, with this model error."""
+    return data_chi2(with_model_error(batches, shares), model.system(theta)) + log_volume(batches, shares)
 
 
-def with_candidate(state: State, candidate: Candidate, lines: SearchLines) -> State:
-    """The model with the candidate, fitted from the best of its starts."""
+@dataclass(frozen=True)
+class Attempt:
+    """A few steps of a candidate's fit, with the model error as it was: how far chi-square falls, and from where on."""
+
+    model: BalanceModel
+    theta: Array
+    gain: float
+
+
+def attempt(state: State, candidate: Candidate, lines: SearchLines) -> Attempt:
+    """The model with the candidate, some steps from the best of its starts."""
     batches = with_model_error(lines.fitted, state.shares)
+    before = _chi2(state.model, state.theta, batches)
     tries = [_tried(state, candidate, n, batches) for n in range(len(candidate.starts))]
-    model, theta, _ = min(tries, key=lambda item: item[2])
-    return settled(model, theta, lines)
+    model, theta, chi2 = min(tries, key=lambda item: item[2])
+    return Attempt(model, theta, before - chi2)
+
+
+def _chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
+    return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
 
 
 def _tried(
@@ -110,7 +124,7 @@ def _tried(
     geometry = with_candidates(state.geometry, [(candidate, number)], started=True)
     model, theta = extended(state.model, state.theta, geometry)
     theta = steps(model, theta, batches, FIRST_STEPS)
-    return model, theta, data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
+    return model, theta, _chi2(model, theta, batches)
 
 
 def refitted_from(state: State, candidate: Candidate, lines: SearchLines) -> State:
@@ -118,7 +132,7 @@ def refitted_from(state: State, candidate: Candidate, lines: SearchLines) -> Sta
     batches = with_model_error(lines.fitted, state.shares)
     tries = [_begun_anew(state, candidate, n, batches) for n in range(len(candidate.starts))]
     theta, _ = min(tries, key=lambda item: item[1])
-    return settled(state.model, theta, lines)
+    return settled(state.model, theta, lines, state.shares)
 
 
 def _begun_anew(state: State, candidate: Candidate, number: int, batches: Sequence[Batch]) -> tuple[Array, float]:
@@ -128,4 +142,4 @@ def _begun_anew(state: State, candidate: Candidate, number: int, batches: Sequen
         place = model.parameters.index(candidate.one.full_name(item))
         theta[place] = start.get(item.fitted_name, item.fitted_start)
     theta = steps(model, theta, batches, FIRST_STEPS)
-    return theta, data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
+    return theta, _chi2(model, theta, batches)

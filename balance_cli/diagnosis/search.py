@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates
-from balance_cli.diagnosis.refit import PENALTY, State, refitted_from, settled, with_candidate
+from balance_cli.diagnosis.refit import PENALTY, Attempt, State, attempt, refitted_from, settled
 from balance_cli.diagnosis.score import Score, scores
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.estimation.model_error import with_model_error
@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 # Leading candidates of a round that are refitted, and the share of the best score that makes one worth it.
 LEADING = 3
 WORTH_IT = 0.2
+# Candidates that are fitted to their end, and the share of the best gain of first steps that makes one of them.
+MOST_SETTLED = 2
+ABOUT_AS_MUCH = 0.8
 # Largest number of effects that a search adds.
 MOST_EFFECTS = 12
 # A model error smaller than this share of the response is left to the tests against the noise.
@@ -78,7 +81,8 @@ def _round(
 ) -> State | None:
     """The state with the best candidate of one round; None where none helps."""
     ranked = ranked_scores(state, lines)
-    tried = [(score, with_candidate(state, score.candidate, lines)) for score in leading(ranked)]
+    attempts = [(score, attempt(state, score.candidate, lines)) for score in leading(ranked)]
+    tried = [(score, settled(one.model, one.theta, lines, state.shares)) for score, one in _worth_settling(attempts)]
     if not tried:
         return None
     gains = {score.candidate.label: state.fitted - new.fitted - PENALTY * score.parameters for score, new in tried}
@@ -86,14 +90,23 @@ def _round(
     label = best_score.candidate.label
     least = max(2.0 * np.log(len(ranked)), SLIGHT * _size(state))
     accepted = gains[label] > least and best.folds < state.folds
-    for score, new in tried:
+    folds = {score.candidate.label: state.folds - new.folds for score, new in tried}
+    for score, one in attempts:
+        name = score.candidate.label
         chosen = accepted and score is best_score
-        why = _why(gains[score.candidate.label], least, state.folds - new.folds, chosen)
-        trials.append(_trial(number, score, gains[score.candidate.label], len(ranked), chosen, why))
+        why = "gained less in its first steps" if name not in folds else _why(gains[name], least, folds[name], chosen)
+        trials.append(_trial(number, score, gains.get(name, one.gain), len(ranked), chosen, why))
     if not accepted:
         return None
     rivals[label] = gains
     return best
+
+
+def _worth_settling(attempts: Sequence[tuple[Score, Attempt]]) -> list[tuple[Score, Attempt]]:
+    """Those whose first steps gained about as much as the best one's."""
+    best = max((one.gain for _, one in attempts), default=0.0)
+    worth = [item for item in attempts if item[1].gain > ABOUT_AS_MUCH * best > 0.0]
+    return sorted(worth, key=lambda item: -item[1].gain)[:MOST_SETTLED]
 
 
 def _size(state: State) -> float:

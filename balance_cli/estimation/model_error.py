@@ -34,7 +34,9 @@ LEAST_BAND = 0.5
 LEAST_SHARE = 1e-3
 LARGEST_ERROR = 1.0
 SMALLEST_ERROR = 1e-6
-BISECTIONS = 12
+FIRST_ERROR = 0.1
+ITERATIONS = 8
+EXACT = 0.01
 
 
 def with_model_error(batches: Sequence[Batch], shares: Shares) -> tuple[Batch, ...]:
@@ -99,22 +101,22 @@ def log_volume(batches: Sequence[Batch], shares: Shares) -> float:
     return total
 
 
-def shares_that_explain(batches: Sequence[Batch], system: System) -> Shares:
-    """The share e of each run at which its chi-square is its degrees of freedom; 0 where it is no more already.
+def shares_that_explain(batches: Sequence[Batch], system: System, near: Shares | None = None) -> Shares:
+    """The share e of each run at which its chi-square is its degrees of freedom; 0 where it is no more without any.
 
-    Chi-square falls as e grows: bisection in ln e, all runs at once.
+    Where the error outweighs the noise chi-square goes as 1/e^2: e <- e sqrt(chi2 / dof), all runs at once.
     """
     names = [name for batch in batches for name in batch.runs]
     dof = np.concatenate([np.bincount(batch.run, batch.count, len(batch.runs)) for batch in batches])
     wrong = _run_chi2(batches, system) > dof
-    low = np.full(len(names), np.log(SMALLEST_ERROR))
-    high = np.full(len(names), np.log(LARGEST_ERROR))
-    for _ in range(BISECTIONS if wrong.any() else 0):
-        middle = 0.5 * (low + high)
-        trial = dict(zip(names, np.where(wrong, np.exp(middle), 0.0).tolist(), strict=True))
-        too_small = _run_chi2(with_model_error(batches, trial), system) > dof
-        low, high = np.where(too_small, middle, low), np.where(too_small, high, middle)
-    return dict(zip(names, np.where(wrong, np.exp(high), 0.0).tolist(), strict=True))
+    shares = np.array([(near or {}).get(name, 0.0) or FIRST_ERROR for name in names])
+    for _ in range(ITERATIONS if wrong.any() else 0):
+        trial = dict(zip(names, np.where(wrong, shares, 0.0).tolist(), strict=True))
+        ratio = np.sqrt(_run_chi2(with_model_error(batches, trial), system) / dof)
+        shares = np.clip(shares * ratio, SMALLEST_ERROR, LARGEST_ERROR)
+        if np.all(np.abs(ratio[wrong] - 1.0) < EXACT):
+            break
+    return dict(zip(names, np.where(wrong & (shares > SMALLEST_ERROR), shares, 0.0).tolist(), strict=True))
 
 
 def _run_chi2(batches: Sequence[Batch], system: System) -> Array:
