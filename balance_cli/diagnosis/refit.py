@@ -105,13 +105,12 @@ class Attempt:
     gain: float
 
 
-def attempt(state: State, candidate: Candidate, lines: SearchLines) -> Attempt:
-    """The model with the candidate, some steps from the best of its starts."""
+def attempts(state: State, candidate: Candidate, lines: SearchLines) -> tuple[Attempt, ...]:
+    """The model with the candidate, some steps from each of its starts."""
     batches = with_model_error(lines.fitted, state.shares)
     before = _chi2(state.model, state.theta, batches)
     tries = [_tried(state, candidate, n, batches) for n in range(len(candidate.starts))]
-    model, theta, chi2 = min(tries, key=lambda item: item[2])
-    return Attempt(model, theta, before - chi2)
+    return tuple(Attempt(model, theta, before - chi2) for model, theta, chi2 in tries)
 
 
 def _chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
@@ -127,19 +126,13 @@ def _tried(
     return model, theta, _chi2(model, theta, batches)
 
 
-def refitted_from(state: State, candidate: Candidate, lines: SearchLines) -> State:
-    """The same effects, with one of them begun anew from its best start and the others as they are."""
-    batches = with_model_error(lines.fitted, state.shares)
-    tries = [_begun_anew(state, candidate, n, batches) for n in range(len(candidate.starts))]
-    theta, _ = min(tries, key=lambda item: item[1])
-    return settled(state.model, theta, lines, state.shares)
-
-
-def _begun_anew(state: State, candidate: Candidate, number: int, batches: Sequence[Batch]) -> tuple[Array, float]:
-    model, theta = state.model, state.theta.copy()
-    start = candidate.starts[number]
-    for item in candidate.one.parameters:
-        place = model.parameters.index(candidate.one.full_name(item))
-        theta[place] = start.get(item.fitted_name, item.fitted_start)
-    theta = steps(model, theta, batches, FIRST_STEPS)
-    return theta, _chi2(model, theta, batches)
+def begun_anew(state: State, candidate: Candidate, lines: SearchLines) -> State:
+    """The same effects, one of them begun anew from each of its starts and the others as they are; the best end."""
+    ends = []
+    for start in candidate.starts:
+        theta = state.theta.copy()
+        for item in candidate.one.parameters:
+            place = state.model.parameters.index(candidate.one.full_name(item))
+            theta[place] = start.get(item.fitted_name, item.fitted_start)
+        ends.append(settled(state.model, theta, lines, state.shares))
+    return min(ends, key=lambda end: end.fitted)

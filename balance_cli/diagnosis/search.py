@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates
-from balance_cli.diagnosis.refit import PENALTY, Attempt, State, attempt, refitted_from, settled
+from balance_cli.diagnosis.refit import PENALTY, Attempt, State, attempts, begun_anew, settled
 from balance_cli.diagnosis.score import Score, scores
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.estimation.model_error import with_model_error
@@ -27,7 +27,7 @@ LEADING = 3
 WORTH_IT = 0.2
 # Candidates that are fitted to their end, and the share of the best gain of first steps that makes one of them.
 MOST_SETTLED = 2
-ABOUT_AS_MUCH = 0.8
+ABOUT_AS_MUCH = 0.7
 # Largest number of effects that a search adds.
 MOST_EFFECTS = 12
 # A model error smaller than this share of the response is left to the tests against the noise.
@@ -81,17 +81,18 @@ def _round(
 ) -> State | None:
     """The state with the best candidate of one round; None where none helps."""
     ranked = ranked_scores(state, lines)
-    attempts = [(score, attempt(state, score.candidate, lines)) for score in leading(ranked)]
-    tried = [(score, settled(one.model, one.theta, lines, state.shares)) for score, one in _worth_settling(attempts)]
+    begun = [(score, one) for score in leading(ranked) for one in attempts(state, score.candidate, lines)]
+    tried = [(score, settled(one.model, one.theta, lines, state.shares)) for score, one in _worth_settling(begun)]
     if not tried:
         return None
-    gains = {score.candidate.label: state.fitted - new.fitted - PENALTY * score.parameters for score, new in tried}
     best_score, best = min(tried, key=lambda item: item[1].fitted)
+    tried = _best_of_each(tried)
+    gains = {score.candidate.label: state.fitted - new.fitted - PENALTY * score.parameters for score, new in tried}
     label = best_score.candidate.label
     least = max(2.0 * np.log(len(ranked)), SLIGHT * _size(state))
     accepted = gains[label] > least and best.folds < state.folds
     folds = {score.candidate.label: state.folds - new.folds for score, new in tried}
-    for score, one in attempts:
+    for score, one in _furthest_of_each(begun):
         name = score.candidate.label
         chosen = accepted and score is best_score
         why = "gained less in its first steps" if name not in folds else _why(gains[name], least, folds[name], chosen)
@@ -102,10 +103,22 @@ def _round(
     return best
 
 
-def _worth_settling(attempts: Sequence[tuple[Score, Attempt]]) -> list[tuple[Score, Attempt]]:
+def _best_of_each(tried: Sequence[tuple[Score, State]]) -> list[tuple[Score, State]]:
+    """Of each candidate the best end."""
+    ends = {score.candidate.label: (score, state) for score, state in sorted(tried, key=lambda item: -item[1].fitted)}
+    return list(ends.values())
+
+
+def _furthest_of_each(begun: Sequence[tuple[Score, Attempt]]) -> list[tuple[Score, Attempt]]:
+    """Of each candidate the start whose first steps gained most."""
+    best = {score.candidate.label: (score, one) for score, one in sorted(begun, key=lambda item: item[1].gain)}
+    return list(best.values())
+
+
+def _worth_settling(begun: Sequence[tuple[Score, Attempt]]) -> list[tuple[Score, Attempt]]:
     """Those whose first steps gained about as much as the best one's."""
-    best = max((one.gain for _, one in attempts), default=0.0)
-    worth = [item for item in attempts if item[1].gain > ABOUT_AS_MUCH * best > 0.0]
+    best = max((one.gain for _, one in begun), default=0.0)
+    worth = [item for item in begun if item[1].gain > ABOUT_AS_MUCH * best > 0.0]
     return sorted(worth, key=lambda item: -item[1].gain)[:MOST_SETTLED]
 
 
@@ -157,6 +170,6 @@ def started_again(state: State, lines: SearchLines) -> State | None:
     for effect in state.geometry.effects:
         candidate: Candidate = candidate_at(effect.name, effect.where, state.geometry)
         if len(candidate.starts) > 1:
-            new = refitted_from(best, candidate, lines)
+            new = begun_anew(best, candidate, lines)
             best = new if new.fitted < best.fitted - PENALTY else best
     return best if best is not state else None

@@ -44,7 +44,7 @@ SMALL = 1e-2
 FLOOR = 1e-6
 # Where a search begins: compliances relative to those of the cells, and the depth of the lower body's centre below the
 # lowest cell, relative to the height of the hub over it.
-SOFTNESS = (0.1, 0.3, 0.03)
+SOFTNESS = (0.1, 0.05, 0.2, 0.025)
 START_DEPTH = 0.2
 
 
