@@ -28,6 +28,8 @@ from balance_cli.model.system import channel_gains
 from balance_cli.signals.lines import Lines
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 NAME = "channels of a cell"
 # Probability below which two channels are held to differ, and what is fitted to describe nothing of all that is there.
@@ -78,15 +80,16 @@ def _pair(runs: Sequence[Lines], first: ChannelPath, second: ChannelPath, tolera
     runs = [run for run in runs if set(names) <= set(run.channel_names)]
     if not runs:
         return None
-    parts = [_ratio_lines(run, (first, second)) for run in runs]
+    parts = [_ratio_lines(run, (first, second), i) for i, run in enumerate(runs)]
+    arrays = ("s", "forces", "covariance", "factor", "ringing", "run")
     joined = RatioLines(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("s", "forces", "covariance", "factor")),
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in arrays),
         gain_sigma=float(np.sqrt(2.0) * tolerance),
     )
     return _Pair(*names, joined, tuple(2.0 * len(part.s) for part in parts), tuple(2.0 * run.dof for run in runs))
 
 
-def _ratio_lines(run: Lines, paths: tuple[ChannelPath, ChannelPath]) -> RatioLines:
+def _ratio_lines(run: Lines, paths: tuple[ChannelPath, ChannelPath], number: int) -> RatioLines:
     """The lines of one run, but for the mean of its record."""
     places = np.array([run.channel_names.index(path.channel) for path in paths])
     moving = np.flatnonzero(run.frequency > 0)
@@ -97,7 +100,22 @@ def _ratio_lines(run: Lines, paths: tuple[ChannelPath, ChannelPath]) -> RatioLin
         run.channels[moving[:, None], places] / gains,
         noise / (gains[:, :, None] * gains[:, None, :].conj()),
         np.full(len(gains), noise_factor(run.dof, 1)),
+        np.stack([_ringing(run, path, moving) for path in paths], axis=1) / gains,
+        np.full(len(gains), number),
     )
+
+
+def _ringing(run: Lines, path: ChannelPath, moving: Index) -> ComplexArray:
+    """Lines (k,) of exp(-t/T) over the window of each, T being the time constant of the channel's declared high-pass."""
+    window = run.window
+    if window is None or not path.high_pass:
+        return np.zeros(len(moving), complex)
+    rate = path.high_pass[0].value
+    start, step = window.start[moving], window.step
+    # The size is free: only the shape counts, and that must not vanish where a record is long.
+    decay = np.exp(-rate * (start - start.min())) - np.exp(-rate * (window.stop - start.min()))
+    turn = np.exp(-(rate + 2j * np.pi * run.frequency[moving]) * step)
+    return np.asarray(decay / (window.stop - start) / (1.0 - turn), complex)
 
 
 def _test(pair: _Pair) -> ModelFreeTest:

@@ -5,7 +5,8 @@ number. s is eliminated like the loads of a fit: e = z_B - r z_A, v = var e,
 
     chi2 = 2 sum |e|^2 / v,     s = z_A - E[n_A e*] e / v,     half gradient = -2 Re sum (dr s)* e / v,
 
-and 2 Re sum (dr s)* (dr s) / v is the information. ln r is a sum of kinds, each zero where its parameter is.
+and 2 Re sum (dr s)* (dr s) / v is the information. ln r is a sum of kinds, each zero where its parameter is. What a
+channel's own slow high-pass still rings in a record, of unknown size, is projected out of e and dr s run by run.
 """
 
 from __future__ import annotations
@@ -61,13 +62,16 @@ LOOKS = (GAIN, DELAY, HIGH_PASS_B)
 class RatioLines:
     """Lines of two channels: s = j w (K,), forces (K, 2), their noise (K, 2, 2), `factor` (K,) that frees the inverse
 
-    of a measured variance of its bias; `gain_sigma`: how well the ratio of the sensitivities is declared.
+    of a measured variance of its bias; `ringing` (K, 2): what a channel's own motion adds to its lines, up to its size
+    in each `run` (K,); `gain_sigma`: how well the ratio of the sensitivities is declared.
     """
 
     s: ComplexArray
     forces: ComplexArray
     covariance: ComplexArray
     factor: Array
+    ringing: ComplexArray
+    run: NDArray[np.intp]
     gain_sigma: float = 0.0
 
     def thinned(self) -> RatioLines:
@@ -79,6 +83,8 @@ class RatioLines:
             forces=self.forces[::n],
             covariance=self.covariance[::n],
             factor=self.factor[::n],
+            ringing=self.ringing[::n],
+            run=self.run[::n],
         )
 
 
@@ -94,7 +100,9 @@ class RatioFit:
 
 def chi2_of(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> float:
     """Chi-square with the prior of the gain, where it has one."""
-    e, v, _ = _residual(lines, _ratio(lines, kinds, values))
+    r = _ratio(lines, kinds, values)
+    e, v, _ = _residual(lines, r)
+    e = _settled(lines, r, lines.factor / v, e[:, None])[:, 0]
     return float(2.0 * np.sum(lines.factor * np.abs(e) ** 2 / v)) + _prior(lines, kinds, values)[0]
 
 
@@ -110,6 +118,19 @@ def _residual(lines: RatioLines, r: ComplexArray) -> tuple[ComplexArray, Array, 
     shared = C[:, 0, 1] - r.conj() * C[:, 0, 0].real
     v = np.real(C[:, 1, 1]) - 2.0 * np.real(r * C[:, 0, 1]) + np.abs(r) ** 2 * np.real(C[:, 0, 0])
     return e, np.maximum(v, np.finfo(float).tiny), shared
+
+
+def _settled(lines: RatioLines, r: ComplexArray, weight: Array, values: ComplexArray) -> ComplexArray:
+    """Values (K, q) without what a real number in each run times each channel's ringing explains, weighted."""
+    for column in (lines.ringing[:, 1], r * lines.ringing[:, 0]):
+        if not column.any():
+            continue
+        size = np.bincount(lines.run, weight * np.abs(column) ** 2)
+        common = np.stack(
+            [np.bincount(lines.run, weight * np.real(column.conj() * value)) for value in values.T], axis=1
+        )
+        values = values - column[:, None] * (common / np.maximum(size, 1e-300)[:, None])[lines.run]
+    return values
 
 
 def _prior(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> tuple[float, Array, Array]:
@@ -129,6 +150,8 @@ def curvature(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> tupl
     D = np.empty((len(r), len(kinds)), complex)
     for i, (kind, value) in enumerate(zip(kinds, values, strict=True)):
         D[:, i] = kind.slope(lines.s, value) * r * force
+    left = _settled(lines, r, weight, np.concatenate([D, e[:, None]], axis=1))
+    D, e = left[:, :-1], left[:, -1]
     gradient = -2.0 * np.real(D.conj().T @ (weight * e)) + prior_gradient
     information = 2.0 * np.real((D.conj() * weight[:, None]).T @ D) + np.diag(prior_information)
     return float(2.0 * np.sum(weight * np.abs(e) ** 2)) + prior, gradient, information
