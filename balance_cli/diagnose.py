@@ -24,6 +24,7 @@ from balance_cli.diagnosis.needed import STRONG, effect_wald, indistinguishable,
 from balance_cli.diagnosis.residual_map import location, residual_map
 from balance_cli.diagnosis.search import Found, search
 from balance_cli.diagnosis.search_lines import search_lines
+from balance_cli.diagnosis.seeds import seeds
 from balance_cli.diagnosis.testable import not_testable
 from balance_cli.errors import UserError
 from balance_cli.estimation.likelihood import data_curvature
@@ -75,7 +76,7 @@ def diagnose(
     start = balance_model(model.geometry)
     theta = np.array(model.parameters.value, float)
     say("search")
-    found = search(start, theta, search_lines(spectra, names), say)
+    found = search(start, theta, search_lines(spectra, names), say, seeds(spectra.lines, model.geometry))
     say("maximum likelihood of all lines")
     # While the model is still wrong, nothing can be judged by the noise alone.
     wrong = found.state.error > WRONG

@@ -160,6 +160,33 @@ def _finding(pair: _Pair, start: RatioFit) -> str:
     return f"neither delay, gain nor filter alone; nearest: {_said(pair, fit, own)} ({left})"
 
 
+@dataclass(frozen=True)
+class PairFit:
+    """The one way in which two channels differ: its `kind`, value, and what it gains in chi-square."""
+
+    first: str
+    second: str
+    kind: str
+    value: float
+    gain: float
+
+
+def differing_pairs(runs: Sequence[Lines], geometry: Geometry) -> tuple[PairFit, ...]:
+    """The pairs of channels that differ in one way, which leaves nothing improbable."""
+    paths = {path.channel: path for path in declared_paths(geometry)}
+    found = []
+    for first, second in channel_pairs(geometry):
+        pair = _pair(runs, paths[first], paths[second], geometry.tolerances.sensitivity)
+        start = None if pair is None else _equal(pair.lines)
+        if pair is None or start is None or _left(pair, start) > IMPROBABLE:
+            continue
+        best = min((with_kind(pair.lines, start, kind) for kind in KINDS), key=lambda one: one.chi2)
+        if best.chi2 < 0.5 * start.chi2 and _left(pair, best) > IMPROBABLE**2:
+            kind, value = best.kinds[-1].name, float(best.values[-1])
+            found.append(PairFit(first, second, kind, value, start.chi2 - best.chi2))
+    return tuple(found)
+
+
 def _said(pair: _Pair, fit: RatioFit, own: int) -> str:
     parts = zip(fit.kinds, fit.values, fit.sigma, strict=True)
     return " and ".join(_one(pair, kind.name, value, sigma) for kind, value, sigma in list(parts)[own:])

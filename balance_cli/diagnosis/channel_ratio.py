@@ -112,7 +112,7 @@ def _ratio(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> Complex
 
 
 def _residual(lines: RatioLines, r: ComplexArray) -> tuple[ComplexArray, Array, ComplexArray]:
-    """e (K,), its variance (K,) and E[n_A e*] (K,)."""
+    """E (K,), its variance (K,) and E[n_A e*] (K,)."""
     C = lines.covariance
     e = lines.forces[:, 1] - r * lines.forces[:, 0]
     shared = C[:, 0, 1] - r.conj() * C[:, 0, 0].real
@@ -193,4 +193,4 @@ def score(lines: RatioLines, fit: RatioFit, kind: Kind) -> float:
     inner = _inverse(information[:-1, :-1])
     s = g[-1] - information[-1, :-1] @ inner @ g[:-1]
     V = information[-1, -1] - information[-1, :-1] @ inner @ information[:-1, -1]
-    return float(s**2 / V) if V > 1e-9 * information[-1, -1] else 0.0
+    return float(s**2 / V) if 1e-9 * information[-1, -1] < V else 0.0

@@ -33,12 +33,12 @@ PENALTY = 6.0
 """What a parameter costs, in -2 ln likelihood."""
 # Steps that tell one start from another, and those of a fit.
 FIRST_STEPS = 6
-STEPS = 15
+STEPS = 12
 ROUNDS = 8
 # A step that promises less chi-square is the last.
-PROMISED = 1.0
+PROMISED = 4.0
 # A model error that shrinks by less than this share in a round has settled.
-SETTLED = 0.05
+SETTLED = 0.1
 
 
 @dataclass(frozen=True)

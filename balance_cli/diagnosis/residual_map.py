@@ -116,7 +116,7 @@ def location(found: ResidualMap) -> str:
     bands = _bands(found.edges, _largest(by[1]))
     return (
         f"Rms {whole:.2f} of the noise; most in {_listed(runs, len(found.runs), 'runs')}, "
-        f"{_listed(bands, len(found.edges) - 1, "bands")}, {_listed(channels, len(found.channels), 'channels')}."
+        f"{_listed(bands, len(found.edges) - 1, 'bands')}, {_listed(channels, len(found.channels), 'channels')}."
     )
 
 
@@ -143,7 +143,9 @@ def _bands(edges: Array, chosen: Sequence[int]) -> list[str]:
         else:
             groups.append([i])
     groups.sort(key=lambda group: min(chosen.index(i) for i in group))
-    return ["at rest" if edges[one[0]] == 0.0 else f"{edges[one[0]]:.4g} to {edges[one[-1] + 1]:.4g} Hz" for one in groups]
+    return [
+        "at rest" if edges[one[0]] == 0.0 else f"{edges[one[0]]:.4g} to {edges[one[-1] + 1]:.4g} Hz" for one in groups
+    ]
 
 
 def _listed(names: Sequence[str], count: int, what: str) -> str:

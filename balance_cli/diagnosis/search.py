@@ -17,6 +17,7 @@ from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates
 from balance_cli.diagnosis.refit import PENALTY, Attempt, State, attempts, begun_anew, settled
 from balance_cli.diagnosis.score import Score, scores
 from balance_cli.diagnosis.search_lines import SearchLines
+from balance_cli.diagnosis.seeds import Seed
 from balance_cli.estimation.model_error import with_model_error
 from balance_cli.model.balance import BalanceModel
 
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 # Leading candidates of a round that are refitted, and the share of the best score that makes one worth it.
 LEADING = 3
 WORTH_IT = 0.2
+# A round that leaves more than this share of the model error may be in a wrong minimum.
+SLOW = 0.7
 # Candidates that are fitted to their end, and the share of the best gain of first steps that makes one of them.
 MOST_SETTLED = 2
 ABOUT_AS_MUCH = 0.7
@@ -47,27 +50,51 @@ class Found:
     rivals: dict[str, dict[str, float]]
 
 
-def search(
-    model: BalanceModel, theta: np.ndarray[tuple[int], np.dtype[np.float64]], lines: SearchLines, say: Say
-) -> Found:
-    """Add effects one by one until none helps; where the error stays large, once more from other starts."""
+def search(model: BalanceModel, theta: Array, lines: SearchLines, say: Say, known: Sequence[Seed] = ()) -> Found:
+    """Add effects one by one until none helps; where the error stays large, once more from other starts.
+
+    What is `known` without the plate comes first.
+    """
     state = settled(model, theta, lines)
     trials: list[Trial] = []
     rivals: dict[str, dict[str, float]] = {}
+    for seed in known:
+        state = _sown(state, seed, lines, trials, rivals)
     stuck = False
     for number in range(1, MOST_EFFECTS + 1):
         if state.error < SMALL_ERROR:
             break
         say(f"search, round {number}: model error {100 * state.error:.2g} %")
         added = _round(state, lines, number, trials, rivals)
+        slow = added is None or added.error > SLOW * state.error
+        state = state if added is None else added
+        if slow and not stuck:
+            again = started_again(state, lines)
+            state, stuck = again or state, again is None
+            if again is not None:
+                continue
+        elif added is not None:
+            stuck = False
         if added is None:
-            again = None if stuck else started_again(state, lines)
-            if again is None:
-                break
-            state, stuck = again, True
-            continue
-        state, stuck = added, False
+            break
     return Found(_unstuck(state, lines), tuple(trials), rivals)
+
+
+def _sown(
+    state: State, seed: Seed, lines: SearchLines, trials: list[Trial], rivals: dict[str, dict[str, float]]
+) -> State:
+    """The state with whichever of the seed's candidates suits the plate better."""
+    begun = [(one, attempts(state, one, lines)[0]) for one in seed.candidates]
+    ends = {one.label: settled(first.model, first.theta, lines, state.shares) for one, first in begun}
+    best = min(ends, key=lambda label: ends[label].fitted)
+    for one, _ in begun:
+        chosen = one.label == best
+        gain = state.fitted - ends[one.label].fitted - PENALTY
+        why = "two channels of one cell differ so" if chosen else "the other channel suits the plate better"
+        decision = "accepted" if chosen else "rejected"
+        trials.append(Trial(0, one.label, seed.gain, 1, 0.0, gain, decision, why))
+    rivals[best] = {label: state.fitted - end.fitted for label, end in ends.items()}
+    return ends[best]
 
 
 def _unstuck(state: State, lines: SearchLines) -> State:

@@ -40,7 +40,9 @@ def search_lines(spectra: Spectra, channel_names: tuple[str, ...]) -> SearchLine
 
 
 def _stacked(lines: Sequence[Lines], spectra: Spectra, channel_names: tuple[str, ...]) -> tuple[Batch, ...]:
-    return stacked(lines, spectra.statics, channel_names)
+    # Of the static runs the straight part: a few lines for a hundred.
+    statics = [replace(points, share=None) for points in spectra.statics]
+    return stacked(lines, statics, channel_names)
 
 
 def _every(lines: Lines, stride: int, first: int) -> Lines:
