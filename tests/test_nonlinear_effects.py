@@ -15,7 +15,8 @@ from balance_cli.estimation.support import unseen
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.identify import identified_effects, identify
 from balance_cli.model.balance import balance_model
-from balance_cli.model.placed_effects import add_effects, declare, declared_effects, without_effects
+from balance_cli.model.fitted_effects import declare
+from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
 from balance_cli.reduce import reduce_run
 from balance_cli.responses import model_source
 from balance_cli.signals.lines import OVERSAMPLING

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.equations import ChannelPath
+from balance_cli.model.channel_gains import channel_dynamics, log_gain_slope
 from balance_cli.model.modes import eigenvalues
-from balance_cli.model.system import System, channel_dynamics, log_gain_slope
+from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
