@@ -97,7 +97,7 @@ def test_found_as_simulated(found, healthy, key):
         spread = np.hypot(3 * parameter.sigma, 0.005 * truth if slips else 0.0)
         assert abs(parameter.value - truth) < spread
         assert parameter.sigma < 0.1 * abs(truth)
-    # The short records hold some of the piezo channels' start, in a linear rig as in this one.
+    print(key, model.quality.chi2_per_dof, healthy.quality.chi2_per_dof)
     assert model.quality.chi2_per_dof < healthy.quality.chi2_per_dof + (0.3 if slips else 0.02)
     assert other.quality.chi2 > model.quality.chi2 + 25
 
