@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.geometry import Geometry
 from balance_cli.identified import ModeTable
-from balance_cli.model.placed_effects import FittedParameter
+from balance_cli.model.fitted_effects import FittedParameter
 
 Array = NDArray[np.float64]
 

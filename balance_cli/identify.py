@@ -22,8 +22,9 @@ from balance_cli.estimation.support import covariance_of, parameter_support, und
 from balance_cli.geometry import Geometry
 from balance_cli.identified import IdentifiedModel, ModeTable, ParameterTable
 from balance_cli.model.balance import BalanceModel, balance_model
+from balance_cli.model.fitted_effects import FittedEffect, declare, fitted_effects
 from balance_cli.model.modes import modes
-from balance_cli.model.placed_effects import FittedEffect, declare, fitted_effects, without_effects
+from balance_cli.model.placed_effects import without_effects
 from balance_cli.paper_form import paper_form
 from balance_cli.signals.lines import Lines
 from balance_cli.spectra import Spectra

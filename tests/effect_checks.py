@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from rigs import rotor_balance
 
 from balance_cli.components import COMPONENTS
-from balance_cli.estimation.likelihood import exciter_response
+from balance_cli.effects import Effect
+from balance_cli.estimation.likelihood import data_chi2, data_curvature, exciter_response
+from balance_cli.estimation.measurements import Batch, stacked
 from balance_cli.geometry import DeclaredEffect, Geometry
 from balance_cli.identified import IdentifiedModel
 from balance_cli.identify import identified_effects, identify
-from balance_cli.model.balance import balance_model, identified_system
+from balance_cli.model.balance import BalanceModel, balance_model, identified_system
+from balance_cli.model.placed_effects import needs_mean
 from balance_cli.model.system import System, output_slopes, response, solve
 from balance_cli.runs import Run
 from balance_cli.simulation import (
@@ -23,8 +26,10 @@ from balance_cli.simulation import (
     SweepPlan,
     TrueRig,
     draw_rig,
+    short_plan,
     simulate_campaign,
     simulate_run,
+    true_rig,
 )
 from balance_cli.simulation.plans import HIGH, statics
 from balance_cli.spectra import measured_spectra
@@ -66,21 +71,38 @@ def measured(system):
     return exciter_response(system, solve(system, FREQUENCY, SPIN))
 
 
+def own_parameters(model: BalanceModel, effect: Effect) -> list[int]:
+    """Which of the model's parameters are the effect's."""
+    own = [i for i, name in enumerate(model.parameters.names) if name.startswith(effect.name)]
+    assert own
+    return own
+
+
+@cache
+def batches() -> tuple[Batch, ...]:
+    """Two sweeps and a static run of the rig as declared, with noise, means and waveforms."""
+    runs, _ = simulate_campaign(true_rig(RIG), short_plan().only(["sweep-Fx", "sweep-Fz", "static-trim"]), seed=2)
+    spectra = measured_spectra(runs, RIG, means=True)
+    return stacked(spectra.lines, spectra.statics, RIG.channel_names)
+
+
 def check_null(effect, where):
-    """At its null the effect leaves every response as it is."""
-    rigid = measured(balance_model(RIG).system())
-    np.testing.assert_allclose(measured(model_with(effect, where, True).system()), rigid, rtol=1e-8, atol=1e-14)
+    """At its null the effect leaves every response, and the likelihood of measured lines, as it is."""
+    rigid, null = balance_model(RIG).system(), model_with(effect, where, True).system()
+    np.testing.assert_allclose(measured(null), measured(rigid), rtol=1e-8, atol=1e-14)
+    np.testing.assert_allclose(data_chi2(batches(), null), data_chi2(batches(), rigid), rtol=1e-6)
 
 
 def check_change(effect, where):
-    """Away from its null it does not."""
-    rigid = measured(balance_model(RIG).system())
-    changed = measured(model_with(effect, where, False).system())
-    assert np.abs(changed - rigid).max() > 1e-6 * np.abs(rigid).max()
+    """Away from its null it does not: one or the other is changed."""
+    rigid, changed = balance_model(RIG).system(), model_with(effect, where, False).system()
+    one, other = measured(rigid), measured(changed)
+    in_response = np.abs(other - one).max() > 1e-6 * np.abs(one).max()
+    assert in_response or abs(data_chi2(batches(), changed) - data_chi2(batches(), rigid)) > 0.1
 
 
 def check_slopes(effect, where):
-    """Slopes by all of its parameters, and by some of the rig's, are the derivatives."""
+    """Slopes of the response by all of its parameters, and by some of the rig's, are the derivatives."""
     model = model_with(effect, where, False)
     theta, scale = model.parameters.value, model.parameters.scale
     system = model.system(theta)
@@ -89,14 +111,25 @@ def check_slopes(effect, where):
     solution = solve(system, FREQUENCY, SPIN)
     slopes = output_slopes(system, solution, np.arange(len(FREQUENCY)), loads @ system.spill.value.T)
     slopes = slopes + response(system, solution) @ np.einsum("pij,kj->kip", system.spill.slope, loads)
-    own = [i for i, name in enumerate(model.parameters.names) if name.startswith(effect.name)]
-    assert own
-    for i in [*own, model.parameters.index("stiffness.z1"), model.parameters.index("centre_of_gravity.z")]:
+    rigid = [model.parameters.index("stiffness.z1"), model.parameters.index("centre_of_gravity.z")]
+    for i in [*own_parameters(model, effect), *rigid]:
         step = 1e-5 * scale[i] * np.eye(len(theta))[i]
         above, below = (np.einsum("kcj,kj->kc", measured(model.system(theta + s)), loads) for s in (step, -step))
         numerical = (above - below) / (2e-5 * scale[i])
         size = max(np.abs(numerical).max(), 1e-9 * np.abs(above).max() / scale[i])
         np.testing.assert_allclose(slopes[:, :, i], numerical, atol=1e-4 * size, err_msg=model.parameters.names[i])
+
+
+def check_likelihood_slopes(effect, where):
+    """The same of the likelihood of measured lines."""
+    model = model_with(effect, where, False)
+    theta, scale = model.parameters.value, model.parameters.scale
+    gradient = 2.0 * data_curvature(batches(), model.system(theta)).gradient
+    for i in [*own_parameters(model, effect), model.parameters.index("stiffness.z1")]:
+        step = 1e-4 * scale[i] * np.eye(len(theta))[i]
+        above, below = (data_chi2(batches(), model.system(theta + s)) for s in (step, -step))
+        numerical, name = (above - below) / 2e-4, model.parameters.names[i]
+        np.testing.assert_allclose(gradient[i] * scale[i], numerical, rtol=1e-2, atol=1e-5 * above, err_msg=name)
 
 
 # ---- recovery from simulated campaigns -------------------------------------------------------------------------------
@@ -119,18 +152,20 @@ def campaign(*components, spinning=False, periods=14, period=1.0):
 class Truth:
     """An effect that a rig truly has: parameters as the simulation knows them, and how the rig gets it.
 
-    `declared` is what a user declares of the effect to begin with.
+    `declared` is what a user declares of the effect to begin with; `bias`: the share of each parameter by which the
+    estimate is known to be off, besides its sigma.
 
     `only_better`: the fitted effect is a description of what the rig has, so its parameters have no true values.
     """
 
     where: tuple[str, ...]
-    parameters: dict[str, float]
+    parameters: dict[str, float | str]
     rig: Callable[[TrueRig], TrueRig]
     plan: CampaignPlan = field(default_factory=campaign)
     spin: float = 0.0
     geometry: Geometry = RIG
-    declared: dict[str, float] = field(default_factory=dict)
+    declared: dict[str, float | str] = field(default_factory=dict)
+    bias: float = 0.0
     only_better: bool = False
 
 
@@ -150,10 +185,13 @@ class Recovery:
 
     @property
     def departures(self) -> dict[str, float]:
-        """Error of each parameter over its sigma; infinite where there is none."""
+        """Error of each parameter over its sigma, the known bias added to that; infinite where there is no sigma."""
         (effect,) = identified_effects(self.found)
+        true = {item.name: float(self.truth.parameters.get(item.name, 0.0)) for item in effect.parameters}
         return {
-            item.name: (item.value - self.truth.parameters.get(item.name, 0.0)) / item.sigma if item.sigma else np.inf
+            item.name: (item.value - true[item.name]) / np.hypot(item.sigma, self.truth.bias * true[item.name])
+            if item.sigma
+            else np.inf
             for item in effect.parameters
         }
 
@@ -163,12 +201,20 @@ def recovered(name: str, truth: Truth, seed: int) -> Recovery:
     geometry, rig = truth.geometry, draw_rig(truth.geometry, np.random.default_rng(seed))
     # A mode of a tenth of a per cent would ring through the whole of so short a record.
     damping = {"damping_ratios": np.maximum(rig.damping_ratios, 0.008)}
-    rig = truth.rig(replace(rig, **damping, torque_damping_ratio=max(rig.torque_damping_ratio, 0.008)))
+    rigid = replace(rig, **damping, torque_damping_ratio=max(rig.torque_damping_ratio, 0.008))
+    rig = truth.rig(rigid)
     runs, _ = simulate_campaign(rig, truth.plan, seed=seed)
-    spectra = measured_spectra(runs, geometry)
     effect = DeclaredEffect(name=name, where=truth.where, parameters=truth.declared)
-    found = identify(spectra, geometry.model_copy(update={"effects": (effect,)}))
-    return Recovery(truth, identify(spectra, geometry), found, response_error(found, rig, truth.spin))
+    with_effect = geometry.model_copy(update={"effects": (effect,)})
+    spectra = measured_spectra(runs, with_effect)
+    found = identify(spectra, with_effect)
+    error = response_error(found, rig if shows_in_response(with_effect) else rigid, truth.spin)
+    return Recovery(truth, identify(spectra, geometry), found, error)
+
+
+def shows_in_response(geometry: Geometry) -> bool:
+    """Whether the declared effects are in the response; others leave it that of the rig without them."""
+    return not needs_mean(geometry)
 
 
 @lru_cache(maxsize=1)
@@ -203,7 +249,9 @@ def check_recovery(found: Recovery, response_limit: float = 4e-4):
     assert found.gain > 300.0
     assert 0.9 < found.found.quality.chi2_per_dof < 1.15
     assert found.response_error < response_limit
-    assert set(found.departures) >= set(found.truth.parameters)
+    assert set(found.departures) >= {
+        name for name, value in found.truth.parameters.items() if not isinstance(value, str)
+    }
     assert all(np.isfinite(departure) for departure in found.departures.values()), found.departures
     assert all(abs(departure) < 4.0 for departure in found.departures.values()), found.departures
 

@@ -6,7 +6,16 @@ import sys
 from pathlib import Path
 
 import pytest
-from effect_checks import RIG, Truth, check_change, check_null, check_recovery, check_slopes, recovered
+from effect_checks import (
+    RIG,
+    Truth,
+    check_change,
+    check_likelihood_slopes,
+    check_null,
+    check_recovery,
+    check_slopes,
+    recovered,
+)
 
 from balance_cli import effects
 from balance_cli.model.placed_effects import add_effects, declared_effects
@@ -51,6 +60,7 @@ def test_it_is_known_at_its_places(effect):
 def test_it_passes_the_checks_of_the_equations(effect, where):
     check_null(effect, where)
     check_slopes(effect, where)
+    check_likelihood_slopes(effect, where)
     check_change(effect, where)
 
 

@@ -10,14 +10,17 @@ from scipy.linalg import expm
 from balance_cli.estimation.likelihood import data_chi2, data_curvature, fitted
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.transients import transient_columns
+from balance_cli.geometry import DeclaredEffect
 from balance_cli.identify import IdentifyOptions, identify
 from balance_cli.model.balance import balance_model
 from balance_cli.model.free_motion import divided_differences, free_motion
 from balance_cli.model.parameters import declared_parameters
+from balance_cli.model.placed_effects import add_effects
 from balance_cli.model.system import solve
 from balance_cli.signals.lines import Window
 from balance_cli.signals.periodic import periodic_record
 from balance_cli.simulation import SweepPlan, draw_rig, simulate_campaign, simulate_run, true_rig
+from balance_cli.simulation.extensions import apply_effects
 from balance_cli.simulation.plans import CampaignPlan, short_plan, standard_plan
 from balance_cli.spectra import Spectra, measured_spectra
 from studies.truth import response_errors, true_parameters
@@ -104,6 +107,99 @@ def test_equal_frequencies_have_slopes():
         change = data_chi2(batches, model.system(theta + step)) - data_chi2(batches, model.system(theta - step))
         numerical = change / (4e-6 * model.parameters.scale[index])
         assert gradient[place] == pytest.approx(numerical, rel=1e-4, abs=1e-6 * np.abs(gradient).max())
+
+
+def forgetful(time_constant=3.0):
+    """The rotor balance with piezos of this time constant [s]."""
+    geometry = rotor_balance()
+    kept = {"time_constant": time_constant}
+    channels = (c if c.time_constant is None else c.model_copy(update=kept) for c in geometry.channels)
+    return geometry.model_copy(update={"channels": tuple(channels)})
+
+
+def short_records(geometry, seed, period=1.0, periods=8, effects=()):
+    """Static runs, and a sweep of each component, of a rig whose modes do not ring for long."""
+    rig = draw_rig(geometry, np.random.default_rng(seed))
+    rig = apply_effects(replace(rig, damping_ratios=np.maximum(rig.damping_ratios, 0.008)), effects)
+    kept = {"sweep": {"period": period, "periods": periods}, "static": {"steps": 5}}
+    plan = [one.model_copy(update=kept[one.kind]) for one in short_plan().runs if one.kind in kept]
+    return simulate_campaign(rig, CampaignPlan(runs=tuple(plan)), seed=seed)[0]
+
+
+def test_start_of_a_high_pass_is_the_sum_over_the_samples():
+    """One volt of a channel that decays with its rate; half of it in the channel that takes that up."""
+    geometry = add_effects(forgetful(), ["crosstalk@x.strain,y1.piezo"])
+    model = balance_model(geometry)
+    theta = model.parameters.value.copy()
+    theta[-1] = 0.5
+    window = Window(np.array([2.0, 3.0]), 8.0, 1 / RATE, np.zeros((2, 1, 1), complex), np.inf)
+    frequency = np.array([3.0, 17.0])
+    found = transient_columns(free_motion(model.system(theta), 0.0, RATE / 2, 1.0), window, frequency)
+    names = geometry.channel_names
+    piezos = [i for i, name in enumerate(names) if name.endswith("piezo")]
+    expected = []
+    for f, start in zip(frequency, window.start, strict=True):
+        t = np.arange(round(start * RATE), round(8 * RATE)) / RATE
+        expected.append(2 * np.mean(np.exp(-t / 3.0 - 2j * np.pi * f * t)))
+    m, own = found.shape[2] // 2, piezos.index(names.index("y1.piezo"))
+    column = found[:, :, m - len(piezos) + own]
+    np.testing.assert_allclose(column[:, names.index("y1.piezo")], expected, rtol=1e-9)
+    np.testing.assert_allclose(column[:, names.index("x.strain")], 0.5 * np.array(expected), rtol=1e-9)
+    assert np.count_nonzero(np.abs(column[0])) == 2
+    assert np.abs(found[:, :, 2 * m - len(piezos) :]).max() < 1e-15
+
+
+def test_gradient_with_the_start_of_high_passes_is_exact():
+    """Of a cutoff and a crosstalk, which shape the decays, and of what shapes the rest."""
+    geometry = add_effects(rotor_balance(), ["high-pass@x.piezo", "high-pass@z1.strain", "crosstalk@x.strain,y1.piezo"])
+    runs = [run for run in short_records(rotor_balance(), 3) if run.name in ("sweep-Fx", "sweep-My")]
+    spectra = measured_spectra(runs, geometry)
+    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    model = balance_model(geometry)
+    theta, scale = model.parameters.value.copy(), model.parameters.scale
+    theta[-3:] = (0.01, 0.02, 0.03)
+    names = (*model.parameters.names[-3:], "stiffness.x", "centre_of_gravity.z")
+    assert all("high-pass" in name or "crosstalk" in name for name in names[:3])
+    curvature = data_curvature(batches, model.system(theta))
+    free = [model.parameters.names[i] for i in np.flatnonzero(model.parameters.free)]
+    for name in names:
+        place, index = free.index(name), model.parameters.index(name)
+        step = 1e-4 * scale[index] * np.eye(len(theta))[index]
+        above, below = (data_chi2(batches, model.system(theta + one)) for one in (step, -step))
+        assert curvature.gradient[place] == pytest.approx((above - below) / (4e-4 * scale[index]), rel=1e-5), name
+
+
+@pytest.mark.parametrize(("period", "periods", "seed"), [(1.0, 8, 1), (1.0, 14, 2), (2.0, 4, 3)])
+def test_chi_square_of_short_records_is_that_of_noise(period, periods, seed):
+    """The piezos' own start is there to the end of the record, and is eliminated."""
+    geometry = rotor_balance()
+    assert {channel.time_constant for channel in geometry.channels} == {None, 3.0}
+    model = identify(measured_spectra(short_records(geometry, seed, period, periods), geometry), geometry)
+    assert 0.98 < model.quality.chi2_per_dof < 1.03
+
+
+def test_cutoff_in_short_records_has_no_bias():
+    """Two high-passes of one channel, one of which nothing is declared of: three rigs."""
+    true, errors = 0.03, []
+    declared = DeclaredEffect(name="high-pass", where=("x.piezo",), parameters={"cutoff": true})
+    for seed in range(1, 4):
+        geometry = add_effects(rotor_balance(), ["high-pass@x.piezo"])
+        spectra = measured_spectra(short_records(rotor_balance(), seed, effects=[declared]), geometry)
+        model = identify(spectra, geometry)
+        assert 0.98 < model.quality.chi2_per_dof < 1.03
+        errors.append((model.parameters.value[-1] - true) / model.parameters.sigma[-1])
+    assert np.abs(errors).max() < 3.0
+    assert np.abs(np.mean(errors)) < 3.0 / np.sqrt(len(errors))
+    assert model.parameters.sigma[-1] < 0.05 * true
+
+
+def test_what_has_decayed_is_not_eliminated():
+    """Of a fast high-pass nothing is left at the start of any window; without one there is nothing to begin with."""
+    fast, slow = (balance_model(forgetful(tau)).system() for tau in (0.05, 3.0))
+    piezos = sum(name.endswith("piezo") for name in fast.channel_names)
+    modes = [free_motion(system, 0.0, RATE / 2, 18.4 / 2.0) for system in (fast, slow)]
+    assert [np.count_nonzero(free.s.imag == 0) for free in modes] == [0, piezos]
+    np.testing.assert_array_equal(modes[1].s[:-piezos], modes[0].s)
 
 
 def test_divided_differences_pass_into_the_derivative():

@@ -20,7 +20,7 @@ from balance_cli.cli.options import InputFile
 
 if TYPE_CHECKING:
     from balance_cli.identified import IdentifiedModel
-    from balance_cli.model.placed_effects import FittedEffect
+    from balance_cli.model.fitted_effects import FittedEffect
 
 FORMAT = "balance-model/1"
 METHODS = ("ls", "ml", "ls+ml", "computed")

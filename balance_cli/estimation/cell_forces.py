@@ -19,17 +19,8 @@ from numpy.typing import NDArray
 from balance_cli.equations import CellForce
 from balance_cli.estimation.measurements import Batch
 from balance_cli.jets import Jet, constant
-from balance_cli.model.system import (
-    Solution,
-    SpringInputs,
-    System,
-    channel_gains,
-    extra_forces,
-    log_gain_slope,
-    output_slopes,
-    solve,
-    volts_of_forces,
-)
+from balance_cli.model.channel_gains import channel_gains, log_gain_slope
+from balance_cli.model.system import Solution, SpringInputs, System, extra_forces, output_slopes, solve, volts_of_forces
 from balance_cli.signals.lines import LoadPoints, RecordWaveform, Waveform
 
 Array = NDArray[np.float64]

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from balance_cli.estimation.gauss_newton import Minimum, minimise
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.estimation.measurements import Batch
+from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.parameters import ParameterSet
-from balance_cli.model.system import System, channel_gains, dynamic_stiffness, slopes_times
+from balance_cli.model.system import System, dynamic_stiffness, slopes_times
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -105,9 +105,10 @@ class Tone:
         power, frequency = self.pickup.power.slope, self.pickup.frequency.slope
         slopes += (self.columns @ unit)[:, :, None] * (0.5 * ratio * power)
         slopes += (self.slope @ self.expected)[:, :, None] * frequency
-        unknown = 1.0 - self.coherence**2
-        change = float(np.trace(self.form(self.slope, self.columns)))
-        gradient = 0.5 * unknown * (self.n * power + self.power * change * frequency)
+        by_power = 0.5 * (self.n - ratio * float(unit @ self.form(self.columns, self.columns) @ self.expected))
+        change = self.form(self.slope, self.columns)
+        by_frequency = 0.5 * self.power * float(np.trace(change)) - float(self.expected @ change @ self.expected)
+        gradient = by_power * power + by_frequency * frequency
         full = self.n**2 / (4.0 * (1.0 + self.power * self.n))
         missing = max(full - 0.25 * ratio**2 * self.n, 0.0)
         turned = self.columns @ np.array([[-unit[1]], [unit[0]]])

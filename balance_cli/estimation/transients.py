@@ -5,7 +5,8 @@ A window of N samples, whole periods of the line, from t_f to t_e holds of a mot
     Z(w) = (v/N) (exp(s t_f) - exp(s t_e)) / (1 - exp((s - jw) h)),        Y = Z(w) + conj Z(-w),
 
 h being the step between samples. The complex amplitudes a (m,) of the modes at t = 0 are unknown in every run: as 2m
-real numbers x they enter Y = C x linearly. What has died away by t_f no line can tell; there the amplitude is held by
+real numbers x they enter Y = C x linearly. The start of a high-pass is one of them, with real s and v: its imaginary
+amplitude is in no line, and stays zero. What has died away by t_f no line can tell; there the amplitude is held by
 what it cannot exceed, a multiple of the rms of the channels: 0 = Q x with unit variance.
 """
 
@@ -67,9 +68,10 @@ class Transient:
 
     @property
     def determined(self) -> float:
-        """Number of amplitudes that the lines determine."""
+        """Number of amplitudes that the lines determine; none of what no live channel reads."""
         held = np.real(self.bound.conj().T @ self.bound)
-        return float(len(self.x) - np.trace(_solve(self.normal, held)))
+        read = np.count_nonzero(np.diag(self.normal) > 0)
+        return float(read - np.trace(_solve(self.normal, held)))
 
 
 def transients(

@@ -2,7 +2,8 @@
 
 The modes s of the upper half plane form an invariant pair, M X S^2 + D X S + (K + jH) X = 0 with S = diag(s), and the
 free motion is q(t) = Re X exp(S t) a with one complex amplitude a per mode. A channel reads Re Phi exp(S t) a with
-Phi = c (r_c X) g_c(S): a filter answers exp(s t) with its gain at s, once its own start has gone.
+Phi = c (r_c X) g_c(S): a filter answers exp(s t) with its gain at s, once its own start has gone. That of a high-pass
+with a rate r takes long: it is a motion exp(-r t) of one channel, with a real amplitude.
 
 A change of parameters changes the pair as a whole; S then is no longer diagonal, but nothing has to be divided by the
 difference of two eigenvalues of it, so that equal frequencies do no harm (Kressner, Numer. Math. 114, 2009). For any
@@ -17,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.equations import ChannelPath
+from balance_cli.model.channel_gains import channel_dynamics, log_gain_slope
 from balance_cli.model.modes import eigenvalues
-from balance_cli.model.system import System, channel_dynamics, log_gain_slope
+from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -29,7 +31,7 @@ SAME = 1e-7
 
 @dataclass(frozen=True)
 class FreeMotion:
-    """Modes s (m,) [1/s] and what the channels read of each, volts (c, m), at t = 0 and unit amplitude.
+    """Modes and starts s (m,) [1/s], and what the channels read of each, volts (c, m), at t = 0 and unit amplitude.
 
     Derivatives by the parameters: s_slope (p, m, m) of the matrix S, volts_slope (p, c, m).
     """
@@ -43,10 +45,14 @@ class FreeMotion:
 def free_motion(
     system: System, spin: float, highest: float, fastest: float = np.inf, slopes: bool = True
 ) -> FreeMotion:
-    """The modes below `highest` [Hz] that decay by no more than `fastest` [1/s], at rotor speed `spin` [Hz].
+    """The modes below `highest` [Hz] and the starts of high-passes, at rotor speed `spin` [Hz].
 
-    Without `slopes` these are empty (p = 0).
+    Only those that decay by no more than `fastest` [1/s]. Without `slopes` these are empty (p = 0).
     """
+    return _together(_modes(system, spin, highest, fastest, slopes), _starts(system, fastest, slopes))
+
+
+def _modes(system: System, spin: float, highest: float, fastest: float, slopes: bool) -> FreeMotion:
     M, D, K = _matrices(system, spin)
     s, left, X = eigenvalues(M, D, K)
     kept = (s.imag < 2 * np.pi * highest) & (-s.real < fastest)
@@ -62,6 +68,29 @@ def free_motion(
     d_volts = gains * d_forces + _gain_slopes(system, s, gains, forces, dS)
     d_volts = system.mixing.value @ d_volts + system.mixing.slope @ (gains * forces)
     return FreeMotion(s, volts, dS, d_volts)
+
+
+def _starts(system: System, fastest: float, slopes: bool) -> FreeMotion:
+    """Of each high-pass what it makes of its own start: s = -r, one volt of its channel; the amplitude is real."""
+    found = [(c, rate) for c, path in enumerate(system.paths) for rate in path.high_pass if 0 < rate.value < fastest]
+    channels, p = [c for c, _ in found], system.parameters if slopes else 0
+    s = np.array([-rate.value for _, rate in found], complex)
+    s_slope = np.zeros((p, len(s), len(s)), complex)
+    if slopes:
+        for i, (_, rate) in enumerate(found):
+            s_slope[:, i, i] = -rate.slope
+    mixing = system.mixing
+    volts_slope = mixing.slope[:p, :, channels].astype(complex)
+    return FreeMotion(s, mixing.value[:, channels].astype(complex), s_slope, volts_slope)
+
+
+def _together(one: FreeMotion, other: FreeMotion) -> FreeMotion:
+    m = len(one.s)
+    s = np.concatenate([one.s, other.s])
+    s_slope = np.zeros((len(one.s_slope), len(s), len(s)), complex)
+    s_slope[:, :m, :m], s_slope[:, m:, m:] = one.s_slope, other.s_slope
+    volts_slope = np.concatenate([one.volts_slope, other.volts_slope], axis=2)
+    return FreeMotion(s, np.concatenate([one.volts, other.volts], axis=1), s_slope, volts_slope)
 
 
 def _matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 
@@ -20,7 +20,8 @@ from balance_cli.model.parameters import ParameterSet
 FEW = 20
 
 
-def _label(name: str, where: Where) -> str:
+def effect_label(name: str, where: Where) -> str:
+    """NAME@PLACE,PLACE as on the command line."""
     return f"{name}@{','.join(where)}" if where else name
 
 
@@ -39,7 +40,7 @@ class PlacedEffect:
     @property
     def label(self) -> str:
         """NAME@PLACE,PLACE as on the command line."""
-        return _label(self.effect.name, self.where)
+        return effect_label(self.effect.name, self.where)
 
     def full_name(self, parameter: EffectParameter) -> str:
         """Name of a fitted parameter among all of a model: `channel-gain@x.strain.gain`."""
@@ -50,31 +51,6 @@ class PlacedEffect:
         if parameter.name not in self.declared:
             return parameter.fitted_start
         return parameter.fitted(float(self.declared[parameter.name]))
-
-
-@dataclass(frozen=True)
-class FittedParameter:
-    """A parameter of an effect as found; sigma is 0 where it was held, infinite where nothing told of it."""
-
-    name: str
-    value: float
-    sigma: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class FittedEffect:
-    """An effect with its parameters as found; `choice` is the name of a parameter that is a word, and the word."""
-
-    name: str
-    where: Where
-    parameters: tuple[FittedParameter, ...]
-    choice: tuple[str, str] | None = None
-
-    @property
-    def label(self) -> str:
-        """NAME@PLACE,PLACE as on the command line."""
-        return _label(self.name, self.where if self.choice is None else (*self.where, self.choice[1]))
 
 
 def placed(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
@@ -194,47 +170,6 @@ def with_effects(equations: Equations, geometry: Geometry, value: Mapping[str, J
         values = {parameter.fitted_name: value[one.full_name(parameter)] for parameter in one.parameters}
         equations = one.effect.apply(equations, geometry, one.where, values)
     return equations
-
-
-def fitted_effects(
-    geometry: Geometry, names: Sequence[str], values: Iterable[float], sigma: Iterable[float]
-) -> tuple[FittedEffect, ...]:
-    """The effects of a geometry with values and sigmas from the parameters of a model, by their names."""
-    found = dict(zip(names, zip(values, sigma, strict=True), strict=True))
-
-    def described(one: PlacedEffect, parameter: EffectParameter) -> FittedParameter:
-        value, spread = (float(number) for number in found[one.full_name(parameter)])
-        sigma = parameter.natural_sigma(value, spread)
-        return FittedParameter(parameter.name, parameter.natural(value), sigma, parameter.unit)
-
-    def described_effect(one: PlacedEffect) -> FittedEffect:
-        where, choice = _apart(one)
-        parameters = tuple(described(one, parameter) for parameter in one.parameters)
-        return FittedEffect(one.effect.name, where, parameters, choice)
-
-    return tuple(described_effect(one) for one in declared_effects(geometry))
-
-
-def _apart(one: PlacedEffect) -> tuple[Where, tuple[str, str] | None]:
-    """Where an effect is, and its choice."""
-    choice = one.effect.choice
-    return (one.where, None) if choice is None else (one.where[:-1], (choice.name, one.where[-1]))
-
-
-def declare(geometry: Geometry, names: Sequence[str], values: Sequence[float]) -> Geometry:
-    """The geometry with its effects declared at these parameter values; an infinite one is its null, and left out."""
-    effects = tuple(
-        DeclaredEffect(
-            name=one.name,
-            where=one.where,
-            parameters={
-                **{item.name: item.value for item in one.parameters if np.isfinite(item.value)},
-                **dict([one.choice] if one.choice else []),
-            },
-        )
-        for one in fitted_effects(geometry, names, values, np.zeros(len(values)))
-    )
-    return geometry.model_copy(update={"effects": effects})
 
 
 def add_effects(geometry: Geometry, words: Sequence[str]) -> Geometry:

@@ -8,7 +8,6 @@ H and L are those of motion; at rest there is neither (their sign is that of the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from balance_cli.equations import CellForce, ChannelPath, Equations, Pickup
 from balance_cli.jets import Jet
+from balance_cli.model.channel_gains import channel_gains, log_gain_slope, path_parameters
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -138,23 +138,6 @@ def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
     return Solution(frequency, spin, to_forces, inverse, forces, channel_gains(system.paths, frequency))
 
 
-def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
-    """The gains g (k, c), volts per unit force of each channel's spring at `frequency` (k,) [Hz]."""
-    s = 2j * np.pi * np.asarray(frequency, float)
-    return np.stack([path.gain.value * channel_dynamics(path, s) for path in paths], axis=1)
-
-
-def channel_dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:
-    """First-order filters and delay of one channel at s (k,), j omega or any other."""
-    value = np.ones_like(s)
-    for tau in path.low_pass:
-        value = value / (1 + s * tau.value)
-    for rate in path.high_pass:
-        # s / (s + r), which is zero at rest for any true high-pass and one where there is none.
-        value = value * (s / (s + rate.value) if rate.value > 0 else 1.0)
-    return value if path.delay is None else value * np.exp(-s * path.delay.value)
-
-
 def response(system: System, solution: Solution) -> ComplexArray:
     """T (k, c, 6): volts per unit hub load, as true loads at the hub (no spill of an exciter)."""
     springs = [path.spring for path in system.paths]
@@ -231,22 +214,6 @@ def slopes_times(slopes: Array, vectors: ComplexArray) -> ComplexArray:
     return np.asarray((vectors @ flat).reshape(len(vectors), a, p))
 
 
-def log_gain_slopes(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
-    """Derivatives (k, c, p) of ln g: of gain, time constants, rates and delay of each channel."""
-    s = 2j * np.pi * np.asarray(frequency, float)[:, None]
-    return np.stack([log_gain_slope(path, s) for path in paths], axis=1)
-
-
-def log_gain_slope(path: ChannelPath, s: ComplexArray) -> ComplexArray:
-    """Derivatives (k, p) of ln g of one channel at s (k, 1)."""
-    slope = np.broadcast_to(path.gain.slope / path.gain.value, (len(s), path.gain.parameters)).astype(complex)
-    for tau in path.low_pass:
-        slope = slope - s / (1 + s * tau.value) * tau.slope
-    for rate in path.high_pass:
-        slope = slope - rate.slope / np.where(s + rate.value == 0, np.inf, s + rate.value)
-    return slope if path.delay is None else slope - s * path.delay.slope
-
-
 def output_slopes(
     system: System, solution: Solution, index: Index, loads: ComplexArray, extra: SpringInputs | None = None
 ) -> ComplexArray:
@@ -264,7 +231,7 @@ def output_slopes(
     slopes[:, :, moving] = gains[:, :, None] * force_slopes(system, solution, index, loads, extra, moving)[:, springs]
     s = np.asarray(2j * np.pi * solution.frequency[:, None], np.complex128)
     for c, path in enumerate(system.paths):
-        own = _path_parameters(path)
+        own = path_parameters(path)
         if own.any():
             slopes[:, c, own] += np.asarray(volts[:, c, None] * log_gain_slope(path, s)[:, own][index])
     if np.any(system.mixing.value != np.eye(len(springs))):
@@ -281,9 +248,3 @@ def moving_parameters(system: System) -> NDArray[np.bool_]:
     parts = (pencil.mass, pencil.damping, pencil.gyroscopic, pencil.stiffness, pencil.hysteresis)
     every = (*parts, system.inputs, system.readings, system.readings_loss, system.reactions)
     return np.asarray(np.any([part.slope.any(axis=(1, 2)) for part in every], axis=0))
-
-
-def _path_parameters(path: ChannelPath) -> NDArray[np.bool_]:
-    """Which parameters (p,) change the gain of a channel."""
-    every = (path.gain, *path.low_pass, *path.high_pass, *(() if path.delay is None else (path.delay,)))
-    return np.asarray(np.any([part.slope != 0 for part in every], axis=0))

@@ -1,0 +1,52 @@
+"""What the channels make of the springs' forces: gain, first-order filters and delay of each, and their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.equations import ChannelPath
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
+    """The gains g (k, c), volts per unit force of each channel's spring at `frequency` (k,) [Hz]."""
+    s = 2j * np.pi * np.asarray(frequency, float)
+    return np.stack([path.gain.value * channel_dynamics(path, s) for path in paths], axis=1)
+
+
+def channel_dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+    """First-order filters and delay of one channel at s (k,), j omega or any other."""
+    value = np.ones_like(s)
+    for tau in path.low_pass:
+        value = value / (1 + s * tau.value)
+    for rate in path.high_pass:
+        # s / (s + r), which is zero at rest for any true high-pass and one where there is none.
+        value = value * (s / (s + rate.value) if rate.value > 0 else 1.0)
+    return value if path.delay is None else value * np.exp(-s * path.delay.value)
+
+
+def log_gain_slopes(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
+    """Derivatives (k, c, p) of ln g: of gain, time constants, rates and delay of each channel."""
+    s = 2j * np.pi * np.asarray(frequency, float)[:, None]
+    return np.stack([log_gain_slope(path, s) for path in paths], axis=1)
+
+
+def log_gain_slope(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+    """Derivatives (k, p) of ln g of one channel at s (k, 1)."""
+    slope = np.broadcast_to(path.gain.slope / path.gain.value, (len(s), path.gain.parameters)).astype(complex)
+    for tau in path.low_pass:
+        slope = slope - s / (1 + s * tau.value) * tau.slope
+    for rate in path.high_pass:
+        slope = slope - rate.slope / np.where(s + rate.value == 0, np.inf, s + rate.value)
+    return slope if path.delay is None else slope - s * path.delay.slope
+
+
+def path_parameters(path: ChannelPath) -> NDArray[np.bool_]:
+    """Which parameters (p,) change the gain of a channel."""
+    every = (path.gain, *path.low_pass, *path.high_pass, *(() if path.delay is None else (path.delay,)))
+    return np.asarray(np.any([part.slope != 0 for part in every], axis=0))

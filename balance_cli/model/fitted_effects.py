@@ -1,0 +1,78 @@
+"""Effects as found: the values of their parameters in a model, and a geometry that declares them so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from balance_cli.effects import EffectParameter, Where
+from balance_cli.geometry import DeclaredEffect, Geometry
+from balance_cli.model.placed_effects import PlacedEffect, declared_effects, effect_label
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """A parameter of an effect as found; sigma is 0 where it was held, infinite where nothing told of it."""
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class FittedEffect:
+    """An effect with its parameters as found; `choice` is the name of a parameter that is a word, and the word."""
+
+    name: str
+    where: Where
+    parameters: tuple[FittedParameter, ...]
+    choice: tuple[str, str] | None = None
+
+    @property
+    def label(self) -> str:
+        """NAME@PLACE,PLACE as on the command line."""
+        return effect_label(self.name, self.where if self.choice is None else (*self.where, self.choice[1]))
+
+
+def fitted_effects(
+    geometry: Geometry, names: Sequence[str], values: Iterable[float], sigma: Iterable[float]
+) -> tuple[FittedEffect, ...]:
+    """The effects of a geometry with values and sigmas from the parameters of a model, by their names."""
+    found = dict(zip(names, zip(values, sigma, strict=True), strict=True))
+
+    def described(one: PlacedEffect, parameter: EffectParameter) -> FittedParameter:
+        value, spread = (float(number) for number in found[one.full_name(parameter)])
+        sigma = parameter.natural_sigma(value, spread)
+        return FittedParameter(parameter.name, parameter.natural(value), sigma, parameter.unit)
+
+    def described_effect(one: PlacedEffect) -> FittedEffect:
+        where, choice = _apart(one)
+        parameters = tuple(described(one, parameter) for parameter in one.parameters)
+        return FittedEffect(one.effect.name, where, parameters, choice)
+
+    return tuple(described_effect(one) for one in declared_effects(geometry))
+
+
+def _apart(one: PlacedEffect) -> tuple[Where, tuple[str, str] | None]:
+    """Where an effect is, and its choice."""
+    choice = one.effect.choice
+    return (one.where, None) if choice is None else (one.where[:-1], (choice.name, one.where[-1]))
+
+
+def declare(geometry: Geometry, names: Sequence[str], values: Sequence[float]) -> Geometry:
+    """The geometry with its effects declared at these parameter values; an infinite one is its null, and left out."""
+    effects = tuple(
+        DeclaredEffect(
+            name=one.name,
+            where=one.where,
+            parameters={
+                **{item.name: item.value for item in one.parameters if np.isfinite(item.value)},
+                **dict([one.choice] if one.choice else []),
+            },
+        )
+        for one in fitted_effects(geometry, names, values, np.zeros(len(values)))
+    )
+    return geometry.model_copy(update={"effects": effects})
