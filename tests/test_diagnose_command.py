@@ -12,6 +12,7 @@ from diagnosis_content import Engine, diagnosis, hold_out
 from balance_cli.artefacts import load_artefact
 from balance_cli.cli import balance
 from balance_cli.cli.diagnosis_text import diagnosis_text
+from balance_cli.components import COMPONENTS
 from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis
 from balance_cli.geometry_file import save_geometry
 from balance_cli.identified import IdentifiedModel
@@ -77,7 +78,7 @@ def test_the_summary_has_the_keys_of_the_contract(diagnose):
     assert told["chi2_per_dof"] == {"before": 2300.0, "after": 1.04}
     run = told["hold_out"]["check-1"]
     assert run["before"].keys() == run["after"].keys() == {"load_error", "interaction", "frf_error"}
-    assert run["after"]["load_error"].keys() | run["after"]["interaction"].keys() == set("Fx Fy Fz Mx My Mz".split())
+    assert run["after"]["load_error"].keys() | run["after"]["interaction"].keys() == set(COMPONENTS)
     assert 0 < run["after"]["frf_error"] < 0.01
     assert told["trials"][0]["decision"] == "accepted"
     assert len(told["modes"]["before"]) == 7

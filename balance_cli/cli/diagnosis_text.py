@@ -8,18 +8,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from balance_cli.components import COMPONENTS
-from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis
+from balance_cli.diagnosed import MEANING, Diagnosis
 
 if TYPE_CHECKING:
     from balance_cli.diagnosed import FoundEffect, HoldOut, RunErrors
     from balance_cli.identified import IdentifiedModel, ModeTable
 
-MEANING = {
-    NOTHING_MISSING: "no candidate says anything that chance would not",
-    EXPLAINED: "with these effects the model describes the data within their noise",
-    PARTLY_EXPLAINED: "these effects are there, and something else is left",
-    UNEXPLAINED: "something is missing that no effect of the library accounts for",
-}
 COLUMN = 9
 """Width of a component's column."""
 

@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from balance_cli.artefacts import Artefact
 from balance_cli.calibrated import Calibration
+from balance_cli.diagnosed import Diagnosis
 from balance_cli.geometry import Geometry
 from balance_cli.hub_loads import Loads
 from balance_cli.identified import IdentifiedModel
@@ -20,6 +21,7 @@ FORMATS: Mapping[str, type[Any]] = {
     "balance-calibration/1": Calibration,
     "balance-transfer/1": Transfer,
     "balance-model/1": IdentifiedModel,
+    "balance-diagnosis/1": Diagnosis,
     "balance-loads/1": Loads,
 }
 
@@ -59,12 +61,13 @@ class Sources:
     calibrations: tuple[Source[Calibration], ...] = ()
     transfers: tuple[Source[Transfer], ...] = ()
     models: tuple[Source[IdentifiedModel], ...] = ()
+    diagnoses: tuple[Source[Diagnosis], ...] = ()
     loads: tuple[Source[Loads], ...] = ()
 
     @property
     def everything(self) -> tuple[Source[Any], ...]:
         """All of them, in the order of a campaign."""
-        return (*self.calibrations, *self.transfers, *self.models, *self.loads)
+        return (*self.calibrations, *self.transfers, *self.models, *self.diagnoses, *self.loads)
 
     @property
     def geometries(self) -> tuple[Geometry, ...]:
@@ -88,11 +91,17 @@ def sources(artefacts: Sequence[tuple[Path, Artefact]]) -> Sources:
     loads = _distinct([_named_loads(source, by_digest) for source in of["balance-loads/1"]])
     drawn_models, drawn_loads = _with_looks(models, loads)
     return Sources(
-        calibrations=tuple(_distinct([replace(source, label="calibration") for source in of["balance-calibration/1"]])),
-        transfers=tuple(_distinct([replace(source, label="measurement") for source in of["balance-transfer/1"]])),
+        calibrations=_labelled(of["balance-calibration/1"], "calibration"),
+        transfers=_labelled(of["balance-transfer/1"], "measurement"),
         models=drawn_models,
+        diagnoses=_labelled(of["balance-diagnosis/1"], "diagnosis"),
         loads=drawn_loads,
     )
+
+
+def _labelled(found: list[Source[Any]], label: str) -> tuple[Source[Any], ...]:
+    """The sources of a kind that has one label only."""
+    return tuple(_distinct([replace(source, label=label) for source in found]))
 
 
 def _distinct(named: list[Source[Any]]) -> list[Source[Any]]:
