@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import ModuleType
 
 import numpy as np
 from report_content import model
@@ -116,6 +117,13 @@ def diagnosis(verdict: str = EXPLAINED, **changes: object) -> Diagnosis:
         notes=("2 of 3 starts of support-flexibility came to the same minimum",),
     )
     return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def engine_module(engine: Engine | None = None) -> ModuleType:
+    """A module to stand for `balance_cli.diagnose` while a command is tested."""
+    module = ModuleType("balance_cli.diagnose")
+    module.diagnose = engine or Engine()  # type: ignore[attr-defined]
+    return module
 
 
 class Engine:

@@ -2,12 +2,11 @@
 
 import json
 import sys
-from types import ModuleType
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from diagnosis_content import Engine, diagnosis, hold_out
+from diagnosis_content import Engine, diagnosis, engine_module, hold_out
 
 from balance_cli.artefacts import load_artefact
 from balance_cli.cli import balance
@@ -44,9 +43,8 @@ def fitted(folder):
 @pytest.fixture
 def engine(monkeypatch):
     """A loop that returns a diagnosis made by hand."""
-    made, module = Engine(), ModuleType("balance_cli.diagnose")
-    module.diagnose = made
-    monkeypatch.setitem(sys.modules, "balance_cli.diagnose", module)
+    made = Engine()
+    monkeypatch.setitem(sys.modules, "balance_cli.diagnose", engine_module(made))
     return made
 
 

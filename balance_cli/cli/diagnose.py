@@ -72,7 +72,7 @@ def command(
     records = session.runs(runs, before.geometry, skip_bad)
     held = session.runs(hold_out, before.geometry, skip_bad, role="hold-out", apart_from=records)
     held = _that_serve(session, held, skip_bad)
-    spectra = measured_spectra(session.progress(records, "spectra", len(records)), before.geometry)
+    spectra = measured_spectra(session.progress(records, "spectra", len(records)), before.geometry, means=True)
     _check_spectra(session, spectra)
     _warn_of_hold_out(session, before, held)
     diagnosis, closed = _closed(before, spectra)

@@ -45,7 +45,8 @@ def residual_figure(residual: ResidualMap) -> Figure:
     axes = figure.subplots(2, 2, sharex=True, sharey="row", gridspec_kw={"height_ratios": rows})
     stages = (residual.before, residual.after)
     panels = [_rms(stage, axis) for axis in (2, 0) for stage in stages]
-    norm = LogNorm(LEAST, max(MOST, *(float(np.nanmax(panel, initial=0.0)) for panel in panels)))
+    largest = max(MOST, *(float(np.nanmax(panel, initial=0.0)) for panel in panels))
+    norm = LogNorm(LEAST, largest)
     names = [residual.runs, residual.runs, residual.channels, residual.channels]
     titles = ["Before: runs", "After: runs", "Before: channels", "After: channels"]
     for one, panel, labels, title in zip(axes.flat, panels, names, titles, strict=True):
@@ -56,7 +57,7 @@ def residual_figure(residual: ResidualMap) -> Figure:
     total = sum(inches) + 0.55
     figure.subplots_adjust(left=0.12, right=0.925, top=1 - 0.25 / total, bottom=0.5 / total, wspace=0.03, hspace=0.2)
     place = figure.add_axes((0.94, 0.5 / total, 0.012, 1 - 0.75 / total))
-    ticks = LogLocator(subs=(1.0, 2.0, 5.0) if norm.vmax < FEW_DECADES else (1.0,))
+    ticks = LogLocator(subs=(1.0, 2.0, 5.0) if largest < FEW_DECADES else (1.0,))
     bar = figure.colorbar(image, cax=place, ticks=ticks, format=FuncFormatter(lambda value, _: f"{value:g}"))
     bar.minorticks_off()
     bar.set_label("rms residual over noise")
