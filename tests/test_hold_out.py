@@ -100,3 +100,19 @@ def test_a_dead_channel_is_left_out_of_the_comparison(campaign, identified):
     found = hold_out_errors(with_channel(whole, "z3.piezo", np.zeros_like), identified, identified)
     assert found.after.frf_error < 5e-3
     assert all(value < 0.02 for value in found.after.load_error.values())
+
+
+@pytest.mark.parametrize(("kind", "k3"), [("check", 3e14), ("sweep", 3e13)])
+def test_what_is_not_linear_is_taken_out_where_the_model_knows_of_it(kind, k3):
+    from balance_cli.simulation import Noise, short_plan, simulate_run, true_rig
+    from balance_cli.simulation.extensions import apply_effects, extension
+
+    geometry = rotor_balance()
+    plan = next(one for one in short_plan().runs if one.kind == kind)
+    place = ("x",)
+    rig = apply_effects(true_rig(geometry), [extension("cubic-stiffness", place, k3=k3)])
+    run, _ = simulate_run(rig, plan, Noise().scaled(0.1), seed=6)
+    effect = DeclaredEffect(name="cubic-stiffness", where=(*place, "inside"), parameters={"k3": k3})
+    knowing = computed(geometry.model_copy(update={"effects": (effect,)}))
+    found = hold_out_errors(run, computed(geometry), knowing)
+    assert found.before.frf_error > 5 * found.after.frf_error
