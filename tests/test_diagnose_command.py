@@ -197,6 +197,8 @@ def test_the_text_says_verdict_effects_evidence_and_errors():
     assert "What is left: z3 at 118 Hz in My" in text
     assert "support-flexibility@x,theta: without it chi2 rises by 1.234e+06 (3 parameters, p < 1e-99)" in text
     assert "cannot be told from mast-bending@x" in text and "a tap on the support" in text
+    assert "every sigma" not in text
+    assert any("every sigma" in line for line in diagnosis_text(diagnosis(chi2_per_dof_after=3.0)))
     assert "time-delay@z1.piezo: without it chi2 rises by 812.3 (1 parameter, p < 1e-99)" in text
     assert "gyroscopic-coupling: all runs are at rest" in text
     (heads,) = (line.split() for line in lines if line.startswith("   check-1"))

@@ -98,8 +98,9 @@ def test_what_is_left_unexplained_is_warned_of(verdict, warned):
 def test_an_empirical_effect_and_a_missing_hold_out_are_named():
     effect = support()
     effect = replace(effect, evidence=replace(effect.evidence, empirical=True))
-    words = texts(section(given(diagnosis(effects=(effect,)))), "warn")
+    words = texts(section(given(diagnosis(effects=(effect,), chi2_per_dof_after=3.0))), "warn")
     assert "does not explain" in words
+    assert "every sigma of a parameter below says less" in words
     assert "No run was held out" in words
 
 
@@ -132,9 +133,11 @@ def test_modes_that_came_in_have_no_partner():
         sigma_damping_ratio=np.append(before.sigma_damping_ratio, 0.001),
         shape=shape,
     )
-    rows = mode_table(before, after).rows
+    made = diagnosis(modes_before=before, modes_after=after, chi2_per_dof_before=900.0, chi2_per_dof_after=0.9)
+    rows = mode_table(made).rows
     assert len(rows) == len(before.frequency) + 1
     assert rows[0][3].text == "+10.0 %" and rows[0][3].mark == "bad"
+    assert rows[0][1].text.endswith("± 0.30") and rows[0][2].text.endswith("± 0.010")
     assert [cell.text for cell in rows[-1]] == ["8", "", "33.30 ± 0.10", "", "", "2.00 ± 0.10"]
 
 

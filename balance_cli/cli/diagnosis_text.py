@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from balance_cli.diagnosed import FoundEffect, HoldOut, RunErrors
     from balance_cli.identified import IdentifiedModel, ModeTable
 
+DESCRIBES = 1.2
+"""Largest chi2/dof of a model that describes its data."""
 COLUMN = 9
 """Width of a component's column."""
 
@@ -72,6 +74,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> Iterator[str]:
     )
     if diagnosis.location:
         yield f"What is left: {diagnosis.location}"
+    if diagnosis.effects and diagnosis.chi2_per_dof_after > DESCRIBES:
+        yield "The closed model does not describe these data: every sigma below says less than it seems to"
     for effect in diagnosis.effects:
         yield from _effect_text(effect)
     yield from _hold_out_text(diagnosis.hold_out)

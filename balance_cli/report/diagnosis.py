@@ -64,11 +64,16 @@ def section(sources: Sources) -> Section | None:
 def _blocks(made: Diagnosis, ending: str) -> Iterator[Block]:
     yield from _verdict(made)
     if made.effects:
+        if not made.chi2_per_dof_after <= DESCRIBES:
+            yield Warn(
+                "The closed model does not describe these data within their noise: every sigma of a parameter below "
+                "says less than it seems to."
+            )
         yield from (effect_table(made.effects), parameter_table(made.effects))
     yield from _hold_out(made, ending)
     yield from _residual(made, ending)
     yield Heading("Eigenfrequencies before and after")
-    yield mode_table(made.modes_before, made.modes_after)
+    yield mode_table(made)
     yield from _chain(made.trials)
     yield from _tests(made)
 
@@ -82,7 +87,7 @@ def _verdict(made: Diagnosis) -> Iterator[Block]:
     if any(effect.evidence.empirical for effect in made.effects):
         yield Warn("An empirical effect describes what is left; it does not explain it.")
     if made.notes:
-        yield Points(made.notes)
+        yield Points(tuple(sentence(note) for note in made.notes))
 
 
 def _figures(made: Diagnosis) -> Iterator[tuple[str, str, str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -116,16 +117,25 @@ def _error_row(name: str, before: Error, after: Error) -> Row:
 # ---- modes -----------------------------------------------------------------------------------------------------------
 
 
-def mode_table(before: ModeTable, after: ModeTable) -> Table:
+def mode_table(made: Diagnosis) -> Table:
     """Frequencies and damping ratios of the modes, paired by their shapes; those that came in have no partner."""
+    before = _widened(made.modes_before, made.chi2_per_dof_before)
+    after = _widened(made.modes_after, made.chi2_per_dof_after)
     pairs = matched_modes([before, after]).index
     rows = [(Cell(str(r + 1), mark="name"), *_mode_cells(before, after, *pair)) for r, pair in enumerate(pairs)]
     words = ("mode", "before [Hz]", "after [Hz]", "change", "damping before [%]", "damping after [%]")
     caption = (
-        "Eigenfrequencies and damping ratios with sigma, before and after closing, paired by their shapes; a mode "
-        "without a partner belongs to a part that the model lacked."
+        "Eigenfrequencies and damping ratios before and after closing, with sigma widened by the misfit, paired by "
+        "their shapes; a mode without a partner belongs to a part that the model lacked."
     )
     return Table(caption, (tuple(Cell(word) for word in words),), tuple(rows))
+
+
+def _widened(modes: ModeTable, chi2_per_dof: float) -> ModeTable:
+    """The modes with the sigmas that the misfit leaves (Birge ratio)."""
+    scale = float(np.sqrt(chi2_per_dof)) if chi2_per_dof > 1.0 else 1.0
+    frequency, damping = scale * modes.sigma_frequency, scale * modes.sigma_damping_ratio
+    return replace(modes, sigma_frequency=frequency, sigma_damping_ratio=damping)
 
 
 def _mode_cells(before: ModeTable, after: ModeTable, i: int | None, j: int | None) -> Row:
