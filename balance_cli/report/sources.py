@@ -39,6 +39,8 @@ LOOKS = {
     "identified": Look(BLUE, (), "o"),
     "closed": Look(PURPLE, (), "*"),
 }
+NAMED = 2
+"""Effects of a model that its label names; more are counted."""
 METHODS = {"ls": "LS", "ml": "ML", "ls+ml": "LS+ML"}
 
 
@@ -132,13 +134,19 @@ def _named_model(source: Source[IdentifiedModel]) -> Source[IdentifiedModel]:
 
 def model_role(model: IdentifiedModel) -> tuple[str, str]:
     """Rank and label of a model by its form, its method and the effects in it."""
-    effects = ", ".join(dict.fromkeys(effect.name for effect in model.geometry.effects))
-    if model.method == "computed":
-        return "computed", f"computed with {effects}" if effects else "computed"
-    if effects:
-        return "closed", f"closed: {effects}"
+    effects = tuple(dict.fromkeys(effect.name for effect in model.geometry.effects))
+    if effects or model.method == "computed":
+        return _role_with_effects(model.method, effects)
     full = model.paper is not None and model.paper.options.damping == "full"
     return _fitted_role(model.form, model.method, ", full damping" if full else "")
+
+
+def _role_with_effects(method: str, effects: tuple[str, ...]) -> tuple[str, str]:
+    """Rank and label of a computed model, and of a fitted one with effects; many effects are counted, not named."""
+    named = ", ".join(effects) if len(effects) <= NAMED else f"{len(effects)} effects"
+    if method == "computed":
+        return "computed", f"computed with {named}" if effects else "computed"
+    return "closed", f"closed: {named}"
 
 
 def _fitted_role(form: str, method: str, more: str = "") -> tuple[str, str]:
@@ -165,12 +173,13 @@ def _response_role(description: str) -> tuple[str, str]:
         return "static", "static matrix"
     if description.startswith("measured"):
         return "measured", "transfer function"
-    form = description.partition(" ")[0]
-    method, _, more = description.rpartition("(")[2].rstrip(")").partition(", ")
-    if method == "computed":
-        return "computed", "computed"
-    if method not in METHODS or form not in ("physical", "paper") or " with " in description:
-        return "closed" if " with " in description else "", description
+    words, _, effects = description.partition(" with ")
+    form = words.partition(" ")[0]
+    method, _, more = words.rpartition("(")[2].rstrip(")").partition(", ")
+    if effects or method == "computed":
+        return _role_with_effects(method, tuple(effects.split(", ")) if effects else ())
+    if method not in METHODS or form not in ("physical", "paper"):
+        return "", description
     return _fitted_role(form, method, ", full damping" if more == "full damping" else "")
 
 
