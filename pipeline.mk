@@ -28,14 +28,16 @@ sweeps := $(rig) $(R)/sweep.list
 measured := $(sweeps) $(R)/static.list
 CAL := $(if $(STATIC),$(R)/calibration.h5)
 TF := $(if $(SWEEP),$(R)/transfer.h5)
-MODELS := $(R)/model-computed.h5 $(if $(SWEEP),$(R)/model-rigid.h5 $(R)/model-paper.h5 $(R)/model-paper-full.h5)
-BY := computed $(if $(STATIC),static) $(if $(SWEEP),transfer rigid paper paper-full)
+FITTED := rigid paper paper-full closed
+MODELS := $(R)/model-computed.h5 $(if $(SWEEP),$(FITTED:%=$(R)/model-%.h5))
+DIAGNOSIS := $(if $(SWEEP),$(R)/diagnosis.h5)
+BY := computed $(if $(STATIC),static) $(if $(SWEEP),transfer $(FITTED))
 REDUCED := $(and $(STATIC),$(ROTOR),yes)
 LOADS := $(if $(REDUCED),$(BY:%=$(R)/loads-%.h5))
 
 .DELETE_ON_ERROR:
 .PHONY: all
-all: $(R)/modes.json $(R)/report.html $(if $(and $(REDUCED),$(TF)),$(R)/loads.csv)
+all: $(R)/modes.json $(R)/report.html $(if $(and $(REDUCED),$(TF)),$(R)/loads.csv $(R)/loads-transfer.csv)
 	@$(if $(STATIC),,echo "no static run: no calibration, so no loads")
 	@$(if $(SWEEP),,echo "no sweep: no response, nothing identified")
 	@$(if $(ROTOR),,echo "no check or wind run: nothing to reduce")
@@ -68,6 +70,11 @@ $(R)/model-paper.h5: $(sweeps)
 $(R)/model-paper-full.h5: $(sweeps)
 	$(BALANCE) identify -g $(GEOMETRY) $(SWEEP) --form paper --damping full -o $@ --json $(@:.h5=.json)
 
+# The loop closed from the rigid model; the check runs tell what that was worth, and are opened for nothing else.
+$(R)/diagnosis.h5 $(R)/model-closed.h5 &: $(R)/model-rigid.h5 $(measured) $(R)/check.list
+	$(BALANCE) diagnose $(R)/model-rigid.h5 $(STATIC) $(SWEEP) $(CHECK:%=--hold-out %) \
+		-o $(R)/diagnosis.h5 --model-out $(R)/model-closed.h5 --json $(R)/diagnosis.json
+
 $(R)/loads-static.h5: $(CAL) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --static $(ROTOR) $(zero) -o $@ --json $(@:.h5=.json)
 
@@ -77,9 +84,12 @@ $(R)/loads-transfer.h5: $(CAL) $(TF) $(rotor_lists)
 $(R)/loads-%.h5: $(R)/model-%.h5 $(CAL) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --model $< $(ROTOR) $(zero) -o $@ --json $(@:.h5=.json)
 
-# The response whose surplus equations hold: on a rig that a rigid model does not describe, the measured one.
-$(R)/loads.csv: $(CAL) $(TF) $(rotor_lists)
+# By the closed model, and beside it by the measured response: where the surplus flags the one, look at the other.
+$(R)/loads.csv: $(R)/model-closed.h5 $(CAL) $(rotor_lists)
+	$(BALANCE) reduce --calibration $(CAL) --model $< $(ROTOR) $(zero) -o $@
+
+$(R)/loads-transfer.csv: $(CAL) $(TF) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --transfer $(TF) $(ROTOR) $(zero) -o $@
 
-$(R)/report.html: $(CAL) $(TF) $(MODELS) $(LOADS)
+$(R)/report.html: $(CAL) $(TF) $(MODELS) $(DIAGNOSIS) $(LOADS)
 	$(BALANCE) report $^ -o $@

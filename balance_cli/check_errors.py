@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from balance_cli.components import COMPONENTS
 from balance_cli.estimation.hub_loads import SolvedLoads
 from balance_cli.geometry import Geometry
-from balance_cli.hub_loads import CheckErrors, RunLoads
+from balance_cli.hub_loads import CheckErrors
 from balance_cli.model.plate import hub_arm
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.signals.harmonics import Harmonics
@@ -19,28 +19,47 @@ ComplexArray = NDArray[np.complex128]
 HARMONICS_COMPARED = 8
 
 
-def check_errors(spectra: Harmonics, dynamic: SolvedLoads, reduced: RunLoads, geometry: Geometry) -> CheckErrors:
+def check_errors(
+    spectra: Harmonics,
+    dynamic: SolvedLoads,
+    components: tuple[str, ...],
+    geometry: Geometry,
+    spill: Array | None = None,
+) -> CheckErrors:
     """Compare over harmonics 1 to 8, complex amplitudes (contract, `load_error` and `interaction`).
 
-    A component was applied where its column of the loads is not all zeros.
+    A component was applied where its column of the loads is not all zeros. `spill` (6, 6): what acts for each load that
+    the exciter's force cells measure, where a model knows; the error is that against the loads that act.
     """
     H = anti_alias(geometry.acquisition, spectra.frequency_hz)
-    mine = spectra.columns(reduced.components)
-    applied = spectra.amplitude[:, mine] / H[:, None]
-    variance = np.real(np.diagonal(spectra.covariance, axis1=1, axis2=2))[:, mine] / np.abs(H[:, None]) ** 2
+    mine = spectra.columns(components)
     was_applied = np.any(spectra.amplitude[:, mine] != 0, axis=0)
+    applied, variance = spectra.amplitude[:, mine], np.real(np.diagonal(spectra.covariance, axis1=1, axis2=2))[:, mine]
+    if spill is not None and np.any(spill != np.eye(6)):
+        applied, variance = _acting(spectra, spill, components)
+    applied, variance = applied / H[:, None], variance / np.abs(H[:, None]) ** 2
     last = min(HARMONICS_COMPARED, len(spectra.frequency_hz) - 1)
-    error = _rms(reduced.amplitude[1 : last + 1] - applied[1 : last + 1])
+    error = _rms(dynamic.loads[:last] - applied[1 : last + 1])
     noise = _noise(dynamic, variance[1:])[:last]
-    size = np.where(was_applied, _rms(applied[1 : last + 1]), _largest_force(applied[1 : last + 1], reduced, geometry))
+    size = np.where(
+        was_applied, _rms(applied[1 : last + 1]), _largest_force(applied[1 : last + 1], components, geometry)
+    )
     relative, of_noise = error / size, np.sqrt(np.mean(noise, axis=0)) / size
     return CheckErrors(
-        load_error=_named(reduced.components, relative, was_applied),
-        interaction=_named(reduced.components, relative, ~was_applied),
-        load_noise=_named(reduced.components, of_noise, was_applied),
-        interaction_noise=_named(reduced.components, of_noise, ~was_applied),
+        load_error=_named(components, relative, was_applied),
+        interaction=_named(components, relative, ~was_applied),
+        load_noise=_named(components, of_noise, was_applied),
+        interaction_noise=_named(components, of_noise, ~was_applied),
         applied=applied,
     )
+
+
+def _acting(spectra: Harmonics, spill: Array, components: tuple[str, ...]) -> tuple[ComplexArray, Array]:
+    """Loads (n+1, m) that act, and their variance, where those of the force cells spill into others."""
+    six = spectra.columns(COMPONENTS)
+    to = spill[[COMPONENTS.index(name) for name in components]]
+    covariance = spectra.covariance[:, six][:, :, six]
+    return spectra.amplitude[:, six] @ to.T, np.real(np.einsum("mi,hij,mj->hm", to, covariance, to))
 
 
 def _rms(values: ComplexArray) -> Array:
@@ -54,13 +73,13 @@ def _noise(dynamic: SolvedLoads, applied_variance: Array) -> Array:
     return np.asarray(variance[:, :m] + variance[:, m:] + applied_variance)
 
 
-def _largest_force(applied: ComplexArray, reduced: RunLoads, geometry: Geometry) -> Array:
+def _largest_force(applied: ComplexArray, components: tuple[str, ...], geometry: Geometry) -> Array:
     """What interactions are compared with: the largest applied force; for moments times the height of the hub.
 
     Where moments alone were applied, the largest of them over that height stands for the force.
     """
     arm = hub_arm(geometry.hub)
-    moment = np.array([COMPONENTS.index(name) >= 3 for name in reduced.components])
+    moment = np.array([COMPONENTS.index(name) >= 3 for name in components])
     sizes = _rms(applied)
     forces = sizes[~moment]
     force = max(forces.max(initial=0.0), 0.0) or (sizes[moment] / arm).max(initial=0.0) or np.nan

@@ -18,6 +18,13 @@ EXPLAINED = "explained"
 PARTLY_EXPLAINED = "partly explained"
 UNEXPLAINED = "unexplained"
 
+MEANING = {
+    NOTHING_MISSING: "no candidate says anything that chance would not",
+    EXPLAINED: "with the effects found the model describes the data within their noise",
+    PARTLY_EXPLAINED: "the effects found are there, and something else is left",
+    UNEXPLAINED: "something is missing that no effect of the library accounts for",
+}
+
 
 @dataclass(frozen=True)
 class Evidence:

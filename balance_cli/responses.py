@@ -99,8 +99,10 @@ class ModelSource:
 
     @property
     def description(self) -> str:
-        """Form and method of the model."""
-        return f"{self.model.form} model ({self.model.method})"
+        """Form, method and effects of the model."""
+        effects = ", ".join(dict.fromkeys(effect.name for effect in self.model.geometry.effects))
+        words = f"{self.model.form} model ({self.model.method})"
+        return f"{words} with {effects}" if effects else words
 
     @property
     def slowest_decay(self) -> float:

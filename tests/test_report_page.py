@@ -11,6 +11,7 @@ import pytest
 from report_content import artefact, campaign, loads, model
 
 from balance_cli.artefacts import Artefact
+from balance_cli.geometry import DeclaredEffect
 from balance_cli.report.check_errors import Error, harmonic_errors, overall_error, pooled_errors
 from balance_cli.report.check_runs import section
 from balance_cli.report.page import page
@@ -157,11 +158,23 @@ def test_roles_from_the_words_of_reduce():
         "physical model (ls+ml)": "identified",
         "paper form (ls+ml, diagonal damping)": "paper",
         "paper form (ls, full damping)": "paper-ls",
+        "physical model (ml) with mast-bending": "closed",
+        "physical model (computed) with mast-bending": "computed",
         "something new": "",
     }
     for response, rank in words.items():
         (source,) = sources([(Path("x.h5"), artefact("balance-loads/1", loads(response), "1" * 64))]).loads
         assert source.rank == rank, response
+
+
+def test_a_closed_model_is_called_by_its_effects_and_many_are_counted():
+    names = ("mast-bending", "added-mass", "time-delay")
+    for used, words in ((names[:2], "mast-bending, added-mass"), (names, "3 effects")):
+        effects = tuple(DeclaredEffect(name=name) for name in used)
+        closed = model(geometry=model().geometry.model_copy(update={"effects": effects}))
+        assert labels([(Path("m.h5"), artefact("balance-model/1", closed, "1" * 64))]) == {"m.h5": f"closed: {words}"}
+        by = loads(f"physical model (ls+ml) with {', '.join(used)}")
+        assert labels([(Path("l.h5"), artefact("balance-loads/1", by, "2" * 64))]) == {"l.h5": f"closed: {words}"}
 
 
 # ---- what the check runs say -----------------------------------------------------------------------------------------

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -18,21 +19,38 @@ from balance_cli.report.drawing import BLACK, decades, new_figure, plain_log
 from balance_cli.report.sources import Source
 
 
+@dataclass(frozen=True)
+class Bars:
+    """One method: its label, its colour, and {kind: {component: error}}."""
+
+    label: str
+    colour: str
+    errors: Mapping[str, Mapping[str, Error]]
+
+
 def comparison_figure(methods: Sequence[Source[Loads]], width: float = 12.0, height: float = 3.6) -> Figure:
     """Bars of every method by component: error on the left, interaction on the right; black marks for the noise."""
+    bars = [
+        Bars(source.label, source.look.colour, {kind: pooled_errors(source.content, kind) for kind in KINDS})
+        for source in methods
+    ]
+    return error_figure(bars, " on the check runs", width, height)
+
+
+def error_figure(methods: Sequence[Bars], where: str, width: float = 12.0, height: float = 3.6) -> Figure:
+    """Bars by component, one panel a kind of error; `where` ends the panels' titles."""
     figure = new_figure(width, height)
-    pooled = {kind: [pooled_errors(source.content, kind) for source in methods] for kind in KINDS}
-    shown = [kind for kind in KINDS if any(pooled[kind])]
+    shown = [kind for kind in KINDS if any(method.errors[kind] for method in methods)]
     axes = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
-    limits = _limits([error for kind in shown for errors in pooled[kind] for error in errors.values()])
+    limits = _limits([error for kind in shown for method in methods for error in method.errors[kind].values()])
     for one, kind in zip(axes, shown, strict=True):
-        _bars(one, methods, pooled[kind], limits)
-        one.set_title(TITLES[kind].split(":")[0] + " on the check runs")
+        _bars(one, methods, kind, limits)
+        one.set_title(TITLES[kind].split(":")[0] + where)
         one.set_ylabel(TITLES[kind].split(": ")[1])
         one.yaxis.set_tick_params(labelleft=True)
-    handles: list[Artist] = [Patch(facecolor=source.look.colour) for source in methods]
+    handles: list[Artist] = [Patch(facecolor=method.colour) for method in methods]
     handles.append(Line2D([], [], color=BLACK, linewidth=1.4))
-    labels = [*(source.label for source in methods), "what noise alone would leave"]
+    labels = [*(method.label for method in methods), "what noise alone would leave"]
     figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 5))
     lines = -(-len(labels) // 5)
     figure.subplots_adjust(left=0.06, right=0.99, top=0.92, bottom=0.13 + 0.055 * lines, wspace=0.13)
@@ -44,17 +62,16 @@ def _limits(errors: Sequence[Error]) -> tuple[float, float]:
     return decades(values, 2.0, margin=1.5)
 
 
-def _bars(
-    axes: Axes, methods: Sequence[Source[Loads]], pooled: Sequence[dict[str, Error]], limits: tuple[float, float]
-) -> None:
-    names = [name for name in COMPONENTS if any(name in errors for errors in pooled)]
+def _bars(axes: Axes, methods: Sequence[Bars], kind: str, limits: tuple[float, float]) -> None:
+    names = [name for name in COMPONENTS if any(name in method.errors[kind] for method in methods)]
     width = 0.82 / len(methods)
     plain_log(axes, limits)
-    for i, (source, errors) in enumerate(zip(methods, pooled, strict=True)):
+    for i, method in enumerate(methods):
+        errors = method.errors[kind]
         mine = [name for name in names if name in errors]
         place = np.array([names.index(name) for name in mine]) + (i - (len(methods) - 1) / 2) * width
         height = [100 * errors[name].value - limits[0] for name in mine]
-        axes.bar(place, height, 0.88 * width, bottom=limits[0], color=source.look.colour, zorder=2)
+        axes.bar(place, height, 0.88 * width, bottom=limits[0], color=method.colour, zorder=2)
         noise = [100 * errors[name].noise for name in mine]
         axes.hlines(noise, place - 0.44 * width, place + 0.44 * width, colors=BLACK, linewidth=1.4, zorder=3)
     axes.set_xticks(range(len(names)), names)

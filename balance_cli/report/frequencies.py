@@ -39,16 +39,18 @@ def shaft_mode(modes: ModeTable) -> int | None:
 
 
 def matched(models: Sequence[IdentifiedModel]) -> ModeMatch:
-    """Which mode of each model is which of the first one that has shapes.
+    """Which mode of each model is which of the first one that has shapes."""
+    return matched_modes([model.modes for model in models])
 
-    Models in the same coordinates by their shapes; others by their frequencies, the shaft's aside.
-    """
-    first = next((model.modes for model in models if has_shapes(model.modes)), models[0].modes)
-    columns = [_partners(first, model.modes) for model in models]
+
+def matched_modes(tables: Sequence[ModeTable]) -> ModeMatch:
+    """Modes in the same coordinates by their shapes; others by their frequencies, the shaft's aside."""
+    first = next((modes for modes in tables if has_shapes(modes)), tables[0])
+    columns = [_partners(first, modes) for modes in tables]
     rows = [tuple(column[i] for column in columns) for i in range(len(first.frequency))]
-    for m, (column, model) in enumerate(zip(columns, models, strict=True)):
-        for extra in sorted(set(range(len(model.modes.frequency))) - set(column)):
-            rows.append(tuple(extra if k == m else None for k in range(len(models))))
+    for m, (column, modes) in enumerate(zip(columns, tables, strict=True)):
+        for extra in sorted(set(range(len(modes.frequency))) - set(column)):
+            rows.append(tuple(extra if k == m else None for k in range(len(tables))))
     return ModeMatch(tuple(rows))
 
 

@@ -12,6 +12,7 @@ from markupsafe import Markup
 from balance_cli.report import (
     calibration,
     check_runs,
+    diagnosis,
     frequencies,
     parameters,
     provenance,
@@ -28,6 +29,7 @@ SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
     summary.section,
     check_runs.section,
     wind_on.section,
+    diagnosis.section,
     frequencies.section,
     responses.section,
     parameters.section,

@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from balance_cli.artefacts import Artefact
 from balance_cli.calibrated import Calibration
+from balance_cli.diagnosed import Diagnosis
 from balance_cli.geometry import Geometry
 from balance_cli.hub_loads import Loads
 from balance_cli.identified import IdentifiedModel
@@ -20,6 +21,7 @@ FORMATS: Mapping[str, type[Any]] = {
     "balance-calibration/1": Calibration,
     "balance-transfer/1": Transfer,
     "balance-model/1": IdentifiedModel,
+    "balance-diagnosis/1": Diagnosis,
     "balance-loads/1": Loads,
 }
 
@@ -37,6 +39,8 @@ LOOKS = {
     "identified": Look(BLUE, (), "o"),
     "closed": Look(PURPLE, (), "*"),
 }
+NAMED = 2
+"""Effects of a model that its label names; more are counted."""
 METHODS = {"ls": "LS", "ml": "ML", "ls+ml": "LS+ML"}
 
 
@@ -59,12 +63,13 @@ class Sources:
     calibrations: tuple[Source[Calibration], ...] = ()
     transfers: tuple[Source[Transfer], ...] = ()
     models: tuple[Source[IdentifiedModel], ...] = ()
+    diagnoses: tuple[Source[Diagnosis], ...] = ()
     loads: tuple[Source[Loads], ...] = ()
 
     @property
     def everything(self) -> tuple[Source[Any], ...]:
         """All of them, in the order of a campaign."""
-        return (*self.calibrations, *self.transfers, *self.models, *self.loads)
+        return (*self.calibrations, *self.transfers, *self.models, *self.diagnoses, *self.loads)
 
     @property
     def geometries(self) -> tuple[Geometry, ...]:
@@ -88,11 +93,17 @@ def sources(artefacts: Sequence[tuple[Path, Artefact]]) -> Sources:
     loads = _distinct([_named_loads(source, by_digest) for source in of["balance-loads/1"]])
     drawn_models, drawn_loads = _with_looks(models, loads)
     return Sources(
-        calibrations=tuple(_distinct([replace(source, label="calibration") for source in of["balance-calibration/1"]])),
-        transfers=tuple(_distinct([replace(source, label="measurement") for source in of["balance-transfer/1"]])),
+        calibrations=_labelled(of["balance-calibration/1"], "calibration"),
+        transfers=_labelled(of["balance-transfer/1"], "measurement"),
         models=drawn_models,
+        diagnoses=_labelled(of["balance-diagnosis/1"], "diagnosis"),
         loads=drawn_loads,
     )
+
+
+def _labelled(found: list[Source[Any]], label: str) -> tuple[Source[Any], ...]:
+    """The sources of a kind that has one label only."""
+    return tuple(_distinct([replace(source, label=label) for source in found]))
 
 
 def _distinct(named: list[Source[Any]]) -> list[Source[Any]]:
@@ -123,13 +134,19 @@ def _named_model(source: Source[IdentifiedModel]) -> Source[IdentifiedModel]:
 
 def model_role(model: IdentifiedModel) -> tuple[str, str]:
     """Rank and label of a model by its form, its method and the effects in it."""
-    effects = ", ".join(dict.fromkeys(effect.name for effect in model.geometry.effects))
-    if model.method == "computed":
-        return "computed", f"computed with {effects}" if effects else "computed"
-    if effects:
-        return "closed", f"closed: {effects}"
+    effects = tuple(dict.fromkeys(effect.name for effect in model.geometry.effects))
+    if effects or model.method == "computed":
+        return _role_with_effects(model.method, effects)
     full = model.paper is not None and model.paper.options.damping == "full"
     return _fitted_role(model.form, model.method, ", full damping" if full else "")
+
+
+def _role_with_effects(method: str, effects: tuple[str, ...]) -> tuple[str, str]:
+    """Rank and label of a computed model, and of a fitted one with effects; many effects are counted, not named."""
+    named = ", ".join(effects) if len(effects) <= NAMED else f"{len(effects)} effects"
+    if method == "computed":
+        return "computed", f"computed with {named}" if effects else "computed"
+    return "closed", f"closed: {named}"
 
 
 def _fitted_role(form: str, method: str, more: str = "") -> tuple[str, str]:
@@ -156,12 +173,13 @@ def _response_role(description: str) -> tuple[str, str]:
         return "static", "static matrix"
     if description.startswith("measured"):
         return "measured", "transfer function"
-    form = description.partition(" ")[0]
-    method, _, more = description.rpartition("(")[2].rstrip(")").partition(", ")
-    if method == "computed":
-        return "computed", "computed"
-    if method not in METHODS or form not in ("physical", "paper") or " with " in description:
-        return "closed" if " with " in description else "", description
+    words, _, effects = description.partition(" with ")
+    form = words.partition(" ")[0]
+    method, _, more = words.rpartition("(")[2].rstrip(")").partition(", ")
+    if effects or method == "computed":
+        return _role_with_effects(method, tuple(effects.split(", ")) if effects else ())
+    if method not in METHODS or form not in ("physical", "paper"):
+        return "", description
     return _fitted_role(form, method, ", full damping" if more == "full damping" else "")
 
 

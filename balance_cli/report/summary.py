@@ -9,6 +9,7 @@ import numpy as np
 from balance_cli.geometry import Geometry
 from balance_cli.report.blocks import Block, Figures, Points, Section, Warn
 from balance_cli.report.check_errors import checked, overall_error
+from balance_cli.report.diagnosis import verdict_words
 from balance_cli.report.frequencies import CONSIDERABLE, deviation, reference
 from balance_cli.report.load_figures import wind_runs
 from balance_cli.report.numbers import listed, percent, sentence, significant
@@ -44,6 +45,9 @@ def _made_from(sources: Sources) -> Iterator[str]:
         yield f"Measured responses {transfer.file}: {len(runs)} runs."
     if sources.models:
         yield f"Models: {listed([f'{source.label} ({source.file})' for source in sources.models])}."
+    for diagnosis in sources.diagnoses:
+        made = diagnosis.content
+        yield f"Diagnosis {diagnosis.file}: {made.candidates} candidates, {len(made.hold_out)} runs held out."
     if sources.loads:
         runs = dict.fromkeys(name for source in sources.loads for name in source.content.runs)
         labels = listed([f"{source.label} ({source.file})" for source in sources.loads])
@@ -94,6 +98,8 @@ def _model_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
 
 
 def _verdict(sources: Sources) -> Iterator[Block]:
+    if sources.diagnoses:
+        yield Points(tuple(verdict_words(source) for source in sources.diagnoses))
     best = reference(sources.models)
     if best is not None and not describes(best.content):
         yield Warn(

@@ -1,0 +1,145 @@
+"""`balance diagnose`: close the loop, and say what the model lacked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from balance_cli.cli.common import (
+    InputFile,
+    OutputFile,
+    Session,
+    balance_command,
+    output_option,
+    runs_argument,
+    skip_bad_option,
+)
+from balance_cli.errors import UserError
+
+if TYPE_CHECKING:
+    from balance_cli.diagnosed import Diagnosis, HoldOut
+    from balance_cli.identified import IdentifiedModel
+    from balance_cli.runs import Run
+    from balance_cli.spectra import Spectra
+
+FORMAT = "balance-diagnosis/1"
+MODEL_FORMAT = "balance-model/1"
+DISCREPANCY = 3
+"""Exit status of --fail-on-discrepancy where something is missing."""
+
+
+@balance_command("diagnose")
+@click.argument("model", type=InputFile(), metavar="MODEL")
+@runs_argument
+@click.option(
+    "--hold-out",
+    "hold_out",
+    type=InputFile(),
+    multiple=True,
+    metavar="RUN",
+    help="Check run or sweep that no fit may see, for the errors before and after (repeatable).",
+)
+@click.option(
+    "--model-out", type=OutputFile(), required=True, metavar="MODEL", help="Where the closed model is written."
+)
+@click.option("--fail-on-discrepancy", is_flag=True, help="Exit status 3 unless the verdict is `nothing missing`.")
+@skip_bad_option
+@output_option("DIAGNOSIS")
+def command(
+    session: Session,
+    model: Path,
+    runs: tuple[Path, ...],
+    hold_out: tuple[Path, ...],
+    model_out: Path,
+    fail_on_discrepancy: bool,
+    skip_bad: bool,
+    output: Path,
+) -> None:
+    """Close the loop: find the effects that the model lacks, add them, and report the error before and after.
+
+    Sweeps and static runs among RUN... are fitted; runs of other kinds are left out and named. The runs of --hold-out
+    are opened once, after the last decision. MODEL is a physical model, computed, identified or closed before; the
+    closed model is one like it.
+    """
+    from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text
+    from balance_cli.diagnosed import NOTHING_MISSING
+    from balance_cli.spectra import measured_spectra
+
+    before = _model(session, model)
+    records = session.runs(runs, before.geometry, skip_bad)
+    held = session.runs(hold_out, before.geometry, skip_bad, role="hold-out", apart_from=records)
+    held = _that_serve(session, held, skip_bad)
+    spectra = measured_spectra(session.progress(records, "spectra", len(records)), before.geometry, means=True)
+    _check_spectra(session, spectra)
+    _warn_of_hold_out(session, before, held)
+    diagnosis, closed = _closed(before, spectra)
+    diagnosis = replace(diagnosis, hold_out=_errors(session, held, before, closed, skip_bad))
+    session.save(output, FORMAT, diagnosis)
+    session.save(model_out, MODEL_FORMAT, closed)
+    if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING:
+        session.status = DISCREPANCY
+    session.finish(diagnosis_summary(diagnosis, closed), diagnosis_text(diagnosis))
+
+
+def _model(session: Session, path: Path) -> IdentifiedModel:
+    """The model to begin with; UserError for the paper's form, which has no place for an effect."""
+    from balance_cli.identified import IdentifiedModel
+
+    model: IdentifiedModel = session.artefact(path, {MODEL_FORMAT: IdentifiedModel}, "model").content
+    if model.form == "paper":
+        remedy = "Give a model of `balance identify --form physical` (the default)"
+        raise UserError("is in the paper's form, which has no place for an effect", str(path), "form", remedy)
+    return model
+
+
+def _that_serve(session: Session, held: tuple[Run, ...], skip_bad: bool) -> tuple[Run, ...]:
+    """The hold-out runs that have something to compare with: said before the long fit, not after it."""
+    from balance_cli.hold_out import check_serves
+
+    serving = []
+    for run in held:
+        with session.skipping(run, skip_bad):
+            check_serves(run)
+            serving.append(run)
+    return tuple(serving)
+
+
+def _check_spectra(session: Session, spectra: Spectra) -> None:
+    for name, reason in spectra.unused.items():
+        session.left_out(name, reason)
+    for run, channels in spectra.channels_left_out.items():
+        for name, reason in channels.items():
+            session.warn(f"run {run}: channel {name} left out: {reason}")
+    if not spectra.lines:
+        raise UserError("no sweep run among the runs", "RUN...", remedy="Give at least one sweep run")
+
+
+def _warn_of_hold_out(session: Session, before: IdentifiedModel, held: tuple[Run, ...]) -> None:
+    if not held:
+        session.warn("no hold-out run: nothing tells what closing is worth; keep check runs for --hold-out")
+    for run in held:
+        if before.method != "computed" and run.name in before.quality.runs:
+            session.warn(f"{run.name} is held out here, but the model was fitted to it: its error before is no test")
+
+
+def _closed(before: IdentifiedModel, spectra: Spectra) -> tuple[Diagnosis, IdentifiedModel]:
+    from balance_cli.cli.progress import share_bar
+    from balance_cli.diagnose import diagnose
+
+    with share_bar() as progress:
+        return diagnose(before, spectra, None, progress)
+
+
+def _errors(
+    session: Session, held: tuple[Run, ...], before: IdentifiedModel, after: IdentifiedModel, skip_bad: bool
+) -> dict[str, HoldOut]:
+    from balance_cli.hold_out import hold_out_errors
+
+    errors = {}
+    for run in session.progress(held, "hold-out runs", len(held)):
+        with session.skipping(run, skip_bad):
+            errors[run.name] = hold_out_errors(run, before, after)
+    return errors
