@@ -23,6 +23,12 @@ def invertible(dof: float, signals: int) -> bool:
     return dof > ENOUGH_DOF * signals
 
 
+def shared_dof(shares: Sequence[float], dof: Sequence[float]) -> float:
+    """Degrees of freedom of a sum of covariances, each of so many `dof`, by the share that each has in it."""
+    inverse = sum(share**2 / max(d, 1.0) for share, d in zip(shares, dof, strict=True))
+    return 1.0 / inverse if inverse > 0 else np.inf
+
+
 def probability(chi2: float, counts: Sequence[float], noise_dof: Sequence[float]) -> float:
     """Probability of a sum of chi-squares of `counts` degrees of freedom, each against a noise of its own `noise_dof`.
 

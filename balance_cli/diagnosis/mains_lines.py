@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from balance_cli.diagnosed import ModelFreeTest
 from balance_cli.diagnosis.chances import of_several_looks
 from balance_cli.signals.lines import Lines
-from balance_cli.signals.local_fit import Orders, Windows, fit_windows
+from balance_cli.signals.local_fit import LocalFit, Orders, Windows, fit_windows
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -34,6 +34,10 @@ ORDERS = Orders(response=3, transient=-1, denominator=3)
 # The most that one run may say, for now and then a local model finds a wrong pole.
 LEAST_CHANCE = 1e-4
 LEAST_OTHERS = 8.0
+# Chi-square per degree of freedom up to which a local model follows its window.
+FOLLOWED = 1.5
+# Lines from the middle within which a pole makes a peak that the left-out lines may hide.
+HIDDEN = 3.0
 # Shapes of the moving rig that are taken out.
 SHAPES = 3
 
@@ -42,7 +46,7 @@ SHAPES = 3
 class _Departures:
     """Of one run: `multiple` (w,) [Hz]; power (w, c) [V2] of what the lines at the mains are away, with real values
 
-    `count` (w,); the same of the neighbours (w, c) per real value, with `others` (w,) real values.
+    `count` (w, c); the same of the neighbours (w, c) per real value, with `others` (w, c) real values.
     """
 
     channels: tuple[str, ...]
@@ -58,7 +62,7 @@ def mains_tests(runs: Sequence[Lines]) -> list[ModelFreeTest]:
     rows = []
     for mains in MAINS:
         found = [one for one in (_departures(run, mains) for run in runs) if one is not None]
-        if found:
+        if any(one.count.any() for one in found):
             rows.append(_test(mains, found))
     return rows
 
@@ -81,23 +85,15 @@ def _departures(run: Lines, mains: float) -> _Departures | None:
     every = np.concatenate([[k, *(k + NEIGHBOURS)] for _, k in middles])
     every = np.clip(every, REACH, len(frequency) - REACH - 1)
     near = np.min(np.abs(frequency[:, None] - multiples), axis=1) <= LEFT_OUT * bin_width
-    power, count = _left_out(run, moving, every, near)
-    shape = (len(middles), 1 + len(NEIGHBOURS))
-    power, count = power.reshape(*shape, -1), count.reshape(shape)
+    power, count, noise = _left_out(run, moving, every, near)
+    shape = (len(middles), 1 + len(NEIGHBOURS), -1)
+    power, count, noise = power.reshape(shape), count.reshape(shape), noise.reshape(shape)
     # A neighbour whose window was pushed onto the lines of the mains says nothing.
-    apart = np.abs(every.reshape(shape)[:, 1:] - every.reshape(shape)[:, :1]) > 2
-    others = np.sum(count[:, 1:] * apart, axis=1)
-    usual = np.sum(power[:, 1:] * apart[:, :, None], axis=1) / np.maximum(others, 1.0)[:, None]
-    noise = np.diagonal(run.covariance[moving], axis1=1, axis2=2).real[:, : len(run.channel_names)]
-    floor = np.stack([np.median(noise[k - REACH : k + REACH + 1], axis=0) for _, k in middles]) / 2.0
-    return _Departures(
-        run.channel_names,
-        np.array([f for f, _ in middles]),
-        power[:, 0],
-        count[:, 0],
-        np.maximum(usual, floor),
-        others,
-    )
+    apart = np.abs(every.reshape(shape[:2])[:, 1:] - every.reshape(shape[:2])[:, :1]) > 2
+    others = np.sum(count[:, 1:] * apart[:, :, None], axis=1)
+    usual = np.sum(power[:, 1:] * apart[:, :, None], axis=1) / np.maximum(others, 1.0)
+    multiple = np.array([f for f, _ in middles])
+    return _Departures(run.channel_names, multiple, power[:, 0], count[:, 0], np.maximum(usual, noise[:, 0]), others)
 
 
 def _harmonic(run: Lines, frequency: float, bin_width: float) -> bool:
@@ -108,38 +104,63 @@ def _harmonic(run: Lines, frequency: float, bin_width: float) -> bool:
     return bool(away < 2.0 * bin_width)
 
 
-def _left_out(run: Lines, moving: Index, middles: Index, near: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Power (w, c) of what the lines beside each middle are away from the others' model, and their real values (w,).
+def _left_out(run: Lines, moving: Index, middles: Index, near: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Power (w, c) of what the lines beside each middle are away from the others' model, their real values (w, c) and
 
-    Lines at the mains are left out of every fit, and counted in none of the neighbours.
+    the noise's power (w, c) per real value. Lines at the mains are left out of every fit, and counted in none of the
+    neighbours. A window that the local model does not follow has no real values.
     """
-    c, u = len(run.channel_names), len(run.components)
+    c = len(run.channel_names)
     at = middles[:, None] + np.arange(-REACH, REACH + 1)
     lines = moving[at]
-    noise = np.sqrt(np.median(np.diagonal(run.covariance[moving], axis1=1, axis2=2).real[:, :c], axis=0))
-    Y = run.channels[lines] / noise
+    variance = np.median(_noise(run)[lines], axis=1)
+    Y = run.channels[lines] / np.sqrt(variance)[:, None, :]
     # Loads of like size in a window, so that none of them is lost beside another.
     U = run.loads[lines] / np.maximum(np.abs(run.loads[lines]).max(axis=(1, 2)), np.finfo(float).tiny)[:, None, None]
     frequency = run.frequency[lines]
-    span = 0.5 * (frequency[:, -1] - frequency[:, 0])[:, None]
-    r = (frequency - 0.5 * (frequency[:, -1] + frequency[:, 0])[:, None]) / span
+    ends = frequency[:, :1], frequency[:, -1:]
+    r = (2.0 * frequency - ends[0] - ends[1]) / (ends[1] - ends[0])
     beside = np.abs(np.arange(-REACH, REACH + 1)) <= 1
     here = near[at]
-    weight = np.where(beside | here, 0.0, 1.0)
-    fit = fit_windows(Windows(Y, U, weight, r), ORDERS)
-    P = legendre.legvander(r, max(ORDERS.response, ORDERS.transient, ORDERS.denominator))
-    driven = (U[:, :, :, None] * P[:, :, None, : ORDERS.response + 1]).reshape(*lines.shape, -1)
-    columns = np.concatenate([driven, P[:, :, : ORDERS.transient + 1]], axis=2)
-    A = np.matmul(P[:, :, : ORDERS.denominator + 1], fit.denominator[:, :, None])[:, :, 0]
-    away = _beside_the_response(Y - columns @ fit.coefficients / A[:, :, None], Y)
-    at_mains = here[:, REACH]
-    counted = np.where(at_mains[:, None], here, beside & ~here) & beside
-    power = np.sum(np.where(counted[:, :, None], np.abs(away) ** 2, 0.0), axis=1) * noise**2
-    return np.asarray(power), 2.0 * counted.sum(axis=1)
+    windows = Windows(Y, U, np.where(beside | here, 0.0, 1.0), r)
+    fit = fit_windows(windows, ORDERS)
+    away = _beside_the_response(Y - _modelled(windows, fit), Y * windows.weight[:, :, None])
+    counted = np.where(here[:, REACH, None], here, beside & ~here) & beside
+    power = np.sum(np.where(counted[:, :, None], np.abs(away) ** 2, 0.0), axis=1) * variance
+    free = windows.weight.sum(axis=1) - ORDERS.coefficients(U.shape[2]) - ORDERS.denominator / c
+    followed = (fit.cost / c < FOLLOWED * np.maximum(free, 0.0)) & ~_peaked(fit)
+    count = np.where(followed, 2.0 * counted.sum(axis=1), 0.0)[:, None] * np.ones(c)
+    return np.where(count > 0, power, 0.0), count, 0.5 * variance
+
+
+def _noise(run: Lines) -> Array:
+    """Variance (k, c) of the channels about what the loads as measured make of them."""
+    c = len(run.channel_names)
+    variance = np.diagonal(run.covariance, axis1=1, axis2=2).real
+    power = np.maximum(np.sum(np.abs(run.loads) ** 2, axis=1), np.finfo(float).tiny)
+    loads = np.sum(variance[:, c:], axis=1) / power
+    return np.asarray(variance[:, :c] + np.abs(run.channels) ** 2 * loads[:, None])
+
+
+def _peaked(fit: LocalFit) -> NDArray[np.bool_]:
+    """Whether a window (w,) has a sharp peak about its middle, where it was not looked at."""
+    near = np.zeros(len(fit.denominator), bool)
+    for i, a in enumerate(fit.denominator):
+        poles = REACH * legendre.legroots(a)
+        near[i] = bool(np.any((np.abs(poles.real) < HIDDEN) & (np.abs(poles.imag) < HIDDEN)))
+    return near
+
+
+def _modelled(windows: Windows, fit: LocalFit) -> ComplexArray:
+    """What the local model says of all lines (w, M, c) of the windows, those without weight too."""
+    P = legendre.legvander(windows.r, max(ORDERS.response, ORDERS.denominator))
+    driven = windows.U[:, :, :, None] * P[:, :, None, : ORDERS.response + 1]
+    A = np.matmul(P[:, :, : ORDERS.denominator + 1], fit.denominator[:, :, None])
+    return np.asarray(driven.reshape(*driven.shape[:2], -1) @ fit.coefficients / A)
 
 
 def _beside_the_response(away: ComplexArray, Y: ComplexArray) -> ComplexArray:
-    """What is left of departures (w, M, c) beside the shapes in which the channels Y (w, M, c) move in that window.
+    """What is left of departures (w, M, c) beside the shapes in which the channels Y (w, M, c) move in the fitted lines.
 
     A sharp peak that the local model misses is such a shape; what a channel picks up is not.
     """
@@ -189,7 +210,7 @@ class _Sums:
         """Take a run in."""
         from scipy.stats import f
 
-        n, d = one.count[:, None], one.others[:, None]
+        n, d = one.count, one.others
         told = (d > LEAST_OTHERS) & (n > 0)
         ratio = one.power / one.usual
         chance = f.sf(ratio / np.maximum(n, 1.0), np.maximum(n, 1.0), np.maximum(d, 1.0))

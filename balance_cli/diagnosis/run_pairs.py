@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosed import ModelFreeTest
-from balance_cli.diagnosis.chances import invertible, noise_factor, of_several_looks, probability, with_sigma
+from balance_cli.diagnosis.chances import (
+    invertible,
+    noise_factor,
+    of_several_looks,
+    probability,
+    shared_dof,
+    with_sigma,
+)
 from balance_cli.signals.lines import Lines
 
 Array = NDArray[np.float64]
@@ -129,7 +136,7 @@ def _compared(first: Lines, second: Lines) -> _Change | None:
         return None
     covariance = one.covariance[i] + other.covariance[j]
     share = np.trace(np.linalg.solve(covariance, one.covariance[i]), axis1=1, axis2=2).real.mean() / len(names)
-    dof = 1.0 / (share**2 / one.dof + (1.0 - share) ** 2 / other.dof)
+    dof = shared_dof((float(share), 1.0 - float(share)), (one.dof, other.dof))
     response = 0.5 * (one.response[i] + other.response[j])
     return _Change(
         channels=names,

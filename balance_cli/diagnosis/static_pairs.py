@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
 from balance_cli.diagnosed import ModelFreeTest
-from balance_cli.diagnosis.chances import with_sigma
+from balance_cli.diagnosis.chances import shared_dof, with_sigma
 from balance_cli.diagnosis.channel_pairs import declared_paths
 from balance_cli.equations import ChannelPath
 from balance_cli.geometry import Geometry
@@ -36,6 +36,8 @@ FEWEST_LINES = 6
 TERMS = 6
 FREE_TERMS = 2
 IMPROBABLE = 1e-3
+# Degrees of freedom beyond which a covariance is as good as known.
+KNOWN = 1e9
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,8 @@ def _test(place: str, static: _Response, dynamic: _Response) -> ModelFreeTest:
     parts = [_picked(one, names) for one in (static, dynamic)]
     covariance = parts[0][1] + parts[1][1]
     difference = parts[0][0] - parts[1][0]
-    dof = _shared_dof(covariance, [part[1] for part in parts], (static.dof, dynamic.dof))
+    share = float(np.trace(np.linalg.solve(covariance, parts[0][1]))) / c
+    dof = min(shared_dof((share, 1.0 - share), (static.dof, dynamic.dof)), KNOWN)
     squared = float(difference @ np.linalg.solve(covariance, difference))
     free = max(dof - c + 1.0, 1.0)
     p_value = float(f.sf(squared * free / (dof * c), c, free))
@@ -188,12 +191,6 @@ def _test(place: str, static: _Response, dynamic: _Response) -> ModelFreeTest:
 def _picked(one: _Response, names: Sequence[str]) -> tuple[Array, Array]:
     places = [one.channels.index(name) for name in names]
     return one.value[places], one.covariance[np.ix_(places, places)]
-
-
-def _shared_dof(covariance: Array, parts: Sequence[Array], dof: Sequence[float]) -> float:
-    """Degrees of freedom of a sum of covariances, by the share that each has in it."""
-    share = [float(np.trace(np.linalg.solve(covariance, part))) / len(covariance) for part in parts]
-    return 1.0 / sum(s**2 / max(d, 1.0) for s, d in zip(share, dof, strict=True))
 
 
 def _finding(names: Sequence[str], parts: Sequence[tuple[Array, Array]], covariance: Array) -> str:
