@@ -35,7 +35,8 @@ from balance_cli.estimation.support import parameter_support
 from balance_cli.identified import FitQuality, IdentifiedModel
 from balance_cli.identify import described, identified_effects
 from balance_cli.model.balance import BalanceModel, balance_model
-from balance_cli.model.placed_effects import FittedEffect, declared_effects
+from balance_cli.model.fitted_effects import FittedEffect
+from balance_cli.model.placed_effects import declared_effects
 from balance_cli.spectra import Spectra
 
 Array = NDArray[np.float64]

@@ -120,7 +120,9 @@ def test_gains_within_their_tolerance_are_no_finding():
 def test_chances_of_equal_channels_are_even_with_noise_from_few_periods():
     """Nothing is there: about as many small probabilities as there should be, none too many."""
     found = [
-        row.p_value for seed in range(30) for row in channel_tests([swept(seed=seed, dof=80.0), swept("Mx", 5.0, seed + 100, dof=80.0)], RIG)
+        row.p_value
+        for seed in range(30)
+        for row in channel_tests([swept(seed=seed, dof=80.0), swept("Mx", 5.0, seed + 100, dof=80.0)], RIG)
     ]
     assert np.mean(np.array(found) < 0.05) < 0.08
     assert min(found) > 1e-5
@@ -338,9 +340,7 @@ def test_a_simulated_delay_is_found():
 
 
 def test_a_simulated_contact_depends_on_level():
-    cubic = DeclaredEffect(
-        name="cubic-stiffness", where=("z1",), parameters={"k3": 1e12, "side": "beside"}
-    )
+    cubic = DeclaredEffect(name="cubic-stiffness", where=("z1",), parameters={"k3": 1e12, "side": "beside"})
     (row,) = (r for r in model_free_tests(campaign(cubic, plan=two_levels()), RIG, 20.0) if "level" in r.name)
     assert row.p_value < 1e-6 and row.finding.startswith("differ most from")
     (row,) = (r for r in model_free_tests(campaign(plan=two_levels()), RIG, 20.0) if "level" in r.name)

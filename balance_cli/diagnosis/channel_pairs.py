@@ -24,7 +24,7 @@ from balance_cli.diagnosis.channel_ratio import (
 from balance_cli.equations import ChannelPath
 from balance_cli.geometry import Geometry
 from balance_cli.model.balance import balance_model
-from balance_cli.model.system import channel_gains
+from balance_cli.model.channel_gains import channel_gains
 from balance_cli.signals.lines import Lines
 
 Array = NDArray[np.float64]
@@ -81,9 +81,13 @@ def _pair(runs: Sequence[Lines], first: ChannelPath, second: ChannelPath, tolera
     if not runs:
         return None
     parts = [_ratio_lines(run, (first, second), i) for i, run in enumerate(runs)]
-    arrays = ("s", "forces", "covariance", "factor", "ringing", "run")
     joined = RatioLines(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in arrays),
+        np.concatenate([part.s for part in parts]),
+        np.concatenate([part.forces for part in parts]),
+        np.concatenate([part.covariance for part in parts]),
+        np.concatenate([part.factor for part in parts]),
+        np.concatenate([part.ringing for part in parts]),
+        np.concatenate([part.run for part in parts]),
         gain_sigma=float(np.sqrt(2.0) * tolerance),
     )
     return _Pair(*names, joined, tuple(2.0 * len(part.s) for part in parts), tuple(2.0 * run.dof for run in runs))
@@ -96,7 +100,7 @@ def _ratio_lines(run: Lines, paths: tuple[ChannelPath, ChannelPath], number: int
     gains = channel_gains(paths, run.frequency[moving])
     noise = run.covariance[moving[:, None, None], places[:, None], places]
     return RatioLines(
-        2j * np.pi * run.frequency[moving],
+        np.asarray(2j * np.pi * run.frequency[moving], complex),
         run.channels[moving[:, None], places] / gains,
         noise / (gains[:, :, None] * gains[:, None, :].conj()),
         np.full(len(gains), noise_factor(run.dof, 1)),
@@ -106,7 +110,7 @@ def _ratio_lines(run: Lines, paths: tuple[ChannelPath, ChannelPath], number: int
 
 
 def _ringing(run: Lines, path: ChannelPath, moving: Index) -> ComplexArray:
-    """Lines (k,) of exp(-t/T) over the window of each, T being the time constant of the channel's declared high-pass."""
+    """Lines (k,) of exp(-t/T) over the window of each, T the time constant of the channel's declared high-pass."""
     window = run.window
     if window is None or not path.high_pass:
         return np.zeros(len(moving), complex)

@@ -160,7 +160,7 @@ def _modelled(windows: Windows, fit: LocalFit) -> ComplexArray:
 
 
 def _beside_the_response(away: ComplexArray, Y: ComplexArray) -> ComplexArray:
-    """What is left of departures (w, M, c) beside the shapes in which the channels Y (w, M, c) move in the fitted lines.
+    """What is left of departures (w, M, c) beside the shapes in which the channels Y (w, M, c) move in fitted lines.
 
     A sharp peak that the local model misses is such a shape; what a channel picks up is not.
     """
@@ -176,7 +176,7 @@ def _test(mains: float, found: Sequence[_Departures]) -> ModelFreeTest:
     sums = _Sums.zeros(len(multiples), len(channels))
     for one in found:
         rows = np.searchsorted(multiples, one.multiple)
-        sums.add(one, np.ix_(rows, [channels.index(name) for name in one.channels]))
+        sums.add(one, np.ix_(rows, np.array([channels.index(name) for name in one.channels])))
     looks = sums.probabilities()
     p_value = of_several_looks(looks[sums.runs > 0])
     finding = "nothing"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,7 @@ def _edges(batches: Sequence[Batch]) -> Array:
     edges = np.empty(0)
     if len(moving):
         groups = np.array_split(moving, min(BANDS, len(moving)))
-        inner = [0.5 * (one[-1] + other[0]) for one, other in zip(groups[:-1], groups[1:], strict=True)]
+        inner = [0.5 * (one[-1] + other[0]) for one, other in pairwise(groups)]
         edges = np.array([moving[0], *inner, np.nextafter(moving[-1], np.inf)])
     at_rest = [0.0] if len(edges) else [0.0, np.finfo(float).tiny]
     return np.concatenate([at_rest, edges]) if frequency[0] == 0.0 else edges

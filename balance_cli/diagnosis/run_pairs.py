@@ -152,7 +152,7 @@ def _compared(first: Lines, second: Lines) -> _Change | None:
 def _shared(one: _Responses, other: _Responses) -> tuple[Index, Index]:
     """Lines of the same frequency and component in both."""
     keys = [np.rint(run.frequency * 1e6).astype(np.int64) * 8 + run.component for run in (one, other)]
-    _, i, j = np.intersect1d(*keys, return_indices=True)
+    _, i, j = np.intersect1d(keys[0], keys[1], return_indices=True)
     return np.asarray(i), np.asarray(j)
 
 
@@ -206,7 +206,7 @@ def _modal_changes(change: _Change, weighted: ComplexArray, bands: Sequence[Inde
     size = np.sum(change.shift.conj() * through, axis=1).real
     total = np.array([size[band].sum() for band in bands])
     value = np.array([along[band].sum() for band in bands]) / np.where(total > 0, total, 1.0)
-    return value, np.where(total > 0, 1.0 / np.sqrt(np.where(total > 0, total, 1.0)), 0.0)
+    return np.asarray(value, complex), np.where(total > 0, 1.0 / np.sqrt(np.where(total > 0, total, 1.0)), 0.0)
 
 
 def _where(change: _Change, band: Index) -> str:
@@ -219,7 +219,7 @@ def _where(change: _Change, band: Index) -> str:
 
 
 def _of_modes(frequency: Array, change: complex, sigma: float, when: str) -> str:
-    """In words what happens to frequency and damping; sigma of either part is that of the complex number over root 2."""
+    """In words what happens to frequency and damping; sigma of either is that of the complex number over root 2."""
     half = sigma / np.sqrt(2.0)
     parts = []
     if abs(change.real) > CLEAR * half:

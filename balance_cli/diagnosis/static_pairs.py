@@ -22,7 +22,7 @@ from balance_cli.diagnosis.chances import shared_dof, with_sigma
 from balance_cli.diagnosis.channel_pairs import declared_paths
 from balance_cli.equations import ChannelPath
 from balance_cli.geometry import Geometry
-from balance_cli.model.system import channel_gains
+from balance_cli.model.channel_gains import channel_gains
 from balance_cli.signals.lines import Lines, StaticPoints
 
 Array = NDArray[np.float64]
