@@ -8,6 +8,7 @@ import click
 import pandas as pd
 
 from balance_cli.geometry_file import load_geometry
+from studies.attribution import EXCITATIONS, NOTHING, Case, attribution_chunk, attribution_table, case
 from studies.chunks import run_chunks
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
 from studies.recovery import recovery_chunk, recovery_table
@@ -24,6 +25,7 @@ def studies(context: click.Context) -> None:
     if context.invoked_subcommand is None:
         context.invoke(coverage)
         context.invoke(recovery)
+        context.invoke(attribution)
 
 
 @studies.command()
@@ -47,6 +49,29 @@ def recovery(campaigns: int = 20, jobs: int = 2) -> None:
     table = recovery_table(run_chunks("recovery", _recovery, range(campaigns), jobs))
     _write("recovery", table)
     click.echo(table.to_string(index=False))
+
+
+@studies.command()
+@click.option("--campaigns", default=510, show_default=True)
+@click.option("--nothing", default=300, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def attribution(campaigns: int = 510, nothing: int = 300, jobs: int = 2) -> None:
+    """What the loop says of campaigns with one effect hidden, and of campaigns with nothing hidden."""
+    parts = [
+        run_chunks("attribution", _attribution, range(campaigns), jobs) if campaigns else None,
+        run_chunks("attribution-nothing", _attribution_nothing, range(nothing), jobs) if nothing else None,
+    ]
+    table = attribution_table(pd.concat([part for part in parts if part is not None], ignore_index=True))
+    _write("attribution", table)
+    click.echo(table.to_string(index=False))
+
+
+def _attribution(seed: int) -> pd.DataFrame:
+    return attribution_chunk(load_geometry(GEOMETRY), case(seed))
+
+
+def _attribution_nothing(seed: int) -> pd.DataFrame:
+    return attribution_chunk(load_geometry(GEOMETRY), Case(seed, NOTHING, EXCITATIONS[seed % len(EXCITATIONS)], 0.0))
 
 
 def _coverage(seed: int) -> pd.DataFrame:
