@@ -85,6 +85,14 @@ def test_trials_that_were_not_refitted_are_shown_on_demand():
     assert [row[1].text for row in hidden.blocks[0].rows] == ["channel-gain@x.piezo", "added-mass"]
 
 
+def test_tests_that_show_nothing_are_shown_on_demand():
+    made = section(given(diagnosis()))
+    (hidden,) = (one for one in made.blocks if isinstance(one, Details) and "show nothing" in one.summary)
+    assert [row[0].text for row in hidden.blocks[0].rows] == ["low level against high"]
+    open_ones = [one for one in made.blocks if isinstance(one, Table) and one.head[0][0].text == "test"]
+    assert [row[4].text for row in open_ones[0].rows] == ["z1.piezo is 0.25 ms late"]
+
+
 @pytest.mark.parametrize(
     ("verdict", "warned"), [(NOTHING_MISSING, False), (EXPLAINED, False), (PARTLY_EXPLAINED, True), (UNEXPLAINED, True)]
 )

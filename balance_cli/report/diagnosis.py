@@ -9,6 +9,7 @@ from balance_cli.diagnosed import (
     MEANING,
     NOTHING_MISSING,
     Diagnosis,
+    ModelFreeTest,
     Trial,
 )
 from balance_cli.report.blocks import (
@@ -161,20 +162,32 @@ def _trial_row(trial: Trial) -> Row:
 
 
 def _tests(made: Diagnosis) -> Iterator[Block]:
+    """What differs by more than chance; the rest on demand."""
     if made.tests:
         yield Heading("Tests that need no model of the plate")
-        head = (Cell("test"), Cell("place", mark="text"), Cell("chi2/dof"), Cell("p"), Cell("finding", mark="text"))
-        rows = tuple(
-            (
-                Cell(test.name, mark="name"),
-                Cell(test.place, mark="text"),
-                Cell(significant(test.chi2 / test.dof if test.dof > 0 else float("nan"))),
-                Cell(probability(test.p_value), mark="bad" if test.p_value < SIGNIFICANT else ""),
-                Cell(test.finding, mark="text"),
-            )
-            for test in made.tests
-        )
-        yield Table("Shaded: more than chance.", (head,), rows)
+        differing = [test for test in made.tests if test.p_value < SIGNIFICANT]
+        alike = [test for test in made.tests if not test.p_value < SIGNIFICANT]
+        if differing:
+            yield _test_table("What differs by more than chance.", differing)
+        else:
+            yield Text("Nothing differs by more than chance.")
+        if alike:
+            yield Details(f"{len(alike)} that show nothing", (_test_table("What chance would do as well.", alike),))
     if made.not_testable:
         yield Heading("What these runs say nothing of")
         yield Points(tuple(f"{item.name}: {item.why}" for item in made.not_testable))
+
+
+def _test_table(caption: str, tests: Sequence[ModelFreeTest]) -> Table:
+    head = (Cell("test"), Cell("place", mark="text"), Cell("chi2/dof"), Cell("p"), Cell("finding", mark="text"))
+    rows = tuple(
+        (
+            Cell(test.name, mark="name"),
+            Cell(test.place, mark="text"),
+            Cell(significant(test.chi2 / test.dof if test.dof > 0 else float("nan"))),
+            Cell(probability(test.p_value)),
+            Cell(test.finding, mark="text"),
+        )
+        for test in tests
+    )
+    return Table(caption, (head,), rows)

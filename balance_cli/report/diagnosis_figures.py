@@ -24,6 +24,8 @@ LEAST, MOST = 1.0, 10.0
 ROW_INCHES = 0.17
 MARGIN_INCHES = 0.42
 TICKS = 8
+AT_REST = 1e-3
+"""An edge [Hz] below which is frequency zero."""
 FEW_DECADES = 300.0
 """A largest residual below which the colour bar has ticks at 1, 2 and 5 in every decade."""
 
@@ -88,5 +90,6 @@ def _frequency_axis(axes: Axes, edges: Array) -> None:
     """Some of the edges of the bands as ticks."""
     step = max(1, round((len(edges) - 1) / TICKS))
     index = np.arange(0, len(edges), step)
-    axes.set_xticks(index - 0.5, [f"{edges[i]:.3g}" for i in index])
+    plain = (edges < AT_REST) | (edges > 10.0)
+    axes.set_xticks(index - 0.5, [f"{edges[i]:.0f}" if plain[i] else f"{edges[i]:.3g}" for i in index])
     axes.set_xlabel("edges of the bands [Hz]")
