@@ -22,7 +22,7 @@ from balance_cli.diagnosed import (
 )
 from balance_cli.geometry import Geometry
 from balance_cli.identified import IdentifiedModel
-from balance_cli.model.placed_effects import FittedParameter
+from balance_cli.model.fitted_effects import FittedParameter
 from balance_cli.spectra import Spectra
 
 
