@@ -106,7 +106,8 @@ def _of_run(run: Lines, dc: Sequence[ChannelPath], lowest_mode: float, alike: in
     value, covariance = _series(run.frequency[low] / lowest_mode, z, noise, u, alike)
     names = tuple(path.channel for path in dc)
     return {
-        component: _Response(names, value[j], covariance[j], 2.0 * run.dof) for j, component in enumerate(run.components)
+        component: _Response(names, value[j], covariance[j], 2.0 * run.dof)
+        for j, component in enumerate(run.components)
     }
 
 
