@@ -1,4 +1,4 @@
-"""Lines of a rig that no model of the project describes: modes of drawn shapes, cells that read forces, known noise."""
+"""Lines of a rig that no model of the project describes: modes with drawn shapes, channels with known noise."""
 
 from dataclasses import replace
 

@@ -21,6 +21,7 @@ from balance_cli.diagnosis.channel_ratio import (
     score,
     with_kind,
 )
+from balance_cli.diagnosis.ringing import ringing
 from balance_cli.equations import ChannelPath
 from balance_cli.geometry import Geometry
 from balance_cli.model.balance import balance_model
@@ -29,7 +30,6 @@ from balance_cli.signals.lines import Lines
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Index = NDArray[np.intp]
 
 NAME = "channels of a cell"
 # Probability below which two channels are held to differ, and what is fitted to describe nothing of all that is there.
@@ -88,7 +88,7 @@ def _pair(runs: Sequence[Lines], first: ChannelPath, second: ChannelPath, tolera
         np.concatenate([part.factor for part in parts]),
         np.concatenate([part.ringing for part in parts]),
         np.concatenate([part.run for part in parts]),
-        gain_sigma=float(np.sqrt(2.0) * tolerance),
+        float(np.sqrt(2.0) * tolerance),
     )
     return _Pair(*names, joined, tuple(2.0 * len(part.s) for part in parts), tuple(2.0 * run.dof for run in runs))
 
@@ -104,22 +104,15 @@ def _ratio_lines(run: Lines, paths: tuple[ChannelPath, ChannelPath], number: int
         run.channels[moving[:, None], places] / gains,
         noise / (gains[:, :, None] * gains[:, None, :].conj()),
         np.full(len(gains), noise_factor(run.dof, 1)),
-        np.stack([_ringing(run, path, moving) for path in paths], axis=1) / gains,
+        _unit(np.stack([ringing(run, path, moving) for path in paths], axis=1) / gains),
         np.full(len(gains), number),
     )
 
 
-def _ringing(run: Lines, path: ChannelPath, moving: Index) -> ComplexArray:
-    """Lines (k,) of exp(-t/T) over the window of each, T the time constant of the channel's declared high-pass."""
-    window = run.window
-    if window is None or not path.high_pass:
-        return np.zeros(len(moving), complex)
-    rate = path.high_pass[0].value
-    start, step = window.start[moving], window.step
-    # The size is free: only the shape counts, and that must not vanish where a record is long.
-    decay = np.exp(-rate * (start - start.min())) - np.exp(-rate * (window.stop - start.min()))
-    turn = np.exp(-(rate + 2j * np.pi * run.frequency[moving]) * step)
-    return np.asarray(decay / (window.stop - start) / (1.0 - turn), complex)
+def _unit(columns: ComplexArray) -> ComplexArray:
+    """Columns (k, 2) of like size: theirs is free, and may be tiny."""
+    largest = np.max(np.abs(columns), axis=0, initial=0.0)
+    return np.asarray(columns / np.where(largest > 0, largest, 1.0))
 
 
 def _test(pair: _Pair) -> ModelFreeTest:

@@ -112,7 +112,7 @@ def _ratio(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> Complex
 
 
 def _residual(lines: RatioLines, r: ComplexArray) -> tuple[ComplexArray, Array, ComplexArray]:
-    """E (K,), its variance (K,) and E[n_A e*] (K,)."""
+    """The difference e (K,), its variance (K,) and E[n_A e*] (K,)."""
     C = lines.covariance
     e = lines.forces[:, 1] - r * lines.forces[:, 0]
     shared = C[:, 0, 1] - r.conj() * C[:, 0, 0].real

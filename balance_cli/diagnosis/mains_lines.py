@@ -30,7 +30,8 @@ IMPROBABLE = 1e-3
 REACH = 13
 NEIGHBOURS = np.array([-14, -10, -7, -4, 4, 7, 10, 14])
 LEFT_OUT = 1.01
-ORDERS = Orders(response=3, transient=-1, denominator=3)
+# The simplest one that follows a window serves: what more there is to fit, noise puts where nothing is looked at.
+ORDERS = tuple(Orders(response=3, transient=-1, denominator=n) for n in (0, 2, 3))
 # The most that one run may say, for now and then a local model finds a wrong pole.
 LEAST_CHANCE = 1e-4
 LEAST_OTHERS = 8.0
@@ -123,12 +124,10 @@ def _left_out(run: Lines, moving: Index, middles: Index, near: NDArray[np.bool_]
     beside = np.abs(np.arange(-REACH, REACH + 1)) <= 1
     here = near[at]
     windows = Windows(Y, U, np.where(beside | here, 0.0, 1.0), r)
-    fit = fit_windows(windows, ORDERS)
-    away = _beside_the_response(Y - _modelled(windows, fit), Y * windows.weight[:, :, None])
+    modelled, followed = _simplest(windows)
+    away = _beside_the_response(Y - modelled, Y * windows.weight[:, :, None])
     counted = np.where(here[:, REACH, None], here, beside & ~here) & beside
     power = np.sum(np.where(counted[:, :, None], np.abs(away) ** 2, 0.0), axis=1) * variance
-    free = windows.weight.sum(axis=1) - ORDERS.coefficients(U.shape[2]) - ORDERS.denominator / c
-    followed = (fit.cost / c < FOLLOWED * np.maximum(free, 0.0)) & ~_peaked(fit)
     count = np.where(followed, 2.0 * counted.sum(axis=1), 0.0)[:, None] * np.ones(c)
     return np.where(count > 0, power, 0.0), count, 0.5 * variance
 
@@ -151,11 +150,30 @@ def _peaked(fit: LocalFit) -> NDArray[np.bool_]:
     return near
 
 
+def _simplest(windows: Windows) -> tuple[ComplexArray, NDArray[np.bool_]]:
+    """What the simplest local model that follows a window says of its lines (w, M, c), and whether (w,) any does."""
+    c, u = windows.Y.shape[2], windows.U.shape[2]
+    modelled = np.zeros_like(windows.Y)
+    followed = np.zeros(len(windows.Y), bool)
+    for orders in ORDERS:
+        left = np.flatnonzero(~followed)
+        if not left.size:
+            break
+        some = windows.subset(left)
+        fit = fit_windows(some, orders)
+        free = some.weight.sum(axis=1) - orders.coefficients(u) - orders.denominator / c
+        good = (fit.cost / c < FOLLOWED * np.maximum(free, 0.0)) & ~_peaked(fit)
+        modelled[left[good]] = _modelled(some, fit)[good]
+        followed[left[good]] = True
+    return modelled, followed
+
+
 def _modelled(windows: Windows, fit: LocalFit) -> ComplexArray:
     """What the local model says of all lines (w, M, c) of the windows, those without weight too."""
-    P = legendre.legvander(windows.r, max(ORDERS.response, ORDERS.denominator))
-    driven = windows.U[:, :, :, None] * P[:, :, None, : ORDERS.response + 1]
-    A = np.matmul(P[:, :, : ORDERS.denominator + 1], fit.denominator[:, :, None])
+    orders = fit.orders
+    P = legendre.legvander(windows.r, max(orders.response, orders.denominator))
+    driven = windows.U[:, :, :, None] * P[:, :, None, : orders.response + 1]
+    A = np.matmul(P[:, :, : orders.denominator + 1], fit.denominator[:, :, None])
     return np.asarray(driven.reshape(*driven.shape[:2], -1) @ fit.coefficients / A)
 
 
@@ -175,8 +193,8 @@ def _test(mains: float, found: Sequence[_Departures]) -> ModelFreeTest:
     multiples = np.unique(np.concatenate([one.multiple for one in found]))
     sums = _Sums.zeros(len(multiples), len(channels))
     for one in found:
-        rows = np.searchsorted(multiples, one.multiple)
-        sums.add(one, np.ix_(rows, np.array([channels.index(name) for name in one.channels])))
+        places = np.array([channels.index(name) for name in one.channels])
+        sums.add(one, np.ix_(np.searchsorted(multiples, one.multiple), places))
     looks = sums.probabilities()
     p_value = of_several_looks(looks[sums.runs > 0])
     finding = "nothing"

@@ -21,7 +21,7 @@ def model_free_tests(spectra: Spectra, geometry: Geometry, lowest_mode: float) -
     return (
         *channel_tests(runs, geometry),
         *static_tests(runs, spectra.statics, geometry, lowest_mode),
-        *level_tests(runs),
-        *spin_tests(runs),
+        *level_tests(runs, geometry),
+        *spin_tests(runs, geometry),
         *mains_tests(runs),
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,12 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 BANDS = 30
-# Rms of a run, band or channel that is more than noise, and that of a single field of the map.
+# Rms of a run, band or channel that is more than noise, and that of a single field of the map; real values that a field
+# holds at least, and sigma by which chance may lift their mean square.
 CLEAR = 1.1
-CLEAR_FIELD = 2.0
+CLEAR_FIELD = 2.5
+FEWEST_VALUES = 2
+SIGMA = 4.0
 # Of the largest excess in its direction, what makes a run, band or channel one of those where the residual is; and how
 # many of them are named.
 NAMED_SHARE = 0.3
@@ -110,15 +114,24 @@ def location(found: ResidualMap) -> str:
         return "No lines."
     whole = float(np.sqrt(np.nanmean(power)))
     by = [_marginal(power, axis) for axis in range(3)]
-    if max(float(np.nanmax(one)) for one in by) < CLEAR and float(np.nanmax(found.after)) < CLEAR_FIELD:
+    if not any(_is_clear(power, axis, one) for axis, one in enumerate(by)) and np.nanmax(found.after) < CLEAR_FIELD:
         return f"Nothing beyond the noise (rms {whole:.2f} of it)."
     runs = [found.runs[i] for i in _largest(by[0])]
     channels = [found.channels[i] for i in _largest(by[2])]
-    bands = _bands(found.edges, _largest(by[1]))
+    chosen = _largest(by[1])
+    bands = "all bands" if len(chosen) == len(found.edges) - 1 else ", ".join(_bands(found.edges, chosen)[:MOST_NAMED])
     return (
         f"Rms {whole:.2f} of the noise; most in {_listed(runs, len(found.runs), 'runs')}, "
-        f"{_listed(bands, len(found.edges) - 1, 'bands')}, {_listed(channels, len(found.channels), 'channels')}."
+        f"{bands}, {_listed(channels, len(found.channels), 'channels')}."
     )
+
+
+def _is_clear(power: Array, axis: int, marginal: Array) -> bool:
+    """Whether any of the marginal rms is more than chance, too, would have it."""
+    others = tuple(i for i in range(3) if i != axis)
+    values = FEWEST_VALUES * np.maximum(np.isfinite(power).sum(axis=others), 1)
+    bound = np.maximum(CLEAR, np.sqrt(1.0 + SIGMA * np.sqrt(2.0 / values)))
+    return bool(np.any(np.nan_to_num(marginal) > bound))
 
 
 def _marginal(power: Array, axis: int) -> Array:
@@ -150,8 +163,10 @@ def _bands(edges: Array, chosen: Sequence[int]) -> list[str]:
 
 
 def _listed(names: Sequence[str], count: int, what: str) -> str:
-    """Some names; `all runs` where there are many of them."""
-    if not names or (len(names) == count and count > 1) or len(names) > count // 2 > MOST_NAMED:
-        return f"all {what}" if not names or len(names) == count else f"most {what}"
+    """Some names; `all runs`, `most runs` where there are many of them."""
+    if len(names) in (0, count) and count > 1:
+        return f"all {what}"
+    if len(names) > max(count // 2, MOST_NAMED):
+        return f"most {what}"
     shown = ", ".join(names[:MOST_NAMED])
     return shown if len(names) <= MOST_NAMED else f"{shown} and {len(names) - MOST_NAMED} more {what}"

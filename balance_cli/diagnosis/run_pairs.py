@@ -7,7 +7,7 @@ the noise of channels and loads. A change that follows f dH/df is one of the fre
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +20,11 @@ from balance_cli.diagnosis.chances import (
     of_several_looks,
     probability,
     shared_dof,
-    with_sigma,
 )
+from balance_cli.diagnosis.channel_pairs import declared_paths
+from balance_cli.diagnosis.ringing import ringing, usual_ringing
+from balance_cli.equations import ChannelPath
+from balance_cli.geometry import Geometry
 from balance_cli.signals.lines import Lines
 
 Array = NDArray[np.float64]
@@ -39,6 +42,10 @@ OTHER_SHARE = 1e-3
 OTHER_SIGMA = 5.0
 # Times its sigma that a change of frequency or damping must be to be named.
 CLEAR = 5.0
+# Share of one of the two below which the other is held to come from the slope's own error.
+MINOR = 0.3
+# Times its rms that the ringing of a high-pass may be: it is the same number at all lines, and no noise.
+RINGING = 3.0
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,7 @@ class _Change:
     shift: ComplexArray
 
 
-def level_tests(runs: Sequence[Lines]) -> list[ModelFreeTest]:
+def level_tests(runs: Sequence[Lines], geometry: Geometry) -> list[ModelFreeTest]:
     """One row for each sweep and the one of the highest level among those of its components and rotor speed."""
     groups: dict[tuple[tuple[str, ...], float], list[Lines]] = {}
     for run in runs:
@@ -77,17 +84,17 @@ def level_tests(runs: Sequence[Lines]) -> list[ModelFreeTest]:
     for group in groups.values():
         highest = max(group, key=_size)
         pairs += [(run, highest) for run in group if _size(run) < 0.9 * _size(highest)]
-    return _tests(LEVEL, pairs, "at the high level")
+    return _tests(LEVEL, pairs, geometry, "at the high level")
 
 
-def spin_tests(runs: Sequence[Lines]) -> list[ModelFreeTest]:
+def spin_tests(runs: Sequence[Lines], geometry: Geometry) -> list[ModelFreeTest]:
     """One row for each sweep with a turning rotor and the one at rest that is nearest to it in level."""
     pairs = []
     for run in runs:
         resting = [other for other in runs if other.components == run.components and other.rotor_speed == 0.0]
         if run.rotor_speed > 0 and resting:
             pairs.append((min(resting, key=lambda other: abs(np.log(_size(other) / _size(run)))), run))
-    return _tests(SPIN, pairs, "with the rotor turning")
+    return _tests(SPIN, pairs, geometry, "with the rotor turning")
 
 
 def _size(run: Lines) -> float:
@@ -95,18 +102,19 @@ def _size(run: Lines) -> float:
     return float(np.sqrt(np.mean(np.sum(np.abs(run.loads[run.frequency > 0]) ** 2, axis=1))))
 
 
-def _tests(name: str, pairs: Sequence[tuple[Lines, Lines]], when: str) -> list[ModelFreeTest]:
+def _tests(name: str, pairs: Sequence[tuple[Lines, Lines]], geometry: Geometry, when: str) -> list[ModelFreeTest]:
+    paths = {path.channel: path for path in declared_paths(geometry)}
     found = []
     for first, second in pairs:
-        change = _compared(first, second)
+        change = _compared(first, second, paths)
         if change is not None:
             found.append(_test(name, f"{first.run}, {second.run}", change, when))
     return found
 
 
-def _responses(run: Lines, names: Sequence[str]) -> _Responses:
-    """Where one component alone is driven."""
-    c, u = len(run.channel_names), len(run.components)
+def _responses(run: Lines, paths: Sequence[ChannelPath]) -> _Responses:
+    """Where one component alone is driven. What the channels' own high-passes ring is added to their noise."""
+    c = len(run.channel_names)
     amplitude = np.abs(run.loads)
     driven = np.argmax(amplitude, axis=1)
     noise = np.sqrt(np.maximum(np.diagonal(run.covariance, axis1=1, axis2=2).real[:, c:], 0.0))
@@ -114,23 +122,26 @@ def _responses(run: Lines, names: Sequence[str]) -> _Responses:
     others = amplitude > np.maximum(OTHER_SHARE * largest[:, None], OTHER_SIGMA * noise)
     others[np.arange(len(driven)), driven] = False
     kept = np.flatnonzero((run.frequency > 0) & (largest > 0) & ~others.any(axis=1))
-    places = np.array([run.channel_names.index(name) for name in names], dtype=np.intp)
+    places = np.array([run.channel_names.index(path.channel) for path in paths], dtype=np.intp)
     mine = np.concatenate([np.broadcast_to(places, (len(kept), len(places))), c + driven[kept, None]], axis=1)
     covariance = run.covariance[kept[:, None, None], mine[:, :, None], mine[:, None, :]]
     U = run.loads[kept, driven[kept]]
     H = run.channels[kept[:, None], places] / U[:, None]
     identity = np.broadcast_to(np.eye(len(places)), (len(kept), len(places), len(places)))
     combine = np.concatenate([identity, -H[:, :, None]], axis=2) / U[:, None, None]
-    component = np.arange(u)[driven[kept]] if u else driven[kept]
-    return _Responses(run.frequency[kept], component, H, combine @ covariance @ combine.conj().swapaxes(1, 2), run.dof)
+    noise_of_response = combine @ covariance @ combine.conj().swapaxes(1, 2)
+    for i, path in enumerate(paths):
+        rung = RINGING * usual_ringing(run, path) * np.abs(ringing(run, path, kept))
+        noise_of_response[:, i, i] += (rung / np.abs(U)) ** 2
+    return _Responses(run.frequency[kept], driven[kept], H, noise_of_response, run.dof)
 
 
-def _compared(first: Lines, second: Lines) -> _Change | None:
+def _compared(first: Lines, second: Lines, paths: Mapping[str, ChannelPath]) -> _Change | None:
     """What changes from the first run to the second; None where they share next to nothing."""
     names = tuple(name for name in first.channel_names if name in second.channel_names)
     if not names:
         return None
-    one, other = _responses(first, names), _responses(second, names)
+    one, other = (_responses(run, [paths[name] for name in names]) for run in (first, second))
     i, j = _shared(one, other)
     if len(i) < FEWEST_LINES:
         return None
@@ -151,8 +162,8 @@ def _compared(first: Lines, second: Lines) -> _Change | None:
 
 def _shared(one: _Responses, other: _Responses) -> tuple[Index, Index]:
     """Lines of the same frequency and component in both."""
-    keys = [np.rint(run.frequency * 1e6).astype(np.int64) * 8 + run.component for run in (one, other)]
-    _, i, j = np.intersect1d(keys[0], keys[1], return_indices=True)
+    first, second = (np.rint(run.frequency * 1e6) * 8 + run.component for run in (one, other))
+    _, i, j = np.intersect1d(first, second, return_indices=True)
     return np.asarray(i), np.asarray(j)
 
 
@@ -194,8 +205,10 @@ def _test(name: str, place: str, change: _Change, when: str) -> ModelFreeTest:
     gains = 2.0 * np.abs(modal) ** 2 / np.where(sigma > 0, sigma, np.inf) ** 2
     finding = _where(change, bands[int(np.argmax(excess))])
     best = int(np.argmax(gains))
-    if np.sqrt(gains[best]) > CLEAR:
-        finding += "; " + _of_modes(change.frequency[bands[best]], modal[best], sigma[best], when)
+    # What the change leaves, its derivative being taken at one place, widens sigma (Birge).
+    left = (chi2[bands[best]].sum() - gains[best]) / (2.0 * c * len(bands[best]))
+    of_modes = _of_modes(change.frequency[bands[best]], modal[best], sigma[best] * np.sqrt(max(left, 1.0)), when)
+    finding = "; ".join(part for part in (finding, of_modes) if part)
     return ModelFreeTest(name, place, float(chi2.sum()), 2.0 * c * len(chi2), p_value, finding)
 
 
@@ -206,7 +219,8 @@ def _modal_changes(change: _Change, weighted: ComplexArray, bands: Sequence[Inde
     size = np.sum(change.shift.conj() * through, axis=1).real
     total = np.array([size[band].sum() for band in bands])
     value = np.array([along[band].sum() for band in bands]) / np.where(total > 0, total, 1.0)
-    return np.asarray(value, complex), np.where(total > 0, 1.0 / np.sqrt(np.where(total > 0, total, 1.0)), 0.0)
+    sigma = np.where(total > 0, 1.0 / np.sqrt(np.where(total > 0, total, 1.0)), 0.0)
+    return np.asarray(value, complex), sigma
 
 
 def _where(change: _Change, band: Index) -> str:
@@ -219,15 +233,15 @@ def _where(change: _Change, band: Index) -> str:
 
 
 def _of_modes(frequency: Array, change: complex, sigma: float, when: str) -> str:
-    """In words what happens to frequency and damping; sigma of either is that of the complex number over root 2."""
-    half = sigma / np.sqrt(2.0)
+    """In words what happens to frequency and damping; from slopes between lines, so in round figures."""
+    half = CLEAR * sigma / np.sqrt(2.0)
     parts = []
-    if abs(change.real) > CLEAR * half:
+    if abs(change.real) > max(half, MINOR * abs(change.imag)):
         sense = "higher" if change.real > 0 else "lower"
-        parts.append(f"frequencies {with_sigma(100 * abs(change.real), 100 * half, '%')} {sense}")
-    if abs(change.imag) > CLEAR * half:
+        parts.append(f"frequencies about {100 * abs(change.real):.2g} % {sense}")
+    if abs(change.imag) > max(half, MINOR * abs(change.real)):
         sense = "larger" if change.imag > 0 else "smaller"
-        parts.append(f"damping ratios {sense} by {with_sigma(abs(change.imag), half)}")
+        parts.append(f"damping ratios about {abs(change.imag):.2g} {sense}")
     if not parts:
         return ""
     return f"from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz {' and '.join(parts)} {when}"
