@@ -22,7 +22,7 @@ from balance_cli.diagnosis.confirm import SIGNIFICANT, Confirmed, Fit, chance, c
 from balance_cli.diagnosis.model_free import model_free_tests
 from balance_cli.diagnosis.needed import STRONG, effect_wald, indistinguishable, pruned, without
 from balance_cli.diagnosis.residual_map import location, residual_map
-from balance_cli.diagnosis.search import Found, search
+from balance_cli.diagnosis.search import WRONG, Found, search
 from balance_cli.diagnosis.search_lines import search_lines
 from balance_cli.diagnosis.seeds import seeds
 from balance_cli.diagnosis.testable import not_testable
@@ -44,10 +44,6 @@ Progress = Callable[[str, float], None]
 
 GOOD_FIT = 1.2
 """Chi-square per degree of freedom up to which a model describes its data (contract, verdicts)."""
-
-
-WRONG = 3e-3
-"""Model error at the end of a search, a share of the response, that goes on into the weights."""
 
 
 @dataclass(frozen=True)

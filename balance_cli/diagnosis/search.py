@@ -35,6 +35,8 @@ ABOUT_AS_MUCH = 0.7
 MOST_EFFECTS = 12
 # A model error smaller than this share of the response is left to the tests against the noise.
 SMALL_ERROR = 3e-4
+WRONG = 3e-3
+"""A model error, a share of the response, beyond which a fit may be in a wrong minimum and weights need it."""
 # A share of what the model error costs that is no progress.
 SLIGHT = 2e-3
 
@@ -66,7 +68,7 @@ def search(model: BalanceModel, theta: Array, lines: SearchLines, say: Say, know
             break
         say(f"search, round {number}: model error {100 * state.error:.2g} %")
         added = _round(state, lines, number, trials, rivals)
-        slow = added is None or added.error > SLOW * state.error
+        slow = state.error > WRONG and (added is None or added.error > SLOW * state.error)
         state = state if added is None else added
         if slow and not stuck:
             again = started_again(state, lines)
@@ -98,7 +100,7 @@ def _sown(
 
 
 def _unstuck(state: State, lines: SearchLines) -> State:
-    if state.error < SMALL_ERROR:
+    if state.error < WRONG:
         return state
     return started_again(state, lines) or state
 
