@@ -1,0 +1,184 @@
+"""The loop and its parts: score test, model error, folds, and whole diagnoses of simulated campaigns."""
+
+import numpy as np
+import pytest
+from rigs import rotor_balance
+
+from balance_cli.diagnose import diagnose
+from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING
+from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
+from balance_cli.diagnosis.confirm import fitted
+from balance_cli.diagnosis.folds import fold_gain, halves
+from balance_cli.diagnosis.score import best_gain, best_scores, extended, scores, with_candidates
+from balance_cli.errors import UserError
+from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.model_error import log_volume, shares_that_explain, with_model_error
+from balance_cli.geometry import DeclaredEffect
+from balance_cli.identify import IdentifyOptions, identify
+from balance_cli.model.balance import balance_model
+from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
+from balance_cli.simulation.extensions import apply_effects
+from balance_cli.simulation.plans import HIGH, statics
+from balance_cli.spectra import measured_spectra
+
+RIG = rotor_balance()
+PLAN = CampaignPlan(
+    runs=(
+        *statics(),
+        *(
+            SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=8)
+            for name, level in HIGH.items()
+        ),
+    )
+)
+
+
+def simulated_spectra(*effects, seed=3):
+    runs, _ = simulate_campaign(apply_effects(true_rig(RIG), effects), PLAN, seed=seed)
+    return measured_spectra(runs, RIG, means=True)
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return simulated_spectra()
+
+
+@pytest.fixture(scope="module")
+def late():
+    """A channel is late by a little: a gain of about a hundred in chi-square."""
+    return simulated_spectra(DeclaredEffect(name="time-delay", where=("z1.piezo",), parameters={"delay": 1.5e-6}))
+
+
+def lines_of(spectra):
+    return stacked(spectra.lines, spectra.statics, RIG.channel_names)
+
+
+# ---- score test ------------------------------------------------------------------------------------------------------
+
+
+def test_gain_without_bounds_is_that_of_rao():
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((4, 4))
+    V, s = root @ root.T, rng.standard_normal(4)
+    nothing = np.zeros(4, bool)
+    gain, used = best_gain(s, V, nothing, nothing)
+    assert used == 4
+    assert gain == pytest.approx(s @ np.linalg.solve(V, s))
+
+
+def test_gain_with_bounds_is_the_best_that_is_allowed():
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((2, 2))
+    V, s = root @ root.T + np.eye(2), np.array([-2.0, 1.5])
+    grid = np.stack(np.meshgrid(np.linspace(0, 3, 601), np.linspace(-3, 3, 1201), indexing="ij"), axis=-1)
+    best = (2 * grid @ s - np.einsum("abi,ij,abj->ab", grid, V, grid)).max()
+    gain, _ = best_gain(s, V, np.array([True, False]), np.zeros(2, bool))
+    assert gain == pytest.approx(best, rel=1e-4)
+    assert gain < s @ np.linalg.solve(V, s)
+
+
+def test_a_score_is_what_a_refit_gains(late):
+    model, batches = balance_model(RIG), lines_of(late)
+    fit = fitted(model, model.parameters.value, batches)
+    one = candidate_at("time-delay", ("z1.piezo",), RIG)
+    (score,) = scores(model, fit.theta, batches, [one])
+    wide, theta = extended(model, fit.theta, with_candidates(RIG, [(one, 0)]))
+    gained = fit.chi2 - fitted(wide, theta, batches).chi2
+    assert score.gain > 50.0
+    assert score.gain == pytest.approx(gained, rel=0.02)
+
+
+def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late):
+    model, batches = balance_model(RIG), lines_of(late)
+    fit = fitted(model, model.parameters.value, batches)
+    found = sorted(best_scores(model, fit.theta, batches, candidates(RIG)), key=lambda score: -score.gain)
+    labels = [score.candidate.label for score in found[:2]]
+    assert "time-delay@z1.piezo" in labels
+    true = next(score for score in found if score.candidate.label == "time-delay@z1.piezo")
+    assert fold_gain(model, fit.theta, batches, true) > 0.5 * true.gain
+    chance = next(score for score in found if 0.0 < score.gain < 0.5)
+    assert fold_gain(model, fit.theta, batches, chance) < 2.0
+
+
+def test_halves_share_no_line_and_leave_none_out(healthy):
+    batches = lines_of(healthy)
+    for batch, *parts in zip(batches, *halves(batches), strict=True):
+        assert sum(len(part.index) for part in parts) == len(batch.index)
+
+
+def test_candidates_leave_out_what_the_rig_has():
+    have = RIG.model_copy(update={"effects": (DeclaredEffect(name="time-delay", where=("x.piezo",)),)})
+    labels = {one.label for one in candidates(have)}
+    assert "time-delay@x.piezo" not in labels
+    assert "time-delay@x.strain" in labels
+    assert not any(label.startswith("extra-mode") for label in labels)
+    support = next(one for one in candidates(RIG) if one.effect.name == "support-flexibility")
+    assert all(len(where) == len(support.one.where) - 1 for where in smaller_places(support.one, RIG))
+
+
+# ---- model error -----------------------------------------------------------------------------------------------------
+
+
+def test_no_model_error_where_nothing_is_wrong(healthy):
+    model, batches = balance_model(RIG), lines_of(healthy)
+    fit = fitted(model, model.parameters.value, batches)
+    shares = shares_that_explain(batches, model.system(fit.theta))
+    assert set(shares.values()) == {0.0}
+    assert with_model_error(batches, shares) == batches
+    assert log_volume(batches, shares) == 0.0
+
+
+def test_model_error_is_about_as_large_as_what_is_wrong(healthy):
+    """All stiffnesses and masses as they are, every sensitivity of what is measured two per cent off by chance."""
+    model, batches = balance_model(RIG), lines_of(healthy)
+    fit = fitted(model, model.parameters.value, batches)
+    theta = fit.theta.copy()
+    rng = np.random.default_rng(4)
+    for i, name in enumerate(model.parameters.names):
+        if name.startswith("sensitivity."):
+            theta[i] *= 1.0 + 0.02 * rng.standard_normal()
+    shares = shares_that_explain(batches, model.system(theta))
+    assert 0.005 < np.median(list(shares.values())) < 0.06
+
+
+# ---- the loop --------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_missing_where_nothing_is(healthy):
+    diagnosis, closed = diagnose(identify(healthy, RIG), healthy)
+    assert diagnosis.verdict == NOTHING_MISSING
+    assert not diagnosis.effects
+    assert not closed.geometry.effects
+    assert diagnosis.chi2_per_dof_after == pytest.approx(1.0, abs=0.05)
+    assert "gyroscopic-coupling" in {item.name for item in diagnosis.not_testable}
+    assert any("one level" in note for note in diagnosis.notes)
+
+
+def test_two_effects_at_once_are_found_and_the_model_is_closed():
+    hidden = (
+        DeclaredEffect(name="time-delay", where=("x.piezo",), parameters={"delay": 4e-4}),
+        DeclaredEffect(
+            name="parallel-stiffness",
+            parameters={"x": 0.1, "y": 0.2, "z": 0.15, "stiffness_x": 1e5, "stiffness_y": 1e5, "stiffness_z": 2e5},
+        ),
+    )
+    spectra = simulated_spectra(*hidden)
+    before = identify(spectra, RIG)
+    said = []
+    diagnosis, closed = diagnose(before, spectra, progress=lambda what, share: said.append(share))
+    assert diagnosis.verdict == EXPLAINED
+    assert {effect.label for effect in diagnosis.effects} == {"time-delay@x.piezo", "parallel-stiffness"}
+    delay = next(effect for effect in diagnosis.effects if effect.name == "time-delay").parameters[0]
+    assert abs(delay.value - 4e-4) < 4 * delay.sigma
+    assert diagnosis.chi2_per_dof_before > 10
+    assert closed.quality.chi2_per_dof == pytest.approx(1.0, abs=0.06)
+    assert said == sorted(said)
+    assert said[-1] == 1.0
+    again, _ = diagnose(closed, spectra)
+    assert again.verdict == NOTHING_MISSING
+
+
+def test_what_it_cannot_work_with(healthy):
+    model = identify(healthy, RIG, IdentifyOptions(method="computed"))
+    with pytest.raises(UserError, match="no sweep run"):
+        diagnose(model, measured_spectra([], RIG))
