@@ -81,7 +81,7 @@ def best_scores(
     stride = lines // ENOUGH_LINES
     if stride < 2:
         return scores(model, theta, batches, candidates)
-    every = [selected_lines(batch, np.arange(len(batch.index)) % stride == 0) for batch in batches]
+    every = [selected_lines(batch, _some(batch, stride)) for batch in batches]
     found = {
         one.candidate.label: replace(one, expected=stride * one.expected)
         for one in scores(model, theta, every, candidates)
@@ -89,6 +89,12 @@ def best_scores(
     leading = sorted(found.values(), key=lambda one: one.gain / max(one.parameters, 1), reverse=True)[:LEADING]
     found |= {one.candidate.label: one for one in scores(model, theta, batches, [one.candidate for one in leading])}
     return tuple(found.values())
+
+
+def _some(batch: Batch, stride: int) -> NDArray[np.bool_]:
+    """Every so many lines, but all of those at rest, which say what no other does."""
+    still = batch.frequency[batch.index] == 0
+    return np.asarray(still | (np.arange(len(still)) % stride == 0))
 
 
 def _starts_matter(candidate: Candidate, number: int) -> bool:
