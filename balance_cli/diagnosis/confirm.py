@@ -16,7 +16,7 @@ from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidates
 from balance_cli.diagnosis.folds import fold_gain
 from balance_cli.diagnosis.refit import PENALTY
-from balance_cli.diagnosis.score import Score, best_scores, extended, with_candidates
+from balance_cli.diagnosis.score import Score, best_scores, extended, improbability, with_candidates
 from balance_cli.estimation.gauss_newton import Minimum
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch
@@ -82,14 +82,17 @@ def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> C
         say(f"all lines, round {number}")
         found = best_scores(fit.model, fit.theta, batches, candidates(fit.model.geometry))
         open_ones = [score for score in found if score.candidate.label not in refused]
-        left = min((chance(score.gain, score.parameters, len(found)) for score in open_ones), default=1.0)
+        left = min(
+            (chance(score.gain, score.parameters, len(found), score.noise_dof) for score in open_ones), default=1.0
+        )
         chosen = significant(open_ones, len(found))
         if not chosen:
             break
         tried = [_refitted(fit, score, batches) for score in chosen]
         best = max(range(len(tried)), key=lambda i: fit.chi2 - tried[i].chi2 - PENALTY * chosen[i].parameters)
         folds = fold_gain(fit.model, fit.theta, batches, chosen[best])
-        accepted = chance(fit.chi2 - tried[best].chi2, chosen[best].parameters, len(found)) < SIGNIFICANT and folds > 0
+        gain, score = fit.chi2 - tried[best].chi2, chosen[best]
+        accepted = folds > 0 and chance(gain, score.parameters, len(found), score.noise_dof) < SIGNIFICANT
         for i, (score, new) in enumerate(zip(chosen, tried, strict=True)):
             trials.append(_trial(number, score, fit.chi2 - new.chi2, len(found), accepted and i == best))
         if accepted:
@@ -106,18 +109,16 @@ def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> C
 def significant(found: Sequence[Score], count: int) -> list[Score]:
     """The best candidates by what they would gain less their price, where the best is significant at all."""
     worth = sorted(found, key=lambda score: PENALTY * score.parameters - score.gain)
-    if not worth or chance(worth[0].gain, worth[0].parameters, count) >= SIGNIFICANT:
+    if not worth or chance(worth[0].gain, worth[0].parameters, count, worth[0].noise_dof) >= SIGNIFICANT:
         return []
     best = worth[0].gain - PENALTY * worth[0].parameters
     near = [score for score in worth if score.gain - PENALTY * score.parameters > best - NEAR_BEST - 0.1 * best]
     return near[:MOST_REFITS]
 
 
-def chance(gain: float, parameters: int, count: int) -> float:
+def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) -> float:
     """Probability that the best of `count` candidates gains so much where nothing is missing (Bonferroni)."""
-    from scipy.stats import chi2
-
-    return min(1.0, count * float(chi2.sf(gain, parameters)))
+    return min(1.0, count * improbability(gain, parameters, noise_dof))
 
 
 def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:

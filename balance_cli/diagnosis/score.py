@@ -49,13 +49,23 @@ class Score:
     gain: float
     parameters: int
     expected: float
+    noise_dof: float
 
     @property
     def p_value(self) -> float:
         """Probability of so large a gain where nothing is missing (one candidate alone)."""
-        from scipy.stats import chi2
+        return improbability(self.gain, self.parameters, self.noise_dof)
 
-        return float(chi2.sf(self.gain, self.parameters)) if self.parameters else 1.0
+
+def improbability(gain: float, parameters: int, noise_dof: float = np.inf) -> float:
+    """Probability of so large a gain by chance, with a noise that is known to `noise_dof` degrees of freedom (F)."""
+    from scipy.stats import chi2, f
+
+    if not parameters:
+        return 1.0
+    if not np.isfinite(noise_dof):
+        return float(chi2.sf(gain, parameters))
+    return float(f.sf(gain / parameters, parameters, noise_dof))
 
 
 def scores(
@@ -130,11 +140,15 @@ def _scores_of_start(
 
 @dataclass(frozen=True)
 class Projected:
-    """Of a candidate: s (q,), V (q, q) with the fitted parameters projected out; `raw` (q,) is V's diagonal before."""
+    """Of a candidate: s (q,), V (q, q) with the fitted parameters projected out; `raw` (q,) is V's diagonal before.
+
+    `noise_dof`: degrees of freedom of the noise in the runs that speak of it (Satterthwaite, by their information).
+    """
 
     s: Array
     V: Array
     raw: Array
+    noise_dof: float
 
 
 def _projected(wide: BalanceModel, at: Array, batches: Sequence[Batch], places: _Places) -> list[Projected]:
@@ -142,6 +156,7 @@ def _projected(wide: BalanceModel, at: Array, batches: Sequence[Batch], places: 
     prior = prior_curvature(wide.parameters, at)
     gradient, cross = prior.gradient.copy(), prior.information[places.fitted].copy()
     blocks = [np.zeros((len(own), len(own))) for own in places.own]
+    by_runs: list[list[Array]] = []
 
     def parts(batch: Batch) -> tuple[Array, Array, list[Array]]:
         found = batch_slopes(batch, system)
@@ -153,14 +168,27 @@ def _projected(wide: BalanceModel, at: Array, batches: Sequence[Batch], places: 
         for part_gradient, part_cross, part_blocks in workers.map(parts, batches):
             gradient, cross = gradient + part_gradient, cross + part_cross
             blocks = [one + other for one, other in zip(blocks, part_blocks, strict=True)]
+            by_runs.append([np.diag(block).copy() for block in part_blocks])
+    run_dof = np.array([batch.noise_dof[0] for batch in batches])
     inverse = covariance_of(cross[:, places.fitted])
     step = inverse @ gradient[places.fitted]
     return [
         Projected(
-            -(gradient[own] - cross[:, own].T @ step), V - cross[:, own].T @ inverse @ cross[:, own], np.diag(V).copy()
+            -(gradient[own] - cross[:, own].T @ step),
+            V - cross[:, own].T @ inverse @ cross[:, own],
+            np.diag(V).copy(),
+            _noise_dof(np.array([run[i] for run in by_runs]), run_dof),
         )
-        for own, V in zip(places.own, blocks, strict=True)
+        for i, (own, V) in enumerate(zip(places.own, blocks, strict=True))
     ]
+
+
+def _noise_dof(information: Array, run_dof: Array) -> float:
+    """(sum I)^2 / sum (I^2 / dof) over runs, I (runs, q) shared out over the parameters by their whole information."""
+    whole = information.sum(axis=0)
+    share = (information / np.where(whole > 0, whole, 1.0)).sum(axis=1)
+    spread = float(np.sum(share**2 / run_dof))
+    return float(share.sum() ** 2 / spread) if spread > 0 else np.inf
 
 
 def with_candidates(geometry: Geometry, chosen: Sequence[tuple[Candidate, int]], started: bool = False) -> Geometry:
@@ -196,7 +224,8 @@ def _score(one: Candidate, number: int, part: Projected) -> Score:
     lower = np.array([item.fitted_bounds[0] >= item.fitted_null for item in items])
     upper = np.array([item.fitted_bounds[1] <= item.fitted_null for item in items])
     gain, used = best_gain(part.s[seen], part.V[np.ix_(seen, seen)], lower[seen], upper[seen])
-    return Score(one, number, gain, used, float(scale[seen] ** 2 @ np.diag(part.V)[seen]))
+    expected = float(scale[seen] ** 2 @ np.diag(part.V)[seen])
+    return Score(one, number, gain, used, expected, part.noise_dof)
 
 
 def best_gain(s: Array, V: Array, lower: NDArray[np.bool_], upper: NDArray[np.bool_]) -> tuple[float, int]:

@@ -35,6 +35,7 @@ class Batch:
     The precision holds it as a factor, so that the information says what the estimate is worth; chi-square against
     the noise is that of the precision divided by it.
 
+    `noise_dof`: of each run, real degrees of freedom with which its noise is known.
     `windows`: of each run, where a periodic record's lines come from; None where no free motion can be in them.
     constant_volts (K,), constant_loads (K, u) and `waveforms` as in `Lines`, all channels in their order.
     """
@@ -55,6 +56,7 @@ class Batch:
     constant_volts: Array
     constant_loads: Array
     waveforms: tuple[Waveform | LoadPoints | None, ...]
+    noise_dof: tuple[float, ...]
 
     @property
     def parts(self) -> tuple[slice, ...]:
@@ -102,6 +104,7 @@ def _one_run(batch: Batch, i: int) -> Batch:
         runs=(batch.runs[i],),
         windows=(batch.windows[i],),
         waveforms=(batch.waveforms[i],),
+        noise_dof=(batch.noise_dof[i],),
         run=np.zeros_like(chosen.run),
         frequency=frequency,
         index=index.reshape(-1),
@@ -199,7 +202,13 @@ def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: 
         constant_volts=np.concatenate([_constant_volts(item) for item in group]),
         constant_loads=np.concatenate([_constant_loads(item) for item in group]),
         waveforms=tuple(_all_waveforms(item, channel_names) for item in group),
+        noise_dof=tuple(_noise_dof(item) for item in group),
     )
+
+
+def _noise_dof(lines: Lines) -> float:
+    """Real degrees of freedom of all that a run tells of its noise: at rest those of its rows, else of every line."""
+    return lines.dof if not lines.frequency.any() else 2.0 * max(lines.dof, len(lines.frequency))
 
 
 def _count(lines: Lines) -> Array:
