@@ -37,3 +37,18 @@ def usual_ringing(run: Lines, path: ChannelPath) -> float:
         return 0.0
     volts = run.channels[run.frequency > 0, run.channel_names.index(path.channel)]
     return float(np.sqrt(0.5 * np.sum(np.abs(volts) ** 2)))
+
+
+def without_ringing(change: ComplexArray, precision: ComplexArray, columns: tuple[ComplexArray, ...]) -> ComplexArray:
+    """A change (k, c) of responses without what each run's channels still ring, weighed by `precision` (k, c, c).
+
+    `columns` (k, c): of each run what the ringing of each channel adds to that channel when it is as large as it may
+    be; how large it is, and of which sign, is one number at all lines, with a standard deviation of one.
+    """
+    c = change.shape[1]
+    R = np.concatenate(columns, axis=1)
+    P = np.tile(precision, (1, len(columns), len(columns)))
+    weighted = np.tile(np.matmul(precision, change[:, :, None])[:, :, 0], (1, len(columns)))
+    normal = 2.0 * np.real(np.sum(R.conj()[:, :, None] * P * R[:, None, :], axis=0)) + np.eye(R.shape[1])
+    size = np.linalg.solve(normal, 2.0 * np.real(np.sum(R.conj() * weighted, axis=0)))
+    return np.asarray(change - np.sum((R * size).reshape(len(R), len(columns), c), axis=1))

@@ -22,7 +22,7 @@ from balance_cli.diagnosis.chances import (
     shared_dof,
 )
 from balance_cli.diagnosis.channel_pairs import declared_paths
-from balance_cli.diagnosis.ringing import ringing, usual_ringing
+from balance_cli.diagnosis.ringing import ringing, usual_ringing, without_ringing
 from balance_cli.equations import ChannelPath
 from balance_cli.geometry import Geometry
 from balance_cli.signals.lines import Lines
@@ -44,18 +44,22 @@ OTHER_SIGMA = 5.0
 CLEAR = 5.0
 # Share of one of the two below which the other is held to come from the slope's own error.
 MINOR = 0.3
-# Times its rms that the ringing of a high-pass may be: it is the same number at all lines, and no noise.
+# Times its rms that the ringing of a high-pass may be.
 RINGING = 3.0
 
 
 @dataclass(frozen=True)
 class _Responses:
-    """Responses (k, c) of one run at frequency (k,) to the one component (k,) that is driven, their noise (k, c, c)."""
+    """Responses (k, c) of one run at frequency (k,) to the one component (k,) that is driven, their noise (k, c, c);
+
+    `ringing` (k, c): what the channels' own high-passes may add to them.
+    """
 
     frequency: Array
     component: Index
     response: ComplexArray
     covariance: ComplexArray
+    ringing: ComplexArray
     dof: float
 
 
@@ -113,7 +117,7 @@ def _tests(name: str, pairs: Sequence[tuple[Lines, Lines]], geometry: Geometry, 
 
 
 def _responses(run: Lines, paths: Sequence[ChannelPath]) -> _Responses:
-    """Where one component alone is driven. What the channels' own high-passes ring is added to their noise."""
+    """Where one component alone is driven."""
     c = len(run.channel_names)
     amplitude = np.abs(run.loads)
     driven = np.argmax(amplitude, axis=1)
@@ -130,10 +134,8 @@ def _responses(run: Lines, paths: Sequence[ChannelPath]) -> _Responses:
     identity = np.broadcast_to(np.eye(len(places)), (len(kept), len(places), len(places)))
     combine = np.concatenate([identity, -H[:, :, None]], axis=2) / U[:, None, None]
     noise_of_response = combine @ covariance @ combine.conj().swapaxes(1, 2)
-    for i, path in enumerate(paths):
-        rung = RINGING * usual_ringing(run, path) * np.abs(ringing(run, path, kept))
-        noise_of_response[:, i, i] += (rung / np.abs(U)) ** 2
-    return _Responses(run.frequency[kept], driven[kept], H, noise_of_response, run.dof)
+    rung = [RINGING * usual_ringing(run, path) * ringing(run, path, kept) / U for path in paths]
+    return _Responses(run.frequency[kept], driven[kept], H, noise_of_response, np.stack(rung, axis=1), run.dof)
 
 
 def _compared(first: Lines, second: Lines, paths: Mapping[str, ChannelPath]) -> _Change | None:
@@ -148,12 +150,14 @@ def _compared(first: Lines, second: Lines, paths: Mapping[str, ChannelPath]) -> 
     covariance = one.covariance[i] + other.covariance[j]
     share = np.trace(np.linalg.solve(covariance, one.covariance[i]), axis1=1, axis2=2).real.mean() / len(names)
     dof = shared_dof((float(share), 1.0 - float(share)), (one.dof, other.dof))
+    precision = _precision(covariance, dof)
+    change = without_ringing(other.response[j] - one.response[i], precision, (one.ringing[i], other.ringing[j]))
     response = 0.5 * (one.response[i] + other.response[j])
     return _Change(
         channels=names,
         frequency=one.frequency[i],
-        change=other.response[j] - one.response[i],
-        precision=_precision(covariance, dof),
+        change=change,
+        precision=precision,
         dof=dof,
         response=response,
         shift=_shift(one.frequency[i], one.component[i], response),
