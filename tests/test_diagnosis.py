@@ -122,7 +122,7 @@ def test_candidates_leave_out_what_the_rig_has():
 def test_no_model_error_where_nothing_is_wrong(healthy):
     model, batches = balance_model(RIG), lines_of(healthy)
     fit = fitted(model, model.parameters.value, batches)
-    shares = shares_that_explain(batches, model.system(fit.theta))
+    shares = shares_that_explain(batches, model.system(fit.theta), by_chance=3.0)
     assert set(shares.values()) == {0.0}
     assert with_model_error(batches, shares) == batches
     assert log_volume(batches, shares) == 0.0

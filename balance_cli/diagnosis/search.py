@@ -34,7 +34,7 @@ ABOUT_AS_MUCH = 0.7
 # Largest number of effects that a search adds.
 MOST_EFFECTS = 12
 # A model error smaller than this share of the response is left to the tests against the noise.
-SMALL_ERROR = 3e-4
+SMALL_ERROR = 1e-3
 WRONG = 3e-3
 """A model error, a share of the response, beyond which a fit may be in a wrong minimum and weights need it."""
 # A share of what the model error costs that is no progress.

@@ -37,8 +37,6 @@ SMALLEST_ERROR = 1e-6
 FIRST_ERROR = 0.1
 ITERATIONS = 8
 EXACT = 0.01
-# Standard deviations by which the chi-square of a run may be above its degrees of freedom without being wrong.
-BY_CHANCE = 3.0
 
 
 def with_model_error(batches: Sequence[Batch], shares: Shares) -> tuple[Batch, ...]:
@@ -103,14 +101,18 @@ def log_volume(batches: Sequence[Batch], shares: Shares) -> float:
     return total
 
 
-def shares_that_explain(batches: Sequence[Batch], system: System, near: Shares | None = None) -> Shares:
-    """The share e of each run at which its chi-square is its degrees of freedom; 0 where it is more by chance at most.
+def shares_that_explain(
+    batches: Sequence[Batch], system: System, near: Shares | None = None, by_chance: float = 0.0
+) -> Shares:
+    """The share e of each run at which its chi-square is its degrees of freedom; 0 where it is no more without any,
+
+    or by so many of its standard deviations (`by_chance`) only.
 
     Where the error outweighs the noise chi-square goes as 1/e^2: e <- e sqrt(chi2 / dof), all runs at once.
     """
     names = [name for batch in batches for name in batch.runs]
     dof = np.concatenate([np.bincount(batch.run, batch.count, len(batch.runs)) for batch in batches])
-    wrong = _run_chi2(batches, system) > dof + BY_CHANCE * np.sqrt(2.0 * dof)
+    wrong = _run_chi2(batches, system) > dof + by_chance * np.sqrt(2.0 * dof)
     shares = np.array([(near or {}).get(name, 0.0) or FIRST_ERROR for name in names])
     for _ in range(ITERATIONS if wrong.any() else 0):
         trial = dict(zip(names, np.where(wrong, shares, 0.0).tolist(), strict=True))
