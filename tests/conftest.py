@@ -8,6 +8,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
+from hypothesis import settings
+
+# The same examples in every run: a failure is found again, and what passes here passes elsewhere.
+settings.register_profile("seeded", derandomize=True)
+settings.load_profile("seeded")
 
 
 @dataclass(frozen=True)
