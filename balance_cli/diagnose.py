@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,18 +45,8 @@ GOOD_FIT = 1.2
 """Chi-square per degree of freedom up to which a model describes its data (contract, verdicts)."""
 
 
-@dataclass(frozen=True)
-class DiagnoseOptions:
-    """`alternatives`: also look for what cannot be told apart, which takes a refit for each rival."""
-
-    alternatives: bool = True
-
-
 def diagnose(
-    model: IdentifiedModel,
-    spectra: Spectra,
-    options: DiagnoseOptions | None = None,
-    progress: Progress | None = None,
+    model: IdentifiedModel, spectra: Spectra, progress: Progress | None = None
 ) -> tuple[Diagnosis, IdentifiedModel]:
     """The diagnosis, without hold-out runs, and the closed model.
 
@@ -86,8 +75,7 @@ def diagnose(
     fit, removed = pruned(confirmed.fit, judged, count, rounds + len({item.round for item in confirmed.trials}) + 1)
     closed = described(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra.channels_left_out)
     trials = (*found.trials, *confirmed.trials, *removed)
-    options = options or DiagnoseOptions()
-    effects = _effects(fit, closed, judged, trials, found, confirmed, model, options, say)
+    effects = _effects(fit, closed, judged, trials, found, confirmed, model, say)
     before = (start, theta)
     quality = _quality(start, theta, batches)
     residuals = residual_map(batches, before, (fit.model, fit.theta))
@@ -151,7 +139,6 @@ def _effects(
     found: Found,
     confirmed: Confirmed,
     model: IdentifiedModel,
-    options: DiagnoseOptions,
     say: Callable[[str], None],
 ) -> tuple[FoundEffect, ...]:
     """The effects that the loop has added, strongest first; those of the model given are not news."""
@@ -164,16 +151,16 @@ def _effects(
             continue
         say(f"evidence of {one.label}")
         gain, known = effect_wald(fit, one)
-        if gain < STRONG:
-            gain = without(fit, one, batches).chi2 - fit.chi2
-        same = indistinguishable(fit, one, batches, rivals.get(one.label, ())) if options.alternatives else ()
+        less = without(fit, one, batches) if gain < STRONG else None
+        gain = gain if less is None else less.chi2 - fit.chi2
+        same = indistinguishable(fit, one, batches, rivals.get(one.label, ()), less)
         came = next((item for item in trials if item.decision == "accepted" and _same(item.label, one.label)), None)
         evidence = Evidence(
             gain=gain,
             parameters=known,
             p_value=chance(gain, max(known, 1), len(confirmed.scores)),
             score=came.score if came else float("nan"),
-            folds=came.gain if came else float("nan"),
+            folds=came.folds if came else float("nan"),
             round=came.round if came else 0,
             empirical=one.effect.empirical,
         )

@@ -28,11 +28,12 @@ MEANING = {
 
 @dataclass(frozen=True)
 class Evidence:
-    """What speaks for an effect: `gain` of chi-square that the closed model loses without it (everything refitted),
+    """What speaks for an effect: `gain`, chi-square that the closed model loses without its `parameters`.
 
-    for `parameters` of its own; `p_value` of that gain, corrected for the number of candidates; `score`, what the
-    score test promised before it was added; `folds`, the gain on lines that the fit had not seen; `round` in which it
-    came in (from 1). `empirical`: it describes and does not explain.
+    Of a weak effect everything is refitted without it; of a strong one it is Wald's chi-square. `p_value` of that gain,
+    corrected for the number of candidates; `score`, what the score test promised before it was added; `folds`, the gain
+    on lines that the fit had not seen; `round` in which it came in (0: from the channels of one cell). `empirical`: it
+    describes and does not explain.
     """
 
     gain: float
@@ -65,8 +66,8 @@ class FoundEffect:
 class Trial:
     """One candidate in one round: what the score test promised, for how many parameters, with which corrected p-value;
 
-    `gain` after the refit, penalised for parameters and candidates (NaN where it was not refitted); the `decision`
-    (`accepted`, `rejected`, `not refitted`, `removed`, `kept`) and why.
+    `gain` after the refit (NaN where it was not refitted); the `decision` (`accepted`, `rejected`, `removed`,
+    `narrowed`) and why; `folds`, what it gained on lines that its fit had not seen (NaN where that was not asked).
     """
 
     round: int
@@ -77,6 +78,7 @@ class Trial:
     gain: float
     decision: str
     why: str = ""
+    folds: float = float("nan")
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ class Engine:
         self.verdict = verdict
         self.spectra: Spectra | None = None
 
-    def __call__(self, before, spectra, options=None, progress=None) -> tuple[Diagnosis, IdentifiedModel]:
+    def __call__(self, before, spectra, progress=None) -> tuple[Diagnosis, IdentifiedModel]:
         self.spectra = spectra
         if progress is not None:
             progress("residual", 0.2)

@@ -130,7 +130,7 @@ def _closed(before: IdentifiedModel, spectra: Spectra) -> tuple[Diagnosis, Ident
     from balance_cli.diagnose import diagnose
 
     with share_bar() as progress:
-        return diagnose(before, spectra, None, progress)
+        return diagnose(before, spectra, progress)
 
 
 def _errors(

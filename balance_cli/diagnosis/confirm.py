@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
-from balance_cli.diagnosis.candidates import Candidate, candidates
+from balance_cli.diagnosis.candidates import candidates
 from balance_cli.diagnosis.folds import fold_gain
 from balance_cli.diagnosis.refit import PENALTY
 from balance_cli.diagnosis.score import Score, best_scores, extended, improbability, with_candidates
+from balance_cli.diagnosis.trials import trial
 from balance_cli.estimation.gauss_newton import Minimum
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch
@@ -66,9 +67,9 @@ class Confirmed:
     left: float
 
 
-def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch], iterations: int = 60) -> Fit:
+def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Fit:
     """The maximum likelihood from `theta`."""
-    return Fit(model, maximum_likelihood(model, batches, theta, iterations))
+    return Fit(model, maximum_likelihood(model, batches, theta))
 
 
 def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> Confirmed:
@@ -94,7 +95,9 @@ def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> C
         gain, score = fit.chi2 - tried[best].chi2, chosen[best]
         accepted = folds > 0 and chance(gain, score.parameters, len(found), score.noise_dof) < SIGNIFICANT
         for i, (score, new) in enumerate(zip(chosen, tried, strict=True)):
-            trials.append(_trial(number, score, fit.chi2 - new.chi2, len(found), accepted and i == best))
+            taken, judged = accepted and i == best, folds if i == best else float("nan")
+            why = "" if taken else "another gained more, or the gain did not hold"
+            trials.append(trial(number, score, len(found), fit.chi2 - new.chi2, taken, why, judged))
         if accepted:
             label = chosen[best].candidate.label
             others = {
@@ -122,32 +125,8 @@ def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) 
 
 
 def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
-    """The fit with a candidate added, from where its score was taken."""
-    return min(
-        (_from(fit, score.candidate, score.start, started, batches) for started in _ways(score.candidate)),
-        key=lambda item: item.chi2,
-    )
-
-
-def _ways(candidate: Candidate) -> tuple[bool, ...]:
-    """Begin away from the null; at it, too, where nothing shapes what it does."""
-    return (True,) if any(item.secondary for item in candidate.one.parameters) else (False,)
-
-
-def _from(fit: Fit, candidate: Candidate, number: int, started: bool, batches: Sequence[Batch]) -> Fit:
-    geometry = with_candidates(fit.model.geometry, [(candidate, number)], started)
+    """The fit with a candidate added: from its null, but away from it where other parameters shape what it does."""
+    started = any(item.secondary for item in score.candidate.one.parameters)
+    geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started)
     model, theta = extended(fit.model, fit.theta, geometry)
     return fitted(model, theta, batches)
-
-
-def _trial(number: int, score: Score, gain: float, count: int, accepted: bool) -> Trial:
-    return Trial(
-        round=number,
-        label=score.candidate.label,
-        score=score.gain,
-        parameters=score.parameters,
-        p_value=min(1.0, count * score.p_value),
-        gain=gain,
-        decision="accepted" if accepted else "rejected",
-        why="" if accepted else "another gained more, or the gain did not hold",
-    )

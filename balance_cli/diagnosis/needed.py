@@ -14,8 +14,7 @@ from balance_cli.diagnosis.score import best_scores, extended, with_candidates
 from balance_cli.effects import Where
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.support import covariance_of
-from balance_cli.geometry import Geometry
-from balance_cli.model.balance import balance_model
+from balance_cli.geometry import DeclaredEffect, Geometry
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
 Array = NDArray[np.float64]
@@ -56,13 +55,7 @@ def effect_wald(fit: Fit, one: PlacedEffect) -> tuple[float, int]:
 
 def without(fit: Fit, one: PlacedEffect, batches: Sequence[Batch]) -> Fit:
     """The model without an effect, refitted."""
-    effects = tuple(
-        item
-        for item, placed in zip(fit.model.geometry.effects, _in_order(fit.model.geometry), strict=True)
-        if placed.label != one.label
-    )
-    geometry = fit.model.geometry.model_copy(update={"effects": effects})
-    model, theta = extended(fit.model, fit.theta, geometry)
+    model, theta = extended(fit.model, fit.theta, _bare(fit.model.geometry, one))
     return fitted(model, theta, batches)
 
 
@@ -73,12 +66,7 @@ def _in_order(geometry: Geometry) -> list[PlacedEffect]:
 
 def instead(fit: Fit, one: PlacedEffect, rival: Candidate, batches: Sequence[Batch]) -> Fit:
     """The model with a rival in the place of an effect, refitted from the best of its starts."""
-    kept = tuple(
-        item
-        for item, placed in zip(fit.model.geometry.effects, _in_order(fit.model.geometry), strict=True)
-        if placed.label != one.label
-    )
-    bare = fit.model.geometry.model_copy(update={"effects": kept})
+    bare = _bare(fit.model.geometry, one)
     fits = []
     for number in range(len(rival.starts)):
         model, theta = extended(fit.model, fit.theta, with_candidates(bare, [(rival, number)], started=True))
@@ -134,16 +122,12 @@ def _at(fit: Fit, one: PlacedEffect, where: Where, batches: Sequence[Batch]) -> 
     """The same effect at another place, refitted from the same values."""
     geometry = fit.model.geometry
     smaller = candidate_at(one.effect.name, where, geometry).one
-    effects = tuple(
-        item.model_copy(update={"where": where}) if placed.label == one.label else item
-        for item, placed in zip(geometry.effects, _in_order(geometry), strict=True)
-    )
     known = {item.name for item in smaller.parameters}
     effects = tuple(
-        item.model_copy(update={"parameters": {k: v for k, v in item.parameters.items() if k in known}})
-        if item.where == where and item.name == one.effect.name
+        DeclaredEffect(name=item.name, where=where, parameters={k: v for k, v in item.parameters.items() if k in known})
+        if placed.label == one.label
         else item
-        for item in effects
+        for item, placed in zip(geometry.effects, _in_order(geometry), strict=True)
     )
     model, theta = extended(fit.model, fit.theta, geometry.model_copy(update={"effects": effects}))
     for item in smaller.parameters:
@@ -152,18 +136,20 @@ def _at(fit: Fit, one: PlacedEffect, where: Where, batches: Sequence[Batch]) -> 
     return fitted(model, theta, batches), smaller
 
 
-def indistinguishable(fit: Fit, one: PlacedEffect, batches: Sequence[Batch], rivals: Iterable[str]) -> tuple[str, ...]:
-    """Labels of what explains the same data within a log-likelihood of 3 when it stands in the effect's place."""
+def indistinguishable(
+    fit: Fit, one: PlacedEffect, batches: Sequence[Batch], rivals: Iterable[str], less: Fit | None
+) -> tuple[str, ...]:
+    """Labels of what explains the same data within a log-likelihood of 3 when it stands in the effect's place.
+
+    `less`: the model without the effect, where that was refitted; it shows who else would gain as much.
+    """
     possible = {item.label: item for item in candidates(_bare(fit.model.geometry, one))}
     names = [name for name in rivals if name in possible]
-    gain, _ = effect_wald(fit, one)
-    if gain < STRONG:
-        names += [name for name in _near(fit, one, batches, gain) if name not in names]
-    found = []
-    for name in names[:MOST_RIVALS]:
-        if instead(fit, one, possible[name], batches).chi2 - fit.chi2 <= SAME:
-            found.append(name)
-    return tuple(found)
+    if less is not None:
+        names += [name for name in _near(less, one, batches, less.chi2 - fit.chi2) if name not in names]
+    return tuple(
+        name for name in names[:MOST_RIVALS] if instead(fit, one, possible[name], batches).chi2 - fit.chi2 <= SAME
+    )
 
 
 def _bare(geometry: Geometry, one: PlacedEffect) -> Geometry:
@@ -173,10 +159,8 @@ def _bare(geometry: Geometry, one: PlacedEffect) -> Geometry:
     return geometry.model_copy(update={"effects": tuple(kept)})
 
 
-def _near(fit: Fit, one: PlacedEffect, batches: Sequence[Batch], gain: float) -> list[str]:
-    """Candidates that score about as well as the effect where it is taken out."""
-    less = without(fit, one, batches)
-    lost = less.chi2 - fit.chi2
-    found = best_scores(less.model, less.theta, batches, candidates(balance_model(less.model.geometry).geometry))
+def _near(less: Fit, one: PlacedEffect, batches: Sequence[Batch], lost: float) -> list[str]:
+    """Candidates that score about as well as what was lost with the effect."""
+    found = best_scores(less.model, less.theta, batches, candidates(less.model.geometry))
     near = [item for item in found if item.candidate.label != one.label and item.gain > lost - SHORT - 0.1 * lost]
     return [item.candidate.label for item in sorted(near, key=lambda item: -item.gain)]

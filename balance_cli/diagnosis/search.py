@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
-from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates
+from balance_cli.diagnosis.candidates import candidate_at, candidates
 from balance_cli.diagnosis.refit import PENALTY, Attempt, State, attempts, begun_anew, settled
 from balance_cli.diagnosis.score import Score, scores
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.diagnosis.seeds import Seed
+from balance_cli.diagnosis.trials import trial
 from balance_cli.estimation.model_error import with_model_error
 from balance_cli.model.balance import BalanceModel
+from balance_cli.model.placed_effects import declared_effects
 
 Array = NDArray[np.float64]
 
@@ -79,7 +81,9 @@ def search(model: BalanceModel, theta: Array, lines: SearchLines, say: Say, know
             stuck = False
         if added is None:
             break
-    return Found(_unstuck(state, lines), tuple(trials), rivals)
+    if state.error > WRONG:
+        state = started_again(state, lines) or state
+    return Found(state, tuple(trials), rivals)
 
 
 def _sown(
@@ -94,15 +98,10 @@ def _sown(
         gain = state.fitted - ends[one.label].fitted - PENALTY
         why = "two channels of one cell differ so" if chosen else "the other channel suits the plate better"
         decision = "accepted" if chosen else "rejected"
-        trials.append(Trial(0, one.label, seed.gain, 1, 0.0, gain, decision, why))
+        folds = state.folds - ends[one.label].folds
+        trials.append(Trial(0, one.label, seed.gain, 1, 0.0, gain, decision, why, folds))
     rivals[best] = {label: state.fitted - end.fitted for label, end in ends.items()}
     return ends[best]
-
-
-def _unstuck(state: State, lines: SearchLines) -> State:
-    if state.error < WRONG:
-        return state
-    return started_again(state, lines) or state
 
 
 def _round(
@@ -125,7 +124,8 @@ def _round(
         name = score.candidate.label
         chosen = accepted and score is best_score
         why = "gained less in its first steps" if name not in folds else _why(gains[name], least, folds[name], chosen)
-        trials.append(_trial(number, score, gains.get(name, one.gain), len(ranked), chosen, why))
+        gain, fold = gains.get(name, one.gain), folds.get(name, float("nan"))
+        trials.append(trial(number, score, len(ranked), gain, chosen, why, fold))
     if not accepted:
         return None
     rivals[label] = gains
@@ -164,19 +164,6 @@ def _why(gain: float, least: float, folds: float, chosen: bool) -> str:
     return "another gained more" if folds > 0 else "gains nothing on lines that were not fitted"
 
 
-def _trial(number: int, score: Score, gain: float, count: int, accepted: bool, why: str) -> Trial:
-    return Trial(
-        round=number,
-        label=score.candidate.label,
-        score=score.gain,
-        parameters=score.parameters,
-        p_value=min(1.0, count * score.p_value),
-        gain=gain,
-        decision="accepted" if accepted else "rejected",
-        why=why,
-    )
-
-
 def ranked_scores(state: State, lines: SearchLines) -> list[Score]:
     """Scores of all candidates under the model error, best first; physical ones only."""
     batches = with_model_error(lines.fitted, state.shares)
@@ -196,8 +183,8 @@ def leading(ranked: Sequence[Score]) -> list[Score]:
 def started_again(state: State, lines: SearchLines) -> State | None:
     """The same effects, those with several starts begun anew beside the others; None where that is no better."""
     best = state
-    for effect in state.geometry.effects:
-        candidate: Candidate = candidate_at(effect.name, effect.where, state.geometry)
+    for effect in declared_effects(state.geometry):
+        candidate = candidate_at(effect.effect.name, effect.where, state.geometry)
         if len(candidate.starts) > 1:
             new = begun_anew(best, candidate, lines)
             best = new if new.fitted < best.fitted - PENALTY else best
