@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.jets import Jet, block_diagonal, concatenate, constant
-from balance_cli.kinematics import motion_at
+from balance_cli.kinematics import AT_CENTRE, PER_ARM, motion_at
 
 Array = NDArray[np.float64]
 
@@ -121,13 +121,13 @@ class Equations:
         return tuple(path.channel for path in self.paths)
 
     def motion(self, point: Jet | Array) -> Jet:
-        """Motion (3, n) of a point (3,) [m] of the moving part, rig axes, per unit of each coordinate."""
-        rows = motion_of(point - self.centre)[:, list(self.freedom)]
-        others = constant(np.zeros((3, len(self.coordinates) - len(self.freedom))), self.parameters)
-        return concatenate([rows, others], axis=1)
+        """Motion (..., 3, n) of points (..., 3) [m] of the moving part, rig axes, per unit of each coordinate."""
+        rows = motion_of(point - self.centre)[..., list(self.freedom)]
+        others = len(self.coordinates) - len(self.freedom)
+        return concatenate([rows, constant(np.zeros((*rows.value.shape[:-1], others)), self.parameters)], axis=-1)
 
     def relative_motion(self, point: Array) -> Jet:
-        """Motion (3, n) of a point (3,) [m] of the moving part against the lower body."""
+        """Motion (..., 3, n) of points (..., 3) [m] of the moving part against the lower body."""
         return self.motion(point) - motion_at(point) @ self.base
 
     def with_coordinates(
@@ -165,9 +165,5 @@ class Equations:
 
 
 def motion_of(arm: Jet) -> Jet:
-    """Motion (3, 6) of a point at `arm` (3,) [m] from the centre of gravity, per unit q; linear in the arm."""
-    still = motion_at(np.zeros(3))
-    rows = constant(still, arm.parameters)
-    for k, unit in enumerate(np.eye(3)):
-        rows = rows + arm[k] * (motion_at(unit) - still)
-    return rows
+    """Motion (..., 3, 6) of points at `arm` (..., 3) [m] from the centre of gravity, per unit q; linear in the arm."""
+    return arm.dot(PER_ARM) + AT_CENTRE

@@ -92,6 +92,10 @@ class Jet:
         at = axis if axis < 0 else axis + 1
         return Jet(np.expand_dims(self.value, axis), np.expand_dims(self.slope, at))
 
+    def dot(self, array: Array) -> Jet:
+        """Sum over the last axis with the first of a constant array."""
+        return Jet(np.tensordot(self.value, array, 1), np.tensordot(self.slope, array, 1))
+
     def inverse(self) -> Jet:
         """Inverse of a square matrix: d(A^-1) = -A^-1 dA A^-1."""
         value = np.asarray(np.linalg.inv(self.value), float)
@@ -111,7 +115,7 @@ def _slope_matmul(slope: Array, value: Array) -> Array:
 def _matmul_slope(value: Array, that: Jet) -> Array:
     if that.value.ndim == 1:
         return np.asarray(that.slope @ value.T if value.ndim == 2 else that.slope @ value)
-    return np.asarray(value @ that.slope)
+    return np.asarray(value @ _aligned(that, max(value.ndim, that.value.ndim)))
 
 
 def constant(value: ArrayLike, parameters: int) -> Jet:

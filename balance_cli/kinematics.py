@@ -19,11 +19,20 @@ def cross_matrix(arm: Array) -> Array:
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
+def _turned(arm: Array) -> Array:
+    """R (3, 3) of d = [I, R] q at one arm: R q = rotation x arm."""
+    return np.asarray(-cross_matrix(arm) @ ROTATION_ORDER.T)
+
+
+AT_CENTRE = np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
+"""Motion (3, 6) of the centre itself."""
+PER_ARM = np.concatenate([np.zeros((3, 3, 3)), np.stack([_turned(unit) for unit in np.eye(3)])], axis=2)
+"""What each coordinate of an arm adds to it (3, 3, 6) [1/m]: the motion is linear in the arm."""
+
+
 def motion_at(arm: Array) -> Array:
     """Motion (..., 3, 6) of points at `arm` (..., 3) [m] from the centre of gravity, per unit q: d = [I, R] q.
 
     R q = rotation x arm, which gives (theta zeta - psi eta, psi xi - phi zeta, phi eta - theta xi).
     """
-    rotation = -cross_matrix(arm) @ ROTATION_ORDER.T
-    identity = np.broadcast_to(np.eye(3), rotation.shape)
-    return np.concatenate([identity, rotation], axis=-1)
+    return np.asarray(AT_CENTRE + np.tensordot(np.asarray(arm, float), PER_ARM, axes=1))

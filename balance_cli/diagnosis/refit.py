@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.candidates import Candidate
-from balance_cli.diagnosis.score import extended, with_candidates
+from balance_cli.diagnosis.score import Score, extended, with_candidates
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.estimation.gauss_newton import minimise, prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
@@ -24,6 +24,7 @@ from balance_cli.estimation.model_error import (
     shares_that_explain,
     with_model_error,
 )
+from balance_cli.estimation.starting_values import by_equations_of_motion
 from balance_cli.geometry import Geometry
 from balance_cli.model.balance import BalanceModel
 
@@ -98,41 +99,49 @@ def criterion(model: BalanceModel, theta: Array, batches: Sequence[Batch], share
 
 @dataclass(frozen=True)
 class Attempt:
-    """A few steps of a candidate's fit, with the model error as it was: how far chi-square falls, and from where on."""
+    """A few steps of a candidate's fit, with the model error as it was, and where they led.
+
+    `gain`: -2 ln likelihood that is gained if the model error shrinks with chi-square, n ln(chi2 / chi2).
+    """
 
     model: BalanceModel
     theta: Array
     gain: float
 
 
-def attempts(state: State, candidate: Candidate, lines: SearchLines) -> tuple[Attempt, ...]:
-    """The model with the candidate, some steps from each of its starts."""
+def attempt(state: State, score: Score, lines: SearchLines) -> Attempt:
+    """The model with the candidate, some steps from where it begins or, if that leads further, from a regression.
+
+    The equations of motion with the cells' forces have no resonances to get wrong (`estimation.starting_values`).
+    """
+    geometry = with_candidates(state.geometry, [(score.candidate, score.start)], started=True)
+    return _further(*extended(state.model, state.theta, geometry), state, lines)
+
+
+def _further(model: BalanceModel, theta: Array, state: State, lines: SearchLines) -> Attempt:
     batches = with_model_error(lines.fitted, state.shares)
     before = _chi2(state.model, state.theta, batches)
-    tries = [_tried(state, candidate, n, batches) for n in range(len(candidate.starts))]
-    return tuple(Attempt(model, theta, before - chi2) for model, theta, chi2 in tries)
+    regressed = by_equations_of_motion(model.parameters, lines.fitted, model.system, theta)
+    ends = [steps(model, start, batches, FIRST_STEPS) for start in (theta, regressed)]
+    chi2, best = min(((_chi2(model, end, batches), end) for end in ends), key=lambda item: item[0])
+    return Attempt(model, best, _count(batches) * float(np.log(before / chi2)))
+
+
+def _count(batches: Sequence[Batch]) -> float:
+    return float(sum(np.sum(batch.count) for batch in batches))
 
 
 def _chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
     return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
 
 
-def _tried(
-    state: State, candidate: Candidate, number: int, batches: Sequence[Batch]
-) -> tuple[BalanceModel, Array, float]:
-    geometry = with_candidates(state.geometry, [(candidate, number)], started=True)
-    model, theta = extended(state.model, state.theta, geometry)
-    theta = steps(model, theta, batches, FIRST_STEPS)
-    return model, theta, _chi2(model, theta, batches)
+def with_candidate(state: State, candidate: Candidate, lines: SearchLines) -> State:
+    """The model with the candidate, fitted from its first start."""
+    geometry = with_candidates(state.geometry, [(candidate, 0)], started=True)
+    return settled(*extended(state.model, state.theta, geometry), lines, state.shares)
 
 
-def begun_anew(state: State, candidate: Candidate, lines: SearchLines) -> State:
-    """The same effects, one of them begun anew from each of its starts and the others as they are; the best end."""
-    ends = []
-    for start in candidate.starts:
-        theta = state.theta.copy()
-        for item in candidate.one.parameters:
-            place = state.model.parameters.index(candidate.one.full_name(item))
-            theta[place] = start.get(item.fitted_name, item.fitted_start)
-        ends.append(settled(state.model, theta, lines, state.shares))
-    return min(ends, key=lambda end: end.fitted)
+def begun_anew(state: State, lines: SearchLines) -> State:
+    """The same model, everything fitted once more from the regression."""
+    theta = by_equations_of_motion(state.model.parameters, lines.fitted, state.model.system, state.theta)
+    return settled(state.model, theta, lines)

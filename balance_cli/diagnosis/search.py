@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
-from balance_cli.diagnosis.candidates import candidate_at, candidates
-from balance_cli.diagnosis.refit import PENALTY, Attempt, State, attempts, begun_anew, settled
+from balance_cli.diagnosis.candidates import candidates
+from balance_cli.diagnosis.refit import PENALTY, Attempt, State, attempt, begun_anew, settled, with_candidate
 from balance_cli.diagnosis.score import Score, scores
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.diagnosis.seeds import Seed
 from balance_cli.diagnosis.trials import trial
 from balance_cli.estimation.model_error import with_model_error
 from balance_cli.model.balance import BalanceModel
-from balance_cli.model.placed_effects import declared_effects
 
 Array = NDArray[np.float64]
 
@@ -90,16 +89,14 @@ def _sown(
     state: State, seed: Seed, lines: SearchLines, trials: list[Trial], rivals: dict[str, dict[str, float]]
 ) -> State:
     """The state with whichever of the seed's candidates suits the plate better."""
-    begun = [(one, attempts(state, one, lines)[0]) for one in seed.candidates]
-    ends = {one.label: settled(first.model, first.theta, lines, state.shares) for one, first in begun}
+    ends = {one.label: with_candidate(state, one, lines) for one in seed.candidates}
     best = min(ends, key=lambda label: ends[label].fitted)
-    for one, _ in begun:
+    for one in seed.candidates:
         chosen = one.label == best
         gain = state.fitted - ends[one.label].fitted - PENALTY
         why = "two channels of one cell differ so" if chosen else "the other channel suits the plate better"
         decision = "accepted" if chosen else "rejected"
-        folds = state.folds - ends[one.label].folds
-        trials.append(Trial(0, one.label, seed.gain, 1, 0.0, gain, decision, why, folds))
+        trials.append(Trial(0, one.label, seed.gain, 1, 0.0, gain, decision, why))
     rivals[best] = {label: state.fitted - end.fitted for label, end in ends.items()}
     return ends[best]
 
@@ -109,18 +106,17 @@ def _round(
 ) -> State | None:
     """The state with the best candidate of one round; None where none helps."""
     ranked = ranked_scores(state, lines)
-    begun = [(score, one) for score in leading(ranked) for one in attempts(state, score.candidate, lines)]
+    begun = [(score, attempt(state, score, lines)) for score in leading(ranked)]
     tried = [(score, settled(one.model, one.theta, lines, state.shares)) for score, one in _worth_settling(begun)]
     if not tried:
         return None
     best_score, best = min(tried, key=lambda item: item[1].fitted)
-    tried = _best_of_each(tried)
     gains = {score.candidate.label: state.fitted - new.fitted - PENALTY * score.parameters for score, new in tried}
     label = best_score.candidate.label
     least = max(2.0 * np.log(len(ranked)), SLIGHT * _size(state))
     accepted = gains[label] > least and best.folds < state.folds
     folds = {score.candidate.label: state.folds - new.folds for score, new in tried}
-    for score, one in _furthest_of_each(begun):
+    for score, one in begun:
         name = score.candidate.label
         chosen = accepted and score is best_score
         why = "gained less in its first steps" if name not in folds else _why(gains[name], least, folds[name], chosen)
@@ -130,18 +126,6 @@ def _round(
         return None
     rivals[label] = gains
     return best
-
-
-def _best_of_each(tried: Sequence[tuple[Score, State]]) -> list[tuple[Score, State]]:
-    """Of each candidate the best end."""
-    ends = {score.candidate.label: (score, state) for score, state in sorted(tried, key=lambda item: -item[1].fitted)}
-    return list(ends.values())
-
-
-def _furthest_of_each(begun: Sequence[tuple[Score, Attempt]]) -> list[tuple[Score, Attempt]]:
-    """Of each candidate the start whose first steps gained most."""
-    best = {score.candidate.label: (score, one) for score, one in sorted(begun, key=lambda item: item[1].gain)}
-    return list(best.values())
 
 
 def _worth_settling(begun: Sequence[tuple[Score, Attempt]]) -> list[tuple[Score, Attempt]]:
@@ -181,11 +165,6 @@ def leading(ranked: Sequence[Score]) -> list[Score]:
 
 
 def started_again(state: State, lines: SearchLines) -> State | None:
-    """The same effects, those with several starts begun anew beside the others; None where that is no better."""
-    best = state
-    for effect in declared_effects(state.geometry):
-        candidate = candidate_at(effect.effect.name, effect.where, state.geometry)
-        if len(candidate.starts) > 1:
-            new = begun_anew(best, candidate, lines)
-            best = new if new.fitted < best.fitted - PENALTY else best
-    return best if best is not state else None
+    """The same effects, everything begun anew; None where that is no better."""
+    new = begun_anew(state, lines)
+    return new if new.fitted < state.fitted - PENALTY else None

@@ -131,13 +131,15 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     )
     lower = _at_origin(values, where, p)
     wide = replace(wide, base=concatenate([equations.base, lower], axis=1))
-    rows = [cell.direction @ wide.relative_motion(np.array(cell.position)) for cell in geometry.cells]
-    torque = wide.elongation[len(rows) :]
+    directions = np.array([cell.direction for cell in geometry.cells])
+    motion = wide.relative_motion(np.array([cell.position for cell in geometry.cells]))
+    cells = (directions[:, None, :] @ motion)[:, 0]
+    torque = wide.elongation[len(directions) :]
     relative = concatenate([constant(np.eye(n), p), -_carried(equations, lower)], axis=1)
     own = block_diagonal(constant(np.zeros((n, n)), p), damping.expanded(-1) * np.eye(m))
     return replace(
         wide,
-        elongation=concatenate([stack(rows), torque]),
+        elongation=concatenate([cells, torque]),
         damping=relative.T @ equations.damping @ relative + own,
     )
 

@@ -24,14 +24,20 @@ def alignment(batch: Batch, stride: int) -> Callable[[System], Residual]:
 
     def residual(system: System) -> Residual:
         gains = channel_gains(system.paths, batch.frequency)[index]
-        slopes = gains[:, :, None] * log_gain_slopes(system.paths, batch.frequency)[index]
-        parts = [
-            _projected(
-                weight[:, mine, None] * gains[:, mine, None], measured[:, mine], weight[:, mine], slopes[:, mine]
-            )
-            for mine in _channels_of_springs(system)
-        ]
-        return _joined(parts, len(lines), system.parameters)
+        groups = _channels_of_springs(system)
+        matrices = [weight[:, mine, None] * gains[:, mine, None] for mine in groups]
+        forces = [solved(M, measured[:, mine, None]) for M, mine in zip(matrices, groups, strict=True)]
+        errors = [measured[:, mine] - (M @ f)[:, :, 0] for M, f, mine in zip(matrices, forces, groups, strict=True)]
+
+        def slopes() -> ComplexArray:
+            changes = gains[:, :, None] * log_gain_slopes(system.paths, batch.frequency)[index]
+            parts = [
+                _projected(M, -weight[:, mine, None] * changes[:, mine] * f)
+                for M, f, mine in zip(matrices, forces, groups, strict=True)
+            ]
+            return _joined([np.zeros((len(lines), 0, system.parameters), complex), *parts])
+
+        return Residual(_joined([np.zeros((len(lines), 0), complex), *errors]), slopes)
 
     return residual
 
@@ -42,17 +48,10 @@ def _channels_of_springs(system: System) -> list[list[int]]:
     return [group for group in groups if len(group) > 1]
 
 
-def _projected(matrix: ComplexArray, measured: ComplexArray, weight: Array, slopes: ComplexArray) -> Residual:
-    """The part of `measured` (K, m) that no force explains, and its slopes: the force times those of the gains."""
-    force = solved(matrix, measured[:, :, None])[:, :, 0]
-    error = measured - np.matmul(matrix, force[:, :, None])[:, :, 0]
-    change = -weight[:, :, None] * slopes * force[:, :, None]
-    return Residual(error, change - np.matmul(matrix, solved(matrix, change)))
+def _projected(matrix: ComplexArray, change: ComplexArray) -> ComplexArray:
+    """Slopes (K, m, p) of what no force explains: the part of the change that is none of the force's."""
+    return np.asarray(change - np.matmul(matrix, solved(matrix, change)))
 
 
-def _joined(parts: Sequence[Residual], lines: int, p: int) -> Residual:
-    nothing = Residual(np.zeros((lines, 0), complex), np.zeros((lines, 0, p), complex))
-    whole = [nothing, *parts]
-    return Residual(
-        np.concatenate([item.error for item in whole], axis=1), np.concatenate([item.slope for item in whole], axis=1)
-    )
+def _joined(parts: Sequence[ComplexArray]) -> ComplexArray:
+    return np.concatenate(parts, axis=1)

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.equation_error import measured_forces
-from balance_cli.estimation.linear_residual import Residual, every, solved, sparsity
+from balance_cli.estimation.linear_residual import ENOUGH_LINES, Residual, every, solved, sparsity
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.system import System, dynamic_stiffness, slopes_times
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+# Of the usual load of a run, the least that a line must have.
+LEAST_LEVEL = 0.05
 
 
 @dataclass(frozen=True)
@@ -33,19 +36,30 @@ class _Lines:
         return 1j * np.sign(self.frequency)[:, None]
 
 
-def motions(batches: Sequence[Batch], start: System, highest: float = np.inf) -> list[Callable[[System], Residual]]:
-    """The equations of motion of the lines up to `highest` [Hz]."""
-    stride = sparsity(batches, highest)
+def motions(
+    batches: Sequence[Batch], start: System, highest: float = np.inf, enough: int = ENOUGH_LINES
+) -> list[Callable[[System], Residual]]:
+    """The equations of motion of the lines up to `highest` [Hz], at least `enough` of them where there are so many."""
+    stride = sparsity(batches, highest, enough)
     return [_motion(batch, start, stride, highest) for batch in batches if batch.frequency[0] <= highest]
 
 
 def _motion(batch: Batch, start: System, stride: int, highest: float) -> Callable[[System], Residual]:
     """What is left of the equations of motion and the readings once the motion of each line has been fitted to both."""
-    measured, chosen = measured_forces(batch, start), every(batch, stride, highest)
+    chosen = every(batch, stride, highest)
+    chosen = chosen[_driven(batch)[chosen]]
+    measured = measured_forces(batch, start)
     frequency, loads = measured.frequency[chosen], measured.loads[chosen]
     weight = _row_weight(start, frequency, loads)
     lines = _Lines(measured.spin, frequency, measured.forces[chosen], loads, weight)
     return lambda system: _motion_residual(system, lines)
+
+
+def _driven(batch: Batch) -> NDArray[np.bool_]:
+    """Lines (K,) with a load to speak of: not the mean of a swept record, whose weight would be that of noise alone."""
+    level = np.sqrt(np.sum(np.abs(batch.loads) ** 2, axis=1))
+    usual = np.array([np.median(level[part]) if part.stop > part.start else 0.0 for part in batch.parts])
+    return np.asarray(level > LEAST_LEVEL * usual[batch.run])
 
 
 def _motion_residual(system: System, lines: _Lines) -> Residual:
@@ -56,11 +70,15 @@ def _motion_residual(system: System, lines: _Lines) -> Residual:
     known = np.concatenate([true_loads @ system.inputs.value.T, lines.forces], axis=1) * lines.weight
     x = solved(matrix, known[:, :, None])[:, :, 0]
     error = known - np.matmul(matrix, x[:, :, None])[:, :, 0]
-    driven = slopes_times(system.inputs.slope, true_loads)
-    driven = driven + np.matmul(system.inputs.value, slopes_times(system.spill.slope, lines.loads))
-    read = slopes_times(system.readings.slope, x) + slopes_times(system.readings_loss.slope, lines.lag * x)
-    change = np.concatenate([driven - _pencil_slopes(system, lines, x), -read], axis=1) * lines.weight[:, :, None]
-    return Residual(error, change - np.matmul(matrix, solved(matrix, change)))
+
+    def slopes() -> ComplexArray:
+        driven = slopes_times(system.inputs.slope, true_loads)
+        driven = driven + np.matmul(system.inputs.value, slopes_times(system.spill.slope, lines.loads))
+        read = slopes_times(system.readings.slope, x) + slopes_times(system.readings_loss.slope, lines.lag * x)
+        change = np.concatenate([driven - _pencil_slopes(system, lines, x), -read], axis=1) * lines.weight[:, :, None]
+        return np.asarray(change - np.matmul(matrix, solved(matrix, change)))
+
+    return Residual(error, slopes)
 
 
 def _pencil_slopes(system: System, lines: _Lines, x: ComplexArray) -> ComplexArray:

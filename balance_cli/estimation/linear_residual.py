@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,16 +19,16 @@ ENOUGH_LINES = 600
 
 @dataclass(frozen=True)
 class Residual:
-    """Errors (K, m) of K lines with slopes (K, m, p)."""
+    """Errors (K, m) of K lines, and how to get their slopes (K, m, p), which are not always asked for."""
 
     error: ComplexArray
-    slope: ComplexArray
+    slope: Callable[[], ComplexArray]
 
 
-def sparsity(batches: Sequence[Batch], highest: float = np.inf) -> int:
+def sparsity(batches: Sequence[Batch], highest: float = np.inf, enough: int = ENOUGH_LINES) -> int:
     """Which lines up to `highest` [Hz] are enough: every one, every second ..."""
     lines = sum(int(np.sum(batch.frequency[batch.index] <= highest)) for batch in batches)
-    return 1 + lines // ENOUGH_LINES
+    return 1 + lines // enough
 
 
 def every(batch: Batch, stride: int, highest: float = np.inf) -> NDArray[np.intp]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.likelihood import fitted
 from balance_cli.estimation.measurements import WORKERS, Batch
-from balance_cli.model.system import System, solve
+from balance_cli.model.system import Solution, System, solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -112,23 +112,24 @@ def shares_that_explain(
     """
     names = [name for batch in batches for name in batch.runs]
     dof = np.concatenate([np.bincount(batch.run, batch.count, len(batch.runs)) for batch in batches])
-    wrong = _run_chi2(batches, system) > dof + by_chance * np.sqrt(2.0 * dof)
+    solutions = [solve(system, batch.frequency, batch.spin) for batch in batches]
+    wrong = _run_chi2(batches, system, solutions) > dof + by_chance * np.sqrt(2.0 * dof)
     shares = np.array([(near or {}).get(name, 0.0) or FIRST_ERROR for name in names])
     for _ in range(ITERATIONS if wrong.any() else 0):
         trial = dict(zip(names, np.where(wrong, shares, 0.0).tolist(), strict=True))
-        ratio = np.sqrt(_run_chi2(with_model_error(batches, trial), system) / dof)
+        ratio = np.sqrt(_run_chi2(with_model_error(batches, trial), system, solutions) / dof)
         shares = np.clip(shares * ratio, SMALLEST_ERROR, LARGEST_ERROR)
         if np.all(np.abs(ratio[wrong] - 1.0) < EXACT):
             break
     return dict(zip(names, np.where(wrong & (shares > SMALLEST_ERROR), shares, 0.0).tolist(), strict=True))
 
 
-def _run_chi2(batches: Sequence[Batch], system: System) -> Array:
+def _run_chi2(batches: Sequence[Batch], system: System, solutions: Sequence[Solution]) -> Array:
     """Chi-square of every run, in the order of the batches."""
 
-    def of_batch(batch: Batch) -> Array:
-        fit = fitted(batch, system, solve(system, batch.frequency, batch.spin))
+    def of_batch(batch: Batch, solution: Solution) -> Array:
+        fit = fitted(batch, system, solution)
         return np.asarray(np.bincount(batch.run, fit.chi2 / batch.efficiency, len(batch.runs)), float)
 
     with ThreadPoolExecutor(WORKERS) as workers:
-        return np.concatenate(list(workers.map(of_batch, batches)))
+        return np.concatenate(list(workers.map(of_batch, batches, solutions)))

@@ -11,7 +11,7 @@ from balance_cli.geometry import Geometry
 from balance_cli.identified import IdentifiedModel
 from balance_cli.jets import Jet
 from balance_cli.model.parameters import ParameterSet, declared_parameters
-from balance_cli.model.placed_effects import effect_parameters, with_effects
+from balance_cli.model.placed_effects import PlacedEffect, declared_effects, effect_parameters, with_effects
 from balance_cli.model.rigid import rigid_equations
 from balance_cli.model.system import System, assembled
 
@@ -20,10 +20,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BalanceModel:
-    """A rig as equations in its parameters: plate, shaft, channels and the effects declared in the geometry."""
+    """A rig as equations in its parameters: plate, shaft, channels and the `effects` declared in the geometry."""
 
     geometry: Geometry
     parameters: ParameterSet
+    effects: tuple[PlacedEffect, ...] = ()
 
     def system(self, theta: Array | None = None) -> System:
         """The system at the full parameter vector `theta`, by default the declared one.
@@ -34,7 +35,7 @@ class BalanceModel:
         jet = Jet(vector, np.eye(len(vector))[self.parameters.free])
         value = {name: jet[i] for i, name in enumerate(self.parameters.names)}
         rigid = rigid_equations(self.geometry, value, jet.parameters)
-        return assembled(with_effects(rigid, self.geometry, value))
+        return assembled(with_effects(rigid, self.geometry, self.effects, value))
 
     def all_free(self) -> BalanceModel:
         """The same model with slopes for every parameter, exact ones included."""
@@ -53,7 +54,8 @@ class BalanceModel:
 
 def balance_model(geometry: Geometry) -> BalanceModel:
     """The model of a declared rig."""
-    return BalanceModel(geometry, declared_parameters(geometry) + effect_parameters(geometry))
+    effects = declared_effects(geometry)
+    return BalanceModel(geometry, declared_parameters(geometry) + effect_parameters(effects), effects)
 
 
 def identified_system(model: IdentifiedModel) -> System:

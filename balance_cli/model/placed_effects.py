@@ -149,9 +149,9 @@ def needs_mean(geometry: Geometry) -> bool:
     return any(one.effect.needs_mean for one in declared_effects(geometry))
 
 
-def effect_parameters(geometry: Geometry) -> ParameterSet:
-    """Parameters of all declared effects: they start as declared and nothing more is known of them."""
-    rows = [(one, parameter) for one in declared_effects(geometry) for parameter in one.parameters]
+def effect_parameters(effects: Sequence[PlacedEffect]) -> ParameterSet:
+    """Parameters of the effects: they start as declared and nothing more is known of them."""
+    rows = [(one, parameter) for one in effects for parameter in one.parameters]
     bounds = np.array([parameter.fitted_bounds for _, parameter in rows]).reshape(-1, 2)
     return ParameterSet(
         names=tuple(one.full_name(parameter) for one, parameter in rows),
@@ -164,9 +164,11 @@ def effect_parameters(geometry: Geometry) -> ParameterSet:
     )
 
 
-def with_effects(equations: Equations, geometry: Geometry, value: Mapping[str, Jet]) -> Equations:
-    """The equations with every declared effect added, `value` holding all parameters of the model by name."""
-    for one in declared_effects(geometry):
+def with_effects(
+    equations: Equations, geometry: Geometry, effects: Sequence[PlacedEffect], value: Mapping[str, Jet]
+) -> Equations:
+    """The equations with these effects added in turn, `value` holding all parameters of the model by name."""
+    for one in effects:
         values = {parameter.fitted_name: value[one.full_name(parameter)] for parameter in one.parameters}
         equations = one.effect.apply(equations, geometry, one.where, values)
     return equations
