@@ -124,10 +124,11 @@ def _further(model: BalanceModel, theta: Array, state: State, lines: SearchLines
     regressed = by_equations_of_motion(model.parameters, lines.fitted, model.system, theta)
     ends = [steps(model, start, batches, FIRST_STEPS) for start in (theta, regressed)]
     chi2, best = min(((_chi2(model, end, batches), end) for end in ends), key=lambda item: item[0])
-    return Attempt(model, best, _count(batches) * float(np.log(before / chi2)))
+    return Attempt(model, best, data_count(batches) * float(np.log(before / chi2)))
 
 
-def _count(batches: Sequence[Batch]) -> float:
+def data_count(batches: Sequence[Batch]) -> float:
+    """Real data that the lines hold."""
     return float(sum(np.sum(batch.count) for batch in batches))
 
 

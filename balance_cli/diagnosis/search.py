@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import candidates
-from balance_cli.diagnosis.refit import PENALTY, Attempt, State, attempt, begun_anew, settled, with_candidate
+from balance_cli.diagnosis.refit import (
+    PENALTY,
+    Attempt,
+    State,
+    attempt,
+    begun_anew,
+    data_count,
+    settled,
+    with_candidate,
+)
 from balance_cli.diagnosis.score import Score, scores
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.diagnosis.seeds import Seed
@@ -38,8 +47,8 @@ MOST_EFFECTS = 12
 SMALL_ERROR = 1e-3
 WRONG = 3e-3
 """A model error, a share of the response, beyond which a fit may be in a wrong minimum and weights need it."""
-# A share of what the model error costs that is no progress.
-SLIGHT = 2e-3
+# A share of the model error that is no progress: who goes on by such steps describes and does not explain.
+SLIGHT = 0.05
 
 Say = Callable[[str], None]
 
@@ -113,7 +122,7 @@ def _round(
     best_score, best = min(tried, key=lambda item: item[1].fitted)
     gains = {score.candidate.label: state.fitted - new.fitted - PENALTY * score.parameters for score, new in tried}
     label = best_score.candidate.label
-    least = max(2.0 * np.log(len(ranked)), SLIGHT * _size(state))
+    least = _least(lines, len(ranked))
     accepted = gains[label] > least and best.folds < state.folds
     folds = {score.candidate.label: state.folds - new.folds for score, new in tried}
     for score, one in begun:
@@ -135,9 +144,9 @@ def _worth_settling(begun: Sequence[tuple[Score, Attempt]]) -> list[tuple[Score,
     return sorted(worth, key=lambda item: -item[1].gain)[:MOST_SETTLED]
 
 
-def _size(state: State) -> float:
-    """How much -2 ln likelihood a model error is worth: what would be gained if it went."""
-    return abs(state.fitted) * min(1.0, state.error / SMALL_ERROR) ** 2
+def _least(lines: SearchLines, count: int) -> float:
+    """What -2 ln likelihood must gain: more than the best of `count` by chance, and more than slight progress."""
+    return float(max(2.0 * np.log(count), -2.0 * data_count(lines.fitted) * np.log1p(-SLIGHT)))
 
 
 def _why(gain: float, least: float, folds: float, chosen: bool) -> str:
