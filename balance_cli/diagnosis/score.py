@@ -42,6 +42,7 @@ class Score:
     """What one candidate would gain in chi-square, for `parameters` of its own, begun at start number `start`.
 
     `expected` is the gain that a change of every parameter by its scale would make: what the data could show.
+    `information` (q, q): V of its own parameters that do something by themselves.
     """
 
     candidate: Candidate
@@ -50,6 +51,7 @@ class Score:
     parameters: int
     expected: float
     noise_dof: float
+    information: Array
 
     @property
     def p_value(self) -> float:
@@ -225,7 +227,7 @@ def _score(one: Candidate, number: int, part: Projected) -> Score:
     upper = np.array([item.fitted_bounds[1] <= item.fitted_null for item in items])
     gain, used = best_gain(part.s[seen], part.V[np.ix_(seen, seen)], lower[seen], upper[seen])
     expected = float(scale[seen] ** 2 @ np.diag(part.V)[seen])
-    return Score(one, number, gain, used, expected, part.noise_dof)
+    return Score(one, number, gain, used, expected, part.noise_dof, part.V)
 
 
 def best_gain(s: Array, V: Array, lower: NDArray[np.bool_], upper: NDArray[np.bool_]) -> tuple[float, int]:
