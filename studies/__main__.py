@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
 import pandas as pd
 
 from balance_cli.geometry_file import load_geometry
-from studies.attribution import EXCITATIONS, NOTHING, Case, attribution_chunk, attribution_table, case
+from studies.attribution import attribution_chunk
+from studies.attribution_tables import attribution_table
+from studies.cases import KINDS, case, count
 from studies.chunks import run_chunks
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
 from studies.recovery import recovery_chunk, recovery_table
@@ -52,26 +55,24 @@ def recovery(campaigns: int = 20, jobs: int = 2) -> None:
 
 
 @studies.command()
-@click.option("--campaigns", default=510, show_default=True)
-@click.option("--nothing", default=300, show_default=True)
+@click.option("--kind", "kinds", multiple=True, type=click.Choice(KINDS), help="Only these kinds of campaigns.")
+@click.option("--campaigns", default=None, type=int, help="The first of each kind only.")
 @click.option("--jobs", default=2, show_default=True)
-def attribution(campaigns: int = 510, nothing: int = 300, jobs: int = 2) -> None:
-    """What the loop says of campaigns with one effect hidden, and of campaigns with nothing hidden."""
-    parts = [
-        run_chunks("attribution", _attribution, range(campaigns), jobs) if campaigns else None,
-        run_chunks("attribution-nothing", _attribution_nothing, range(nothing), jobs) if nothing else None,
-    ]
-    table = attribution_table(pd.concat([part for part in parts if part is not None], ignore_index=True))
+def attribution(kinds: tuple[str, ...] = (), campaigns: int | None = None, jobs: int = 2) -> None:
+    """What the loop says of campaigns with effects hidden, and of campaigns with nothing hidden."""
+    parts = []
+    for kind in kinds or KINDS:
+        seeds = range(count(kind) if campaigns is None else min(campaigns, count(kind)))
+        parts.append(run_chunks(f"attribution-{kind}", partial(_attribution, kind), seeds, jobs))
+    rows = pd.concat(parts, ignore_index=True)
+    table = attribution_table(rows)
     _write("attribution", table)
+    _write("attribution_campaigns", rows)
     click.echo(table.to_string(index=False))
 
 
-def _attribution(seed: int) -> pd.DataFrame:
-    return attribution_chunk(load_geometry(GEOMETRY), case(seed))
-
-
-def _attribution_nothing(seed: int) -> pd.DataFrame:
-    return attribution_chunk(load_geometry(GEOMETRY), Case(seed, NOTHING, EXCITATIONS[seed % len(EXCITATIONS)], 0.0))
+def _attribution(kind: str, seed: int) -> pd.DataFrame:
+    return attribution_chunk(case(kind, seed))
 
 
 def _coverage(seed: int) -> pd.DataFrame:

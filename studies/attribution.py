@@ -1,190 +1,161 @@
 """Simulated campaigns with something hidden, or nothing: does the loop say what it is, and does it help?
 
 The truth comes from the integration in time. Every rig is drawn from the tolerances; an effect is sized by the gain in
-chi-square that it should bring, tolerances projected out (the score test's information at the null).
+chi-square that it should bring, tolerances projected out (`studies/sizing.py`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from balance_cli.diagnose import diagnose
-from balance_cli.diagnosed import Diagnosis
-from balance_cli.diagnosis.candidates import Candidate, candidate_at, tested
-from balance_cli.diagnosis.score import scores
-from balance_cli.estimation.measurements import stacked
-from balance_cli.geometry import DeclaredEffect, Geometry
+from balance_cli.diagnosed import Diagnosis, FoundEffect
+from balance_cli.geometry import Geometry
+from balance_cli.geometry_file import load_geometry
 from balance_cli.hold_out import hold_out_errors
 from balance_cli.identified import IdentifiedModel
 from balance_cli.identify import identify
-from balance_cli.model.balance import balance_model
-from balance_cli.simulation import (
-    CampaignPlan,
-    RotorPlan,
-    SweepPlan,
-    TrueRig,
-    draw_rig,
-    simulate_campaign,
-)
+from balance_cli.simulation import TrueRig, draw_rig, simulate_campaign
 from balance_cli.simulation.extensions import apply_effects
-from balance_cli.simulation.plans import HIGH, blade_loads, statics
-from balance_cli.spectra import Spectra, measured_spectra
+from balance_cli.spectra import measured_spectra
+from studies.cases import Case, plan
 from studies.recovery import LEAST_DAMPING
+from studies.sizing import Hidden, candidate_of, expected_gains, hidden_effect, power, simulated
+from studies.unknown import unknown_effect
 
-EXCITATIONS = ("multisine", "random", "stepped")
-SIZES = (25.0, 1e4)
-"""Expected gains in chi-square between which sizes are drawn, evenly in their logarithm."""
-NOTHING = "nothing"
-
-SINGLE: dict[str, tuple[tuple[str, ...], ...]] = {
-    "support-flexibility": (("x", "y", "z", "psi", "theta", "phi"),),
-    "mast-bending": (("x", "y"),),
-    "parallel-stiffness": ((),),
-    "cell-misalignment": (("z1",), ("y1",), ("x",)),
-    "transverse-stiffness": (("all",), ("z2",)),
-    "structural-damping": (("all",), ("y1",)),
-    "cubic-stiffness": (("x", "inside"), ("z3", "beside")),
-    "quadratic-stiffness": (("x", "inside"), ("y2", "beside")),
-    "dry-friction": (("x",), ("z1",)),
-    "channel-gain": (("x.strain",), ("z4.piezo",)),
-    "low-pass": (("y1.strain",), ("z2.piezo",)),
-    "high-pass": (("x.piezo",),),
-    "time-delay": (("x.piezo",), ("z1.strain",)),
-    "crosstalk": (("x.strain", "z1.strain"), ("y1.piezo", "z3.piezo")),
-    "exciter-misalignment": (("Fx", "Fz"), ("My", "Fx")),
-    "channel-offset": (("x.strain",),),
-    "load-offset": (("Fz",),),
-}
-"""Effects that a campaign at rest with all six sweeps and static runs can show, at some of their places."""
+GEOMETRY = str(Path(__file__).parents[1] / "configs" / "rts-6.yaml")
+# What an effect that cannot show has: large enough to matter if it could.
+UNTESTABLE_SCALES = 20.0
 
 
-@dataclass(frozen=True)
-class Case:
-    """One campaign: its seed, what is hidden in it, with which excitation, and the gain that is expected of it."""
-
-    seed: int
-    label: str
-    excitation: str
-    size: float
-
-
-def case(seed: int, names: tuple[str, ...] = tuple(SINGLE)) -> Case:
-    """Effects, places and excitations in turn, the size drawn."""
-    rng = np.random.default_rng([seed, 11])
-    name = names[seed % len(names)]
-    turn = seed // len(names)
-    where = SINGLE[name][turn % len(SINGLE[name])]
-    size = float(np.exp(rng.uniform(*np.log(SIZES))))
-    label = f"{name}@{','.join(where)}" if where else name
-    return Case(seed, label, EXCITATIONS[turn % len(EXCITATIONS)], size)
-
-
-def plan(excitation: str) -> CampaignPlan:
-    """Two static runs, a sweep of each component, and a check run that is held out."""
-    sweeps = tuple(
-        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), excitation=excitation, period=2.0, periods=9)
-        for name, level in HIGH.items()
-    )
-    check = RotorPlan(run="check-1", rotor_speed=17.5, duration=20.0, harmonics=blade_loads("Fx", "Fz", "My"))
-    return CampaignPlan(runs=(*statics(), *sweeps, check))
-
-
-def attribution_chunk(geometry: Geometry, one: Case) -> pd.DataFrame:
+def attribution_chunk(one: Case) -> pd.DataFrame:
     """What the loop makes of one campaign: one row."""
-    rng = np.random.default_rng([one.seed, 12])
-    rig = draw_rig(geometry, rng)
-    rig = replace(
-        rig,
-        damping_ratios=np.maximum(rig.damping_ratios, LEAST_DAMPING),
-        torque_damping_ratio=max(rig.torque_damping_ratio, LEAST_DAMPING),
-    )
-    if one.label != NOTHING:
-        rig = apply_effects(rig, [_hidden(geometry, rig, one, rng)])
-    runs, _ = simulate_campaign(rig, plan(one.excitation), seed=one.seed)
+    geometry = _geometry(one)
+    rig = _rig(geometry, one)
+    hidden = _hidden(one)
+    runs, _ = simulate_campaign(_with_hidden(rig, one, hidden), _plan(one), seed=_noise_seed(one))
     spectra = measured_spectra(runs, geometry, means=True)
     before = identify(spectra, geometry)
     diagnosis, after = diagnose(before, spectra)
     errors = hold_out_errors(next(run for run in runs if run.kind == "check"), before, after)
-    found = [effect.label for effect in diagnosis.effects]
-    return pd.DataFrame(
-        [
-            {
-                "seed": one.seed,
-                "hidden": one.label,
-                "excitation": one.excitation,
-                "expected_gain": one.size,
-                "verdict": diagnosis.verdict,
-                "found": " + ".join(found),
-                "alike": " | ".join(name for effect in diagnosis.effects for name in effect.indistinguishable_from),
-                "right": attributed(diagnosis, one.label),
-                "set_size": 1 + max((len(effect.indistinguishable_from) for effect in diagnosis.effects), default=0),
-                "chi2_before": diagnosis.chi2_per_dof_before,
-                "chi2_after": diagnosis.chi2_per_dof_after,
-                "load_error_before": max(errors.before.load_error.values()),
-                "load_error_after": max(errors.after.load_error.values()),
-                "load_error_noise": max(errors.noise.load_error.values()),
-            }
-        ]
+    gains = expected_gains(rig, spectra, hidden)
+    powers = [
+        power(gain, len(item.own), diagnosis.candidates) for gain, item in zip(gains, hidden, strict=True)
+    ]
+    row = {
+        "kind": one.kind,
+        "seed": one.seed,
+        "hidden": " + ".join(one.hidden) or "nothing",
+        "excitation": one.excitation,
+        "expected_gain": min(gains, default=float("nan")),
+        "possible": float(np.prod(powers)) if powers else float("nan"),
+        "verdict": diagnosis.verdict,
+        "found": " + ".join(effect.label for effect in diagnosis.effects),
+        "gain": " + ".join(f"{effect.evidence.gain:.4g}" for effect in diagnosis.effects),
+        "alike": " | ".join(", ".join(effect.indistinguishable_from) for effect in diagnosis.effects),
+        "detected": bool(diagnosis.effects),
+        "right": attributed(diagnosis.effects, one.hidden),
+        "by_set": any(not _named(effect, one.hidden) for effect in diagnosis.effects),
+        "set_size": np.mean([1 + len(effect.indistinguishable_from) for effect in diagnosis.effects] or [np.nan]),
+        "deviations": " ".join(f"{z:.3f}" for z in deviations(after, diagnosis.effects, hidden)),
+        "not_testable": ", ".join(item.name for item in diagnosis.not_testable),
+        "chi2_before": diagnosis.chi2_per_dof_before,
+        "chi2_after": diagnosis.chi2_per_dof_after,
+    }
+    for name, side in (("before", errors.before), ("after", errors.after), ("noise", errors.noise)):
+        row[f"load_error_{name}"] = max(side.load_error.values())
+    return pd.DataFrame([row])
+
+
+def _geometry(one: Case) -> Geometry:
+    """The geometry of the case: where an offset is to have no channel that hears it, the piezo channels alone."""
+    geometry = load_geometry(GEOMETRY)
+    if one.hidden != ("load-offset@Fz",) or one.kind != "untestable":
+        return geometry
+    channels = tuple(channel for channel in geometry.channels if not channel.measures_dc)
+    return geometry.model_copy(update={"channels": channels, "torque_meter": None})
+
+
+def _plan(one: Case):  # type: ignore[no-untyped-def]
+    deaf = one.kind == "untestable" and one.hidden == ("load-offset@Fz",)
+    return plan(one.excitation, static=not deaf)
+
+
+def _noise_seed(one: Case) -> int:
+    return int(one.rng.integers(2**31))
+
+
+def _rig(geometry: Geometry, one: Case) -> TrueRig:
+    """Drawn from the tolerances, no mode less damped than the campaign shows."""
+    rig = draw_rig(geometry, np.random.default_rng([_noise_seed(one), 1]))
+    return replace(
+        rig,
+        damping_ratios=np.maximum(rig.damping_ratios, LEAST_DAMPING),
+        torque_damping_ratio=max(rig.torque_damping_ratio, LEAST_DAMPING),
     )
 
 
-def attributed(diagnosis: Diagnosis, hidden: str) -> bool:
-    """Nothing else was found than what is hidden, by name and place or within a declared set."""
-    if hidden == NOTHING:
-        return not diagnosis.effects
-    if len(diagnosis.effects) != 1:
-        return False
-    effect = diagnosis.effects[0]
-    return any(_same(label, hidden) for label in (effect.label, *effect.indistinguishable_from))
+def _hidden(one: Case) -> list[Hidden]:
+    """The effects of the library that are hidden with a size."""
+    rng = np.random.default_rng([_noise_seed(one), 2])
+    return [
+        hidden_effect(label, size, one.excitation, GEOMETRY, rng)
+        for label, size in zip(one.hidden, one.sizes, strict=False)
+    ]
 
 
-def _same(found: str, hidden: str) -> bool:
+def _with_hidden(rig: TrueRig, one: Case, hidden: Sequence[Hidden]) -> TrueRig:
+    """The rig with all that is hidden in it."""
+    if one.kind == "unknown":
+        rng = np.random.default_rng([_noise_seed(one), 2])
+        return rig.extended(unknown_effect(one.hidden[0], rig.geometry.channel_names, rng))
+    if one.kind == "untestable":
+        candidate = candidate_of(one.hidden[0], load_geometry(GEOMETRY))
+        large = {
+            item.fitted_name: item.fitted_null + UNTESTABLE_SCALES * item.fitted_scale
+            for item in candidate.one.parameters
+        }
+        return apply_effects(rig, [simulated(candidate.at_start(large))])
+    return apply_effects(rig, [item.declared for item in hidden])
+
+
+def attributed(effects: Sequence[FoundEffect], hidden: Sequence[str]) -> bool:
+    """Nothing else was found than what is hidden, each by name and place or within a declared set."""
+    left = list(hidden)
+    for effect in effects:
+        names = (effect.label, *effect.indistinguishable_from)
+        match = next((label for label in left if any(same(name, label) for name in names)), None)
+        if match is None:
+            return False
+        left.remove(match)
+    return not left
+
+
+def _named(effect: FoundEffect, hidden: Sequence[str]) -> bool:
+    return any(same(effect.label, label) for label in hidden)
+
+
+def same(found: str, hidden: str) -> bool:
     """The same effect; at a part of its place where the rest of it is too stiff to be seen."""
     name, _, where = found.partition("@")
     other, _, there = hidden.partition("@")
     return name == other and set(where.split(",")) <= set(there.split(","))
 
 
-def _hidden(geometry: Geometry, rig: TrueRig, one: Case, rng: np.random.Generator) -> DeclaredEffect:
-    """The effect in the size that should gain `one.size`, its sign drawn where it has one."""
-    name, _, where = one.label.partition("@")
-    candidate = candidate_at(name, tuple(part for part in where.split(",") if part), geometry)
-    share = np.sqrt(one.size / max(_gain_of_scale(geometry, rig, candidate, one), 1e-12))
-    values = {}
-    for item in candidate.one.parameters:
-        value = item.fitted_start
-        if item in tested(candidate.one.parameters):
-            sign = 1.0 if item.fitted_bounds[0] >= item.fitted_null else rng.choice([-1.0, 1.0])
-            value = item.fitted_null + sign * share * item.fitted_scale
-        values[item.name] = float(item.natural(value))
-    declared = candidate.at_start({})
-    return declared.model_copy(update={"parameters": {**declared.parameters, **values}})
-
-
-def _gain_of_scale(geometry: Geometry, rig: TrueRig, candidate: Candidate, one: Case) -> float:
-    """Gain in chi-square of a change of every parameter by its scale, in this campaign of the rig without it."""
-    runs, _ = simulate_campaign(rig, plan(one.excitation), seed=one.seed)
-    spectra: Spectra = measured_spectra(runs, geometry, means=True)
-    model: IdentifiedModel = identify(spectra, geometry)
-    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
-    return scores(balance_model(geometry), model.parameters.value, batches, [candidate])[0].expected
-
-
-def attribution_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Share of right attributions, sets and errors, by what was hidden."""
-    rows = rows.assign(effect=rows["hidden"].str.partition("@")[0])
-    grouped = rows.groupby("effect", sort=False)
-    return pd.DataFrame(
-        {
-            "campaigns": grouped.size(),
-            "right": grouped["right"].mean(),
-            "mean_set_size": grouped["set_size"].mean(),
-            "chi2_after_median": grouped["chi2_after"].median(),
-            "load_error_before_median": grouped["load_error_before"].median(),
-            "load_error_after_median": grouped["load_error_after"].median(),
-            "load_error_noise_median": grouped["load_error_noise"].median(),
-        }
-    ).reset_index()
+def deviations(after: IdentifiedModel, effects: Sequence[FoundEffect], hidden: Sequence[Hidden]) -> list[float]:
+    """(estimate - truth) / sigma of the parameters that act by themselves, of each effect found by its own name."""
+    table = after.parameters
+    known = {name: i for i, name in enumerate(table.names)}
+    found = []
+    for item in hidden:
+        label = next((effect.label for effect in effects if same(effect.label, item.label)), None)
+        for parameter in item.own if label else ():
+            i = known.get(f"{label}.{parameter.fitted_name}")
+            if i is not None and 0.0 < table.sigma[i] < np.inf:
+                found.append(float((table.value[i] - item.values[parameter.fitted_name]) / table.sigma[i]))
+    return found

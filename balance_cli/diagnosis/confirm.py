@@ -93,7 +93,8 @@ def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> C
         best = max(range(len(tried)), key=lambda i: fit.chi2 - tried[i].chi2 - PENALTY * chosen[i].parameters)
         folds = fold_gain(fit.model, fit.theta, batches, chosen[best])
         gain, score = fit.chi2 - tried[best].chi2, chosen[best]
-        accepted = folds > 0 and chance(gain, score.parameters, len(found), score.noise_dof) < SIGNIFICANT
+        # NaN: all that is known of it is in one place, and nothing else can speak for or against it.
+        accepted = not folds <= 0 and chance(gain, score.parameters, len(found), score.noise_dof) < SIGNIFICANT
         for i, (score, new) in enumerate(zip(chosen, tried, strict=True)):
             taken, judged = accepted and i == best, folds if i == best else float("nan")
             why = "" if taken else "another gained more, or the gain did not hold"

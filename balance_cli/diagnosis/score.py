@@ -15,11 +15,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.candidates import Candidate, tested
+from balance_cli.effects import EffectParameter
 from balance_cli.estimation.gauss_newton import prior_curvature
 from balance_cli.estimation.likelihood import batch_slopes
 from balance_cli.estimation.measurements import WORKERS, Batch, by_run, selected_lines
@@ -42,6 +44,7 @@ class Score:
     """What one candidate would gain in chi-square, for `parameters` of its own, begun at start number `start`.
 
     `expected` is the gain that a change of every parameter by its scale would make: what the data could show.
+    Of its own parameters that do something by themselves: `information` (q, q), V; `step` (q,), the change that gains.
     """
 
     candidate: Candidate
@@ -50,6 +53,8 @@ class Score:
     parameters: int
     expected: float
     noise_dof: float
+    information: Array
+    step: Array
 
     @property
     def p_value(self) -> float:
@@ -129,7 +134,7 @@ def _scores_of_start(
     wide, at = extended(model, theta, geometry)
     own = [[one.one.full_name(item) for item in tested(one.one.parameters)] for one in chosen]
     names = {name for each in own for name in each}
-    wide = _only(wide, model, names)
+    wide = only_free(wide, model, names)
     free = [name for name, is_free in zip(wide.parameters.names, wide.parameters.free, strict=True) if is_free]
     where = {name: i for i, name in enumerate(free)}
     fitted = np.array([i for i, name in enumerate(free) if name not in names], dtype=np.intp)
@@ -210,7 +215,7 @@ def extended(model: BalanceModel, theta: Array, geometry: Geometry) -> tuple[Bal
     return wide.with_sigma(np.array(sigma, float)), np.array(at, float)
 
 
-def _only(wide: BalanceModel, model: BalanceModel, names: set[str]) -> BalanceModel:
+def only_free(wide: BalanceModel, model: BalanceModel, names: set[str]) -> BalanceModel:
     """Only the model's own parameters and these are free; the candidates' others are held."""
     kept = names | set(model.parameters.names)
     sigma = [s if name in kept else 0.0 for name, s in zip(wide.parameters.names, wide.parameters.sigma, strict=True)]
@@ -221,29 +226,50 @@ def _score(one: Candidate, number: int, part: Projected) -> Score:
     items = tested(one.one.parameters)
     seen = np.diag(part.V) > LEAST_SHARE * np.maximum(part.raw, 1e-300)
     scale = np.array([item.fitted_scale for item in items])
-    lower = np.array([item.fitted_bounds[0] >= item.fitted_null for item in items])
-    upper = np.array([item.fitted_bounds[1] <= item.fitted_null for item in items])
-    gain, used = best_gain(part.s[seen], part.V[np.ix_(seen, seen)], lower[seen], upper[seen])
+    lower, upper = bounded(items)
+    best = best_gain(part.s[seen], part.V[np.ix_(seen, seen)], lower[seen], upper[seen])
     expected = float(scale[seen] ** 2 @ np.diag(part.V)[seen])
-    return Score(one, number, gain, used, expected, part.noise_dof)
+    step = np.zeros(len(items))
+    step[seen] = best.step
+    return Score(one, number, best.gain, best.directions, expected, part.noise_dof, part.V, step)
 
 
-def best_gain(s: Array, V: Array, lower: NDArray[np.bool_], upper: NDArray[np.bool_]) -> tuple[float, int]:
-    """Max of 2 s'd - d'V d with d >= 0 where `lower`, d <= 0 where `upper`; and the number of directions seen.
+def bounded(items: Sequence[EffectParameter]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which parameters (q,) cannot go below their null, and which cannot go above it."""
+    lower = np.array([item.fitted_bounds[0] >= item.fitted_null for item in items], bool)
+    upper = np.array([item.fitted_bounds[1] <= item.fitted_null for item in items], bool)
+    return lower, upper
+
+
+class BestGain(NamedTuple):
+    """The largest gain, the number of directions that the data see, and the step (q,) that makes it."""
+
+    gain: float
+    directions: int
+    step: Array
+
+
+def best_gain(s: Array, V: Array, lower: NDArray[np.bool_], upper: NDArray[np.bool_]) -> BestGain:
+    """Max of 2 s'd - d'V d with d >= 0 where `lower`, d <= 0 where `upper`.
 
     As |L' d - L^-1 s|^2 it is a least-squares problem with signs: free parameters stand in it once for each sign.
     """
     from scipy.optimize import nnls
 
-    if not len(s):
-        return 0.0, 0
-    size = 1.0 / np.sqrt(np.diag(V))
+    step = np.zeros(len(s))
+    known = np.diag(V) > 0
+    if not known.any():
+        return BestGain(0.0, 0, step)
+    size = np.where(known, 1.0 / np.sqrt(np.where(known, np.diag(V), 1.0)), 0.0)
     values, vectors = np.linalg.eigh(V * np.outer(size, size))
     kept = values > LEAST_SHARE * values.max()
     root = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
     target = (vectors[:, kept].T @ (s * size)) / np.sqrt(values[kept])
-    columns = np.concatenate([root[:, ~upper], -root[:, ~lower]], axis=1)
+    up, down = np.flatnonzero(known & ~upper), np.flatnonzero(known & ~lower)
+    columns = np.concatenate([root[:, up], -root[:, down]], axis=1)
     if not columns.shape[1]:
-        return 0.0, int(kept.sum())
-    rest = nnls(columns, target)[1]
-    return float(max(target @ target - rest**2, 0.0)), int(kept.sum())
+        return BestGain(0.0, int(kept.sum()), step)
+    chosen, rest = nnls(columns, target)
+    step[up] += chosen[: len(up)]
+    step[down] -= chosen[len(up) :]
+    return BestGain(float(max(target @ target - rest**2, 0.0)), int(kept.sum()), step * size)

@@ -44,10 +44,11 @@ class Form:
         """B (q, s) of columns (k, c, q) and (k, c, s)."""
         q, s = left.shape[2], right.shape[2]
         weighted = self.weigh(self.lines, left).reshape(-1, q)
-        whole = 2.0 * np.real(weighted.conj().T @ right.reshape(-1, s))
         if self.transient is not None:
-            whole = whole - self.motion(left).T @ self.transient.solved(self.motion(right))
-        return np.asarray(whole)
+            # Solved on the left, which has few columns; the right may be the slopes by every parameter.
+            of_motion = self.transient.weighted.reshape(len(weighted), -1)
+            weighted = weighted - of_motion @ self.transient.solved(self.motion(left))
+        return np.asarray(2.0 * np.real(weighted.conj().T @ right.reshape(-1, s)))
 
     def motion(self, columns: ComplexArray) -> Array:
         """What columns (k, c, q) have to do with the free motion (2m, q)."""
@@ -103,8 +104,9 @@ class Tone:
         unit = self.b / max(self.size, 1e-300)
         ratio = _over_amplitude(self)
         power, frequency = self.pickup.power.slope, self.pickup.frequency.slope
-        slopes += (self.columns @ unit)[:, :, None] * (0.5 * ratio * power)
-        slopes += (self.slope @ self.expected)[:, :, None] * frequency
+        for by, change in ((0.5 * ratio * power, self.columns @ unit), (frequency, self.slope @ self.expected)):
+            own = np.flatnonzero(by)
+            slopes[:, :, own] += change[:, :, None] * by[own]
         by_power = 0.5 * (self.n - ratio * float(unit @ self.form(self.columns, self.columns) @ self.expected))
         change = self.form(self.slope, self.columns)
         by_frequency = 0.5 * self.power * float(np.trace(change)) - float(self.expected @ change @ self.expected)

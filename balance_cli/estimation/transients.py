@@ -148,21 +148,27 @@ def transient_slopes(fit: Transient) -> ComplexArray:
     starts, index = np.unique(window.start, return_inverse=True)
     values, derivative = _decay(free.s, starts, window)
     change = divided_differences(values, derivative, free.s) * a
-    d_xi = np.einsum("fij,pij->fip", change, free.s_slope)[index]
+    # Most parameters of a score test change how the motion is read and not how it goes on.
+    moving = np.flatnonzero(np.any(free.s_slope, axis=(1, 2)))
+    d_xi = np.einsum("fij,pij->fip", change, free.s_slope[moving])[index]
     xi = (values * a)[index]
-    parts = [_line_slopes(free, window, w, xi, d_xi) for w in _both(fit.frequency)]
+    parts = [_line_slopes(free, window, w, xi, d_xi, moving) for w in _both(fit.frequency)]
     return np.asarray(parts[0] + parts[1].conj())
 
 
-def _line_slopes(free: FreeMotion, window: Window, w: Array, xi: ComplexArray, d_xi: ComplexArray) -> ComplexArray:
-    """Slopes (K, c, p) of Phi R(S) xi, with xi = E(S) a (K, m) and its slopes (K, m, p)."""
+def _line_slopes(
+    free: FreeMotion, window: Window, w: Array, xi: ComplexArray, d_xi: ComplexArray, moving: Index
+) -> ComplexArray:
+    """Slopes (K, c, p) of Phi R(S) xi, with xi = E(S) a (K, m) and its slopes (K, m, q) by the parameters `moving`."""
     p, c, m = free.volts_slope.shape
     values, derivative = _comb(free.s, w, window)
     change = divided_differences(values, derivative, free.s) * xi[:, None, :]
-    inner = np.matmul(change.swapaxes(0, 1), free.s_slope.transpose(1, 2, 0)).swapaxes(0, 1)
+    inner = np.matmul(change.swapaxes(0, 1), free.s_slope[moving].transpose(1, 2, 0)).swapaxes(0, 1)
     inner = inner + values[:, :, None] * d_xi
     outer = (values * xi) @ free.volts_slope.transpose(2, 1, 0).reshape(m, c * p)
-    return np.asarray(free.volts @ inner + outer.reshape(-1, c, p))
+    slopes = np.asarray(outer.reshape(-1, c, p), complex)
+    slopes[:, :, moving] += free.volts @ inner
+    return slopes
 
 
 @dataclass(frozen=True)

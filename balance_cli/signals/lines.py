@@ -97,12 +97,12 @@ class RecordWaveform(Waveform):
 
     def mixed(self, values: ComplexArray) -> ComplexArray:
         """Values (R, ...) at the neighbours as lines (K, ...)."""
-        M = self.weight.shape[1]
-        lines = np.empty((len(self.first), *values.shape[1:]), complex)
-        for first in np.unique(self.first):
-            mine = self.first == first
-            lines[mine] = np.tensordot(self.weight[mine], values[first : first + M], axes=1)
-        return lines
+        from scipy.sparse import csr_array
+
+        K, M = self.weight.shape
+        neighbours = (self.first[:, None] + np.arange(M)).ravel()
+        rows = csr_array((self.weight.ravel(), neighbours, np.arange(K + 1) * M), (K, len(values)))
+        return np.asarray(rows @ values.reshape(len(values), -1)).reshape(K, *values.shape[1:])
 
 
 @dataclass(frozen=True)

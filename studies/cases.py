@@ -1,0 +1,151 @@
+"""What the study of attribution hides in its campaigns: one effect, two, none, one unknown, or one that cannot show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan
+from balance_cli.simulation.plans import HIGH, blade_loads, statics
+
+EXCITATIONS = ("multisine", "random", "stepped")
+SIZES = (25.0, 1e4)
+"""Expected gains in chi-square between which the sizes of one effect alone are spread, evenly in their logarithm."""
+PAIR_SIZES = (100.0, 1e4)
+SINGLE_TURNS = 12
+PAIR_TURNS = 2
+
+KINDS = ("single", "pair", "nothing", "unknown", "untestable")
+
+PLACES: dict[str, tuple[str, ...]] = {
+    "support-flexibility": ("x,y,z,psi,theta,phi",),
+    "mast-bending": ("x,y", "x"),
+    "added-mass": ("",),
+    "parallel-stiffness": ("",),
+    "cell-misalignment": ("z1", "y1", "x"),
+    "transverse-stiffness": ("all", "z2"),
+    "structural-damping": ("all", "y1"),
+    "cubic-stiffness": ("x,inside", "z3,beside"),
+    "quadratic-stiffness": ("x,inside", "y2,beside"),
+    "dry-friction": ("x", "z1"),
+    "channel-gain": ("x.strain", "z4.piezo"),
+    "low-pass": ("y1.strain", "z2.piezo"),
+    "high-pass": ("x.piezo", "z1.strain"),
+    "time-delay": ("x.piezo", "z1.strain"),
+    "crosstalk": ("x.strain,z1.strain", "y1.piezo,z3.piezo"),
+    "mains-pickup": ("y2.strain", "z3.piezo"),
+    "exciter-misalignment": ("Fx,Fz", "My,Fx"),
+    "channel-offset": ("x.strain", "torque"),
+    "load-offset": ("Fz", "Mx"),
+}
+"""Effects that a campaign at rest with all six sweeps and static runs can show, at some of their places."""
+
+PAIRS: tuple[tuple[str, str], ...] = (
+    ("time-delay@x.piezo", "channel-gain@z4.piezo"),
+    ("cubic-stiffness@x,inside", "channel-offset@x.strain"),
+    ("support-flexibility@x,y,z,psi,theta,phi", "time-delay@z1.strain"),
+    ("mast-bending@x,y", "crosstalk@y1.piezo,z3.piezo"),
+    ("dry-friction@x", "low-pass@z2.piezo"),
+    ("quadratic-stiffness@y2,beside", "load-offset@Fz"),
+    ("cell-misalignment@z1", "exciter-misalignment@Fx,Fz"),
+    ("parallel-stiffness", "high-pass@x.piezo"),
+    ("transverse-stiffness@z2", "structural-damping@y1"),
+    ("channel-gain@x.strain", "low-pass@y1.strain"),
+    ("crosstalk@x.strain,z1.strain", "mains-pickup@z3.piezo"),
+    ("structural-damping@all", "time-delay@x.piezo"),
+    ("load-offset@Mx", "channel-offset@torque"),
+    ("cell-misalignment@y1", "dry-friction@z1"),
+    ("exciter-misalignment@My,Fx", "channel-gain@z4.piezo"),
+    ("transverse-stiffness@all", "mast-bending@x"),
+    ("support-flexibility@x,y,z,psi,theta,phi", "cell-misalignment@x"),
+    ("parallel-stiffness", "quadratic-stiffness@x,inside"),
+)
+
+UNKNOWN = ("tuned-mass", "saturating-channel")
+"""Effects that are simulated and have no file in the library (`studies/unknown.py`)."""
+UNTESTABLE = ("gyroscopic-coupling", "channel-offset@x.piezo", "load-offset@Fz")
+"""Effects that are there and cannot show: at rest, in a channel that hears no constant load, without such a channel."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One campaign: its kind and number, the labels of what is hidden, the excitation, and the gains to be expected."""
+
+    kind: str
+    seed: int
+    hidden: tuple[str, ...]
+    excitation: str
+    sizes: tuple[float, ...]
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """The random numbers of the case."""
+        return np.random.default_rng([self.seed, 11, KINDS.index(self.kind)])
+
+
+def count(kind: str) -> int:
+    """How many campaigns of a kind make the study."""
+    singles, pairs = len(PLACES) * SINGLE_TURNS, len(PAIRS) * PAIR_TURNS
+    return dict(zip(KINDS, (singles, pairs, 300, 12, 9), strict=True))[kind]
+
+
+def case(kind: str, seed: int) -> Case:
+    """The campaign of this number: effects, places and excitations in turn, sizes in strata."""
+    return {"single": _single, "pair": _pair, "unknown": _unknown, "untestable": _untestable, "nothing": _nothing}[
+        kind
+    ](seed)
+
+
+def _single(seed: int) -> Case:
+    names = tuple(PLACES)
+    name, turn = names[seed % len(names)], seed // len(names)
+    where = PLACES[name][(turn // len(EXCITATIONS)) % len(PLACES[name])]
+    excitation = EXCITATIONS[turn % len(EXCITATIONS)]
+    # Strata of the size in an order that goes through all of them with each excitation.
+    stratum = (5 * turn) % SINGLE_TURNS
+    share = (stratum + Case("single", seed, (), "", ()).rng.random()) / SINGLE_TURNS
+    size = float(SIZES[0] * (SIZES[1] / SIZES[0]) ** share)
+    return Case("single", seed, (f"{name}@{where}" if where else name,), excitation, (size,))
+
+
+def _pair(seed: int) -> Case:
+    turn = seed // len(PAIRS)
+    excitation = EXCITATIONS[(seed + turn) % len(EXCITATIONS)]
+    drawn = Case("pair", seed, (), "", ()).rng.uniform(*np.log(PAIR_SIZES), 2)
+    return Case("pair", seed, PAIRS[seed % len(PAIRS)], excitation, tuple(float(size) for size in np.exp(drawn)))
+
+
+def _nothing(seed: int) -> Case:
+    return Case("nothing", seed, (), EXCITATIONS[seed % len(EXCITATIONS)], ())
+
+
+def _unknown(seed: int) -> Case:
+    hidden = UNKNOWN[seed % len(UNKNOWN)]
+    return Case("unknown", seed, (hidden,), EXCITATIONS[seed // len(UNKNOWN) % len(EXCITATIONS)], ())
+
+
+def _untestable(seed: int) -> Case:
+    hidden = UNTESTABLE[seed % len(UNTESTABLE)]
+    return Case("untestable", seed, (hidden,), EXCITATIONS[seed // len(UNTESTABLE) % len(EXCITATIONS)], ())
+
+
+def plan(excitation: str, static: bool = True) -> CampaignPlan:
+    """Two static runs, a sweep of each component (12 s of a period of 1.5 s, or 10 s that do not repeat), a check run.
+
+    The check run is held out.
+    """
+    period, periods = (1.5, 8) if excitation == "multisine" else (2.0, 5)
+    sweeps = tuple(
+        SweepPlan(
+            run=f"sweep-{name}",
+            excited=(name,),
+            level=(level,),
+            excitation=excitation,  # type: ignore[arg-type]
+            period=period,
+            periods=periods,
+        )
+        for name, level in HIGH.items()
+    )
+    check = RotorPlan(run="check-1", rotor_speed=17.5, duration=10.0, harmonics=blade_loads("Fx", "Fz", "My"))
+    return CampaignPlan(runs=(*(statics() if static else ()), *sweeps, check))

@@ -1,0 +1,140 @@
+"""How large an effect must be to gain so much in chi-square, and what the truth of one campaign should have gained.
+
+The score test's information about a candidate's own parameters, tolerances projected out, is V; a change d of them is
+expected to gain d'V d. Sizes are found with the V of the declared rig, one campaign for each excitation; what the
+campaign itself should have gained follows from its own V at its own truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, ncx2
+
+from balance_cli.diagnosis.candidates import Candidate, candidate_at, tested
+from balance_cli.diagnosis.confirm import SIGNIFICANT
+from balance_cli.diagnosis.score import scores
+from balance_cli.effects import EFFECTS, EffectParameter
+from balance_cli.estimation.measurements import Batch, stacked
+from balance_cli.geometry import DeclaredEffect, Geometry
+from balance_cli.geometry_file import load_geometry
+from balance_cli.model.balance import balance_model
+from balance_cli.simulation import TrueRig, simulate_campaign, true_rig
+from balance_cli.spectra import Spectra, measured_spectra
+from studies.cases import plan
+from studies.truth import true_parameters
+
+Array = NDArray[np.float64]
+
+# Scatter of what only shapes an effect about where the library begins to look for it.
+SHAPE = 0.2
+MAINS_HERTZ = 0.02
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What is hidden: the effect, and its fitted values by name."""
+
+    candidate: Candidate
+    values: Mapping[str, float]
+
+    @property
+    def label(self) -> str:
+        """NAME@PLACE."""
+        return self.candidate.label
+
+    @property
+    def declared(self) -> DeclaredEffect:
+        """As the simulation takes it."""
+        return simulated(self.candidate.at_start(self.values))
+
+    @property
+    def own(self) -> tuple[EffectParameter, ...]:
+        """The parameters that do something by themselves."""
+        return tested(self.candidate.one.parameters)
+
+    @property
+    def departure(self) -> Array:
+        """Their distance from their nulls (q,)."""
+        return np.array([self.values[item.fitted_name] - item.fitted_null for item in self.own])
+
+
+def hidden_effect(label: str, size: float, excitation: str, geometry_file: str, rng: np.random.Generator) -> Hidden:
+    """The effect in the size that should gain so much, its signs and what shapes it drawn."""
+    geometry = load_geometry(geometry_file)
+    candidate = candidate_of(label, geometry)
+    values = {item.fitted_name: _drawn(item, rng) for item in candidate.one.parameters}
+    d = np.array([values[item.fitted_name] - item.fitted_null for item in tested(candidate.one.parameters)])
+    batches, theta = _declared_campaign(geometry_file, excitation)
+    V = _information(geometry, theta, batches, Candidate(candidate.one, (values,)))
+    share = np.sqrt(size / max(float(d @ V @ d), 1e-300))
+    for item, departure in zip(tested(candidate.one.parameters), d, strict=True):
+        values[item.fitted_name] = item.fitted_null + share * departure
+    return Hidden(candidate, values)
+
+
+def _drawn(item: EffectParameter, rng: np.random.Generator) -> float:
+    """A change by the scale, its sign drawn where it has one; of what only shapes the effect a value near the start."""
+    if not item.secondary:
+        sign = 1.0 if item.fitted_bounds[0] >= item.fitted_null else float(rng.choice([-1.0, 1.0]))
+        return item.fitted_null + sign * item.fitted_scale * float(np.exp(SHAPE * rng.standard_normal()))
+    z = float(rng.standard_normal())
+    if item.unit == "Hz":
+        return item.fitted_start + MAINS_HERTZ * z
+    if item.fitted_bounds[0] >= 0.0:
+        return item.fitted_start * float(np.exp(SHAPE * z))
+    return item.fitted_start + item.fitted_scale * z
+
+
+def simulated(declared: DeclaredEffect) -> DeclaredEffect:
+    """The effect with the word of its place as the parameter that it is."""
+    choice = next(effect.choice for effect in EFFECTS if effect.name == declared.name)
+    if choice is None:
+        return declared
+    *where, word = declared.where
+    return declared.model_copy(update={"where": tuple(where), "parameters": {**declared.parameters, choice.name: word}})
+
+
+def candidate_of(label: str, geometry: Geometry) -> Candidate:
+    """The candidate NAME@PLACE,PLACE."""
+    name, _, where = label.partition("@")
+    return candidate_at(name, tuple(part for part in where.split(",") if part), geometry)
+
+
+@lru_cache(maxsize=4)
+def _declared_campaign(geometry_file: str, excitation: str) -> tuple[tuple[Batch, ...], Array]:
+    """Batches of a campaign of the rig as declared, and its parameters."""
+    geometry = load_geometry(geometry_file)
+    rig = true_rig(geometry)
+    runs, _ = simulate_campaign(rig, plan(excitation), seed=1)
+    spectra = measured_spectra(runs, geometry, means=True)
+    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    return batches, true_parameters(rig, balance_model(geometry).parameters)
+
+
+def _information(geometry: Geometry, theta: Array, batches: Sequence[Batch], candidate: Candidate) -> Array:
+    return scores(balance_model(geometry), theta, batches, [candidate])[0].information
+
+
+def expected_gains(rig: TrueRig, spectra: Spectra, hidden: Sequence[Hidden]) -> list[float]:
+    """d'V d of each in this campaign, at the truth of the rig without them."""
+    if not hidden:
+        return []
+    geometry = rig.geometry
+    theta = true_parameters(rig, balance_model(geometry).parameters)
+    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    found = []
+    for one in hidden:
+        V = _information(geometry, theta, batches, Candidate(one.candidate.one, (one.values,)))
+        found.append(float(one.departure @ V @ one.departure))
+    return found
+
+
+def power(gain: float, parameters: int, candidates: int) -> float:
+    """Probability that an effect of this expected gain is significant beside so many candidates: no test has more."""
+    level = chi2.isf(SIGNIFICANT / candidates, parameters)
+    return float(ncx2.sf(level, parameters, gain))

@@ -1,0 +1,79 @@
+"""Two things that a rig may have and no effect of the library describes: the loop must not explain them away."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.simulation import TrueRig
+from balance_cli.simulation.extensions import Extension, Signals
+from balance_cli.simulation.mechanics import Mechanics
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TunedMass(Extension):
+    """A `mass` [kg] that swings along `direction` on a spring at the point `position` [m] of the plate.
+
+    `frequency` [Hz] and `damping_ratio` are those of the mass on its spring alone (Den Hartog, Mechanical Vibrations,
+    1956, chapter 3). At rest it hangs along: the static response stays as it is.
+    """
+
+    name: ClassVar[str] = "tuned-mass"
+    mass: float = 0.5
+    frequency: float = 50.0
+    damping_ratio: float = 0.01
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+        """With the motion of the mass along the direction, against the plate, as a further coordinate."""
+        wide = mechanics.widened(("tuned mass",))
+        carried = wide.plate_point(self.position)
+        # Displacement of the mass: that of its point, and its own along the direction.
+        rows = carried.copy()
+        rows[:, -1] += np.array(self.direction)
+        omega = 2 * np.pi * self.frequency
+        own = np.zeros(wide.size)
+        own[-1] = 1.0
+        spring, dashpot = self.mass * omega**2, 2 * self.damping_ratio * self.mass * omega
+        return replace(
+            wide,
+            mass=wide.mass + self.mass * (rows.T @ rows - carried.T @ carried),
+            damping=wide.damping + dashpot * np.outer(own, own),
+        ).stiffened(own[None, :], np.array([spring]))
+
+
+@dataclass(frozen=True)
+class SaturatingChannel(Extension):
+    """A channel whose amplifier bends at large amplitude, `v -> limit tanh(v / limit)`, in motion and at rest."""
+
+    name: ClassVar[str] = "saturating-channel"
+    limit: float = 10.0
+
+    def volts(self, signals: Signals) -> Array:
+        """Bent."""
+        volts = signals.volts.copy()
+        for index in self.places(signals.names):
+            volts[:, index] = self.limit * np.tanh(volts[:, index] / self.limit)
+        return volts
+
+
+def unknown_effect(name: str, channels: tuple[str, ...], rng: np.random.Generator) -> Extension:
+    """One of the two, drawn: a mass of 0.1 to 2 kg at 30 to 110 Hz, or a channel that bends by 0.1 to 3 % at 2 V."""
+    if name == TunedMass.name:
+        direction = rng.standard_normal(3)
+        direction /= np.linalg.norm(direction)
+        return TunedMass(
+            mass=float(np.exp(rng.uniform(np.log(0.1), np.log(2.0)))),
+            frequency=float(rng.uniform(30.0, 110.0)),
+            damping_ratio=float(rng.uniform(0.005, 0.03)),
+            position=(float(rng.uniform(-0.3, 0.3)), float(rng.uniform(-0.3, 0.3)), float(rng.uniform(0.0, 0.5))),
+            direction=(float(direction[0]), float(direction[1]), float(direction[2])),
+        )
+    bend = float(np.exp(rng.uniform(np.log(0.001), np.log(0.03))))
+    return SaturatingChannel(where=(str(rng.choice(channels)),), limit=2.0 / np.sqrt(3.0 * bend))
