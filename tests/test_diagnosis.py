@@ -100,10 +100,16 @@ def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late):
     assert fold_gain(model, fit.theta, batches, chance) < 2.0
 
 
-def test_halves_share_no_line_and_leave_none_out(healthy):
+def test_halves_share_the_means_alone_and_leave_no_line_out(healthy):
     batches = lines_of(healthy)
     for batch, *parts in zip(batches, *halves(batches), strict=True):
-        assert sum(len(part.index) for part in parts) == len(batch.index)
+        moving = [int(np.sum(one.frequency[one.index] > 0)) for one in (batch, *parts)]
+        assert moving[0] == moving[1] + moving[2]
+        if moving[0]:
+            means = [len(one.index) - count for one, count in zip((batch, *parts), moving, strict=True)]
+            assert means == [len(batch.runs)] * 3
+        else:
+            assert sum(len(part.index) for part in parts) == len(batch.index)
 
 
 def test_candidates_leave_out_what_the_rig_has():

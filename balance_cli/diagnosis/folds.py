@@ -26,13 +26,27 @@ BLOCK = 8
 
 
 def halves(batches: Sequence[Batch]) -> tuple[tuple[Batch, ...], tuple[Batch, ...]]:
-    """Every other block of each run's lines, and the rest; of runs with few lines every other line."""
-    first = [_blocks(batch) for batch in batches]
+    """Every other block of each run's lines, and the rest; of runs with few lines every other line.
+
+    The mean of a record stands alone and belongs to both: to the half without it an offset would be anything.
+    """
+    masks = [(_blocks(batch), _means(batch)) for batch in batches]
     kept = [
-        tuple(selected_lines(batch, mask if keep else ~mask) for batch, mask in zip(batches, first, strict=True))
+        tuple(
+            selected_lines(batch, (mask if keep else ~mask) | mean)
+            for batch, (mask, mean) in zip(batches, masks, strict=True)
+        )
         for keep in (True, False)
     ]
     return kept[0], kept[1]
+
+
+def _means(batch: Batch) -> NDArray[np.bool_]:
+    """The lines (K,) at rest of runs that have others too."""
+    still = batch.frequency[batch.index] == 0.0
+    for part in batch.parts:
+        still[part] &= not still[part].all()
+    return np.asarray(still)
 
 
 def _blocks(batch: Batch) -> NDArray[np.bool_]:
