@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from rigs import rotor_balance
+from rigs import one_degree_of_freedom, rotor_balance
 
 from balance_cli.diagnose import diagnose
 from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING
 from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
 from balance_cli.diagnosis.confirm import fitted
 from balance_cli.diagnosis.folds import fold_gain, halves
+from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.score import best_gain, best_scores, extended, scores, with_candidates
 from balance_cli.errors import UserError
 from balance_cli.estimation.measurements import stacked
@@ -188,3 +189,59 @@ def test_what_it_cannot_work_with(healthy):
     model = identify(healthy, RIG, IdentifyOptions(method="computed"))
     with pytest.raises(UserError, match="no sweep run"):
         diagnose(model, measured_spectra([], RIG))
+
+
+# ---- one cell --------------------------------------------------------------------------------------------------------
+
+ONE = one_degree_of_freedom()
+CUBIC = DeclaredEffect(name="cubic-stiffness", where=("z",), parameters={"k3": 4e10, "side": "beside"})
+QUADRATIC = DeclaredEffect(name="quadratic-stiffness", where=("z",), parameters={"k2": 4e6, "side": "beside"})
+OFFSET = DeclaredEffect(name="load-offset", where=("Fz",), parameters={"offset": 5.0})
+
+
+def one_cell(*effects):
+    """The diagnosis of a rig with one cell and one freedom by one sweep: no static run, no torque, no other level."""
+    plan = SweepPlan(run="sweep", excited=("Fz",), level=(60.0,), period=4.0, periods=6)
+    runs, _ = simulate_campaign(apply_effects(true_rig(ONE), effects), CampaignPlan(runs=(plan,)), seed=5)
+    model = identify(measured_spectra(runs, ONE), ONE)
+    return diagnose(model, measured_spectra(runs, ONE, means=True))
+
+
+@pytest.mark.parametrize(
+    ("effects", "labels"),
+    [
+        ((), set()),
+        ((CUBIC,), {"cubic-stiffness@z,beside"}),
+        ((CUBIC, OFFSET), {"cubic-stiffness@z,beside", "load-offset@Fz"}),
+        ((CUBIC, QUADRATIC), {"cubic-stiffness@z,beside", "quadratic-stiffness@z,beside"}),
+    ],
+    ids=["nothing", "cubic", "cubic and offset", "cubic and quadratic"],
+)
+def test_effects_of_a_rig_with_one_cell_are_found(effects, labels):
+    found, closed = one_cell(*effects)
+    assert found.verdict == (EXPLAINED if effects else NOTHING_MISSING)
+    assert {effect.label for effect in found.effects} == labels
+    assert closed.quality.chi2_per_dof < 1.2
+    truth = {item.name: [value for value in item.parameters.values() if isinstance(value, float)] for item in effects}
+    for effect in found.effects:
+        assert effect.choice == (None if effect.name == "load-offset" else ("side", "beside"))
+        (item,) = effect.parameters
+        assert abs(item.value - truth[effect.name][0]) < 4 * item.sigma
+
+
+def test_what_has_no_place_in_a_rig_is_not_testable_and_what_was_found_is_not_listed():
+    found, _ = one_cell(CUBIC, OFFSET)
+    why = {item.name: item.why for item in found.not_testable}
+    assert why["crosstalk"] == "a rig with 1 cell, 1 channel that moves in z has no place for it"
+    assert not {"load-offset", "cubic-stiffness"} & set(why)
+    assert "the fitted parameters" in why["added-mass"]
+
+
+def test_of_two_that_do_the_same_the_linear_one_is_preferred():
+    def with_effect(name, where):
+        return balance_model(ONE.model_copy(update={"effects": (DeclaredEffect(name=name, where=where),)}))
+
+    offset, bends = with_effect("load-offset", ("Fz",)), with_effect("quadratic-stiffness", ("z", "beside"))
+    assert preferred([bends, offset], [717.6, 715.4]) == 1
+    assert preferred([bends, offset], [722.0, 715.4]) == 0
+    assert preferred([offset, bends, offset], [700.0, 690.0, 701.0]) == 2
