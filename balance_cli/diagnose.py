@@ -36,6 +36,7 @@ from balance_cli.identify import described, identified_effects
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.fitted_effects import FittedEffect
 from balance_cli.model.placed_effects import declared_effects
+from balance_cli.signals.lines import RecordWaveform
 from balance_cli.spectra import Spectra
 
 Array = NDArray[np.float64]
@@ -43,6 +44,8 @@ Progress = Callable[[str, float], None]
 
 GOOD_FIT = 1.2
 """Chi-square per degree of freedom up to which a model describes its data (contract, verdicts)."""
+TOO_GOOD = 0.7
+"""Chi-square per degree of freedom below which the noise was less than was measured."""
 
 
 def diagnose(
@@ -86,7 +89,7 @@ def diagnose(
         effects=effects,
         trials=trials,
         tests=model_free_tests(spectra, model.geometry, float(closed.modes.frequency.min())),
-        not_testable=not_testable(confirmed.scores, spectra),
+        not_testable=not_testable(confirmed.scores, spectra, fit.model.geometry),
         chi2_per_dof_before=quality.chi2_per_dof,
         chi2_per_dof_after=closed.quality.chi2_per_dof,
         frf_error_before=quality.frf_error,
@@ -96,7 +99,7 @@ def diagnose(
         residual=residuals,
         candidates=count,
         location="" if verdict in (NOTHING_MISSING, EXPLAINED) else location(residuals),
-        notes=_notes(spectra),
+        notes=_notes(spectra, fit, closed.quality),
     )
     say("done")
     return diagnosis, closed
@@ -192,12 +195,19 @@ NEAR = 30.0
 
 
 def _found(effect: FittedEffect, evidence: Evidence, same: tuple[str, ...], separated_by: str) -> FoundEffect:
-    return FoundEffect(effect.name, effect.where, effect.parameters, evidence, same, separated_by if same else "")
+    separated_by = separated_by if same else ""
+    return FoundEffect(effect.name, effect.where, effect.parameters, evidence, same, separated_by, effect.choice)
 
 
-def _notes(spectra: Spectra) -> tuple[str, ...]:
-    """What the runs given leave untested."""
+def _notes(spectra: Spectra, fit: Fit, quality: FitQuality) -> tuple[str, ...]:
+    """What the runs given leave untested, and what to make of a chi-square that is too small."""
     notes = []
+    distorted = any(isinstance(run.waveform, RecordWaveform) for run in spectra.lines)
+    if fit.model.system(fit.theta).forces and distorted and quality.chi2_per_dof < TOO_GOOD:
+        notes.append(
+            "chi2/dof is below one because the noise of records that do not repeat was measured with the forces found "
+            "still in it: every sigma and p is on the safe side"
+        )
     levels = {(run.components, run.rotor_speed): set() for run in spectra.lines}  # type: ignore[var-annotated]
     for run in spectra.lines:
         levels[(run.components, run.rotor_speed)].add(tuple(run.level))

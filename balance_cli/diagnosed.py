@@ -47,7 +47,10 @@ class Evidence:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect of the closed model, with what cannot be told from it: labels NAME@PLACE, and what would separate."""
+    """An effect of the closed model, with what cannot be told from it: labels NAME@PLACE, and what would separate.
+
+    `choice`: the name of a parameter that is a word, and the word.
+    """
 
     name: str
     where: tuple[str, ...]
@@ -55,11 +58,13 @@ class FoundEffect:
     evidence: Evidence
     indistinguishable_from: tuple[str, ...] = ()
     separated_by: str = ""
+    choice: tuple[str, str] | None = None
 
     @property
     def label(self) -> str:
         """NAME@PLACE,PLACE as on the command line."""
-        return f"{self.name}@{','.join(self.where)}" if self.where else self.name
+        where = self.where if self.choice is None else (*self.where, self.choice[1])
+        return f"{self.name}@{','.join(where)}" if where else self.name
 
 
 @dataclass(frozen=True)

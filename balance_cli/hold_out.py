@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.channel_health import live_channels
 from balance_cli.check_errors import check_errors
 from balance_cli.components import COMPONENTS
 from balance_cli.diagnosed import HoldOut, RunErrors
 from balance_cli.dynamic_loads import RotorRecord, dynamic_loads, response_of_harmonics, rotor_record
 from balance_cli.errors import UserError
+from balance_cli.estimation.linear_part import linear_part
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.quality import fit_quality
 from balance_cli.hub_loads import CheckErrors
@@ -84,8 +86,14 @@ def _harmonic_errors(
 
 
 def _sweep_run(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
-    """Error of the response of a sweep, as the quality of a fit has it, and what its noise leaves of a true model."""
-    spectra = measured_spectra([run], model.geometry)
+    """Error of the response of a sweep, as the quality of a fit has it, and what its noise leaves of a true model.
+
+    Forces along the cells that are not linear go out of the record first: where nothing repeats, what they do to it
+    would pass for noise.
+    """
+    system = identified_system(model)
+    run = linear_part(run, system, model.geometry, live_channels(run, model.geometry).live)
+    spectra = measured_spectra([run], model.geometry, means=False)
     batches = stacked(spectra.lines, (), model.geometry.channel_names)
-    quality = fit_quality(batches, identified_system(model), 0.0).runs[run.name]
+    quality = fit_quality(batches, system, 0.0).runs[run.name]
     return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise)

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from balance_cli.diagnose import diagnose
-from balance_cli.diagnosed import Diagnosis, FoundEffect
+from balance_cli.diagnosed import FoundEffect
 from balance_cli.geometry import Geometry
 from balance_cli.geometry_file import load_geometry
 from balance_cli.hold_out import hold_out_errors
@@ -44,9 +44,7 @@ def attribution_chunk(one: Case) -> pd.DataFrame:
     diagnosis, after = diagnose(before, spectra)
     errors = hold_out_errors(next(run for run in runs if run.kind == "check"), before, after)
     gains = expected_gains(rig, spectra, hidden)
-    powers = [
-        power(gain, len(item.own), diagnosis.candidates) for gain, item in zip(gains, hidden, strict=True)
-    ]
+    powers = [power(gain, len(item.own), diagnosis.candidates) for gain, item in zip(gains, hidden, strict=True)]
     row = {
         "kind": one.kind,
         "seed": one.seed,

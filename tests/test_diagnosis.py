@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from rigs import rotor_balance
+from rigs import one_degree_of_freedom, rotor_balance
 
 from balance_cli.diagnose import diagnose
 from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING
 from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
 from balance_cli.diagnosis.confirm import fitted
-from balance_cli.diagnosis.folds import fold_gain, halves
+from balance_cli.diagnosis.folds import fold_gain, folds
+from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.score import best_gain, best_scores, extended, scores, with_candidates
 from balance_cli.errors import UserError
 from balance_cli.estimation.measurements import stacked
@@ -61,9 +62,10 @@ def test_gain_without_bounds_is_that_of_rao():
     root = rng.standard_normal((4, 4))
     V, s = root @ root.T, rng.standard_normal(4)
     nothing = np.zeros(4, bool)
-    gain, used = best_gain(s, V, nothing, nothing)
+    gain, used, step = best_gain(s, V, nothing, nothing)
     assert used == 4
     assert gain == pytest.approx(s @ np.linalg.solve(V, s))
+    np.testing.assert_allclose(V @ step, s)
 
 
 def test_gain_with_bounds_is_the_best_that_is_allowed():
@@ -72,8 +74,10 @@ def test_gain_with_bounds_is_the_best_that_is_allowed():
     V, s = root @ root.T + np.eye(2), np.array([-2.0, 1.5])
     grid = np.stack(np.meshgrid(np.linspace(0, 3, 601), np.linspace(-3, 3, 1201), indexing="ij"), axis=-1)
     best = (2 * grid @ s - np.einsum("abi,ij,abj->ab", grid, V, grid)).max()
-    gain, _ = best_gain(s, V, np.array([True, False]), np.zeros(2, bool))
+    gain, _, step = best_gain(s, V, np.array([True, False]), np.zeros(2, bool))
     assert gain == pytest.approx(best, rel=1e-4)
+    assert step[0] >= 0.0
+    assert 2 * s @ step - step @ V @ step == pytest.approx(gain)
     assert gain < s @ np.linalg.solve(V, s)
 
 
@@ -100,10 +104,14 @@ def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late):
     assert fold_gain(model, fit.theta, batches, chance) < 2.0
 
 
-def test_halves_share_no_line_and_leave_none_out(healthy):
+def test_folds_are_disjoint_leave_no_line_out_and_have_means_in_several(healthy):
     batches = lines_of(healthy)
-    for batch, *parts in zip(batches, *halves(batches), strict=True):
+    for batch, *parts in zip(batches, *folds(batches), strict=True):
         assert sum(len(part.index) for part in parts) == len(batch.index)
+        means = [int(np.sum(part.frequency[part.index] == 0)) for part in parts]
+        if np.any(batch.frequency > 0):
+            assert sum(means) == len(batch.runs)
+            assert sum(count > 0 for count in means) > len(batch.runs) // 2
 
 
 def test_candidates_leave_out_what_the_rig_has():
@@ -182,3 +190,59 @@ def test_what_it_cannot_work_with(healthy):
     model = identify(healthy, RIG, IdentifyOptions(method="computed"))
     with pytest.raises(UserError, match="no sweep run"):
         diagnose(model, measured_spectra([], RIG))
+
+
+# ---- one cell --------------------------------------------------------------------------------------------------------
+
+ONE = one_degree_of_freedom()
+CUBIC = DeclaredEffect(name="cubic-stiffness", where=("z",), parameters={"k3": 4e10, "side": "beside"})
+QUADRATIC = DeclaredEffect(name="quadratic-stiffness", where=("z",), parameters={"k2": 4e6, "side": "beside"})
+OFFSET = DeclaredEffect(name="load-offset", where=("Fz",), parameters={"offset": 5.0})
+
+
+def one_cell(*effects):
+    """The diagnosis of a rig with one cell and one freedom by one sweep: no static run, no torque, no other level."""
+    plan = SweepPlan(run="sweep", excited=("Fz",), level=(60.0,), period=4.0, periods=6)
+    runs, _ = simulate_campaign(apply_effects(true_rig(ONE), effects), CampaignPlan(runs=(plan,)), seed=5)
+    model = identify(measured_spectra(runs, ONE), ONE)
+    return diagnose(model, measured_spectra(runs, ONE, means=True))
+
+
+@pytest.mark.parametrize(
+    ("effects", "labels"),
+    [
+        ((), set()),
+        ((CUBIC,), {"cubic-stiffness@z,beside"}),
+        ((CUBIC, OFFSET), {"cubic-stiffness@z,beside", "load-offset@Fz"}),
+        ((CUBIC, QUADRATIC), {"cubic-stiffness@z,beside", "quadratic-stiffness@z,beside"}),
+    ],
+    ids=["nothing", "cubic", "cubic and offset", "cubic and quadratic"],
+)
+def test_effects_of_a_rig_with_one_cell_are_found(effects, labels):
+    found, closed = one_cell(*effects)
+    assert found.verdict == (EXPLAINED if effects else NOTHING_MISSING)
+    assert {effect.label for effect in found.effects} == labels
+    assert closed.quality.chi2_per_dof < 1.2
+    truth = {item.name: [value for value in item.parameters.values() if isinstance(value, float)] for item in effects}
+    for effect in found.effects:
+        assert effect.choice == (None if effect.name == "load-offset" else ("side", "beside"))
+        (item,) = effect.parameters
+        assert abs(item.value - truth[effect.name][0]) < 4 * item.sigma
+
+
+def test_what_has_no_place_in_a_rig_is_not_testable_and_what_was_found_is_not_listed():
+    found, _ = one_cell(CUBIC, OFFSET)
+    why = {item.name: item.why for item in found.not_testable}
+    assert why["crosstalk"] == "a rig with 1 cell, 1 channel that moves in z has no place for it"
+    assert not {"load-offset", "cubic-stiffness"} & set(why)
+    assert "the fitted parameters" in why["added-mass"]
+
+
+def test_of_two_that_do_the_same_the_linear_one_is_preferred():
+    def with_effect(name, where):
+        return balance_model(ONE.model_copy(update={"effects": (DeclaredEffect(name=name, where=where),)}))
+
+    offset, bends = with_effect("load-offset", ("Fz",)), with_effect("quadratic-stiffness", ("z", "beside"))
+    assert preferred([bends, offset], [717.6, 715.4]) == 1
+    assert preferred([bends, offset], [722.0, 715.4]) == 0
+    assert preferred([offset, bends, offset], [700.0, 690.0, 701.0]) == 2

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import rotor_balance
+from rigs import one_degree_of_freedom, rotor_balance
 
 from balance_cli.errors import UserError
 from balance_cli.geometry import DeclaredEffect
@@ -61,6 +61,30 @@ def test_a_sweep_has_the_error_of_its_response_alone(campaign, identified):
     assert found.noise.frf_error == pytest.approx(fit.frf_noise)
     assert found.before.frf_error > 10 * found.after.frf_error
     assert found.after.load_error == found.after.interaction == found.noise.load_error == {}
+
+
+def test_what_the_noise_leaves_of_a_response_is_what_a_good_fit_leaves(identified):
+    """The noise of the loads is part of it: beside a mode it is the larger."""
+    sweeps = [run for run in identified.quality.runs.values() if np.isfinite(run.frf_error)]
+    assert len(sweeps) == 6
+    for run in sweeps:
+        assert run.frf_error == pytest.approx(run.frf_noise, rel=0.15)
+
+
+def test_a_sweep_is_held_to_its_noise_without_what_a_spring_that_hardens_does():
+    """In a record that does not repeat the distortion would pass for noise."""
+    from balance_cli.simulation import Noise, SweepPlan, simulate_run, true_rig
+    from balance_cli.simulation.extensions import apply_effects
+
+    geometry = one_degree_of_freedom()
+    effect = DeclaredEffect(name="cubic-stiffness", where=("z",), parameters={"k3": 4e10, "side": "beside"})
+    plan = SweepPlan(run="sweep", excited=("Fz",), level=(60.0,), excitation="random", period=20.0, periods=2)
+    run, _ = simulate_run(apply_effects(true_rig(geometry), [effect]), plan, Noise(), seed=5)
+    knowing = computed(geometry.model_copy(update={"effects": (effect,)}))
+    found = hold_out_errors(run, computed(geometry), knowing)
+    assert found.before.frf_error > 0.1
+    assert found.after.frf_error < 0.01
+    assert found.after.frf_error < 1.5 * found.noise.frf_error < 3.0 * found.after.frf_error
 
 
 def test_loads_that_an_exciter_spills_act_too(campaign):

@@ -6,7 +6,7 @@ A circuit that obeys m y'' + d y' + a y + b y^3 = u (Wigren and Schoukens, ECC 2
 [V] plays the load Fz [N], its output [V] the force of a cell. The stiffness of that cell is declared as 1 N/m exactly:
 it only says how long a metre is. Mass, damping and sensitivity have tolerances so wide that the data decide.
 
-Then: identify -g OUTDIR/geometry.yaml OUTDIR/train.h5 --effect load-offset@Fz --effect cubic-stiffness@z,beside
+What to do with them is in docs/silverbox.md.
 
 Written: `geometry.yaml`; `train.h5`, the first 75 % of the multisines; `test.h5`, their rest; `arrow.h5`, noise of
 growing level.
@@ -73,13 +73,17 @@ def silverbox_runs(csv: Path) -> dict[str, Run]:
     return {name: silverbox_run(name, part) for name, part in parts.items()}
 
 
-def main() -> None:
+def write_silverbox(csv: Path, folder: Path) -> None:
     """Write geometry and runs."""
-    csv, folder = Path(sys.argv[1]), Path(sys.argv[2])
     folder.mkdir(parents=True, exist_ok=True)
     save_geometry(folder / "geometry.yaml", geometry_from_dict(GEOMETRY))
     for name, run in silverbox_runs(csv).items():
         write_run(folder / f"{name}.h5", run)
+
+
+def main() -> None:
+    """As called from the command line."""
+    write_silverbox(Path(sys.argv[1]), Path(sys.argv[2]))
 
 
 if __name__ == "__main__":

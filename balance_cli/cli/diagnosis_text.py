@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from balance_cli.cli.model_summary import effect_summary, modes_summary, parameters_summary
 from balance_cli.components import COMPONENTS
 from balance_cli.diagnosed import MEANING, Diagnosis
 
 if TYPE_CHECKING:
     from balance_cli.diagnosed import FoundEffect, HoldOut, RunErrors
-    from balance_cli.identified import IdentifiedModel, ModeTable
+    from balance_cli.identified import IdentifiedModel
 
 DESCRIBES = 1.2
 """Largest chi2/dof of a model that describes its data."""
@@ -27,12 +28,13 @@ def diagnosis_summary(diagnosis: Diagnosis, closed: IdentifiedModel) -> dict[str
     """The keys of the contract, and what else tells how the verdict came about."""
     return {
         "verdict": diagnosis.verdict,
-        "effects": [_effect_summary(effect) for effect in diagnosis.effects],
+        "effects": [_found_summary(effect) for effect in diagnosis.effects],
         "not_testable": [asdict(item) for item in diagnosis.not_testable],
         "hold_out": {name: asdict(errors) for name, errors in diagnosis.hold_out.items()},
         "chi2_per_dof": {"before": diagnosis.chi2_per_dof_before, "after": diagnosis.chi2_per_dof_after},
         "frf_error": {"before": diagnosis.frf_error_before, "after": diagnosis.frf_error_after},
-        "modes": {"before": _modes(diagnosis.modes_before), "after": _modes(diagnosis.modes_after)},
+        "parameters": parameters_summary(closed.parameters),
+        "modes": {"before": modes_summary(diagnosis.modes_before), "after": modes_summary(diagnosis.modes_after)},
         "candidates": diagnosis.candidates,
         "trials": [asdict(trial) for trial in diagnosis.trials],
         "tests": [asdict(test) for test in diagnosis.tests],
@@ -42,24 +44,14 @@ def diagnosis_summary(diagnosis: Diagnosis, closed: IdentifiedModel) -> dict[str
     }
 
 
-def _effect_summary(effect: FoundEffect) -> dict[str, Any]:
+def _found_summary(effect: FoundEffect) -> dict[str, Any]:
     """An effect as the contract has it."""
     return {
-        "name": effect.name,
-        "where": effect.where,
-        "parameters": {
-            item.name: {"value": item.value, "sigma": item.sigma, "unit": item.unit} for item in effect.parameters
-        },
+        **effect_summary(effect),
         "evidence": asdict(effect.evidence),
         "indistinguishable_from": effect.indistinguishable_from,
         "separated_by": effect.separated_by,
     }
-
-
-def _modes(modes: ModeTable) -> list[dict[str, float]]:
-    names = ("frequency_hz", "damping_ratio", "sigma_frequency_hz", "sigma_damping_ratio")
-    columns = (modes.frequency, modes.damping_ratio, modes.sigma_frequency, modes.sigma_damping_ratio)
-    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 # ---- text ------------------------------------------------------------------------------------------------------------

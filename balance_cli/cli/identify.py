@@ -16,11 +16,11 @@ from balance_cli.cli.common import (
     output_option,
     skip_bad_option,
 )
+from balance_cli.cli.model_summary import effect_summary, modes_summary, parameters_summary
 from balance_cli.cli.options import InputFile
 
 if TYPE_CHECKING:
     from balance_cli.identified import IdentifiedModel
-    from balance_cli.model.fitted_effects import FittedEffect
 
 FORMAT = "balance-model/1"
 METHODS = ("ls", "ml", "ls+ml", "computed")
@@ -103,49 +103,22 @@ def model_summary(model: IdentifiedModel) -> dict[str, Any]:
     """The fixed keys of the contract, and what else tells how good the fit is."""
     from balance_cli.identify import identified_effects
 
-    quality, table = model.quality, model.parameters
+    quality = model.quality
     return {
         "form": model.form,
         "method": model.method,
         "start": model.start,
         "converged": model.converged,
         "iterations": model.iterations,
-        "modes": _modes_summary(model),
+        "modes": modes_summary(model.modes),
         "chi2_per_dof": quality.chi2_per_dof,
         "frf_error": quality.frf_error,
         "runs": {name: asdict(run) for name, run in quality.runs.items()},
-        "parameters": {
-            name: dict(zip(("value", "sigma", "unit", "rests_on"), entry, strict=True))
-            for name, *entry in zip(table.names, table.value, table.sigma, table.units, table.rests_on, strict=True)
-        },
-        "effects": [_effect_summary(effect) for effect in identified_effects(model)],
+        "parameters": parameters_summary(model.parameters),
+        "effects": [effect_summary(effect) for effect in identified_effects(model)],
         "undetermined": model.undetermined,
         "channels_left_out": model.channels_left_out,
     }
-
-
-def _effect_summary(effect: FittedEffect) -> dict[str, Any]:
-    """An effect as the contract's section on effects has it."""
-    parameters: dict[str, dict[str, Any]] = {
-        item.name: {"value": item.value, "sigma": item.sigma, "unit": item.unit} for item in effect.parameters
-    }
-    if effect.choice:
-        name, word = effect.choice
-        parameters[name] = {"value": word, "sigma": None, "unit": ""}
-    return {"name": effect.name, "where": effect.where, "parameters": parameters}
-
-
-def _modes_summary(model: IdentifiedModel) -> list[dict[str, float]]:
-    modes = model.modes
-    return [
-        {
-            "frequency_hz": modes.frequency[i],
-            "damping_ratio": modes.damping_ratio[i],
-            "sigma_frequency_hz": modes.sigma_frequency[i],
-            "sigma_damping_ratio": modes.sigma_damping_ratio[i],
-        }
-        for i in range(len(modes.frequency))
-    ]
 
 
 def model_text(model: IdentifiedModel) -> Iterator[str]:

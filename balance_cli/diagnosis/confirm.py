@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import candidates
 from balance_cli.diagnosis.folds import fold_gain
+from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import PENALTY
 from balance_cli.diagnosis.score import Score, best_scores, extended, improbability, with_candidates
 from balance_cli.diagnosis.trials import trial
@@ -90,7 +91,8 @@ def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> C
         if not chosen:
             break
         tried = [_refitted(fit, score, batches) for score in chosen]
-        best = max(range(len(tried)), key=lambda i: fit.chi2 - tried[i].chi2 - PENALTY * chosen[i].parameters)
+        worth = [fit.chi2 - new.chi2 - PENALTY * score.parameters for score, new in zip(chosen, tried, strict=True)]
+        best = preferred([new.model for new in tried], worth)
         folds = fold_gain(fit.model, fit.theta, batches, chosen[best])
         gain, score = fit.chi2 - tried[best].chi2, chosen[best]
         # NaN: all that is known of it is in one place, and nothing else can speak for or against it.

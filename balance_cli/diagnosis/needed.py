@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates, smaller_places, tested
 from balance_cli.diagnosis.confirm import SIGNIFICANT, Fit, chance, fitted
+from balance_cli.diagnosis.preference import SAME
 from balance_cli.diagnosis.score import best_scores, extended, with_candidates
 from balance_cli.effects import Where
 from balance_cli.estimation.measurements import Batch
@@ -21,8 +22,6 @@ Array = NDArray[np.float64]
 
 STRONG = 1e3
 """Gain of chi-square beyond which an effect needs no refit without it to show that it is there."""
-# Chi-square within which two explanations are the same: a log-likelihood of 3.
-SAME = 6.0
 # Rivals of a weak effect that are refitted, and how far their scores may fall short of its own.
 MOST_RIVALS = 4
 SHORT = 12.0

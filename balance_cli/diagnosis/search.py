@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import candidates
+from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import (
     PENALTY,
     Attempt,
@@ -119,7 +120,7 @@ def _round(
     tried = [(score, settled(one.model, one.theta, lines, state.shares)) for score, one in _worth_settling(begun)]
     if not tried:
         return None
-    best_score, best = min(tried, key=lambda item: item[1].fitted)
+    best_score, best = tried[preferred([new.model for _, new in tried], [-new.fitted for _, new in tried])]
     gains = {score.candidate.label: state.fitted - new.fitted - PENALTY * score.parameters for score, new in tried}
     label = best_score.candidate.label
     least = _least(lines, len(ranked))

@@ -8,6 +8,7 @@ from balance_cli import effects
 from balance_cli.diagnosed import Untestable
 from balance_cli.diagnosis.score import Score
 from balance_cli.effects import Effect
+from balance_cli.geometry import Geometry
 from balance_cli.spectra import Spectra
 
 BLIND = 1e-3
@@ -16,14 +17,28 @@ WEAK = 4.0
 """Chi-square below which a change that matters cannot be told from noise."""
 
 
-def not_testable(scores: Sequence[Score], spectra: Spectra) -> tuple[Untestable, ...]:
-    """Each effect that was a candidate and could not show at any of its places, the empirical ones left out."""
+def not_testable(scores: Sequence[Score], spectra: Spectra, geometry: Geometry) -> tuple[Untestable, ...]:
+    """Each effect that has no place in the rig, or that was a candidate and could not show at any of its places.
+
+    The empirical ones are left out, and what the geometry has of the closed model: that has shown.
+    """
+    there = {item.name for item in geometry.effects}
     found = []
     for effect in effects.EFFECTS:
         expected = [score.expected for score in scores if score.candidate.effect.name == effect.name]
-        if expected and max(expected) < WEAK:
+        if effect.empirical or effect.name in there:
+            continue
+        if not effect.places(geometry):
+            found.append(Untestable(effect.name, _no_place(geometry)))
+        elif expected and max(expected) < WEAK:
             found.append(Untestable(effect.name, _why(effect, max(expected), spectra)))
     return tuple(found)
+
+
+def _no_place(geometry: Geometry) -> str:
+    cells, channels = (len(items) for items in (geometry.cells, geometry.channels))
+    counted = f"{cells} cell{'s' * (cells != 1)}, {channels} channel{'s' * (channels != 1)}"
+    return f"a rig with {counted} that moves in {', '.join(geometry.freedom)} has no place for it"
 
 
 def _why(effect: Effect, expected: float, spectra: Spectra) -> str:
@@ -33,4 +48,5 @@ def _why(effect: Effect, expected: float, spectra: Spectra) -> str:
         return "all runs were recorded at rest; it needs sweeps with the rotor turning"
     if effect.needs_mean and not any((run.frequency == 0).any() for run in spectra.lines):
         return "no record has a mean that a channel measures"
-    return "no run holds anything of it; " + effect.separated_by[0].lower() + effect.separated_by[1:]
+    would = effect.separated_by[0].lower() + effect.separated_by[1:]
+    return f"no run holds anything of it that the fitted parameters do not take up; what would show it: {would}"

@@ -108,8 +108,8 @@ class Tone:
             own = np.flatnonzero(by)
             slopes[:, :, own] += change[:, :, None] * by[own]
         by_power = 0.5 * (self.n - ratio * float(unit @ self.form(self.columns, self.columns) @ self.expected))
-        change = self.form(self.slope, self.columns)
-        by_frequency = 0.5 * self.power * float(np.trace(change)) - float(self.expected @ change @ self.expected)
+        turn = self.form(self.slope, self.columns)
+        by_frequency = 0.5 * self.power * float(np.trace(turn)) - float(self.expected @ turn @ self.expected)
         gradient = by_power * power + by_frequency * frequency
         full = self.n**2 / (4.0 * (1.0 + self.power * self.n))
         missing = max(full - 0.25 * ratio**2 * self.n, 0.0)

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.likelihood import fitted
+from balance_cli.estimation.likelihood import exciter_response, fitted
 from balance_cli.estimation.measurements import Batch
 from balance_cli.identified import FitQuality, RunFit
 from balance_cli.model.system import System, solve
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 # Band of the relative response error that every summary quotes (contract, `frf_error`) [Hz].
 FRF_BAND = (5.0, 150.0)
@@ -30,14 +31,16 @@ def fit_quality(batches: Sequence[Batch], system: System, determined: float) -> 
 
 
 def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
-    fit = fitted(batch, system, solve(system, batch.frequency, batch.spin))
+    solution = solve(system, batch.frequency, batch.spin)
+    fit = fitted(batch, system, solution)
+    columns = exciter_response(system, solution)[batch.index[:, None], :, batch.components].swapaxes(1, 2)
     frequency = batch.frequency[batch.index]
     in_band = (frequency >= FRF_BAND[0]) & (frequency <= FRF_BAND[1])
     # At rest there may be lines without any load.
     size = np.where(in_band, np.sum(np.abs(batch.loads) ** 2, axis=1), 1.0)
     live = _live(batch)
     error = np.sum(np.where(live, np.abs(fit.residual) ** 2, 0.0), axis=1) / size
-    noise = np.sum(_noise(batch, live), axis=1) / size
+    noise = np.sum(np.where(live, residual_variance(batch, columns, live), 0.0), axis=1) / size
     signal = np.sum(np.where(live, np.abs(batch.channels) ** 2, 0.0), axis=1) / size
     qualities = {}
     for i, name in enumerate(batch.runs):
@@ -59,8 +62,19 @@ def _live(batch: Batch) -> NDArray[np.bool_]:
     return np.asarray(np.real(np.diagonal(batch.precision, axis1=1, axis2=2))[:, :c] > 0)
 
 
-def _noise(batch: Batch, live: NDArray[np.bool_]) -> Array:
-    """Variance (K, c) of the channels' means; where channels are independent the inverse precision serves."""
-    c = batch.channels.shape[1]
-    precision = np.real(np.diagonal(batch.precision, axis1=1, axis2=2))[:, :c]
-    return np.where(live, 1.0 / np.where(live, precision, 1.0), 0.0)
+def residual_variance(batch: Batch, columns: ComplexArray, live: NDArray[np.bool_]) -> Array:
+    """Variance (K, c) of channels - T loads for the columns T (K, c, u) of the excited loads; any where not live.
+
+    The precision holds the efficiency and the factor that frees an inverse of its bias, which is the same.
+    """
+    K, c = live.shape
+    size = c if batch.exact else batch.precision.shape[1]
+    silent = np.ones((K, size), bool)
+    silent[:, :c] = live
+    precision = batch.precision[:, :size, :size] + np.where(silent, 0.0, 1.0)[:, :, None] * np.eye(size)
+    covariance = np.linalg.inv(precision) * (batch.efficiency**2)[:, None, None]
+    own = np.real(np.diagonal(covariance, axis1=1, axis2=2))[:, :c]
+    if batch.exact:
+        return np.asarray(own)
+    through = np.matmul(columns, covariance[:, c:, c:]) - 2.0 * covariance[:, :c, c:]
+    return np.asarray(np.maximum(own + np.sum(np.real(through * columns.conj()), axis=2), np.finfo(float).tiny))

@@ -1,0 +1,96 @@
+"""How far models of the Silverbox are from what it did: their output, simulated in time from the input alone.
+
+    python tools/silverbox_errors.py OUTDIR MODEL.h5...
+
+OUTDIR is that of `tools/silverbox.py`. Printed: RMSE [mV] on the test part of the multisines (simulated from the first
+of all multisines on), on the arrow head, and on its first 32 000 samples, whose amplitudes the training part reached;
+the first 50 samples of each are left out (Wigren and Schoukens, ECC 2013). The simulation shares no code with the
+model.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.artefacts import load_artefact
+from balance_cli.identified import IdentifiedModel
+from balance_cli.run_files import open_run
+from balance_cli.runs import Run
+from balance_cli.simulation import TrueRig, true_rig
+from balance_cli.simulation.extensions import apply_effects
+from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.motion import Motion, nonlinear_forces
+
+Array = NDArray[np.float64]
+
+OVERSAMPLING = 4
+SETTLED = 50
+NOT_BEYOND = 32000
+CELL_FORCES = ("cubic-stiffness", "quadratic-stiffness", "dry-friction")
+CONSTANTS = ("load-offset", "channel-offset", "channel-gain")
+
+
+def rig_of(model: IdentifiedModel) -> tuple[TrueRig, dict[str, float]]:
+    """The rig that a model says it is, with its forces along the cell, and its parameters by name.
+
+    ValueError for an effect that is neither such a force nor a gain or offset.
+    """
+    value = dict(zip(model.parameters.names, model.parameters.value.tolist(), strict=True))
+    for effect in model.geometry.effects:
+        if effect.name not in CELL_FORCES + CONSTANTS:
+            raise ValueError(f"no simulation of the Silverbox with {effect.name}")
+    rig = true_rig(
+        model.geometry,
+        mass=value["mass"],
+        stiffness=[value["stiffness.z"]],
+        damping_ratios=[value["damping_ratio.1"]],
+        sensitivities=[value["sensitivity.z"] * value.get("channel-gain@z.gain", 1.0)],
+    )
+    return apply_effects(rig, [effect for effect in model.geometry.effects if effect.name in CELL_FORCES]), value
+
+
+def simulated(model: IdentifiedModel, loads: Array, rate: float) -> Array:
+    """The channel (n,) [V] under recorded loads (n,) [N], band-limited between samples, integrated from rest."""
+    rig, value = rig_of(model)
+    motion, step, n = Motion.of(equations_of_motion(rig)), 1.0 / (rate * OVERSAMPLING), len(loads)
+    spectrum = np.zeros(OVERSAMPLING * n // 2 + 1, complex)
+    spectrum[: n // 2 + 1] = np.fft.rfft(loads)
+    fine = np.zeros((OVERSAMPLING * n, 6))
+    fine[:, 2] = np.fft.irfft(spectrum, OVERSAMPLING * n) * OVERSAMPLING - value.get("load-offset@Fz.offset", 0.0)
+    extra = nonlinear_forces(motion, [fine], step)[0] if motion.mechanics.forces else np.zeros((len(fine), 0))
+    force = motion.forces(fine, extra, step)[::OVERSAMPLING, 0]
+    return np.asarray(force * rig.sensitivities[0] + value.get("channel-offset@z.offset", 0.0))
+
+
+def errors(model: IdentifiedModel, runs: Mapping[str, Run]) -> tuple[float, float, float]:
+    """RMSE [mV] on the test part, on the arrow head, and on that of it which needs no extrapolation."""
+    train, test, arrow = (runs[name].read() for name in ("train", "test", "arrow"))
+    rate = runs["train"].sample_rate
+    multisines = simulated(model, np.concatenate([train.loads[:, 2], test.loads[:, 2]]), rate)
+    noise = simulated(model, arrow.loads[:, 2], rate) - arrow.channels[:, 0]
+    wrong = multisines[len(train.loads) :] - test.channels[:, 0]
+    return rmse(wrong[SETTLED:]), rmse(noise[SETTLED:]), rmse(noise[SETTLED:NOT_BEYOND])
+
+
+def rmse(wrong: Array) -> float:
+    """Root mean square [mV] of an error [V]."""
+    return 1e3 * float(np.sqrt(np.mean(wrong**2)))
+
+
+def main() -> None:
+    """Print the errors of every model."""
+    folder = Path(sys.argv[1])
+    runs = {name: open_run(folder / f"{name}.h5") for name in ("train", "test", "arrow")}
+    print(f"{'RMSE [mV]':<24}{'test':>10}{'arrow':>10}{'inside':>10}")
+    for word in sys.argv[2:]:
+        model = load_artefact(Path(word), {"balance-model/1": IdentifiedModel}).content
+        print(f"{word:<24}" + "".join(f"{error:10.3f}" for error in errors(model, runs)))
+
+
+if __name__ == "__main__":
+    main()
