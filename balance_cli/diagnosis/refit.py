@@ -24,7 +24,7 @@ from balance_cli.estimation.model_error import (
     shares_that_explain,
     with_model_error,
 )
-from balance_cli.estimation.starting_values import by_equations_of_motion
+from balance_cli.estimation.starting_values import NEAR, by_equations_of_motion, parameters_within
 from balance_cli.geometry import Geometry
 from balance_cli.model.balance import BalanceModel
 
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 PENALTY = 6.0
 """What a parameter costs, in -2 ln likelihood."""
 # Steps that tell one start from another, and those of a fit.
-FIRST_STEPS = 6
+FIRST_STEPS = 3
 STEPS = 12
 ROUNDS = 8
 # A step that promises less chi-square is the last.
@@ -81,9 +81,9 @@ def settled(model: BalanceModel, theta: Array, lines: SearchLines, near: Shares 
 
 
 def steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int) -> Array:
-    """At most `count` steps of the maximum likelihood from `theta`."""
+    """At most `count` steps of the maximum likelihood from `theta`; what the data hardly tell stays near it."""
     return minimise(
-        model.parameters,
+        parameters_within(model.parameters, theta, NEAR),
         theta,
         lambda at: data_curvature(batches, model.system(at)),
         lambda at: data_chi2(batches, model.system(at)),
@@ -123,7 +123,8 @@ def _further(model: BalanceModel, theta: Array, state: State, lines: SearchLines
     before = _chi2(state.model, state.theta, batches)
     regressed = by_equations_of_motion(model.parameters, lines.fitted, model.system, theta)
     ends = [steps(model, start, batches, FIRST_STEPS) for start in (theta, regressed)]
-    chi2, best = min(((_chi2(model, end, batches), end) for end in ends), key=lambda item: item[0])
+    best = steps(model, min(ends, key=lambda end: _chi2(model, end, batches)), batches, FIRST_STEPS)
+    chi2 = _chi2(model, best, batches)
     return Attempt(model, best, data_count(batches) * float(np.log(before / chi2)))
 
 

@@ -44,7 +44,7 @@ SMALL = 1e-2
 FLOOR = 1e-6
 # Where a search begins: compliances relative to those of the cells, and the depth of the lower body's centre below the
 # lowest cell, relative to the height of the hub over it.
-SOFTNESS = (0.1, 0.05, 0.2, 0.025)
+SOFTNESS = 0.1
 START_DEPTH = 0.2
 
 
@@ -164,11 +164,11 @@ def _searched(geometry: Geometry) -> tuple[Where, ...]:
 
 
 def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
-    """A lower body as heavy as the moving part, more or less stiff, its centre below the cells."""
+    """A lower body as heavy as the moving part, stiffer than the cells, its centre below them."""
     stiffness = stiffness_by_motion(geometry)
     lowest = min(cell.position[2] for cell in geometry.cells)
-    below = {"z": lowest - START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3)}
-    return tuple({**below, **{f"compliance_{name}": share / stiffness[name] for name in where}} for share in SOFTNESS)
+    below = lowest - START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3)
+    return ({"z": below, **{f"compliance_{name}": SOFTNESS / stiffness[name] for name in where}},)
 
 
 def _at_least(inertia: Jet, compliance: Jet, geometry: Geometry, where: Where) -> Jet:

@@ -41,6 +41,9 @@ POWER = {
 """How a parameter grows with the scale of the rig, by its unit: the loads stay, so that deflections shrink."""
 
 
+INERTIA = ("kg", "kg m2")
+
+
 @dataclass(frozen=True)
 class Coordinates:
     """Map between parameters theta (p,) and coordinates z (p,).
@@ -85,17 +88,24 @@ class Coordinates:
         return J
 
 
-def coordinates(parameters: ParameterSet) -> Coordinates:
-    """Logarithms of the free stiffnesses, masses and inertias; products of inertia and effects relative to these."""
+def coordinates(parameters: ParameterSet, start: Array) -> Coordinates:
+    """Logarithms of the free stiffnesses, masses and inertias; products of inertia and effects relative to these.
+
+    Of an effect's mass or inertia, too, where it is not zero at the `start` (p,) of the fit: often the data tell it to
+    a factor only, with a compliance that follows a power of it.
+    """
     names = parameters.names
-    positive = np.array([name.startswith(POSITIVE) for name in names])
-    logarithmic = positive & parameters.free & (parameters.value > 0)
+    plate = np.array([name.startswith(POSITIVE) for name in names])
     products = []
     for pair in ("xy", "xz", "yz"):
         if f"inertia.{pair}" in names:
             products.append([names.index(f"inertia.{part}") for part in (pair, pair[0] * 2, pair[1] * 2)])
     chosen = np.array(products, dtype=np.intp).reshape(-1, 3)
+    plate[chosen[:, 0]] = True
+    inertia = ~plate & np.isin(parameters.units, INERTIA) & (parameters.lower == 0) & (start > 0)
+    logarithmic = (plate & (parameters.value > 0) | inertia) & parameters.free
+    logarithmic[chosen[:, 0]] = False
     mass = names.index("mass") if "mass" in names else 0
-    effects = np.isinf(parameters.sigma) if logarithmic[mass] else np.zeros(len(names), bool)
-    power = np.where(effects, [POWER.get(unit, 0.0) for unit in parameters.units], 0.0)
+    relative = ~plate & ~logarithmic if logarithmic[mass] else np.zeros(len(names), bool)
+    power = np.where(relative, [POWER.get(unit, 0.0) for unit in parameters.units], 0.0)
     return Coordinates(logarithmic, chosen, power, mass, float(parameters.value[mass]))

@@ -56,8 +56,8 @@ def minimise(
     Steps are taken in the coordinates that make the scale of the rig a straight line, damped after Marquardt. Ends
     when the step promises to lower chi2 by less than `tolerance`, or by less than 1e-9 of it.
     """
-    space = coordinates(parameters)
     theta, damping = np.array(start, float), 0.0
+    space = coordinates(parameters, theta)
     data = curvature(theta)
     for iteration in range(1, iterations + 1):
         whole = data + prior_curvature(parameters, theta)
