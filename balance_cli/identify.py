@@ -119,7 +119,7 @@ def _driven_batches(spectra: Spectra, geometry: Geometry) -> tuple[Batch, ...]:
 def _fitted(
     model: BalanceModel, batches: Sequence[Batch], driven: Sequence[Batch], options: IdentifyOptions
 ) -> tuple[Minimum, str]:
-    """The estimate, and where it started: equations of motion, least squares or geometry, whichever fits the lines best.
+    """The estimate, and where it started: equations of motion, least squares or geometry, which fits the lines best.
 
     The `driven` lines serve for a start.
     With effects both are followed some way, and the better one to its end.

@@ -26,8 +26,8 @@ from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
 
-SIGNIFICANT = 0.01
-"""Corrected probability below which a gain is no chance."""
+SIGNIFICANT = 0.003
+"""Corrected probability below which a gain is no chance: one false alarm in three hundred campaigns."""
 MOST_ROUNDS = 8
 STRONG = 1e3
 """Gain of chi-square beyond which an effect needs no refit without it to show that it is there."""

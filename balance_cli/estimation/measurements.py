@@ -163,7 +163,7 @@ def static_lines(points: StaticPoints) -> Lines:
 
 
 def _line_noise(points: StaticPoints, Q: Array) -> Array:
-    """Noise covariance (c, c), or (K, c, c) of each column of Q (m, K) where rows differ; that between lines is small."""
+    """Noise covariance (c, c), or (K, c, c) by columns of Q (m, K) where rows differ; that between lines is small."""
     if points.row_covariance is None:
         return points.covariance
     return np.asarray(np.einsum("mk,mcd->kcd", Q**2, points.row_covariance))
