@@ -129,7 +129,7 @@ def _chance(batches: Sequence[Batch], count: Array) -> Array:
     known = []
     for batch in batches:
         live = np.real(np.diagonal(batch.precision, axis1=1, axis2=2))[:, : batch.channels.shape[1]] > 0
-        channels = [max(np.count_nonzero(live[part].any(axis=0)), 1) for part in batch.parts]
+        channels = [max(int(np.count_nonzero(live[part].any(axis=0))), 1) for part in batch.parts]
         known += [number * dof for number, dof in zip(channels, batch.noise_dof, strict=True)]
     return np.asarray(np.sqrt(2.0 * count * (1.0 + count / np.array(known))))
 
