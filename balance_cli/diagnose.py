@@ -17,9 +17,9 @@ from balance_cli.diagnosed import (
     FoundEffect,
     Trial,
 )
-from balance_cli.diagnosis.confirm import SIGNIFICANT, Confirmed, Fit, chance, confirm, fitted
+from balance_cli.diagnosis.confirm import SIGNIFICANT, STRONG, Confirmed, Fit, chance, confirm, fitted
 from balance_cli.diagnosis.model_free import model_free_tests
-from balance_cli.diagnosis.needed import STRONG, effect_wald, indistinguishable, pruned, without
+from balance_cli.diagnosis.needed import effect_wald, indistinguishable, pruned, without
 from balance_cli.diagnosis.residual_map import location, residual_map
 from balance_cli.diagnosis.search import WRONG, Found, search
 from balance_cli.diagnosis.search_lines import search_lines

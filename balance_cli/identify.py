@@ -17,7 +17,7 @@ from balance_cli.estimation.maximum_likelihood import best_of_starts, maximum_li
 from balance_cli.estimation.measurements import Batch, stacked
 from balance_cli.estimation.paper.fit import PAPER_BAND, PaperOptions
 from balance_cli.estimation.quality import fit_quality
-from balance_cli.estimation.starting_values import starting_values
+from balance_cli.estimation.starting_values import by_equations_of_motion, starting_values
 from balance_cli.estimation.support import covariance_of, parameter_support, undetermined
 from balance_cli.geometry import Geometry
 from balance_cli.identified import IdentifiedModel, ModeTable, ParameterTable
@@ -119,7 +119,7 @@ def _driven_batches(spectra: Spectra, geometry: Geometry) -> tuple[Batch, ...]:
 def _fitted(
     model: BalanceModel, batches: Sequence[Batch], driven: Sequence[Batch], options: IdentifyOptions
 ) -> tuple[Minimum, str]:
-    """The estimate, and where it started: least squares or geometry, whichever fits the lines better.
+    """The estimate, and where it started: equations of motion, least squares or geometry, which fits the lines best.
 
     The `driven` lines serve for a start.
     With effects both are followed some way, and the better one to its end.
@@ -135,7 +135,8 @@ def _fitted(
     if model.geometry.effects:
         found = starting_values(model.parameters, driven, model.system, declared)
         return best_of_starts(model, batches, {"least squares": found.freed, "geometry": found.held})
-    starts = {"least squares": first.theta, "geometry": declared}
+    motion = by_equations_of_motion(model.parameters, driven, model.system, declared)
+    starts = {"equations of motion": motion, "least squares": first.theta, "geometry": declared}
     best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
     return maximum_likelihood(model, batches, starts[best]), best
 

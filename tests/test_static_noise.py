@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from rigs import rotor_balance
 
 from balance_cli.errors import UserError
 from balance_cli.runs import MemorySource, Run
 from balance_cli.signals.static_noise import second_differences, static_points
+from balance_cli.simulation import CampaignPlan, Noise, simulate_campaign, true_rig
+from balance_cli.simulation.plans import statics
 
 CHANNELS = ("a", "b", "c", "d")
 SIGMA = 2e-4
@@ -115,3 +118,18 @@ def test_random_poses_have_no_ramp():
     loads = rng.normal(size=(40, 6))
     with pytest.raises(UserError, match="within a ramp"):
         static_points(run_of(loads, rng.normal(size=(40, 4))), CHANNELS)
+
+
+def test_a_row_has_the_noise_of_a_load_only_where_that_was_applied():
+    """The torque meter reads 0.02 V/(N m): beside its own 0.2 mV the moment's 0.05 N m are 1 mV."""
+    rig, noise = true_rig(rotor_balance()), Noise()
+    found = []
+    for seed in range(8):
+        runs, _ = simulate_campaign(rig, CampaignPlan(runs=statics()[:1]), seed=seed)
+        points = static_points(runs[0], runs[0].channel_names)
+        variance = points.row_covariance[:, points.channel_names.index("torque"), points.channel_names.index("torque")]
+        twisted = points.loads[:, 5] != 0.0
+        assert np.ptp(variance[twisted]) == 0.0
+        found.append((variance[twisted].mean(), variance[~twisted].mean()))
+    of_moment = noise.static_channel**2 + (0.02 * noise.static_load) ** 2
+    assert np.mean(found, axis=0) == pytest.approx([of_moment, noise.static_channel**2], rel=0.35)

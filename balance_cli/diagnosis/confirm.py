@@ -17,7 +17,7 @@ from balance_cli.diagnosis.candidates import candidates
 from balance_cli.diagnosis.folds import fold_gain
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import PENALTY
-from balance_cli.diagnosis.score import Score, best_scores, extended, improbability, with_candidates
+from balance_cli.diagnosis.score import Score, best_scores, extended, improbability, stepped, with_candidates
 from balance_cli.diagnosis.trials import trial
 from balance_cli.estimation.gauss_newton import Minimum
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
@@ -26,9 +26,11 @@ from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
 
-SIGNIFICANT = 0.01
-"""Corrected probability below which a gain is no chance."""
+SIGNIFICANT = 0.003
+"""Corrected probability below which a gain is no chance: one false alarm in three hundred campaigns."""
 MOST_ROUNDS = 8
+STRONG = 1e3
+"""Gain of chi-square beyond which an effect needs no refit without it to show that it is there."""
 # Candidates of a round that are refitted, and how near the best score they come, that a refit may turn them round.
 MOST_REFITS = 4
 NEAR_BEST = 12.0
@@ -128,7 +130,12 @@ def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) 
 
 
 def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
-    """The fit with a candidate added: from its null, but away from it where other parameters shape what it does."""
+    """The fit with a candidate added: from the score's step, or where that is no small one from the effect's start.
+
+    From its null where no other parameters shape what it does.
+    """
+    if score.gain < STRONG:
+        return fitted(*stepped(fit.model, fit.theta, score), batches)
     started = any(item.secondary for item in score.candidate.one.parameters)
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started)
     model, theta = extended(fit.model, fit.theta, geometry)

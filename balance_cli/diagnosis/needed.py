@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates, smaller_places, tested
-from balance_cli.diagnosis.confirm import SIGNIFICANT, Fit, chance, fitted
+from balance_cli.diagnosis.confirm import SIGNIFICANT, STRONG, Fit, chance, fitted
 from balance_cli.diagnosis.preference import SAME
-from balance_cli.diagnosis.score import best_scores, extended, with_candidates
+from balance_cli.diagnosis.score import Score, best_scores, extended, stepped, with_candidates
 from balance_cli.effects import Where
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.support import covariance_of
@@ -20,11 +20,9 @@ from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
 Array = NDArray[np.float64]
 
-STRONG = 1e3
-"""Gain of chi-square beyond which an effect needs no refit without it to show that it is there."""
 # Rivals of a weak effect that are refitted, and how far their scores may fall short of its own.
 MOST_RIVALS = 4
-SHORT = 12.0
+SHORT = 8.0
 # Probability beyond which a motion of an effect is as well left out.
 NEEDLESS = 1e-3
 
@@ -140,15 +138,16 @@ def indistinguishable(
 ) -> tuple[str, ...]:
     """Labels of what explains the same data within a log-likelihood of 3 when it stands in the effect's place.
 
-    `less`: the model without the effect, where that was refitted; it shows who else would gain as much.
+    `less`: the model without a weak effect, refitted; the scores there say who else would gain as much.
     """
-    possible = {item.label: item for item in candidates(_bare(fit.model.geometry, one))}
-    names = [name for name in rivals if name in possible]
     if less is not None:
-        names += [name for name in _near(less, one, batches, less.chi2 - fit.chi2) if name not in names]
-    return tuple(
-        name for name in names[:MOST_RIVALS] if instead(fit, one, possible[name], batches).chi2 - fit.chi2 <= SAME
-    )
+        near = _near(less, one, batches, less.chi2 - fit.chi2)[:MOST_RIVALS]
+        ends = {item.candidate.label: fitted(*stepped(less.model, less.theta, item), batches) for item in near}
+    else:
+        possible = {item.label: item for item in candidates(_bare(fit.model.geometry, one))}
+        names = [name for name in rivals if name in possible][:MOST_RIVALS]
+        ends = {name: instead(fit, one, possible[name], batches) for name in names}
+    return tuple(name for name, end in ends.items() if end.chi2 - fit.chi2 <= SAME)
 
 
 def _bare(geometry: Geometry, one: PlacedEffect) -> Geometry:
@@ -158,8 +157,8 @@ def _bare(geometry: Geometry, one: PlacedEffect) -> Geometry:
     return geometry.model_copy(update={"effects": tuple(kept)})
 
 
-def _near(less: Fit, one: PlacedEffect, batches: Sequence[Batch], lost: float) -> list[str]:
-    """Candidates that score about as well as what was lost with the effect."""
+def _near(less: Fit, one: PlacedEffect, batches: Sequence[Batch], lost: float) -> list[Score]:
+    """Candidates that score about as well as what was lost with the effect, the best first."""
     found = best_scores(less.model, less.theta, batches, candidates(less.model.geometry))
     near = [item for item in found if item.candidate.label != one.label and item.gain > lost - SHORT - 0.1 * lost]
-    return [item.candidate.label for item in sorted(near, key=lambda item: -item.gain)]
+    return sorted(near, key=lambda item: -item.gain)

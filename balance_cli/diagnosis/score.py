@@ -215,6 +215,15 @@ def extended(model: BalanceModel, theta: Array, geometry: Geometry) -> tuple[Bal
     return wide.with_sigma(np.array(sigma, float)), np.array(at, float)
 
 
+def stepped(model: BalanceModel, theta: Array, score: Score) -> tuple[BalanceModel, Array]:
+    """The model with a candidate where its score says that it gains, from which a weak one is soon fitted."""
+    one = score.candidate.one
+    wide, at = extended(model, theta, with_candidates(model.geometry, [(score.candidate, score.start)]))
+    for item, change in zip(tested(one.parameters), score.step, strict=True):
+        at[wide.parameters.index(one.full_name(item))] += change
+    return wide, at
+
+
 def only_free(wide: BalanceModel, model: BalanceModel, names: set[str]) -> BalanceModel:
     """Only the model's own parameters and these are free; the candidates' others are held."""
     kept = names | set(model.parameters.names)

@@ -147,7 +147,7 @@ def static_lines(points: StaticPoints) -> Lines:
     components = tuple(name for name, used in zip(COMPONENTS, varied, strict=True) if used)
     count, c = len(R), len(points.channel_names)
     padded = np.zeros((count, c + count, c + count), complex)
-    padded[:, :c, :c] = 2.0 * points.covariance
+    padded[:, :c, :c] = 2.0 * _line_noise(points, Q)
     return Lines(
         run=points.run,
         channel_names=points.channel_names,
@@ -160,6 +160,13 @@ def static_lines(points: StaticPoints) -> Lines:
         constant_loads=Q.T @ (points.loads[:, varied] != 0.0),
         waveform=None if points.share is None else _load_points(points, Q.T),
     )
+
+
+def _line_noise(points: StaticPoints, Q: Array) -> Array:
+    """Noise covariance (c, c), or (K, c, c) by columns of Q (m, K) where rows differ; that between lines is small."""
+    if points.row_covariance is None:
+        return points.covariance
+    return np.asarray(np.einsum("mk,mcd->kcd", Q**2, points.row_covariance))
 
 
 def _complete_qr(loads: Array) -> tuple[Array, Array]:

@@ -113,7 +113,7 @@ def shares_that_explain(
     names = [name for batch in batches for name in batch.runs]
     dof = np.concatenate([np.bincount(batch.run, batch.count, len(batch.runs)) for batch in batches])
     solutions = [solve(system, batch.frequency, batch.spin) for batch in batches]
-    wrong = _run_chi2(batches, system, solutions) > dof + by_chance * np.sqrt(2.0 * dof)
+    wrong = _run_chi2(batches, system, solutions) > dof + by_chance * _chance(batches, dof)
     shares = np.array([(near or {}).get(name, 0.0) or FIRST_ERROR for name in names])
     for _ in range(ITERATIONS if wrong.any() else 0):
         trial = dict(zip(names, np.where(wrong, shares, 0.0).tolist(), strict=True))
@@ -122,6 +122,16 @@ def shares_that_explain(
         if np.all(np.abs(ratio[wrong] - 1.0) < EXACT):
             break
     return dict(zip(names, np.where(wrong & (shares > SMALLEST_ERROR), shares, 0.0).tolist(), strict=True))
+
+
+def _chance(batches: Sequence[Batch], count: Array) -> Array:
+    """Standard deviation of the chi-square of each run, of so many values; each channel's noise is an estimate too."""
+    known = []
+    for batch in batches:
+        live = np.real(np.diagonal(batch.precision, axis1=1, axis2=2))[:, : batch.channels.shape[1]] > 0
+        channels = [max(int(np.count_nonzero(live[part].any(axis=0))), 1) for part in batch.parts]
+        known += [number * dof for number, dof in zip(channels, batch.noise_dof, strict=True)]
+    return np.asarray(np.sqrt(2.0 * count * (1.0 + count / np.array(known))))
 
 
 def _run_chi2(batches: Sequence[Batch], system: System, solutions: Sequence[Solution]) -> Array:

@@ -195,6 +195,7 @@ class StaticPoints:
     `covariance` (c, c) is the noise of a row's `channels - C0 loads` (so it holds the load readings' noise too),
     measured from second differences along the loading sequence and not from the residual of a fit.
     `share` (c,): the weight of each channel among those of its spring, where forces are to be told from them.
+    `row_covariance` (m, c, c): that of each row, where they are not alike.
     """
 
     run: str
@@ -205,6 +206,7 @@ class StaticPoints:
     covariance: Array
     dof: float
     share: Array | None = None
+    row_covariance: Array | None = None
 
 
 @dataclass(frozen=True)

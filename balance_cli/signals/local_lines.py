@@ -29,6 +29,9 @@ POLE_SHARE = 0.3
 WIDEST_SHARE = 0.1
 LEAST_SIGNAL_TO_NOISE = 10.0
 
+# Half of the window: towards its ends, where lines lie at the edge of the spectrum alone, its polynomials err most.
+FARTHEST = 0.5
+
 
 @dataclass(frozen=True)
 class _Experiments:
@@ -90,9 +93,10 @@ def _groups(models: LocalModels, window: int) -> list[_Experiments]:
     inverse = influence(models.fit[window])
     first = models.first[window]
     noise = models.noise.equation(models.response, slice(first, first + inverse.shape[1]))
+    central = np.abs(models.fit[window].r) <= FARTHEST
     groups = []
     for lines in _partition(models, window, u):
-        if np.all(excited[lines]):
+        if np.all(excited[lines] & central[lines - first]):
             groups.append(_experiments(models, window, inverse, noise, lines))
     return groups
 

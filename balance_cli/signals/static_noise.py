@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from balance_cli.runs import Run
 from balance_cli.signals.lines import StaticPoints
 from balance_cli.signals.records import fault, samples_of
+from balance_cli.signals.row_noise import row_covariance
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,9 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     if len(differences) < c + 2:
         raise fault(run, f"only {len(differences)} rows lie within a ramp of the loading", "Apply the loads in steps")
     covariance, dof = difference_covariance(channels, loads, differences)
-    return StaticPoints(run.name, run.trim or "", tuple(channel_names), channels, loads, covariance, dof)
+    each = _each_row(channels, loads, differences, covariance, dof)
+    names = tuple(channel_names)
+    return StaticPoints(run.name, run.trim or "", names, channels, loads, covariance, dof, row_covariance=each)
 
 
 def second_differences(loads: Array) -> Array:
@@ -60,6 +63,20 @@ def second_differences(loads: Array) -> Array:
     return np.asarray(operator / np.linalg.norm(operator, axis=1)[:, None], float)
 
 
+def _each_row(channels: Array, loads: Array, operator: Array, covariance: Array, dof: float) -> Array:
+    """The noise covariance (m, c, c) of each row."""
+    B = _differenced(loads, operator)
+    variance = np.sum(B**2, axis=1)
+    weights = _robust_weights(B @ channels, covariance, variance, dof, channels.shape[1])
+    return row_covariance(channels, loads, B, weights, covariance)
+
+
+def _differenced(loads: Array, operator: Array) -> Array:
+    """B (t, m): differences of what is not linear in the loads, less what their squares and cubes explain."""
+    linear, curved = _regressors(loads)
+    return _without(operator @ curved, _without(linear, operator.T).T)
+
+
 def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[Array, float]:
     """Noise covariance (c, c) of rows (m, c) from differences of their regression residuals, and its dof.
 
@@ -68,8 +85,7 @@ def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[A
     expectation tr(A) Sigma and tr(A)^2 / tr(A^2) degrees of freedom, A = B' W B. The weights W take the force out of
     rows that jump.
     """
-    linear, curved = _regressors(loads)
-    differenced = _without(operator @ curved, _without(linear, operator.T).T)
+    differenced = _differenced(loads, operator)
     d = differenced @ rows
     c = rows.shape[1]
     weights = _first_weights(d)
