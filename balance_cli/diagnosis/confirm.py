@@ -130,13 +130,10 @@ def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) 
 
 
 def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
-    """The fit with a candidate added: from the score's step, or where that is no small one from the effect's start.
-
-    From its null where no other parameters shape what it does.
-    """
-    if score.gain < STRONG:
-        return fitted(*stepped(fit.model, fit.theta, score), batches)
-    started = any(item.secondary for item in score.candidate.one.parameters)
-    geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started)
-    model, theta = extended(fit.model, fit.theta, geometry)
-    return fitted(model, theta, batches)
+    """The fit with a candidate added, from its score's step; where that is no small one, from its start too."""
+    near = fitted(*stepped(fit.model, fit.theta, score), batches)
+    if score.gain < STRONG or not any(item.secondary for item in score.candidate.one.parameters):
+        return near
+    geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started=True)
+    far = fitted(*extended(fit.model, fit.theta, geometry), batches)
+    return min(near, far, key=lambda end: end.chi2)
