@@ -135,7 +135,7 @@ def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
     From its null where no other parameters shape what it does.
     """
     if score.gain < STRONG:
-        return fitted(*stepped(fit.model, fit.theta, score), batches)
+        return fitted(*stepped(fit.model, fit.theta, batches, score), batches)
     started = any(item.secondary for item in score.candidate.one.parameters)
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started)
     model, theta = extended(fit.model, fit.theta, geometry)
