@@ -131,7 +131,7 @@ def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) 
 
 def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
     """The fit with a candidate added, from its score's step; where that is no small one, from its start too."""
-    near = fitted(*stepped(fit.model, fit.theta, score), batches)
+    near = fitted(*stepped(fit.model, fit.theta, batches, score), batches)
     if score.gain < STRONG or not any(item.secondary for item in score.candidate.one.parameters):
         return near
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started=True)

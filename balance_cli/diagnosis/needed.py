@@ -142,7 +142,7 @@ def indistinguishable(
     """
     if less is not None:
         near = _near(less, one, batches, less.chi2 - fit.chi2)[:MOST_RIVALS]
-        ends = {item.candidate.label: fitted(*stepped(less.model, less.theta, item), batches) for item in near}
+        ends = {item.candidate.label: fitted(*stepped(less.model, less.theta, batches, item), batches) for item in near}
     else:
         possible = {item.label: item for item in candidates(_bare(fit.model.geometry, one))}
         names = [name for name in rivals if name in possible][:MOST_RIVALS]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from balance_cli.diagnosis.candidates import Candidate, tested
 from balance_cli.effects import EffectParameter
 from balance_cli.estimation.gauss_newton import prior_curvature
-from balance_cli.estimation.likelihood import batch_slopes
+from balance_cli.estimation.likelihood import batch_slopes, data_chi2
 from balance_cli.estimation.measurements import WORKERS, Batch, by_run, selected_lines
 from balance_cli.estimation.support import covariance_of
 from balance_cli.geometry import Geometry
@@ -37,6 +37,8 @@ LEAST_SHARE = 1e-9
 # Lines that all candidates are tried with, and how many of them with every line.
 ENOUGH_LINES = 2000
 LEADING = 40
+# Parts of a step that are tried one after another.
+SHARES = (1.0, 0.3, 0.1, 0.03)
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,8 @@ class Score:
     """What one candidate would gain in chi-square, for `parameters` of its own, begun at start number `start`.
 
     `expected` is the gain that a change of every parameter by its scale would make: what the data could show.
-    Of its own parameters that do something by themselves: `information` (q, q), V; `step` (q,), the change that gains.
+    Of its own parameters that do something by themselves: `information` (q, q), V; `step` (q,), the change that gains,
+    and `following` (f,), how the fitted parameters then go along.
     """
 
     candidate: Candidate
@@ -55,6 +58,7 @@ class Score:
     noise_dof: float
     information: Array
     step: Array
+    following: Array
 
     @property
     def p_value(self) -> float:
@@ -147,6 +151,7 @@ def _scores_of_start(
 class Projected:
     """Of a candidate: s (q,), V (q, q) with the fitted parameters projected out; `raw` (q,) is V's diagonal before.
 
+    By a step d the fitted parameters change by `rest` - `along` d, (f,) and (f, q).
     `noise_dof`: degrees of freedom of the noise in the runs that speak of it (Satterthwaite, by their information).
     """
 
@@ -154,6 +159,8 @@ class Projected:
     V: Array
     raw: Array
     noise_dof: float
+    rest: Array
+    along: Array
 
 
 def _projected(wide: BalanceModel, at: Array, batches: Sequence[Batch], places: _Places) -> list[Projected]:
@@ -183,6 +190,8 @@ def _projected(wide: BalanceModel, at: Array, batches: Sequence[Batch], places: 
             V - cross[:, own].T @ inverse @ cross[:, own],
             np.diag(V).copy(),
             _noise_dof(np.array([run[i] for run in by_runs]), run_dof),
+            -step,
+            inverse @ cross[:, own],
         )
         for i, (own, V) in enumerate(zip(places.own, blocks, strict=True))
     ]
@@ -215,13 +224,30 @@ def extended(model: BalanceModel, theta: Array, geometry: Geometry) -> tuple[Bal
     return wide.with_sigma(np.array(sigma, float)), np.array(at, float)
 
 
-def stepped(model: BalanceModel, theta: Array, score: Score) -> tuple[BalanceModel, Array]:
-    """The model with a candidate where its score says that it gains, from which a weak one is soon fitted."""
+def stepped(model: BalanceModel, theta: Array, batches: Sequence[Batch], score: Score) -> tuple[BalanceModel, Array]:
+    """The model with a candidate where its score says that it gains, from which a weak one is soon fitted.
+
+    The fitted parameters go along, and the step is shortened until chi-square falls.
+    """
     one = score.candidate.one
-    wide, at = extended(model, theta, with_candidates(model.geometry, [(score.candidate, score.start)]))
-    for item, change in zip(tested(one.parameters), score.step, strict=True):
-        at[wide.parameters.index(one.full_name(item))] += change
-    return wide, at
+    wide, null = extended(model, theta, with_candidates(model.geometry, [(score.candidate, score.start)]))
+    step = np.zeros(len(null))
+    free = [name for name, is_free in zip(model.parameters.names, model.parameters.free, strict=True) if is_free]
+    step[[wide.parameters.index(name) for name in free]] = score.following
+    step[[wide.parameters.index(one.full_name(item)) for item in tested(one.parameters)]] = score.step
+    before = _chi2(wide, null, batches)
+    for share in SHARES:
+        if _chi2(wide, null + share * step, batches) < before:
+            return wide, np.asarray(null + share * step)
+    return wide, null
+
+
+def _chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
+    """Chi-square of data and priors; infinite where no rig is like that."""
+    try:
+        return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
+    except np.linalg.LinAlgError:
+        return float("inf")
 
 
 def only_free(wide: BalanceModel, model: BalanceModel, names: set[str]) -> BalanceModel:
@@ -240,7 +266,8 @@ def _score(one: Candidate, number: int, part: Projected) -> Score:
     expected = float(scale[seen] ** 2 @ np.diag(part.V)[seen])
     step = np.zeros(len(items))
     step[seen] = best.step
-    return Score(one, number, best.gain, best.directions, expected, part.noise_dof, part.V, step)
+    following = part.rest - part.along @ step
+    return Score(one, number, best.gain, best.directions, expected, part.noise_dof, part.V, step, following)
 
 
 def bounded(items: Sequence[EffectParameter]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
