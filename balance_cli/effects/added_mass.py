@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from balance_cli.effects.base import Effect, EffectParameter, Where, nowhere_in_particular, reach
 from balance_cli.equations import Equations
 from balance_cli.geometry import Geometry
@@ -32,6 +34,16 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     return (mass, *position)
 
 
+def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
+    """Between hub and origin, at the hub, or at one of the cells: what it does depends on where it is."""
+    points = [
+        0.5 * np.array(geometry.hub),
+        np.array(geometry.hub),
+        *(np.array(cell.position) for cell in geometry.cells),
+    ]
+    return tuple(dict(zip("xyz", map(float, point), strict=True)) for point in points)
+
+
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
     motion = equations.motion(stack([values[axis] for axis in "xyz"]))
     return replace(equations, mass=equations.mass + values["mass"] * (motion.T @ motion))
@@ -49,4 +61,5 @@ EFFECT = Effect(
     places=nowhere_in_particular,
     parameters=_parameters,
     apply=_apply,
+    starts=_starts,
 )
