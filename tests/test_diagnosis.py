@@ -186,6 +186,17 @@ def test_two_effects_at_once_are_found_and_the_model_is_closed():
     assert again.verdict == NOTHING_MISSING
 
 
+def test_a_strain_channel_that_forgets_is_found_though_it_reads_nothing_at_rest():
+    leak = DeclaredEffect(name="high-pass", where=("z1.strain",), parameters={"cutoff": 0.04})
+    spectra = simulated_spectra(leak)
+    found, closed = diagnose(identify(spectra, RIG), spectra)
+    assert found.verdict == EXPLAINED
+    assert [effect.label for effect in found.effects] == ["high-pass@z1.strain"]
+    (cutoff,) = found.effects[0].parameters
+    assert abs(cutoff.value - 0.04) < 4 * cutoff.sigma
+    assert closed.quality.chi2_per_dof < 1.2
+
+
 def test_what_it_cannot_work_with(healthy):
     model = identify(healthy, RIG, IdentifyOptions(method="computed"))
     with pytest.raises(UserError, match="no sweep run"):

@@ -169,19 +169,31 @@ class PairFit:
 
 
 def differing_pairs(runs: Sequence[Lines], geometry: Geometry) -> tuple[PairFit, ...]:
-    """The pairs of channels that differ in one way, which leaves nothing improbable."""
+    """The pairs of channels that differ in one way, which leaves nothing improbable.
+
+    Small differences are left to the score test, but for those of a high-pass: at rest it lets nothing through however
+    low its cutoff is, which no derivative at its null can tell.
+    """
     paths = {path.channel: path for path in declared_paths(geometry)}
     found = []
     for first, second in channel_pairs(geometry):
         pair = _pair(runs, paths[first], paths[second], geometry.tolerances.sensitivity)
         start = None if pair is None else _equal(pair.lines)
-        if pair is None or start is None or _left(pair, start) > IMPROBABLE:
+        if pair is None or start is None:
             continue
         best = min((with_kind(pair.lines, start, kind) for kind in KINDS), key=lambda one: one.chi2)
-        if best.chi2 < 0.5 * start.chi2 and _left(pair, best) > IMPROBABLE**2:
-            kind, value = best.kinds[-1].name, float(best.values[-1])
+        kind, value = best.kinds[-1].name, float(best.values[-1])
+        large = best.chi2 < 0.5 * start.chi2 and _left(pair, start) < IMPROBABLE
+        if (large or _high_pass(pair, start, best)) and _left(pair, best) > IMPROBABLE**2:
             found.append(PairFit(first, second, kind, value, start.chi2 - best.chi2))
     return tuple(found)
+
+
+def _high_pass(pair: _Pair, start: RatioFit, best: RatioFit) -> bool:
+    """Whether the difference is a high-pass beyond doubt."""
+    gain = start.chi2 - best.chi2
+    clear = gain > LEAST_GAIN and probability(gain, (1.0,), (sum(pair.dof),)) < IMPROBABLE**2
+    return clear and best.kinds[-1].name.startswith("high-pass")
 
 
 def _said(pair: _Pair, fit: RatioFit, own: int) -> str:
