@@ -2,7 +2,8 @@
 
 import sys
 
-from benchmarks import maximum_likelihood
+from benchmarks import maximum_likelihood, score
 
 if __name__ == "__main__":
     sys.stdout.write(f"Maximum likelihood, sample campaign\n{maximum_likelihood.run()}\n")
+    sys.stdout.write(f"Score test against refit, sample campaign\n{score.run()}\n")

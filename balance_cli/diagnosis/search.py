@@ -1,4 +1,4 @@
-"""The search: while the model is wrong, add the effect that takes most off its error; start again where it is stuck.
+"""The search: while the model is wrong, add the effect that takes most off its error; begin anew where it is stuck.
 
 Every fit here has a model error (see `estimation.model_error`), so that the ranking does not rest on the noise alone.
 The search ends when no candidate lowers -2 ln likelihood on the lines that were fitted and on those that were not.
@@ -64,7 +64,7 @@ class Found:
 
 
 def search(model: BalanceModel, theta: Array, lines: SearchLines, say: Say, known: Sequence[Seed] = ()) -> Found:
-    """Add effects one by one until none helps; where the error stays large, once more from other starts.
+    """Add effects one by one until none helps; where the error stays large, everything is once begun anew.
 
     What is `known` without the plate comes first.
     """

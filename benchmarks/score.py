@@ -1,0 +1,43 @@
+"""The score test of a candidate against its refit: the first round of the search on the sample campaign.
+
+Both on the same lines, under the same model error. All candidates are scored; the leading ones are refitted.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from balance_cli.diagnosis.refit import attempt, settled
+from balance_cli.diagnosis.search import leading, ranked_scores
+from balance_cli.diagnosis.search_lines import search_lines
+from balance_cli.geometry_file import load_geometry
+from balance_cli.identify import identify
+from balance_cli.model.balance import balance_model
+from balance_cli.run_files import open_run
+from balance_cli.spectra import measured_spectra
+
+ROOT = Path(__file__).parents[1]
+
+
+def run() -> str:
+    """Time both, and say the ratio."""
+    geometry = load_geometry(ROOT / "configs" / "rts-6.yaml")
+    runs = [open_run(path) for path in sorted((ROOT / "sample_data").glob("s*.h5"))]
+    spectra = measured_spectra(runs, geometry, means=True)
+    lines = search_lines(spectra, geometry.channel_names)
+    rigid = np.array(identify(spectra, geometry).parameters.value, float)
+    state = settled(balance_model(geometry), rigid, lines)
+    start = time.perf_counter()
+    ranked = ranked_scores(state, lines)
+    score = (time.perf_counter() - start) / len(ranked)
+    text = [f"score  {1e3 * score:9.2f} ms each of {len(ranked)}"]
+    for one in leading(ranked):
+        start = time.perf_counter()
+        begun = attempt(state, one, lines)
+        settled(begun.model, begun.theta, lines, state.shares)
+        refit = time.perf_counter() - start
+        text.append(f"refit  {1e3 * refit:9.2f} ms, {refit / score:.0f} times that: {one.candidate.label}")
+    return "\n".join(text)
