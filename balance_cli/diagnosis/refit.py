@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.candidates import Candidate
-from balance_cli.diagnosis.score import Score, extended, with_candidates
+from balance_cli.diagnosis.score import Score, extended, penalised_chi2, with_candidates
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.estimation.gauss_newton import minimise, prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
@@ -120,21 +120,17 @@ def attempt(state: State, score: Score, lines: SearchLines) -> Attempt:
 
 def _further(model: BalanceModel, theta: Array, state: State, lines: SearchLines) -> Attempt:
     batches = with_model_error(lines.fitted, state.shares)
-    before = _chi2(state.model, state.theta, batches)
+    before = penalised_chi2(state.model, state.theta, batches)
     regressed = by_equations_of_motion(model.parameters, lines.fitted, model.system, theta)
     ends = [steps(model, start, batches, FIRST_STEPS) for start in (theta, regressed)]
-    best = steps(model, min(ends, key=lambda end: _chi2(model, end, batches)), batches, FIRST_STEPS)
-    chi2 = _chi2(model, best, batches)
+    best = steps(model, min(ends, key=lambda end: penalised_chi2(model, end, batches)), batches, FIRST_STEPS)
+    chi2 = penalised_chi2(model, best, batches)
     return Attempt(model, best, data_count(batches) * float(np.log(before / chi2)))
 
 
 def data_count(batches: Sequence[Batch]) -> float:
     """Real data that the lines hold."""
     return float(sum(np.sum(batch.count) for batch in batches))
-
-
-def _chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
-    return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
 
 
 def with_candidate(state: State, candidate: Candidate, lines: SearchLines) -> State:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.diagnosed import ResidualMap
 from balance_cli.estimation.likelihood import exciter_response, fitted
 from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.quality import residual_variance
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.system import System, solve
 
@@ -81,29 +82,11 @@ def _whitened(batch: Batch, system: System) -> tuple[Array, Array]:
     fit = fitted(batch, system, solution)
     heard = np.real(np.diagonal(batch.precision, axis1=1, axis2=2)[:, : batch.channels.shape[1]]) > 0
     columns = exciter_response(system, solution)[batch.index[:, None], :, batch.components].swapaxes(1, 2)
-    variance = _variance(batch, columns, heard)
+    variance = residual_variance(batch, columns, heard)
     # Means are real: their noise, as that of complex lines, counts double.
     real = np.where(batch.frequency[batch.index] == 0.0, 2.0, 1.0)[:, None]
     power = np.where(heard, real * np.abs(fit.residual) ** 2 / np.where(heard, variance, 1.0), 0.0)
     return power, heard.astype(float)
-
-
-def _variance(batch: Batch, columns: ComplexArray, heard: NDArray[np.bool_]) -> Array:
-    """Variance (K, c) of channels - T loads for the columns T (K, c, u) of the excited loads.
-
-    The precision holds the efficiency and the factor that frees an inverse of its bias, which is the same.
-    """
-    K, c = heard.shape
-    size = c if batch.exact else batch.precision.shape[1]
-    silent = np.ones((K, size), bool)
-    silent[:, :c] = heard
-    precision = batch.precision[:, :size, :size] + np.where(silent, 0.0, 1.0)[:, :, None] * np.eye(size)
-    covariance = np.linalg.inv(precision) * (batch.efficiency**2)[:, None, None]
-    own = np.real(np.diagonal(covariance, axis1=1, axis2=2))[:, :c]
-    if batch.exact:
-        return np.asarray(own)
-    through = np.matmul(columns, covariance[:, c:, c:]) - 2.0 * covariance[:, :c, c:]
-    return np.asarray(np.maximum(own + np.sum(np.real(through * columns.conj()), axis=2), np.finfo(float).tiny))
 
 
 def location(found: ResidualMap) -> str:

@@ -235,14 +235,14 @@ def stepped(model: BalanceModel, theta: Array, batches: Sequence[Batch], score: 
     free = [name for name, is_free in zip(model.parameters.names, model.parameters.free, strict=True) if is_free]
     step[[wide.parameters.index(name) for name in free]] = score.following
     step[[wide.parameters.index(one.full_name(item)) for item in tested(one.parameters)]] = score.step
-    before = _chi2(wide, null, batches)
+    before = penalised_chi2(wide, null, batches)
     for share in SHARES:
-        if _chi2(wide, null + share * step, batches) < before:
+        if penalised_chi2(wide, null + share * step, batches) < before:
             return wide, np.asarray(null + share * step)
     return wide, null
 
 
-def _chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
+def penalised_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
     """Chi-square of data and priors; infinite where no rig is like that."""
     try:
         return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
