@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,12 @@ from balance_cli.diagnosed import (
     FoundEffect,
     Trial,
 )
-from balance_cli.diagnosis.confirm import SIGNIFICANT, STRONG, Confirmed, Fit, chance, confirm, fitted
+from balance_cli.diagnosis.confirm import SIGNIFICANT, Confirmed, chance, confirm
+from balance_cli.diagnosis.fit import Fit, fitted
 from balance_cli.diagnosis.model_free import model_free_tests
-from balance_cli.diagnosis.needed import effect_wald, indistinguishable, pruned, without
+from balance_cli.diagnosis.needed import believed, pruned
 from balance_cli.diagnosis.residual_map import location, residual_map
+from balance_cli.diagnosis.rivals import Standing, contested
 from balance_cli.diagnosis.search import WRONG, Found, search
 from balance_cli.diagnosis.search_lines import search_lines
 from balance_cli.diagnosis.seeds import seeds
@@ -72,13 +74,18 @@ def diagnose(
     judged = with_model_error(batches, found.state.shares) if wrong else batches
     fit = fitted(found.state.model, found.state.theta, judged)
     rounds = max((trial.round for trial in found.trials), default=0)
-    confirmed = confirm(fit, judged, rounds + 1, say)
+    confirmed = confirm(fit, judged, not wrong, rounds + 1, say)
     say("what is needed")
-    count = len(confirmed.scores)
-    fit, removed = pruned(confirmed.fit, judged, count, rounds + len({item.round for item in confirmed.trials}) + 1)
+    count, last = len(confirmed.scores), rounds + len({item.round for item in confirmed.trials}) + 1
+    fit, removed = pruned(confirmed.fit, judged, count, last)
+    given = {one.label for one in declared_effects(model.geometry)}
+    from_channels = {item.label for item in found.trials if item.round == 0}
+    fit, doubted = believed(fit, judged, not wrong, given | from_channels, last)
+    stands = contested(fit, judged, given, _rivals(found, confirmed), count, last + 1, say)
+    fit = stands.fit
     closed = described(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra.channels_left_out)
-    trials = (*found.trials, *confirmed.trials, *removed)
-    effects = _effects(fit, closed, judged, trials, found, confirmed, model, say)
+    trials = (*found.trials, *confirmed.trials, *removed, *doubted, *stands.trials)
+    effects = _effects(closed, stands.standings, trials, count)
     before = (start, theta)
     quality = _quality(start, theta, batches)
     residuals = residual_map(batches, before, (fit.model, fit.theta))
@@ -135,39 +142,26 @@ def _verdict(effects: Sequence[FoundEffect], confirmed: Confirmed, quality: FitQ
 
 
 def _effects(
-    fit: Fit,
-    closed: IdentifiedModel,
-    batches: Sequence[Batch],
-    trials: Sequence[Trial],
-    found: Found,
-    confirmed: Confirmed,
-    model: IdentifiedModel,
-    say: Callable[[str], None],
+    closed: IdentifiedModel, standings: Mapping[str, Standing], trials: Sequence[Trial], count: int
 ) -> tuple[FoundEffect, ...]:
     """The effects that the loop has added, strongest first; those of the model given are not news."""
-    given = {one.label for one in declared_effects(model.geometry)}
     described_effects = {one.label: one for one in identified_effects(closed)}
-    rivals = {**_search_rivals(found), **{label: _within(gaps) for label, gaps in confirmed.rivals.items()}}
     result = []
-    for one in declared_effects(fit.model.geometry):
-        if one.label in given:
+    for one in declared_effects(closed.geometry):
+        if one.label not in standings:
             continue
-        say(f"evidence of {one.label}")
-        gain, known = effect_wald(fit, one)
-        less = without(fit, one, batches) if gain < STRONG else None
-        gain = gain if less is None else less.chi2 - fit.chi2
-        same = indistinguishable(fit, one, batches, rivals.get(one.label, ()), less)
+        stands = standings[one.label]
         came = next((item for item in trials if item.decision == "accepted" and _same(item.label, one.label)), None)
         evidence = Evidence(
-            gain=gain,
-            parameters=known,
-            p_value=chance(gain, max(known, 1), len(confirmed.scores)),
+            gain=stands.gain,
+            parameters=stands.parameters,
+            p_value=chance(stands.gain, max(stands.parameters, 1), count),
             score=came.score if came else float("nan"),
             folds=came.folds if came else float("nan"),
             round=came.round if came else 0,
             empirical=one.effect.empirical,
         )
-        result.append(_found(described_effects[one.label], evidence, same, one.effect.separated_by))
+        result.append(_found(described_effects[one.label], evidence, stands.alike, one.effect.separated_by))
     return tuple(sorted(result, key=lambda item: -item.evidence.gain))
 
 
@@ -178,9 +172,9 @@ def _same(tried: str, label: str) -> bool:
     return name == other and set(where.split(",")) <= set(there.split(","))
 
 
-def _search_rivals(found: Found) -> dict[str, tuple[str, ...]]:
-    """Rivals that came near an effect in its round of the search."""
-    near = {}
+def _rivals(found: Found, confirmed: Confirmed) -> dict[str, tuple[str, ...]]:
+    """Rivals that came near an effect in its round of the search, or of the tests against the noise."""
+    near = {label: _within(gaps) for label, gaps in confirmed.rivals.items()}
     for label, gains in found.rivals.items():
         near[label] = tuple(name for name, gain in gains.items() if name != label and gain > 0.9 * gains[label])
     return near

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from balance_cli.diagnose import diagnose
-from balance_cli.diagnosed import FoundEffect
+from balance_cli.diagnosed import PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis, FoundEffect
 from balance_cli.geometry import Geometry
 from balance_cli.geometry_file import load_geometry
 from balance_cli.hold_out import hold_out_errors
@@ -37,7 +37,7 @@ def attribution_chunk(one: Case) -> pd.DataFrame:
     """What the loop makes of one campaign: one row."""
     geometry = _geometry(one)
     rig = _rig(geometry, one)
-    hidden = _hidden(one)
+    hidden = _hidden(one, rig)
     runs, _ = simulate_campaign(_with_hidden(rig, one, hidden), _plan(one), seed=_noise_seed(one))
     spectra = measured_spectra(runs, geometry, means=True)
     before = identify(spectra, geometry)
@@ -57,7 +57,7 @@ def attribution_chunk(one: Case) -> pd.DataFrame:
         "gain": " + ".join(f"{effect.evidence.gain:.4g}" for effect in diagnosis.effects),
         "alike": " | ".join(", ".join(effect.indistinguishable_from) for effect in diagnosis.effects),
         "detected": bool(diagnosis.effects),
-        "right": attributed(diagnosis.effects, one.hidden),
+        "right": right(diagnosis, one),
         "by_set": any(not _named(effect, one.hidden) for effect in diagnosis.effects),
         "set_size": np.mean([1 + len(effect.indistinguishable_from) for effect in diagnosis.effects] or [np.nan]),
         "deviations": " ".join(f"{z:.3f}" for z in deviations(after, diagnosis.effects, hidden)),
@@ -98,11 +98,11 @@ def _rig(geometry: Geometry, one: Case) -> TrueRig:
     )
 
 
-def _hidden(one: Case) -> list[Hidden]:
+def _hidden(one: Case, rig: TrueRig) -> list[Hidden]:
     """The effects of the library that are hidden with a size."""
     rng = np.random.default_rng([_noise_seed(one), 2])
     return [
-        hidden_effect(label, size, one.excitation, GEOMETRY, rng)
+        hidden_effect(label, size, one.excitation, GEOMETRY, rig, rng)
         for label, size in zip(one.hidden, one.sizes, strict=False)
     ]
 
@@ -120,6 +120,25 @@ def _with_hidden(rig: TrueRig, one: Case, hidden: Sequence[Hidden]) -> TrueRig:
         }
         return apply_effects(rig, [simulated(candidate.at_start(large))])
     return apply_effects(rig, [item.declared for item in hidden])
+
+
+def right(diagnosis: Diagnosis, one: Case) -> bool:
+    """What is hidden was found and nothing else, or, where it cannot be, nothing was said to be it.
+
+    What no effect describes must leave the verdict open; of what cannot show it must be said so.
+    """
+    if one.kind == "unknown":
+        physical = [effect for effect in diagnosis.effects if not effect.evidence.empirical]
+        return not physical and diagnosis.verdict in (UNEXPLAINED, PARTLY_EXPLAINED)
+    if one.kind == "untestable":
+        untestable = {item.name for item in diagnosis.not_testable}
+        return not diagnosis.effects and (one.hidden[0].partition("@")[0] in untestable or _elsewhere(one))
+    return attributed(diagnosis.effects, one.hidden)
+
+
+def _elsewhere(one: Case) -> bool:
+    """Whether an effect can show at other places of the rig, though not where it is hidden."""
+    return one.hidden[0].startswith("channel-offset")
 
 
 def attributed(effects: Sequence[FoundEffect], hidden: Sequence[str]) -> bool:

@@ -1,8 +1,8 @@
 """How large an effect must be to gain so much in chi-square, and what the truth of one campaign should have gained.
 
 The score test's information about a candidate's own parameters, tolerances projected out, is V; a change d of them is
-expected to gain d'V d. Sizes are found with the V of the declared rig, one campaign for each excitation; what the
-campaign itself should have gained follows from its own V at its own truth.
+expected to gain d'V d. Sizes are found with the V of the rig that is drawn, on the lines of one campaign of the
+declared one for each excitation; what a campaign should have gained follows from its own V at its own truth.
 """
 
 from __future__ import annotations
@@ -63,13 +63,16 @@ class Hidden:
         return np.array([self.values[item.fitted_name] - item.fitted_null for item in self.own])
 
 
-def hidden_effect(label: str, size: float, excitation: str, geometry_file: str, rng: np.random.Generator) -> Hidden:
+def hidden_effect(
+    label: str, size: float, excitation: str, geometry_file: str, rig: TrueRig, rng: np.random.Generator
+) -> Hidden:
     """The effect in the size that should gain so much, its signs and what shapes it drawn."""
-    geometry = load_geometry(geometry_file)
+    geometry = rig.geometry
     candidate = candidate_of(label, geometry)
     values = {item.fitted_name: _drawn(item, rng) for item in candidate.one.parameters}
     d = np.array([values[item.fitted_name] - item.fitted_null for item in tested(candidate.one.parameters)])
-    batches, theta = _declared_campaign(geometry_file, excitation)
+    theta = true_parameters(rig, balance_model(geometry).parameters)
+    batches = _declared_campaign(geometry_file, excitation)
     V = _information(geometry, theta, batches, Candidate(candidate.one, (values,)))
     share = np.sqrt(size / max(float(d @ V @ d), 1e-300))
     for item, departure in zip(tested(candidate.one.parameters), d, strict=True):
@@ -106,14 +109,12 @@ def candidate_of(label: str, geometry: Geometry) -> Candidate:
 
 
 @lru_cache(maxsize=4)
-def _declared_campaign(geometry_file: str, excitation: str) -> tuple[tuple[Batch, ...], Array]:
-    """Batches of a campaign of the rig as declared, and its parameters."""
+def _declared_campaign(geometry_file: str, excitation: str) -> tuple[Batch, ...]:
+    """Batches of a campaign of the rig as declared."""
     geometry = load_geometry(geometry_file)
-    rig = true_rig(geometry)
-    runs, _ = simulate_campaign(rig, plan(excitation), seed=1)
+    runs, _ = simulate_campaign(true_rig(geometry), plan(excitation), seed=1)
     spectra = measured_spectra(runs, geometry, means=True)
-    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
-    return batches, true_parameters(rig, balance_model(geometry).parameters)
+    return stacked(spectra.lines, spectra.statics, geometry.channel_names)
 
 
 def _information(geometry: Geometry, theta: Array, batches: Sequence[Batch], candidate: Candidate) -> Array:

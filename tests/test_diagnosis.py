@@ -7,7 +7,7 @@ from rigs import one_degree_of_freedom, rotor_balance
 from balance_cli.diagnose import diagnose
 from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING
 from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
-from balance_cli.diagnosis.confirm import fitted
+from balance_cli.diagnosis.fit import fitted
 from balance_cli.diagnosis.folds import fold_gain, folds
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.score import best_gain, best_scores, extended, scores, with_candidates

@@ -39,6 +39,8 @@ MOST_KINDS = 2
 LEAST_GAIN = 25.0
 # Chi-square within which two findings cannot be told apart.
 ALIKE = 6.0
+# Chi-square by which a kind may fit two channels worse than the best one, and still be what the plate speaks for.
+NEAR = 30.0
 
 
 @dataclass(frozen=True)
@@ -159,12 +161,11 @@ def _finding(pair: _Pair, start: RatioFit) -> str:
 
 @dataclass(frozen=True)
 class PairFit:
-    """The one way in which two channels differ: its `kind`, value, and what it gains in chi-square."""
+    """Two channels that differ in one way: kinds with their values that describe it, the best first; what it gains."""
 
     first: str
     second: str
-    kind: str
-    value: float
+    kinds: tuple[tuple[str, float], ...]
     gain: float
 
 
@@ -181,11 +182,13 @@ def differing_pairs(runs: Sequence[Lines], geometry: Geometry) -> tuple[PairFit,
         start = None if pair is None else _equal(pair.lines)
         if pair is None or start is None:
             continue
-        best = min((with_kind(pair.lines, start, kind) for kind in KINDS), key=lambda one: one.chi2)
-        kind, value = best.kinds[-1].name, float(best.values[-1])
+        fits = sorted((with_kind(pair.lines, start, kind) for kind in KINDS), key=lambda one: one.chi2)
+        best = fits[0]
         large = best.chi2 < 0.5 * start.chi2 and _left(pair, start) < IMPROBABLE
         if (large or _high_pass(pair, start, best)) and _left(pair, best) > IMPROBABLE**2:
-            found.append(PairFit(first, second, kind, value, start.chi2 - best.chi2))
+            near = [one for one in fits if one.chi2 < best.chi2 + NEAR]
+            kinds = tuple((one.kinds[-1].name, float(one.values[-1])) for one in near)
+            found.append(PairFit(first, second, kinds, start.chi2 - best.chi2))
     return tuple(found)
 
 

@@ -14,21 +14,22 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import candidates
+from balance_cli.diagnosis.fit import Fit, excess, fitted
 from balance_cli.diagnosis.folds import fold_gain
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import PENALTY
 from balance_cli.diagnosis.score import Score, best_scores, extended, improbability, stepped, with_candidates
 from balance_cli.diagnosis.trials import trial
-from balance_cli.estimation.gauss_newton import Minimum
-from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch
-from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
 
 SIGNIFICANT = 0.003
 """Corrected probability below which a gain is no chance: one false alarm in three hundred campaigns."""
 MOST_ROUNDS = 8
+FAIR_SHARE = 0.1
+"""Of the chi-square that noise does not explain, what an effect must take off: any other may look a little like it."""
+TOO_SLIGHT = "takes too little off what no noise explains"
 STRONG = 1e3
 """Gain of chi-square beyond which an effect needs no refit without it to show that it is there."""
 # Candidates of a round that are refitted, and how near the best score they come, that a refit may turn them round.
@@ -36,24 +37,6 @@ MOST_REFITS = 4
 NEAR_BEST = 12.0
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A model and its maximum likelihood on all lines."""
-
-    model: BalanceModel
-    minimum: Minimum
-
-    @property
-    def theta(self) -> Array:
-        """The estimate."""
-        return self.minimum.theta
-
-    @property
-    def chi2(self) -> float:
-        """Chi-square of data and priors."""
-        return self.minimum.total.chi2
 
 
 @dataclass(frozen=True)
@@ -70,13 +53,8 @@ class Confirmed:
     left: float
 
 
-def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Fit:
-    """The maximum likelihood from `theta`."""
-    return Fit(model, maximum_likelihood(model, batches, theta))
-
-
-def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> Confirmed:
-    """Add what is significant, one by one."""
+def confirm(fit: Fit, batches: Sequence[Batch], noise_alone: bool, first_round: int, say: Say) -> Confirmed:
+    """Add what is significant, one by one, as long as it takes a fair share off what noise does not explain."""
     trials: list[Trial] = []
     rivals: dict[str, dict[str, float]] = {}
     refused: set[str] = set()
@@ -92,26 +70,43 @@ def confirm(fit: Fit, batches: Sequence[Batch], first_round: int, say: Say) -> C
         chosen = significant(open_ones, len(found))
         if not chosen:
             break
+        least = FAIR_SHARE * excess(fit, batches, noise_alone)
+        if max(score.gain for score in chosen) < least:
+            trials += [trial(number, score, len(found), float("nan"), False, TOO_SLIGHT) for score in chosen]
+            break
         tried = [_refitted(fit, score, batches) for score in chosen]
-        worth = [fit.chi2 - new.chi2 - PENALTY * score.parameters for score, new in zip(chosen, tried, strict=True)]
-        best = preferred([new.model for new in tried], worth)
+        best = _best(fit, chosen, tried)
         folds = fold_gain(fit.model, fit.theta, batches, chosen[best])
-        gain, score = fit.chi2 - tried[best].chi2, chosen[best]
-        # NaN: all that is known of it is in one place, and nothing else can speak for or against it.
-        accepted = not folds <= 0 and chance(gain, score.parameters, len(found), score.noise_dof) < SIGNIFICANT
+        why = _refusal(chosen[best], fit.chi2 - tried[best].chi2, folds, least, len(found))
         for i, (score, new) in enumerate(zip(chosen, tried, strict=True)):
-            taken, judged = accepted and i == best, folds if i == best else float("nan")
-            why = "" if taken else "another gained more, or the gain did not hold"
-            trials.append(trial(number, score, len(found), fit.chi2 - new.chi2, taken, why, judged))
-        if accepted:
-            label = chosen[best].candidate.label
-            others = {
-                chosen[i].candidate.label: tried[i].chi2 - tried[best].chi2 for i in range(len(tried)) if i != best
-            }
-            rivals[label], fit = others, tried[best]
-        else:
+            judged, said = (folds, why) if i == best else (float("nan"), "another gained more")
+            trials.append(trial(number, score, len(found), fit.chi2 - new.chi2, not said, said, judged))
+        if why == TOO_SLIGHT:
+            break
+        if why:
             refused.update(score.candidate.label for score in chosen)
+            continue
+        others = {score.candidate.label: new.chi2 - tried[best].chi2 for score, new in zip(chosen, tried, strict=True)}
+        label = chosen[best].candidate.label
+        rivals[label] = {name: gap for name, gap in others.items() if name != label}
+        fit = tried[best]
     return Confirmed(fit, tuple(trials), found, rivals, left)
+
+
+def _best(fit: Fit, chosen: Sequence[Score], tried: Sequence[Fit]) -> int:
+    """Which of the candidates that were refitted is worth most."""
+    worth = [fit.chi2 - new.chi2 - PENALTY * score.parameters for score, new in zip(chosen, tried, strict=True)]
+    return preferred([new.model for new in tried], worth)
+
+
+def _refusal(score: Score, gain: float, folds: float, least: float, count: int) -> str:
+    """Why the best candidate is not accepted; empty where it is."""
+    if chance(gain, score.parameters, count, score.noise_dof) >= SIGNIFICANT:
+        return "chance would gain as much"
+    # NaN: all that is known of it is in one place, and nothing else can speak for or against it.
+    if folds <= 0:
+        return "gains nothing on lines that its step had not seen"
+    return TOO_SLIGHT if gain < least else ""
 
 
 def significant(found: Sequence[Score], count: int) -> list[Score]:

@@ -1,17 +1,17 @@
-"""What of a closed model is needed: each effect's evidence, what can go, and what would do as well in its place."""
+"""What of a closed model is needed: each effect's evidence, what can go, and what cannot be believed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
-from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates, smaller_places, tested
-from balance_cli.diagnosis.confirm import SIGNIFICANT, STRONG, Fit, chance, fitted
-from balance_cli.diagnosis.preference import SAME
-from balance_cli.diagnosis.score import Score, best_scores, extended, stepped, with_candidates
+from balance_cli.diagnosis.candidates import candidate_at, smaller_places, tested
+from balance_cli.diagnosis.confirm import SIGNIFICANT, STRONG, chance
+from balance_cli.diagnosis.fit import Fit, excess, fitted
+from balance_cli.diagnosis.score import extended
 from balance_cli.effects import Where
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.support import covariance_of
@@ -20,9 +20,6 @@ from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
 Array = NDArray[np.float64]
 
-# Rivals of a weak effect that are refitted, and how far their scores may fall short of its own.
-MOST_RIVALS = 4
-SHORT = 8.0
 # Probability beyond which a motion of an effect is as well left out.
 NEEDLESS = 1e-3
 
@@ -52,23 +49,21 @@ def effect_wald(fit: Fit, one: PlacedEffect) -> tuple[float, int]:
 
 def without(fit: Fit, one: PlacedEffect, batches: Sequence[Batch]) -> Fit:
     """The model without an effect, refitted."""
-    model, theta = extended(fit.model, fit.theta, _bare(fit.model.geometry, one))
+    model, theta = extended(fit.model, fit.theta, bare(fit.model.geometry, one))
     return fitted(model, theta, batches)
+
+
+def bare(geometry: Geometry, one: PlacedEffect) -> Geometry:
+    """The geometry without an effect."""
+    kept = [
+        item for item, placed in zip(geometry.effects, _in_order(geometry), strict=True) if placed.label != one.label
+    ]
+    return geometry.model_copy(update={"effects": tuple(kept)})
 
 
 def _in_order(geometry: Geometry) -> list[PlacedEffect]:
     """Placed effects in the order in which the geometry declares them."""
     return [declared_effects(geometry.model_copy(update={"effects": (item,)}))[0] for item in geometry.effects]
-
-
-def instead(fit: Fit, one: PlacedEffect, rival: Candidate, batches: Sequence[Batch]) -> Fit:
-    """The model with a rival in the place of an effect, refitted from the best of its starts."""
-    bare = _bare(fit.model.geometry, one)
-    fits = []
-    for number in range(len(rival.starts)):
-        model, theta = extended(fit.model, fit.theta, with_candidates(bare, [(rival, number)], started=True))
-        fits.append(fitted(model, theta, batches))
-    return min(fits, key=lambda item: item.chi2)
 
 
 def pruned(fit: Fit, batches: Sequence[Batch], count: int, number: int) -> tuple[Fit, tuple[Trial, ...]]:
@@ -79,7 +74,8 @@ def pruned(fit: Fit, batches: Sequence[Batch], count: int, number: int) -> tuple
         if gain < STRONG and chance(gain, max(known, 1), count) >= SIGNIFICANT:
             less = without(fit, one, batches)
             if chance(less.chi2 - fit.chi2, max(known, 1), count) >= SIGNIFICANT:
-                trials.append(_removed(number, one, known, less.chi2 - fit.chi2))
+                why = "later effects have made it needless"
+                trials.append(_removed(number, one, known, less.chi2 - fit.chi2, why))
                 fit = less
                 continue
         fit, smaller = _narrowed(fit, one, batches, number)
@@ -87,8 +83,29 @@ def pruned(fit: Fit, batches: Sequence[Batch], count: int, number: int) -> tuple
     return fit, tuple(trials)
 
 
-def _removed(number: int, one: PlacedEffect, known: int, gain: float) -> Trial:
-    return Trial(number, one.label, gain, known, 1.0, gain, "removed", "later effects have made it needless")
+def believed(
+    fit: Fit, batches: Sequence[Batch], noise_alone: bool, sure: Collection[str], number: int
+) -> tuple[Fit, tuple[Trial, ...]]:
+    """The model without effects that are worth less than all that no effect explains: that could look like them.
+
+    The labels in `sure` are not in question.
+    """
+    trials: list[Trial] = []
+    while left := excess(fit, batches, noise_alone):
+        open_ones = [one for one in declared_effects(fit.model.geometry) if one.label not in sure]
+        if not open_ones:
+            break
+        one = min(open_ones, key=lambda item: effect_wald(fit, item)[0])
+        gain, known = effect_wald(fit, one)
+        if gain >= left:
+            break
+        trials.append(_removed(number, one, known, gain, "what no effect explains is larger and could look like it"))
+        fit = without(fit, one, batches)
+    return fit, tuple(trials)
+
+
+def _removed(number: int, one: PlacedEffect, known: int, gain: float, why: str) -> Trial:
+    return Trial(number, one.label, gain, known, 1.0, gain, "removed", why)
 
 
 def _narrowed(fit: Fit, one: PlacedEffect, batches: Sequence[Batch], number: int) -> tuple[Fit, list[Trial]]:
@@ -131,34 +148,3 @@ def _at(fit: Fit, one: PlacedEffect, where: Where, batches: Sequence[Batch]) -> 
         was = one.full_name(item)
         theta[model.parameters.index(smaller.full_name(item))] = fit.theta[fit.model.parameters.index(was)]
     return fitted(model, theta, batches), smaller
-
-
-def indistinguishable(
-    fit: Fit, one: PlacedEffect, batches: Sequence[Batch], rivals: Iterable[str], less: Fit | None
-) -> tuple[str, ...]:
-    """Labels of what explains the same data within a log-likelihood of 3 when it stands in the effect's place.
-
-    `less`: the model without a weak effect, refitted; the scores there say who else would gain as much.
-    """
-    if less is not None:
-        near = _near(less, one, batches, less.chi2 - fit.chi2)[:MOST_RIVALS]
-        ends = {item.candidate.label: fitted(*stepped(less.model, less.theta, batches, item), batches) for item in near}
-    else:
-        possible = {item.label: item for item in candidates(_bare(fit.model.geometry, one))}
-        names = [name for name in rivals if name in possible][:MOST_RIVALS]
-        ends = {name: instead(fit, one, possible[name], batches) for name in names}
-    return tuple(name for name, end in ends.items() if end.chi2 - fit.chi2 <= SAME)
-
-
-def _bare(geometry: Geometry, one: PlacedEffect) -> Geometry:
-    kept = [
-        item for item, placed in zip(geometry.effects, _in_order(geometry), strict=True) if placed.label != one.label
-    ]
-    return geometry.model_copy(update={"effects": tuple(kept)})
-
-
-def _near(less: Fit, one: PlacedEffect, batches: Sequence[Batch], lost: float) -> list[Score]:
-    """Candidates that score about as well as what was lost with the effect, the best first."""
-    found = best_scores(less.model, less.theta, batches, candidates(less.model.geometry))
-    near = [item for item in found if item.candidate.label != one.label and item.gain > lost - SHORT - 0.1 * lost]
-    return sorted(near, key=lambda item: -item.gain)

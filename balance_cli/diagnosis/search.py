@@ -104,7 +104,7 @@ def _sown(
     for one in seed.candidates:
         chosen = one.label == best
         gain = state.fitted - ends[one.label].fitted - PENALTY
-        why = "two channels of one cell differ so" if chosen else "the other channel suits the plate better"
+        why = "two channels of one cell differ so" if chosen else "another suits the plate better"
         decision = "accepted" if chosen else "rejected"
         trials.append(Trial(0, one.label, seed.gain, 1, 0.0, gain, decision, why))
     rivals[best] = {label: state.fitted - end.fitted for label, end in ends.items()}

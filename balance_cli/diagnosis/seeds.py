@@ -30,15 +30,15 @@ def seeds(runs: Sequence[Lines], geometry: Geometry) -> tuple[Seed, ...]:
     """One for each pair of channels that differ in one way, the clearest first; none that the geometry declares."""
     found = []
     for pair in differing_pairs(runs, geometry):
-        chosen = tuple(one for one in (_candidate(pair, own, geometry) for own in (1, 0)) if one is not None)
+        each = [_candidate(pair, *kind, own, geometry) for kind in pair.kinds for own in (1, 0)]
+        chosen = tuple(one for one in each if one is not None)
         if chosen and pair.gain > LEAST_GAIN:
             found.append(Seed(chosen, pair.gain))
     return tuple(sorted(found, key=lambda seed: -seed.gain))
 
 
-def _candidate(pair: PairFit, which: int, geometry: Geometry) -> Candidate | None:
+def _candidate(pair: PairFit, kind: str, value: float, which: int, geometry: Geometry) -> Candidate | None:
     """The effect at the first (0) or second (1) channel that makes the pair's difference; None where it cannot."""
-    kind, value = pair.kind, pair.value
     channel = (pair.first, pair.second)[which]
     sign = 1.0 if which == 1 else -1.0
     if kind == "delay":

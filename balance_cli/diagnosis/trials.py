@@ -6,7 +6,9 @@ from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.score import Score
 
 
-def trial(number: int, score: Score, count: int, gain: float, accepted: bool, why: str, folds: float) -> Trial:
+def trial(
+    number: int, score: Score, count: int, gain: float, accepted: bool, why: str, folds: float = float("nan")
+) -> Trial:
     """One of `count` candidates in round `number`, with what its refit gained, there and on other lines."""
     return Trial(
         round=number,

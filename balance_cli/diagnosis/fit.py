@@ -1,0 +1,53 @@
+"""A maximum likelihood on all lines, and how much of the residual it leaves that noise does not make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.estimation.gauss_newton import Minimum
+from balance_cli.estimation.maximum_likelihood import maximum_likelihood
+from balance_cli.estimation.measurements import Batch
+from balance_cli.model.balance import BalanceModel
+
+Array = NDArray[np.float64]
+
+# Chi-square per degree of freedom that the uncertainty of the measured noise itself can make.
+TOLERATED = 1.05
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model and its maximum likelihood on all lines."""
+
+    model: BalanceModel
+    minimum: Minimum
+
+    @property
+    def theta(self) -> Array:
+        """The estimate."""
+        return self.minimum.theta
+
+    @property
+    def chi2(self) -> float:
+        """Chi-square of data and priors."""
+        return self.minimum.total.chi2
+
+
+def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Fit:
+    """The maximum likelihood from `theta`."""
+    return Fit(model, maximum_likelihood(model, batches, theta))
+
+
+def excess(fit: Fit, batches: Sequence[Batch], noise_alone: bool) -> float:
+    """Chi-square of the data that their noise does not make, and no effect of the model; zero where there is none.
+
+    Under weights that carry a model error (not `noise_alone`) that is all of it.
+    """
+    if not noise_alone:
+        return fit.minimum.data.chi2
+    expected = sum(float(batch.efficiency @ batch.count) for batch in batches)
+    return max(0.0, fit.minimum.data.chi2 - TOLERATED * expected)
