@@ -82,13 +82,15 @@ def diagnose(
     from_channels = {item.label for item in found.trials if item.round == 0}
     fit, doubted = believed(fit, judged, not wrong, given | from_channels, last)
     stands = contested(fit, judged, given, _rivals(found, confirmed), count, last + 1, say)
-    fit = stands.fit
+    fit, after = stands.fit, (stands.fit.model, stands.fit.theta)
+    before, quality = (start, theta), _quality(start, theta, batches)
     closed = described(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra.channels_left_out)
+    if not stands.standings and closed.quality.chi2 > quality.chi2:
+        # Nothing came in, and a fit that had to carry a model error is no better than the one given.
+        closed, after = model, before
     trials = (*found.trials, *confirmed.trials, *removed, *doubted, *stands.trials)
     effects = _effects(closed, stands.standings, trials, count)
-    before = (start, theta)
-    quality = _quality(start, theta, batches)
-    residuals = residual_map(batches, before, (fit.model, fit.theta))
+    residuals = residual_map(batches, before, after)
     verdict = _verdict(effects, confirmed, closed.quality)
     diagnosis = Diagnosis(
         geometry=model.geometry,

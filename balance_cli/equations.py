@@ -77,13 +77,14 @@ class Pickup:
 class Equations:
     """Mechanics and channels of a balance with derivatives; n coordinates, e springs, c channels.
 
-    mass, damping, gyroscopic (per rad/s of spin), extra_stiffness (n, n); elongation (e, n); stiffness, loss (e,);
-    extra_readings (e, n) are forces that the channels of a spring read besides its own; inputs (n, 6); spill (6, 6)
-    takes measured exciter loads to true ones; mixing (c, c) acts on the channels' volts. centre (3,) [m] is the centre
-    of gravity of the moving part, `freedom` which of its six motions the first coordinates are; base (6, n) is the
-    motion x y z psi theta phi of the lower body at the rig's origin; row_factor and own_stiffness (n,) are one and
-    zero but for flexible parts. `forces` act along springs, `pickups` are in channels; channel_offset (c,) [V] and
-    load_offset (6,) [N, N m] are what the channels and the exciters' force cells read too much.
+    mass, damping, gyroscopic (per rad/s of spin), extra_stiffness (n, n); elongation (e, n); stiffness (e,) of the
+    springs, their loss factor and stiffening (e,), a share for each factor e of frequency; extra_readings (e, n) are
+    forces that the channels of a spring read besides its own; inputs (n, 6); spill (6, 6) takes measured exciter loads
+    to true ones; mixing (c, c) acts on the channels' volts. centre (3,) [m] is that of gravity of the moving part,
+    `freedom` which of its six motions the first coordinates are; base (6, n) is the motion x y z psi theta phi of the
+    lower body at the rig's origin; row_factor and own_stiffness (n,) are one and zero but for flexible parts. `forces`
+    act along springs, `pickups` are in channels; channel_offset (c,) [V] and load_offset (6,) [N, N m] are what the
+    channels and the exciters' force cells read too much.
     """
 
     coordinates: tuple[str, ...]
@@ -95,6 +96,7 @@ class Equations:
     elongation: Jet
     stiffness: Jet
     loss: Jet
+    stiffening: Jet
     extra_readings: Jet
     inputs: Jet
     paths: tuple[ChannelPath, ...]

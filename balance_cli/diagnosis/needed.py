@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import candidate_at, smaller_places, tested
-from balance_cli.diagnosis.confirm import SIGNIFICANT, STRONG, chance
+from balance_cli.diagnosis.confirm import FAIR_SHARE, SIGNIFICANT, STRONG, chance
 from balance_cli.diagnosis.fit import Fit, excess, fitted
 from balance_cli.diagnosis.score import extended
 from balance_cli.effects import Where
@@ -86,18 +86,19 @@ def pruned(fit: Fit, batches: Sequence[Batch], count: int, number: int) -> tuple
 def believed(
     fit: Fit, batches: Sequence[Batch], noise_alone: bool, sure: Collection[str], number: int
 ) -> tuple[Fit, tuple[Trial, ...]]:
-    """The model without effects that are worth less than all that no effect explains: that could look like them.
+    """The model without effects that are worth little beside all that no effect explains: that could look like them.
 
-    The labels in `sure` are not in question.
+    Where the weights carry a model error, little is less than all; the labels in `sure` are not in question.
     """
     trials: list[Trial] = []
-    while left := excess(fit, batches, noise_alone):
+    share = FAIR_SHARE if noise_alone else 1.0
+    while least := share * excess(fit, batches, noise_alone):
         open_ones = [one for one in declared_effects(fit.model.geometry) if one.label not in sure]
         if not open_ones:
             break
         one = min(open_ones, key=lambda item: effect_wald(fit, item)[0])
         gain, known = effect_wald(fit, one)
-        if gain >= left:
+        if gain >= least:
             break
         trials.append(_removed(number, one, known, gain, "what no effect explains is larger and could look like it"))
         fit = without(fit, one, batches)

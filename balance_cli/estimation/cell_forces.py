@@ -20,7 +20,16 @@ from balance_cli.equations import CellForce
 from balance_cli.estimation.measurements import Batch
 from balance_cli.jets import Jet, constant
 from balance_cli.model.channel_gains import channel_gains, log_gain_slope
-from balance_cli.model.system import Solution, SpringInputs, System, extra_forces, output_slopes, solve, volts_of_forces
+from balance_cli.model.system import (
+    Solution,
+    SpringInputs,
+    System,
+    extra_forces,
+    output_slopes,
+    rise,
+    solve,
+    volts_of_forces,
+)
 from balance_cli.signals.lines import LoadPoints, RecordWaveform, Waveform
 
 Array = NDArray[np.float64]
@@ -150,7 +159,11 @@ def _columns(system: System, spring: int, forces: Sequence[CellForce]) -> Index:
     if not forces:
         return np.zeros(0, np.intp)
     p = system.parameters
-    jets = [force.values for force in forces] + [system.stiffness[spring], system.loss[spring]]
+    jets = [force.values for force in forces] + [
+        system.stiffness[spring],
+        system.loss[spring],
+        system.stiffening[spring],
+    ]
     jets += [system.mixing, system.channel_offset]
     for path in system.paths:
         if path.spring == spring:
@@ -166,11 +179,12 @@ def _elongation(
 ) -> Jet:
     """The elongation d (n,) of a spring through time, from k d + (forces inside) = what the channels read."""
     reading, slope = _reading(waveform, system, spring, columns)
-    # With structural damping k (1 + j eta) where there is motion.
-    moving = 1j * (waveform.frequency > 0)
-    factor = 1.0 + moving * system.loss.value[spring]
-    loss_slope = system.loss.slope[columns, spring]
-    slope = (slope - (reading * moving / factor)[:, None] * loss_slope) / factor[:, None]
+    # With structural damping k (1 + j eta), stiffening with frequency, where there is motion.
+    moving, rising = 1j * (waveform.frequency > 0), rise(waveform.frequency)
+    factor = 1.0 + moving * system.loss.value[spring] + rising * system.stiffening.value[spring]
+    of_loss, of_stiffening = system.loss.slope[columns, spring], system.stiffening.slope[columns, spring]
+    change = moving[:, None] * of_loss + rising[:, None] * of_stiffening
+    slope = (slope - (reading / factor)[:, None] * change) / factor[:, None]
     both = waveform.in_time(np.concatenate([(reading / factor)[:, None], slope], axis=1))
     force = Jet(both[:, 0], both[:, 1:].T)
     k = _narrowed(system.stiffness[spring], columns)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.estimation.equation_error import measured_forces
 from balance_cli.estimation.linear_residual import ENOUGH_LINES, Residual, every, solved, sparsity
 from balance_cli.estimation.measurements import Batch
-from balance_cli.model.system import System, dynamic_stiffness, slopes_times
+from balance_cli.model.system import System, dynamic_stiffness, rise, slopes_times
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -34,6 +34,11 @@ class _Lines:
     def lag(self) -> ComplexArray:
         """1j where there is motion, (K, 1)."""
         return 1j * np.sign(self.frequency)[:, None]
+
+    @property
+    def rise(self) -> Array:
+        """The logarithm of frequency by which springs stiffen, (K, 1)."""
+        return rise(self.frequency)[:, None]
 
 
 def motions(
@@ -65,6 +70,7 @@ def _driven(batch: Batch) -> NDArray[np.bool_]:
 def _motion_residual(system: System, lines: _Lines) -> Residual:
     A = dynamic_stiffness(system.pencil, lines.frequency, lines.spin)
     R = system.readings.value + lines.lag[:, :, None] * system.readings_loss.value
+    R = R + lines.rise[:, :, None] * system.readings_stiffening.value
     matrix = np.concatenate([A, R], axis=1) * lines.weight[:, :, None]
     true_loads = lines.loads @ system.spill.value.T
     known = np.concatenate([true_loads @ system.inputs.value.T, lines.forces], axis=1) * lines.weight
@@ -75,6 +81,7 @@ def _motion_residual(system: System, lines: _Lines) -> Residual:
         driven = slopes_times(system.inputs.slope, true_loads)
         driven = driven + np.matmul(system.inputs.value, slopes_times(system.spill.slope, lines.loads))
         read = slopes_times(system.readings.slope, x) + slopes_times(system.readings_loss.slope, lines.lag * x)
+        read = read + slopes_times(system.readings_stiffening.slope, lines.rise * x)
         change = np.concatenate([driven - _pencil_slopes(system, lines, x), -read], axis=1) * lines.weight[:, :, None]
         return np.asarray(change - np.matmul(matrix, solved(matrix, change)))
 
@@ -85,8 +92,14 @@ def _pencil_slopes(system: System, lines: _Lines, x: ComplexArray) -> ComplexArr
     """DA x (K, n, p)."""
     pencil, w = system.pencil, 2 * np.pi * lines.frequency[:, None]
     damping = pencil.damping.slope + 2 * np.pi * lines.spin * pencil.gyroscopic.slope
-    matrices = (pencil.stiffness.slope, damping, -pencil.mass.slope, pencil.hysteresis.slope)
-    vectors = (x, 1j * w * x, w**2 * x, lines.lag * x)
+    matrices = (
+        pencil.stiffness.slope,
+        damping,
+        -pencil.mass.slope,
+        pencil.hysteresis.slope,
+        pencil.stiffening.slope,
+    )
+    vectors = (x, 1j * w * x, w**2 * x, lines.lag * x, lines.rise * x)
     return slopes_times(np.concatenate(matrices, axis=2), np.concatenate(vectors, axis=1))
 
 

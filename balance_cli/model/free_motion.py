@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from balance_cli.equations import ChannelPath
 from balance_cli.model.channel_gains import channel_dynamics, log_gain_slope
-from balance_cli.model.modes import eigenvalues
+from balance_cli.model.modes import eigenvalues, stiffened
 from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
@@ -57,17 +57,21 @@ def _modes(system: System, spin: float, highest: float, fastest: float, slopes: 
     s, left, X = eigenvalues(M, D, K)
     kept = (s.imag < 2 * np.pi * highest) & (-s.real < fastest)
     s, left, X = s[kept], left[kept], X[kept].T
+    norm = np.einsum("mi,mij,jm->m", left, 2 * s[:, None, None] * M + D, X)
+    shift, d_shift = stiffened(system, s, left, X.T, norm)
     springs = [path.spring for path in system.paths]
     forces = (system.readings.value @ X)[springs]
     gains = np.stack([_gain(path, s) for path in system.paths])
     volts = system.mixing.value @ (gains * forces)
     if not slopes:
-        return FreeMotion(s, volts, np.zeros((0, len(s), len(s)), complex), np.zeros((0, *volts.shape), complex))
+        none, unread = np.zeros((0, len(s), len(s)), complex), np.zeros((0, *volts.shape), complex)
+        return FreeMotion(s + shift, volts, none, unread)
     dX, dS = _pair_slopes(system, spin, (M, D), s, left, X)
+    dS[:, np.arange(len(s)), np.arange(len(s))] += d_shift.T
     d_forces = (system.readings.slope @ X + system.readings.value @ dX)[:, springs]
     d_volts = gains * d_forces + _gain_slopes(system, s, gains, forces, dS)
     d_volts = system.mixing.value @ d_volts + system.mixing.slope @ (gains * forces)
-    return FreeMotion(s, volts, dS, d_volts)
+    return FreeMotion(s + shift, volts, dS, d_volts)
 
 
 def _starts(system: System, fastest: float, slopes: bool) -> FreeMotion:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig
 
-from balance_cli.model.system import System
+from balance_cli.model.system import REFERENCE, System
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -33,18 +33,37 @@ class Modes:
 def modes(system: System, spin: float = 0.0) -> Modes:
     """Eigenvalues s of (s^2 M + s (D + Omega G) + K + jH) x = 0 in the upper half plane.
 
-    Slopes are ds = -y (s^2 dM + s dD + dK + j dH) x / y (2 s M + D) x, with y the left eigenvector.
+    Slopes are ds = -y (s^2 dM + s dD + dK + j dH) x / y (2 s M + D) x, with y the left eigenvector. What springs
+    stiffen with frequency comes in by the same formula.
     """
     M, D, K = _matrices(system, spin)
     s, left, right = eigenvalues(M, D, K)
     norm = np.einsum("mi,mij,mj->m", left, 2 * s[:, None, None] * M + D, right)
     ds = -_pencil_slopes(system, spin, s, left, right) / norm[:, None]
+    shift, d_shift = stiffened(system, s, left, right, norm)
+    s, ds = s + shift, ds + d_shift
     size = np.abs(s)
     d_size = np.real(s.conj()[:, None] * ds) / size[:, None]
     zeta = -s.real / size
     d_zeta = -ds.real / size[:, None] - zeta[:, None] * d_size / size[:, None]
     largest = np.take_along_axis(right, np.argmax(np.abs(right), axis=1)[:, None], axis=1)
     return Modes(system.coordinates, size / (2 * np.pi), zeta, right / largest, d_size / (2 * np.pi), d_zeta)
+
+
+def stiffened(
+    system: System, s: ComplexArray, left: ComplexArray, right: ComplexArray, norm: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """First-order change (m,) of eigenvalues because springs stiffen with frequency, and its slopes (m, p).
+
+    Of the vectors left, right (m, n), with norm (m,) = y (2 s M + D) x.
+    """
+    stiffening = system.pencil.stiffening
+    each = -np.log(np.abs(s) / (2 * np.pi * REFERENCE)) / norm
+    shift = each * np.einsum("mi,ij,mj->m", left, stiffening.value, right)
+    slopes = np.zeros((len(s), system.parameters), complex)
+    if stiffening.slope.any():
+        slopes += each[:, None] * np.einsum("mi,pij,mj->mp", left, stiffening.slope, right, optimize=True)
+    return shift, slopes
 
 
 def _matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:

@@ -42,6 +42,7 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Jet], p: int) -> Equ
         elongation=B,
         stiffness=k,
         loss=constant(np.zeros(len(springs)), p),
+        stiffening=constant(np.zeros(len(springs)), p),
         extra_readings=constant(np.zeros((len(springs), n)), p),
         inputs=F,
         paths=tuple(_path(channel, springs, value, p) for channel in geometry.channels),

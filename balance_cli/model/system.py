@@ -22,24 +22,33 @@ ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 
+REFERENCE = 20.0
+"""Frequency [Hz] at which a spring that stiffens with frequency has its own stiffness."""
+
+
 @dataclass(frozen=True)
 class Pencil:
-    """A(w) = stiffness + j hysteresis + j w (damping + Omega gyroscopic) - w^2 mass, each (n, n) with slopes."""
+    """A(w) = stiffness + j hysteresis + ln(w / w0) stiffening + j w (damping + Omega gyroscopic) - w^2 mass.
+
+    Each (n, n) with slopes; hysteresis and stiffening only where there is motion; w0 / (2 pi) is `REFERENCE`.
+    """
 
     mass: Jet
     damping: Jet
     gyroscopic: Jet
     stiffness: Jet
     hysteresis: Jet
+    stiffening: Jet
 
 
 @dataclass(frozen=True)
 class System:
     """An evaluated balance, all with slopes: pencil, inputs (n, 6), channel paths, spill and mixing;
 
-    readings R = k E (e, n) and readings_loss L = k eta E (e, n), what of the forces is in quadrature; reactions (n, e)
-    of the balance to a force along each spring; stiffness and loss (e,) of the springs; row_factor and own_stiffness
-    (n,), cell forces, pickups and offsets as in the equations.
+    readings R = k E (e, n), readings_loss k eta E (e, n), what of the forces is in quadrature, and readings_stiffening,
+    what they gain with frequency; reactions (n, e) of the balance to a force along each spring; stiffness, loss and
+    stiffening (e,) of the springs; row_factor and own_stiffness (n,), cell forces, pickups and offsets as in the
+    equations.
     """
 
     coordinates: tuple[str, ...]
@@ -47,9 +56,11 @@ class System:
     inputs: Jet
     readings: Jet
     readings_loss: Jet
+    readings_stiffening: Jet
     reactions: Jet
     stiffness: Jet
     loss: Jet
+    stiffening: Jet
     paths: tuple[ChannelPath, ...]
     spill: Jet
     mixing: Jet
@@ -72,10 +83,14 @@ class System:
 
 
 def assembled(equations: Equations) -> System:
-    """Form the pencil: K = E' diag(k) E + K_extra, H = E' diag(k eta) E; rows of flexible parts by their compliance."""
+    """Form the pencil, rows of flexible parts by their compliance.
+
+    K = E' diag(k) E + K_extra, H = E' diag(k eta) E, and the same with the stiffening in the place of eta.
+    """
     E, k = equations.elongation, equations.stiffness
     springs = k.expanded(-1) * E
     springs_loss = equations.loss.expanded(-1) * springs
+    springs_stiffening = equations.stiffening.expanded(-1) * springs
     factor = equations.row_factor.expanded(-1)
     pencil = Pencil(
         mass=factor * equations.mass,
@@ -83,6 +98,7 @@ def assembled(equations: Equations) -> System:
         gyroscopic=factor * equations.gyroscopic,
         stiffness=factor * (E.T @ springs + equations.extra_stiffness) + np.diag(equations.own_stiffness),
         hysteresis=factor * (E.T @ springs_loss),
+        stiffening=factor * (E.T @ springs_stiffening),
     )
     return System(
         coordinates=equations.coordinates,
@@ -90,9 +106,11 @@ def assembled(equations: Equations) -> System:
         inputs=factor * equations.inputs,
         readings=springs + equations.extra_readings,
         readings_loss=springs_loss,
+        readings_stiffening=springs_stiffening,
         reactions=-(factor * E.T),
         stiffness=k,
         loss=equations.loss,
+        stiffening=equations.stiffening,
         paths=equations.paths,
         spill=equations.spill,
         mixing=equations.mixing,
@@ -109,7 +127,8 @@ def assembled(equations: Equations) -> System:
 class Solution:
     """What a system gives at k frequencies, before any load is applied.
 
-    to_forces (k, e, n) = (R + j L) A^-1; forces (k, e, 6) per unit hub load; gains (k, c) volts per unit spring force.
+    to_forces (k, e, n), the readings times A^-1; forces (k, e, 6) per unit hub load; gains (k, c) volts per unit of a
+    spring's force.
     """
 
     frequency: Array
@@ -120,11 +139,18 @@ class Solution:
     gains: ComplexArray
 
 
+def rise(frequency: Array) -> Array:
+    """ln(f / f0) (k,) of frequencies [Hz], by which a spring with loss stiffens; zero at rest."""
+    moving = np.asarray(frequency, float) > 0
+    return np.where(moving, np.log(np.where(moving, frequency, 1.0) / REFERENCE), 0.0)
+
+
 def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float = 0.0) -> ComplexArray:
     """A (k, n, n) at `frequency` (k,) [Hz] and rotor speed `spin` [Hz]."""
     w = (2 * np.pi * np.asarray(frequency, float))[:, None, None]
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
     stiffness = pencil.stiffness.value + 1j * np.sign(w) * pencil.hysteresis.value
+    stiffness = stiffness + rise(frequency)[:, None, None] * pencil.stiffening.value
     return np.asarray(stiffness + 1j * w * damping - w**2 * pencil.mass.value)
 
 
@@ -133,7 +159,9 @@ def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
     frequency = np.atleast_1d(np.asarray(frequency, float))
     inverse = np.asarray(np.linalg.inv(dynamic_stiffness(system.pencil, frequency, spin)), complex)
     moving = np.sign(frequency)[:, None, None]
-    to_forces = np.asarray((system.readings.value + 1j * moving * system.readings_loss.value) @ inverse, complex)
+    readings = system.readings.value + 1j * moving * system.readings_loss.value
+    readings = readings + rise(frequency)[:, None, None] * system.readings_stiffening.value
+    to_forces = np.asarray(readings @ inverse, complex)
     forces = np.asarray(to_forces @ system.inputs.value, complex)
     return Solution(frequency, spin, to_forces, inverse, forces, channel_gains(system.paths, frequency))
 
@@ -194,16 +222,20 @@ def force_slopes(
     if extra is not None:
         driven = driven + extra.acting @ system.reactions.value.T
     x = np.matmul(solution.inverse[index], driven[:, :, None])[:, :, 0]
-    lagging = 1j * np.sign(w) * x
+    lagging, rising = 1j * np.sign(w) * x, rise(solution.frequency[index])[:, None] * x
     damping = pencil.damping.slope + 2 * np.pi * solution.spin * pencil.gyroscopic.slope
-    matrices = (system.inputs.slope, -pencil.stiffness.slope, -damping, pencil.mass.slope, -pencil.hysteresis.slope)
-    vectors = (loads, x, 1j * w * x, w**2 * x, lagging)
+    matrices = [system.inputs.slope, -pencil.stiffness.slope, -damping, pencil.mass.slope, -pencil.hysteresis.slope]
+    vectors = [loads, x, 1j * w * x, w**2 * x, lagging]
+    lossy = system.readings_loss.slope.any()
+    if lossy:
+        matrices, vectors = [*matrices, -pencil.stiffening.slope], [*vectors, rising]
     change = slopes_times(np.concatenate([part[chosen] for part in matrices], axis=2), np.concatenate(vectors, axis=1))
     if extra is not None:
         change += slopes_times(system.reactions.slope[chosen], extra.acting)
     slopes = solution.to_forces[index] @ change + slopes_times(system.readings.slope[chosen], x)
-    if system.readings_loss.slope.any():
+    if lossy:
         slopes += slopes_times(system.readings_loss.slope[chosen], lagging)
+        slopes += slopes_times(system.readings_stiffening.slope[chosen], rising)
     return np.asarray(slopes)
 
 
@@ -245,6 +277,7 @@ def output_slopes(
 def moving_parameters(system: System) -> NDArray[np.bool_]:
     """Which parameters (p,) change the forces of the springs; those of channels and exciters do not."""
     pencil = system.pencil
-    parts = (pencil.mass, pencil.damping, pencil.gyroscopic, pencil.stiffness, pencil.hysteresis)
-    every = (*parts, system.inputs, system.readings, system.readings_loss, system.reactions)
+    parts = (pencil.mass, pencil.damping, pencil.gyroscopic, pencil.stiffness, pencil.hysteresis, pencil.stiffening)
+    read = (system.readings, system.readings_loss, system.readings_stiffening)
+    every = (*parts, *read, system.inputs, system.reactions)
     return np.asarray(np.any([part.slope.any(axis=(1, 2)) for part in every], axis=0))

@@ -130,11 +130,13 @@ class StructuralDamping(Extension):
 
     A chain of Maxwell branches of equal stiffness `(2 / pi) eta k ln(ratio of neighbouring rates)`, the causal
     realisation of `k (1 + j eta)`. It cannot but stiffen with frequency, by `(2 / pi) eta` for each factor e; at
-    20 Hz the stiffness is the cell's. The channels read the whole force.
+    20 Hz the stiffness is the cell's. The channels read the whole force. There is no other way in time: `causality`
+    is taken as 1, whatever is given.
     """
 
     name: ClassVar[str] = "structural-damping"
     loss_factor: float = 0.0
+    causality: float = 1.0
 
     def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
         """With the branches of each cell."""
