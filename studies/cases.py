@@ -13,8 +13,8 @@ EXCITATIONS = ("multisine", "random", "stepped")
 SIZES = (25.0, 1e4)
 """Expected gains in chi-square between which the sizes of one effect alone are spread, evenly in their logarithm."""
 PAIR_SIZES = (100.0, 1e4)
-SINGLE_TURNS = 12
-PAIR_TURNS = 2
+SINGLE_TURNS = 10
+PAIR_TURNS = 1
 
 KINDS = ("single", "pair", "nothing", "unknown", "untestable")
 
@@ -102,9 +102,8 @@ def _single(seed: int) -> Case:
     name, turn = names[seed % len(names)], seed // len(names)
     where = PLACES[name][(turn // len(EXCITATIONS)) % len(PLACES[name])]
     excitation = EXCITATIONS[turn % len(EXCITATIONS)]
-    # Strata of the size in an order that goes through all of them with each excitation.
-    stratum = (5 * turn) % SINGLE_TURNS
-    share = (stratum + Case("single", seed, (), "", ()).rng.random()) / SINGLE_TURNS
+    # A stratum of the size for each turn: every excitation goes through all sizes.
+    share = (turn + Case("single", seed, (), "", ()).rng.random()) / SINGLE_TURNS
     size = float(SIZES[0] * (SIZES[1] / SIZES[0]) ** share)
     return Case("single", seed, (f"{name}@{where}" if where else name,), excitation, (size,))
 
