@@ -71,7 +71,9 @@ def hidden_effect(
     candidate = candidate_of(label, geometry)
     values = {item.fitted_name: _drawn(item, rng) for item in candidate.one.parameters}
     d = np.array([values[item.fitted_name] - item.fitted_null for item in tested(candidate.one.parameters)])
-    theta = true_parameters(rig, balance_model(geometry).parameters)
+    # What a tone's power shows rests on what is left of the lines: there it must be the rig that made them.
+    whose = true_rig(geometry) if candidate.effect.name == "mains-pickup" else rig
+    theta = true_parameters(whose, balance_model(geometry).parameters)
     batches = _declared_campaign(geometry_file, excitation)
     V = _information(geometry, theta, batches, Candidate(candidate.one, (values,)))
     share = np.sqrt(size / max(float(d @ V @ d), 1e-300))

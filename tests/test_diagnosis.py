@@ -5,11 +5,13 @@ import pytest
 from rigs import one_degree_of_freedom, rotor_balance
 
 from balance_cli.diagnose import diagnose
-from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING
+from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, UNEXPLAINED
 from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
-from balance_cli.diagnosis.fit import fitted
+from balance_cli.diagnosis.fit import excess, fitted
 from balance_cli.diagnosis.folds import fold_gain, folds
+from balance_cli.diagnosis.needed import believed
 from balance_cli.diagnosis.preference import preferred
+from balance_cli.diagnosis.rivals import contested
 from balance_cli.diagnosis.score import best_gain, best_scores, extended, scores, with_candidates
 from balance_cli.errors import UserError
 from balance_cli.estimation.measurements import stacked
@@ -21,6 +23,7 @@ from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, t
 from balance_cli.simulation.extensions import apply_effects
 from balance_cli.simulation.plans import HIGH, statics
 from balance_cli.spectra import measured_spectra
+from studies.unknown import SaturatingChannel
 
 RIG = rotor_balance()
 PLAN = CampaignPlan(
@@ -34,8 +37,14 @@ PLAN = CampaignPlan(
 )
 
 
+BENDS = SaturatingChannel(where=("z1.piezo",), limit=6.0)
+
+
 def simulated_spectra(*effects, seed=3):
-    runs, _ = simulate_campaign(apply_effects(true_rig(RIG), effects), PLAN, seed=seed)
+    rig = true_rig(RIG)
+    for effect in effects:
+        rig = apply_effects(rig, [effect]) if isinstance(effect, DeclaredEffect) else rig.extended(effect)
+    runs, _ = simulate_campaign(rig, PLAN, seed=seed)
     return measured_spectra(runs, RIG, means=True)
 
 
@@ -195,6 +204,54 @@ def test_a_strain_channel_that_forgets_is_found_though_it_reads_nothing_at_rest(
     (cutoff,) = found.effects[0].parameters
     assert abs(cutoff.value - 0.04) < 4 * cutoff.sigma
     assert closed.quality.chi2_per_dof < 1.2
+
+
+# ---- rivals, and what cannot be believed -----------------------------------------------------------------------------
+
+
+def test_a_rival_that_explains_more_takes_the_place(late):
+    """A crosstalk does part of what a late channel does; so weak an effect meets all others as rivals."""
+    wrong = candidate_at("crosstalk", ("z1.piezo", "x.piezo"), RIG)
+    model, theta = extended(balance_model(RIG), balance_model(RIG).parameters.value, with_candidates(RIG, [(wrong, 0)]))
+    batches = lines_of(late)
+    fit = fitted(model, theta, batches)
+    found = contested(fit, batches, (), {}, 400, 2, lambda what: None)
+    assert (
+        set(found.standings) == {"time-delay@z1.piezo"}
+        or "time-delay@z1.piezo" in found.standings["low-pass@z1.piezo"].alike
+    )
+    assert found.fit.chi2 < fit.chi2 - 50.0
+    assert [trial.decision for trial in found.trials] == ["removed", "accepted"]
+    assert found.trials[0].label == "crosstalk@z1.piezo,x.piezo"
+    (standing,) = found.standings.values()
+    assert standing.gain > 50.0
+    kept = contested(fit, batches, (wrong.label,), {}, 400, 2, lambda what: None)
+    assert kept.fit is fit
+    assert not kept.standings
+
+
+def test_small_effects_are_not_believed_beside_a_large_residual():
+    """A channel that bends is in no file of effects; a gain that takes a little off what it leaves is no finding."""
+    batches = lines_of(simulated_spectra(BENDS))
+    small = candidate_at("channel-gain", ("y2.strain",), RIG)
+    model, theta = extended(balance_model(RIG), balance_model(RIG).parameters.value, with_candidates(RIG, [(small, 0)]))
+    fit = fitted(model, theta, batches)
+    assert excess(fit, batches, noise_alone=True) > 1e3
+    less, trials = believed(fit, batches, True, (), 3)
+    assert [trial.label for trial in trials] == ["channel-gain@y2.strain"]
+    assert not less.model.geometry.effects
+    assert believed(fit, batches, True, ("channel-gain@y2.strain",), 3) == (fit, ())
+
+
+def test_what_no_effect_describes_stays_unexplained():
+    spectra = simulated_spectra(BENDS)
+    before = identify(spectra, RIG)
+    found, closed = diagnose(before, spectra)
+    assert found.verdict == UNEXPLAINED
+    assert not found.effects
+    assert "z1.piezo" in found.location
+    assert found.chi2_per_dof_after <= found.chi2_per_dof_before
+    assert not closed.geometry.effects
 
 
 def test_what_it_cannot_work_with(healthy):

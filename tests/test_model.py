@@ -5,9 +5,11 @@ import pytest
 from rigs import angular, one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 from scipy.linalg import eigh
 
+from balance_cli.geometry import DeclaredEffect
 from balance_cli.jets import constant, variables
 from balance_cli.model.balance import balance_model
 from balance_cli.model.damping import modal_damping
+from balance_cli.model.free_motion import free_motion
 from balance_cli.model.modes import modes
 from balance_cli.model.plate import plate_matrices
 from balance_cli.model.system import output_slopes, response, solve
@@ -118,3 +120,55 @@ def test_equal_eigenvalues_do_not_break_the_derivative_of_the_damping():
     for i, e in enumerate(np.eye(2)):
         numerical = (damping(step * e).value - damping(-step * e).value) / (2 * step)
         np.testing.assert_allclose(at.slope[i], numerical, atol=1e-6)
+
+
+# ---- a spring that loses a share of its energy in each cycle ---------------------------------------------------------
+
+LOSS = 0.01
+
+
+def lossy(causality):
+    """One degree of freedom on a cell with structural damping and hardly another."""
+    values = {"loss_factor": LOSS, "causality": causality}
+    effect = DeclaredEffect(name="structural-damping", where=("z",), parameters=values)
+    return balance_model(one_degree_of_freedom().model_copy(update={"effects": (effect,)}))
+
+
+@pytest.mark.parametrize("causality", [0.0, 1.0])
+def test_response_with_structural_damping(causality):
+    system = lossy(causality).system()
+    T = response(system, solve(system, FREQUENCY))[:, 0, 2]
+    w, k, m = angular(FREQUENCY[1:]), 4e5, 10.0
+    rising = causality * 2 / np.pi * LOSS * np.log(FREQUENCY[1:] / 20.0)
+    spring = k * (1 + 1j * LOSS + rising)
+    gain = T[0] / 1.0
+    expected = gain * spring / (spring - w**2 * m + 1j * w * 2 * 0.02 * np.sqrt(k * m))
+    np.testing.assert_allclose(T[1:], expected, rtol=1e-12)
+
+
+def test_modes_and_free_motion_with_structural_damping_to_first_order():
+    model = lossy(1.0)
+    found, free = modes(model.system()), free_motion(model.system(), 0.0, 400.0)
+    k, m, d = 4e5, 10.0, 2 * 0.02 * np.sqrt(4e6)
+
+    def equation(s):
+        return m * s**2 + d * s + k * (1 + 2 / np.pi * LOSS * np.log(s / angular(20.0)))
+
+    s = complex(-d / (2 * m), np.sqrt(k / m))
+    for _ in range(20):
+        s -= equation(s) / (2 * m * s + d + k * 2 / np.pi * LOSS / s)
+    assert found.frequency[0] == pytest.approx(abs(s) / (2 * np.pi), rel=LOSS**2)
+    assert found.damping_ratio[0] == pytest.approx(-s.real / abs(s), rel=5e-3)
+    assert free.s[0] == pytest.approx(s, rel=LOSS**2)
+
+
+def test_slopes_of_a_lossy_mode_against_numerical_derivatives():
+    model = lossy(0.7).all_free()
+    theta, scale = model.parameters.value, model.parameters.scale
+    found = modes(model.system(theta))
+    for name in ("structural-damping@z.loss_factor", "structural-damping@z.causality", "stiffness.z"):
+        i = model.parameters.index(name)
+        step = 1e-4 * scale[i] * np.eye(len(theta))[i]
+        above, below = modes(model.system(theta + step)), modes(model.system(theta - step))
+        numerical = (above.frequency - below.frequency) / 2e-4
+        np.testing.assert_allclose(found.frequency_slope[:, i] * scale[i], numerical, rtol=2 * LOSS, atol=1e-9)
