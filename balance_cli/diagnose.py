@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,11 @@ from balance_cli.diagnosed import (
     Trial,
 )
 from balance_cli.diagnosis.confirm import SIGNIFICANT, Confirmed, chance, confirm
+from balance_cli.diagnosis.empirical import with_extra_modes
 from balance_cli.diagnosis.fit import Fit, fitted
 from balance_cli.diagnosis.model_free import model_free_tests
 from balance_cli.diagnosis.needed import believed, pruned
+from balance_cli.diagnosis.refit import State
 from balance_cli.diagnosis.residual_map import location, residual_map
 from balance_cli.diagnosis.rivals import Standing, contested
 from balance_cli.diagnosis.search import WRONG, Found, search
@@ -62,43 +65,25 @@ def diagnose(
     if not spectra.lines:
         raise UserError("no sweep run to diagnose with", remedy="Give at least one sweep run")
     say = _Steps(progress)
-    names = model.geometry.channel_names
-    batches = stacked(spectra.lines, spectra.statics, names)
+    batches = stacked(spectra.lines, spectra.statics, model.geometry.channel_names)
     start = balance_model(model.geometry)
-    theta = np.array(model.parameters.value, float)
-    say("search")
-    found = search(start, theta, search_lines(spectra, names), say, seeds(spectra.lines, model.geometry))
-    say("maximum likelihood of all lines")
-    # While the model is still wrong, nothing can be judged by the noise alone.
-    wrong = found.state.error > WRONG
-    judged = with_model_error(batches, found.state.shares) if wrong else batches
-    fit = fitted(found.state.model, found.state.theta, judged)
-    rounds = max((trial.round for trial in found.trials), default=0)
-    confirmed = confirm(fit, judged, not wrong, rounds + 1, say)
-    say("what is needed")
-    count, last = len(confirmed.scores), rounds + len({item.round for item in confirmed.trials}) + 1
-    fit, removed = pruned(confirmed.fit, judged, count, last)
-    given = {one.label for one in declared_effects(model.geometry)}
-    from_channels = {item.label for item in found.trials if item.round == 0}
-    fit, doubted = believed(fit, judged, not wrong, given | from_channels, last)
-    stands = contested(fit, judged, given, _rivals(found, confirmed), count, last + 1, say)
-    fit, after = stands.fit, (stands.fit.model, stands.fit.theta)
-    before, quality = (start, theta), _quality(start, theta, batches)
+    before = (start, np.array(model.parameters.value, float))
+    loop = _closed_loop(*before, spectra, batches, say)
+    fit, after, quality = loop.fit, (loop.fit.model, loop.fit.theta), _quality(*before, batches)
     closed = described(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra.channels_left_out)
-    if not stands.standings and closed.quality.chi2 > quality.chi2:
+    if not loop.standings and closed.quality.chi2 > quality.chi2:
         # Nothing came in, and a fit that had to carry a model error is no better than the one given.
         closed, after = model, before
-    trials = (*found.trials, *confirmed.trials, *removed, *doubted, *stands.trials)
-    effects = _effects(closed, stands.standings, trials, count)
+    effects = _effects(closed, loop)
     residuals = residual_map(batches, before, after)
-    verdict = _verdict(effects, confirmed, closed.quality)
+    verdict = _verdict(effects, loop.confirmed, closed.quality)
     diagnosis = Diagnosis(
         geometry=model.geometry,
         verdict=verdict,
         effects=effects,
-        trials=trials,
+        trials=loop.trials,
         tests=model_free_tests(spectra, model.geometry, float(closed.modes.frequency.min())),
-        not_testable=not_testable(confirmed.scores, spectra, fit.model.geometry),
+        not_testable=not_testable(loop.confirmed.scores, spectra, fit.model.geometry),
         chi2_per_dof_before=quality.chi2_per_dof,
         chi2_per_dof_after=closed.quality.chi2_per_dof,
         frf_error_before=quality.frf_error,
@@ -106,12 +91,69 @@ def diagnose(
         modes_before=model.modes,
         modes_after=closed.modes,
         residual=residuals,
-        candidates=count,
+        candidates=len(loop.confirmed.scores),
         location="" if verdict in (NOTHING_MISSING, EXPLAINED) else location(residuals),
         notes=_notes(spectra, fit, closed.quality),
     )
     say("done")
     return diagnosis, closed
+
+
+@dataclass(frozen=True)
+class _Loop:
+    """Where the loop ended: the fit, how each effect in it stands, all that was tried, and the tests against noise."""
+
+    fit: Fit
+    standings: dict[str, Standing]
+    trials: tuple[Trial, ...]
+    confirmed: Confirmed
+
+
+def _closed_loop(
+    start: BalanceModel, theta: Array, spectra: Spectra, batches: Sequence[Batch], say: Callable[[str], None]
+) -> _Loop:
+    """Search, and test what was found; where that leaves a residual, with resonances that describe it."""
+    lines = search_lines(spectra, start.geometry.channel_names)
+    given = {one.label for one in declared_effects(start.geometry)}
+    say("search")
+    found = search(start, theta, lines, say, seeds(spectra.lines, start.geometry))
+    sure = given | {item.label for item in found.trials if item.round == 0}
+    loop = _tested(found.state, batches, given, sure, found, say)
+    if _described_well(loop.confirmed, _quality(loop.fit.model, loop.fit.theta, batches)):
+        return loop
+    state, tried = with_extra_modes(loop.fit.model, loop.fit.theta, lines, _last_round(loop.trials) + 1, say)
+    trials = (*loop.trials, *tried)
+    if state is None:
+        return replace(loop, trials=trials)
+    return _tested(state, batches, given, sure, replace(found, trials=trials), say)
+
+
+def _tested(
+    state: State,
+    batches: Sequence[Batch],
+    given: Collection[str],
+    sure: Collection[str],
+    found: Found,
+    say: Callable[[str], None],
+) -> _Loop:
+    """What holds of a search on all lines: confirmed, pruned, believed, and held against its rivals."""
+    say("maximum likelihood of all lines")
+    # While the model is still wrong, nothing can be judged by the noise alone.
+    wrong = state.error > WRONG
+    judged = with_model_error(batches, state.shares) if wrong else batches
+    fit = fitted(state.model, state.theta, judged)
+    confirmed = confirm(fit, judged, not wrong, _last_round(found.trials) + 1, say)
+    say("what is needed")
+    trials = (*found.trials, *confirmed.trials)
+    count, last = len(confirmed.scores), _last_round(trials) + 1
+    fit, removed = pruned(confirmed.fit, judged, count, last)
+    fit, doubted = believed(fit, judged, not wrong, sure, last)
+    stands = contested(fit, judged, given, _rivals(found, confirmed), count, last + 1, say)
+    return _Loop(stands.fit, stands.standings, (*trials, *removed, *doubted, *stands.trials), confirmed)
+
+
+def _last_round(trials: Sequence[Trial]) -> int:
+    return max((trial.round for trial in trials), default=0)
 
 
 class _Steps:
@@ -135,29 +177,34 @@ def _quality(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Fit
     return fit_quality(batches, system, determined)
 
 
+def _described_well(confirmed: Confirmed, quality: FitQuality) -> bool:
+    return confirmed.left >= SIGNIFICANT and quality.chi2_per_dof <= GOOD_FIT
+
+
 def _verdict(effects: Sequence[FoundEffect], confirmed: Confirmed, quality: FitQuality) -> str:
-    """As in the contract; a fit that is no good is never `nothing missing`."""
-    described_well = confirmed.left >= SIGNIFICANT and quality.chi2_per_dof <= GOOD_FIT
+    """As in the contract; a fit that is no good is never `nothing missing`, nor `explained` what is only described."""
+    good = _described_well(confirmed, quality)
     if not effects:
-        return NOTHING_MISSING if described_well else UNEXPLAINED
-    return EXPLAINED if described_well else PARTLY_EXPLAINED
+        return NOTHING_MISSING if good else UNEXPLAINED
+    empirical = any(effect.evidence.empirical for effect in effects)
+    return EXPLAINED if good and not empirical else PARTLY_EXPLAINED
 
 
-def _effects(
-    closed: IdentifiedModel, standings: Mapping[str, Standing], trials: Sequence[Trial], count: int
-) -> tuple[FoundEffect, ...]:
+def _effects(closed: IdentifiedModel, loop: _Loop) -> tuple[FoundEffect, ...]:
     """The effects that the loop has added, strongest first; those of the model given are not news."""
     described_effects = {one.label: one for one in identified_effects(closed)}
     result = []
     for one in declared_effects(closed.geometry):
-        if one.label not in standings:
+        if one.label not in loop.standings:
             continue
-        stands = standings[one.label]
-        came = next((item for item in trials if item.decision == "accepted" and _same(item.label, one.label)), None)
+        stands = loop.standings[one.label]
+        came = next(
+            (item for item in loop.trials if item.decision == "accepted" and _same(item.label, one.label)), None
+        )
         evidence = Evidence(
             gain=stands.gain,
             parameters=stands.parameters,
-            p_value=chance(stands.gain, max(stands.parameters, 1), count),
+            p_value=chance(stands.gain, max(stands.parameters, 1), len(loop.confirmed.scores)),
             score=came.score if came else float("nan"),
             folds=came.folds if came else float("nan"),
             round=came.round if came else 0,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from balance_cli.diagnosis.candidates import candidates
 from balance_cli.diagnosis.refit import attempt, settled
 from balance_cli.diagnosis.search import leading, ranked_scores
 from balance_cli.diagnosis.search_lines import search_lines
@@ -31,7 +32,7 @@ def run() -> str:
     rigid = np.array(identify(spectra, geometry).parameters.value, float)
     state = settled(balance_model(geometry), rigid, lines)
     start = time.perf_counter()
-    ranked = ranked_scores(state, lines)
+    ranked = ranked_scores(state, lines, candidates(state.geometry))
     score = (time.perf_counter() - start) / len(ranked)
     text = [f"score  {1e3 * score:9.2f} ms each of {len(ranked)}"]
     for one in leading(ranked):

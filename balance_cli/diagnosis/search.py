@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
-from balance_cli.diagnosis.candidates import candidates
+from balance_cli.diagnosis.candidates import Candidate, candidates
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import (
     PENALTY,
@@ -78,7 +78,7 @@ def search(model: BalanceModel, theta: Array, lines: SearchLines, say: Say, know
         if state.error < SMALL_ERROR:
             break
         say(f"search, round {number}: model error {100 * state.error:.2g} %")
-        added = _round(state, lines, number, trials, rivals)
+        added = search_round(state, lines, number, trials, rivals, candidates(state.geometry))
         slow = state.error > WRONG and (added is None or added.error > SLOW * state.error)
         state = state if added is None else added
         if slow and not stuck:
@@ -111,11 +111,16 @@ def _sown(
     return ends[best]
 
 
-def _round(
-    state: State, lines: SearchLines, number: int, trials: list[Trial], rivals: dict[str, dict[str, float]]
+def search_round(
+    state: State,
+    lines: SearchLines,
+    number: int,
+    trials: list[Trial],
+    rivals: dict[str, dict[str, float]],
+    pool: Sequence[Candidate],
 ) -> State | None:
-    """The state with the best candidate of one round; None where none helps."""
-    ranked = ranked_scores(state, lines)
+    """The state with the best candidate of one round, put down in `trials` and `rivals`; None where none helps."""
+    ranked = ranked_scores(state, lines, pool)
     begun = [(score, attempt(state, score, lines)) for score in leading(ranked)]
     tried = [(score, settled(one.model, one.theta, lines, state.shares)) for score, one in _worth_settling(begun)]
     if not tried:
@@ -158,10 +163,10 @@ def _why(gain: float, least: float, folds: float, chosen: bool) -> str:
     return "another gained more" if folds > 0 else "gains nothing on lines that were not fitted"
 
 
-def ranked_scores(state: State, lines: SearchLines) -> list[Score]:
-    """Scores of all candidates under the model error, best first; physical ones only."""
+def ranked_scores(state: State, lines: SearchLines, pool: Sequence[Candidate]) -> list[Score]:
+    """Scores of the candidates under the model error, best first."""
     batches = with_model_error(lines.fitted, state.shares)
-    found = scores(state.model, state.theta, batches, candidates(state.geometry))
+    found = scores(state.model, state.theta, batches, pool)
     return sorted(found, key=lambda score: -score.gain)
 
 
@@ -169,7 +174,7 @@ def leading(ranked: Sequence[Score]) -> list[Score]:
     """The leading candidates, one place of each effect."""
     chosen: dict[str, Score] = {}
     for score in ranked:
-        if score.gain > WORTH_IT * ranked[0].gain and score.gain > PENALTY * score.parameters:
+        if score.gain > max(WORTH_IT * ranked[0].gain, PENALTY * score.parameters):
             chosen.setdefault(score.candidate.effect.name, score)
     return list(chosen.values())[:LEADING]
 
