@@ -51,6 +51,8 @@ GOOD_FIT = 1.2
 """Chi-square per degree of freedom up to which a model describes its data (contract, verdicts)."""
 TOO_GOOD = 0.7
 """Chi-square per degree of freedom below which the noise was less than was measured."""
+MOST_LOOKS = 2
+"""How often what is missing is asked, once more where a rival has taken an effect's place."""
 
 
 def diagnose(
@@ -141,15 +143,19 @@ def _tested(
     # While the model is still wrong, nothing can be judged by the noise alone.
     wrong = state.error > WRONG
     judged = with_model_error(batches, state.shares) if wrong else batches
-    fit = fitted(state.model, state.theta, judged)
-    confirmed = confirm(fit, judged, not wrong, _last_round(found.trials) + 1, say)
-    say("what is needed")
-    trials = (*found.trials, *confirmed.trials)
-    count, last = len(confirmed.scores), _last_round(trials) + 1
-    fit, removed = pruned(confirmed.fit, judged, count, last)
-    fit, doubted = believed(fit, judged, not wrong, sure, last)
-    stands = contested(fit, judged, given, _rivals(found, confirmed), count, last + 1, say)
-    return _Loop(stands.fit, stands.standings, (*trials, *removed, *doubted, *stands.trials), confirmed)
+    fit, trials, rivals = fitted(state.model, state.theta, judged), found.trials, _rivals(found)
+    for look in range(MOST_LOOKS):
+        confirmed = confirm(fit, judged, not wrong, _last_round(trials) + 1, say)
+        say("what is needed")
+        trials, rivals = (*trials, *confirmed.trials), {**rivals, **_near(confirmed)}
+        count, last = len(confirmed.scores), _last_round(trials) + 1
+        fit, removed = pruned(confirmed.fit, judged, count, last)
+        fit, doubted = believed(fit, judged, not wrong, sure, last)
+        stands = contested(fit, judged, given, rivals, count, last + 1, say)
+        trials, fit = (*trials, *removed, *doubted, *stands.trials), stands.fit
+        if not stands.trials or look == MOST_LOOKS - 1:
+            break
+    return _Loop(fit, stands.standings, trials, confirmed)
 
 
 def _last_round(trials: Sequence[Trial]) -> int:
@@ -221,12 +227,17 @@ def _same(tried: str, label: str) -> bool:
     return name == other and set(where.split(",")) <= set(there.split(","))
 
 
-def _rivals(found: Found, confirmed: Confirmed) -> dict[str, tuple[str, ...]]:
-    """Rivals that came near an effect in its round of the search, or of the tests against the noise."""
-    near = {label: _within(gaps) for label, gaps in confirmed.rivals.items()}
+def _rivals(found: Found) -> dict[str, tuple[str, ...]]:
+    """Rivals that came near an effect in its round of the search."""
+    near = {}
     for label, gains in found.rivals.items():
         near[label] = tuple(name for name, gain in gains.items() if name != label and gain > 0.9 * gains[label])
     return near
+
+
+def _near(confirmed: Confirmed) -> dict[str, tuple[str, ...]]:
+    """Rivals that came near an effect in its round of the tests against the noise."""
+    return {label: _within(gaps) for label, gaps in confirmed.rivals.items()}
 
 
 def _within(gaps: dict[str, float]) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ PAIR_SIZES = (100.0, 1e4)
 SINGLE_TURNS = 10
 PAIR_TURNS = 1
 
+SWEEPS = len(HIGH)
 KINDS = ("single", "pair", "nothing", "unknown", "untestable")
 
 PLACES: dict[str, tuple[str, ...]] = {

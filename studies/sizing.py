@@ -8,11 +8,13 @@ declared one for each excitation; what a campaign should have gained follows fro
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ive
 from scipy.stats import chi2, ncx2
 
 from balance_cli.diagnosis.candidates import Candidate, candidate_at, tested
@@ -25,7 +27,7 @@ from balance_cli.geometry_file import load_geometry
 from balance_cli.model.balance import balance_model
 from balance_cli.simulation import TrueRig, simulate_campaign, true_rig
 from balance_cli.spectra import Spectra, measured_spectra
-from studies.cases import plan
+from studies.cases import SWEEPS, plan
 from studies.truth import true_parameters
 
 Array = NDArray[np.float64]
@@ -37,10 +39,11 @@ MAINS_HERTZ = 0.02
 
 @dataclass(frozen=True)
 class Hidden:
-    """What is hidden: the effect, and its fitted values by name."""
+    """What is hidden: the effect, its fitted values by name, and the gain that was asked of it."""
 
     candidate: Candidate
     values: Mapping[str, float]
+    asked: float
 
     @property
     def label(self) -> str:
@@ -76,10 +79,10 @@ def hidden_effect(
     theta = true_parameters(whose, balance_model(geometry).parameters)
     batches = _declared_campaign(geometry_file, excitation)
     V = _information(geometry, theta, batches, Candidate(candidate.one, (values,)))
-    share = np.sqrt(size / max(float(d @ V @ d), 1e-300))
+    share = share_for(size, _expected(candidate, d, V))
     for item, departure in zip(tested(candidate.one.parameters), d, strict=True):
         values[item.fitted_name] = item.fitted_null + share * departure
-    return Hidden(candidate, values)
+    return Hidden(candidate, values, size)
 
 
 def _drawn(item: EffectParameter, rng: np.random.Generator) -> float:
@@ -133,8 +136,44 @@ def expected_gains(rig: TrueRig, spectra: Spectra, hidden: Sequence[Hidden]) -> 
     found = []
     for one in hidden:
         V = _information(geometry, theta, batches, Candidate(one.candidate.one, (one.values,)))
-        found.append(float(one.departure @ V @ one.departure))
+        step = _expected(one.candidate, one.departure, V)
+        # At parameters without the tone its power is in what is left, and V says nothing.
+        found.append(one.asked if step.tones else step.quadratic)
     return found
+
+
+@dataclass(frozen=True)
+class Expected:
+    """d'V d of a step, and the number of runs that hear a tone of unknown phase; zero where it is none."""
+
+    quadratic: float
+    tones: int = 0
+
+
+def _expected(candidate: Candidate, d: Array, V: Array) -> Expected:
+    tone = any(item.squared for item in tested(candidate.one.parameters))
+    return Expected(float(d @ V @ d), SWEEPS if tone else 0)
+
+
+def _gain(step: Expected) -> float:
+    """Expected gain; of a tone that of Rice's likelihood in runs that hear it alike.
+
+    With l = a^2 n in each run, V d^2 is the sum of l^2, and 2 ln I0(a |b|) - l is gained at E |b|^2 = a^2 n^2 + 2 n.
+    """
+    if not step.tones:
+        return step.quadratic
+    of_run = np.sqrt(step.quadratic / step.tones)
+    x = np.sqrt(of_run**2 + 2.0 * of_run)
+    return float(step.tones * (2.0 * (np.log(ive(0, x)) + x) - of_run))
+
+
+def share_for(size: float, step: Expected) -> float:
+    """By how much the step must be multiplied to be expected to gain `size`."""
+    if not step.tones:
+        return float(np.sqrt(size / max(step.quadratic, 1e-300)))
+    # A power grows with the share, and V d^2 with its square.
+    power = brentq(lambda q: _gain(replace(step, quadratic=q)) - size, 1e-3, 1e10)
+    return float(np.sqrt(power / step.quadratic))
 
 
 def power(gain: float, parameters: int, candidates: int) -> float:

@@ -20,6 +20,7 @@ from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import PENALTY
 from balance_cli.diagnosis.score import Score, best_scores, extended, improbability, stepped, with_candidates
 from balance_cli.diagnosis.trials import trial
+from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch
 
 Array = NDArray[np.float64]
@@ -35,6 +36,10 @@ STRONG = 1e3
 # Candidates of a round that are refitted, and how near the best score they come, that a refit may turn them round.
 MOST_REFITS = 4
 NEAR_BEST = 12.0
+# What a score must be of the best one's where it rests on a place or a mass that nobody knows; how many such are begun.
+SHAPED = 0.2
+MOST_SHAPED = 2
+FIRST_STEPS = 10
 
 Say = Callable[[str], None]
 
@@ -74,6 +79,7 @@ def confirm(fit: Fit, batches: Sequence[Batch], noise_alone: bool, first_round: 
         if max(score.gain for score in chosen) < least:
             trials += [trial(number, score, len(found), float("nan"), False, TOO_SLIGHT) for score in chosen]
             break
+        chosen += _shaped(fit, open_ones, chosen, batches)
         tried = [_refitted(fit, score, batches) for score in chosen]
         best = _best(fit, chosen, tried)
         folds = fold_gain(fit.model, fit.theta, batches, chosen[best])
@@ -91,6 +97,24 @@ def confirm(fit: Fit, batches: Sequence[Batch], noise_alone: bool, first_round: 
         rivals[label] = {name: gap for name, gap in others.items() if name != label}
         fit = tried[best]
     return Confirmed(fit, tuple(trials), found, rivals, left)
+
+
+def _shaped(fit: Fit, found: Sequence[Score], chosen: Sequence[Score], batches: Sequence[Batch]) -> list[Score]:
+    """Further candidates that a score wrongs, for what shapes them was anywhere: whose first steps gain as much."""
+    least, taken = min(score.gain for score in chosen), {score.candidate.label for score in chosen}
+    shaped = [score for score in found if score.candidate.label not in taken and _has_shape(score)]
+    shaped = [score for score in shaped if score.gain > SHAPED * chosen[0].gain and score.p_value < SIGNIFICANT]
+    worth = []
+    for score in sorted(shaped, key=lambda score: -score.gain)[:MOST_SHAPED]:
+        model, start = stepped(fit.model, fit.theta, batches, score)
+        begun = Fit(model, maximum_likelihood(model, batches, start, FIRST_STEPS))
+        if fit.chi2 - begun.chi2 - PENALTY * score.parameters > least:
+            worth.append(score)
+    return worth
+
+
+def _has_shape(score: Score) -> bool:
+    return any(item.secondary for item in score.candidate.one.parameters)
 
 
 def _best(fit: Fit, chosen: Sequence[Score], tried: Sequence[Fit]) -> int:
@@ -127,7 +151,7 @@ def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) 
 def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
     """The fit with a candidate added, from its score's step; where that is no small one, from its start too."""
     near = fitted(*stepped(fit.model, fit.theta, batches, score), batches)
-    if score.gain < STRONG or not any(item.secondary for item in score.candidate.one.parameters):
+    if score.gain < STRONG or not _has_shape(score):
         return near
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started=True)
     far = fitted(*extended(fit.model, fit.theta, geometry), batches)

@@ -164,11 +164,12 @@ def _searched(geometry: Geometry) -> tuple[Where, ...]:
 
 
 def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
-    """A lower body as heavy as the moving part, stiffer than the cells, its centre below them."""
+    """A lower body as heavy as the moving part, stiffer than the cells; its centre below them, at them, far below."""
     stiffness = stiffness_by_motion(geometry)
     lowest = min(cell.position[2] for cell in geometry.cells)
-    below = lowest - START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3)
-    return ({"z": below, **{f"compliance_{name}": SOFTNESS / stiffness[name] for name in where}},)
+    depth = START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3)
+    softness = {f"compliance_{name}": SOFTNESS / stiffness[name] for name in where}
+    return tuple({"z": lowest - times * depth, **softness} for times in (1.0, 0.0, 2.0))
 
 
 def _at_least(inertia: Jet, compliance: Jet, geometry: Geometry, where: Where) -> Jet:
