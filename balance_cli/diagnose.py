@@ -32,6 +32,7 @@ from balance_cli.diagnosis.seeds import seeds
 from balance_cli.diagnosis.testable import not_testable
 from balance_cli.errors import UserError
 from balance_cli.estimation.likelihood import data_curvature
+from balance_cli.estimation.maximum_likelihood import TOLERANCE
 from balance_cli.estimation.measurements import Batch, stacked
 from balance_cli.estimation.model_error import with_model_error
 from balance_cli.estimation.quality import fit_quality
@@ -155,6 +156,7 @@ def _tested(
         trials, fit = (*trials, *removed, *doubted, *stands.trials), stands.fit
         if not stands.trials or look == MOST_LOOKS - 1:
             break
+    fit = fitted(fit.model, fit.theta, judged, TOLERANCE)
     return _Loop(fit, stands.standings, trials, confirmed)
 
 

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import candidates
-from balance_cli.diagnosis.fit import Fit, excess, fitted
+from balance_cli.diagnosis.fit import Fit, begun, excess, fitted
 from balance_cli.diagnosis.folds import fold_gain
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import PENALTY
 from balance_cli.diagnosis.score import Score, best_scores, extended, improbability, stepped, with_candidates
 from balance_cli.diagnosis.trials import trial
-from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch
 
 Array = NDArray[np.float64]
@@ -106,9 +105,8 @@ def _shaped(fit: Fit, found: Sequence[Score], chosen: Sequence[Score], batches: 
     shaped = [score for score in shaped if score.gain > SHAPED * chosen[0].gain and score.p_value < SIGNIFICANT]
     worth = []
     for score in sorted(shaped, key=lambda score: -score.gain)[:MOST_SHAPED]:
-        model, start = stepped(fit.model, fit.theta, batches, score)
-        begun = Fit(model, maximum_likelihood(model, batches, start, FIRST_STEPS))
-        if fit.chi2 - begun.chi2 - PENALTY * score.parameters > least:
+        first = begun(*stepped(fit.model, fit.theta, batches, score), batches, FIRST_STEPS)
+        if fit.chi2 - first.chi2 - PENALTY * score.parameters > least:
             worth.append(score)
     return worth
 
@@ -150,8 +148,11 @@ def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) 
 
 def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
     """The fit with a candidate added, from its score's step; where that is no small one, from its start too."""
-    near = fitted(*stepped(fit.model, fit.theta, batches, score), batches)
-    if score.gain < STRONG or not _has_shape(score):
+    model, start = stepped(fit.model, fit.theta, batches, score)
+    if not _has_shape(score):
+        return fitted(model, start, batches)
+    near = fitted(model, begun(model, start, batches).theta, batches)
+    if score.gain < STRONG:
         return near
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started=True)
     far = fitted(*extended(fit.model, fit.theta, geometry), batches)

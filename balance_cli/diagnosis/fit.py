@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.gauss_newton import Minimum
+from balance_cli.estimation.gauss_newton import Minimum, minimise, prior_curvature
+from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.starting_values import parameters_within
 from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
 
 # Chi-square per degree of freedom that the uncertainty of the measured noise itself can make.
 TOLERATED = 1.05
+# Chi-square that a further step must promise where fits are compared.
+COMPARED = 0.1
+# First steps of a fit, the scales that a parameter without a prior is held within, and what a step must promise.
+BEGUN = 20
+NEAR = 3.0
+PROMISED = 0.3
 
 
 @dataclass(frozen=True)
@@ -37,9 +45,25 @@ class Fit:
         return self.minimum.total.chi2
 
 
-def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Fit:
-    """The maximum likelihood from `theta`."""
-    return Fit(model, maximum_likelihood(model, batches, theta))
+def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch], tolerance: float = COMPARED) -> Fit:
+    """The maximum likelihood from `theta`, as near as a comparison of chi-squares needs it."""
+    return Fit(model, maximum_likelihood(model, batches, theta, tolerance=tolerance))
+
+
+def begun(model: BalanceModel, theta: Array, batches: Sequence[Batch], iterations: int = BEGUN) -> Fit:
+    """The first steps of a fit, in which parameters without a prior stay near `theta`.
+
+    Where an effect is small, the data say nothing of what shapes it, and steps along that would hold up all others.
+    """
+    minimum = minimise(
+        parameters_within(model.parameters, theta, NEAR),
+        theta,
+        lambda at: data_curvature(batches, model.system(at)),
+        lambda at: data_chi2(batches, model.system(at)),
+        iterations=iterations,
+        tolerance=PROMISED,
+    )
+    return Fit(model, replace(minimum, total=minimum.data + prior_curvature(model.parameters, minimum.theta)))
 
 
 def excess(fit: Fit, batches: Sequence[Batch], noise_alone: bool) -> float:

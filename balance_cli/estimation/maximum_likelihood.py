@@ -17,20 +17,29 @@ Array = NDArray[np.float64]
 
 
 ITERATIONS = 60
+TOLERANCE = 1e-4
 # After so many the starts of a fit are compared, and the best goes on alone.
 TRIAL = 12
 
 
 def maximum_likelihood(
-    model: BalanceModel, batches: Sequence[Batch], start: Array, iterations: int = ITERATIONS
+    model: BalanceModel,
+    batches: Sequence[Batch],
+    start: Array,
+    iterations: int = ITERATIONS,
+    tolerance: float = TOLERANCE,
 ) -> Minimum:
-    """Maximise the likelihood of the lines (errors on channels and loads) times the priors, from `start`."""
+    """Maximise the likelihood of the lines (errors on channels and loads) times the priors, from `start`.
+
+    The last step is one that promises to lower chi-square by less than `tolerance`.
+    """
     return minimise(
         model.parameters,
         start,
         lambda theta: data_curvature(batches, model.system(theta)),
         lambda theta: data_chi2(batches, model.system(theta)),
         iterations=iterations,
+        tolerance=tolerance,
     )
 
 
