@@ -27,6 +27,8 @@ ComplexArray = NDArray[np.complex128]
 
 # Nearer than this share of their size two values of s count as one.
 SAME = 1e-7
+# Of the largest force that a motion could make, what is rounding.
+UNREAD = 1e-10
 
 
 @dataclass(frozen=True)
@@ -54,9 +56,9 @@ def free_motion(
 
 def _modes(system: System, spin: float, highest: float, fastest: float, slopes: bool) -> FreeMotion:
     M, D, K = _matrices(system, spin)
-    s, left, X = eigenvalues(M, D, K)
-    kept = (s.imag < 2 * np.pi * highest) & (-s.real < fastest)
-    s, left, X = s[kept], left[kept], X[kept].T
+    s, left, right = eigenvalues(M, D, K)
+    kept = (s.imag < 2 * np.pi * highest) & (-s.real < fastest) & _read(system, right)
+    s, left, X = s[kept], left[kept], right[kept].T
     norm = np.einsum("mi,mij,jm->m", left, 2 * s[:, None, None] * M + D, X)
     shift, d_shift = stiffened(system, s, left, X.T, norm)
     springs = [path.spring for path in system.paths]
@@ -72,6 +74,13 @@ def _modes(system: System, spin: float, highest: float, fastest: float, slopes: 
     d_volts = gains * d_forces + _gain_slopes(system, s, gains, forces, dS)
     d_volts = system.mixing.value @ d_volts + system.mixing.slope @ (gains * forces)
     return FreeMotion(s + shift, volts, dS, d_volts)
+
+
+def _read(system: System, right: ComplexArray) -> NDArray[np.bool_]:
+    """Modes (m,) of vectors (m, n) that a cell feels: one of a part without mass is rounding in all others."""
+    R = system.readings.value
+    felt = np.linalg.norm(right @ R.T, axis=1)
+    return np.asarray(felt > UNREAD * np.linalg.norm(R) * np.linalg.norm(right, axis=1))
 
 
 def _starts(system: System, fastest: float, slopes: bool) -> FreeMotion:
