@@ -18,9 +18,18 @@ from balance_cli.diagnosis.fit import Fit, begun, excess, fitted
 from balance_cli.diagnosis.folds import fold_gain
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import PENALTY
-from balance_cli.diagnosis.score import Score, best_scores, extended, improbability, stepped, with_candidates
+from balance_cli.diagnosis.score import (
+    Score,
+    best_scores,
+    extended,
+    improbability,
+    penalised_chi2,
+    stepped,
+    with_candidates,
+)
 from balance_cli.diagnosis.trials import trial
 from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.starting_values import by_equations_of_motion
 
 Array = NDArray[np.float64]
 
@@ -38,7 +47,6 @@ NEAR_BEST = 12.0
 # What a score must be of the best one's where it rests on a place or a mass that nobody knows; how many such are begun.
 SHAPED = 0.2
 MOST_SHAPED = 2
-FIRST_STEPS = 10
 
 Say = Callable[[str], None]
 
@@ -78,8 +86,9 @@ def confirm(fit: Fit, batches: Sequence[Batch], noise_alone: bool, first_round: 
         if max(score.gain for score in chosen) < least:
             trials += [trial(number, score, len(found), float("nan"), False, TOO_SLIGHT) for score in chosen]
             break
-        chosen += _shaped(fit, open_ones, chosen, batches)
-        tried = [_refitted(fit, score, batches) for score in chosen]
+        known = _shaped(fit, open_ones, chosen, batches)
+        chosen += [score for score in open_ones if score.candidate.label in known]
+        tried = [_refitted(fit, score, batches, known.get(score.candidate.label)) for score in chosen]
         best = _best(fit, chosen, tried)
         folds = fold_gain(fit.model, fit.theta, batches, chosen[best])
         why = _refusal(chosen[best], fit.chi2 - tried[best].chi2, folds, least, len(found))
@@ -98,17 +107,28 @@ def confirm(fit: Fit, batches: Sequence[Batch], noise_alone: bool, first_round: 
     return Confirmed(fit, tuple(trials), found, rivals, left)
 
 
-def _shaped(fit: Fit, found: Sequence[Score], chosen: Sequence[Score], batches: Sequence[Batch]) -> list[Score]:
-    """Further candidates that a score wrongs, for what shapes them was anywhere: whose first steps gain as much."""
+def _shaped(fit: Fit, found: Sequence[Score], chosen: Sequence[Score], batches: Sequence[Batch]) -> dict[str, Fit]:
+    """Further candidates that a score wrongs, for what shapes them was anywhere: those whose first steps gain as much.
+
+    By label, where these steps led.
+    """
     least, taken = min(score.gain for score in chosen), {score.candidate.label for score in chosen}
     shaped = [score for score in found if score.candidate.label not in taken and _has_shape(score)]
     shaped = [score for score in shaped if score.gain > SHAPED * chosen[0].gain and score.p_value < SIGNIFICANT]
-    worth = []
+    worth = {}
     for score in sorted(shaped, key=lambda score: -score.gain)[:MOST_SHAPED]:
-        first = begun(*stepped(fit.model, fit.theta, batches, score), batches, FIRST_STEPS)
+        first = _first_steps(fit, score, batches)
         if fit.chi2 - first.chi2 - PENALTY * score.parameters > least:
-            worth.append(score)
+            worth[score.candidate.label] = first
     return worth
+
+
+def _first_steps(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
+    """The candidate begun at its score's step, and where the equations of motion lead from there."""
+    model, near = stepped(fit.model, fit.theta, batches, score)
+    regressed = by_equations_of_motion(model.parameters, batches, model.system, near)
+    starts = [near, regressed] if np.isfinite(penalised_chi2(model, regressed, batches)) else [near]
+    return min((begun(model, start, batches) for start in starts), key=lambda end: end.chi2)
 
 
 def _has_shape(score: Score) -> bool:
@@ -146,12 +166,12 @@ def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) 
     return min(1.0, count * improbability(gain, parameters, noise_dof))
 
 
-def _refitted(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
-    """The fit with a candidate added, from its score's step; where that is no small one, from its start too."""
-    model, start = stepped(fit.model, fit.theta, batches, score)
+def _refitted(fit: Fit, score: Score, batches: Sequence[Batch], first: Fit | None) -> Fit:
+    """The fit with a candidate added, from its `first` steps; where its score is no small one, from its start too."""
     if not _has_shape(score):
-        return fitted(model, start, batches)
-    near = fitted(model, begun(model, start, batches).theta, batches)
+        return fitted(*stepped(fit.model, fit.theta, batches, score), batches)
+    first = _first_steps(fit, score, batches) if first is None else first
+    near = fitted(first.model, first.theta, batches)
     if score.gain < STRONG:
         return near
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started=True)

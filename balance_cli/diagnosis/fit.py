@@ -22,7 +22,7 @@ TOLERATED = 1.05
 # Chi-square that a further step must promise where fits are compared.
 COMPARED = 0.1
 # First steps of a fit, the scales that a parameter without a prior is held within, and what a step must promise.
-BEGUN = 20
+BEGUN = 10
 NEAR = 3.0
 PROMISED = 0.3
 

@@ -94,6 +94,8 @@ def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
     """
     arms = np.maximum(np.abs(system.inputs.value).max(axis=1), 1e-3)
     level = np.sqrt(np.sum(np.abs(loads) ** 2, axis=1))[:, None]
+    # A line without load has no size to compare with, and no weight.
+    level = np.where(level > 0, level, np.inf)
     ratio = np.diag(system.pencil.mass.value) / np.diag(system.pencil.stiffness.value)
     growth = 1.0 + (2 * np.pi * frequency[:, None]) ** 2 * ratio
     surplus = np.repeat(level, system.readings.value.shape[0], axis=1)
