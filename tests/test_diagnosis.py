@@ -5,7 +5,7 @@ import pytest
 from rigs import one_degree_of_freedom, rotor_balance
 
 from balance_cli.diagnose import diagnose
-from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, UNEXPLAINED
+from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
 from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
 from balance_cli.diagnosis.fit import excess, fitted
 from balance_cli.diagnosis.folds import fold_gain, folds
@@ -23,7 +23,7 @@ from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, t
 from balance_cli.simulation.extensions import apply_effects
 from balance_cli.simulation.plans import HIGH, statics
 from balance_cli.spectra import measured_spectra
-from studies.unknown import SaturatingChannel
+from studies.unknown import SaturatingChannel, TunedMass
 
 RIG = rotor_balance()
 PLAN = CampaignPlan(
@@ -252,6 +252,25 @@ def test_what_no_effect_describes_stays_unexplained():
     assert "z1.piezo" in found.location
     assert found.chi2_per_dof_after <= found.chi2_per_dof_before
     assert not closed.geometry.effects
+
+
+def test_what_resonates_without_a_cause_is_described_and_named_as_empirical():
+    hidden = TunedMass(
+        mass=0.7, frequency=51.3, damping_ratio=0.013, position=(-0.2, 0.15, 0.02), direction=(0.8, 0, 0.6)
+    )
+    spectra = simulated_spectra(hidden)
+    found, closed = diagnose(identify(spectra, RIG), spectra)
+    assert found.verdict == PARTLY_EXPLAINED
+    (effect,) = found.effects
+    assert effect.label == "extra-mode@x"
+    assert effect.evidence.empirical
+    values = {item.name: item for item in effect.parameters}
+    assert abs(values["frequency"].value - 51.3) < 4 * values["frequency"].sigma < 0.05
+    assert abs(values["damping_ratio"].value - 0.013) < 4 * values["damping_ratio"].sigma
+    assert values["mass"].value == pytest.approx(0.7 * 0.8**2, rel=0.05)
+    assert values["shape_z"].value == pytest.approx(0.75, abs=0.02)
+    assert found.chi2_per_dof_before > 100.0
+    assert closed.quality.chi2_per_dof == pytest.approx(1.0, abs=0.06)
 
 
 def test_what_it_cannot_work_with(healthy):
