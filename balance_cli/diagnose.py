@@ -74,8 +74,8 @@ def diagnose(
     loop = _closed_loop(*before, spectra, batches, say)
     fit, after, quality = loop.fit, (loop.fit.model, loop.fit.theta), _quality(*before, batches)
     closed = described(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra.channels_left_out)
-    if not loop.standings and closed.quality.chi2 > quality.chi2:
-        # Nothing came in, and a fit that had to carry a model error is no better than the one given.
+    if _labels(fit.model) == _labels(start) and closed.quality.chi2 > quality.chi2:
+        # Nothing came in or went, and a fit that had to carry a model error is no better than the one given.
         closed, after = model, before
     effects = _effects(closed, loop)
     residuals = residual_map(batches, before, after)
@@ -117,7 +117,7 @@ def _closed_loop(
 ) -> _Loop:
     """Search, and test what was found; where that leaves a residual, with resonances that describe it."""
     lines = search_lines(spectra, start.geometry.channel_names)
-    given = {one.label for one in declared_effects(start.geometry)}
+    given = _labels(start)
     say("search")
     found = search(start, theta, lines, say, seeds(spectra.lines, start.geometry))
     sure = given | {item.label for item in found.trials if item.round == 0}
@@ -158,6 +158,10 @@ def _tested(
             break
     fit = fitted(fit.model, fit.theta, judged, TOLERANCE)
     return _Loop(fit, stands.standings, trials, confirmed)
+
+
+def _labels(model: BalanceModel) -> set[str]:
+    return {one.label for one in declared_effects(model.geometry)}
 
 
 def _last_round(trials: Sequence[Trial]) -> int:
