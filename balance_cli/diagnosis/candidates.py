@@ -13,10 +13,14 @@ from balance_cli.model.placed_effects import PlacedEffect, declared_effects, pla
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at a place, with the values from which a search may begin (fitted names and values)."""
+    """An effect at a place, with the values from which a search may begin (fitted names and values).
+
+    `chosen`: how many values in a start were chosen by the data that then judge it.
+    """
 
     one: PlacedEffect
     starts: tuple[Mapping[str, float], ...]
+    chosen: int = 0
 
     @property
     def label(self) -> str:

@@ -16,6 +16,7 @@ from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import candidates
 from balance_cli.diagnosis.fit import Fit, begun, excess, fitted
 from balance_cli.diagnosis.folds import fold_gain
+from balance_cli.diagnosis.point_mass import settled_mass
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import PENALTY
 from balance_cli.diagnosis.score import (
@@ -23,11 +24,11 @@ from balance_cli.diagnosis.score import (
     best_scores,
     extended,
     improbability,
-    penalised_chi2,
     stepped,
     with_candidates,
 )
 from balance_cli.diagnosis.trials import trial
+from balance_cli.estimation.maximum_likelihood import penalised_chi2
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.starting_values import by_equations_of_motion
 
@@ -124,7 +125,14 @@ def _shaped(fit: Fit, found: Sequence[Score], chosen: Sequence[Score], batches: 
 
 
 def _first_steps(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
-    """The candidate begun at its score's step, and where the equations of motion lead from there."""
+    """The candidate begun at its score's step, and where the equations of motion lead from there; a mass, at its
+
+    best place.
+    """
+    if score.candidate.chosen:
+        geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)])
+        model, null = extended(fit.model, fit.theta, geometry)
+        return begun(model, settled_mass(model, null, batches), batches)
     model, near = stepped(fit.model, fit.theta, batches, score)
     regressed = by_equations_of_motion(model.parameters, batches, model.system, near)
     starts = [near, regressed] if np.isfinite(penalised_chi2(model, regressed, batches)) else [near]
@@ -172,7 +180,7 @@ def _refitted(fit: Fit, score: Score, batches: Sequence[Batch], first: Fit | Non
         return fitted(*stepped(fit.model, fit.theta, batches, score), batches)
     first = _first_steps(fit, score, batches) if first is None else first
     near = fitted(first.model, first.theta, batches)
-    if score.gain < STRONG:
+    if score.gain < STRONG or score.candidate.chosen:
         return near
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started=True)
     far = fitted(*extended(fit.model, fit.theta, geometry), batches)

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.candidates import Candidate
-from balance_cli.diagnosis.score import Score, extended, penalised_chi2, with_candidates
+from balance_cli.diagnosis.point_mass import settled_mass
+from balance_cli.diagnosis.score import Score, extended, with_candidates
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.estimation.gauss_newton import minimise, prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
+from balance_cli.estimation.maximum_likelihood import penalised_chi2
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.model_error import (
     Shares,
@@ -122,7 +124,7 @@ def _further(model: BalanceModel, theta: Array, state: State, lines: SearchLines
     batches = with_model_error(lines.fitted, state.shares)
     before = penalised_chi2(state.model, state.theta, batches)
     regressed = by_equations_of_motion(model.parameters, lines.fitted, model.system, theta)
-    ends = [steps(model, start, batches, FIRST_STEPS) for start in (theta, regressed)]
+    ends = [steps(model, start, batches, FIRST_STEPS) for start in (settled_mass(model, theta, batches), regressed)]
     best = steps(model, min(ends, key=lambda end: penalised_chi2(model, end, batches)), batches, FIRST_STEPS)
     chi2 = penalised_chi2(model, best, batches)
     return Attempt(model, best, data_count(batches) * float(np.log(before / chi2)))

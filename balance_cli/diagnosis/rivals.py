@@ -10,6 +10,7 @@ from balance_cli.diagnosis.candidates import Candidate, candidates, tested
 from balance_cli.diagnosis.confirm import STRONG
 from balance_cli.diagnosis.fit import Fit, fitted
 from balance_cli.diagnosis.needed import bare, effect_wald, pruned, without
+from balance_cli.diagnosis.point_mass import well_placed
 from balance_cli.diagnosis.preference import SAME
 from balance_cli.diagnosis.refit import PENALTY
 from balance_cli.diagnosis.score import Score, best_scores, extended, stepped, with_candidates
@@ -119,6 +120,7 @@ def _replaced(number: int, one: PlacedEffect, better: str, gain: float, known: i
 def _instead(fit: Fit, one: PlacedEffect, rival: Candidate, batches: Sequence[Batch]) -> Fit:
     """The model with a rival in the place of an effect, refitted from the best of its starts."""
     others = bare(fit.model.geometry, one)
+    (rival,) = well_placed([rival], *extended(fit.model, fit.theta, others), batches)
     fits = []
     for number in range(len(rival.starts)):
         model, theta = extended(fit.model, fit.theta, with_candidates(others, [(rival, number)], started=True))

@@ -21,9 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.candidates import Candidate, tested
+from balance_cli.diagnosis.point_mass import well_placed
 from balance_cli.effects import EffectParameter
 from balance_cli.estimation.gauss_newton import prior_curvature
-from balance_cli.estimation.likelihood import batch_slopes, data_chi2
+from balance_cli.estimation.likelihood import batch_slopes
+from balance_cli.estimation.maximum_likelihood import penalised_chi2
 from balance_cli.estimation.measurements import WORKERS, Batch, by_run, selected_lines
 from balance_cli.estimation.support import covariance_of
 from balance_cli.geometry import Geometry
@@ -44,6 +46,8 @@ SHARES = (1.0, 0.3, 0.1, 0.03)
 @dataclass(frozen=True)
 class Score:
     """What one candidate would gain in chi-square, for `parameters` of its own, begun at start number `start`.
+
+    What the data chose of that start counts among the parameters.
 
     `expected` is the gain that a change of every parameter by its scale would make: what the data could show.
     Of its own parameters that do something by themselves: `information` (q, q), V; `step` (q,), the change that gains,
@@ -98,6 +102,7 @@ def best_scores(
     """As `scores`, with fewer lines for those that then do not look as if they would gain anything."""
     lines = sum(len(batch.index) for batch in batches)
     stride = lines // ENOUGH_LINES
+    candidates = well_placed(candidates, model, theta, batches)
     if stride < 2:
         return scores(model, theta, batches, candidates)
     every = [selected_lines(batch, _some(batch, stride)) for batch in batches]
@@ -242,14 +247,6 @@ def stepped(model: BalanceModel, theta: Array, batches: Sequence[Batch], score: 
     return wide, null
 
 
-def penalised_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
-    """Chi-square of data and priors; infinite where no rig is like that."""
-    try:
-        return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
-    except np.linalg.LinAlgError:
-        return float("inf")
-
-
 def only_free(wide: BalanceModel, model: BalanceModel, names: set[str]) -> BalanceModel:
     """Only the model's own parameters and these are free; the candidates' others are held."""
     kept = names | set(model.parameters.names)
@@ -267,7 +264,9 @@ def _score(one: Candidate, number: int, part: Projected) -> Score:
     step = np.zeros(len(items))
     step[seen] = best.step
     following = part.rest - part.along @ step
-    return Score(one, number, best.gain, best.directions, expected, part.noise_dof, part.V, step, following)
+    return Score(
+        one, number, best.gain, best.directions + one.chosen, expected, part.noise_dof, part.V, step, following
+    )
 
 
 def bounded(items: Sequence[EffectParameter]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

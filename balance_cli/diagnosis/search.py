@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidates
+from balance_cli.diagnosis.point_mass import well_placed
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import (
     PENALTY,
@@ -166,7 +167,7 @@ def _why(gain: float, least: float, folds: float, chosen: bool) -> str:
 def ranked_scores(state: State, lines: SearchLines, pool: Sequence[Candidate]) -> list[Score]:
     """Scores of the candidates under the model error, best first."""
     batches = with_model_error(lines.fitted, state.shares)
-    found = scores(state.model, state.theta, batches, pool)
+    found = scores(state.model, state.theta, batches, well_placed(pool, state.model, state.theta, batches))
     return sorted(found, key=lambda score: -score.gain)
 
 

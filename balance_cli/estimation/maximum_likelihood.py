@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.gauss_newton import Minimum, minimise
+from balance_cli.estimation.gauss_newton import Minimum, minimise, prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.balance import BalanceModel
@@ -41,6 +41,14 @@ def maximum_likelihood(
         iterations=iterations,
         tolerance=tolerance,
     )
+
+
+def penalised_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
+    """Chi-square of data and priors; infinite where no rig is like that."""
+    try:
+        return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
+    except np.linalg.LinAlgError:
+        return float("inf")
 
 
 def best_of_starts(model: BalanceModel, batches: Sequence[Batch], starts: Mapping[str, Array]) -> tuple[Minimum, str]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.free_motion import FreeMotion, divided_differences, free_motion
 from balance_cli.model.system import System
-from balance_cli.signals.lines import Window
+from balance_cli.signals.lines import RecordWaveform, Window
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -83,32 +83,49 @@ def transients(
     """
     found: list[Transient] = []
     known: dict[tuple[float, float], FreeMotion] = {}
-    for lines, window in zip(batch.parts, batch.windows, strict=True):
-        if window is None:
+    for run, of_run in enumerate(batch.parts):
+        part = _part(batch, run)
+        if part is None:
             continue
-        key = (0.5 / window.step, DECAYED / max(float(window.start.min()), window.step))
+        lines, window, highest = part
+        key = (highest, DECAYED / max(float(window.start.min()), window.step))
         if key not in known:
             known[key] = free_motion(system, batch.spin, *key, slopes)
         free, frequency = known[key], batch.frequency[batch.index[lines]]
         if not len(free.s):
             continue
-        columns = transient_columns(free, window, frequency)
-        found.append(_fitted(batch, lines, window, frequency, free, columns, weigh(lines, columns), residual[lines]))
+        columns, held = transient_columns(free, window, frequency), _held(batch, of_run)
+        weighted = weigh(lines, columns)
+        found.append(_fitted(lines, window, frequency, free, columns, weighted, held, residual[lines]))
     return tuple(found)
 
 
+def _part(batch: Batch, run: int) -> tuple[slice, Window, float] | None:
+    """The lines of a run that hold free motion, where they come from, and the highest of its modes [Hz].
+
+    Local models have taken it out of the lines of a record that does not repeat, but not out of its mean: there the
+    starts of high-passes are left, however it was weighted.
+    """
+    lines, window, waveform = batch.parts[run], batch.windows[run], batch.waveforms[run]
+    if window is not None:
+        return lines, window, 0.5 / window.step
+    if not isinstance(waveform, RecordWaveform) or batch.frequency[batch.index[lines.stop - 1]] > 0:
+        return None
+    whole = Window(np.zeros(1), waveform.samples * waveform.step, waveform.step, np.zeros((1, 0, 0), complex), np.inf)
+    return slice(lines.stop - 1, lines.stop), whole, 0.0
+
+
 def _fitted(
-    batch: Batch,
     lines: slice,
     window: Window,
     frequency: Array,
     free: FreeMotion,
     columns: ComplexArray,
     weighted: ComplexArray,
+    held: Array,
     residual: ComplexArray,
 ) -> Transient:
     m2 = columns.shape[2]
-    held = _held(batch, lines)
     bound = held[:, None] * np.concatenate([free.volts, 1j * free.volts], axis=1)
     flat = weighted.reshape(-1, m2).conj().T
     normal = 2.0 * np.real(flat @ columns.reshape(-1, m2)) + np.real(bound.conj().T @ bound)

@@ -98,7 +98,8 @@ def response_across_lines(run: Run, lines: Lines) -> Response:
     scaled = lines.covariance / (scale[:, None] * scale)
     noise = NoiseComponents(scaled[:, :c, :c], np.median(scaled[:, c:, c:].real, axis=0).astype(complex), lines.dof)
     level = np.ones(len(lines.frequency))
-    models = LocalModels(spectrum, first, owned, fits, stitched_response(fits, first, owned), noise, level)
+    response = stitched_response(fits, first, owned)
+    models = LocalModels(spectrum, first, owned, fits, response, noise, level, np.zeros_like(spectrum.channels))
     return response_of(models, "periodic-local")
 
 

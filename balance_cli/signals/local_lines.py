@@ -137,7 +137,8 @@ def _experiments(
     covariance = (rows * level[everywhere]) @ rows.conj().T / level[middle]
     root = np.linalg.cholesky(covariance)
     rows = np.linalg.solve(root, rows)
-    channels, loads = rows @ s.channels[everywhere], np.linalg.solve(root, R)
+    # A steady tone stays: whoever knows of it says what it is.
+    channels, loads = rows @ (s.channels + models.tones)[everywhere], np.linalg.solve(root, R)
     power = _power(rows, noise, noise[middle - models.first[window]])
     return _Experiments(float(s.frequency[middle]), channels, loads, middle, power, int(models.first[window]), rows)
 

@@ -24,6 +24,7 @@ from balance_cli.signals.local_noise import NoiseComponents, noise_components
 from balance_cli.signals.local_window import WindowFit, design, influence, response_rows, split
 from balance_cli.signals.noise import LEAST_SHARE, window_sums
 from balance_cli.signals.records import fault, load_places, measured_components, sample_rate, samples_of
+from balance_cli.signals.tones import tone_lines
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -63,8 +64,8 @@ class Spectrum:
 class LocalModels:
     """Local models of a spectrum: window w covers lines `first[w]` onwards and speaks for lines `owned[w]` (from, to).
 
-    `response` (K, c, u), `noise` and `level` (K,), the relative noise power that
-    weighed the lines, in the spectrum's scaled units.
+    `response` (K, c, u), `noise` and `level` (K,), the relative noise power that weighed the lines, in the spectrum's
+    scaled units. `tones` (K, c) are what steady tones add to the channels of the spectrum, which is without them.
     """
 
     spectrum: Spectrum
@@ -74,6 +75,7 @@ class LocalModels:
     response: ComplexArray
     noise: NoiseComponents
     level: Array
+    tones: ComplexArray
 
 
 def record_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> Spectrum:
@@ -119,13 +121,21 @@ def local_models(spectrum: Spectrum, estimator: str = "lrm") -> LocalModels:
     spectrum = _like_noise(spectrum, index, r, candidates[-1])
     windows = Windows(spectrum.channels[index], spectrum.loads[index], np.ones(index.shape), r)
     few = [orders for orders in candidates if orders in DRAFT] or candidates
-    draft = _assembled(spectrum, first, owned, best_fits(windows, few), np.ones(len(spectrum.frequency)))
+    fits = best_fits(windows, few)
+    tones = np.zeros_like(spectrum.channels)
+    if spectrum.run.rotor_speed == 0:
+        tones = tone_lines(windows, fits, lambda some: best_fits(some, few), first, owned, len(tones))
+    if np.any(tones):
+        spectrum = replace(spectrum, channels=spectrum.channels - tones)
+        windows = replace(windows, Y=spectrum.channels[index])
+        fits = best_fits(windows, few)
+    draft = _assembled(spectrum, first, owned, fits, np.ones(len(spectrum.frequency)), tones)
     level = draft.noise.excess(draft.response)
     windows = replace(windows, weight=1.0 / np.sqrt(level[index]))
     # The noise of the loads is in all channels alike, and would pass for a pole if that were not known.
     white = [whitener(draft.noise.equation(draft.response, slice(start, start + M))) for start in first]
     chosen = best_fits(windows, candidates, white)
-    return _assembled(spectrum, first, owned, chosen, level)
+    return _assembled(spectrum, first, owned, chosen, level, tones)
 
 
 def _layout(estimator: str, inputs: int, frequency: Array) -> tuple[tuple[Orders, ...], int, int]:
@@ -215,6 +225,7 @@ def _assembled(
     owned: Index,
     fits: tuple[WindowFit, ...],
     level: Array,
+    tones: ComplexArray,
 ) -> LocalModels:
     """Response at every line from the window that speaks for it, and the noise from what it leaves."""
     response = stitched_response(fits, first, owned)
@@ -229,7 +240,8 @@ def _assembled(
     used = every_line(spectrum.excited)
     noise = noise_components(residual[used], response[used], counts[used], LEAST_DOF)
     nearest = np.clip(np.searchsorted(used, np.arange(len(level))), 0, len(used) - 1)
-    return LocalModels(spectrum, first, owned, fits, response, replace(noise, channels=noise.channels[nearest]), level)
+    noise = replace(noise, channels=noise.channels[nearest])
+    return LocalModels(spectrum, first, owned, fits, response, noise, level, tones)
 
 
 def every_line(chosen: NDArray[np.bool_]) -> Index:
