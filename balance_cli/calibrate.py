@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibrated import Calibration, Hysteresis, TrimCalibration
+from balance_cli.calibration.fit import LoadPoints
+from balance_cli.calibration.whole import GageCalibration, gage_calibration, rows_of
 from balance_cli.channel_health import live_channels
 from balance_cli.components import COMPONENTS
 from balance_cli.errors import UserError
@@ -68,10 +70,14 @@ class _Noise:
     relative: Array
 
 
-def calibrate(runs: Iterable[Run], geometry: Geometry) -> Calibration:
+def calibrate(
+    runs: Iterable[Run], geometry: Geometry, search: bool = True, hold_out: Sequence[Run] = ()
+) -> Calibration:
     """C0 and T0 for each trim, from the static runs among `runs`; runs of one trim are taken together.
 
-    Full range of a component is the largest load applied to it in all these runs.
+    One gage model goes through all trims: the loads alone, or with `search` the terms that the channels have. The
+    static runs of `hold_out` take no part and check it. Full range of a component is the largest load applied to it in
+    all runs.
 
     Raises UserError where there is no static run, a run has no loads, a trim does not load a component that the
     geometry's freedom carries, or the channels that can be used do not determine the loads.
@@ -90,7 +96,47 @@ def calibrate(runs: Iterable[Run], geometry: Geometry) -> Calibration:
         members = tuple(run for run in static if (run.trim or "") == label)
         names, left_out = _usable_channels(members, geometry)
         trims[label] = _calibrate_trim(_Task(label, members, geometry, names, left_out, components, full_range))
-    return Calibration(geometry, trims)
+    return Calibration(geometry, trims, _gage(static, trims, hold_out, search))
+
+
+def _gage(
+    runs: Sequence[Run], trims: dict[str, TrimCalibration], hold_out: Sequence[Run], search: bool
+) -> GageCalibration | None:
+    """One model through all trims; None where their common channels do not serve, or other loads were applied."""
+    first = next(iter(trims.values()))
+    names = tuple(name for name in first.channel_names if all(name in trim.channel_names for trim in trims.values()))
+    if len(names) < len(first.components) or any(_loaded_otherwise(run, first.components) for run in runs):
+        return None
+    each = [rows_of(run, names, first.components) for run in runs]
+    lengths = [len(loads) for _, loads in each]
+    points = LoadPoints(
+        channel_names=names,
+        components=first.components,
+        run_names=tuple(run.name for run in runs),
+        channels=np.vstack([channels for channels, _ in each]),
+        loads=np.vstack([loads for _, loads in each]),
+        run=np.repeat(np.arange(len(runs)), lengths),
+        weight=np.repeat([1.0 / _own_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
+        full_range=first.full_range,
+    )
+    checks = [(run.name, *rows_of(run, names, first.components)) for run in hold_out]
+    return gage_calibration(points, checks, search)
+
+
+def _loaded_otherwise(run: Run, components: tuple[str, ...]) -> bool:
+    """Whether a load was applied that the balance does not carry."""
+    other = [j for j, name in enumerate(COMPONENTS) if name not in components]
+    return bool(np.any(np.ptp(_loads(run)[:, other], axis=0) > 0))
+
+
+def _own_noise(run: Run, names: tuple[str, ...], trim: TrimCalibration) -> float:
+    """Mean variance of a row of this run over that of its trim; 1 where its rows do not tell."""
+    try:
+        own = np.diagonal(static_points(run, names).covariance)
+    except UserError:
+        return 1.0
+    at = [trim.channel_names.index(name) for name in names]
+    return float(np.mean(own / np.diagonal(trim.noise_covariance)[at]))
 
 
 def _calibrate_trim(task: _Task) -> TrimCalibration:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from balance_cli.calibration.whole import GageCalibration
 from balance_cli.components import COMPONENTS
 from balance_cli.geometry import Geometry
 
@@ -98,10 +99,14 @@ class TrimCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Static calibration of a rig: one set of matrices for each trim, by its label."""
+    """Static calibration of a rig: one set of matrices for each trim, by its label, and one `gage` model through all.
+
+    None where the trims have too few channels in common, or loads were applied that the balance does not carry.
+    """
 
     geometry: Geometry
     trims: dict[str, TrimCalibration]
+    gage: GageCalibration | None = None
 
     def nearest(self, mean_load: Mapping[str, float]) -> TrimCalibration:
         """The trim whose mean load is nearest (name -> N or N m), components in units of their full range."""

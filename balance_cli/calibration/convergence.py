@@ -1,0 +1,89 @@
+"""Loads from outputs by iteration, and the proof that it converges.
+
+Outputs r = C1 x + C2 h(x) of loads x in units of full range; with W C1 = 1 the iteration is
+
+    x <- W (r - C2 h(x)).
+
+Over |x_j| <= reach_j the derivative of the right side is at most M = |W C2| max |dh/dx|, element by element, for every
+derivative of a term grows with the loads. M has no negative element: if its spectral radius rho is below 1, the
+iteration contracts with rho in the norm max |x_i| / v_i, v its Perron vector, and x has one solution (Banach). From a
+load within full range the first error is at most |W C2| |h(1)|, and the iteration never leaves the ball about the
+solution that the first error has in that norm: that ball gives the reach for which M must be taken.
+(AIAA R-091A-2020, section 3, iterates so; the proof is ours.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.terms import Term, columns, steepest
+
+Array = NDArray[np.float64]
+
+# Loads beyond full range that are still taken, flagged: the proof covers them.
+MARGIN = 1.1
+ROUNDS = 50
+ITERATIONS = 200
+TOLERANCE = 1e-12
+
+
+@dataclass(frozen=True)
+class Contraction:
+    """`rho`, by which every step shrinks the error at least; `reach` (n,), loads over full range, where that holds.
+
+    Infinite rho where no reach could be found: then nothing is proved.
+    """
+
+    rho: float
+    reach: Array
+
+    @property
+    def proved(self) -> bool:
+        """Whether the iteration converges from every load within MARGIN of full range."""
+        return self.rho < 1.0
+
+
+def contraction(back: Array, terms: Sequence[Term], size: int) -> Contraction:
+    """The proof for `back` = W C2 (n, q), the loads that each of the q curved terms feigns; n is `size`."""
+    if not terms:
+        return Contraction(0.0, np.full(size, MARGIN))
+    feigned = np.abs(back)
+    first = feigned @ np.abs(columns(terms, np.full((1, size), MARGIN)))[0]
+    reach = MARGIN + first
+    for _ in range(ROUNDS):
+        rho, v = _perron(feigned @ steepest(terms, reach))
+        wider = MARGIN + v * np.max(first / v)
+        if np.all(wider <= reach * (1.0 + 1e-9)):
+            return Contraction(rho, reach) if rho < 1.0 else Contraction(float("inf"), reach)
+        if rho >= 1.0:
+            break
+        reach = np.maximum(reach, wider)
+    return Contraction(float("inf"), reach)
+
+
+def _perron(M: Array) -> tuple[float, Array]:
+    """Spectral radius and a positive vector v with M v <= rho v, of a matrix without negative elements."""
+    # A small positive part everywhere makes v positive; it can only make rho larger.
+    positive = M + 1e-9 * max(float(M.max()), 1e-9)
+    values, vectors = np.linalg.eig(positive)
+    k = int(np.argmax(values.real))
+    v = np.abs(vectors[:, k].real)
+    return float(values[k].real), np.asarray(v / v.max())
+
+
+def iterated(straight: Array, back: Array, terms: Sequence[Term]) -> tuple[Array, NDArray[np.bool_]]:
+    """Loads x (m, n) with x = `straight` - back h(x), and which rows (m,) converged; `straight` (m, n) is W r."""
+    x = straight.copy()
+    done = np.zeros(len(x), bool)
+    for _ in range(ITERATIONS):
+        with np.errstate(over="ignore", invalid="ignore"):
+            new = straight - columns(terms, x) @ back.T
+            done = np.max(np.abs(new - x), axis=1, initial=0.0) < TOLERANCE
+        x = new
+        if done.all():
+            break
+    return x, done

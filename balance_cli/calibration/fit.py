@@ -1,0 +1,199 @@
+"""The gage model of a calibration: terms that the loads support, those that each channel has, and what it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.gage_model import GageModel
+from balance_cli.calibration.least_squares import LeastSquares, regression
+from balance_cli.calibration.selection import chosen_terms
+from balance_cli.calibration.sequences import described_sequence, loading_sequences
+from balance_cli.calibration.support import supported
+from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class LoadPoints:
+    """Rows of all runs in the order of loading: channels (m, c) [V] and loads (m, k) [N, N m], which `full_range` (k,)
+
+    makes numbers near one; `run` (m,) counts `run_names`; `weight` (m,) by the noise of the run.
+    """
+
+    channel_names: tuple[str, ...]
+    components: tuple[str, ...]
+    run_names: tuple[str, ...]
+    channels: Array
+    loads: Array
+    run: Index
+    weight: Array
+    full_range: Array
+
+    @property
+    def x(self) -> Array:
+        """Loads (m, k) over full range."""
+        return self.loads / self.full_range
+
+    @property
+    def sequence(self) -> Index:
+        """The loading sequence (m,) of each row."""
+        return loading_sequences(self.x, self.run)
+
+    def without(self, rows: NDArray[np.bool_]) -> LoadPoints:
+        """With the weight of some rows taken away: they keep their place in the order, and say nothing."""
+        return LoadPoints(
+            self.channel_names,
+            self.components,
+            self.run_names,
+            self.channels,
+            self.loads,
+            self.run,
+            np.where(rows, 0.0, self.weight),
+            self.full_range,
+        )
+
+
+@dataclass(frozen=True)
+class GageFit:
+    """The model, and of all rows the residuals (m, c), errors of rows and of sequences that took no part (m, c) [V].
+
+    NaN where a row has no weight, and where the other sequences do not determine a term.
+    """
+
+    model: GageModel
+    residuals: Array
+    press: Array
+    left_out: Array
+
+
+def gage_fit(points: LoadPoints, search: bool = True) -> GageFit:
+    """Fit the terms that `search` finds, or the loads alone. Raises least_squares.Collinear where these are."""
+    used = points.weight > 0
+    x, sequence = points.x[used], points.sequence[used]
+    k = len(points.components)
+    terms, refused = linear_terms(k), {}
+    if search:
+        support = supported(all_terms(k), x, sequence, points.components)
+        terms, refused = support.terms, support.refused
+    X, Y, w = columns(terms, x), points.channels[used], points.weight[used]
+    regression(X[:, :k], Y, sequence, w)
+    chosen = [tuple(range(k))] * Y.shape[1]
+    if search and len(X) > k + len(np.unique(sequence)) + 1:
+        chosen = chosen_terms(X, Y, sequence, sequence, k, w)
+    return _with_terms(points, terms, refused, chosen)
+
+
+def refitted(points: LoadPoints, model: GageModel) -> GageFit:
+    """The terms that a model has, fitted to other points."""
+    chosen = [tuple(np.flatnonzero(np.isfinite(column)).tolist()) for column in model.t.T]
+    return _with_terms(points, model.parsed, {}, chosen)
+
+
+def _with_terms(
+    points: LoadPoints, terms: Sequence[Term], refused: dict[Term, str], chosen: Sequence[tuple[int, ...]]
+) -> GageFit:
+    """Every channel fitted with its chosen ones of these terms."""
+    used = points.weight > 0
+    X, sequence, w = columns(terms, points.x[used]), points.sequence[used], points.weight[used]
+    fits = [regression(X[:, list(one)], points.channels[used][:, [c]], sequence, w) for c, one in enumerate(chosen)]
+    return _gathered(points, used, sequence, terms, refused, chosen, fits, X)
+
+
+def _gathered(
+    points: LoadPoints,
+    used: NDArray[np.bool_],
+    sequence: Index,
+    terms: Sequence[Term],
+    refused: dict[Term, str],
+    chosen: Sequence[tuple[int, ...]],
+    fits: Sequence[LeastSquares],
+    X: Array,
+) -> GageFit:
+    names = points.components
+    kept = sorted(set().union(*chosen))
+    place = {term: i for i, term in enumerate(kept)}
+    p, c = len(kept), len(fits)
+    table = {name: np.full((p, c), np.nan) for name in ("t", "p_value", "variance_inflation")}
+    coefficients, covariance = np.zeros((p, c)), np.zeros((c, p, p))
+    for channel, (one, fit) in enumerate(zip(chosen, fits, strict=True)):
+        at = [place[term] for term in one]
+        coefficients[at, channel] = fit.coefficients[:, 0]
+        covariance[channel][np.ix_(at, at)] = fit.inverse * fit.variance[0]
+        for name, values in (("t", fit.t), ("p_value", fit.p_value)):
+            table[name][at, channel] = values[:, 0]
+        table["variance_inflation"][at, channel] = fit.variance_inflation
+    errors = {
+        "residuals": np.column_stack([fit.residuals[:, 0] for fit in fits]),
+        "press": np.column_stack([fit.press_residuals[:, 0] for fit in fits]),
+        "left_out": np.column_stack([fit.left_out(sequence)[:, 0] for fit in fits]),
+    }
+    w, dof = points.weight[used], np.array([fit.dof for fit in fits], float)
+    residual_covariance = (errors["residuals"].T * w) @ errors["residuals"] / np.sqrt(dof[:, None] * dof)
+    zeros, zero_sigma = _zeros(chosen, fits, X, sequence, w)
+    model = GageModel(
+        channel_names=points.channel_names,
+        components=names,
+        full_range=points.full_range,
+        terms=tuple(terms[i].name(names) for i in kept),
+        coefficients=coefficients,
+        covariance=covariance,
+        **table,
+        residual_covariance=residual_covariance,
+        dof=dof,
+        press=_rms(errors["press"], w),
+        left_out=_rms(errors["left_out"], w),
+        sequences=_described(points),
+        zeros=zeros,
+        zero_sigma=zero_sigma,
+        largest=points.loads[used].max(axis=0),
+        smallest=points.loads[used].min(axis=0),
+        refused={term.name(names): reason for term, reason in refused.items()},
+    )
+    return GageFit(model, **{name: _everywhere(values, used) for name, values in errors.items()})
+
+
+def _zeros(
+    chosen: Sequence[tuple[int, ...]], fits: Sequence[LeastSquares], X: Array, sequence: Index, weight: Array
+) -> tuple[Array, Array]:
+    """Zeros (s, c) of the sequences and their standard errors, those of the coefficients included."""
+    names = np.unique(sequence)
+    means = np.array([np.average(X[sequence == name], axis=0, weights=weight[sequence == name]) for name in names])
+    share = np.array([1.0 / weight[sequence == name].sum() for name in names])
+    zeros = np.column_stack([fit.zeros[:, 0] for fit in fits])
+    variance = [
+        fit.variance[0] * (share + np.einsum("sp,pq,sq->s", means[:, list(one)], fit.inverse, means[:, list(one)]))
+        for one, fit in zip(chosen, fits, strict=True)
+    ]
+    return zeros, np.sqrt(np.column_stack(variance))
+
+
+def _described(points: LoadPoints) -> tuple[str, ...]:
+    """The sequences in words, those without any weight left out."""
+    sequence, found = points.sequence, []
+    for name in np.unique(sequence[points.weight > 0]):
+        rows = np.flatnonzero(sequence == name)
+        run = int(points.run[rows[0]])
+        first = int(np.flatnonzero(points.run == run)[0])
+        of_run = points.x[points.run == run]
+        found.append(described_sequence(rows - first, points.run_names[run], points.components, of_run))
+    return tuple(found)
+
+
+def _rms(errors: Array, weight: Array) -> Array:
+    """Weighted rms (c,) over the rows that have an error."""
+    known = np.isfinite(errors)
+    total = np.sum(np.where(known, weight[:, None], 0.0), axis=0)
+    squares = np.sum(np.where(known, errors, 0.0) ** 2 * weight[:, None], axis=0)
+    return np.asarray(np.sqrt(squares / np.where(total > 0, total, np.nan)))
+
+
+def _everywhere(values: Array, used: NDArray[np.bool_]) -> Array:
+    found = np.full((len(used), values.shape[1]), np.nan)
+    found[used] = values
+    return found

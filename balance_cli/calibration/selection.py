@@ -1,0 +1,171 @@
+"""Which terms a channel has: a search that ends in a hierarchical, well-conditioned model.
+
+The loads themselves are in every model; a term of higher degree is in only with the loads that it is made of. Terms
+come in one by one, the most significant first; after each, every term is once held against all others in its place
+(sequential replacement: Miller, Subset Selection in Regression, 2nd ed., 2002, chapter 3), and what is no longer
+significant goes. The level is shared out over all terms and channels (Bonferroni), so that it is the probability of one
+spurious term in the whole balance. In the end a term must lower the error of loading sequences that took no part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from balance_cli.calibration.least_squares import regression
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+LEVEL = 0.01
+"""Probability of a spurious term anywhere in the balance."""
+LARGEST_INFLATION = 100.0
+"""Variance inflation beyond which a term is not taken in."""
+MOST_ROUNDS = 200
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """Normal equations of one channel, terms scaled, zeros taken out: G (p, p), g (p,), y'y, rows less zeros."""
+
+    G: Array
+    g: Array
+    yy: float
+    free: int
+
+    def residual(self, chosen: Sequence[int]) -> float:
+        """Sum of squares that these terms leave."""
+        at = list(chosen)
+        return float(self.yy - self.g[at] @ np.linalg.solve(self.G[np.ix_(at, at)], self.g[at]))
+
+    def gains(self, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """Of every term beside the chosen ones: the squares it would explain (p,), and its variance inflation (p,)."""
+        at = list(chosen)
+        along = np.linalg.solve(self.G[np.ix_(at, at)], np.column_stack([self.G[at], self.g[at]]))
+        left = np.diag(self.G) - np.sum(self.G[at] * along[:, :-1], axis=0)
+        slope = self.g - self.G[:, at] @ along[:, -1]
+        left[at] = 0.0
+        told = left > 1.0 / (10.0 * LARGEST_INFLATION)
+        inflation = np.where(told, 1.0 / np.where(told, left, 1.0), np.inf)
+        return np.where(told, slope**2 / np.where(told, left, 1.0), 0.0), inflation
+
+
+def chosen_terms(
+    X: Array, Y: Array, block: Index, sequence: Index, straight: int, weight: Array | None = None
+) -> list[tuple[int, ...]]:
+    """Of columns X (m, p), the first `straight` of which are in every model, those that each output of Y (m, c) has.
+
+    `block` (m,) has a zero of its own; `sequence` (m,) is what cross-validation leaves out, whole.
+    """
+    w = np.ones(len(X)) if weight is None else weight
+    Xc, Yc = (_without_zeros(values, block, w) for values in (X, Y))
+    size = np.linalg.norm(Xc, axis=0)
+    Xs = Xc / np.where(size > 0, size, 1.0)
+    G, g = Xs.T @ Xs, Xs.T @ Yc
+    tests = max((X.shape[1] - straight) * Y.shape[1], 1)
+    free = len(X) - len(np.unique(block))
+    found = []
+    for c in range(Y.shape[1]):
+        normal = _Normal(G, g[:, c], float(Yc[:, c] @ Yc[:, c]), free)
+        chosen = _searched(normal, straight, LEVEL / tests)
+        found.append(_validated(chosen, X, Y[:, c], block, sequence, straight, w))
+    return found
+
+
+def _without_zeros(values: Array, block: Index, weight: Array) -> Array:
+    """Weighted rows of values (m, p) less their weighted means in each block."""
+    found = values.copy()
+    for name in np.unique(block):
+        rows = block == name
+        found[rows] -= np.average(found[rows], axis=0, weights=weight[rows])
+    return np.asarray(found * np.sqrt(weight)[:, None])
+
+
+def _searched(normal: _Normal, straight: int, level: float) -> list[int]:
+    """Terms in, replaced and out, until nothing changes."""
+    chosen = list(range(straight))
+    seen = {tuple(chosen)}
+    for _ in range(MOST_ROUNDS):
+        best, p = _best_addition(normal, chosen)
+        if best < 0 or p > level:
+            break
+        chosen = _replaced(normal, [*chosen, best], straight)
+        chosen = _pruned(normal, chosen, straight, level)
+        if tuple(sorted(chosen)) in seen:
+            break
+        seen.add(tuple(sorted(chosen)))
+    return sorted(chosen)
+
+
+def _best_addition(normal: _Normal, chosen: Sequence[int]) -> tuple[int, float]:
+    """The term that explains most, and the probability that chance does; -1 where none may come in."""
+    gains, inflation = normal.gains(chosen)
+    gains = np.where(inflation <= LARGEST_INFLATION, gains, 0.0)
+    best = int(np.argmax(gains))
+    if gains[best] <= 0.0:
+        return -1, 1.0
+    return best, _probability(gains[best], normal.residual([*chosen, best]), normal.free - len(chosen) - 1)
+
+
+def _probability(gain: float, residual: float, dof: int) -> float:
+    return float(stats.f.sf(gain / max(residual / max(dof, 1), np.finfo(float).tiny), 1, max(dof, 1)))
+
+
+def _replaced(normal: _Normal, chosen: list[int], straight: int) -> list[int]:
+    """Every term once held against all others in its place, until none is better."""
+    for _ in range(MOST_ROUNDS):
+        residual = normal.residual(chosen)
+        best, swap = residual * (1.0 - 1e-9), None
+        for k in chosen:
+            if k < straight:
+                continue
+            others = [one for one in chosen if one != k]
+            gains, inflation = normal.gains(others)
+            gains = np.where(inflation <= LARGEST_INFLATION, gains, 0.0)
+            new = int(np.argmax(gains))
+            left = normal.residual(others) - gains[new]
+            if new != k and left < best:
+                best, swap = left, [*others, new]
+        if swap is None:
+            return chosen
+        chosen = swap
+    return chosen
+
+
+def _pruned(normal: _Normal, chosen: list[int], straight: int, level: float) -> list[int]:
+    """Without the terms that are not significant, the least first."""
+    while True:
+        residual, dof = normal.residual(chosen), normal.free - len(chosen)
+        lost = {k: normal.residual([one for one in chosen if one != k]) - residual for k in chosen if k >= straight}
+        least = min(lost, key=lambda k: lost[k], default=None)
+        if least is None or _probability(lost[least], residual, dof) <= level:
+            return chosen
+        chosen = [one for one in chosen if one != least]
+
+
+def _validated(
+    chosen: list[int], X: Array, y: Array, block: Index, sequence: Index, straight: int, weight: Array
+) -> tuple[int, ...]:
+    """Without the terms that do not help to predict sequences that took no part, the worst first."""
+    while len(chosen) > straight:
+        error = _left_out_error(chosen, X, y, block, sequence, weight)
+        less = {
+            k: _left_out_error([one for one in chosen if one != k], X, y, block, sequence, weight)
+            for k in chosen
+            if k >= straight
+        }
+        worst = min(less, key=lambda k: less[k])
+        # A term that one sequence alone determines cannot be told without it, and stays.
+        if not (np.isfinite(less[worst]) and np.isfinite(error)) or less[worst] >= error:
+            break
+        chosen = [one for one in chosen if one != worst]
+    return tuple(chosen)
+
+
+def _left_out_error(chosen: Sequence[int], X: Array, y: Array, block: Index, sequence: Index, weight: Array) -> float:
+    errors = regression(X[:, list(chosen)], y[:, None], block, weight).left_out(sequence)[:, 0]
+    return float(weight @ errors**2)

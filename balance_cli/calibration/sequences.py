@@ -1,0 +1,56 @@
+"""Loading sequences: stretches of rows in which the same loads are moved, one after another.
+
+Every sequence has a zero of its own: between them weights are taken off and pans hung elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+# Of a load's full range: what counts as a movement.
+MOVED = 0.01
+# Rows that make a sequence; a shorter stretch belongs to the one before it.
+FEWEST = 3
+
+
+def loading_sequences(x: Array, run: Index) -> Index:
+    """The sequence (m,) of each row of loads x (m, n), in units of full range; runs (m,) are never one sequence.
+
+    A sequence ends where other loads begin to move than those that moved in it.
+    """
+    found = np.zeros(len(x), dtype=np.intp)
+    number = -1
+    for name in dict.fromkeys(run.tolist()):
+        rows = np.flatnonzero(run == name)
+        starts = _starts(np.abs(np.diff(x[rows], axis=0)) > MOVED)
+        found[rows] = number + 1 + np.searchsorted(starts, np.arange(len(rows)), side="right") - 1
+        number = int(found[rows[-1]])
+    return found
+
+
+def _starts(moved: NDArray[np.bool_]) -> list[int]:
+    """Rows at which sequences start, from what (m-1, n) moved between each row and the next."""
+    starts, known = [0], np.zeros(moved.shape[1], bool)
+    for row, now in enumerate(moved):
+        if not np.any(now & ~known):
+            continue
+        # The row from which the new load moves on is the end of one sequence; the first moved row starts the next.
+        if np.any(known) and row + 1 - starts[-1] >= FEWEST:
+            starts.append(row + 1)
+            known = now.copy()
+        else:
+            known |= now
+    return starts
+
+
+def described_sequence(rows: Index, run: str, loads: Sequence[str], x: Array) -> str:
+    """In words: `static-bare rows 21 to 40 (Fy)`, from rows (counted in the run) and loads x of the whole run."""
+    moved = np.ptp(x[rows], axis=0) > MOVED
+    names = ", ".join(name for name, is_moved in zip(loads, moved, strict=True) if is_moved) or "nothing moved"
+    return f"{run} rows {rows[0] + 1} to {rows[-1] + 1} ({names})"

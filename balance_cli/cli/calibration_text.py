@@ -1,0 +1,124 @@
+"""What `calibrate` says of the gage model, as text and in the JSON summary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from balance_cli.calibration.suspects import BadSequence
+    from balance_cli.calibration.whole import CheckedLoads, GageCalibration
+
+
+def gage_summary(gage: GageCalibration) -> dict[str, Any]:
+    """For the JSON summary."""
+    model, channels = gage.model, gage.model.channel_names
+    proof = model.contraction()
+    return {
+        "terms": {name: _curved(gage, c) for c, name in enumerate(channels)},
+        "linear": {name: dict(zip(model.components, model.coefficients[:, c], strict=False)) for c, name in _of(gage)},
+        "full_range": dict(zip(model.components, model.full_range, strict=True)),
+        "terms_refused": model.refused,
+        "residual": dict(zip(channels, np.sqrt(np.diag(model.residual_covariance)), strict=True)),
+        "press": dict(zip(channels, model.press, strict=True)),
+        "left_out_sequences": dict(zip(channels, model.left_out, strict=True)),
+        "iteration": {
+            "contraction": proof.rho if proof.proved else None,
+            "proved": proof.proved,
+            "reach": dict(zip(model.components, proof.reach, strict=True)),
+        },
+        "zeros": {
+            "sequences": model.sequences,
+            "drift_per_sequence": _with_sigma(channels, gage.drift.slope, gage.drift.slope_sigma),
+            "scatter_chi2_per_dof": dict(zip(channels, gage.drift.scatter, strict=True)),
+        },
+        "outliers": [vars(one) for one in gage.outliers],
+        "bad_sequences": [vars(one) for one in gage.bad_sequences],
+        "checks": {check.run: _check(check, model.components, model.full_range) for check in gage.checks},
+    }
+
+
+def _of(gage: GageCalibration) -> Iterator[tuple[int, str]]:
+    return enumerate(gage.model.channel_names)
+
+
+def _curved(gage: GageCalibration, channel: int) -> dict[str, Mapping[str, float]]:
+    """Every term of a channel that is not a load itself, with what is known of it."""
+    model = gage.model
+    sigma = np.sqrt(np.diag(model.covariance[channel]))
+    columns = {
+        "value": model.coefficients[:, channel],
+        "sigma": sigma,
+        "t": model.t[:, channel],
+        "p": model.p_value[:, channel],
+        "variance_inflation": model.variance_inflation[:, channel],
+    }
+    return {
+        name: {what: float(values[i]) for what, values in columns.items()}
+        for i, name in enumerate(model.terms)
+        if i >= len(model.components) and np.isfinite(model.t[i, channel])
+    }
+
+
+def _with_sigma(names: tuple[str, ...], value: Any, sigma: Any) -> dict[str, dict[str, float]]:
+    return {name: {"value": value[i], "sigma": sigma[i]} for i, name in enumerate(names)}
+
+
+def _check(check: CheckedLoads, components: tuple[str, ...], full_range: Any) -> dict[str, Any]:
+    return {
+        "rows": len(check.applied),
+        "solved": int(np.count_nonzero(check.solved)),
+        "error_percent_fs": dict(zip(components, 100.0 * check.error / full_range, strict=True)),
+        "within_interval": dict(zip(components, check.hits, strict=True)),
+    }
+
+
+def gage_warnings(gage: GageCalibration) -> Iterator[str]:
+    """What took no part in the fit, and what the iteration cannot promise."""
+    for one in gage.bad_sequences:
+        yield _bad_sequence(one)
+    for row in gage.outliers:
+        yield (
+            f"run {row.run} row {row.row}: {row.channel} is {1e6 * row.error:.3g} uV away from what all others say "
+            f"({row.over_sigma:.1f} sigma); the row took no part"
+        )
+    if not gage.model.contraction().proved:
+        yield "the iteration for loads is not proved to converge over the range of the calibration; reduce refuses it"
+
+
+def _bad_sequence(one: BadSequence) -> str:
+    like = f", as {one.like} should" if one.like else ""
+    other = f"; or it is {' or '.join(one.or_else)} that is wrong" if one.or_else else ""
+    return (
+        f"{one.sequence}: {one.channel} changes {one.gain:.4f} +- {one.gain_sigma:.4f} times as much as the other "
+        f"sequences say{like}; the sequence took no part{other}"
+    )
+
+
+def gage_text(gage: GageCalibration) -> Iterator[str]:
+    """For the terminal."""
+    model = gage.model
+    proof = model.contraction()
+    yield f"All trims, {len(gage.loads)} rows in {len(model.sequences)} loading sequences, each with its own zero"
+    for channel, name in _of(gage):
+        terms = _curved(gage, channel)
+        said = ", ".join(f"{term} (t {of['t']:.1f})" for term, of in terms.items()) or "the loads alone"
+        yield f"  {name:12s} {said}"
+    if proof.proved and model.curved:
+        yield f"  loads by iteration: every step shrinks the error at least {1 / max(proof.rho, 1e-12):.0f} times"
+    if model.refused:
+        yield f"  {len(model.refused)} terms that these loads do not support, {_first(model.refused)}"
+    for check in gage.checks:
+        outside = len(check.solved) - int(np.count_nonzero(check.solved))
+        left = f"; {outside} of {len(check.solved)} rows outside the calibrated loads are left out" if outside else ""
+        yield f"  {check.run}: rms error % FS, and loads within their 95 % interval{left}"
+        for j, component in enumerate(model.components):
+            error, share = 100.0 * check.error[j] / model.full_range[j], 100.0 * check.hits[j]
+            yield f"    {component:4s} {error:9.4f} {share:6.1f} %"
+
+
+def _first(refused: Mapping[str, str]) -> str:
+    name, reason = next(iter(refused.items()))
+    return f"as {name}: {reason}"
