@@ -1,4 +1,4 @@
-"""The static calibration: C0, residuals, hysteresis and condition, trim by trim."""
+"""The static calibration: C0, residuals, hysteresis and condition, trim by trim; the gage model through all trims."""
 
 from __future__ import annotations
 
@@ -10,19 +10,22 @@ from numpy.typing import NDArray
 from balance_cli.calibrated import Calibration, TrimCalibration
 from balance_cli.components import UNIT_OF
 from balance_cli.report.blocks import Block, Cell, Details, Row, Section, Table, Text, Warn, named_row
-from balance_cli.report.numbers import significant, with_sigma
+from balance_cli.report.gage_model import gage_blocks
+from balance_cli.report.numbers import SIGNIFICANT, significant, with_sigma
 from balance_cli.report.sources import Source, Sources
 
 Array = NDArray[np.float64]
 
 LARGEST_LACK_OF_FIT = 1.5
 """Above this a straight line is plainly not all there is."""
-SIGNIFICANT = 3.0
 
 
 def section(sources: Sources) -> Section | None:
     """All calibrations, one after the other; None where there is none."""
-    blocks = [block for source in sources.calibrations for block in _calibration(source, len(sources.calibrations) > 1)]
+    named, blocks = len(sources.calibrations) > 1, list[Block]()
+    for i, source in enumerate(sources.calibrations):
+        blocks += _calibration(source, named)
+        blocks += gage_blocks(source, f"-{i + 1}" if i else "")
     return Section("calibration", "Static calibration", tuple(blocks)) if blocks else None
 
 

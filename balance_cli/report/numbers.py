@@ -7,6 +7,8 @@ import math
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"
 MOST_DIGITS = 8
+SIGNIFICANT = 3.0
+"""Standard errors beyond which a number is marked."""
 SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e5
 
 

@@ -1,0 +1,147 @@
+"""The gage model of a calibration on the page: what it is, what is wrong in it, its tables and its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from balance_cli.calibrated import Calibration
+from balance_cli.calibration.convergence import Contraction
+from balance_cli.calibration.selection import LEVEL
+from balance_cli.calibration.suspects import BadSequence, Outlier
+from balance_cli.calibration.whole import GageCalibration
+from balance_cli.components import UNIT_OF
+from balance_cli.report.blocks import Block, Details, Heading, Picture, Text, Warn
+from balance_cli.report.diagnosis_tables import PLUS_MINUS
+from balance_cli.report.drawing import svg
+from balance_cli.report.gage_figures import load_figure, order_figure
+from balance_cli.report.gage_rows import channel_ranges, stretches
+from balance_cli.report.gage_tables import (
+    MICROVOLT,
+    channel_table,
+    check_table,
+    curved_terms,
+    refused_table,
+    term_table,
+)
+from balance_cli.report.numbers import listed, significant, with_sigma
+from balance_cli.report.sources import Source
+
+NO_MODEL = (
+    "There is no model through all trims: their channels in common do not serve, or loads were applied that the "
+    "balance does not carry."
+)
+
+
+def gage_blocks(source: Source[Calibration], ending: str) -> Iterator[Block]:
+    """Everything of one calibration's gage model; `ending` makes the names of its pictures unique."""
+    gage = source.content.gage
+    yield Heading("One model through all trims")
+    if gage is None:
+        yield Text(NO_MODEL)
+        return
+    proof = gage.model.contraction()
+    yield Text(_what_it_is(gage, source.artefact.provenance.options.get("terms") != "linear"))
+    yield from _warnings(gage, proof)
+    if proof.proved:
+        yield Text(_loads_back(gage, proof))
+    yield channel_table(gage, channel_ranges(source.content, gage))
+    if gage.model.curved:
+        yield term_table(gage)
+    if gage.checks:
+        yield check_table(gage)
+    yield from _pictures(source.content, gage, ending)
+    if gage.model.refused:
+        words = f"{len(gage.model.refused)} terms that these loads do not support"
+        yield Details(words, (refused_table(gage),))
+
+
+def _what_it_is(gage: GageCalibration, search: bool) -> str:
+    rows, used = len(gage.loads), int(np.count_nonzero(np.isfinite(gage.residuals).any(axis=1)))
+    count = len(gage.model.sequences)
+    taken = f"{rows} rows" if used == rows else f"{used} of {rows} rows"
+    return (
+        f"All channels through all trims, {taken} of {listed(gage.runs)} in {count} loading "
+        f"sequence{'' if count == 1 else 's'}, each with a zero of its own. {_chosen_by(gage) if search else LINEAR}"
+    )
+
+
+LINEAR = "Every channel has the loads alone; no other terms were sought."
+
+
+def _chosen_by(gage: GageCalibration) -> str:
+    names = gage.model.channel_names
+    curved = [name for c, name in enumerate(names) if curved_terms(gage, c)]
+    having = f"{listed(curved)} {'have' if len(curved) > 1 else 'has'} some" if curved else "no channel has any"
+    return (
+        "Beside the loads themselves a channel has the terms that are significant (probability of a spurious one in "
+        f"the whole balance {LEVEL:g}) and that help to predict loading sequences that took no part: {having}."
+    )
+
+
+def _loads_back(gage: GageCalibration, proof: Contraction) -> str:
+    """Between which loads it was calibrated, and beyond which it is refused."""
+    model = gage.model
+    limits = zip(model.components, model.smallest, model.largest, strict=True)
+    calibrated = ", ".join(
+        f"{name} {significant(float(low))} to {significant(float(high))} {UNIT_OF[name]}" for name, low, high in limits
+    )
+    reach = zip(model.components, proof.reach * model.full_range, strict=True)
+    refused = ", ".join(f"{name} {PLUS_MINUS}{significant(float(size))} {UNIT_OF[name]}" for name, size in reach)
+    shrinks = "Loads are found by iteration; every step shrinks the error at least "
+    steps = f"{shrinks}{significant(1.0 / max(proof.rho, 1e-12), 2)} times. " if model.curved else ""
+    return f"{steps}Calibrated: {calibrated}. Loads beyond {refused} are refused."
+
+
+def _warnings(gage: GageCalibration, proof: Contraction) -> Iterator[Block]:
+    for one in gage.bad_sequences:
+        yield Warn(_bad_sequence(one))
+    for row in gage.outliers:
+        yield Warn(_outlier(row))
+    if not proof.proved:
+        yield Warn(
+            "The iteration from readings to loads is not proved to converge over the range of the calibration: no "
+            "loads are found with this model."
+        )
+
+
+def _bad_sequence(one: BadSequence) -> str:
+    gain = f" {PLUS_MINUS} ".join(with_sigma(one.gain, one.gain_sigma))
+    like = f", as {one.like} should" if one.like else ""
+    other = f" Or it is {' or '.join(one.or_else)} that is wrong." if one.or_else else ""
+    return (
+        f"{one.sequence}: {one.channel} changes {gain} times as much as the other sequences say{like}. The sequence "
+        f"took no part.{other}"
+    )
+
+
+def _outlier(one: Outlier) -> str:
+    size, way = significant(abs(1e6 * one.error)), "above" if one.error > 0 else "below"
+    return (
+        f"{one.run} row {one.row}: {one.channel} is {size} {MICROVOLT} {way} what all other rows say "
+        f"({significant(abs(one.over_sigma))} standard deviations). The row took no part."
+    )
+
+
+def _pictures(calibration: Calibration, gage: GageCalibration, ending: str) -> Iterator[Block]:
+    known, ranges = stretches(gage), channel_ranges(calibration, gage)
+    lost = " Hatched: took no part." if not all(one.used for one in known) else ""
+    found = " Triangles: rows that took no part." if gage.outliers else ""
+    yield _picture(
+        f"gage-order{ending}",
+        "Residual of each channel in the order of loading; the bands are the loading sequences, named by the loads "
+        f"that moved. Dashed: two standard deviations.{lost}{found}",
+        lambda: order_figure(gage, known, ranges),
+    )
+    yield _picture(
+        f"gage-load{ending}",
+        "Residual of each channel against the applied load in % of its full range, every row at each load that moved "
+        f"in its sequence. Lines: what is left of a component beyond chance, as a cubic.{found}",
+        lambda: load_figure(gage, known, ranges),
+    )
+
+
+def _picture(name: str, caption: str, draw: Callable[[], Figure]) -> Picture:
+    return Picture(name, caption, svg(name, caption.split(".", maxsplit=1)[0], draw))
