@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibrated import Calibration, TrimCalibration
 from balance_cli.components import UNIT_OF
-from balance_cli.report.blocks import Block, Cell, Details, Row, Section, Table, Text, Warn, named_row
+from balance_cli.report.blocks import Block, Cell, Details, Heading, Row, Section, Table, Text, Warn, named_row
 from balance_cli.report.gage_model import gage_blocks
 from balance_cli.report.numbers import SIGNIFICANT, significant, with_sigma
 from balance_cli.report.sources import Source, Sources
@@ -25,16 +25,17 @@ def section(sources: Sources) -> Section | None:
     named, blocks = len(sources.calibrations) > 1, list[Block]()
     for i, source in enumerate(sources.calibrations):
         blocks += _calibration(source, named)
-        blocks += gage_blocks(source, f"-{i + 1}" if i else "")
+        blocks += gage_blocks(source, named, f"-{i + 1}" if i else "")
     return Section("calibration", "Static calibration", tuple(blocks)) if blocks else None
 
 
 def _calibration(source: Source[Calibration], named: bool) -> Iterator[Block]:
     trims = source.content.trims
-    prefix = f"{source.file}: " if named else ""
     rows = sum(trim.rows for trim in trims.values())
+    if named:
+        yield Heading(source.file)
     yield Text(
-        f"{prefix}{len(trims)} trim{'s' if len(trims) > 1 else ''}, {rows} load points, straight lines through each "
+        f"{len(trims)} trim{'s' if len(trims) > 1 else ''}, {rows} load points, straight lines through each "
         "trim by itself. Residual: standard deviation of back-calculated less applied loads."
     )
     for trim in trims.values():

@@ -26,15 +26,15 @@ COLUMNS = {"order": 2, "load": 4}
 HEIGHT = {"order": 1.3, "load": 2.2}
 GAPS = {"order": (0.14, 0.34), "load": (0.2, 0.2)}
 """Columns of panels, height of a line of them [inch], and gaps between them."""
-LEGEND_INCHES = 0.75
-COMPONENT_LOOKS = (
-    Look(BLUE, (), "o"),
-    Look(ORANGE, (), "s"),
-    Look(GREEN, (), "D"),
-    Look(VERMILION, (), "^"),
-    Look(PURPLE, (), "v"),
-    Look(SKY, (), "P"),
-)
+PAGE_INCHES, LEGEND_INCHES = 12.0, 0.75
+COMPONENT_LOOKS = {
+    "Fx": Look(BLUE, (), "o"),
+    "Fy": Look(ORANGE, (), "s"),
+    "Fz": Look(GREEN, (), "D"),
+    "Mx": Look(VERMILION, (), "^"),
+    "My": Look(PURPLE, (), "v"),
+    "Mz": Look(SKY, (), "P"),
+}
 BAND, HATCH = "#f0f2f4", "#e3b79b"
 ROOM = 1.15
 """Limit of an axis over the largest residual."""
@@ -77,16 +77,15 @@ def order_figure(gage: GageCalibration, known: Sequence[Stretch], ranges: Array)
 def load_figure(gage: GageCalibration, known: Sequence[Stretch], ranges: Array) -> Figure:
     """One panel a channel: residual [uV] against the loads that moved, % of full range, one colour a component."""
     figure, panels, last = _panels(len(gage.model.channel_names), "load")
-    x = moved_loads(gage, known)
+    x, looks = moved_loads(gage, known), [COMPONENT_LOOKS[name] for name in gage.model.components]
     for c, axes in enumerate(panels):
         _title(axes, gage, c, ranges)
         axes.axhline(0.0, color=BLACK, linewidth=0.6, zorder=1)
-        for j, look in enumerate(COMPONENT_LOOKS[: x.shape[1]]):
+        for j, look in enumerate(looks):
             _cloud(axes, x[:, j], 1e6 * gage.residuals[:, c], look, _many(gage))
         _outliers(axes, gage, c, 100 * x)
     for axes in last:
         axes.set_xlabel("load [% of full range]")
-    looks = COMPONENT_LOOKS[: x.shape[1]]
     handles: list[Artist] = [Line2D([], [], marker=look.marker, markersize=4, **look.line) for look in looks]
     _legend(figure, handles, list(gage.model.components))
     return figure
@@ -128,7 +127,7 @@ def _panels(count: int, kind: str) -> tuple[Figure, list[Axes], list[Axes]]:
     columns = min(COLUMNS[kind], count)
     lines = -(-count // columns)
     total = HEIGHT[kind] * lines + LEGEND_INCHES + 0.25
-    figure = new_figure(12.0, total)
+    figure = new_figure(PAGE_INCHES, total)
     panels = figure.subplots(lines, columns, squeeze=False, sharex=True).ravel().tolist()
     for axes in panels[count:]:
         axes.set_axis_off()
@@ -151,7 +150,7 @@ def _title(axes: Axes, gage: GageCalibration, c: int, ranges: Array) -> None:
     """Name and standard deviation, and the axis of the residuals."""
     s = float(deviation(gage)[c])
     small = f"s {significant(1e6 * s)} \N{MICRO SIGN}V, {percent(s / ranges[c])} % of range"
-    axes.set_title(gage.model.channel_names[c])
+    axes.set_title(gage.model.channel_names[c], loc="left")
     axes.set_title(small, loc="right", fontsize=7.5, fontweight="normal", color="#555555")
     largest = float(np.nanmax(np.abs(gage.residuals[:, c]), initial=2.0 * s))
     axes.set_ylim(-1e6 * ROOM * largest, 1e6 * ROOM * largest)
@@ -184,17 +183,17 @@ def _outliers(axes: Axes, gage: GageCalibration, c: int, x: Array) -> None:
 
 def _order_axis(axes: Axes, gage: GageCalibration, known: Sequence[Stretch]) -> None:
     """Sequences by the loads that moved, runs below them; load points where the names have no room."""
-    inches = 12.0 * 0.45 if COLUMNS["order"] > 1 else 11.0
+    letters = LETTERS_PER_INCH * PAGE_INCHES * float(axes.get_position().width) / len(gage.loads)
     names = [" ".join(gage.model.components[j] for j in one.moved) for one in known]
-    share = [(one.ends[1] - one.ends[0]) / len(gage.loads) for one in known]
-    if any(len(name) > LETTERS_PER_INCH * inches * part for name, part in zip(names, share, strict=True)):
+    if any(len(name) + 1 > letters * len(one.rows) for name, one in zip(names, known, strict=True)):
         axes.set_xlabel("load point, in the order of loading")
         return
     axes.set_xticks([float(np.mean(one.ends)) for one in known], names)
     axes.tick_params(axis="x", length=0)
     for n, name in enumerate(gage.runs):
-        middle = float(np.mean(np.flatnonzero(gage.run == n))) + 1.0
-        axes.annotate(name, (middle, 0.0), (0, -22), **BELOW)
+        rows = np.flatnonzero(gage.run == n)
+        if len(name) + 1 <= letters * len(rows):
+            axes.annotate(name, (float(np.mean(rows)) + 1.0, 0.0), (0, -22), **BELOW)
 
 
 def _order_legend(gage: GageCalibration, known: Sequence[Stretch]) -> tuple[list[Artist], list[str]]:

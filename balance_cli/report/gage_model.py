@@ -35,10 +35,10 @@ NO_MODEL = (
 )
 
 
-def gage_blocks(source: Source[Calibration], ending: str) -> Iterator[Block]:
+def gage_blocks(source: Source[Calibration], named: bool, ending: str) -> Iterator[Block]:
     """Everything of one calibration's gage model; `ending` makes the names of its pictures unique."""
     gage = source.content.gage
-    yield Heading("One model through all trims")
+    yield Heading(f"{source.file}: one model through all trims" if named else "One model through all trims")
     if gage is None:
         yield Text(NO_MODEL)
         return
@@ -60,12 +60,11 @@ def gage_blocks(source: Source[Calibration], ending: str) -> Iterator[Block]:
 
 def _what_it_is(gage: GageCalibration, search: bool) -> str:
     rows, used = len(gage.loads), int(np.count_nonzero(np.isfinite(gage.residuals).any(axis=1)))
-    count = len(gage.model.sequences)
     taken = f"{rows} rows" if used == rows else f"{used} of {rows} rows"
-    return (
-        f"All channels through all trims, {taken} of {listed(gage.runs)} in {count} loading "
-        f"sequence{'' if count == 1 else 's'}, each with a zero of its own. {_chosen_by(gage) if search else LINEAR}"
-    )
+    count = len(gage.model.sequences)
+    each = f"{count} loading sequences, each with a zero of its own" if count > 1 else "one loading sequence"
+    chosen = _chosen_by(gage) if search else LINEAR
+    return f"All channels through all trims, {taken} of {listed(gage.runs)} in {each}. {chosen}"
 
 
 LINEAR = "Every channel has the loads alone; no other terms were sought."
@@ -138,7 +137,7 @@ def _pictures(calibration: Calibration, gage: GageCalibration, ending: str) -> I
     yield _picture(
         f"gage-load{ending}",
         "Residual of each channel against the applied load in % of its full range, every row at each load that moved "
-        f"in its sequence. Lines: what is left of a component beyond chance, as a cubic.{found}",
+        f"in its sequence. A line, cubic, where more is left of a component than chance leaves.{found}",
         lambda: load_figure(gage, known, ranges),
     )
 

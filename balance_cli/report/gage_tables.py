@@ -46,8 +46,8 @@ def channel_table(gage: GageCalibration, ranges: Array) -> Table:
     caption = (
         "Residual: standard deviation. Row, sequence left out: rms error where all other rows (PRESS), or all other "
         "sequences, predict it. Small: % of the channel's full range. Drift: straight line through the zeros of the "
-        "sequences; scatter about it: chi-square per degree of freedom, 1 where the standard errors of the zeros say "
-        "it all. Marked: beyond three standard errors, or as rare."
+        "sequences; scatter about it: chi-square per degree of freedom, 1 or less where the standard errors of the "
+        "zeros say it all. Marked: beyond three standard errors, or as rare."
     )
     rows = tuple(_channel_row(gage, c, float(full)) for c, full in enumerate(ranges))
     return Table(caption, (head,), rows)
@@ -66,6 +66,8 @@ def _channel_row(gage: GageCalibration, c: int, full_range: float) -> Row:
 
 
 def _error_cell(value: float, full_range: float) -> Cell:
+    if not np.isfinite(value):
+        return Cell(NONE)
     return Cell(significant(1e6 * value), f"{percent(value / full_range)} %")
 
 
