@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibrated import Calibration, Hysteresis, TrimCalibration
 from balance_cli.calibration.fit import LoadPoints
+from balance_cli.calibration.least_squares import CollinearError
 from balance_cli.calibration.whole import GageCalibration, gage_calibration, rows_of
 from balance_cli.channel_health import live_channels
 from balance_cli.components import COMPONENTS
@@ -102,7 +103,11 @@ def calibrate(
 def _gage(
     runs: Sequence[Run], trims: dict[str, TrimCalibration], hold_out: Sequence[Run], search: bool
 ) -> GageCalibration | None:
-    """One model through all trims; None where their common channels do not serve, or other loads were applied."""
+    """One model through all trims.
+
+    None where their common channels do not serve, other loads were applied, or no load by itself within a sequence.
+    UserError for a hold-out run without some of the channels.
+    """
     first = next(iter(trims.values()))
     names = tuple(name for name in first.channel_names if all(name in trim.channel_names for trim in trims.values()))
     if len(names) < len(first.components) or any(_loaded_otherwise(run, first.components) for run in runs):
@@ -119,8 +124,21 @@ def _gage(
         weight=np.repeat([1.0 / _own_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
         full_range=first.full_range,
     )
+    for run in hold_out:
+        _check_channels(run, names)
     checks = [(run.name, *rows_of(run, names, first.components)) for run in hold_out]
-    return gage_calibration(points, checks, search)
+    try:
+        return gage_calibration(points, checks, search)
+    except CollinearError:
+        return None
+
+
+def _check_channels(run: Run, names: tuple[str, ...]) -> None:
+    """UserError for a hold-out run that lacks a channel of the calibration."""
+    lost = [name for name in names if name not in run.channel_names]
+    if lost:
+        fault = f"the hold-out run has no channel {', '.join(lost)}"
+        raise UserError(fault, _place(run), "channels", "Hold out a run with all channels of the calibration")
 
 
 def _loaded_otherwise(run: Run, components: tuple[str, ...]) -> bool:

@@ -63,17 +63,19 @@ class LoadPoints:
 class GageFit:
     """The model, and of all rows the residuals (m, c), errors of rows and of sequences that took no part (m, c) [V].
 
-    NaN where a row has no weight, and where the other sequences do not determine a term.
+    NaN where a row has no weight, and where the other sequences do not determine a term. `zero_covariance` (c, s, s):
+    that of each channel's zeros, which share the errors of the coefficients.
     """
 
     model: GageModel
     residuals: Array
     press: Array
     left_out: Array
+    zero_covariance: Array
 
 
 def gage_fit(points: LoadPoints, search: bool = True) -> GageFit:
-    """Fit the terms that `search` finds, or the loads alone. Raises least_squares.Collinear where these are."""
+    """Fit the terms that `search` finds, or the loads alone. Raises least_squares.CollinearError where these are."""
     used = points.weight > 0
     x, sequence = points.x[used], points.sequence[used]
     k = len(points.components)
@@ -135,7 +137,7 @@ def _gathered(
     }
     w, dof = points.weight[used], np.array([fit.dof for fit in fits], float)
     residual_covariance = (errors["residuals"].T * w) @ errors["residuals"] / np.sqrt(dof[:, None] * dof)
-    zeros, zero_sigma = _zeros(chosen, fits, X, sequence, w)
+    zeros, zero_covariance = _zeros(chosen, fits, X, sequence, w)
     model = GageModel(
         channel_names=points.channel_names,
         components=names,
@@ -150,27 +152,31 @@ def _gathered(
         left_out=_rms(errors["left_out"], w),
         sequences=_described(points),
         zeros=zeros,
-        zero_sigma=zero_sigma,
+        zero_sigma=np.sqrt(np.diagonal(zero_covariance, axis1=1, axis2=2)).T,
         largest=points.loads[used].max(axis=0),
         smallest=points.loads[used].min(axis=0),
         refused={term.name(names): reason for term, reason in refused.items()},
     )
-    return GageFit(model, **{name: _everywhere(values, used) for name, values in errors.items()})
+    everywhere = {name: _everywhere(values, used) for name, values in errors.items()}
+    return GageFit(model, **everywhere, zero_covariance=zero_covariance)
 
 
 def _zeros(
     chosen: Sequence[tuple[int, ...]], fits: Sequence[LeastSquares], X: Array, sequence: Index, weight: Array
 ) -> tuple[Array, Array]:
-    """Zeros (s, c) of the sequences and their standard errors, those of the coefficients included."""
+    """Zeros (s, c) of the sequences, and the covariance (c, s, s) of each channel's.
+
+    With M (s, p) the means of the terms: s^2 (diag(1/n) + M (R'R)^-1 M').
+    """
     names = np.unique(sequence)
-    means = np.array([np.average(X[sequence == name], axis=0, weights=weight[sequence == name]) for name in names])
-    share = np.array([1.0 / weight[sequence == name].sum() for name in names])
+    M = np.array([np.average(X[sequence == name], axis=0, weights=weight[sequence == name]) for name in names])
+    share = np.diag([1.0 / weight[sequence == name].sum() for name in names])
     zeros = np.column_stack([fit.zeros[:, 0] for fit in fits])
-    variance = [
-        fit.variance[0] * (share + np.einsum("sp,pq,sq->s", means[:, list(one)], fit.inverse, means[:, list(one)]))
+    covariance = [
+        fit.variance[0] * (share + M[:, list(one)] @ fit.inverse @ M[:, list(one)].T)
         for one, fit in zip(chosen, fits, strict=True)
     ]
-    return zeros, np.sqrt(np.column_stack(variance))
+    return zeros, np.stack(covariance)
 
 
 def _described(points: LoadPoints) -> tuple[str, ...]:

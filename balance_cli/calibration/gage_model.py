@@ -94,7 +94,8 @@ class GageModel:
     ) -> Array:
         """Covariance (m, k, k) of loads (m, k) found from readings of covariance (c, c), by default that of a row.
 
-        With the tangent J = dr/dx at the loads and W = (J'S^-1 J)^-1 J'S^-1: W (S + x' cov(b) x) W'.
+        With the tangent J = dr/dx at the loads and W = (J'S^-1 J)^-1 J'S^-1: W (S + x' cov(b) x) W'. Coefficients of
+        two channels are as alike as their residuals: their terms come from the same rows.
         """
         at = np.arange(len(self.channel_names)) if rows is None else rows
         x = np.atleast_2d(np.asarray(loads, float)) / self.full_range
@@ -103,7 +104,8 @@ class GageModel:
         X, J = columns(self.parsed, x), np.einsum("mpk,pc->mck", slopes(self.parsed, x), self.coefficients[:, at])
         of_model = np.einsum("mp,cpq,mq->mc", X, self.covariance[at], X, optimize=True)
         W = np.stack([weighted_inverse(one, S) for one in J])
-        whole = noise + of_model[:, :, None] * np.eye(len(at))
+        size, spread = np.sqrt(np.diag(S)), np.sqrt(np.maximum(of_model, 0.0))
+        whole = noise + spread[:, :, None] * (S / (size[:, None] * size)) * spread[:, None, :]
         covariance = W @ whole @ W.swapaxes(1, 2)
         return np.asarray(covariance * self.full_range[:, None] * self.full_range)
 

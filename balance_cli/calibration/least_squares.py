@@ -113,7 +113,7 @@ class LeastSquares:
         return errors
 
 
-class Collinear(Exception):
+class CollinearError(Exception):
     """Columns of the regression that say the same; `share` (p,) says how much of each is in it."""
 
     def __init__(self, share: Array) -> None:
@@ -124,7 +124,7 @@ class Collinear(Exception):
 def regression(X: NDArray[np.floating], Y: Array, block: Index, weight: Array | None = None) -> LeastSquares:
     """Regress outputs Y (m, c) on columns X (m, p), with a zero for each block (m,) of rows.
 
-    X and Y may come in extended precision, which is kept where it matters. Raises Collinear.
+    X and Y may come in extended precision, which is kept where it matters. Raises CollinearError.
     """
     w = np.ones(len(X)) if weight is None else np.asarray(weight, float)
     blocks = np.unique(block)
@@ -153,17 +153,17 @@ def regression(X: NDArray[np.floating], Y: Array, block: Index, weight: Array | 
 
 
 def _check_told_apart(R: Array, zeros: int) -> None:
-    """Raises Collinear with the smallest right singular vector of the terms, zeros taken out."""
+    """Raises CollinearError with the smallest right singular vector of the terms, zeros taken out."""
     inner = R[zeros:, zeros:]
     if not inner.size:
         return
     # The columns were scaled with their zeros in them: what these leave of a term is its size in `inner`.
     size = np.linalg.norm(inner, axis=0)
     if np.any(size * LARGEST_CONDITION < 1.0):
-        raise Collinear((size * LARGEST_CONDITION < 1.0).astype(float))
+        raise CollinearError((size * LARGEST_CONDITION < 1.0).astype(float))
     s, Vt = np.linalg.svd(inner / size)[1:]
     if s[-1] * LARGEST_CONDITION < s[0]:
-        raise Collinear(np.abs(Vt[-1]))
+        raise CollinearError(np.abs(Vt[-1]))
 
 
 def _refined(

@@ -22,13 +22,14 @@ FEWEST = 3
 def loading_sequences(x: Array, run: Index) -> Index:
     """The sequence (m,) of each row of loads x (m, n), in units of full range; runs (m,) are never one sequence.
 
-    A sequence ends where other loads begin to move than those that moved in it.
+    A sequence ends where other loads begin to move than those that moved in it. Where loads stand still between changes
+    of all of them, as when each point is hung by itself, the run is one sequence.
     """
     found = np.zeros(len(x), dtype=np.intp)
     number = -1
     for name in dict.fromkeys(run.tolist()):
         rows = np.flatnonzero(run == name)
-        starts = _starts(np.abs(np.diff(x[rows], axis=0)) > MOVED)
+        starts = _moving(_starts(np.abs(np.diff(x[rows], axis=0)) > MOVED), x[rows])
         found[rows] = number + 1 + np.searchsorted(starts, np.arange(len(rows)), side="right") - 1
         number = int(found[rows[-1]])
     return found
@@ -46,6 +47,20 @@ def _starts(moved: NDArray[np.bool_]) -> list[int]:
             known = now.copy()
         else:
             known |= now
+    return starts
+
+
+def _moving(starts: list[int], x: Array) -> list[int]:
+    """Without the starts of sequences in which nothing moves: a zero of their own would say all that they say."""
+    while len(starts) > 1:
+        still = [
+            k
+            for k, (first, end) in enumerate(zip(starts, [*starts[1:], len(x)], strict=True))
+            if not np.any(np.ptp(x[first:end], axis=0) > MOVED)
+        ]
+        if not still:
+            break
+        del starts[max(still[0], 1)]
     return starts
 
 

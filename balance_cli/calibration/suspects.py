@@ -64,11 +64,12 @@ class BadSequence:
 
 @dataclass(frozen=True)
 class Examined:
-    """The fit without what is wrong, and what that is."""
+    """The fit without what is wrong, what that is, and `limits`, where the hunt was given up."""
 
     fit: GageFit
     outliers: tuple[Outlier, ...]
     sequences: tuple[BadSequence, ...]
+    limits: tuple[str, ...]
 
 
 def examined(points: LoadPoints, search: bool = True) -> Examined:
@@ -77,27 +78,30 @@ def examined(points: LoadPoints, search: bool = True) -> Examined:
     Nothing is dropped silently: what took no part is in the result.
     """
     bad: list[BadSequence] = []
+    limits: list[str] = []
     used = points
-    for _ in range(MOST):
-        worst = _worst_sequence(used, gage_fit(used, search=False))
-        if worst is None:
-            break
+    worst = _worst_sequence(used, gage_fit(used, search=False))
+    while worst is not None and len({one.sequence for one in bad}) < MOST:
         rows, found = worst
         bad += found
         used = used.without(rows)
+        worst = _worst_sequence(used, gage_fit(used, search=False))
+    if worst is not None:
+        limits.append(f"{MOST} loading sequences took no part, and more disagree")
     fit = gage_fit(used, search)
     outliers: list[Outlier] = []
-    left = fit
     # One by one: a bad row pulls the model away from its neighbours.
-    while len(outliers) < MOST_OUTLIERS * len(points.loads):
-        found_row = _outlier(used, left)
-        if found_row is None:
-            break
+    found_row = _outlier(used, left := fit)
+    while found_row is not None and len(outliers) < MOST_OUTLIERS * len(points.loads):
         row, outlier = found_row
         outliers.append(outlier)
         used = used.without(np.arange(len(points.loads)) == row)
         left = refitted(used, left.model)
-    return Examined(gage_fit(used, search) if outliers else fit, tuple(outliers), tuple(bad))
+        found_row = _outlier(used, left)
+    if found_row is not None:
+        limits.append(f"{len(outliers)} rows took no part, and more are away from what the others say")
+    fit = gage_fit(used, search) if outliers else fit
+    return Examined(fit, tuple(outliers), tuple(bad), tuple(limits))
 
 
 def _worst_sequence(points: LoadPoints, fit: GageFit) -> tuple[NDArray[np.bool_], list[BadSequence]] | None:

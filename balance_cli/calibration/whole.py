@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from balance_cli.calibration.convergence import MARGIN
 from balance_cli.calibration.fit import LoadPoints
 from balance_cli.calibration.gage_model import CONFIDENCE, GageModel
 from balance_cli.calibration.noise import APPLIED, NoiseParts, noise_parts
@@ -24,7 +25,8 @@ Index = NDArray[np.intp]
 class Drift:
     """Zeros over the order of the sequences: slope (c,) [V per sequence] with sigma, and how much more the zeros
 
-    scatter about that line than their standard errors say, as chi-square per degree of freedom (c,).
+    scatter about that line than their standard errors say, as chi-square per degree of freedom (c,). NaN for fewer than
+    three sequences.
     """
 
     slope: Array
@@ -64,7 +66,7 @@ class CheckedLoads:
 class GageCalibration:
     """Gage model of all trims with the rows behind it: loads (m, k), residuals and errors of sequences left out (m, c)
 
-    [V], NaN where a row took no part; `run` (m,) counts `runs`.
+    [V], NaN where a row took no part; `run` (m,) counts `runs`. `limits`: where that hunt ended.
     """
 
     model: GageModel
@@ -77,6 +79,7 @@ class GageCalibration:
     noise: NoiseParts
     outliers: tuple[Outlier, ...]
     bad_sequences: tuple[BadSequence, ...]
+    limits: tuple[str, ...] = ()
     checks: tuple[CheckedLoads, ...] = ()
 
 
@@ -85,7 +88,7 @@ def gage_calibration(
 ) -> GageCalibration:
     """Fit all points; `checks` are names, readings (m, c) and loads (m, k) of runs that took no part.
 
-    Raises least_squares.Collinear where the loads were never applied by themselves.
+    Raises least_squares.CollinearError where the loads were never applied by themselves.
     """
     found = examined(points, search)
     model = found.fit.model
@@ -99,26 +102,37 @@ def gage_calibration(
         loads=points.loads,
         residuals=found.fit.residuals,
         left_out=found.fit.left_out,
-        drift=drift(model.zeros, model.zero_sigma),
+        drift=drift(model.zeros, found.fit.zero_covariance),
         noise=noise,
         outliers=found.outliers,
         bad_sequences=found.sequences,
+        limits=found.limits,
         checks=tuple(checked(model, noise, *check) for check in checks),
     )
 
 
-def drift(zeros: Array, sigma: Array) -> Drift:
-    """A straight line through zeros (s, c) with standard errors (s, c), channel by channel."""
-    n = np.arange(len(zeros), dtype=float)
-    weight = 1.0 / np.maximum(sigma, np.finfo(float).tiny) ** 2
-    total = weight.sum(axis=0)
-    centred = n[:, None] - (weight * n[:, None]).sum(axis=0) / total
-    moment = np.maximum(np.sum(weight * centred**2, axis=0), np.finfo(float).tiny)
-    slope = np.sum(weight * centred * zeros, axis=0) / moment
-    middle = np.sum(weight * zeros, axis=0) / total
-    left = zeros - middle - slope * centred
-    scatter = np.sum(weight * left**2, axis=0) / max(len(zeros) - 2, 1)
-    return Drift(slope, 1.0 / np.sqrt(moment), scatter)
+def drift(zeros: Array, covariance: Array) -> Drift:
+    """A straight line through zeros (s, c) in their order, with the covariance (c, s, s) of each channel's (Aitken).
+
+    NaN for fewer than three sequences.
+    """
+    s, c = zeros.shape
+    if s < FEWEST_ZEROS:
+        return Drift(*(np.full(c, np.nan) for _ in range(3)))
+    line = np.column_stack([np.ones(s), np.arange(s) - 0.5 * (s - 1)])
+    slope, sigma, scatter = np.zeros(c), np.zeros(c), np.zeros(c)
+    for channel in range(c):
+        weighted = np.linalg.solve(covariance[channel], np.column_stack([line, zeros[:, channel]]))
+        inverse = np.linalg.inv(line.T @ weighted[:, :2])
+        found = inverse @ (line.T @ weighted[:, 2])
+        left = zeros[:, channel] - line @ found
+        slope[channel], sigma[channel] = found[1], np.sqrt(inverse[1, 1])
+        scatter[channel] = left @ np.linalg.solve(covariance[channel], left) / (s - 2)
+    return Drift(slope, sigma, scatter)
+
+
+FEWEST_ZEROS = 3
+"""Sequences through whose zeros a line says anything."""
 
 
 def checked(model: GageModel, noise: NoiseParts, run: str, channels: Array, loads: Array) -> CheckedLoads:
@@ -131,6 +145,8 @@ def checked(model: GageModel, noise: NoiseParts, run: str, channels: Array, load
     tare = np.all(np.abs(loads - loads[0]) <= SAME_LOAD * model.full_range, axis=1)
     zero = np.mean(channels[tare] - model.readings(loads[tare]), axis=0)
     found, solved = model.loads(channels - zero)
+    beyond = (MARGIN - 1.0) * model.full_range
+    solved &= np.all((found <= model.largest + beyond) & (found >= model.smallest - beyond), axis=1)
     interval = np.full(found.shape, np.nan)
     if solved.any():
         of_readings = model.interval(found[solved], S * (1.0 + 1.0 / np.count_nonzero(tare)))

@@ -84,6 +84,7 @@ def gage_warnings(gage: GageCalibration) -> Iterator[str]:
             f"run {row.run} row {row.row}: {row.channel} is {1e6 * row.error:.3g} uV away from what all others say "
             f"({row.over_sigma:.1f} sigma); the row took no part"
         )
+    yield from gage.limits
     if not gage.model.contraction().proved:
         yield "the iteration for loads is not proved to converge over the range of the calibration; reduce refuses it"
 
