@@ -169,6 +169,63 @@ def test_gradient_with_the_start_of_high_passes_is_exact():
         assert curvature.gradient[place] == pytest.approx((above - below) / (4e-4 * scale[index]), rel=1e-5), name
 
 
+LEAK = DeclaredEffect(name="high-pass", where=("z1.strain",), parameters={"cutoff": 0.04})
+
+
+@pytest.fixture(scope="module")
+def leaky():
+    """Lines of a stepped record of 8 s, in which a strain channel with a high-pass forgets where it began; its mean."""
+    plan = SweepPlan(run="sweep", excited=("Fz",), level=(40.0,), excitation="stepped", period=1.0, periods=8)
+    run, _ = simulate_run(apply_effects(true_rig(rotor_balance()), [LEAK]), plan, seed=3)
+    (lines,) = measured_spectra([run], rotor_balance(), means=True).lines
+    assert lines.window is None
+    return lines, lines.at(lines.frequency == 0)
+
+
+def information_on_the_offset(lines, effects):
+    model = balance_model(add_effects(rotor_balance(), [*effects, "channel-offset@z1.strain"]))
+    theta = model.parameters.value.copy()
+    theta[["cutoff" in name for name in model.parameters.names]] = 0.04
+    curvature = data_curvature(stacked([lines], [], rotor_balance().channel_names), model.system(theta))
+    free = [model.parameters.names[i] for i in np.flatnonzero(model.parameters.free)]
+    place = free.index("channel-offset@z1.strain.offset")
+    return curvature.information[place, place]
+
+
+def test_behind_a_high_pass_the_mean_tells_nothing_of_an_offset(leaky):
+    """But that it is not many times what the channel reads at all."""
+    lines, _ = leaky
+    told = information_on_the_offset(lines, [])
+    assert told > 1e9
+    assert information_on_the_offset(lines, ["high-pass@z1.strain"]) < 1e-7 * told
+
+
+def test_mean_behind_a_high_pass_needs_no_offset(leaky):
+    """Of eight channels that tell a mean, one begins elsewhere than at its zero."""
+    batches = stacked([leaky[1]], [], rotor_balance().channel_names)
+    known = rotor_balance().model_copy(update={"effects": (LEAK,)})
+    assert data_chi2(batches, balance_model(rotor_balance()).system()) > 150.0
+    assert data_chi2(batches, balance_model(known).system()) < 30.0
+
+
+def test_gradient_with_the_start_of_a_high_pass_in_the_mean_is_exact(leaky):
+    """Crosstalk lets another channel read that start, so that not all of it goes."""
+    effects = ["high-pass@z1.strain", "crosstalk@x.strain,z1.strain", "channel-offset@x.strain"]
+    model = balance_model(add_effects(rotor_balance(), [*effects, "channel-offset@z1.strain"]))
+    theta, scale = model.parameters.value.copy(), model.parameters.scale
+    theta[-4:] = (0.02, 0.03, 1e-3, 1e-3)
+    free = [model.parameters.names[i] for i in np.flatnonzero(model.parameters.free)]
+    for lines in leaky:
+        batches = stacked([lines], [], rotor_balance().channel_names)
+        curvature = data_curvature(batches, model.system(theta))
+        assert curvature.chi2 == data_chi2(batches, model.system(theta))
+        for name in model.parameters.names[-4:]:
+            place, index = free.index(name), model.parameters.index(name)
+            step = 1e-4 * scale[index] * np.eye(len(theta))[index]
+            above, below = (data_chi2(batches, model.system(theta + one)) for one in (step, -step))
+            assert curvature.gradient[place] == pytest.approx((above - below) / (4e-4 * scale[index]), rel=1e-5), name
+
+
 @pytest.mark.parametrize(("period", "periods", "seed"), [(1.0, 8, 1), (1.0, 14, 2), (2.0, 4, 3)])
 def test_chi_square_of_short_records_is_that_of_noise(period, periods, seed):
     """The piezos' own start is there to the end of the record, and is eliminated."""

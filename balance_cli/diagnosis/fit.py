@@ -8,11 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.gauss_newton import Minimum, minimise, prior_curvature
-from balance_cli.estimation.likelihood import data_chi2, data_curvature
-from balance_cli.estimation.maximum_likelihood import maximum_likelihood
+from balance_cli.estimation.gauss_newton import Minimum, prior_curvature
+from balance_cli.estimation.maximum_likelihood import first_steps, maximum_likelihood
 from balance_cli.estimation.measurements import Batch
-from balance_cli.estimation.starting_values import parameters_within
 from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
@@ -50,19 +48,9 @@ def fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch], toleranc
     return Fit(model, maximum_likelihood(model, batches, theta, tolerance=tolerance))
 
 
-def begun(model: BalanceModel, theta: Array, batches: Sequence[Batch], iterations: int = BEGUN) -> Fit:
-    """The first steps of a fit, in which parameters without a prior stay near `theta`.
-
-    Where an effect is small, the data say nothing of what shapes it, and steps along that would hold up all others.
-    """
-    minimum = minimise(
-        parameters_within(model.parameters, theta, NEAR),
-        theta,
-        lambda at: data_curvature(batches, model.system(at)),
-        lambda at: data_chi2(batches, model.system(at)),
-        iterations=iterations,
-        tolerance=PROMISED,
-    )
+def begun(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Fit:
+    """The first steps of a fit, in which parameters without a prior stay near `theta`."""
+    minimum = first_steps(model, theta, batches, BEGUN, NEAR, PROMISED)
     return Fit(model, replace(minimum, total=minimum.data + prior_curvature(model.parameters, minimum.theta)))
 
 

@@ -22,11 +22,11 @@ from balance_cli.diagnosis.candidates import Candidate
 from balance_cli.effects import EFFECTS, EffectParameter, Where, added_mass
 from balance_cli.effects.base import reach
 from balance_cli.equations import Equations
-from balance_cli.estimation.gauss_newton import minimise, prior_curvature
-from balance_cli.estimation.likelihood import data_chi2, data_curvature
-from balance_cli.estimation.maximum_likelihood import penalised_chi2
+from balance_cli.estimation.gauss_newton import prior_curvature
+from balance_cli.estimation.likelihood import data_curvature
+from balance_cli.estimation.maximum_likelihood import first_steps, penalised_chi2
 from balance_cli.estimation.measurements import Batch
-from balance_cli.estimation.starting_values import NEAR, parameters_within
+from balance_cli.estimation.starting_values import NEAR
 from balance_cli.estimation.support import covariance_of
 from balance_cli.geometry import Geometry
 from balance_cli.jets import Jet
@@ -79,24 +79,13 @@ def settled_mass(model: BalanceModel, theta: Array, batches: Sequence[Batch]) ->
         begun = _step(others, theta, batches, at)
         if not np.isfinite(penalised_chi2(model, begun, batches)):
             return theta
-        trial = _all_fitted(model, begun, batches)
+        # Of everything: beside a narrow resonance the change of the mass was a large one.
+        trial = first_steps(model, begun, batches, FOLLOW, NEAR, PROMISED).theta
         reached = penalised_chi2(model, trial, batches)
         if not reached < chi2 - PROMISED:
             return trial if reached < chi2 else theta
         theta, chi2 = trial, reached
     return theta
-
-
-def _all_fitted(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Array:
-    """A few steps of everything: beside a narrow resonance the change of the mass was a large one."""
-    return minimise(
-        parameters_within(model.parameters, theta, NEAR),
-        theta,
-        lambda at: data_curvature(batches, model.system(at)),
-        lambda at: data_chi2(batches, model.system(at)),
-        iterations=FOLLOW,
-        tolerance=PROMISED,
-    ).theta
 
 
 def _step(others: BalanceModel, theta: Array, batches: Sequence[Batch], at: NDArray[np.intp]) -> Array:

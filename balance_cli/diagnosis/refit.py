@@ -16,9 +16,9 @@ from balance_cli.diagnosis.candidates import Candidate
 from balance_cli.diagnosis.point_mass import settled_mass
 from balance_cli.diagnosis.score import Score, extended, with_candidates
 from balance_cli.diagnosis.search_lines import SearchLines
-from balance_cli.estimation.gauss_newton import minimise, prior_curvature
-from balance_cli.estimation.likelihood import data_chi2, data_curvature
-from balance_cli.estimation.maximum_likelihood import penalised_chi2
+from balance_cli.estimation.gauss_newton import prior_curvature
+from balance_cli.estimation.likelihood import data_chi2
+from balance_cli.estimation.maximum_likelihood import first_steps, penalised_chi2
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.model_error import (
     Shares,
@@ -26,7 +26,7 @@ from balance_cli.estimation.model_error import (
     shares_that_explain,
     with_model_error,
 )
-from balance_cli.estimation.starting_values import NEAR, by_equations_of_motion, parameters_within
+from balance_cli.estimation.starting_values import NEAR, by_equations_of_motion
 from balance_cli.geometry import Geometry
 from balance_cli.model.balance import BalanceModel
 
@@ -84,14 +84,7 @@ def settled(model: BalanceModel, theta: Array, lines: SearchLines, near: Shares 
 
 def steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int) -> Array:
     """At most `count` steps of the maximum likelihood from `theta`; what the data hardly tell stays near it."""
-    return minimise(
-        parameters_within(model.parameters, theta, NEAR),
-        theta,
-        lambda at: data_curvature(batches, model.system(at)),
-        lambda at: data_chi2(batches, model.system(at)),
-        iterations=count,
-        tolerance=PROMISED,
-    ).theta
+    return first_steps(model, theta, batches, count, NEAR, PROMISED).theta
 
 
 def criterion(model: BalanceModel, theta: Array, batches: Sequence[Batch], shares: Shares) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.estimation.gauss_newton import Minimum, minimise, prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.starting_values import parameters_within
 from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
@@ -40,6 +41,24 @@ def maximum_likelihood(
         lambda theta: data_chi2(batches, model.system(theta)),
         iterations=iterations,
         tolerance=tolerance,
+    )
+
+
+def first_steps(
+    model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int, within: float, promised: float
+) -> Minimum:
+    """At most `count` steps from `theta`, near which parameters without a prior are held: `within` so many scales.
+
+    Where an effect is small, the data say nothing of what shapes it, and steps along that would hold up all others.
+    The last step is one that promises to lower chi-square by less than `promised`; what holds counts in `total`.
+    """
+    return minimise(
+        parameters_within(model.parameters, theta, within),
+        theta,
+        lambda at: data_curvature(batches, model.system(at)),
+        lambda at: data_chi2(batches, model.system(at)),
+        iterations=count,
+        tolerance=promised,
     )
 
 

@@ -81,10 +81,16 @@ def by_equations_of_motion(
 ) -> Array:
     """The full parameter vector that leaves least of the equations of motion, with the channels as they are at `start`.
 
-    From nearly anywhere it comes near the truth where nothing that matters is missing.
+    From nearly anywhere it comes near the truth where nothing that matters is missing. `start` itself where the
+    regression leads to no rig at all.
     """
     near = parameters_within(parameters, start, NEAR)
-    return _minimum(near, motions(batches, system(start), enough=FEW), system, start)
+    try:
+        with np.errstate(all="ignore"):
+            found = _minimum(near, motions(batches, system(start), enough=FEW), system, start)
+    except np.linalg.LinAlgError:
+        return start
+    return found if np.all(np.isfinite(found)) else start
 
 
 def parameters_within(parameters: ParameterSet, start: Array, scales: float) -> ParameterSet:
