@@ -14,6 +14,7 @@ from balance_cli.estimation.maximum_likelihood import penalised_chi2
 from balance_cli.estimation.measurements import stacked
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.model.balance import balance_model
+from balance_cli.model.placed_effects import add_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.extensions import apply_effects
 from balance_cli.simulation.plans import HIGH, statics
@@ -30,14 +31,14 @@ PLACE = (-0.2, 0.2, 0.3)
 class Campaign:
     """Short sweeps and static runs of a rig with a mass that its geometry does not have, and the fit without it."""
 
-    def __init__(self, geometry, mass):
-        at = dict(zip("xyz", PLACE, strict=True))
-        rig = apply_effects(true_rig(geometry), [DeclaredEffect(name="added-mass", parameters={"mass": mass, **at})])
+    def __init__(self, geometry, mass, place=PLACE, seed=4):
+        at = dict(zip("xyz", place, strict=True))
+        rig = apply_effects(true_rig(DECLARED), [DeclaredEffect(name="added-mass", parameters={"mass": mass, **at})])
         sweeps = (
             SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=8)
             for name, level in HIGH.items()
         )
-        runs, _ = simulate_campaign(rig, CampaignPlan(runs=(*statics(), *sweeps)), seed=4)
+        runs, _ = simulate_campaign(rig, CampaignPlan(runs=(*statics(), *sweeps)), seed=seed)
         spectra = measured_spectra(runs, geometry, means=True)
         self.geometry, self.mass = geometry, mass
         self.batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
@@ -151,6 +152,15 @@ def test_a_mass_begun_with_the_wrong_sign_settles_where_it_is(weighed):
     for index, true in zip(mass_and_place(model), (-0.3, *PLACE), strict=True):
         assert abs(settled[index] - true) < 4.0 * sigma[free.index(index)]
     assert fitted(model, theta, weighed.batches).chi2 > truth.chi2 + 1e4
+
+
+def test_what_follows_a_mass_stays_within_its_bounds():
+    """The step of the mass would take a low-pass and a loss factor below zero, where no rig is."""
+    it = Campaign(add_effects(DECLARED, ["low-pass@z1.piezo", "structural-damping@z1"]), 2.0, (0.15, -0.1, 0.1), 3)
+    model, theta = it.begun_at(0)
+    settled = settled_mass(model, theta, it.batches)
+    assert np.all((settled >= model.parameters.lower) & (settled <= model.parameters.upper))
+    assert penalised_chi2(model, settled, it.batches) < it.fit.chi2 - 1000.0
 
 
 def test_without_a_mass_nothing_is_settled(declared):

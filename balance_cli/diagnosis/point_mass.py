@@ -22,7 +22,7 @@ from balance_cli.diagnosis.candidates import Candidate
 from balance_cli.effects import EFFECTS, EffectParameter, Where, added_mass
 from balance_cli.effects.base import reach
 from balance_cli.equations import Equations
-from balance_cli.estimation.gauss_newton import prior_curvature
+from balance_cli.estimation.gauss_newton import prior_curvature, within_bounds
 from balance_cli.estimation.likelihood import data_curvature
 from balance_cli.estimation.maximum_likelihood import first_steps, penalised_chi2
 from balance_cli.estimation.measurements import Batch
@@ -98,6 +98,7 @@ def _step(others: BalanceModel, theta: Array, batches: Sequence[Batch], at: NDAr
     (c,) = _shares(best.place[None])
     found = theta.copy()
     found[others.parameters.free] += score.rest - score.along @ (best.mass * c - before)
+    found = within_bounds(others.parameters, theta, found)
     found[at] = best.mass, *best.place
     return found
 

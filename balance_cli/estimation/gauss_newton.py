@@ -180,7 +180,11 @@ def _stepped(parameters: ParameterSet, space: Coordinates, theta: Array, step: A
     z[parameters.free] += step * min(
         1.0, 1.0 / max(np.abs(step[space.logarithmic[parameters.free]]).max(initial=0), 1e-300)
     )
-    trial = space.outward(z)
+    return within_bounds(parameters, theta, space.outward(z))
+
+
+def within_bounds(parameters: ParameterSet, theta: Array, trial: Array) -> Array:
+    """A step from `theta` to `trial`, at most nine tenths of the way to any bound, or onto it where that is near."""
     trial = np.where(trial <= parameters.lower, _toward(parameters.lower, theta, parameters), trial)
     return np.asarray(np.where(trial >= parameters.upper, _toward(parameters.upper, theta, parameters), trial))
 

@@ -2,7 +2,8 @@
 
 The lines of a tone that lasts are those of a transient that does not decay: a local model would spend a pole on it, on
 the axis, and take it out with the transient. No mode of a structure has a pole there. So where a fit puts one, the tone
-becomes an input of its own, whose lines are known, and what that input explains is kept apart.
+becomes an input of its own, whose lines are known, and what that input explains is kept apart. A mode that decays too
+little for the record keeps its pole then, for the loads drive it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ Index = NDArray[np.intp]
 
 # Distance of a pole from the axis, in lines: a mode of 50 Hz in a record of 10 s has this at a damping ratio of 1e-4.
 ON_AXIS = 0.05
+# Distance, in lines, within which a pole that is left beside a tone is that of the tone.
+OWN = 1.0
 
 
 def tone_lines(
@@ -40,29 +43,41 @@ def tone_lines(
     for w, fit in enumerate(fits):
         places = _on_axis(fit, owned[w] - first[w])
         if places.size:
-            here = slice(first[w], first[w] + windows.Y.shape[1])
-            found[here] += _explained(windows.subset(np.array([w])), places, refit)
+            places, amplitudes = _amplitudes(windows.subset(np.array([w])), places, refit)
+            # Off a line a tone reaches far beyond its window.
+            found += _lines_of_tones(places + first[w], lines) @ amplitudes
     return found
 
 
 def _on_axis(fit: WindowFit, owned: Index) -> Array:
     """Places, in lines of the window, of poles on the axis within the lines `owned` (from, to)."""
-    half = (len(fit.r) - 1) / 2
-    at = half + half * poles(fit)
+    at = _places(fit)
     tone = (np.abs(at.imag) < ON_AXIS) & (at.real >= owned[0] - 0.5) & (at.real < owned[1] - 0.5)
     return np.asarray(at.real[tone])
 
 
-def _explained(window: Windows, places: Array, refit: Callable[[Windows], tuple[WindowFit, ...]]) -> ComplexArray:
-    """What inputs with the lines of tones at `places` explain of one window's lines (M, c).
+def _places(fit: WindowFit) -> ComplexArray:
+    """The poles, in lines of the window."""
+    half = (len(fit.r) - 1) / 2
+    return half + half * poles(fit)
 
-    With them as inputs the poles are the structure's; beside these each tone has one amplitude in each channel.
+
+def _amplitudes(
+    window: Windows, places: Array, refit: Callable[[Windows], tuple[WindowFit, ...]]
+) -> tuple[Array, ComplexArray]:
+    """Which of the `places` are tones (t,), and their amplitudes in the channels (t, c).
+
+    With the lines of tones as inputs the poles are the structure's; beside these each tone has one amplitude in each
+    channel. Where a pole is left at the place it was no tone: the loads have to do with it.
     """
-    tones = _lines_of_tones(places, window.Y.shape[1])
-    (fit,) = refit(replace(window, U=np.concatenate([window.U, tones[None]], axis=2)))
+    M = window.Y.shape[1]
+    (fit,) = refit(replace(window, U=np.concatenate([window.U, _lines_of_tones(places, M)[None]], axis=2)))
+    distance = np.abs(_places(fit) - places[:, None])
+    places = places[np.min(distance, axis=1, initial=np.inf) > OWN]
+    tones = _lines_of_tones(places, M)
     basis = np.linalg.qr(design(replace(fit, U=window.U[0])))[0]
     alone = tones - basis @ (basis.conj().T @ tones)
-    return np.asarray(tones @ np.linalg.lstsq(alone, window.Y[0], rcond=None)[0])
+    return places, np.asarray(np.linalg.lstsq(alone, window.Y[0], rcond=None)[0])
 
 
 def _lines_of_tones(places: Array, lines: int) -> ComplexArray:
