@@ -91,7 +91,7 @@ def _ends(
     """The fits with rivals in the effect's place. `less`: the model without a weak one, whose scores name them."""
     if less is not None:
         near = _near(less, one, batches, less.chi2 - fit.chi2)[:MOST_RIVALS]
-        return {item.candidate.label: _added(less, item, batches) for item in near}
+        return {item.candidate.label: _with(less, item, batches) for item in near}
     possible = {item.label: item for item in candidates(bare(fit.model.geometry, one))}
     known = [name for name in names if name in possible and name != one.label][:MOST_RIVALS]
     return {name: _instead(fit, one, possible[name], batches) for name in known}
@@ -117,7 +117,7 @@ def _replaced(number: int, one: PlacedEffect, better: str, gain: float, known: i
     )
 
 
-def _added(less: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
+def _with(less: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
     """A candidate fitted from its score's step, or, a mass, from its best place."""
     if not score.candidate.chosen:
         return fitted(*stepped(less.model, less.theta, batches, score), batches)
