@@ -109,15 +109,19 @@ def attempt(state: State, score: Score, lines: SearchLines) -> Attempt:
 
     The equations of motion with the cells' forces have no resonances to get wrong (`estimation.starting_values`).
     """
-    geometry = with_candidates(state.geometry, [(score.candidate, score.start)], started=True)
-    return _further(*extended(state.model, state.theta, geometry), state, lines)
+    chosen = [(score.candidate, score.start)]
+    model, theta = extended(state.model, state.theta, with_candidates(state.geometry, chosen, started=True))
+    if score.candidate.chosen:
+        _, null = extended(state.model, state.theta, with_candidates(state.geometry, chosen))
+        theta = settled_mass(model, null, with_model_error(lines.fitted, state.shares))
+    return _further(model, theta, state, lines)
 
 
 def _further(model: BalanceModel, theta: Array, state: State, lines: SearchLines) -> Attempt:
     batches = with_model_error(lines.fitted, state.shares)
     before = penalised_chi2(state.model, state.theta, batches)
     regressed = by_equations_of_motion(model.parameters, lines.fitted, model.system, theta)
-    ends = [steps(model, start, batches, FIRST_STEPS) for start in (settled_mass(model, theta, batches), regressed)]
+    ends = [steps(model, start, batches, FIRST_STEPS) for start in (theta, regressed)]
     best = steps(model, min(ends, key=lambda end: penalised_chi2(model, end, batches)), batches, FIRST_STEPS)
     chi2 = penalised_chi2(model, best, batches)
     return Attempt(model, best, data_count(batches) * float(np.log(before / chi2)))

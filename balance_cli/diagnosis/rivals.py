@@ -10,7 +10,7 @@ from balance_cli.diagnosis.candidates import Candidate, candidates, tested
 from balance_cli.diagnosis.confirm import STRONG
 from balance_cli.diagnosis.fit import Fit, fitted
 from balance_cli.diagnosis.needed import bare, effect_wald, pruned, without
-from balance_cli.diagnosis.point_mass import well_placed
+from balance_cli.diagnosis.point_mass import settled_mass, well_placed
 from balance_cli.diagnosis.preference import SAME
 from balance_cli.diagnosis.refit import PENALTY
 from balance_cli.diagnosis.score import Score, best_scores, extended, stepped, with_candidates
@@ -91,7 +91,7 @@ def _ends(
     """The fits with rivals in the effect's place. `less`: the model without a weak one, whose scores name them."""
     if less is not None:
         near = _near(less, one, batches, less.chi2 - fit.chi2)[:MOST_RIVALS]
-        return {item.candidate.label: fitted(*stepped(less.model, less.theta, batches, item), batches) for item in near}
+        return {item.candidate.label: _with(less, item, batches) for item in near}
     possible = {item.label: item for item in candidates(bare(fit.model.geometry, one))}
     known = [name for name in names if name in possible and name != one.label][:MOST_RIVALS]
     return {name: _instead(fit, one, possible[name], batches) for name in known}
@@ -117,10 +117,22 @@ def _replaced(number: int, one: PlacedEffect, better: str, gain: float, known: i
     )
 
 
+def _with(less: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
+    """A candidate fitted from its score's step, or, a mass, from its best place."""
+    if not score.candidate.chosen:
+        return fitted(*stepped(less.model, less.theta, batches, score), batches)
+    geometry = with_candidates(less.model.geometry, [(score.candidate, score.start)])
+    model, null = extended(less.model, less.theta, geometry)
+    return fitted(model, settled_mass(model, null, batches), batches)
+
+
 def _instead(fit: Fit, one: PlacedEffect, rival: Candidate, batches: Sequence[Batch]) -> Fit:
     """The model with a rival in the place of an effect, refitted from the best of its starts."""
     others = bare(fit.model.geometry, one)
     (rival,) = well_placed([rival], *extended(fit.model, fit.theta, others), batches)
+    if rival.chosen:
+        model, null = extended(fit.model, fit.theta, with_candidates(others, [(rival, 0)]))
+        return fitted(model, settled_mass(model, null, batches), batches)
     fits = []
     for number in range(len(rival.starts)):
         model, theta = extended(fit.model, fit.theta, with_candidates(others, [(rival, number)], started=True))
