@@ -70,6 +70,14 @@ class TrimCalibration:
     left_out: dict[str, str] = field(default_factory=dict)
 
     @property
+    def lasting(self) -> float:
+        """Share of the residual covariance that is no noise (curvature, hysteresis) and does not average out.
+
+        All of it where the noise is not known.
+        """
+        return max(0.0, 1.0 - 1.0 / self.lack_of_fit) if np.isfinite(self.lack_of_fit) else 1.0
+
+    @property
     def residual_percent_fs(self) -> dict[str, float]:
         """Standard deviation of back-calculated less applied loads, percent of full range, by component."""
         return dict(zip(self.components, (100.0 * self.residual / self.full_range).tolist(), strict=True))
