@@ -109,12 +109,19 @@ class TrimCalibration:
 class Calibration:
     """Static calibration of a rig: one set of matrices for each trim, by its label, and one `gage` model through all.
 
-    None where the trims have too few channels in common, or loads were applied that the balance does not carry.
+    None where the trims have too few channels in common, or loads were applied that the balance does not carry. From a
+    matrix that somebody else made there is one trim, its straight part at zero load, without runs and without errors:
+    standard errors, hysteresis and lack of fit NaN, covariances of coefficients zero.
     """
 
     geometry: Geometry
     trims: dict[str, TrimCalibration]
     gage: GageCalibration | None = None
+
+    @property
+    def errors_known(self) -> bool:
+        """Whether the standard errors of the coefficients are known."""
+        return all(bool(np.isfinite(trim.C0_sigma).all()) for trim in self.trims.values())
 
     def nearest(self, mean_load: Mapping[str, float]) -> TrimCalibration:
         """The trim whose mean load is nearest (name -> N or N m), components in units of their full range."""

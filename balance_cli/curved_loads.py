@@ -17,16 +17,19 @@ from balance_cli.signals.harmonics import Harmonics
 from balance_cli.steady_loads import (
     SteadyLoads,
     ZeroRecord,
-    check_determined,
+    determined,
     mean_reading,
     run_flags,
     surplus,
+    undetermined,
     with_word,
 )
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+# Standard errors by which the least singular value of the straight part must differ from zero.
+TOLD_APART = 5.0
 ALL_TRIMS = "all trims"
 """What stands in the place of a trim's label."""
 
@@ -58,9 +61,10 @@ def curved_loads(
     unloaded = model.zeros.mean(axis=0)
     reading = mean_reading(model.channel_names, unloaded, unloaded, spectra, health, zero)
     rows = np.array(reading.rows, dtype=np.intp)
-    straight = model.coefficients[: len(model.components), rows].T
-    check_determined(straight, health, spectra.run)
-    loads = _solved(_Usable(model, rows, spectra.run, health.left_out), reading.change)
+    if not _told_apart(model, rows):
+        raise undetermined(health, spectra.run)
+    left_out = {name: reason for name, reason in health.left_out.items() if name in model.channel_names}
+    loads = _solved(_Usable(model, rows, spectra.run, left_out), reading.change)
     J = model.tangent(loads, rows)[0]
     noise = reading.covariance + _lasting(calibration, rows)
     whole = noise + np.diag(model.model_variance(loads, rows)[0])
@@ -79,6 +83,19 @@ def curved_loads(
         ),
         model.extrapolated(loads[0]),
     )
+
+
+def _told_apart(model: GageModel, rows: Index) -> bool:
+    """Whether the straight part of these channels determines the loads, beyond the errors of its coefficients."""
+    k = len(model.components)
+    C = model.coefficients[:k, rows].T
+    if not determined(C):
+        return False
+    unit = 1.0 / np.sqrt(np.diagonal(model.residual_covariance)[rows])
+    U, s, Vt = np.linalg.svd(unit[:, None] * C, full_matrices=False)
+    u, v = U[:, -1] * unit, Vt[-1]
+    variance = u**2 @ np.einsum("i,cij,j->c", v, model.covariance[rows, :k, :k], v)
+    return bool(s[-1] > TOLD_APART * np.sqrt(variance))
 
 
 def _condition(J: Array, covariance: Array) -> float:

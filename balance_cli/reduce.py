@@ -20,6 +20,9 @@ from balance_cli.steady_loads import SteadyLoads, ZeroRecord, steady_loads
 
 Array = NDArray[np.float64]
 
+ERRORS_UNKNOWN = "sigma of the mean loads holds noise and the residuals that the matrix states, not its own errors"
+"""Said of a run that was reduced by a matrix without standard errors."""
+
 
 @dataclass(frozen=True)
 class ReduceOptions:
@@ -44,7 +47,8 @@ def reduce_run(
     record = rotor_record(run, geometry, source, options.harmonics)
     steady = _mean_loads(record, calibration, zero)
     dynamic = dynamic_loads(record, geometry, source)
-    loads = _joined(record, steady, dynamic, source)
+    notes = record.azimuth.notes if calibration.errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
+    loads = replace(_joined(record, steady, dynamic, source), notes=notes)
     if not run.has_loads or run.kind != "check":
         return loads
     return replace(loads, check=check_errors(record.spectra, dynamic, loads.components, geometry))
@@ -78,5 +82,4 @@ def _joined(record: RotorRecord, steady: SteadyLoads, dynamic: SolvedLoads, sour
         condition=np.concatenate([[steady.condition], dynamic.condition]),
         left_out=record.health.left_out,
         interval=spectra.interval,
-        notes=record.azimuth.notes,
     )

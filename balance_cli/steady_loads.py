@@ -107,7 +107,8 @@ def _through(trim: TrimCalibration, spectra: Harmonics, health: ChannelHealth, z
     unloaded = trim.offsets.mean(axis=0)
     reading = mean_reading(trim.channel_names, trim.mean_channels, unloaded, spectra, health, zero)
     C0 = trim.C0[reading.rows]
-    check_determined(C0 * trim.full_range, health, spectra.run)
+    if not determined(C0 * trim.full_range):
+        raise undetermined(health, spectra.run)
     W = np.linalg.inv(trim.noise_covariance[np.ix_(reading.rows, reading.rows)])
     whole = len(reading.rows) == len(trim.channel_names)
     T0 = trim.T0 if whole else np.linalg.inv(C0.T @ W @ C0) @ C0.T @ W
@@ -166,12 +167,15 @@ def mean_reading(
     return MeanReading(rows, change, covariance)
 
 
-def check_determined(C0: Array, health: ChannelHealth, run: str) -> None:
-    """UserError where the matrix (c, k) of the channels that remain, loads over full range, does not determine them."""
-    if len(C0) >= C0.shape[1] and np.linalg.cond(C0) < LARGEST_CONDITION:
-        return
+def determined(C0: Array) -> bool:
+    """Whether the matrix (c, k) of the channels that remain, loads over full range, determines the loads."""
+    return len(C0) >= C0.shape[1] and bool(np.linalg.cond(C0) < LARGEST_CONDITION)
+
+
+def undetermined(health: ChannelHealth, run: str) -> UserError:
+    """What is wrong with a run whose remaining channels do not determine the loads."""
     names = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items()) or "none"
-    raise UserError(
+    return UserError(
         f"the remaining strain and torque channels do not determine the mean loads (left out: {names})",
         run,
         "channels",

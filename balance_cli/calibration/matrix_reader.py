@@ -66,7 +66,7 @@ class _Line:
 
     def error(self, fault: str, remedy: str, column: str = "") -> UserError:
         """What is wrong in this line."""
-        place = f"line {self.number}, `{self.name}`" + (f", {column}" if column else "")
+        place = f"line {self.number}, `{self.name[:60]}`" + (f", {column}" if column else "")
         return UserError(fault, place=place, remedy=remedy)
 
 
