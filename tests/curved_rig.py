@@ -9,6 +9,7 @@ from balance_cli.calibrate import calibrate
 from balance_cli.calibration.terms import Term, columns, term_named
 from balance_cli.components import COMPONENTS
 from balance_cli.runs import MemorySource, Run
+from balance_cli.signals.harmonics import Harmonics
 
 NAMES = tuple(channel.name for channel in RIG.channels if channel.measures_dc)
 # What a channel has besides its straight part [V at full range]: half a per cent, or so.
@@ -39,7 +40,7 @@ def values(term: Term, loads):
 
 
 def static_runs(rng, curved=True):
-    """Each load by itself about zero and about two steady lifts, and a run of check loads."""
+    """Each load by itself about zero and about a steady lift either way."""
     trims = {"bare": 0.0, "lift": 1500.0, "push": -1500.0}
     each = []
     for name, lift in trims.items():
@@ -76,3 +77,11 @@ def record(name, loads, shift=0.0, noise=NOISE, seed=0, curved=True, kind="wind"
         rotor_speed=speed if kind == "wind" else 0.0,
         pulse_times=pulses,
     )
+
+
+def spectra(volts, noise=0.0):
+    """The mean of a record, as channels give it."""
+    c = len(NAMES)
+    covariance = np.broadcast_to(noise**2 * np.eye(c), (1, c, c)).astype(complex)
+    mean = np.asarray(volts, complex).reshape(1, c)
+    return Harmonics("w", NAMES, np.zeros(1), mean, covariance, np.ones(1), (0.0, 1.0), (0, 1), (0, 1))

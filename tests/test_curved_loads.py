@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from curved_rig import AMPLITUDE, NAMES, RIG, calibration, readings, record, static_runs
+from curved_rig import AMPLITUDE, NAMES, RIG, calibration, readings, record, spectra, static_runs
 from rigs import CONFIGS
 
 from balance_cli.calibration.convergence import contraction
@@ -19,7 +19,6 @@ from balance_cli.reduce import reduce_run
 from balance_cli.responses import static_source
 from balance_cli.run_files import write_run
 from balance_cli.runs import MemorySource
-from balance_cli.signals.harmonics import Harmonics
 from balance_cli.steady_loads import steady_loads, zero_record
 
 LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
@@ -32,14 +31,6 @@ def zero(shift=0.0, seed=5):
 
 def reduced(run, cal, reference=None):
     return reduce_run(run, RIG, cal, static_source(cal), reference)
-
-
-def spectra(volts, noise=0.0):
-    """The mean of a record, as channels give it."""
-    c = len(NAMES)
-    covariance = np.broadcast_to(noise**2 * np.eye(c), (1, c, c)).astype(complex)
-    mean = np.asarray(volts, complex).reshape(1, c)
-    return Harmonics("w", NAMES, np.zeros(1), mean, covariance, np.ones(1), (0.0, 1.0), (0, 1), (0, 1))
 
 
 def with_model(cal, **changes):
@@ -86,7 +77,7 @@ def test_sigma_covers_the_errors_of_calibration_and_record():
         volts = 0.05 + readings(loads)[0] + 2e-5 * rng.normal(size=len(NAMES))
         found = curved_loads(spectra(volts, 2e-5), cal, cal.gage.model, ALL_LIVE, None)
         inside.append(np.abs(found.loads - loads) < 1.96 * found.sigma)
-    assert 0.85 < np.mean(inside)
+    assert np.mean(inside) > 0.85
     assert np.mean(found.sigma / AMPLITUDE) < 1e-4
 
 
@@ -140,7 +131,7 @@ def test_a_model_whose_iteration_is_not_proved_is_refused():
     curved = np.arange(len(model.terms))[:, None] >= 6
     wild = with_model(calibration(), coefficients=np.where(curved, 60.0, 1.0) * model.coefficients)
     assert not wild.gage.model.contraction().proved
-    with pytest.raises(UserError, match="w, mean of Fx, Fy, Fz, Mx, My, Mz: the iteration .* not proved to converge"):
+    with pytest.raises(UserError, match=r"w, mean of Fx, Fy, Fz, Mx, My, Mz: the iteration .* not proved to converge"):
         reduced(record("w", LOADS), wild, zero())
 
 

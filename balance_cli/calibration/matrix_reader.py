@@ -53,6 +53,7 @@ LARGEST_CONDITION = 1e8
 LEAST_EIGENVALUE = 1e-12
 SYMMETRIC = 1e-9
 MOST_CELLS = 1000
+SEMICOLONS = "Save it with commas between cells and points in numbers"
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,8 @@ def _lines(text: str) -> list[_Line]:
     if not held:
         raise UserError("holds nothing", place="line 1", remedy=f"Its first line must be `{FORMAT}`")
     _check_format(*held[0])
+    if len(held) > 1 and len(held[1][1]) == 1 and ";" in held[1][1][0]:
+        raise UserError("is separated by semicolons", place=f"line {held[1][0]}", remedy=SEMICOLONS)
     return [_Line(number, " ".join(each[0].split()), (*each, "")[1], tuple(each[2:])) for number, each in held[1:]]
 
 
@@ -143,7 +146,7 @@ def _check_format(number: int, cells: Sequence[str]) -> None:
         return
     place = f"line {number}"
     if found.rstrip(";") == FORMAT:
-        fault, remedy = "is separated by semicolons", "Save it with commas between cells and points in numbers"
+        fault, remedy = "is separated by semicolons", SEMICOLONS
     elif found == FOR_READING:
         fault, remedy = "is the text for reading, which is rounded", "Give the matrix as .csv"
     elif found.startswith("balance-matrix/"):
@@ -158,7 +161,8 @@ def _parts(lines: Sequence[_Line]) -> tuple[dict[str, _Line], list[_Line]]:
     start = next((i for i, line in enumerate(lines) if line.name == TERM), None)
     if start is None:
         remedy = "It is followed by the channels, and the terms stand below it"
-        raise UserError(f"there is no line `{TERM}`", place="after the header", remedy=remedy)
+        place = f"line {lines[-1].number if lines else 1}, the last"
+        raise UserError(f"there is no line `{TERM}`", place=place, remedy=remedy)
     header: dict[str, _Line] = {}
     for line in lines[:start]:
         if line.name == NOTE:
