@@ -263,7 +263,7 @@ def _result(task: _Task, rows: Rows, regression: Regression, noise: _Noise) -> T
         noise_covariance=noise_covariance,
         lack_of_fit=_lack_of_fit(residual_covariance, noise_covariance, noise.dof),
         full_range=task.full_range,
-        channel_full_range=_channel_full_range(task),
+        channel_full_range=channel_full_range(task.geometry, task.channel_names, task.components, task.full_range),
         residual=_deviation(regression.residuals @ T0.T, rows.weight, regression.dof),
         channel_residual=_deviation(regression.residuals, rows.weight, regression.dof),
         hysteresis=Hysteresis(*hysteresis(rows, T0)),
@@ -301,12 +301,14 @@ def _lack_of_fit(residual: Array, noise: Array, dof: float) -> float:
     return float(np.trace(np.linalg.solve(noise, residual)) / c * unbiased)
 
 
-def _channel_full_range(task: _Task) -> Array:
-    """Full range of each channel [V]: that of its cell; of a torque meter the range that was applied."""
-    torque = dict(zip(task.components, task.full_range.tolist(), strict=True)).get("Mz", 1.0)
-    cells = {cell.name: cell.full_range for cell in task.geometry.cells}
+def channel_full_range(
+    geometry: Geometry, channel_names: Sequence[str], components: Sequence[str], full_range: Array
+) -> Array:
+    """Full range (c,) of each channel [V]: that of its cell; of a torque meter the range (k,) that was applied."""
+    torque = dict(zip(components, full_range.tolist(), strict=True)).get("Mz", 1.0)
+    cells = {cell.name: cell.full_range for cell in geometry.cells}
     declared = {
         channel.name: abs(channel.sensitivity) * (torque if channel.cell is None else cells[channel.cell])
-        for channel in task.geometry.channels
+        for channel in geometry.channels
     }
-    return np.array([declared[name] for name in task.channel_names])
+    return np.array([declared[name] for name in channel_names])

@@ -70,6 +70,14 @@ class TrimCalibration:
     left_out: dict[str, str] = field(default_factory=dict)
 
     @property
+    def lasting(self) -> float:
+        """Share of the residual covariance that is no noise (curvature, hysteresis) and does not average out.
+
+        All of it where the noise is not known.
+        """
+        return max(0.0, 1.0 - 1.0 / self.lack_of_fit) if np.isfinite(self.lack_of_fit) else 1.0
+
+    @property
     def residual_percent_fs(self) -> dict[str, float]:
         """Standard deviation of back-calculated less applied loads, percent of full range, by component."""
         return dict(zip(self.components, (100.0 * self.residual / self.full_range).tolist(), strict=True))
@@ -101,12 +109,19 @@ class TrimCalibration:
 class Calibration:
     """Static calibration of a rig: one set of matrices for each trim, by its label, and one `gage` model through all.
 
-    None where the trims have too few channels in common, or loads were applied that the balance does not carry.
+    None where the trims have too few channels in common, or loads were applied that the balance does not carry. From a
+    matrix that somebody else made there is one trim, its straight part at zero load, without runs and without errors:
+    standard errors, hysteresis and lack of fit NaN, covariances of coefficients zero.
     """
 
     geometry: Geometry
     trims: dict[str, TrimCalibration]
     gage: GageCalibration | None = None
+
+    @property
+    def errors_known(self) -> bool:
+        """Whether the standard errors of the coefficients are known."""
+        return all(bool(np.isfinite(trim.C0_sigma).all()) for trim in self.trims.values())
 
     def nearest(self, mean_load: Mapping[str, float]) -> TrimCalibration:
         """The trim whose mean load is nearest (name -> N or N m), components in units of their full range."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibrated import Calibration
 from balance_cli.check_errors import check_errors
+from balance_cli.curved_loads import curved_loads
 from balance_cli.dynamic_loads import RotorRecord, dynamic_loads, rotor_record
 from balance_cli.estimation.hub_loads import SolvedLoads
 from balance_cli.geometry import Geometry
@@ -18,6 +19,9 @@ from balance_cli.runs import Run
 from balance_cli.steady_loads import SteadyLoads, ZeroRecord, steady_loads
 
 Array = NDArray[np.float64]
+
+ERRORS_UNKNOWN = "sigma of the mean loads holds noise and the residuals that the matrix states, not its own errors"
+"""Said of a run that was reduced by a matrix without standard errors."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +45,20 @@ def reduce_run(
     """
     options = options or ReduceOptions()
     record = rotor_record(run, geometry, source, options.harmonics)
-    steady = steady_loads(record.spectra, calibration, record.health, zero)
+    steady = _mean_loads(record, calibration, zero)
     dynamic = dynamic_loads(record, geometry, source)
-    loads = _joined(record, steady, dynamic, source)
+    notes = record.azimuth.notes if calibration.errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
+    loads = replace(_joined(record, steady, dynamic, source), notes=notes)
     if not run.has_loads or run.kind != "check":
         return loads
     return replace(loads, check=check_errors(record.spectra, dynamic, loads.components, geometry))
+
+
+def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> SteadyLoads:
+    """By the model through all trims where that is curved, else by the matrix of the nearest trim."""
+    if calibration.gage is not None and calibration.gage.model.curved:
+        return curved_loads(record.spectra, calibration, calibration.gage.model, record.health, zero)
+    return steady_loads(record.spectra, calibration, record.health, zero)
 
 
 def _joined(record: RotorRecord, steady: SteadyLoads, dynamic: SolvedLoads, source: ResponseSource) -> RunLoads:
@@ -64,11 +76,10 @@ def _joined(record: RotorRecord, steady: SteadyLoads, dynamic: SolvedLoads, sour
         amplitude=np.concatenate([steady.loads[None, :].astype(complex), dynamic.loads]),
         sigma_cosine=np.concatenate([steady.sigma[None, :], np.sqrt(variance[:, :m])]),
         sigma_sine=np.concatenate([np.zeros((1, m)), np.sqrt(variance[:, m:])]),
-        flags=(tuple([steady.flag] * m), *(tuple([str(word)] * m) for word in words)),
+        flags=(steady.flags, *(tuple([str(word)] * m) for word in words)),
         redundancy=np.concatenate([[steady.redundancy], dynamic.surplus]),
         redundancy_limit=np.concatenate([[steady.redundancy_limit], dynamic.limit]),
         condition=np.concatenate([[steady.condition], dynamic.condition]),
         left_out=record.health.left_out,
         interval=spectra.interval,
-        notes=record.azimuth.notes,
     )

@@ -1,9 +1,12 @@
-"""Harmonic 0: mean hub loads from strain and torque channels through the static calibration."""
+"""Harmonic 0: mean hub loads from strain and torque channels through the static matrix of the nearest trim.
+
+Where the readings curve with the loads, `balance_cli.curved_loads` takes the place of the matrix.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,9 @@ Array = NDArray[np.float64]
 STRETCHES = 16
 NO_ZERO = "no zero"
 REDUNDANCY = "redundancy"
+EXTRAPOLATED = "extrapolated"
+# Condition of the matrix, loads in units of full range, from which it does not determine them.
+LARGEST_CONDITION = 1e8
 
 
 @dataclass(frozen=True)
@@ -44,21 +50,24 @@ def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
 
 @dataclass(frozen=True)
 class SteadyLoads:
-    """Mean loads (m,) of the named components with sigma (m,), the trim that was used, and the surplus chi-square."""
+    """Mean loads (m,) of the named components with sigma (m,), the trim that was used, and the surplus chi-square.
+
+    `flags` (m,): the words of each component.
+    """
 
     components: tuple[str, ...]
     loads: Array
     sigma: Array
     trim: str
-    flag: str
+    flags: tuple[str, ...]
     redundancy: float
     redundancy_limit: float
     condition: float
 
 
 @dataclass(frozen=True)
-class _Reading:
-    """Mean readings (c,) of the live channels of a trim, counted from the unloaded rig, with covariance (c, c)."""
+class MeanReading:
+    """Mean readings (c,) of the usable ones (rows) of some channels, counted from a reading, with covariance (c, c)."""
 
     rows: list[int]
     change: Array
@@ -71,12 +80,23 @@ def steady_loads(
     """Loads through T0 of the trim nearest in mean load, found by going through the trims once.
 
     Where channels were left out, the weighted inverse of what remains of C0 takes the place of T0. Raises UserError
-    where that does not determine the loads.
+    where that does not determine the loads. A load outside those of the whole calibration is flagged, where they are
+    known.
     """
     first = next(iter(calibration.trims.values()))
-    guess = _through(first, spectra, health, zero)
-    trim = calibration.nearest(_named(guess))
-    return guess if trim is first else _through(trim, spectra, health, zero)
+    found = _through(first, spectra, health, zero)
+    trim = calibration.nearest(_named(found))
+    if trim is not first:
+        found = _through(trim, spectra, health, zero)
+    outside = calibration.gage.model.extrapolated(found.loads) if calibration.gage else ()
+    return with_word(found, outside)
+
+
+def with_word(loads: SteadyLoads, outside: Sequence[str]) -> SteadyLoads:
+    """The same loads, those of the components `outside` flagged as EXTRAPOLATED."""
+    words = zip(loads.components, loads.flags, strict=True)
+    flags = ("; ".join(filter(None, (flag, EXTRAPOLATED if name in outside else ""))) for name, flag in words)
+    return replace(loads, flags=tuple(flags))
 
 
 def _named(loads: SteadyLoads) -> Mapping[str, float]:
@@ -84,60 +104,78 @@ def _named(loads: SteadyLoads) -> Mapping[str, float]:
 
 
 def _through(trim: TrimCalibration, spectra: Harmonics, health: ChannelHealth, zero: ZeroRecord | None) -> SteadyLoads:
-    reading = _reading(trim, spectra, health, zero)
+    unloaded = trim.offsets.mean(axis=0)
+    reading = mean_reading(trim.channel_names, trim.mean_channels, unloaded, spectra, health, zero)
     C0 = trim.C0[reading.rows]
-    _check_determined(C0, trim, health, spectra.run)
+    if not determined(C0 * trim.full_range):
+        raise undetermined(health, spectra.run)
     W = np.linalg.inv(trim.noise_covariance[np.ix_(reading.rows, reading.rows)])
     whole = len(reading.rows) == len(trim.channel_names)
     T0 = trim.T0 if whole else np.linalg.inv(C0.T @ W @ C0) @ C0.T @ W
     change = T0 @ reading.change
     covariance = reading.covariance + _matrix_error(trim, reading.rows, change)
-    redundancy, limit = _surplus(reading.change - C0 @ change, C0, covariance)
+    redundancy, limit = surplus(reading.change - C0 @ change, C0, covariance)
     variance = np.diag(T0 @ covariance @ T0.T) * (redundancy if redundancy > limit else 1.0)
-    flags = ([NO_ZERO] if zero is None else []) + ([REDUNDANCY] if redundancy > limit else [])
     return SteadyLoads(
         components=trim.components,
         loads=trim.mean_load + change,
         sigma=np.sqrt(variance),
         trim=trim.trim,
-        flag="; ".join(flags),
+        flags=run_flags(trim.components, zero, redundancy > limit),
         redundancy=redundancy,
         redundancy_limit=limit,
         condition=trim.condition,
     )
 
 
+def run_flags(components: Sequence[str], zero: ZeroRecord | None, misfit: bool) -> tuple[str, ...]:
+    """The words that all components of a run have."""
+    words = ([NO_ZERO] if zero is None else []) + ([REDUNDANCY] if misfit else [])
+    return tuple(["; ".join(words)] * len(components))
+
+
 def _matrix_error(trim: TrimCalibration, rows: list[int], change: Array) -> Array:
     """Covariance (c, c) of C0 f for the load change (m,), and of what the straight line leaves beyond noise."""
     spread = np.einsum("ijkl,j,l->ik", trim.C0_covariance, change, change)
-    # Noise averages out over a record; curvature and hysteresis do not.
-    lasting = max(0.0, 1.0 - 1.0 / trim.lack_of_fit)
-    return np.asarray((spread + lasting * trim.residual_covariance)[np.ix_(rows, rows)])
+    return np.asarray((spread + trim.lasting * trim.residual_covariance)[np.ix_(rows, rows)])
 
 
-def _reading(trim: TrimCalibration, spectra: Harmonics, health: ChannelHealth, zero: ZeroRecord | None) -> _Reading:
-    """What the channels read more than in the middle of the calibration, zero shift taken off."""
-    usable = set(health.live) & set(trim.channel_names)
+def mean_reading(
+    channel_names: Sequence[str],
+    middle: Array,
+    unloaded: Array,
+    spectra: Harmonics,
+    health: ChannelHealth,
+    zero: ZeroRecord | None,
+) -> MeanReading:
+    """What the usable ones of the channels (c,) read more than `middle` (c,), zero shift taken off.
+
+    The zero shift is what a zero record reads more than the rig read `unloaded` (c,) in the calibration.
+    """
+    usable = set(health.live) & set(channel_names)
     if zero is not None:
         usable &= set(zero.channel_names)
-    rows = [i for i, name in enumerate(trim.channel_names) if name in usable]
-    names = [trim.channel_names[i] for i in rows]
+    rows = [i for i, name in enumerate(channel_names) if name in usable]
+    names = [channel_names[i] for i in rows]
     mine = spectra.columns(names)
-    change = spectra.amplitude[0, mine].real - trim.mean_channels[rows]
+    change = spectra.amplitude[0, mine].real - middle[rows]
     covariance = np.real(spectra.covariance[0][np.ix_(mine, mine)])
     if zero is not None:
         at = [zero.channel_names.index(name) for name in names]
-        change = change - (zero.mean[at] - trim.offsets.mean(axis=0)[rows])
+        change = change - (zero.mean[at] - unloaded[rows])
         covariance = covariance + np.diag(zero.variance[at])
-    return _Reading(rows, change, covariance)
+    return MeanReading(rows, change, covariance)
 
 
-def _check_determined(C0: Array, trim: TrimCalibration, health: ChannelHealth, run: str) -> None:
-    scaled = C0 * trim.full_range
-    if len(C0) >= C0.shape[1] and np.linalg.cond(scaled) < 1e8:
-        return
+def determined(C0: Array) -> bool:
+    """Whether the matrix (c, k) of the channels that remain, loads over full range, determines the loads."""
+    return len(C0) >= C0.shape[1] and bool(np.linalg.cond(C0) < LARGEST_CONDITION)
+
+
+def undetermined(health: ChannelHealth, run: str) -> UserError:
+    """What is wrong with a run whose remaining channels do not determine the loads."""
     names = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items()) or "none"
-    raise UserError(
+    return UserError(
         f"the remaining strain and torque channels do not determine the mean loads (left out: {names})",
         run,
         "channels",
@@ -145,7 +183,7 @@ def _check_determined(C0: Array, trim: TrimCalibration, health: ChannelHealth, r
     )
 
 
-def _surplus(residual: Array, C0: Array, covariance: Array) -> tuple[float, float]:
+def surplus(residual: Array, C0: Array, covariance: Array) -> tuple[float, float]:
     """Chi-square per degree of freedom of the surplus channels, and its 99.9 % point."""
     degrees = len(C0) - C0.shape[1]
     if degrees <= 0:

@@ -174,7 +174,9 @@ NAMES = {
     **dict.fromkeys(("hysteresis_percent_fs", "sensitivity", "sensitivities", "stiffness"), 1),
     **dict.fromkeys(("coherence_min", "relative_sigma", "redundancy", "redundancy_limit", "condition"), 1),
     **dict.fromkeys(("load_error", "interaction", "load_noise", "interaction_noise"), 1),
-    **dict.fromkeys(("C0", "T0", "channel_hysteresis", "channels_left_out"), 2),
+    **dict.fromkeys(("terms_refused", "residual", "press", "left_out_sequences", "reach", "drift_per_sequence"), 1),
+    **dict.fromkeys(("scatter_chi2_per_dof", "checks", "error_percent_fs", "within_interval"), 1),
+    **dict.fromkeys(("terms", "linear", "C0", "T0", "channel_hysteresis", "channels_left_out"), 2),
 }
 
 

@@ -78,6 +78,24 @@ class GageModel:
         """Readings (m, c) [V] beyond the zero, of loads (m, k) [N, N m]."""
         return np.asarray(columns(self.parsed, np.asarray(loads, float) / self.full_range) @ self.coefficients)
 
+    def tangent(self, loads: ArrayLike, rows: NDArray[np.intp] | None = None) -> Array:
+        """Derivative (m, c, k) [V] of the readings by the loads over full range, at loads (m, k) [N, N m]."""
+        at = np.arange(len(self.channel_names)) if rows is None else rows
+        x = np.atleast_2d(np.asarray(loads, float)) / self.full_range
+        return np.asarray(np.einsum("mpk,pc->mck", slopes(self.parsed, x), self.coefficients[:, at]))
+
+    def model_covariance(self, loads: ArrayLike, rows: NDArray[np.intp] | None = None) -> Array:
+        """Covariance (m, c, c) [V2] that the errors of the coefficients leave in the readings of loads (m, k) [N, N m].
+
+        Coefficients of two channels are as alike as their residuals: their terms come from the same rows.
+        """
+        at = np.arange(len(self.channel_names)) if rows is None else rows
+        X = columns(self.parsed, np.atleast_2d(np.asarray(loads, float)) / self.full_range)
+        spread = np.sqrt(np.maximum(np.einsum("mp,cpq,mq->mc", X, self.covariance[at], X, optimize=True), 0.0))
+        S = self.residual_covariance[np.ix_(at, at)]
+        size = np.sqrt(np.diag(S))
+        return np.asarray(spread[:, :, None] * (S / (size[:, None] * size)) * spread[:, None, :])
+
     def loads(self, change: ArrayLike, rows: NDArray[np.intp] | None = None) -> tuple[Array, NDArray[np.bool_]]:
         """Loads (m, k) [N, N m] of readings (m, c) [V] beyond the zero, and for which rows (m,) the iteration holds.
 
@@ -94,18 +112,13 @@ class GageModel:
     ) -> Array:
         """Covariance (m, k, k) of loads (m, k) found from readings of covariance (c, c), by default that of a row.
 
-        With the tangent J = dr/dx at the loads and W = (J'S^-1 J)^-1 J'S^-1: W (S + x' cov(b) x) W'. Coefficients of
-        two channels are as alike as their residuals: their terms come from the same rows.
+        With the tangent J = dr/dx at the loads and W = (J'S^-1 J)^-1 J'S^-1: W (S + x' cov(b) x) W'.
         """
         at = np.arange(len(self.channel_names)) if rows is None else rows
-        x = np.atleast_2d(np.asarray(loads, float)) / self.full_range
         S = self.residual_covariance[np.ix_(at, at)]
         noise = S if reading_covariance is None else np.asarray(reading_covariance, float)
-        X, J = columns(self.parsed, x), np.einsum("mpk,pc->mck", slopes(self.parsed, x), self.coefficients[:, at])
-        of_model = np.einsum("mp,cpq,mq->mc", X, self.covariance[at], X, optimize=True)
-        W = np.stack([weighted_inverse(one, S) for one in J])
-        size, spread = np.sqrt(np.diag(S)), np.sqrt(np.maximum(of_model, 0.0))
-        whole = noise + spread[:, :, None] * (S / (size[:, None] * size)) * spread[:, None, :]
+        W = np.stack([weighted_inverse(one, S) for one in self.tangent(loads, rows)])
+        whole = noise + self.model_covariance(loads, rows)
         covariance = W @ whole @ W.swapaxes(1, 2)
         return np.asarray(covariance * self.full_range[:, None] * self.full_range)
 

@@ -13,13 +13,14 @@ from balance_cli.cli.common import (
     balance_command,
     geometry_option,
     output_option,
-    runs_argument,
     skip_bad_option,
 )
-from balance_cli.cli.options import InputFile
+from balance_cli.cli.options import InputFile, OutputFile
+from balance_cli.errors import UserError
 
 if TYPE_CHECKING:
     from balance_cli.calibrated import Calibration, TrimCalibration
+    from balance_cli.geometry import Geometry
     from balance_cli.runs import Run
 
 FORMAT = "balance-calibration/1"
@@ -27,7 +28,7 @@ FORMAT = "balance-calibration/1"
 
 @balance_command("calibrate")
 @geometry_option
-@runs_argument
+@click.argument("runs", type=InputFile(), nargs=-1, metavar="RUN...")
 @click.option(
     "--terms",
     type=click.Choice(["search", "linear"]),
@@ -43,6 +44,19 @@ FORMAT = "balance-calibration/1"
     metavar="RUN",
     help="Static run that takes no part and checks the prediction intervals (repeatable).",
 )
+@click.option(
+    "--matrix",
+    type=OutputFile(),
+    metavar="FILE",
+    help="Write the matrix of the model, too: .csv for spreadsheets and --from-matrix, .txt for reading.",
+)
+@click.option(
+    "--from-matrix",
+    "from_matrix",
+    type=InputFile(),
+    metavar="FILE",
+    help="Take the calibration from this matrix (.csv) instead of from runs.",
+)
 @skip_bad_option
 @output_option("CAL")
 def command(
@@ -51,6 +65,8 @@ def command(
     runs: tuple[Path, ...],
     terms: str,
     hold_out: tuple[Path, ...],
+    matrix: Path | None,
+    from_matrix: Path | None,
     skip_bad: bool,
     output: Path,
 ) -> None:
@@ -58,24 +74,79 @@ def command(
 
     The model has the terms that balances are calibrated with (AIAA R-091): a channel has those that are significant and
     that help to predict loading sequences that took no part. What is plainly wrong is named and takes no part.
+
+    With --from-matrix the model is that of a matrix that somebody else made, and no run is needed.
     """
-    from balance_cli.calibrate import calibrate
     from balance_cli.cli.calibration_text import gage_warnings
 
+    _check_call(runs, terms, matrix, from_matrix)
     rig = session.geometry(geometry)
-    opened = session.runs(runs, rig, skip_bad)
-    held = session.runs(hold_out, rig, skip_bad, role="hold-out", apart_from=opened)
-    for run in opened:
-        if run.kind != "static":
-            session.left_out(run.name, f"a {run.kind} run; only static runs are used")
-    result = calibrate(opened, rig, terms == "search", _static(session, held))
+    if from_matrix is None:
+        result = _from_runs(session, rig, runs, hold_out, terms, skip_bad)
+    else:
+        result = _from_matrix(session, rig, from_matrix, hold_out, skip_bad)
     for trim in result.trims.values():
         for name, reason in trim.left_out.items():
             session.warn(f"trim {trim.trim}: channel {name} left out: {reason}")
     for words in gage_warnings(result.gage) if result.gage else ():
         session.warn(words)
     session.save(output, FORMAT, result)
+    if matrix is not None:
+        session.write_text(matrix, _matrix_file(result, matrix))
     session.finish(_summary(result), _text(result))
+
+
+def _check_call(runs: tuple[Path, ...], terms: str, matrix: Path | None, from_matrix: Path | None) -> None:
+    """UserError for a call that asks for both sources or for none, or for a matrix of no known kind."""
+    if from_matrix is None and not runs:
+        raise UserError("no run is given", "RUN...", remedy="Give the static runs, or a matrix with --from-matrix")
+    if from_matrix is not None and runs:
+        fault = "the calibration comes from runs or from a matrix, not from both"
+        raise UserError(fault, "RUN..., --from-matrix", remedy="Give one of them; --hold-out RUN checks a matrix")
+    if from_matrix is not None and terms != "search":
+        raise UserError("a matrix has its own terms", "--terms, --from-matrix", remedy="Leave --terms out")
+    if matrix is not None and matrix.suffix not in (".csv", ".txt"):
+        raise UserError("a matrix is written as .csv or .txt", str(matrix), remedy="Let its name end so")
+
+
+def _from_runs(
+    session: Session, rig: Geometry, runs: tuple[Path, ...], hold_out: tuple[Path, ...], terms: str, skip_bad: bool
+) -> Calibration:
+    from balance_cli.calibrate import calibrate
+
+    opened = session.runs(runs, rig, skip_bad)
+    held = session.runs(hold_out, rig, skip_bad, role="hold-out", apart_from=opened)
+    for run in opened:
+        if run.kind != "static":
+            session.left_out(run.name, f"a {run.kind} run; only static runs are used")
+    return calibrate(opened, rig, terms == "search", _static(session, held))
+
+
+def _from_matrix(
+    session: Session, rig: Geometry, path: Path, hold_out: tuple[Path, ...], skip_bad: bool
+) -> Calibration:
+    from balance_cli.stated_calibration import stated_calibration
+
+    stated = session.matrix(path)
+    held = session.runs(hold_out, rig, skip_bad, role="hold-out")
+    try:
+        result = stated_calibration(stated, rig, _static(session, held))
+    except UserError as error:
+        raise error.at(file=str(path)) from error
+    session.warn("the matrix states no errors of its own: sigma of mean loads will not hold them")
+    return result
+
+
+def _matrix_file(result: Calibration, path: Path) -> str:
+    """The text of the matrix, of the kind that the suffix asks for. UserError where there is no model."""
+    from balance_cli.calibration.matrix import matrix_of
+    from balance_cli.calibration.matrix_text import matrix_csv, matrix_text
+
+    if result.gage is None:
+        fault = "there is no matrix: the trims have too few channels in common, or other loads were applied"
+        raise UserError(fault, str(path), remedy="Mend the channels, apply the carried loads, or leave --matrix out")
+    stated = matrix_of(result.gage.model, result.geometry.rig)
+    return matrix_csv(stated) if path.suffix == ".csv" else matrix_text(stated)
 
 
 def _static(session: Session, held: tuple[Run, ...]) -> list[Run]:
@@ -133,6 +204,9 @@ def _text(result: Calibration) -> Iterator[str]:
     from balance_cli.cli.calibration_text import gage_text
 
     for trim in result.trims.values():
+        if not trim.runs:
+            yield f"From a matrix, straight part at zero load: condition {trim.condition:.1f}"
+            continue
         yield f"Trim {trim.trim}: {trim.rows} rows of {', '.join(trim.runs)}; condition {trim.condition:.1f}"
         yield f"  residual over noise {trim.lack_of_fit:.2f} (1: a straight line is all there is)"
         yield "  component  full range   residual % FS   up less down % FS"

@@ -47,7 +47,8 @@ def _of(gage: GageCalibration) -> Iterator[tuple[int, str]]:
 def _curved(gage: GageCalibration, channel: int) -> dict[str, Mapping[str, float]]:
     """Every term of a channel that is not a load itself, with what is known of it."""
     model = gage.model
-    sigma = np.sqrt(np.diag(model.covariance[channel]))
+    # A matrix from elsewhere states no errors: its t is unknown, too.
+    sigma = np.where(np.isfinite(model.t[:, channel]), np.sqrt(np.diag(model.covariance[channel])), np.nan)
     columns = {
         "value": model.coefficients[:, channel],
         "sigma": sigma,
@@ -58,7 +59,7 @@ def _curved(gage: GageCalibration, channel: int) -> dict[str, Mapping[str, float
     return {
         name: {what: float(values[i]) for what, values in columns.items()}
         for i, name in enumerate(model.terms)
-        if i >= len(model.components) and np.isfinite(model.t[i, channel])
+        if i >= len(model.components) and (np.isfinite(model.t[i, channel]) or columns["value"][i] != 0.0)
     }
 
 
@@ -102,10 +103,11 @@ def gage_text(gage: GageCalibration) -> Iterator[str]:
     """For the terminal."""
     model = gage.model
     proof = model.contraction()
-    yield f"All trims, {len(gage.loads)} rows in {len(model.sequences)} loading sequences, each with its own zero"
+    if gage.runs:
+        yield f"All trims, {len(gage.loads)} rows in {len(model.sequences)} loading sequences, each with its own zero"
     for channel, name in _of(gage):
         terms = _curved(gage, channel)
-        said = ", ".join(f"{term} (t {of['t']:.1f})" for term, of in terms.items()) or "the loads alone"
+        said = ", ".join(_said(term, of["t"]) for term, of in terms.items()) or "the loads alone"
         yield f"  {name:12s} {said}"
     if proof.proved and model.curved:
         yield f"  loads by iteration: every step shrinks the error at least {1 / max(proof.rho, 1e-12):.0f} times"
@@ -118,6 +120,10 @@ def gage_text(gage: GageCalibration) -> Iterator[str]:
         for j, component in enumerate(model.components):
             error, share = 100.0 * check.error[j] / model.full_range[j], 100.0 * check.hits[j]
             yield f"    {component:4s} {error:9.4f} {share:6.1f} %"
+
+
+def _said(term: str, t: float) -> str:
+    return f"{term} (t {t:.1f})" if np.isfinite(t) else term
 
 
 def _first(refused: Mapping[str, str]) -> str:

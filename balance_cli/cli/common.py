@@ -55,6 +55,7 @@ from balance_cli.files import Staged, writing
 
 if TYPE_CHECKING:
     from balance_cli.artefacts import Artefact, Provenance
+    from balance_cli.calibration.matrix_reader import StatedMatrix
     from balance_cli.geometry import Geometry
     from balance_cli.runs import Run
 
@@ -127,6 +128,14 @@ class Session:
         self._inputs.append((path.name, role, artefact.digest))
         return artefact
 
+    def matrix(self, path: Path) -> StatedMatrix:
+        """Read a matrix, and remember it as an input."""
+        from balance_cli.matrix_file import load_matrix
+
+        stated, digest = load_matrix(path)
+        self._inputs.append((path.name, "matrix", digest))
+        return stated
+
     def progress(self, items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
         """The same items, with a progress bar on stderr where that is a terminal."""
         if not sys.stderr.isatty():
@@ -148,6 +157,12 @@ class Session:
         from balance_cli.artefacts import save_artefact
 
         save_artefact(self.stage(path), format, content, self.provenance())
+
+    def write_text(self, path: Path, text: str) -> None:
+        """Prepare a text file at `path`."""
+        part = self.stage(path)
+        with writing(path):
+            part.write_text(text, encoding="utf-8", newline="\n")
 
     def stage(self, path: Path) -> Path:
         """The path to write to instead of `path`; moved there when the command has succeeded."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from balance_cli.artefacts import FORMATS, Stored, read_stored
+from balance_cli.calibration.matrix_text import FORMAT as MATRIX_FORMAT
 from balance_cli.channel_health import channel_faults, live_channels
 from balance_cli.errors import UserError
 from balance_cli.geometry import FORMAT as GEOMETRY_FORMAT
@@ -18,6 +19,8 @@ from balance_cli.run_files import mismatches, read_run
 from balance_cli.runs import Run
 
 LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
+
+MATRIX_FAMILY = MATRIX_FORMAT.partition("/")[0] + "/"
 
 OTHER_FORMATS = {"balance-history/1": "history of hub loads", "balance-truth/1": "truth behind simulated runs"}
 """Formats that no command reads."""
@@ -50,7 +53,9 @@ def examine(path: Path, geometry: Geometry | None) -> Finding:
         return Finding(str(declared), OTHER_FORMATS[str(declared)])
     if declared is None and path.is_file() and path.suffix in (".yaml", ".yml"):
         return _geometry(path, geometry)
-    if declared is None and _is_load_table(path):
+    if declared is None and _first_line(path).startswith(MATRIX_FAMILY):
+        return _matrix(path, geometry)
+    if declared is None and _first_line(path) == LOADS_HEADER:
         return Finding("loads", "table of harmonic loads")
     return Finding("unknown", "not recognised", faults=(_unknown(path),))
 
@@ -135,9 +140,23 @@ def _geometry_within(stored: Stored) -> Geometry | None:
     return Geometry.model_validate_json(text) if isinstance(text, str) else None
 
 
-def _is_load_table(path: Path) -> bool:
+def _matrix(path: Path, geometry: Geometry | None) -> Finding:
+    from balance_cli.matrix_file import load_matrix
+    from balance_cli.stated_calibration import stated_calibration
+
+    try:
+        stated, digest = load_matrix(path)
+        if geometry is not None:
+            stated_calibration(stated, geometry)
+    except UserError as error:
+        return Finding(MATRIX_FORMAT, "calibration matrix", faults=(error.at(file=str(path)),))
+    matrix = stated.matrix
+    about = f"calibration matrix of {len(matrix.channel_names)} channels for {', '.join(matrix.components)}"
+    return Finding(MATRIX_FORMAT, about, path.name, matrix.rig, digest)
+
+
+def _first_line(path: Path) -> str:
     if not path.is_file():
-        return False
+        return ""
     with path.open("rb") as file:
-        first = file.readline(1000).decode("utf-8", "replace")
-    return first.strip() == LOADS_HEADER
+        return file.readline(1000).decode("utf-8", "replace").strip()

@@ -1,0 +1,80 @@
+"""A matrix as text: CSV that spreadsheets and `read_matrix` take (`balance-matrix/1`), and aligned columns for reading.
+
+Every line has a name, a unit, and values. First come the components and what was calibrated, then the channels, then
+one line for each term, one column for each channel.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from balance_cli.calibration.matrix import Matrix, term_unit
+from balance_cli.calibration.terms import all_terms
+from balance_cli.components import UNIT_OF
+
+FORMAT = "balance-matrix/1"
+FOR_READING = f"{FORMAT} for reading"
+NOTES = (
+    "A channel reads its zero plus the sum over the terms of coefficient times term, loads in N and N m.",
+    "Axes and signs are those of the rig; moments count about its hub.",
+)
+
+NOTE, RIG, COMPONENT, UNIT = "note", "rig", "component", "unit"
+FULL_RANGE, SMALLEST, LARGEST = "full range", "smallest load", "largest load"
+CHANNEL, ZERO, RESIDUAL, DOF = "channel", "zero", "residual standard deviation", "degrees of freedom"
+CORRELATION = "correlation with "
+TERM = "term"
+VOLT = "V"
+
+Line = tuple[str, str, Sequence[str | float]]
+
+
+def matrix_csv(matrix: Matrix) -> str:
+    """The matrix as CSV, every number with all its digits."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([FORMAT])
+    for name, unit, values in _lines(matrix):
+        writer.writerow([name, unit, *(value if isinstance(value, str) else repr(value) for value in values)])
+    return out.getvalue()
+
+
+def matrix_text(matrix: Matrix) -> str:
+    """The same in aligned columns, numbers to seven digits."""
+    lines = list(_lines(matrix))
+    notes = [values[0] for name, _, values in lines if name == NOTE]
+    cells = [[name, unit, *map(_short, values)] for name, unit, values in lines if name != NOTE]
+    width = [max(len(line[i]) for line in cells if i < len(line)) for i in range(max(map(len, cells)))]
+    left = [width[0], width[1]]
+    aligned = ("  ".join([*map(str.ljust, line, left), *map(str.rjust, line[2:], width[2:])]) for line in cells)
+    return "\n".join([FOR_READING, *map(str, notes), "", *(line.rstrip() for line in aligned), ""])
+
+
+def _short(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:.7g}"
+
+
+def _lines(matrix: Matrix) -> Iterator[Line]:
+    """Name, unit and values of each line, in their order."""
+    for note in NOTES:
+        yield NOTE, "", (note,)
+    if matrix.rig:
+        yield RIG, "", (matrix.rig,)
+    yield COMPONENT, "", matrix.components
+    yield UNIT, "", tuple(UNIT_OF[name] for name in matrix.components)
+    for name, loads in ((FULL_RANGE, matrix.full_range), (SMALLEST, matrix.smallest), (LARGEST, matrix.largest)):
+        yield name, "", loads.tolist()
+    yield CHANNEL, "", matrix.channel_names
+    yield ZERO, VOLT, matrix.zeros.tolist()
+    yield RESIDUAL, VOLT, matrix.residual_sigma.tolist()
+    yield DOF, "", matrix.dof.tolist()
+    if np.any(matrix.correlation != np.eye(len(matrix.channel_names))):
+        for name, row in zip(matrix.channel_names, matrix.correlation.tolist(), strict=True):
+            yield CORRELATION + name, "", row
+    yield TERM, UNIT, matrix.channel_names
+    for term, coefficients in zip(all_terms(len(matrix.components)), matrix.coefficients.tolist(), strict=True):
+        yield term.name(matrix.components), term_unit(term, matrix.components), coefficients
