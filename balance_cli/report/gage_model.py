@@ -43,16 +43,19 @@ def gage_blocks(source: Source[Calibration], named: bool, ending: str) -> Iterat
         yield Text(NO_MODEL)
         return
     proof = gage.model.contraction()
-    yield Text(_what_it_is(gage, source.artefact.provenance.options.get("terms") != "linear"))
+    stated = not len(gage.loads)
+    yield Text(STATED if stated else _what_it_is(gage, source.artefact.provenance.options.get("terms") != "linear"))
     yield from _warnings(gage, proof)
     if proof.proved:
         yield Text(_loads_back(gage, proof))
-    yield channel_table(gage, channel_ranges(source.content, gage))
+    if not stated:
+        yield channel_table(gage, channel_ranges(source.content, gage))
     if gage.model.curved:
         yield term_table(gage)
     if gage.checks:
         yield check_table(gage)
-    yield from _pictures(source.content, gage, ending)
+    if not stated:
+        yield from _pictures(source.content, gage, ending)
     if gage.model.refused:
         words = f"{len(gage.model.refused)} terms that these loads do not support"
         yield Details(words, (refused_table(gage),))
@@ -67,6 +70,9 @@ def _what_it_is(gage: GageCalibration, search: bool) -> str:
     return f"All channels through all trims, {taken} of {listed(gage.runs)} in {each}. {chosen}"
 
 
+STATED = (
+    "All channels through all trims, as a matrix states them: no load points are behind it, nor errors of its terms."
+)
 LINEAR = "Every channel has the loads alone; no other terms were sought."
 
 
