@@ -130,7 +130,8 @@ def calibration_chunk(seed: int) -> pd.DataFrame:
             "refused": len(whole.model.refused),
             "set_aside": len(whole.outliers) + len(whole.bad_sequences),
             "solved": check.solved.mean(),
-            "hits": check.hits,
+            # The first row told the zero.
+            "hits": np.mean((np.abs(check.found - check.applied) <= check.interval)[1:][check.solved[1:]], axis=0),
             "rms": _rms(check, rows),
             "floor": _rms(floor, rows),
         }
