@@ -213,7 +213,8 @@ def _noise_of_rows(errors: Array, sequence: Index, used: NDArray[np.bool_]) -> A
     found = np.tile(_noise(errors[used]), (len(errors), 1))
     for name in np.unique(sequence[used]):
         rows = (sequence == name) & used
-        found[rows] = np.maximum(found[rows], _noise(errors[rows]))
+        # A bad row shifts the zero of its sequence: all others are off by as much.
+        found[rows] = np.maximum(found[rows], _noise(errors[rows] - np.median(errors[rows], axis=0)))
     return found
 
 
