@@ -2,8 +2,9 @@
 
 import sys
 
-from benchmarks import maximum_likelihood, score
+from benchmarks import maximum_likelihood, regression, score
 
 if __name__ == "__main__":
     sys.stdout.write(f"Maximum likelihood, sample campaign\n{maximum_likelihood.run()}\n")
     sys.stdout.write(f"Score test against refit, sample campaign\n{score.run()}\n")
+    sys.stdout.write(f"Regression of a calibration, with all its tests\n{regression.run()}\n")

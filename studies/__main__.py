@@ -11,6 +11,7 @@ import pandas as pd
 from balance_cli.geometry_file import load_geometry
 from studies.attribution import attribution_chunk
 from studies.attribution_tables import attribution_table
+from studies.calibration import calibration_chunk, calibration_table
 from studies.cases import KINDS, case, count
 from studies.chunks import run_chunks
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
@@ -29,6 +30,7 @@ def studies(context: click.Context) -> None:
         context.invoke(coverage)
         context.invoke(recovery)
         context.invoke(attribution)
+        context.invoke(calibration)
 
 
 @studies.command()
@@ -68,6 +70,17 @@ def attribution(kinds: tuple[str, ...] = (), campaigns: int | None = None, jobs:
     table = attribution_table(rows)
     _write("attribution", table)
     _write("attribution_campaigns", rows)
+    click.echo(table.to_string(index=False))
+
+
+@studies.command()
+@click.option("--balances", default=100, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def calibration(balances: int = 100, jobs: int = 2) -> None:
+    """Terms found, coverage on check loads and back-calculated loads of simulated static calibrations."""
+    rows = run_chunks("calibration", calibration_chunk, range(balances), jobs)
+    table = calibration_table(rows)
+    _write("calibration", table)
     click.echo(table.to_string(index=False))
 
 

@@ -1,16 +1,20 @@
 """Linear regression with a zero for each loading sequence, and what tells whether it can be trusted.
 
-Rows come in blocks, each with a zero of its own (a natural zero and its shift): X = [zeros, terms]. One QR
-decomposition of X, columns scaled, serves everything: with X = Q R, the terms last,
+Rows come in blocks, each with a zero of its own (a natural zero and its shift), which is eliminated: every column less
+its weighted mean in each block. One QR decomposition of the centred terms, columns scaled, serves everything: with
+A = Q R,
 
-    coefficients     b = R^-1 Q'y,  refined with residuals in extended precision (Bjorck, BIT 7 (1967) 257)
-    covariance       s^2 (X'X)^-1,  whose part for the terms is s^2 (R2'R2)^-1, R2 the last corner of R
-    variance inflation   diag (R2'R2)^-1 diag(R2'R2): zeros taken out (Marquardt, Technometrics 12 (1970) 591)
-    PRESS            e_i / (1 - h_i),  h the diagonal of QQ' (Allen, Technometrics 16 (1974) 125)
-    left-out blocks  (1 - H_BB)^-1 e_B,  where H is the projection on the terms less their means in each block: a block
-                     that took no part still has its own zero
+    coefficients     b = R^-1 Q'y, refined together with the zeros (Bjorck, BIT 7 (1967) 257)
+    covariance       s^2 (R'R)^-1
+    variance inflation   diag (R'R)^-1 diag(R'R): zeros taken out (Marquardt, Technometrics 12 (1970) 591)
+    PRESS            e_i / (1 - h_i),  h the diagonal of QQ' and the share of a row in its zero
+                     (Allen, Technometrics 16 (1974) 125)
+    left-out blocks  (1 - Q_B Q_B')^-1 e_B: a block that took no part still has its own zero
 
 so that no model is fitted twice. All outputs have the same terms, and are done together.
+
+Errors grow with the condition of the terms. Where that is large, or what comes is in extended precision, so are the
+residuals of the refinement and the decomposition that the standard errors rest on.
 """
 
 from __future__ import annotations
@@ -26,7 +30,11 @@ Index = NDArray[np.intp]
 
 # Largest condition of the scaled columns that leaves coefficients a few digits in double precision.
 LARGEST_CONDITION = 1e13
-REFINEMENTS = 4
+# Condition beyond which double precision would leave fewer than some eleven digits.
+EXTENDED_CONDITION = 1e4
+# Refinements at most; each leaves of the error what the first solution has of it. They end where no more is gained.
+REFINEMENTS = 8
+TINY = float(np.finfo(float).tiny)
 # A row that alone determines a coefficient is granted this share of its residual.
 LEAST_SHARE = 1e-8
 # Share of what is known of a term that rows of other groups must hold, to predict a group by them.
@@ -37,9 +45,9 @@ LEAST_KNOWN = 1e-4
 class LeastSquares:
     """Regression of outputs (m, c) on p terms with a zero for each of b blocks.
 
-    coefficients (p, c) and zeros (b, c); residuals (m, c); leverage (m,); `root` (p, p): R2 of the head of this module,
-    terms in their own units; weight (m,), block (m,); dof: rows less everything fitted; Q (m, p) spans the terms within
-    the blocks, in weighted rows.
+    coefficients (p, c) and zeros (b, c); residuals (m, c); leverage (m,); `root` (p, p): R of the head of this module,
+    terms in their own units, and `inverse` (p, p) = (R'R)^-1, the covariance of the coefficients for s = 1; weight
+    (m,), block (m,); dof: rows less everything fitted; Q (m, p) spans the terms within the blocks, in weighted rows.
     """
 
     coefficients: Array
@@ -47,6 +55,7 @@ class LeastSquares:
     residuals: Array
     leverage: Array
     root: Array
+    inverse: Array
     weight: Array
     block: Index
     dof: int
@@ -58,12 +67,6 @@ class LeastSquares:
         return np.asarray(self.weight @ self.residuals**2 / self.dof)
 
     @property
-    def inverse(self) -> Array:
-        """(R2'R2)^-1 (p, p): the covariance of the coefficients for s = 1."""
-        inverse = solve_triangular(self.root, np.eye(len(self.root)))
-        return np.asarray(inverse @ inverse.T)
-
-    @property
     def sigma(self) -> Array:
         """Standard errors (p, c) of the coefficients."""
         return np.asarray(np.sqrt(np.diag(self.inverse)[:, None] * self.variance))
@@ -71,7 +74,7 @@ class LeastSquares:
     @property
     def t(self) -> Array:
         """Coefficients over their standard errors (p, c)."""
-        return np.asarray(self.coefficients / np.maximum(self.sigma, np.finfo(float).tiny))
+        return np.asarray(self.coefficients / np.maximum(self.sigma, TINY))
 
     @property
     def p_value(self) -> Array:
@@ -127,56 +130,153 @@ def regression(X: NDArray[np.floating], Y: Array, block: Index, weight: Array | 
     X and Y may come in extended precision, which is kept where it matters. Raises CollinearError.
     """
     w = np.ones(len(X)) if weight is None else np.asarray(weight, float)
-    blocks = np.unique(block)
-    D = (block[:, None] == blocks).astype(X.dtype)
-    whole = np.hstack([D, X]).astype(np.longdouble) * np.sqrt(w).astype(np.longdouble)[:, None]
-    y = np.asarray(Y, np.longdouble) * np.sqrt(w)[:, None]
-    scale = np.sqrt(np.sum(np.asarray(whole, float) ** 2, axis=0))
-    scale = np.where(scale > 0, scale, 1.0)
-    A = whole / scale
-    Q, R = np.linalg.qr(np.asarray(A, float))
-    b = len(blocks)
-    _check_told_apart(R, b)
-    x, r = _refined(A, y, Q, R)
-    coefficients = np.asarray(x / scale[:, None], float)
+    zeros = _Zeros.of(block, w)
+    # The size of a column with its zeros in it, to a power of two: what the zeros leave of it may be rounding.
+    size = np.sqrt(w @ np.asarray(X, float) ** 2)
+    scale = np.exp2(np.round(np.log2(np.where(size > 0, size, 1.0))))
+    Q, R = np.linalg.qr(zeros.centred(np.asarray(X, float) / scale))
+    extended = X.dtype == np.longdouble or Y.dtype == np.longdouble or _condition(R) > EXTENDED_CONDITION
+    x, z, r = _refined(*_shifted(X / scale, Y, zeros, extended), zeros, Q, R)
+    Q, R, inverse = _exactly(zeros.centred(X.astype(np.longdouble) / scale)) if extended else (Q, R, _inverse(R))
     return LeastSquares(
-        coefficients=coefficients[b:],
-        zeros=coefficients[:b],
-        residuals=np.asarray(r, float) / np.sqrt(w)[:, None],
-        leverage=np.sum(Q**2, axis=1),
-        root=R[b:, b:] * scale[b:],
+        coefficients=np.asarray(x / scale[:, None], float),
+        zeros=np.asarray(z, float),
+        residuals=np.asarray(r, float) / zeros.root[:, None],
+        leverage=np.sum(Q**2, axis=1) + w / zeros.total[zeros.place],
+        root=R * scale,
+        inverse=inverse / scale / scale[:, None],
         weight=w,
-        block=np.searchsorted(blocks, block),
-        dof=len(X) - A.shape[1],
-        Q=Q[:, b:],
+        block=zeros.place,
+        dof=len(X) - X.shape[1] - len(zeros.total),
+        Q=Q,
     )
 
 
-def _check_told_apart(R: Array, zeros: int) -> None:
-    """Raises CollinearError with the smallest right singular vector of the terms, zeros taken out."""
-    inner = R[zeros:, zeros:]
-    if not inner.size:
-        return
-    # The columns were scaled with their zeros in them: what these leave of a term is its size in `inner`.
-    size = np.linalg.norm(inner, axis=0)
+@dataclass(frozen=True)
+class _Zeros:
+    """Blocks of rows: `place` (m,) among the blocks, `order` (m,) and `starts` (b,) of rows sorted by them; sums
+
+    of weights `total` (b,), square roots of weights `root` (m,).
+    """
+
+    place: Index
+    order: Index
+    starts: Index
+    total: Array
+    root: Array
+
+    @classmethod
+    def of(cls, block: Index, weight: Array) -> _Zeros:
+        names, place = np.unique(block, return_inverse=True)
+        order = np.argsort(place, kind="stable")
+        starts = np.searchsorted(place[order], np.arange(len(names)))
+        return cls(place, order, starts, np.bincount(place, weight), np.sqrt(weight))
+
+    def sums(self, rows: NDArray[np.floating]) -> NDArray[np.floating]:
+        """D' times weighted rows (m, p), with D (m, b) the weighted columns of the zeros."""
+        weighted = rows * self.root[:, None]
+        return np.asarray(np.add.reduceat(weighted[self.order], self.starts, axis=0))
+
+    def spread(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+        """D times values (b, p) of the blocks."""
+        return np.asarray(values[self.place] * self.root[:, None])
+
+    def means(self, rows: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Means (b, p) of weighted rows (m, p) in each block."""
+        return np.asarray(self.sums(rows) / self.total[:, None])
+
+    def centred(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Weighted rows of values (m, p), without what the zeros explain of them."""
+        rows = values * self.root[:, None]
+        return np.asarray(rows - self.spread(self.means(rows)))
+
+
+def _inverse(R: Array) -> Array:
+    inverse = solve_triangular(R, np.eye(len(R)))
+    return np.asarray(inverse @ inverse.T)
+
+
+def _exactly(A: NDArray[np.longdouble]) -> tuple[Array, Array, Array]:
+    """Q, R of A = Q R and (R'R)^-1, to double precision whatever the condition."""
+    Q, R = _gram_schmidt(A)
+    inverse = _triangular_inverse(R)
+    return np.asarray(Q, float), np.asarray(R, float), np.asarray(inverse @ inverse.T, float)
+
+
+def _condition(R: Array) -> float:
+    """Condition of the terms. Raises CollinearError with the smallest right singular vector where they say the same."""
+    if not R.size:
+        return 1.0
+    # The columns were scaled with their zeros in them: what these leave of a term is its size in R.
+    size = np.linalg.norm(R, axis=0)
     if np.any(size * LARGEST_CONDITION < 1.0):
         raise CollinearError((size * LARGEST_CONDITION < 1.0).astype(float))
-    s, Vt = np.linalg.svd(inner / size)[1:]
+    s = np.linalg.svd(R / size, compute_uv=False)
     if s[-1] * LARGEST_CONDITION < s[0]:
-        raise CollinearError(np.abs(Vt[-1]))
+        raise CollinearError(np.abs(np.linalg.svd(R / size)[2][-1]))
+    return float(s[0] / s[-1])
+
+
+def _gram_schmidt(A: NDArray[np.longdouble]) -> tuple[NDArray[np.longdouble], NDArray[np.longdouble]]:
+    """A = Q R in extended precision (modified, columns in their order)."""
+    Q, R = A.copy(), np.zeros((A.shape[1], A.shape[1]), np.longdouble)
+    for j in range(A.shape[1]):
+        R[j, j] = np.sqrt(np.sum(Q[:, j] ** 2))
+        Q[:, j] /= R[j, j]
+        R[j, j + 1 :] = Q[:, j] @ Q[:, j + 1 :]
+        Q[:, j + 1 :] -= np.outer(Q[:, j], R[j, j + 1 :])
+    return Q, R
+
+
+def _triangular_inverse(R: NDArray[np.longdouble]) -> NDArray[np.longdouble]:
+    """Inverse of an upper triangular matrix in extended precision."""
+    inverse = np.zeros_like(R)
+    for j in reversed(range(len(R))):
+        row = -(R[j, j + 1 :] @ inverse[j + 1 :])
+        row[j] += 1.0
+        inverse[j] = row / R[j, j]
+    return inverse
+
+
+def _shifted(
+    X: NDArray[np.floating], Y: NDArray[np.floating], zeros: _Zeros, extended: bool
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
+    """Weighted rows of X, shifted by some (b, p), and of Y; and the shifts.
+
+    In extended precision by nothing: the difference would be rounded.
+    """
+    if extended:
+        root = zeros.root.astype(np.longdouble)[:, None]
+        return X * root, Y * root, np.zeros((len(zeros.total), X.shape[1]), np.longdouble)
+    means = zeros.means(X * zeros.root[:, None])
+    return (X - means[zeros.place]) * zeros.root[:, None], Y * zeros.root[:, None], means
 
 
 def _refined(
-    A: NDArray[np.longdouble], y: NDArray[np.longdouble], Q: Array, R: Array
-) -> tuple[NDArray[np.longdouble], NDArray[np.longdouble]]:
-    """Solution x and residual r of the system r + A x = y, A'r = 0, both refined with extended residuals."""
-    x = np.zeros((A.shape[1], y.shape[1]), np.longdouble)
-    r = np.zeros_like(y)
-    for _ in range(REFINEMENTS):
-        f = np.asarray(y - r - A @ x, float)
-        g = np.asarray(-(A.T @ r), float)
-        d = solve_triangular(R, g, trans="T")
-        u = Q.T @ f
-        x = x + solve_triangular(R, u - d)
-        r = r + (f - Q @ u + Q @ d)
-    return x, r
+    A: NDArray[np.floating],
+    y: NDArray[np.floating],
+    shift: NDArray[np.floating],
+    zeros: _Zeros,
+    Q: Array,
+    R: Array,
+) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
+    """Solution x, zeros z and residual r of r + D z + A x = y with D'r = 0 and A'r = 0; `shift` is added to A again.
+
+    The residuals of all three equations have the precision of A. Refined once always, further as long as the last step
+    says that something is left to refine.
+    """
+    x, z = np.zeros((A.shape[1], y.shape[1]), A.dtype), np.zeros((len(shift), y.shape[1]), A.dtype)
+    r, means, last = np.zeros_like(y), np.asarray(zeros.means(A), float), np.inf
+    f, g, h = np.asarray(y, float), np.zeros(x.shape), np.zeros(z.shape)
+    for number in range(REFINEMENTS):
+        step = Q.T @ f - solve_triangular(R, g - means.T @ h, trans="T")
+        dx, dz = solve_triangular(R, step), (zeros.sums(f) - h) / zeros.total[:, None]
+        x, z, r = x + dx, z + dz - means @ dx, r + (f - Q @ step - zeros.spread(dz))
+        size = float(np.max(np.max(np.abs(dx), axis=0) / np.maximum(np.max(np.abs(x), axis=0), TINY), initial=0.0))
+        # The next step is as much smaller as this one is than the last.
+        if number and (size >= last or size * size <= np.finfo(A.dtype).eps * last):
+            break
+        last = size
+        f = np.asarray(y - r - zeros.spread(z) - A @ x, float)
+        g, h = np.asarray(-(A.T @ r), float), np.asarray(-zeros.sums(r), float)
+    return x, z - shift @ x, r

@@ -3,8 +3,10 @@
 The loads themselves are in every model; a term of higher degree is in only with the loads that it is made of. Terms
 come in one by one, the most significant first; after each, every term is once held against all others in its place
 (sequential replacement: Miller, Subset Selection in Regression, 2nd ed., 2002, chapter 3), and what is no longer
-significant goes. The level is shared out over all terms and channels (Bonferroni), so that it is the probability of one
-spurious term in the whole balance. In the end a term must lower the error of loading sequences that took no part.
+significant goes. Where no single term is significant, two that are alike may be together: F|F| and F^3 of opposite signs
+nearly cancel, and neither shows without the other. The level is shared out over all terms, pairs and channels
+(Bonferroni), so that it is the probability of one spurious term in the whole balance. In the end a term must lower the
+error of loading sequences that took no part.
 """
 
 from __future__ import annotations
@@ -23,9 +25,11 @@ Index = NDArray[np.intp]
 
 LEVEL = 0.01
 """Probability of a spurious term anywhere in the balance."""
-LARGEST_INFLATION = 100.0
+LARGEST_INFLATION = 1000.0
 """Variance inflation beyond which a term is not taken in."""
 MOST_ROUNDS = 200
+# Correlation, loads and zeros taken out, beyond which two terms can hide each other.
+ALIKE = 0.5
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,11 @@ class _Normal:
         """Sum of squares that these terms leave."""
         at = list(chosen)
         return float(self.yy - self.g[at] @ np.linalg.solve(self.G[np.ix_(at, at)], self.g[at]))
+
+    def inflation(self, chosen: Sequence[int]) -> Array:
+        """Variance inflation of each of these terms."""
+        at = list(chosen)
+        return np.asarray(np.diag(np.linalg.inv(self.G[np.ix_(at, at)])))
 
     def gains(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Of every term beside the chosen ones: the squares it would explain (p,), and its variance inflation (p,)."""
@@ -66,12 +75,13 @@ def chosen_terms(
     size = np.linalg.norm(Xc, axis=0)
     Xs = Xc / np.where(size > 0, size, 1.0)
     G, g = Xs.T @ Xs, Xs.T @ Yc
-    tests = max((X.shape[1] - straight) * Y.shape[1], 1)
+    pairs = _alike(G, straight)
+    tests = max((X.shape[1] - straight + len(pairs)) * Y.shape[1], 1)
     free = len(X) - len(np.unique(block))
     found = []
     for c in range(Y.shape[1]):
         normal = _Normal(G, g[:, c], float(Yc[:, c] @ Yc[:, c]), free)
-        chosen = _searched(normal, straight, LEVEL / tests)
+        chosen = _searched(normal, straight, LEVEL / tests, pairs)
         found.append(_validated(chosen, X, Y[:, c], block, sequence, straight, w))
     return found
 
@@ -85,15 +95,27 @@ def _without_zeros(values: Array, block: Index, weight: Array) -> Array:
     return np.asarray(found * np.sqrt(weight)[:, None])
 
 
-def _searched(normal: _Normal, straight: int, level: float) -> list[int]:
+def _alike(G: Array, straight: int) -> list[tuple[int, int]]:
+    """Pairs of terms that are alike beside the loads themselves, from their scaled products G (p, p)."""
+    first = slice(0, straight)
+    left = G - G[:, first] @ np.linalg.solve(G[first, first], G[first])
+    size = np.sqrt(np.maximum(np.diag(left), np.finfo(float).tiny))
+    far = np.triu(np.abs(left) > ALIKE * size[:, None] * size, 1)
+    far[first] = False
+    return [(int(i), int(j)) for i, j in np.argwhere(far)]
+
+
+def _searched(normal: _Normal, straight: int, level: float, pairs: Sequence[tuple[int, int]]) -> list[int]:
     """Terms in, replaced and out, until nothing changes."""
     chosen = list(range(straight))
     seen = {tuple(chosen)}
     for _ in range(MOST_ROUNDS):
-        best, p = _best_addition(normal, chosen)
-        if best < 0 or p > level:
+        new, p = _best_addition(normal, chosen)
+        if p > level:
+            new, p = _best_pair(normal, chosen, pairs)
+        if p > level:
             break
-        chosen = _replaced(normal, [*chosen, best], straight)
+        chosen = _replaced(normal, [*chosen, *new], straight)
         chosen = _pruned(normal, chosen, straight, level)
         if tuple(sorted(chosen)) in seen:
             break
@@ -101,18 +123,33 @@ def _searched(normal: _Normal, straight: int, level: float) -> list[int]:
     return sorted(chosen)
 
 
-def _best_addition(normal: _Normal, chosen: Sequence[int]) -> tuple[int, float]:
-    """The term that explains most, and the probability that chance does; -1 where none may come in."""
+def _best_addition(normal: _Normal, chosen: Sequence[int]) -> tuple[tuple[int, ...], float]:
+    """The term that explains most, and the probability that chance does; none, and 1, where none may come in."""
     gains, inflation = normal.gains(chosen)
     gains = np.where(inflation <= LARGEST_INFLATION, gains, 0.0)
     best = int(np.argmax(gains))
     if gains[best] <= 0.0:
-        return -1, 1.0
-    return best, _probability(gains[best], normal.residual([*chosen, best]), normal.free - len(chosen) - 1)
+        return (), 1.0
+    return (best,), _probability(gains[best], normal.residual([*chosen, best]), normal.free - len(chosen) - 1)
 
 
-def _probability(gain: float, residual: float, dof: int) -> float:
-    return float(stats.f.sf(gain / max(residual / max(dof, 1), np.finfo(float).tiny), 1, max(dof, 1)))
+def _best_pair(
+    normal: _Normal, chosen: Sequence[int], pairs: Sequence[tuple[int, int]]
+) -> tuple[tuple[int, ...], float]:
+    """The pair that explains most, and the probability that chance does."""
+    at = list(chosen)
+    known = set(at)
+    left = {pair: normal.residual([*at, *pair]) for pair in pairs if not known & set(pair)}
+    best = min(left, key=lambda pair: left[pair], default=None)
+    if best is None or np.max(normal.inflation([*at, *best])[-2:]) > LARGEST_INFLATION:
+        return (), 1.0
+    gain, dof = normal.residual(at) - left[best], normal.free - len(at) - 2
+    return best, _probability(gain, left[best], dof, 2)
+
+
+def _probability(gain: float, residual: float, dof: int, terms: int = 1) -> float:
+    mean = max(residual / max(dof, 1), np.finfo(float).tiny)
+    return float(stats.f.sf(gain / terms / mean, terms, max(dof, 1)))
 
 
 def _replaced(normal: _Normal, chosen: list[int], straight: int) -> list[int]:

@@ -22,8 +22,8 @@ FEWEST = 3
 def loading_sequences(x: Array, run: Index) -> Index:
     """The sequence (m,) of each row of loads x (m, n), in units of full range; runs (m,) are never one sequence.
 
-    A sequence ends where other loads begin to move than those that moved in it. Where loads stand still between changes
-    of all of them, as when each point is hung by itself, the run is one sequence.
+    A sequence ends where other loads begin to move than those that moved in it; a load that hangs did not. Where loads
+    stand still between changes of all of them, as when each point is hung by itself, the run is one sequence.
     """
     found = np.zeros(len(x), dtype=np.intp)
     number = -1
@@ -44,7 +44,8 @@ def _starts(moved: NDArray[np.bool_]) -> list[int]:
         # The row from which the new load moves on is the end of one sequence; the first moved row starts the next.
         if np.any(known) and row + 1 - starts[-1] >= FEWEST:
             starts.append(row + 1)
-            known = now.copy()
+            # What is hung up or taken off before the first row does not move in the sequence.
+            known = np.zeros_like(now)
         else:
             known |= now
     return starts

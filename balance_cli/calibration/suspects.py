@@ -79,16 +79,16 @@ def examined(points: LoadPoints, search: bool = True) -> Examined:
     """
     bad: list[BadSequence] = []
     limits: list[str] = []
-    used = points
-    worst = _worst_sequence(used, gage_fit(used, search=False))
+    used, fit = points, gage_fit(points, search)
+    worst = _worst_sequence(used, fit, gage_fit(used, search=False) if search else fit)
     while worst is not None and len({one.sequence for one in bad}) < MOST:
         rows, found = worst
         bad += found
         used = used.without(rows)
-        worst = _worst_sequence(used, gage_fit(used, search=False))
+        fit = gage_fit(used, search)
+        worst = _worst_sequence(used, fit, gage_fit(used, search=False) if search else fit)
     if worst is not None:
         limits.append(f"{MOST} loading sequences took no part, and more disagree")
-    fit = gage_fit(used, search)
     outliers: list[Outlier] = []
     # One by one: a bad row pulls the model away from its neighbours.
     found_row = _outlier(used, left := fit)
@@ -104,22 +104,39 @@ def examined(points: LoadPoints, search: bool = True) -> Examined:
     return Examined(fit, tuple(outliers), tuple(bad), tuple(limits))
 
 
-def _worst_sequence(points: LoadPoints, fit: GageFit) -> tuple[NDArray[np.bool_], list[BadSequence]] | None:
+def _worst_sequence(
+    points: LoadPoints, fit: GageFit, straight: GageFit
+) -> tuple[NDArray[np.bool_], list[BadSequence]] | None:
     """The rows (m,) of the sequence without which the rest agrees best, and what is wrong in which channels of it.
 
-    None where all are sound. Of two that disagree with no third to decide, the other one is named with it.
+    None where all are sound. It must look wrong by the loads alone, and by the terms that were found: what these
+    explain is no fault. Of two that disagree with no third to decide, the other one is named with it.
     """
     sequence, used = points.sequence, points.weight > 0
-    names = np.unique(sequence[used])
-    each = {name: _channels(points, fit, (sequence == name) & used, words) for name, words in _words(names, fit)}
-    suspected = [name for name in names if each[name]]
-    if not suspected:
+    unexplained = _suspected(points, fit)
+    if not unexplained:
         return None
-    left = {name: _disagreement(points, (sequence == name) & used) for name in suspected}
-    worst = min(suspected, key=lambda name: left[name])
-    known = dict(_words(names, fit))
-    others = tuple(known[name] for name in suspected if name != worst and left[name] < ALIKE * left[worst])
+    each = {name: found for name, found in _suspected(points, straight).items() if name in unexplained and found}
+    if not each:
+        return None
+    left = {name: _disagreement(points, (sequence == name) & used) for name in each}
+    worst = min(each, key=lambda name: left[name])
+    known = dict(_words(np.unique(sequence[used]), fit))
+    others = tuple(known[name] for name in each if name != worst and left[name] < ALIKE * left[worst])
     return (sequence == worst) & used, [replace(one, or_else=others) for one in each[worst]]
+
+
+def _suspected(points: LoadPoints, fit: GageFit) -> dict[int, list[BadSequence]]:
+    """What is wrong in which channels, by sequence; an empty list where the others do not predict a sequence."""
+    sequence, used = points.sequence, points.weight > 0
+    found = {}
+    for name, words in _words(np.unique(sequence[used]), fit):
+        rows = (sequence == name) & used
+        known = bool(np.isfinite(fit.left_out[rows]).all())
+        wrong = _channels(points, fit, rows, words) if known else []
+        if wrong or not known:
+            found[name] = wrong
+    return found
 
 
 def _words(names: Index, fit: GageFit) -> list[tuple[int, str]]:
@@ -142,8 +159,6 @@ def _channels(points: LoadPoints, fit: GageFit, rows: NDArray[np.bool_], words: 
     """What is wrong with each channel in these rows."""
     change = points.channels[rows] - points.channels[rows].mean(axis=0)
     errors = fit.left_out[rows]
-    if not np.isfinite(errors).all():
-        return []
     predicted = change - (errors - errors.mean(axis=0))
     noise = _noise(fit.left_out)
     each = [_judged(c, change, predicted, noise, points.channel_names, words) for c in range(change.shape[1])]
@@ -202,7 +217,8 @@ def _noise_of_rows(errors: Array, sequence: Index, used: NDArray[np.bool_]) -> A
     found = np.tile(_noise(errors[used]), (len(errors), 1))
     for name in np.unique(sequence[used]):
         rows = (sequence == name) & used
-        found[rows] = np.maximum(found[rows], _noise(errors[rows]))
+        # A bad row shifts the zero of its sequence: all others are off by as much.
+        found[rows] = np.maximum(found[rows], _noise(errors[rows] - np.median(errors[rows], axis=0)))
     return found
 
 
