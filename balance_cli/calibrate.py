@@ -9,9 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibrated import Calibration, Hysteresis, TrimCalibration
-from balance_cli.calibration.fit import LoadPoints
-from balance_cli.calibration.least_squares import CollinearError
-from balance_cli.calibration.whole import GageCalibration, gage_calibration, rows_of
 from balance_cli.channel_health import live_channels
 from balance_cli.components import COMPONENTS
 from balance_cli.errors import UserError
@@ -26,6 +23,7 @@ from balance_cli.estimation.static_matrices import (
     standard_errors,
     with_floor,
 )
+from balance_cli.gage_through_trims import gage_through_all_trims
 from balance_cli.geometry import Geometry
 from balance_cli.model.plate import carried_components
 from balance_cli.runs import Run, read_channels
@@ -97,64 +95,7 @@ def calibrate(
         members = tuple(run for run in static if (run.trim or "") == label)
         names, left_out = _usable_channels(members, geometry)
         trims[label] = _calibrate_trim(_Task(label, members, geometry, names, left_out, components, full_range))
-    return Calibration(geometry, trims, _gage(static, trims, hold_out, search))
-
-
-def _gage(
-    runs: Sequence[Run], trims: dict[str, TrimCalibration], hold_out: Sequence[Run], search: bool
-) -> GageCalibration | None:
-    """One model through all trims.
-
-    None where their common channels do not serve, other loads were applied, or no load by itself within a sequence.
-    UserError for a hold-out run without some of the channels.
-    """
-    first = next(iter(trims.values()))
-    names = tuple(name for name in first.channel_names if all(name in trim.channel_names for trim in trims.values()))
-    if len(names) < len(first.components) or any(_loaded_otherwise(run, first.components) for run in runs):
-        return None
-    each = [rows_of(run, names, first.components) for run in runs]
-    lengths = [len(loads) for _, loads in each]
-    points = LoadPoints(
-        channel_names=names,
-        components=first.components,
-        run_names=tuple(run.name for run in runs),
-        channels=np.vstack([channels for channels, _ in each]),
-        loads=np.vstack([loads for _, loads in each]),
-        run=np.repeat(np.arange(len(runs)), lengths),
-        weight=np.repeat([1.0 / _own_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
-        full_range=first.full_range,
-    )
-    for run in hold_out:
-        _check_channels(run, names)
-    checks = [(run.name, *rows_of(run, names, first.components)) for run in hold_out]
-    try:
-        return gage_calibration(points, checks, search)
-    except CollinearError:
-        return None
-
-
-def _check_channels(run: Run, names: tuple[str, ...]) -> None:
-    """UserError for a hold-out run that lacks a channel of the calibration."""
-    lost = [name for name in names if name not in run.channel_names]
-    if lost:
-        fault = f"the hold-out run has no channel {', '.join(lost)}"
-        raise UserError(fault, _place(run), "channels", "Hold out a run with all channels of the calibration")
-
-
-def _loaded_otherwise(run: Run, components: tuple[str, ...]) -> bool:
-    """Whether a load was applied that the balance does not carry."""
-    other = [j for j, name in enumerate(COMPONENTS) if name not in components]
-    return bool(np.any(np.ptp(_loads(run)[:, other], axis=0) > 0))
-
-
-def _own_noise(run: Run, names: tuple[str, ...], trim: TrimCalibration) -> float:
-    """Mean variance of a row of this run over that of its trim; 1 where its rows do not tell."""
-    try:
-        own = np.diagonal(static_points(run, names).covariance)
-    except UserError:
-        return 1.0
-    at = [trim.channel_names.index(name) for name in names]
-    return float(np.mean(own / np.diagonal(trim.noise_covariance)[at]))
+    return Calibration(geometry, trims, gage_through_all_trims(static, geometry, trims, hold_out, search))
 
 
 def _calibrate_trim(task: _Task) -> TrimCalibration:

@@ -91,7 +91,7 @@ def test_two_channels_exchanged_throughout():
     expected = gage_fit(points, search=False).model.coefficients[:6].T
     assert exchanged(points, expected) == ()
     swapped = replace(points, channels=points.channels[:, [0, 4, 2, 3, 1, 5, 6, 7]])
-    assert exchanged(swapped, expected) == (("g2", "g5"),)
+    assert exchanged(swapped, expected) == ("g2 and g5",)
 
 
 def test_what_took_no_part_has_no_residuals_in_the_whole_calibration():

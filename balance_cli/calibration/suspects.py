@@ -222,7 +222,7 @@ def _noise_of_rows(errors: Array, sequence: Index, used: NDArray[np.bool_]) -> A
     return found
 
 
-def exchanged(points: LoadPoints, expected: Array) -> tuple[tuple[str, str], ...]:
+def exchanged(points: LoadPoints, expected: Array) -> tuple[str, ...]:
     """Pairs of channels that read each other's loads, `expected` (c, k) being the declared response over full range.
 
     Two rows of the straight fit that both follow the other's declared row far better than their own.
@@ -234,7 +234,7 @@ def exchanged(points: LoadPoints, expected: Array) -> tuple[tuple[str, str], ...
         for j in range(i + 1, len(found)):
             own, other = min(alike[i, i], alike[j, j]), min(alike[i, j], alike[j, i])
             if other > 0.95 and own < 0.8:
-                pairs.append((points.channel_names[i], points.channel_names[j]))
+                pairs.append(f"{points.channel_names[i]} and {points.channel_names[j]}")
     return tuple(pairs)
 
 

@@ -13,7 +13,7 @@ from balance_cli.calibration.convergence import MARGIN
 from balance_cli.calibration.fit import LoadPoints
 from balance_cli.calibration.gage_model import CONFIDENCE, GageModel
 from balance_cli.calibration.noise import APPLIED, NoiseParts, noise_parts
-from balance_cli.calibration.suspects import BadSequence, Outlier, examined
+from balance_cli.calibration.suspects import BadSequence, Outlier, examined, exchanged
 from balance_cli.components import COMPONENTS
 from balance_cli.runs import Run, read_channels
 
@@ -66,7 +66,9 @@ class CheckedLoads:
 class GageCalibration:
     """Gage model of all trims with the rows behind it: loads (m, k), residuals and errors of sequences left out (m, c)
 
-    [V], NaN where a row took no part; `run` (m,) counts `runs`. `limits`: where that hunt ended.
+    [V], NaN where a row took no part; `run` (m,) counts `runs`. `exchanged`: pairs of channels that read each
+
+    other's loads throughout; `limits`: where the hunt for what is wrong ended.
     """
 
     model: GageModel
@@ -79,14 +81,20 @@ class GageCalibration:
     noise: NoiseParts
     outliers: tuple[Outlier, ...]
     bad_sequences: tuple[BadSequence, ...]
+    exchanged: tuple[str, ...] = ()
     limits: tuple[str, ...] = ()
     checks: tuple[CheckedLoads, ...] = ()
 
 
 def gage_calibration(
-    points: LoadPoints, checks: Sequence[tuple[str, Array, Array]] = (), search: bool = True
+    points: LoadPoints,
+    checks: Sequence[tuple[str, Array, Array]] = (),
+    search: bool = True,
+    declared: Array | None = None,
 ) -> GageCalibration:
     """Fit all points; `checks` are names, readings (m, c) and loads (m, k) of runs that took no part.
+
+    With the `declared` response (c, k) [V per N, N m] channels that are exchanged are named.
 
     Raises least_squares.CollinearError where the loads were never applied by themselves.
     """
@@ -106,6 +114,7 @@ def gage_calibration(
         noise=noise,
         outliers=found.outliers,
         bad_sequences=found.sequences,
+        exchanged=() if declared is None else exchanged(points, declared * points.full_range),
         limits=found.limits,
         checks=tuple(checked(model, noise, *check) for check in checks),
     )

@@ -35,6 +35,8 @@ def gage_summary(gage: GageCalibration) -> dict[str, Any]:
             "scatter_chi2_per_dof": dict(zip(channels, gage.drift.scatter, strict=True)),
         },
         "outliers": [vars(one) for one in gage.outliers],
+        "exchanged": gage.exchanged,
+        "limits": gage.limits,
         "bad_sequences": [vars(one) for one in gage.bad_sequences],
         "checks": {check.run: _check(check, model.components, model.full_range) for check in gage.checks},
     }
@@ -85,6 +87,8 @@ def gage_warnings(gage: GageCalibration) -> Iterator[str]:
             f"run {row.run} row {row.row}: {row.channel} is {1e6 * row.error:.3g} uV away from what all others say "
             f"({row.over_sigma:.1f} sigma); the row took no part"
         )
+    for pair in gage.exchanged:
+        yield f"{pair} read each other's loads throughout: their cables look exchanged"
     yield from gage.limits
     if not gage.model.contraction().proved:
         yield "the iteration for loads is not proved to converge over the range of the calibration; reduce refuses it"
