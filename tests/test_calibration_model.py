@@ -192,7 +192,7 @@ def test_the_proof_for_the_fitted_model(model):
 def test_noise_of_readings_and_of_loads_are_told_apart():
     rng = np.random.default_rng(2)
     x, _ = stand_loads()
-    terms, b = true_model()
+    _, b = true_model()
     C = b[:6].T
     own = NOISE * np.linspace(1.0, 2.0, 8)
     of_loads = np.array([0.0, 2e-3, 0.0, 1e-3, 0.0, 5e-4])

@@ -41,9 +41,7 @@ def test_coefficients_zeros_and_errors(weighted):
     np.testing.assert_allclose(fit.variance, variance, rtol=1e-10)
     first = len(zeros)
     np.testing.assert_allclose(fit.inverse, covariance[first:, first:], rtol=1e-8, atol=1e-12)
-    np.testing.assert_allclose(
-        fit.sigma, np.sqrt(np.diag(covariance)[first:, None] * variance), rtol=1e-9
-    )
+    np.testing.assert_allclose(fit.sigma, np.sqrt(np.diag(covariance)[first:, None] * variance), rtol=1e-9)
     np.testing.assert_allclose(fit.t, b / fit.sigma, rtol=1e-9)
     hat = np.einsum("ij,jk,ik->i", A, covariance, A) * w
     np.testing.assert_allclose(fit.leverage, hat, rtol=1e-9)

@@ -58,7 +58,9 @@ def test_slopes_are_those_of_finite_differences():
         more, less = x.copy(), x.copy()
         more[:, j] += step
         less[:, j] -= step
-        np.testing.assert_allclose(found[:, :, j], (columns(terms, more) - columns(terms, less)) / (2 * step), atol=1e-9)
+        np.testing.assert_allclose(
+            found[:, :, j], (columns(terms, more) - columns(terms, less)) / (2 * step), atol=1e-9
+        )
 
 
 def test_slopes_at_a_fold_are_those_from_above():

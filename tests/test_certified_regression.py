@@ -109,4 +109,3 @@ def test_regression_is_that_of_exact_arithmetic(name):
     fit = fitted(DATASETS[name])
     assert digits(np.r_[fit.zeros[:, 0], fit.coefficients[:, 0]], b) >= DIGITS[name][0]
     assert digits(np.diag(fit.inverse), inverse[1:]) >= (10.5 if name == "Filip" else 15.0)
-

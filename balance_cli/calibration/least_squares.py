@@ -170,7 +170,7 @@ class _Zeros:
         names, place = np.unique(block, return_inverse=True)
         order = np.argsort(place, kind="stable")
         starts = np.searchsorted(place[order], np.arange(len(names)))
-        return cls(place, order, starts, np.bincount(place, weight), np.sqrt(weight))
+        return cls(place, order, starts, np.asarray(np.bincount(place, weight), float), np.sqrt(weight))
 
     def sums(self, rows: NDArray[np.floating]) -> NDArray[np.floating]:
         """D' times weighted rows (m, p), with D (m, b) the weighted columns of the zeros."""
