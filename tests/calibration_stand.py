@@ -6,7 +6,7 @@ from balance_cli.calibration.fit import LoadPoints
 from balance_cli.calibration.terms import columns, linear_terms, term_named
 from balance_cli.components import COMPONENTS
 
-CHANNELS = tuple(f"g{i + 1}" for i in range(7)) + ("torque",)
+CHANNELS = (*(f"g{i + 1}" for i in range(7)), "torque")
 FULL_RANGE = np.array([800.0, 800.0, 3500.0, 400.0, 400.0, 450.0])
 CURVED = {
     "g1": {"Fz^2": 0.015, "Fx |My|": -0.008},

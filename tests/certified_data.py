@@ -69,80 +69,39 @@ FILIP_X = """
 WAMPLER = """
 759 -2048 2048 -2048 2523 -2048 2048 -2048 1838 -2048 2048 -2048 1838 -2048 2048 -2048 2523 -2048 2048 -2048 759
 """
-WAMPLER_SIGMA = [
-    "2152.32624678170",
-    "2363.55173469681",
-    "779.343524331583",
-    "101.475507550350",
-    "5.64566512170752",
-    "0.112324854679312",
-]
+WAMPLER_SIGMA = """
+2152.32624678170 2363.55173469681 779.343524331583 101.475507550350 5.64566512170752 0.112324854679312
+"""
+
+
+# Coefficients and standard errors, the intercept first.
+LONGLEY_VALUES = """
+-3482258.63459582 15.0618722713733 -0.358191792925910E-01 -2.02022980381683 -1.03322686717359 -0.511041056535807E-01
+1829.15146461355
+"""
+LONGLEY_SIGMA = """
+890420.383607373 84.9149257747669 0.334910077722432E-01 0.488399681651699 0.214274163161675 0.226073200069370
+455.478499142212
+"""
+FILIP_VALUES = """
+-1467.48961422980 -2772.17959193342 -2316.37108160893 -1127.97394098372 -354.478233703349 -75.1242017393757
+-10.8753180355343 -1.06221498588947 -0.670191154593408E-01 -0.246781078275479E-02 -0.402962525080404E-04
+"""
+FILIP_SIGMA = """
+298.084530995537 559.779865474950 466.477572127796 227.204274477751 71.6478660875927 15.2897178747400
+2.23691159816033 0.221624321934227 0.142363763154724E-01 0.535617408889821E-03 0.896632837373868E-05
+"""
 
 
 def _longley() -> Certified:
     rows = [[Fraction(word) for word in line.split()] for line in LONGLEY.split("\n") if line]
-    return Certified(
-        y=tuple(row[0] for row in rows),
-        X=tuple(tuple(row[1:]) for row in rows),
-        coefficients=tuple(
-            [
-                "-3482258.63459582",
-                "15.0618722713733",
-                "-0.358191792925910E-01",
-                "-2.02022980381683",
-                "-1.03322686717359",
-                "-0.511041056535807E-01",
-                "1829.15146461355",
-            ]
-        ),
-        sigma=tuple(
-            [
-                "890420.383607373",
-                "84.9149257747669",
-                "0.334910077722432E-01",
-                "0.488399681651699",
-                "0.214274163161675",
-                "0.226073200069370",
-                "455.478499142212",
-            ]
-        ),
-        residual="304.854073561965",
-    )
+    y, X = tuple(row[0] for row in rows), tuple(tuple(row[1:]) for row in rows)
+    return Certified(y, X, tuple(LONGLEY_VALUES.split()), tuple(LONGLEY_SIGMA.split()), "304.854073561965")
 
 
 def _filip() -> Certified:
-    return _polynomial(
-        [Fraction(word) for word in FILIP_Y.split()],
-        [Fraction(word) for word in FILIP_X.split()],
-        10,
-        [
-            "-1467.48961422980",
-            "-2772.17959193342",
-            "-2316.37108160893",
-            "-1127.97394098372",
-            "-354.478233703349",
-            "-75.1242017393757",
-            "-10.8753180355343",
-            "-1.06221498588947",
-            "-0.670191154593408E-01",
-            "-0.246781078275479E-02",
-            "-0.402962525080404E-04",
-        ],
-        [
-            "298.084530995537",
-            "559.779865474950",
-            "466.477572127796",
-            "227.204274477751",
-            "71.6478660875927",
-            "15.2897178747400",
-            "2.23691159816033",
-            "0.221624321934227",
-            "0.142363763154724E-01",
-            "0.535617408889821E-03",
-            "0.896632837373868E-05",
-        ],
-        "0.334801051324544E-02",
-    )
+    y, x = ([Fraction(word) for word in words.split()] for words in (FILIP_Y, FILIP_X))
+    return _polynomial(y, x, 10, FILIP_VALUES.split(), FILIP_SIGMA.split(), "0.334801051324544E-02")
 
 
 def _wampler(coefficients: str, times: int, residual: str) -> Certified:
@@ -151,7 +110,7 @@ def _wampler(coefficients: str, times: int, residual: str) -> Certified:
     b = [Fraction(word) for word in coefficients.split()]
     added = [times * Fraction(word) for word in WAMPLER.split()]
     y = [sum(c * one**k for k, c in enumerate(b)) + more for one, more in zip(x, added, strict=True)]
-    sigma = [f"{word}E{len(str(times)) - 1}" if times else "0" for word in WAMPLER_SIGMA]
+    sigma = [f"{word}E{len(str(times)) - 1}" if times else "0" for word in WAMPLER_SIGMA.split()]
     return _polynomial(y, x, 5, coefficients.split(), sigma, residual)
 
 

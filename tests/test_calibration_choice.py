@@ -117,10 +117,24 @@ def test_two_terms_that_nearly_cancel_are_found_together():
     assert chosen({"My|My|": -0.0104, "My^3": 0.0073}, sigma=3e-4) == {"My|My|", "My^3"}
 
 
-def test_terms_are_replaced_when_better_ones_have_come_in():
-    """|Fx My| alone looks like the sum of two that are there: only replacement finds back."""
-    terms = {"Fx My": 0.01, "|Fx My|": 0.009, "Fx |My|": 0.011}
+def test_terms_are_replaced_when_better_ones_have_come_in(monkeypatch):
+    """|F| and |F^3| together look like F^2 at first; only replacement finds back."""
+    terms = {"Fy^3": -0.0069, "|Fx|": -0.0105, "|Fx^3|": -0.0087}
     assert chosen(terms) == set(terms)
+    monkeypatch.setattr(selection, "_replaced", lambda normal, found, straight: found)
+    assert chosen(terms) != set(terms)
+
+
+def test_a_term_that_is_no_longer_significant_goes():
+    X, Y, sequence = readings({"Fx Fy": 0.01})
+    w = np.ones(len(X))
+    Xs = selection._without_zeros(X, sequence, w)
+    y = selection._without_zeros(Y, sequence, w)[:, 0]
+    normal = selection._Normal(Xs.T @ Xs, Xs.T @ y, float(y @ y), len(X) - sequence[-1] - 1)
+    kept = [*range(6), place("Fx Fy")]
+    assert selection._pruned(normal, [*kept, place("Mz^2"), place("|Fx Fy|")], 6, 1e-5) == kept
+    # The loads stay, whether they are significant or not.
+    assert selection._pruned(normal, kept, 6, 0.0) == list(range(6))
 
 
 def test_spurious_terms_are_as_rare_as_the_level_says(monkeypatch):

@@ -112,7 +112,7 @@ def test_without_curved_terms_nothing_is_iterated():
     assert proof.rho == 0.0 and proof.proved
 
 
-@pytest.mark.parametrize("size", [0.03, 0.05, 0.15])
+@pytest.mark.parametrize("size", [0.05, 0.15, 0.3])
 def test_every_step_shrinks_the_error_by_the_bound_at_least(size):
     """In the norm of the proof no step from any start within range is worse than rho, and rho is not idle."""
     terms = [term_named(name, ("F", "G")) for name in ("F^2", "|G^3|", "F |G|")]
@@ -192,7 +192,7 @@ def test_the_proof_for_the_fitted_model(model):
 def test_noise_of_readings_and_of_loads_are_told_apart():
     rng = np.random.default_rng(2)
     x, _ = stand_loads()
-    terms, b = true_model()
+    _, b = true_model()
     C = b[:6].T
     own = NOISE * np.linspace(1.0, 2.0, 8)
     of_loads = np.array([0.0, 2e-3, 0.0, 1e-3, 0.0, 5e-4])

@@ -148,3 +148,21 @@ def test_a_term_that_the_zeros_explain_is_refused():
     with pytest.raises(CollinearError) as caught:
         regression(X, Y, block)
     np.testing.assert_array_equal(caught.value.share, [0.0, 1.0, 0.0, 0.0])
+
+
+def test_terms_in_extended_precision_are_refused_all_the_same():
+    X, Y, block, _ = problem()
+    with pytest.raises(CollinearError):
+        regression(np.column_stack([X, X[:, 0]]).astype(np.longdouble), Y, block)
+
+
+def test_zeros_far_above_what_a_term_does_within_a_sequence():
+    """A million times as far: what is exact in decimals stays so."""
+    rng = np.random.default_rng(8)
+    block = np.repeat(np.arange(5), 40)
+    small = rng.integers(-1000, 1000, (200, 3)) / 1024.0
+    X = small + 2.0**20 * (1 + block)[:, None]
+    Y = small @ rng.integers(-5, 5, (3, 2)) + block[:, None]
+    one, other = regression(X, Y, block), regression(small, Y, block)
+    np.testing.assert_allclose(one.coefficients, other.coefficients, atol=1e-13)
+    np.testing.assert_allclose(one.inverse, other.inverse, rtol=1e-13, atol=1e-18)

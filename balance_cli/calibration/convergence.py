@@ -7,9 +7,10 @@ Outputs r = C1 x + C2 h(x) of loads x in units of full range; with W C1 = 1 the 
 Over |x_j| <= reach_j the derivative of the right side is at most M = |W C2| max |dh/dx|, element by element, for every
 derivative of a term grows with the loads. M has no negative element: if its spectral radius rho is below 1, the
 iteration contracts with rho in the norm max |x_i| / v_i, v its Perron vector, and x has one solution (Banach). For a
-load within full range the first error is at most e = |W C2| |h(1)|, element by element, the n-th at most M^n e, and
-none is larger than (1 - M)^-1 e = e + M e + ...: that gives the reach for which M must be taken. (The ball of the norm
-above would do, too, but is far too large where a load has next to no part in the slowest direction.)
+load within full range the first error is at most e = |W C2| |h(1)|, element by element, the n-th at most M^n e. So none
+is larger than (1 - M)^-1 e = e + M e + ..., nor outside the ball that e has in the norm above; both together give the
+reach for which M must be taken. (The ball is wide where a load has next to no part in the slowest direction, the sum
+where M is nearly 1.)
 (AIAA R-091A-2020, section 3, iterates so; the proof is ours.)
 """
 
@@ -57,20 +58,23 @@ def contraction(back: Array, terms: Sequence[Term], size: int) -> Contraction:
     reach = MARGIN + first
     for _ in range(ROUNDS):
         M = feigned @ steepest(terms, reach)
-        rho = _spectral_radius(M)
+        rho, v = _perron(M)
         if rho >= 1.0:
             break
-        wider = MARGIN + np.linalg.solve(np.eye(size) - M, first)
+        wider = MARGIN + np.minimum(np.linalg.solve(np.eye(size) - M, first), v * np.max(first / v))
         if np.all(wider <= reach * (1.0 + 1e-9)):
             return Contraction(rho, reach)
         reach = np.maximum(reach, wider)
     return Contraction(float("inf"), reach)
 
 
-def _spectral_radius(M: Array) -> float:
-    """A bound of the spectral radius of a matrix without negative elements, close above it."""
-    # A small positive part everywhere can only make it larger, and leaves room for rounding.
-    return float(np.max(np.abs(np.linalg.eigvals(M + 1e-9 * max(float(M.max()), 1e-9)))))
+def _perron(M: Array) -> tuple[float, Array]:
+    """A bound of the spectral radius rho of a matrix without negative elements, and v > 0 (n,) with M v <= rho v."""
+    # A small positive part everywhere can only make rho larger, and makes v positive.
+    values, vectors = np.linalg.eig(M + 1e-9 * max(float(M.max()), 1e-9))
+    k = int(np.argmax(values.real))
+    v = np.abs(vectors[:, k].real)
+    return float(values[k].real), np.asarray(v / v.max())
 
 
 def iterated(straight: Array, back: Array, terms: Sequence[Term]) -> tuple[Array, NDArray[np.bool_]]:

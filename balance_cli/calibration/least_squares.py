@@ -135,7 +135,7 @@ def regression(X: NDArray[np.floating], Y: Array, block: Index, weight: Array | 
     size = np.sqrt(w @ np.asarray(X, float) ** 2)
     scale = np.exp2(np.round(np.log2(np.where(size > 0, size, 1.0))))
     Q, R = np.linalg.qr(zeros.centred(np.asarray(X, float) / scale))
-    extended = X.dtype == np.longdouble or Y.dtype == np.longdouble or _condition(R) > EXTENDED_CONDITION
+    extended = _condition(R) > EXTENDED_CONDITION or X.dtype == np.longdouble or Y.dtype == np.longdouble
     x, z, r = _refined(*_shifted(X / scale, Y, zeros, extended), zeros, Q, R)
     Q, R, inverse = _exactly(zeros.centred(X.astype(np.longdouble) / scale)) if extended else (Q, R, _inverse(R))
     return LeastSquares(
@@ -204,7 +204,10 @@ def _exactly(A: NDArray[np.longdouble]) -> tuple[Array, Array, Array]:
 
 
 def _condition(R: Array) -> float:
-    """Condition of the terms. Raises CollinearError with the smallest right singular vector where they say the same."""
+    """Condition of the terms, times what the zeros cancel of them.
+
+    Raises CollinearError with the smallest right singular vector where they say the same.
+    """
     if not R.size:
         return 1.0
     # The columns were scaled with their zeros in them: what these leave of a term is its size in R.
@@ -214,7 +217,7 @@ def _condition(R: Array) -> float:
     s = np.linalg.svd(R / size, compute_uv=False)
     if s[-1] * LARGEST_CONDITION < s[0]:
         raise CollinearError(np.abs(np.linalg.svd(R / size)[2][-1]))
-    return float(s[0] / s[-1])
+    return float(s[0] / s[-1] / size.min())
 
 
 def _gram_schmidt(A: NDArray[np.longdouble]) -> tuple[NDArray[np.longdouble], NDArray[np.longdouble]]:

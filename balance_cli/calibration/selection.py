@@ -3,8 +3,8 @@
 The loads themselves are in every model; a term of higher degree is in only with the loads that it is made of. Terms
 come in one by one, the most significant first; after each, every term is once held against all others in its place
 (sequential replacement: Miller, Subset Selection in Regression, 2nd ed., 2002, chapter 3), and what is no longer
-significant goes. Where no single term is significant, two that are alike may be together: F|F| and F^3 of opposite signs
-nearly cancel, and neither shows without the other. The level is shared out over all terms, pairs and channels
+significant goes. Where no single term is significant, two that are alike may be together: F|F| and F^3 of opposite
+signs nearly cancel, and neither shows without the other. The level is shared out over all terms, pairs and channels
 (Bonferroni), so that it is the probability of one spurious term in the whole balance. In the end a term must lower the
 error of loading sequences that took no part.
 """
@@ -26,7 +26,7 @@ Index = NDArray[np.intp]
 LEVEL = 0.01
 """Probability of a spurious term anywhere in the balance."""
 LARGEST_INFLATION = 1000.0
-"""Variance inflation beyond which a term is not taken in."""
+"""Variance inflation beyond which a term is not taken in: F, F|F| and F^3 in even steps have up to 336."""
 MOST_ROUNDS = 200
 # Correlation, loads and zeros taken out, beyond which two terms can hide each other.
 ALIKE = 0.5
