@@ -1,8 +1,11 @@
 """The regression of a calibration against brute force: every claim of `least_squares` computed the long way."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
+from balance_cli.calibration.extended import inner_products
 from balance_cli.calibration.least_squares import Collinear, regression
 
 
@@ -166,3 +169,22 @@ def test_zeros_far_above_what_a_term_does_within_a_sequence():
     one, other = regression(X, Y, block, weight), regression(small, Y, block, weight)
     np.testing.assert_allclose(one.coefficients, other.coefficients, atol=1e-12)
     np.testing.assert_allclose(one.inverse, other.inverse, rtol=1e-12, atol=1e-17)
+
+
+def test_inner_products_keep_what_rounding_takes():
+    """Sums that cancel to a part in 1e25 of their size, against exact arithmetic."""
+    rng = np.random.default_rng(9)
+    A, r = rng.normal(size=(41, 3)).astype(np.longdouble), rng.normal(size=(41, 2)).astype(np.longdouble)
+    A[0], r[0] = 1.0, 0.0
+    r[0] = -inner_products(A[1:, :1], r[1:])[0]
+    found = inner_products(A, r)
+    rows = range(len(A))
+    for j, k in ((0, 0), (0, 1), (1, 0), (2, 1)):
+        exact = sum(exactly(A[i, j]) * exactly(r[i, k]) for i in rows)
+        size = sum(abs(exactly(A[i, j]) * exactly(r[i, k])) for i in rows)
+        assert abs(exactly(found[j, k]) - exact) <= Fraction(2) ** -60 * abs(exact) + Fraction(2) ** -110 * size
+
+
+def exactly(value):
+    high = float(value)
+    return Fraction(high) + Fraction(float(value - np.longdouble(high)))
