@@ -6,6 +6,7 @@ from calibration_stand import CHANNELS, CURVED, stand_loads, stand_points
 
 from balance_cli.calibration import selection
 from balance_cli.calibration.fit import gage_fit
+from balance_cli.calibration.least_squares import regression
 from balance_cli.calibration.selection import chosen_terms
 from balance_cli.calibration.sequences import described_sequence, loading_sequences
 from balance_cli.calibration.support import supported
@@ -152,15 +153,15 @@ def test_spurious_terms_are_as_rare_as_the_level_says(monkeypatch):
 
 
 def test_a_term_that_does_not_help_sequences_left_out_goes():
-    """A disturbance of one sequence that happens to look like a term: other sequences know better."""
-    X, Y, sequence = readings({})
+    """One sequence alone is curved, strongly: significant as the term is, all others are predicted better without."""
+    X, Y, sequence = readings({"Mx^2": 0.01})
+    own, true = place("Fz^2"), place("Mx^2")
     rows = sequence == 2
-    Y[rows] += 0.01 * X[rows][:, [place("Fz^2")]]
-    (found,) = chosen_terms(X, Y, sequence, sequence, 6)
-    whole = [*range(6), place("Fz^2")]
-    assert selection._left_out_error(list(found), X, Y[:, 0], sequence, sequence, np.ones(len(X))) <= (
-        selection._left_out_error(whole, X, Y[:, 0], sequence, sequence, np.ones(len(X)))
-    )
+    Y[rows] += 0.01 * X[rows][:, [own]]
+    whole, w = [*range(6), own, true], np.ones(len(X))
+    assert regression(X[:, whole], Y, sequence).t[6, 0] > 5.0
+    kept = selection._validated(whole, X, Y[:, 0], sequence, sequence, 6, w)
+    assert kept == (*range(6), true)
 
 
 def test_gage_fit_finds_the_terms_of_every_channel():

@@ -1,8 +1,11 @@
 """The regression of a calibration against brute force: every claim of `least_squares` computed the long way."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
+from balance_cli.calibration.extended import inner_products
 from balance_cli.calibration.least_squares import CollinearError, regression
 
 
@@ -157,12 +160,31 @@ def test_terms_in_extended_precision_are_refused_all_the_same():
 
 
 def test_zeros_far_above_what_a_term_does_within_a_sequence():
-    """A million times as far: what is exact in decimals stays so."""
+    """A million times as far, with weights that are no powers of two: nothing of the term may be lost."""
     rng = np.random.default_rng(8)
     block = np.repeat(np.arange(5), 40)
     small = rng.integers(-1000, 1000, (200, 3)) / 1024.0
     X = small + 2.0**20 * (1 + block)[:, None]
-    Y = small @ rng.integers(-5, 5, (3, 2)) + block[:, None]
-    one, other = regression(X, Y, block), regression(small, Y, block)
-    np.testing.assert_allclose(one.coefficients, other.coefficients, atol=1e-13)
-    np.testing.assert_allclose(one.inverse, other.inverse, rtol=1e-13, atol=1e-18)
+    Y, weight = small @ rng.integers(-5, 5, (3, 2)) + block[:, None], rng.uniform(0.5, 2.0, 200)
+    one, other = regression(X, Y, block, weight), regression(small, Y, block, weight)
+    np.testing.assert_allclose(one.coefficients, other.coefficients, atol=1e-12)
+    np.testing.assert_allclose(one.inverse, other.inverse, rtol=1e-12, atol=1e-17)
+
+
+def test_inner_products_keep_what_rounding_takes():
+    """Sums that cancel to a part in 1e25 of their size, against exact arithmetic."""
+    rng = np.random.default_rng(9)
+    A, r = rng.normal(size=(41, 3)).astype(np.longdouble), rng.normal(size=(41, 2)).astype(np.longdouble)
+    A[0], r[0] = 1.0, 0.0
+    r[0] = -inner_products(A[1:, :1], r[1:])[0]
+    found = inner_products(A, r)
+    rows = range(len(A))
+    for j, k in ((0, 0), (0, 1), (1, 0), (2, 1)):
+        exact = sum(exactly(A[i, j]) * exactly(r[i, k]) for i in rows)
+        size = sum(abs(exactly(A[i, j]) * exactly(r[i, k])) for i in rows)
+        assert abs(exactly(found[j, k]) - exact) <= Fraction(2) ** -60 * abs(exact) + Fraction(2) ** -110 * size
+
+
+def exactly(value):
+    high = float(value)
+    return Fraction(high) + Fraction(float(value - np.longdouble(high)))

@@ -25,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from balance_cli.calibration.extended import Extended, gram_schmidt, inner_products, triangular_inverse
+
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
@@ -196,10 +198,10 @@ def _inverse(R: Array) -> Array:
     return np.asarray(inverse @ inverse.T)
 
 
-def _exactly(A: NDArray[np.longdouble]) -> tuple[Array, Array, Array]:
+def _exactly(A: Extended) -> tuple[Array, Array, Array]:
     """Q, R of A = Q R and (R'R)^-1, to double precision whatever the condition."""
-    Q, R = _gram_schmidt(A)
-    inverse = _triangular_inverse(R)
+    Q, R = gram_schmidt(A)
+    inverse = triangular_inverse(R)
     return np.asarray(Q, float), np.asarray(R, float), np.asarray(inverse @ inverse.T, float)
 
 
@@ -218,27 +220,6 @@ def _condition(R: Array) -> float:
     if s[-1] * LARGEST_CONDITION < s[0]:
         raise CollinearError(np.abs(np.linalg.svd(R / size)[2][-1]))
     return float(s[0] / s[-1] / size.min())
-
-
-def _gram_schmidt(A: NDArray[np.longdouble]) -> tuple[NDArray[np.longdouble], NDArray[np.longdouble]]:
-    """A = Q R in extended precision (modified, columns in their order)."""
-    Q, R = A.copy(), np.zeros((A.shape[1], A.shape[1]), np.longdouble)
-    for j in range(A.shape[1]):
-        R[j, j] = np.sqrt(np.sum(Q[:, j] ** 2))
-        Q[:, j] /= R[j, j]
-        R[j, j + 1 :] = Q[:, j] @ Q[:, j + 1 :]
-        Q[:, j + 1 :] -= np.outer(Q[:, j], R[j, j + 1 :])
-    return Q, R
-
-
-def _triangular_inverse(R: NDArray[np.longdouble]) -> NDArray[np.longdouble]:
-    """Inverse of an upper triangular matrix in extended precision."""
-    inverse = np.zeros_like(R)
-    for j in reversed(range(len(R))):
-        row = -(R[j, j + 1 :] @ inverse[j + 1 :])
-        row[j] += 1.0
-        inverse[j] = row / R[j, j]
-    return inverse
 
 
 def _shifted(
@@ -281,5 +262,5 @@ def _refined(
             break
         last = size
         f = np.asarray(y - r - zeros.spread(z) - A @ x, float)
-        g, h = np.asarray(-(A.T @ r), float), np.asarray(-zeros.sums(r), float)
+        g, h = np.asarray(-inner_products(A, r), float), np.asarray(-zeros.sums(r), float)
     return x, z - shift @ x, r
