@@ -70,13 +70,13 @@ class _Noise:
 
 
 def calibrate(
-    runs: Iterable[Run], geometry: Geometry, search: bool = True, hold_out: Sequence[Run] = ()
+    runs: Iterable[Run], geometry: Geometry, search: bool = True, hold_out: Sequence[Run] = (), direct: bool = False
 ) -> Calibration:
     """C0 and T0 for each trim, from the static runs among `runs`; runs of one trim are taken together.
 
     One gage model goes through all trims: the loads alone, or with `search` the terms that the channels have. The
-    static runs of `hold_out` take no part and check it. Full range of a component is the largest load applied to it in
-    all runs.
+    static runs of `hold_out` take no part and check it; with `direct` the loads as functions of the readings come
+    beside it. Full range of a component is the largest load applied to it in all runs.
 
     Raises UserError where there is no static run, a run has no loads, a trim does not load a component that the
     geometry's freedom carries, or the channels that can be used do not determine the loads.
@@ -95,7 +95,7 @@ def calibrate(
         members = tuple(run for run in static if (run.trim or "") == label)
         names, left_out = _usable_channels(members, geometry)
         trims[label] = _calibrate_trim(_Task(label, members, geometry, names, left_out, components, full_range))
-    return Calibration(geometry, trims, gage_through_all_trims(static, geometry, trims, hold_out, search))
+    return Calibration(geometry, trims, gage_through_all_trims(static, geometry, trims, hold_out, search, direct))
 
 
 def _calibrate_trim(task: _Task) -> TrimCalibration:

@@ -56,7 +56,8 @@ def curved_loads(
     """Mean loads of one run by the iteration through `model`, counted from the unloaded rig.
 
     That is the zero record or, without one, the mean of the zeros of the calibration. Raises UserError where the
-    channels that remain do not determine the loads, and where the iteration is not proved to find them.
+    channels that remain do not determine the loads, and where the iteration is not proved to find them. Where the
+    calibration has the direct model and all channels are there, that gives the loads.
     """
     unloaded = model.zeros.mean(axis=0)
     reading = mean_reading(model.channel_names, unloaded, unloaded, spectra, health, zero)
@@ -65,6 +66,9 @@ def curved_loads(
         raise undetermined(health, spectra.run)
     left_out = {name: reason for name, reason in health.left_out.items() if name in model.channel_names}
     loads = _solved(_Usable(model, rows, spectra.run, left_out), reading.change)
+    direct = calibration.gage.direct if calibration.gage is not None else None
+    if direct is not None and len(rows) == len(model.channel_names):
+        loads = direct.loads(reading.change)
     J = model.tangent(loads, rows)[0]
     noise = reading.covariance + _lasting(calibration, rows)
     whole = noise + model.model_covariance(loads, rows)[0]

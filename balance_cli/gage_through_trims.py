@@ -28,6 +28,7 @@ def gage_through_all_trims(
     trims: Mapping[str, TrimCalibration],
     hold_out: Sequence[Run],
     search: bool,
+    direct: bool = False,
 ) -> GageCalibration | None:
     """One model through all trims.
 
@@ -54,7 +55,7 @@ def gage_through_all_trims(
         _check_channels(run, names)
     checks = [(run.name, *rows_of(run, names, first.components)) for run in hold_out]
     try:
-        return gage_calibration(points, checks, search, _declared_response(geometry, points))
+        return gage_calibration(points, checks, search, _declared_response(geometry, points), direct)
     except CollinearError:
         return None
 

@@ -74,14 +74,18 @@ class GageFit:
     zero_covariance: Array
 
 
-def gage_fit(points: LoadPoints, search: bool = True) -> GageFit:
-    """Fit the terms that `search` finds, or the loads alone. Raises least_squares.CollinearError where these are."""
+def gage_fit(points: LoadPoints, search: bool = True, schedule: Array | None = None) -> GageFit:
+    """Fit the terms that `search` finds, or the loads alone.
+
+    `schedule` (m, k) are the loads over full range that were applied, where `points` hold others: they say which terms
+    are supported. Raises least_squares.CollinearError where the loads were never applied by themselves.
+    """
     used = points.weight > 0
     x, sequence = points.x[used], points.sequence[used]
     k = len(points.components)
     terms, refused = linear_terms(k), {}
     if search:
-        support = supported(all_terms(k), x, sequence, points.components)
+        support = supported(all_terms(k), x if schedule is None else schedule[used], sequence, points.components)
         terms, refused = support.terms, support.refused
     X, Y, w = columns(terms, x), points.channels[used], points.weight[used]
     regression(X[:, :k], Y, sequence, w)

@@ -27,6 +27,8 @@ LEVEL = 0.01
 """Probability of a spurious term anywhere in the balance."""
 LARGEST_INFLATION = 1000.0
 """Variance inflation beyond which a term is not taken in: F, F|F| and F^3 in even steps have up to 336."""
+# Of a channel's power: no reading is better than that, and a computed one has no curvature from rounding.
+LEAST_LEFT = 1e-14
 MOST_ROUNDS = 200
 # Correlation, loads and zeros taken out, beyond which two terms can hide each other.
 ALIKE = 0.5
@@ -44,7 +46,8 @@ class _Normal:
     def residual(self, chosen: Sequence[int]) -> float:
         """Sum of squares that these terms leave."""
         at = list(chosen)
-        return float(self.yy - self.g[at] @ np.linalg.solve(self.G[np.ix_(at, at)], self.g[at]))
+        left = float(self.yy - self.g[at] @ np.linalg.solve(self.G[np.ix_(at, at)], self.g[at]))
+        return max(left, LEAST_LEFT * self.yy)
 
     def inflation(self, chosen: Sequence[int]) -> Array:
         """Variance inflation of each of these terms."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from balance_cli.calibration.convergence import MARGIN
+from balance_cli.calibration.direct import DirectModel, direct_model
 from balance_cli.calibration.fit import LoadPoints
 from balance_cli.calibration.gage_model import CONFIDENCE, GageModel
 from balance_cli.calibration.noise import APPLIED, NoiseParts, noise_parts
@@ -66,9 +67,9 @@ class CheckedLoads:
 class GageCalibration:
     """Gage model of all trims with the rows behind it: loads (m, k), residuals and errors of sequences left out (m, c)
 
-    [V], NaN where a row took no part; `run` (m,) counts `runs`. `exchanged`: pairs of channels that read each
-
-    other's loads throughout; `limits`: where the hunt for what is wrong ended.
+    [V], NaN where a row took no part; `run` (m,) counts `runs`. `exchanged`: pairs of channels that read each other's
+    loads throughout; `limits`: where the hunt for what is wrong ended; `direct`: the direct model, where it was asked
+    for.
     """
 
     model: GageModel
@@ -83,6 +84,7 @@ class GageCalibration:
     bad_sequences: tuple[BadSequence, ...]
     exchanged: tuple[str, ...] = ()
     limits: tuple[str, ...] = ()
+    direct: DirectModel | None = None
     checks: tuple[CheckedLoads, ...] = ()
 
 
@@ -91,16 +93,18 @@ def gage_calibration(
     checks: Sequence[tuple[str, Array, Array]] = (),
     search: bool = True,
     declared: Array | None = None,
+    direct: bool = False,
 ) -> GageCalibration:
     """Fit all points; `checks` are names, readings (m, c) and loads (m, k) of runs that took no part.
 
-    With the `declared` response (c, k) [V per N, N m] channels that are exchanged are named.
+    With the `declared` response (c, k) [V per N, N m] channels that are exchanged are named; with `direct` the loads
+    are fitted as functions of the readings, too.
 
     Raises least_squares.CollinearError where the loads were never applied by themselves.
     """
     found = examined(points, search)
     model = found.fit.model
-    k, used = len(model.components), np.isfinite(found.fit.residuals).all(axis=1)
+    k, used = len(model.components), np.asarray(np.isfinite(found.fit.residuals).all(axis=1))
     straight = model.coefficients[:k].T
     noise = noise_parts(found.fit.residuals[used], points.x[used], straight, model.residual_covariance)
     return GageCalibration(
@@ -116,6 +120,7 @@ def gage_calibration(
         bad_sequences=found.sequences,
         exchanged=() if declared is None else exchanged(points, declared * points.full_range),
         limits=found.limits,
+        direct=direct_model(points, model, used, search) if direct else None,
         checks=tuple(checked(model, noise, *check) for check in checks),
     )
 

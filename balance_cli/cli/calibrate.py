@@ -37,6 +37,11 @@ FORMAT = "balance-calibration/1"
     help="Terms of the model through all trims: those that are found in each channel, or the loads alone.",
 )
 @click.option(
+    "--direct",
+    is_flag=True,
+    help="Fit the loads as functions of the readings, too; reduce then takes mean loads from these, without iteration.",
+)
+@click.option(
     "--hold-out",
     "hold_out",
     type=InputFile(),
@@ -64,6 +69,7 @@ def command(
     geometry: Path,
     runs: tuple[Path, ...],
     terms: str,
+    direct: bool,
     hold_out: tuple[Path, ...],
     matrix: Path | None,
     from_matrix: Path | None,
@@ -79,10 +85,10 @@ def command(
     """
     from balance_cli.cli.calibration_text import gage_warnings
 
-    _check_call(runs, terms, matrix, from_matrix)
+    _check_call(runs, terms, direct, matrix, from_matrix)
     rig = session.geometry(geometry)
     if from_matrix is None:
-        result = _from_runs(session, rig, runs, hold_out, terms, skip_bad)
+        result = _from_runs(session, rig, runs, hold_out, (terms, direct), skip_bad)
     else:
         result = _from_matrix(session, rig, from_matrix, hold_out, skip_bad)
     for trim in result.trims.values():
@@ -96,7 +102,9 @@ def command(
     session.finish(_summary(result), _text(result))
 
 
-def _check_call(runs: tuple[Path, ...], terms: str, matrix: Path | None, from_matrix: Path | None) -> None:
+def _check_call(
+    runs: tuple[Path, ...], terms: str, direct: bool, matrix: Path | None, from_matrix: Path | None
+) -> None:
     """UserError for a call that asks for both sources or for none, or for a matrix of no known kind."""
     if from_matrix is None and not runs:
         raise UserError("no run is given", "RUN...", remedy="Give the static runs, or a matrix with --from-matrix")
@@ -105,13 +113,21 @@ def _check_call(runs: tuple[Path, ...], terms: str, matrix: Path | None, from_ma
         raise UserError(fault, "RUN..., --from-matrix", remedy="Give one of them; --hold-out RUN checks a matrix")
     if from_matrix is not None and terms != "search":
         raise UserError("a matrix has its own terms", "--terms, --from-matrix", remedy="Leave --terms out")
+    if from_matrix is not None and direct:
+        raise UserError("a matrix has no rows to fit", "--direct, --from-matrix", remedy="Leave --direct out")
     if matrix is not None and matrix.suffix not in (".csv", ".txt"):
         raise UserError("a matrix is written as .csv or .txt", str(matrix), remedy="Let its name end so")
 
 
 def _from_runs(
-    session: Session, rig: Geometry, runs: tuple[Path, ...], hold_out: tuple[Path, ...], terms: str, skip_bad: bool
+    session: Session,
+    rig: Geometry,
+    runs: tuple[Path, ...],
+    hold_out: tuple[Path, ...],
+    model: tuple[str, bool],
+    skip_bad: bool,
 ) -> Calibration:
+    """The calibration of runs; `model`: how terms are chosen, and whether the direct model is wanted."""
     from balance_cli.calibrate import calibrate
 
     opened = session.runs(runs, rig, skip_bad)
@@ -119,7 +135,8 @@ def _from_runs(
     for run in opened:
         if run.kind != "static":
             session.left_out(run.name, f"a {run.kind} run; only static runs are used")
-    return calibrate(opened, rig, terms == "search", _static(session, held))
+    terms, direct = model
+    return calibrate(opened, rig, terms == "search", _static(session, held), direct)
 
 
 def _from_matrix(

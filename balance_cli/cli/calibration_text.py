@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from balance_cli.calibration.direct import DirectModel
     from balance_cli.calibration.suspects import BadSequence
     from balance_cli.calibration.whole import CheckedLoads, GageCalibration
 
@@ -34,6 +35,7 @@ def gage_summary(gage: GageCalibration) -> dict[str, Any]:
             "drift_per_sequence": _with_sigma(channels, gage.drift.slope, gage.drift.slope_sigma),
             "scatter_chi2_per_dof": dict(zip(channels, gage.drift.scatter, strict=True)),
         },
+        "direct": _direct(gage.direct) if gage.direct else None,
         "outliers": [vars(one) for one in gage.outliers],
         "exchanged": gage.exchanged,
         "limits": gage.limits,
@@ -62,6 +64,15 @@ def _curved(gage: GageCalibration, channel: int) -> dict[str, Mapping[str, float
         name: {what: float(values[i]) for what, values in columns.items()}
         for i, name in enumerate(model.terms)
         if i >= len(model.components) and (np.isfinite(model.t[i, channel]) or columns["value"][i] != 0.0)
+    }
+
+
+def _direct(direct: DirectModel) -> dict[str, Any]:
+    """The direct model: what is left, and its terms by load."""
+    model, components = direct.model, direct.model.components
+    return {
+        "residual_percent_fs": dict(zip(components, direct.residual_percent_fs, strict=True)),
+        "terms": {name: model.of_channel(name) for name in components},
     }
 
 
@@ -115,6 +126,11 @@ def gage_text(gage: GageCalibration) -> Iterator[str]:
         yield f"  {name:12s} {said}"
     if proof.proved and model.curved:
         yield f"  loads by iteration: every step shrinks the error at least {1 / max(proof.rho, 1e-12):.0f} times"
+    if gage.direct is not None:
+        left = ", ".join(
+            f"{name} {value:.4f}" for name, value in zip(model.components, gage.direct.residual_percent_fs, strict=True)
+        )
+        yield f"  direct, without iteration; residual % FS: {left}"
     if model.refused:
         yield f"  {len(model.refused)} terms that these loads do not support, {_first(model.refused)}"
     for check in gage.checks:
