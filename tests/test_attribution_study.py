@@ -10,6 +10,7 @@ from rigs import rotor_balance
 from balance_cli.diagnosed import Evidence, FoundEffect
 from balance_cli.simulation import true_rig
 from balance_cli.simulation.mechanics import equations_of_motion
+from studies import chunks
 from studies.attribution import attributed
 from studies.attribution_tables import attribution_table
 from studies.cases import EXCITATIONS, KINDS, PAIRS, PLACES, SIZES, case, count
@@ -125,3 +126,18 @@ def test_table_counts_detected_right_and_covered():
     assert first["right"] == pytest.approx(1 / 3)
     assert first["right_of_detected"] == 0.5
     assert (first["parameters"], first["coverage_95"]) == (2, 0.5)
+
+
+def _third_fails(seed):
+    if seed == 2:
+        raise ValueError("no such campaign")
+    return pd.DataFrame({"seed": [seed]})
+
+
+def test_a_study_keeps_what_did_not_fail_and_says_what_did(tmp_path, monkeypatch):
+    monkeypatch.setattr(chunks, "CACHE", tmp_path)
+    with pytest.raises(RuntimeError, match="some: 1 seeds failed, the first is 2") as caught:
+        chunks.run_chunks("some", _third_fails, range(4), jobs=1)
+    assert isinstance(caught.value.__cause__, ValueError)
+    assert sorted(path.name for path in (tmp_path / "some").iterdir()) == ["00000.csv", "00001.csv", "00003.csv"]
+    assert chunks.run_chunks("some", _third_fails, [0, 1, 3], jobs=1).seed.tolist() == [0, 1, 3]
