@@ -90,6 +90,17 @@ def test_a_sound_calibration_is_told_in_a_sentence_and_warns_of_nothing(sound_se
     assert not any("variance inflation" in [cell.text for cell in one.head[0]] for one in tables(made))
 
 
+def test_the_direct_model_is_told_where_it_was_asked_for(sound_section):
+    made = calibrate([static("bare"), static("trim")], rotor_balance(), direct=True)
+    said = texts(section(given(made)), "text")
+    assert "as functions of the readings, without iteration" in said
+    assert all(
+        f"{name} {significant(float(value), 2)}" in said
+        for name, value in zip(made.gage.model.components, made.gage.direct.residual_percent_fs, strict=True)
+    )
+    assert "without iteration" not in texts(sound_section, "text")
+
+
 def test_the_channels_are_as_the_model_has_them(sound, sound_section):
     gage = sound.gage
     ranges = channel_ranges(sound, gage)

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from balance_cli.calibrated import Calibration
 from balance_cli.calibration.convergence import Contraction
+from balance_cli.calibration.direct import DirectModel
 from balance_cli.calibration.selection import LEVEL
 from balance_cli.calibration.suspects import BadSequence, Outlier
 from balance_cli.calibration.whole import GageCalibration
@@ -48,6 +49,8 @@ def gage_blocks(source: Source[Calibration], named: bool, ending: str) -> Iterat
     yield from _warnings(gage, proof)
     if proof.proved:
         yield Text(_loads_back(gage, proof))
+    if gage.direct is not None:
+        yield Text(_direct(gage.direct))
     if not stated:
         yield channel_table(gage, channel_ranges(source.content, gage))
     if gage.model.curved:
@@ -98,6 +101,13 @@ def _loads_back(gage: GageCalibration, proof: Contraction) -> str:
     shrinks = "Loads are found by iteration; every step shrinks the error at least "
     steps = f"{shrinks}{significant(1.0 / max(proof.rho, 1e-12), 2)} times. " if model.curved else ""
     return f"{steps}Calibrated: {calibrated}. Loads beyond {refused} are refused."
+
+
+def _direct(direct: DirectModel) -> str:
+    """What the loads as functions of the readings leave."""
+    pairs = zip(direct.model.components, direct.residual_percent_fs, strict=True)
+    left = ", ".join(f"{name} {significant(float(value), 2)}" for name, value in pairs)
+    return f"Mean loads are taken as functions of the readings, without iteration; residual in % of full range: {left}."
 
 
 def _warnings(gage: GageCalibration, proof: Contraction) -> Iterator[Block]:
