@@ -55,11 +55,16 @@ def curved_loads(
 ) -> SteadyLoads:
     """Mean loads of one run by the iteration through `model`, counted from the unloaded rig.
 
-    That is the zero record or, without one, the mean of the zeros of the calibration. Raises UserError where the
-    channels that remain do not determine the loads, and where the iteration is not proved to find them.
+    That is the zero record or, without one, the mean of the zeros of the calibration. Where the calibration tells the
+    weight of the metric part, the level rig carries it in both: the iteration is for all loads.
+
+    Raises UserError where the channels that remain do not determine the loads, and where the iteration is not proved to
+    find them.
     """
-    unloaded = model.zeros.mean(axis=0)
-    reading = mean_reading(model.channel_names, unloaded, unloaded, spectra, health, zero)
+    level = np.zeros(len(model.components)) if calibration.gage is None else calibration.gage.level
+    natural = model.zeros.mean(axis=0)
+    unloaded = natural + model.readings(level[None])[0]
+    reading = mean_reading(model.channel_names, natural, unloaded, spectra, health, zero)
     rows = np.array(reading.rows, dtype=np.intp)
     if not _told_apart(model, rows):
         raise undetermined(health, spectra.run)
@@ -73,7 +78,7 @@ def curved_loads(
     return with_word(
         SteadyLoads(
             components=model.components,
-            loads=loads[0],
+            loads=loads[0] - level,
             sigma=np.sqrt(variance),
             trim=ALL_TRIMS,
             flags=run_flags(model.components, zero, redundancy > limit),

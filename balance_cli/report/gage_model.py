@@ -11,6 +11,7 @@ from balance_cli.calibrated import Calibration
 from balance_cli.calibration.convergence import Contraction
 from balance_cli.calibration.selection import LEVEL
 from balance_cli.calibration.suspects import BadSequence, Outlier
+from balance_cli.calibration.tares import Tares
 from balance_cli.calibration.whole import GageCalibration
 from balance_cli.components import UNIT_OF
 from balance_cli.report.blocks import Block, Details, Heading, Picture, Text, Warn
@@ -24,6 +25,7 @@ from balance_cli.report.gage_tables import (
     check_table,
     curved_terms,
     refused_table,
+    tare_table,
     term_table,
 )
 from balance_cli.report.numbers import listed, significant, with_sigma
@@ -52,6 +54,9 @@ def gage_blocks(source: Source[Calibration], named: bool, ending: str) -> Iterat
         yield channel_table(gage, channel_ranges(source.content, gage))
     if gage.model.curved:
         yield term_table(gage)
+    if gage.tares is not None:
+        yield Text(_weight(gage.tares))
+        yield tare_table(gage.model.channel_names, gage.tares)
     if gage.checks:
         yield check_table(gage)
     if not stated:
@@ -98,6 +103,21 @@ def _loads_back(gage: GageCalibration, proof: Contraction) -> str:
     shrinks = "Loads are found by iteration; every step shrinks the error at least "
     steps = f"{shrinks}{significant(1.0 / max(proof.rho, 1e-12), 2)} times. " if model.curved else ""
     return f"{steps}Calibrated: {calibrated}. Loads beyond {refused} are refused."
+
+
+def _weight(tares: Tares) -> str:
+    """The weight of the metric part and its place, in words."""
+    weight = f" {PLUS_MINUS} ".join(with_sigma(tares.weight, tares.weight_sigma))
+    place = ""
+    if np.isfinite(tares.centre).all():
+        each = zip("xyz", tares.centre, tares.centre_sigma, strict=True)
+        words = (f"{axis} {f' {PLUS_MINUS} '.join(with_sigma(1e3 * at, 1e3 * sigma))}" for axis, at, sigma in each)
+        place = f", its centre of gravity from the hub at {', '.join(words)} mm"
+    chi2 = significant(tares.chi2_per_dof, 2)
+    return (
+        f"The zeros of {tares.sequences} loading sequences in their attitudes tell the metric part: weight {weight} N"
+        f"{place} (chi-square per degree of freedom {chi2}). Loads of the model hold this weight."
+    )
 
 
 def _warnings(gage: GageCalibration, proof: Contraction) -> Iterator[Block]:
