@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.attitude import stretches
 from balance_cli.calibrated import Calibration, Hysteresis, TrimCalibration
 from balance_cli.channel_health import live_channels
 from balance_cli.components import COMPONENTS
@@ -23,7 +24,7 @@ from balance_cli.estimation.static_matrices import (
     standard_errors,
     with_floor,
 )
-from balance_cli.gage_through_trims import gage_through_all_trims
+from balance_cli.gage_through_trims import gage_through_all_trims, gravity
 from balance_cli.geometry import Geometry
 from balance_cli.model.plate import carried_components
 from balance_cli.runs import Run, read_channels
@@ -160,7 +161,8 @@ def _rows(task: _Task, noise: _Noise) -> Rows:
     carried = [COMPONENTS.index(name) for name in task.components]
     other = [j for j in range(len(COMPONENTS)) if j not in carried and np.ptp(together[:, j]) > 0]
     channels = np.vstack([read_channels(run, task.channel_names) for run in task.runs])
-    return Rows(channels, together[:, carried], together[:, other], of_run, 1.0 / noise.relative[of_run])
+    offset = stretches(of_run, gravity(task.runs))
+    return Rows(channels, together[:, carried], together[:, other], offset, 1.0 / noise.relative[of_run])
 
 
 def _check_loaded(task: _Task, rows: Rows) -> None:
@@ -198,7 +200,7 @@ def _result(task: _Task, rows: Rows, regression: Regression, noise: _Noise) -> T
         T0_sigma=inverse_sigma(derivative, regression.C0_covariance),
         offsets=regression.offsets,
         mean_load=np.average(rows.loads, axis=0, weights=rows.weight),
-        mean_channels=np.average(rows.channels, axis=0, weights=rows.weight),
+        mean_channels=_mean_channels(task, rows, regression),
         residual_covariance=residual_covariance,
         dof=regression.dof,
         noise_covariance=noise_covariance,
@@ -211,6 +213,14 @@ def _result(task: _Task, rows: Rows, regression: Regression, noise: _Noise) -> T
         condition=condition,
         left_out=task.left_out,
     )
+
+
+def _mean_channels(task: _Task, rows: Rows, regression: Regression) -> Array:
+    """Mean reading (c,) of the rows; where attitudes are stated, as if all rows were read with the mean offset."""
+    away = np.zeros_like(rows.channels)
+    if gravity(task.runs) is not None:
+        away = regression.offsets.mean(axis=0) - regression.offsets[rows.run]
+    return np.asarray(np.average(rows.channels + away, axis=0, weights=rows.weight))
 
 
 def _deviation(errors: Array, weight: Array, dof: int) -> Array:

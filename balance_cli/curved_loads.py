@@ -55,12 +55,17 @@ def curved_loads(
 ) -> SteadyLoads:
     """Mean loads of one run by the iteration through `model`, counted from the unloaded rig.
 
-    That is the zero record or, without one, the mean of the zeros of the calibration. Raises UserError where the
-    channels that remain do not determine the loads, and where the iteration is not proved to find them. Where the
-    calibration has the direct model and all channels are there, that gives the loads.
+    That is the zero record or, without one, the mean of the zeros of the calibration. Where the calibration tells the
+    weight of the metric part, the level rig carries it in both: the iteration is for all loads. Where it has the direct
+    model and all channels are there, that gives the loads.
+
+    Raises UserError where the channels that remain do not determine the loads, and where the iteration is not proved to
+    find them.
     """
-    unloaded = model.zeros.mean(axis=0)
-    reading = mean_reading(model.channel_names, unloaded, unloaded, spectra, health, zero)
+    level = np.zeros(len(model.components)) if calibration.gage is None else calibration.gage.level
+    natural = model.zeros.mean(axis=0)
+    unloaded = natural + model.readings(level[None])[0]
+    reading = mean_reading(model.channel_names, natural, unloaded, spectra, health, zero)
     rows = np.array(reading.rows, dtype=np.intp)
     if not _told_apart(model, rows):
         raise undetermined(health, spectra.run)
@@ -77,7 +82,7 @@ def curved_loads(
     return with_word(
         SteadyLoads(
             components=model.components,
-            loads=loads[0],
+            loads=loads[0] - level,
             sigma=np.sqrt(variance),
             trim=ALL_TRIMS,
             flags=run_flags(model.components, zero, redundancy > limit),

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.attitude import gravity_directions
 from balance_cli.calibrated import TrimCalibration
 from balance_cli.calibration.fit import LoadPoints
 from balance_cli.calibration.least_squares import CollinearError
@@ -50,14 +51,26 @@ def gage_through_all_trims(
         run=np.repeat(np.arange(len(runs)), lengths),
         weight=np.repeat([1.0 / _own_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
         full_range=first.full_range,
+        gravity=gravity(runs),
     )
     for run in hold_out:
         _check_channels(run, names)
     checks = [(run.name, *rows_of(run, names, first.components)) for run in hold_out]
     try:
-        return gage_calibration(points, checks, search, _declared_response(geometry, points), direct)
+        declared, by_run = _declared_response(geometry, points), _gravity_by_run(hold_out)
+        return gage_calibration(points, checks, search, declared, direct, by_run)
     except CollinearError:
         return None
+
+
+def gravity(runs: Sequence[Run]) -> Array | None:
+    """Directions (m, 3) of gravity in all rows, NaN for runs that do not state their attitude; None where none does."""
+    known = _gravity_by_run(runs)
+    return np.vstack([known.get(run.name, np.full((run.samples, 3), np.nan)) for run in runs]) if known else None
+
+
+def _gravity_by_run(runs: Sequence[Run]) -> dict[str, Array]:
+    return {run.name: gravity_directions(run.attitude) for run in runs if run.attitude is not None}
 
 
 def _declared_response(geometry: Geometry, points: LoadPoints) -> Array:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from balance_cli.attitude import ANGLES
 from balance_cli.components import COMPONENTS, EXCITATIONS, RUN_KINDS, UNIT_OF
 from balance_cli.errors import UserError
 from balance_cli.runs import Array, Run, Source
@@ -36,12 +37,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Contents:
-    """A run file without its samples."""
+    """A run file without its samples; `angles` are those of the dataset `attitude`, columns as its names say."""
 
     attributes: Mapping[str, Any]
     channels: Table | None
     loads: Table | None
     pulse_times: Array | None
+    attitude: Table | None = None
+    angles: Array | None = None
 
 
 def declared_run(contents: Contents, source: Source, path: Path) -> Run:
@@ -67,10 +70,18 @@ def declared_run(contents: Contents, source: Source, path: Path) -> Run:
         period=float(period) if sweep and period is not None else None,
         trim=attributes["trim"] if kind == "static" else None,
         pulse_times=None if contents.pulse_times is None else np.asarray(contents.pulse_times, float),
+        attitude=_attitude(contents),
         recorded=_optional_text(attributes.get("recorded")),
         note=_optional_text(attributes.get("note")),
         path=path,
     )
+
+
+def _attitude(contents: Contents) -> Array | None:
+    """Pitch and roll (n, 2) [deg]."""
+    if contents.attitude is None or contents.angles is None:
+        return None
+    return np.asarray(contents.angles[:, [contents.attitude.names.index(name) for name in ANGLES]], float)
 
 
 def faults_of(contents: Contents) -> Iterator[UserError]:
@@ -86,6 +97,8 @@ def faults_of(contents: Contents) -> Iterator[UserError]:
     yield from _kind_faults(kind, attributes)
     yield from _load_faults(kind, contents.loads, contents.channels)
     yield from _pulse_faults(contents, required=kind in WITH_PULSES)
+    if contents.attitude is not None:
+        yield from _attitude_faults(kind, contents)
 
 
 def sample_faults(run: Run) -> Iterator[UserError]:
@@ -213,6 +226,35 @@ def _load_faults(kind: str, loads: Table | None, channels: Table | None) -> Iter
     if channels is not None and channels.shape[:1] != loads.shape[:1]:
         fault = f"{loads.shape[0]} rows, but {channels.shape[0] if channels.shape else 0} rows of channels"
         yield UserError(fault, place="loads", remedy="Both should have one row a sample")
+
+
+def _attitude_faults(kind: str, contents: Contents) -> Iterator[UserError]:
+    table, channels = contents.attitude, contents.channels
+    assert table is not None
+    if kind != "static":
+        fault = f"a `{kind}` run has no attitude"
+        yield UserError(fault, place="attitude", remedy="Remove the dataset, or correct `kind`")
+        return
+    yield from _table_faults("attitude", table)
+    if len(table.shape) != 2 or table.kind not in "iuf":
+        return
+    if sorted(table.names) != sorted(ANGLES) or table.shape[1] != len(ANGLES):
+        fault = f"{table.shape[1]} columns, named {', '.join(table.names) or 'nothing'}"
+        yield UserError(fault, place="attitude, attribute names", remedy=f"They should be {' and '.join(ANGLES)}")
+    if set(table.units) != {"deg"}:
+        fault = f"its unit is {', '.join(table.units) or 'missing'}"
+        yield UserError(fault, place="attitude, attribute unit", remedy="It should be `deg`")
+    if channels is not None and channels.shape[:1] != table.shape[:1]:
+        fault = f"{table.shape[0]} rows, but {channels.shape[0] if channels.shape else 0} rows of channels"
+        yield UserError(fault, place="attitude", remedy="Both should have one row a load point")
+    yield from _angle_faults(contents.angles)
+
+
+def _angle_faults(angles: Array | None) -> Iterator[UserError]:
+    bad = [] if angles is None else np.flatnonzero(~np.isfinite(angles).all(axis=1)).tolist()
+    if bad:
+        fault = f"{len(bad)} of its rows are not finite, row {bad[0] + 1} first"
+        yield UserError(fault, place="attitude", remedy="Give the attitude of every row, or remove the dataset")
 
 
 def _pulse_faults(contents: Contents, required: bool) -> Iterator[UserError]:

@@ -12,6 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from balance_cli.attitude import ANGLES
 from balance_cli.components import COMPONENTS, UNITS
 from balance_cli.errors import UserError
 from balance_cli.files import written_whole
@@ -145,6 +146,10 @@ def write_run(path: Path, run: Run) -> None:
                 loads[block.start : block.start + len(block.channels)] = block.loads
         if run.pulse_times is not None:
             file["rotor/pulse_times"] = run.pulse_times
+        if run.attitude is not None:
+            angles = _create(file, "attitude", run.samples, ANGLES, np.float64)
+            angles.attrs["unit"] = "deg"
+            angles[:] = run.attitude
 
 
 def _attributes(run: Run) -> dict[str, Any]:
@@ -204,12 +209,14 @@ def _contents(path: Path) -> Contents:
         attributes = _known_attributes(file, ATTRIBUTES)
         if attributes.get("format") != FORMAT:
             raise _no_run(path)
-        pulses = file.get("rotor/pulse_times")
+        pulses, attitude = file.get("rotor/pulse_times"), _table(file, "attitude", "unit")
         return Contents(
             attributes,
             channels=_table(file, "channels", "unit"),
             loads=_table(file, "loads", "units"),
             pulse_times=None if pulses is None else np.asarray(pulses[()]),
+            attitude=attitude,
+            angles=None if attitude is None else np.asarray(file["attitude"][()]),
         )
 
 

@@ -50,7 +50,8 @@ class Run:
     """One recorded run: what the file says of itself, and its samples on demand.
 
     `excited` and `level` (rms in N or N m) are parallel tuples; `period` [s] where the excitation is periodic;
-    `pulse_times` (n_rev,) [s from the first sample]; `digest` is the hex SHA-256 of the content.
+    `pulse_times` (n_rev,) [s from the first sample]; `attitude` (n, 2) of a static run: pitch and roll [deg] as in
+    balance_cli.attitude; `digest` is the hex SHA-256 of the content.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Run:
     period: float | None = None
     trim: str | None = None
     pulse_times: Array | None = field(default=None, repr=False)
+    attitude: Array | None = field(default=None, repr=False)
     recorded: str | None = None
     note: str | None = None
     path: Path | None = None
@@ -97,7 +99,7 @@ def pick_channels(channels: Array, present: Sequence[str], names: Sequence[str])
     return picked
 
 
-_ABOUT = {item.name for item in fields(Run)} - {"source", "path", "digest", "pulse_times"}
+_ABOUT = {item.name for item in fields(Run)} - {"source", "path", "digest", "pulse_times", "attitude"}
 
 
 def run_digest(run: Run) -> str:
@@ -105,6 +107,8 @@ def run_digest(run: Run) -> str:
     about = {name: getattr(run, name) for name in _ABOUT}
     about["pulse_times"] = None if run.pulse_times is None else run.pulse_times.tolist()
     hashed = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    if run.attitude is not None:
+        hashed.update(b"attitude" + np.ascontiguousarray(run.attitude, "<f8").tobytes())
     for block in run.blocks():
         hashed.update(np.ascontiguousarray(block.channels, "<f8").tobytes())
         if block.loads is not None:

@@ -88,7 +88,8 @@ def steady_loads(
     trim = calibration.nearest(_named(found))
     if trim is not first:
         found = _through(trim, spectra, health, zero)
-    outside = calibration.gage.model.extrapolated(found.loads) if calibration.gage else ()
+    gage = calibration.gage
+    outside = gage.model.extrapolated(found.loads + gage.level) if gage else ()
     return with_word(found, outside)
 
 

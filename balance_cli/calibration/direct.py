@@ -62,5 +62,6 @@ def direct_model(points: LoadPoints, gage: GageModel, used: NDArray[np.bool_], s
         run=points.run,
         weight=np.where(used, points.weight, 0.0),
         full_range=np.ones(len(points.components)),
+        gravity=points.gravity,
     )
     return DirectModel(W, gage_fit(first, search, points.x).model, points.full_range)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.attitude import stretches
 from balance_cli.calibration.gage_model import GageModel
 from balance_cli.calibration.least_squares import LeastSquares, regression
 from balance_cli.calibration.selection import chosen_terms
@@ -23,7 +24,9 @@ Index = NDArray[np.intp]
 class LoadPoints:
     """Rows of all runs in the order of loading: channels (m, c) [V] and loads (m, k) [N, N m], which `full_range` (k,)
 
-    makes numbers near one; `run` (m,) counts `run_names`; `weight` (m,) by the noise of the run.
+    makes numbers near one; `run` (m,) counts `run_names`; `weight` (m,) by the noise of the run; `gravity` (m, 3) unit
+
+    vectors in rig axes, NaN for runs that do not state their attitude, None where no run does.
     """
 
     channel_names: tuple[str, ...]
@@ -34,6 +37,7 @@ class LoadPoints:
     run: Index
     weight: Array
     full_range: Array
+    gravity: Array | None = None
 
     @property
     def x(self) -> Array:
@@ -43,20 +47,16 @@ class LoadPoints:
     @property
     def sequence(self) -> Index:
         """The loading sequence (m,) of each row."""
-        return loading_sequences(self.x, self.run)
+        return loading_sequences(self.x, self.stretch)
+
+    @property
+    def stretch(self) -> Index:
+        """The stretch (m,) of rows of one run in one attitude."""
+        return stretches(self.run, self.gravity)
 
     def without(self, rows: NDArray[np.bool_]) -> LoadPoints:
         """With the weight of some rows taken away: they keep their place in the order, and say nothing."""
-        return LoadPoints(
-            self.channel_names,
-            self.components,
-            self.run_names,
-            self.channels,
-            self.loads,
-            self.run,
-            np.where(rows, 0.0, self.weight),
-            self.full_range,
-        )
+        return replace(self, weight=np.where(rows, 0.0, self.weight))
 
 
 @dataclass(frozen=True)

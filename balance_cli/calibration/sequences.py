@@ -20,7 +20,9 @@ FEWEST = 3
 
 
 def loading_sequences(x: Array, run: Index) -> Index:
-    """The sequence (m,) of each row of loads x (m, n), in units of full range; runs (m,) are never one sequence.
+    """The sequence (m,) of each row of loads x (m, n), in units of full range; runs (m,), or the
+
+    stretches of them in one attitude, are never one sequence.
 
     A sequence ends where other loads begin to move than those that moved in it; a load that hangs did not. Where loads
     stand still between changes of all of them, as when each point is hung by itself, the run is one sequence.

@@ -10,6 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from balance_cli.calibration.direct import DirectModel
     from balance_cli.calibration.suspects import BadSequence
+    from balance_cli.calibration.tares import Tares
     from balance_cli.calibration.whole import CheckedLoads, GageCalibration
 
 
@@ -36,6 +37,7 @@ def gage_summary(gage: GageCalibration) -> dict[str, Any]:
             "scatter_chi2_per_dof": dict(zip(channels, gage.drift.scatter, strict=True)),
         },
         "direct": _direct(gage.direct) if gage.direct else None,
+        "tares": None if gage.tares is None else _tares(gage.tares, channels),
         "outliers": [vars(one) for one in gage.outliers],
         "exchanged": gage.exchanged,
         "limits": gage.limits,
@@ -78,6 +80,16 @@ def _direct(direct: DirectModel) -> dict[str, Any]:
 
 def _with_sigma(names: tuple[str, ...], value: Any, sigma: Any) -> dict[str, dict[str, float]]:
     return {name: {"value": value[i], "sigma": sigma[i]} for i, name in enumerate(names)}
+
+
+def _tares(tares: Tares, channels: tuple[str, ...]) -> dict[str, Any]:
+    return {
+        "weight": {"value": tares.weight, "sigma": tares.weight_sigma},
+        "centre": _with_sigma(("x", "y", "z"), tares.centre, tares.centre_sigma),
+        "natural_zeros": _with_sigma(channels, tares.natural_zeros, tares.natural_zeros_sigma),
+        "chi2_per_dof": tares.chi2_per_dof,
+        "sequences": tares.sequences,
+    }
 
 
 def _check(check: CheckedLoads, components: tuple[str, ...], full_range: Any) -> dict[str, Any]:
@@ -131,6 +143,8 @@ def gage_text(gage: GageCalibration) -> Iterator[str]:
             f"{name} {value:.4f}" for name, value in zip(model.components, gage.direct.residual_percent_fs, strict=True)
         )
         yield f"  direct, without iteration; residual % FS: {left}"
+    if gage.tares is not None:
+        yield from _tares_text(gage.tares)
     if model.refused:
         yield f"  {len(model.refused)} terms that these loads do not support, {_first(model.refused)}"
     for check in gage.checks:
@@ -140,6 +154,15 @@ def gage_text(gage: GageCalibration) -> Iterator[str]:
         for j, component in enumerate(model.components):
             error, share = 100.0 * check.error[j] / model.full_range[j], 100.0 * check.hits[j]
             yield f"    {component:4s} {error:9.4f} {share:6.1f} %"
+
+
+def _tares_text(tares: Tares) -> Iterator[str]:
+    yield f"  metric part: weight {tares.weight:.6g} +- {tares.weight_sigma:.2g} N, which the loads of the model hold"
+    if np.isfinite(tares.centre).all():
+        each = zip("xyz", 1e3 * tares.centre, 1e3 * tares.centre_sigma, strict=True)
+        place = ", ".join(f"{axis} {value:.5g} +- {sigma:.2g}" for axis, value, sigma in each)
+        yield f"    its centre of gravity from the hub [mm]: {place}"
+    yield f"    zeros of {tares.sequences} sequences about it: chi2/dof {tares.chi2_per_dof:.2f}"
 
 
 def _said(term: str, t: float) -> str:

@@ -23,8 +23,8 @@ MOVED = 0.01  # of a component's spread, by which a row must differ from the one
 class Rows:
     """Rows of the static runs of one trim, in the order of loading: channels (m, c) [V], loads (m, k) [N, N m].
 
-    `others` (m, o): loads that were applied but that the balance does not carry; `run` (m,): which run a row is of;
-    `weight` (m,): by the noise of its run.
+    `others` (m, o): loads that were applied but that the balance does not carry; `run` (m,): which run, or attitude in
+    it, a row is of; `weight` (m,): by the noise of its run.
     """
 
     channels: Array

@@ -12,6 +12,7 @@ from balance_cli.calibration.convergence import Contraction
 from balance_cli.calibration.direct import DirectModel
 from balance_cli.calibration.selection import LEVEL
 from balance_cli.calibration.suspects import BadSequence, Outlier
+from balance_cli.calibration.tares import Tares
 from balance_cli.calibration.whole import GageCalibration
 from balance_cli.components import UNIT_OF
 from balance_cli.report.blocks import Block, Details, Heading, Picture, Text, Warn
@@ -25,6 +26,7 @@ from balance_cli.report.gage_tables import (
     check_table,
     curved_terms,
     refused_table,
+    tare_table,
     term_table,
 )
 from balance_cli.report.numbers import listed, significant, with_sigma
@@ -55,6 +57,9 @@ def gage_blocks(source: Source[Calibration], named: bool, ending: str) -> Iterat
         yield channel_table(gage, channel_ranges(source.content, gage))
     if gage.model.curved:
         yield term_table(gage)
+    if gage.tares is not None:
+        yield Text(_weight(gage.tares))
+        yield tare_table(gage.model.channel_names, gage.tares)
     if gage.checks:
         yield check_table(gage)
     if not stated:
@@ -108,6 +113,21 @@ def _direct(direct: DirectModel) -> str:
     pairs = zip(direct.model.components, direct.residual_percent_fs, strict=True)
     left = ", ".join(f"{name} {significant(float(value), 2)}" for name, value in pairs)
     return f"Mean loads are taken as functions of the readings, without iteration; residual in % of full range: {left}."
+
+
+def _weight(tares: Tares) -> str:
+    """The weight of the metric part and its place, in words."""
+    weight = f" {PLUS_MINUS} ".join(with_sigma(tares.weight, tares.weight_sigma))
+    place = ""
+    if np.isfinite(tares.centre).all():
+        each = zip("xyz", tares.centre, tares.centre_sigma, strict=True)
+        words = (f"{axis} {f' {PLUS_MINUS} '.join(with_sigma(1e3 * at, 1e3 * sigma))}" for axis, at, sigma in each)
+        place = f", its centre of gravity from the hub at {', '.join(words)} mm"
+    chi2 = significant(tares.chi2_per_dof, 2)
+    return (
+        f"The zeros of {tares.sequences} loading sequences in their attitudes tell the metric part: weight {weight} N"
+        f"{place} (chi-square per degree of freedom {chi2}). Loads of the model hold this weight."
+    )
 
 
 def _warnings(gage: GageCalibration, proof: Contraction) -> Iterator[Block]:

@@ -40,7 +40,7 @@ class Stretch:
 def stretches(gage: GageCalibration) -> tuple[Stretch, ...]:
     """All loading sequences in their order, those that took no part included."""
     x = gage.loads / gage.model.full_range
-    sequence = loading_sequences(x, gage.run)
+    sequence = loading_sequences(x, gage.run if gage.stretch is None else gage.stretch)
     return tuple(_stretch(gage, x, np.flatnonzero(sequence == name)) for name in np.unique(sequence))
 
 

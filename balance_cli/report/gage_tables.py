@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from balance_cli.calibration.tares import Tares
 from balance_cli.calibration.whole import CheckedLoads, GageCalibration
 from balance_cli.report.blocks import Cell, Row, Table
 from balance_cli.report.diagnosis_tables import PLUS_MINUS, probability
@@ -132,6 +133,20 @@ def refused_table(gage: GageCalibration) -> Table:
     rows = tuple((Cell(reason, mark="name"), Cell(", ".join(names), mark="text")) for reason, names in terms.items())
     caption = "Terms that nothing can be said of: no channel has them, whether they are there or not."
     return Table(caption, ((Cell("reason"), Cell("terms", mark="text")),), rows)
+
+
+# ---- natural zeros ---------------------------------------------------------------------------------------------------
+
+
+def tare_table(channels: tuple[str, ...], tares: Tares) -> Table:
+    """What the channels read without any load."""
+    caption = "Natural zeros: what each channel reads without any load, nor the weight of the metric part."
+    zeros = zip(channels, 1e6 * tares.natural_zeros, 1e6 * tares.natural_zeros_sigma, strict=True)
+    rows = tuple(
+        (Cell(name, mark="name"), Cell(f" {PLUS_MINUS} ".join(with_sigma(float(value), float(sigma)))))
+        for name, value, sigma in zeros
+    )
+    return Table(caption, ((Cell("channel"), Cell(f"natural zero [{MICROVOLT}]")),), rows)
 
 
 # ---- loads that checked it -------------------------------------------------------------------------------------------

@@ -1,0 +1,32 @@
+"""How a rig was tilted, and where gravity points in its axes.
+
+The rig stands level at pitch = roll = 0. It is first tilted by the pitch about its y axis, then by the roll about its
+own x axis, which the pitch has tilted with it; both right-handed, so that a positive pitch lowers the +x side and a
+positive roll lifts the +y side. Rig axes follow from those of the level rig by R = Ry(pitch) Rx(roll).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+ANGLES = ("pitch", "roll")
+# Change of the direction of gravity from row to row that counts as another attitude [rad], some 0.1 deg.
+STEADY = 2e-3
+
+
+def gravity_directions(attitude: ArrayLike) -> Array:
+    """Unit vectors (m, 3) of gravity in rig axes, R' (0, 0, -1), for pitch and roll (m, 2) [deg]."""
+    pitch, roll = np.radians(np.asarray(attitude, float)).T
+    return np.column_stack([np.sin(pitch), -np.cos(pitch) * np.sin(roll), -np.cos(pitch) * np.cos(roll)])
+
+
+def stretches(run: Index, gravity: Array | None) -> Index:
+    """Number (m,) of the stretch of rows of one run (m,) in one attitude, from gravity (m, 3), NaN where not known."""
+    new = np.diff(run, prepend=run[:1]) != 0
+    if gravity is not None:
+        new[1:] |= np.linalg.norm(np.diff(gravity, axis=0), axis=1) > STEADY
+    return np.asarray(np.cumsum(new), np.intp)
