@@ -36,9 +36,9 @@ def test_runs_are_never_one_sequence():
 
 def test_a_load_that_hangs_on_the_other_side_begins_a_sequence():
     ramp = np.r_[np.arange(6), np.arange(4, -1, -1)] / 5.0
-    x = np.zeros((22, 6))
-    x[:, 0], x[:11, 1], x[11:, 1] = np.r_[ramp, -ramp], 0.6, -0.6
-    np.testing.assert_array_equal(loading_sequences(x, np.zeros(22, int)), np.repeat([0, 1], 11))
+    x = np.zeros((33, 6))
+    x[:22, 0], x[:, 1] = np.r_[ramp, -ramp], np.r_[np.full(11, 0.6), np.full(11, -0.6), ramp]
+    np.testing.assert_array_equal(loading_sequences(x, np.zeros(33, int)), np.repeat([0, 1, 2], 11))
 
 
 def test_a_sequence_in_words():
@@ -173,3 +173,12 @@ def test_gage_fit_finds_the_terms_of_every_channel():
             row, c = model.terms.index(name), CHANNELS.index(channel)
             assert abs(model.coefficients[row, c] - value) < 5.0 * np.sqrt(model.covariance[c, row, row])
     assert gage_fit(stand_points(), search=False).model.terms == COMPONENTS
+
+
+def test_loads_exchanged_at_once_are_one_sequence():
+    """Zeros for stretches in which one load only replaces another would say what the loads say."""
+    x = np.repeat(np.vstack([np.eye(6), -np.eye(6)]), 2, axis=0)
+    assert not loading_sequences(x, np.zeros(24, int)).any()
+    # With each load by itself between, it is not so.
+    apart = np.vstack([np.outer(np.arange(4) / 3.0, one) for one in np.eye(6)])
+    assert loading_sequences(apart, np.zeros(24, int))[-1] == 5

@@ -17,6 +17,8 @@ Index = NDArray[np.intp]
 MOVED = 0.01
 # Rows that make a sequence; a shorter stretch belongs to the one before it.
 FEWEST = 3
+# Of what one zero for each run leaves of the loads, what zeros for each sequence must leave.
+LEAST_TOLD = 0.1
 
 
 def loading_sequences(x: Array, run: Index) -> Index:
@@ -25,7 +27,8 @@ def loading_sequences(x: Array, run: Index) -> Index:
     stretches of them in one attitude, are never one sequence.
 
     A sequence ends where other loads begin to move than those that moved in it; a load that hangs did not. Where loads
-    stand still between changes of all of them, as when each point is hung by itself, the run is one sequence.
+    stand still between changes of all of them, as when each point is hung by itself, the run is one sequence; so is
+    every run where zeros for shorter stretches would leave some loads untold.
     """
     found = np.zeros(len(x), dtype=np.intp)
     number = -1
@@ -34,7 +37,19 @@ def loading_sequences(x: Array, run: Index) -> Index:
         starts = _moving(_starts(np.abs(np.diff(x[rows], axis=0)) > MOVED), x[rows])
         found[rows] = number + 1 + np.searchsorted(starts, np.arange(len(rows)), side="right") - 1
         number = int(found[rows[-1]])
-    return found
+    runs = np.unique(run, return_inverse=True)[1]
+    return found if _told_apart(x, found) >= LEAST_TOLD * _told_apart(x, runs) else runs
+
+
+def _told_apart(x: Array, block: Index) -> float:
+    """The least singular value of loads x (m, n) of unit size less their means in each block, never loaded ones out."""
+    total = np.bincount(block).astype(float)
+    means = np.column_stack([np.bincount(block, column) for column in x.T]) / np.maximum(total, 1.0)[:, None]
+    size = np.linalg.norm(x, axis=0)
+    loaded = size > 0
+    if not loaded.any():
+        return 0.0
+    return float(np.linalg.svd((x - means[block])[:, loaded] / size[loaded], compute_uv=False)[-1])
 
 
 def _starts(moved: NDArray[np.bool_]) -> list[int]:
