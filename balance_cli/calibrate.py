@@ -19,6 +19,7 @@ from balance_cli.estimation.static_matrices import (
     hysteresis,
     inverse_matrix,
     inverse_sigma,
+    lack_of_fit,
     regress,
     significance,
     standard_errors,
@@ -204,7 +205,7 @@ def _result(task: _Task, rows: Rows, regression: Regression, noise: _Noise) -> T
         residual_covariance=residual_covariance,
         dof=regression.dof,
         noise_covariance=noise_covariance,
-        lack_of_fit=_lack_of_fit(residual_covariance, noise_covariance, noise.dof),
+        lack_of_fit=lack_of_fit(residual_covariance, noise_covariance, noise.dof),
         full_range=task.full_range,
         channel_full_range=channel_full_range(task.geometry, task.channel_names, task.components, task.full_range),
         residual=_deviation(regression.residuals @ T0.T, rows.weight, regression.dof),
@@ -243,13 +244,6 @@ def _condition(task: _Task, regression: Regression, noise_covariance: Array) -> 
         fault = f"the usable channels do not tell {' and '.join(involved)} apart{task.and_lost}"
         raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig")
     return condition
-
-
-def _lack_of_fit(residual: Array, noise: Array, dof: float) -> float:
-    """Mean of the residuals' squares over those of the noise; the inverse of an estimated covariance is too large."""
-    c = len(noise)
-    unbiased = (dof - c - 1) / dof if dof > c + 1 else 1.0
-    return float(np.trace(np.linalg.solve(noise, residual)) / c * unbiased)
 
 
 def channel_full_range(

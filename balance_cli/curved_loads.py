@@ -13,6 +13,7 @@ from balance_cli.calibration.gage_model import GageModel
 from balance_cli.channel_health import ChannelHealth
 from balance_cli.components import UNIT_OF
 from balance_cli.errors import UserError
+from balance_cli.estimation.static_matrices import lack_of_fit
 from balance_cli.signals.harmonics import Harmonics
 from balance_cli.steady_loads import (
     SteadyLoads,
@@ -130,11 +131,8 @@ def _lasting_share(calibration: Calibration, model: GageModel) -> float:
         at = [trim.channel_names.index(name) for name in model.channel_names]
         noise += trim.rows * trim.noise_covariance[np.ix_(at, at)]
     noise /= sum(trim.rows for trim in told)
-    c, dof = len(noise), sum(trim.dof for trim in told)
-    # The inverse of an estimated covariance is too large.
-    unbiased = (dof - c - 1) / dof if dof > c + 1 else 1.0
-    lack_of_fit = np.trace(np.linalg.solve(noise, model.residual_covariance)) / c * unbiased
-    return max(0.0, 1.0 - 1.0 / float(lack_of_fit))
+    misfit = lack_of_fit(model.residual_covariance, noise, sum(trim.dof for trim in told))
+    return max(0.0, 1.0 - 1.0 / misfit)
 
 
 def _solved(usable: _Usable, change: Array) -> Array:

@@ -6,7 +6,7 @@ from calibration_stand import CHANNELS, CURVED, stand_loads, stand_points
 
 from balance_cli.calibration import selection
 from balance_cli.calibration.fit import gage_fit
-from balance_cli.calibration.least_squares import regression
+from balance_cli.calibration.least_squares import regression, without_zeros
 from balance_cli.calibration.selection import chosen_terms
 from balance_cli.calibration.sequences import described_sequence, loading_sequences
 from balance_cli.calibration.support import supported
@@ -129,8 +129,8 @@ def test_terms_are_replaced_when_better_ones_have_come_in(monkeypatch):
 def test_a_term_that_is_no_longer_significant_goes():
     X, Y, sequence = readings({"Fx Fy": 0.01})
     w = np.ones(len(X))
-    Xs = selection._without_zeros(X, sequence, w)
-    y = selection._without_zeros(Y, sequence, w)[:, 0]
+    Xs = without_zeros(X, sequence, w)
+    y = without_zeros(Y, sequence, w)[:, 0]
     normal = selection._Normal(Xs.T @ Xs, Xs.T @ y, float(y @ y), len(X) - sequence[-1] - 1)
     kept = [*range(6), place("Fx Fy")]
     assert selection._pruned(normal, [*kept, place("Mz^2"), place("|Fx Fy|")], 6, 1e-5) == kept

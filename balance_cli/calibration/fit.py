@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,6 @@ class LoadPoints:
     """Rows of all runs in the order of loading: channels (m, c) [V] and loads (m, k) [N, N m], which `full_range` (k,)
 
     makes numbers near one; `run` (m,) counts `run_names`; `weight` (m,) by the noise of the run; `gravity` (m, 3) unit
-
     vectors in rig axes, NaN for runs that do not state their attitude, None where no run does.
     """
 
@@ -44,12 +44,12 @@ class LoadPoints:
         """Loads (m, k) over full range."""
         return self.loads / self.full_range
 
-    @property
+    @cached_property
     def sequence(self) -> Index:
         """The loading sequence (m,) of each row."""
         return loading_sequences(self.x, self.stretch)
 
-    @property
+    @cached_property
     def stretch(self) -> Index:
         """The stretch (m,) of rows of one run in one attitude."""
         return stretches(self.run, self.gravity)

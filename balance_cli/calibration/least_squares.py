@@ -193,6 +193,12 @@ class _Zeros:
         return np.asarray(rows - self.spread(self.means(rows)))
 
 
+def without_zeros(values: Array, block: Index, weight: Array | None = None) -> Array:
+    """Weighted rows of values (m, p) less their weighted means in each block (m,)."""
+    w = np.ones(len(values)) if weight is None else weight
+    return np.asarray(_Zeros.of(block, w).centred(values), float)
+
+
 def _inverse(R: Array) -> Array:
     inverse = solve_triangular(R, np.eye(len(R)))
     return np.asarray(inverse @ inverse.T)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from balance_cli.calibration.least_squares import regression
+from balance_cli.calibration.least_squares import regression, without_zeros
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -74,7 +74,7 @@ def chosen_terms(
     `block` (m,) has a zero of its own; `sequence` (m,) is what cross-validation leaves out, whole.
     """
     w = np.ones(len(X)) if weight is None else weight
-    Xc, Yc = (_without_zeros(values, block, w) for values in (X, Y))
+    Xc, Yc = (without_zeros(values, block, w) for values in (X, Y))
     size = np.linalg.norm(Xc, axis=0)
     Xs = Xc / np.where(size > 0, size, 1.0)
     G, g = Xs.T @ Xs, Xs.T @ Yc
@@ -87,15 +87,6 @@ def chosen_terms(
         chosen = _searched(normal, straight, LEVEL / tests, pairs)
         found.append(_validated(chosen, X, Y[:, c], block, sequence, straight, w))
     return found
-
-
-def _without_zeros(values: Array, block: Index, weight: Array) -> Array:
-    """Weighted rows of values (m, p) less their weighted means in each block."""
-    found = values.copy()
-    for name in np.unique(block):
-        rows = block == name
-        found[rows] -= np.average(found[rows], axis=0, weights=weight[rows])
-    return np.asarray(found * np.sqrt(weight)[:, None])
 
 
 def _alike(G: Array, straight: int) -> list[tuple[int, int]]:

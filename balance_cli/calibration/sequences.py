@@ -10,6 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.least_squares import without_zeros
+
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
@@ -43,13 +45,11 @@ def loading_sequences(x: Array, run: Index) -> Index:
 
 def _told_apart(x: Array, block: Index) -> float:
     """The least singular value of loads x (m, n) of unit size less their means in each block, never loaded ones out."""
-    total = np.bincount(block).astype(float)
-    means = np.column_stack([np.bincount(block, column) for column in x.T]) / np.maximum(total, 1.0)[:, None]
     size = np.linalg.norm(x, axis=0)
     loaded = size > 0
     if not loaded.any():
         return 0.0
-    return float(np.linalg.svd((x - means[block])[:, loaded] / size[loaded], compute_uv=False)[-1])
+    return float(np.linalg.svd(without_zeros(x, block)[:, loaded] / size[loaded], compute_uv=False)[-1])
 
 
 def _starts(moved: NDArray[np.bool_]) -> list[int]:

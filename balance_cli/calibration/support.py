@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.least_squares import without_zeros
 from balance_cli.calibration.terms import Term, columns, linear_terms
 
 Array = NDArray[np.float64]
@@ -31,13 +32,13 @@ def supported(terms: Sequence[Term], x: Array, block: Index, loads: Sequence[str
 
     A term is refused where the zeros and the loads themselves explain it, or it does what a term before it does.
     """
-    straight = _without_zeros(columns(linear_terms(x.shape[1]), x), block)
+    straight = without_zeros(columns(linear_terms(x.shape[1]), x), block)
     basis = _orthonormal(straight)
     kept: list[Term] = []
     refused: dict[Term, str] = {}
     spanned = np.zeros((len(x), 0))
     for term in terms:
-        column = _without_zeros(columns([term], x), block)[:, 0]
+        column = without_zeros(columns([term], x), block)[:, 0]
         if term.linear:
             kept.append(term)
             continue
@@ -54,14 +55,6 @@ def supported(terms: Sequence[Term], x: Array, block: Index, loads: Sequence[str
         kept.append(term)
         spanned = np.column_stack([spanned, unit])
     return Support(tuple(kept), refused)
-
-
-def _without_zeros(values: Array, block: Index) -> Array:
-    """Values (m, p) less their means in each block."""
-    found = values.copy()
-    for name in np.unique(block):
-        found[block == name] -= found[block == name].mean(axis=0)
-    return found
 
 
 def _orthonormal(values: Array) -> Array:

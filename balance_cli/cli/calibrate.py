@@ -15,7 +15,7 @@ from balance_cli.cli.common import (
     output_option,
     skip_bad_option,
 )
-from balance_cli.cli.options import InputFile, OutputFile
+from balance_cli.cli.options import InputFile, OutputFile, hold_out_option
 from balance_cli.errors import UserError
 
 if TYPE_CHECKING:
@@ -41,14 +41,7 @@ FORMAT = "balance-calibration/1"
     is_flag=True,
     help="Fit the loads as functions of the readings, too; reduce then takes mean loads from these, without iteration.",
 )
-@click.option(
-    "--hold-out",
-    "hold_out",
-    type=InputFile(),
-    multiple=True,
-    metavar="RUN",
-    help="Static run that takes no part and checks the prediction intervals (repeatable).",
-)
+@hold_out_option("Static run that takes no part and checks the prediction intervals (repeatable).")
 @click.option(
     "--matrix",
     type=OutputFile(),

@@ -17,6 +17,7 @@ from balance_cli.cli.common import (
     runs_argument,
     skip_bad_option,
 )
+from balance_cli.cli.options import hold_out_option
 from balance_cli.errors import UserError
 
 if TYPE_CHECKING:
@@ -34,14 +35,7 @@ DISCREPANCY = 3
 @balance_command("diagnose")
 @click.argument("model", type=InputFile(), metavar="MODEL")
 @runs_argument
-@click.option(
-    "--hold-out",
-    "hold_out",
-    type=InputFile(),
-    multiple=True,
-    metavar="RUN",
-    help="Check run or sweep that no fit may see, for the errors before and after (repeatable).",
-)
+@hold_out_option("Check run or sweep that no fit may see, for the errors before and after (repeatable).")
 @click.option(
     "--model-out", type=OutputFile(), required=True, metavar="MODEL", help="Where the closed model is written."
 )

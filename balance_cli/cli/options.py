@@ -50,6 +50,11 @@ skip_bad_option: Callable[[F], F] = click.option(
 )
 
 
+def hold_out_option(text: str) -> Callable[[F], F]:
+    """The repeatable option `--hold-out`, passed to the command as `hold_out`."""
+    return click.option("--hold-out", "hold_out", type=InputFile(), multiple=True, metavar="RUN", help=text)
+
+
 def output_option(metavar: str, text: str = "Where the result is written.") -> Callable[[F], F]:
     """The required option `-o/--output`, passed to the command as `output`."""
     return click.option("-o", "--output", "output", type=OutputFile(), required=True, metavar=metavar, help=text)

@@ -144,6 +144,13 @@ def inverse_sigma(derivative: Array, C0_covariance: Array) -> Array:
     return np.asarray(np.sqrt(variance))
 
 
+def lack_of_fit(residual: Array, noise: Array, dof: float) -> float:
+    """Mean of the residuals' squares over those of the noise; the inverse of an estimated covariance is too large."""
+    c = len(noise)
+    unbiased = (dof - c - 1) / dof if dof > c + 1 else 1.0
+    return float(np.trace(np.linalg.solve(noise, residual)) / c * unbiased)
+
+
 def with_floor(covariance: Array, channels: Array) -> Array:
     """The covariance (c, c) with a floor far below any real noise, so that it has an inverse."""
     spread = np.ptp(channels, axis=0)
