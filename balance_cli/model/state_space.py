@@ -1,0 +1,189 @@
+"""The balance as a real system in continuous time: a state space of the modes that matter and of the channels' filters.
+
+With the states x of modes and filters, u the hub loads and z the volts before delay and crosstalk,
+
+    x' = A x + B u,        z = C x + D u,        y_c(t) = sum_d mixing_cd z_d(t - delay_d),
+
+has the response of the `System` it is made of. Poles s_m and residues R_m of the pencil give the springs' forces,
+sum_m R_m / (s - s_m) + D_f; D_f is what parts without mass, or without compliance, leave of the exact response. A loss
+factor, which nothing in time has at every frequency, is made of relaxations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
+
+from balance_cli.equations import ChannelPath
+from balance_cli.geometry import Acquisition, AnalogueFilter
+from balance_cli.model.realisation import Descriptor, Realisation, gain, modal_form, parallel, proper_part, series
+from balance_cli.model.relaxation import relaxation_chain
+from balance_cli.model.system import System, response, solve
+from balance_cli.signals.anti_alias import butterworth_poles
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Of the largest singular value, what is rounding in the rank of the springs with loss.
+DEPENDENT = 1e-12
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """x' = A x + B u, z = C x + D u, y_c(t) = sum_d mixing[c, d] z_d(t - delay[d]).
+
+    A (n, n), B (n, 6), C (c, n), D (c, 6); u (6,) hub loads [N, N m], z (c,) volts before delay and crosstalk. delay
+    (c,) [s], positive is late; mixing (c, c).
+    """
+
+    channel_names: tuple[str, ...]
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    delay: Array
+    mixing: Array
+
+    def response(self, frequency: ArrayLike) -> ComplexArray:
+        """T (k, c, 6) at `frequency` (k,) [Hz], volts per unit hub load, delay and mixing included."""
+        s = 2j * np.pi * np.atleast_1d(np.asarray(frequency, float))
+        late = np.exp(-s[:, None] * self.delay)[:, :, None]
+        return np.asarray(self.mixing @ (late * Realisation(self.A, self.B, self.C, self.D).at(s)))
+
+
+def state_space(system: System, spin: float = 0.0) -> StateSpace:
+    """The state space of a balance at rotor speed `spin` [Hz], of true hub loads (no spill of an exciter).
+
+    Forces along springs that are not linear, pick-up and offsets are left out, as they are in its response. UserError
+    where the response is not that of finite poles and a direct term.
+    """
+    read = sorted({path.spring for path in system.paths})
+    forces = modal_form(proper_part(_mechanics(system, spin, read)))
+    volts = parallel([_channel(path) for path in system.paths])
+    of_spring = gain(np.array([[float(path.spring == spring) for spring in read] for path in system.paths]))
+    whole = series(series(forces, of_spring), volts)
+    delay = np.array([0.0 if path.delay is None else float(path.delay.value) for path in system.paths])
+    return StateSpace(system.channel_names, whole.A, whole.B, whole.C, whole.D, delay, system.mixing.value)
+
+
+def with_anti_alias(space: StateSpace, acquisition: Acquisition) -> StateSpace:
+    """The same with the anti-alias filter before every load, so that T becomes H T: the response of the samples.
+
+    The filter is that of `anti_alias`, the same for every channel: before the loads it is wanted six times only.
+    """
+    if acquisition.filter is None:
+        return space
+    filters = parallel([_butterworth(acquisition.filter)] * space.B.shape[1])
+    whole = series(filters, Realisation(space.A, space.B, space.C, space.D))
+    return replace(space, A=whole.A, B=whole.B, C=whole.C, D=whole.D)
+
+
+def realisation_error(space: StateSpace, system: System, frequency: ArrayLike, spin: float = 0.0) -> float:
+    """Rms of the difference of the two responses over the rms of the system's own, at `frequency` (k,) [Hz].
+
+    Each load's, then each channel's responses are scaled to an rms of one, so that all count alike. It is rounding but
+    for springs with loss: their law is followed from 0.5 to 1000 Hz, and with its stiffening (`causality` 1) whatever
+    is declared; a spring at rest has relaxed, which the response of the system does not know.
+    """
+    exact = response(system, solve(system, np.atleast_1d(np.asarray(frequency, float)), spin))
+    load = _rms(exact, (0, 1))
+    channel = _rms(exact / load, (0, 2))
+    weight = load * channel
+    return float(np.linalg.norm((space.response(frequency) - exact) / weight) / np.linalg.norm(exact / weight))
+
+
+def _rms(values: ComplexArray, axes: tuple[int, ...]) -> Array:
+    """Root mean square over the axes, one where there is nothing."""
+    rms = np.sqrt(np.mean(np.abs(values) ** 2, axis=axes, keepdims=True))
+    return np.where(rms > 0, rms, 1.0)
+
+
+# ---- mechanics -------------------------------------------------------------------------------------------------------
+
+
+def _mechanics(system: System, spin: float, read: list[int]) -> Descriptor:
+    """From hub loads to the forces of the springs `read`, states (q, q', w), w = a / (s + a) r with k eta E q = U r.
+
+    The forces gain h(s) k eta E q = U (instant r - g' w): one w for each relaxation and each independent elongation r
+    of the springs with loss, of which there can be no more than motions.
+    """
+    chain = relaxation_chain()
+    U, loss = _independent(system.readings_loss.value)
+    reactions = system.reactions.value @ U
+    strengths, rates = chain.strengths[None], chain.rates[:, None]
+    M, D, K = _second_order(system, spin)
+    n, relaxing = len(M), len(loss) * len(chain.rates)
+    A = np.block(
+        [
+            [np.zeros((n, n)), np.eye(n), np.zeros((n, relaxing))],
+            [chain.instant * reactions @ loss - K, -D, -np.kron(reactions, strengths)],
+            [np.kron(loss, rates), np.zeros((relaxing, n)), -np.diag(np.tile(chain.rates, len(loss)))],
+        ]
+    )
+    readings = system.readings.value + chain.instant * system.readings_loss.value
+    relaxed = -np.kron(U, strengths)
+    return Descriptor(
+        E=np.asarray(block_diag(np.eye(n), M, np.eye(relaxing)), float),
+        A=A,
+        B=np.concatenate([np.zeros((n, 6)), system.inputs.value, np.zeros((relaxing, 6))]),
+        C=np.concatenate([readings, np.zeros((len(readings), n)), relaxed], axis=1)[read],
+        coordinates=n,
+    )
+
+
+def _independent(rows: Array) -> tuple[Array, Array]:
+    """U (e, r) and R (r, n) of full rank r with U R = rows (e, n)."""
+    U, size, V = np.linalg.svd(rows, full_matrices=False)
+    some = size > DEPENDENT * size[0]
+    return U[:, some], size[some, None] * V[some]
+
+
+def _second_order(system: System, spin: float) -> tuple[Array, Array, Array]:
+    """M, D + Omega G and K (n, n) at rotor speed `spin` [Hz]; D has the rotor's share."""
+    pencil = system.pencil
+    damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
+    return pencil.mass.value, damping, pencil.stiffness.value
+
+
+# ---- filters ---------------------------------------------------------------------------------------------------------
+
+
+def _channel(path: ChannelPath) -> Realisation:
+    """From a spring's force to volts, all but the delay."""
+    whole = gain(float(path.gain.value))
+    for tau in path.low_pass:
+        whole = whole if tau.value == 0 else series(whole, _low_pass(1 / float(tau.value)))
+    for rate in path.high_pass:
+        whole = whole if rate.value <= 0 else series(whole, _high_pass(float(rate.value)))
+    return whole
+
+
+def _low_pass(rate: float) -> Realisation:
+    """The filter r / (s + r), r in 1/s."""
+    one = np.ones((1, 1))
+    return Realisation(-rate * one, rate * one, one, 0 * one)
+
+
+def _high_pass(rate: float) -> Realisation:
+    """The filter s / (s + r) = 1 - r / (s + r), r in 1/s."""
+    one = np.ones((1, 1))
+    return Realisation(-rate * one, rate * one, -one, one)
+
+
+def _butterworth(declared: AnalogueFilter) -> Realisation:
+    """The low-pass of `butterworth_poles`, its pairs of poles one after the other and the real one, if any, last."""
+    poles = 2 * np.pi * declared.cutoff * butterworth_poles(declared.order)
+    whole = gain(1.0)
+    for pole in poles[: declared.order // 2]:
+        whole = series(whole, _resonance(complex(pole)))
+    return series(whole, _low_pass(2 * np.pi * declared.cutoff)) if declared.order % 2 else whole
+
+
+def _resonance(pole: complex) -> Realisation:
+    """The low-pass |p|^2 / ((s - p) (s - conj p)) of a pole p."""
+    a, b, size = pole.real, pole.imag, abs(pole)
+    A = np.array([[a, -b], [b, a]])
+    return Realisation(A, np.array([[size], [0.0]]), np.array([[0.0, size / b]]), np.zeros((1, 1)))
