@@ -11,6 +11,7 @@ from balance_cli.effects import EFFECTS
 from balance_cli.errors import UserError
 from balance_cli.geometry import Acquisition, AnalogueFilter, DeclaredEffect
 from balance_cli.model.balance import balance_model
+from balance_cli.model.realisation import Realisation, modal_form
 from balance_cli.model.relaxation import BAND, hysteretic, relaxation_chain
 from balance_cli.model.state_space import realisation_error, state_space, with_anti_alias
 from balance_cli.model.system import REFERENCE, response, solve
@@ -136,6 +137,15 @@ def test_what_nothing_drives_or_reads_is_left_out():
     rig = rotor_balance()
     torque = rig.model_copy(update={"channels": rig.channels[-1:]})
     assert len(state_space(system_of(rig=torque)).A) == 2
+
+
+def test_what_is_driven_by_rounding_alone_is_left_out():
+    """In coordinates that mix the modes the one without a load is driven, and another read, by 1e-16."""
+    Q = np.linalg.qr(np.random.default_rng(0).normal(size=(4, 4)))[0]
+    A = Q @ np.diag([-1.0, -2.0, -3.0, -4.0]) @ Q.T
+    found = modal_form(Realisation(A, Q[:, :3].sum(axis=1)[:, None], Q[:, 1:].sum(axis=1)[None], np.zeros((1, 1))))
+    np.testing.assert_allclose(np.diag(found.A), [-2.0, -3.0], rtol=1e-12)
+    np.testing.assert_allclose(found.at([1.0])[0, 0], 1 / 3 + 1 / 4, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("effect", "where"), PLACED, ids=IDS)
