@@ -19,6 +19,7 @@ from balance_cli.runs import Run
 from balance_cli.steady_loads import SteadyLoads, ZeroRecord, steady_loads
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 ERRORS_UNKNOWN = "sigma of the mean loads holds noise and the residuals that the matrix states, not its own errors"
 """Said of a run that was reduced by a matrix without standard errors."""
@@ -45,11 +46,29 @@ def reduce_run(
     """
     options = options or ReduceOptions()
     record = rotor_record(run, geometry, source, options.harmonics)
+    return reduced_record(record, geometry, calibration, source, zero)
+
+
+def reduced_record(
+    record: RotorRecord,
+    geometry: Geometry,
+    calibration: Calibration,
+    source: ResponseSource,
+    zero: ZeroRecord | None = None,
+    amplitudes: ComplexArray | None = None,
+) -> RunLoads:
+    """Hub loads of a record whose harmonics are known.
+
+    Where `amplitudes` (n, m) of harmonics 1 to n were found in another way they take the place of those of the response
+    at the harmonics, whose errors, redundancy and condition stand.
+    """
     steady = _mean_loads(record, calibration, zero)
     dynamic = dynamic_loads(record, geometry, source)
+    if amplitudes is not None:
+        dynamic = replace(dynamic, loads=amplitudes)
     notes = record.azimuth.notes if calibration.errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
     loads = replace(_joined(record, steady, dynamic, source), notes=notes)
-    if not run.has_loads or run.kind != "check":
+    if not record.run.has_loads or record.run.kind != "check":
         return loads
     return replace(loads, check=check_errors(record.spectra, dynamic, loads.components, geometry))
 

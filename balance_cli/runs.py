@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -46,6 +46,19 @@ class MemorySource:
 
 
 @dataclass(frozen=True)
+class ExcerptSource:
+    """Part of another source, from sample `start` of it on."""
+
+    whole: Source
+    start: int
+
+    def read(self, start: int, stop: int) -> Block:
+        """Samples start to stop of the part."""
+        block = self.whole.read(self.start + start, self.start + stop)
+        return Block(start, block.channels, block.loads)
+
+
+@dataclass(frozen=True)
 class Run:
     """One recorded run: what the file says of itself, and its samples on demand.
 
@@ -83,6 +96,16 @@ class Run:
         """All samples, in blocks of at most `size`."""
         for start in range(0, self.samples, size):
             yield self.read(start, start + size)
+
+
+def excerpt(run: Run, start: int, stop: int) -> Run:
+    """Samples start to stop of a sampled run as a run of its own, with the pulses that fall into it."""
+    assert run.sample_rate is not None
+    pulses = run.pulse_times
+    if pulses is not None:
+        pulses = pulses - start / run.sample_rate
+        pulses = pulses[(pulses >= 0.0) & (pulses <= (stop - 1 - start) / run.sample_rate)]
+    return replace(run, samples=stop - start, source=ExcerptSource(run.source, start), pulse_times=pulses)
 
 
 def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | None = None) -> Array:

@@ -82,6 +82,13 @@ class Azimuth:
         """Rotor speed [Hz] at `time` [s], NaN outside the pulses."""
         return self._within(time, self.count.derivative())
 
+    def count_beyond(self, time: ArrayLike) -> Array:
+        """Revolutions since the first pulse at any `time` [s], before and after the pulses at the speed there."""
+        t = np.asarray(time, float)
+        inside = np.clip(t, self.first, self.last)
+        first, last = self.count.derivative()(np.array([self.first, self.last]))
+        return np.asarray(self.count(inside) + np.where(t < self.first, first, last) * (t - inside))
+
     def time_of(self, revolution: ArrayLike) -> Array:
         """Time [s] at which the count of revolutions reaches `revolution` (between 0 and `turns`)."""
         target = np.asarray(revolution, float)

@@ -44,7 +44,7 @@ def harmonic_lines(azimuth: Azimuth, spectra: Harmonics, n: int, memory: float) 
     carrier = float(spectra.frequency_hz[n])
     start, stop = azimuth.first - 2 * memory, azimuth.last + 2 * memory
     time = np.arange(start, stop, 1.0 / rate)
-    turns = _revolutions(azimuth, time)
+    turns = azimuth.count_beyond(time)
     baseband = np.exp(2j * np.pi * (n * turns - carrier * time)) * _fade(time, azimuth, memory)
     inside = (time >= spectra.interval[0]) & (time <= spectra.interval[1])
     weight = np.where(inside, edge_weight(turns, *spectra.revolutions), 0.0)
@@ -54,15 +54,6 @@ def harmonic_lines(azimuth: Azimuth, spectra: Harmonics, n: int, memory: float) 
     frequency = carrier + np.fft.fftfreq(len(time), 1.0 / rate)[kept]
     order = np.argsort(frequency)
     return HarmonicLines(frequency[order], (S[kept] / S[kept].sum())[order])
-
-
-def _revolutions(azimuth: Azimuth, time: Array) -> Array:
-    """Count of revolutions at any time; linear beyond the first and the last pulse."""
-    clipped = np.clip(time, azimuth.first, azimuth.last)
-    count = azimuth.psi(clipped) / (2 * np.pi)
-    ends = azimuth.speed(np.array([azimuth.first, azimuth.last]))
-    speed = np.where(time < azimuth.first, ends[0], ends[1])
-    return np.asarray(count + speed * (time - clipped))
 
 
 def _fade(time: Array, azimuth: Azimuth, memory: float) -> Array:

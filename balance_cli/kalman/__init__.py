@@ -1,0 +1,1 @@
+"""Hub loads in time: Kalman filters and smoothers for unknown loads (docs/theory/filters.md)."""

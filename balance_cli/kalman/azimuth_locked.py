@@ -1,0 +1,201 @@
+"""The filter whose loads turn with the rotor: oscillators locked to the measured azimuth.
+
+From one sample to the next the oscillators of harmonic n turn by n times the measured step of azimuth, whatever the
+speed does. Seen from the turning oscillators the model changes with the speed alone, and slowly: its gain is the steady
+one of the speed at hand, taken from a grid of speeds (gain scheduling). What the state does is exact at every speed;
+only how its errors are weighed lags behind a speed that changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.kalman.steady import Marks, Outputs, Piece, SteadyFilter
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Turning:
+    """Oscillators among the states: pairs from `first` on, of the harmonics `orders` (h,), in units of `size` (2 h,).
+
+    `azimuth` gives psi [rad] at sample numbers, also a little beyond the record; `step` [s] between samples.
+    """
+
+    first: int
+    orders: Array
+    size: Array
+    azimuth: Callable[[Array], Array]
+    step: float
+
+    @property
+    def states(self) -> slice:
+        """Where the pairs are."""
+        return slice(self.first, self.first + 2 * len(self.orders))
+
+    def phasors(self, first: int, count: int) -> ComplexArray:
+        """What p + j q of each pair (count, h) is multiplied by from each sample to the next."""
+        steps = np.diff(self.azimuth(np.arange(first, first + count + 1, dtype=float)))
+        return np.asarray(np.exp(-1j * steps[:, None] * self.orders), complex)
+
+    def speed(self, first: int, count: int) -> Array:
+        """Speed (count,) [Hz] from each sample to the next."""
+        steps = np.diff(self.azimuth(np.arange(first, first + count + 1, dtype=float)))
+        return np.asarray(steps / (2 * np.pi * self.step))
+
+
+@dataclass(frozen=True)
+class AzimuthLockedFilter:
+    """Steady filters (g,) at rising `speeds` (g,) [Hz] of one set of channels, and how the oscillators turn.
+
+    The pairs of the oscillators are given out at the samples `marked` alone, in rising order.
+    """
+
+    filters: tuple[SteadyFilter, ...]
+    speeds: Array
+    turning: Turning
+    marked: Index
+
+    @property
+    def outputs(self) -> Array:
+        """U (m, N), the same at all speeds."""
+        return self.filters[0].outputs
+
+    @property
+    def invariant(self) -> bool:
+        """It is not."""
+        return False
+
+    def at(self, first: int) -> SteadyFilter:
+        """The filter of the nearest speed."""
+        return self.filters[int(np.argmin(np.abs(self.speeds - self.turning.speed(first, 1)[0])))]
+
+    @cached_property
+    def _still(self) -> Array:
+        """L without the turning itself (g, N, N), which is done apart."""
+        s = self.turning.states
+        parts = []
+        for one in self.filters:
+            L = one.L.copy()
+            L[s, s] -= one.model.F[s, s]
+            parts.append(L)
+        return np.stack(parts)
+
+    @cached_property
+    def _cells(self) -> Array:
+        """Each two neighbours of L without turning, one above the other (g - 1, 2 N, N)."""
+        return np.concatenate([self._still[:-1], self._still[1:]], axis=1)
+
+    @cached_property
+    def _adjoint_cells(self) -> Array:
+        turned = self._still.transpose(0, 2, 1)
+        return np.concatenate([turned[:-1], turned[1:]], axis=1)
+
+    def _places(self, first: int, count: int) -> tuple[Index, Array]:
+        """Cell of the grid of speeds and place within it (count,)."""
+        place = np.interp(self.turning.speed(first, count), self.speeds, np.arange(len(self.speeds), dtype=float))
+        cell = np.minimum(place.astype(int), len(self.speeds) - 2)
+        return cell, place - cell
+
+    def _weighed(self, rows: Array, first: int, matrices: Array) -> Array:
+        """Rows (n, a) times the matrices (g, a, b) of the speed at each sample: (n, b)."""
+        cell, share = self._places(first, len(rows))
+        total = np.zeros((len(rows), matrices.shape[2]))
+        for j in np.unique(cell):
+            mine = cell == j
+            part, w = rows[mine], share[mine][:, None]
+            total[mine] = (1 - w) * (part @ matrices[j]) + w * (part @ matrices[j + 1])
+        return total
+
+    def forward(self, first: int, y: Array, start: Array) -> Piece:
+        """Innovations (n, c) and predicted outputs, sample by sample."""
+        driven = self._weighed(y, first, np.stack([one.K.T for one in self.filters]))
+        states = self._run(first, driven, start)
+        H = self.filters[0].model.H
+        marked = states[self._marked(first, len(y))] @ self._pairs.T
+        return Piece(first, y - states[:-1] @ H.T, states[:-1] @ self.outputs.T, states[-1], marked)
+
+    def _marked(self, first: int, count: int) -> Index:
+        low, high = np.searchsorted(self.marked, [first, first + count])
+        return self.marked[low:high] - first
+
+    @cached_property
+    def _pairs(self) -> Array:
+        """The rows (2 h, N) of the pairs."""
+        return np.asarray(self.turning.size[:, None] * np.eye(len(self.filters[0].L))[self.turning.states])
+
+    def marks(self, first: int, count: int) -> Marks | None:
+        """Where the pairs are given out."""
+        near, pairs = self.at(first), self._pairs
+        updated, smoothed = near.variances_of(pairs)
+        return Marks(self._marked(first, count), pairs, updated, smoothed)
+
+    def _run(self, first: int, driven: Array, start: Array) -> Array:
+        """States (n + 1, N)."""
+        cell, share = self._places(first, len(driven))
+        phasors, turned = self.turning.phasors(first, len(driven)), self.turning.states
+        states = np.empty((len(driven) + 1, len(start)))
+        states[0] = start
+        cells, order = self._cells, len(start)
+        for k in range(len(driven)):
+            x = states[k]
+            both = cells[cell[k]] @ x
+            low, high = both[:order], both[order:]
+            new = low + share[k] * (high - low) + driven[k]
+            new[turned] += (phasors[k] * x[turned].view(complex)).view(float)
+            states[k + 1] = new
+        return states
+
+    def updated(self, piece: Piece) -> Outputs:
+        """Given y up to the sample itself."""
+        gains = np.stack([(one.outputs @ one.update_gain).T for one in self.filters])
+        loads = piece.predicted + self._weighed(piece.innovation, piece.first, gains)
+        assert piece.marked is not None
+        at, near = self._marked(piece.first, len(loads)), self.at(piece.first)
+        return Outputs(loads, piece.marked + piece.innovation[at] @ (self._pairs @ near.update_gain).T)
+
+    def backward(self, piece: Piece, after: Array) -> tuple[Outputs, Array]:
+        """Given y after them too, and rho at the first sample."""
+        told = self._weighed(piece.innovation, piece.first, np.stack([one.weighted for one in self.filters]))
+        adjoint = self._run_back(piece.first, told, after)
+        spread = np.stack([(one.outputs @ one.P).T for one in self.filters])
+        loads = piece.predicted + self._weighed(adjoint, piece.first, spread)
+        assert piece.marked is not None
+        at, near = self._marked(piece.first, len(loads)), self.at(piece.first)
+        return Outputs(loads, piece.marked + adjoint[at] @ (self._pairs @ near.P).T), adjoint[0]
+
+    def backward_with_lag(self, piece: Piece, count: int, lag: int) -> Outputs:
+        """The first `count` samples given all of the piece, which is `lag` samples longer."""
+        outputs, _ = self.backward(piece, np.zeros(len(piece.end)))
+        marked = None if outputs.marked is None else outputs.marked[: len(self._marked(piece.first, count))]
+        return Outputs(outputs.loads[:count], marked)
+
+    def _run_back(self, first: int, told: Array, after: Array) -> Array:
+        """Rho (n, N) at each sample."""
+        cell, share = self._places(first, len(told))
+        phasors, turned = self.turning.phasors(first, len(told)).conj(), self.turning.states
+        adjoint = np.empty((len(told), len(after)))
+        rho, cells, order = after, self._adjoint_cells, len(after)
+        for k in range(len(told) - 1, -1, -1):
+            both = cells[cell[k]] @ rho
+            low, high = both[:order], both[order:]
+            new = low + share[k] * (high - low) + told[k]
+            new[turned] += (phasors[k] * rho[turned].view(complex)).view(float)
+            adjoint[k] = rho = new
+        return adjoint
+
+    def variance(self, first: int, count: int, smoothed: bool) -> Array:
+        """That of the speed at each sample."""
+        each = np.stack([one.variance(first, 1, smoothed) for one in self.filters])
+        return self._weighed(np.ones((count, 1)), first, each)
+
+    def whitened(self, piece: Piece) -> Array:
+        """V e (n, c), V that of the speed."""
+        return self._weighed(piece.innovation, piece.first, np.stack([one.whitening.T for one in self.filters]))

@@ -1,0 +1,127 @@
+"""From a record to the sizes that a filter needs: noise of the channels, fluctuation and drift of the loads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.geometry import Acquisition
+from balance_cli.kalman.load_models import Flat, GaussMarkov
+from balance_cli.kalman.noise_levels import (
+    MAIN_LOBE,
+    CrossSpectra,
+    cross_spectra,
+    most_likely_variances,
+    noise_of_channels,
+)
+from balance_cli.model.state_space import StateSpace
+from balance_cli.runs import Run, read_channels
+from balance_cli.signals.azimuth import Azimuth
+
+Array = NDArray[np.float64]
+
+CORNERS = (0.1, 3.0, 100.0)
+"""Corner frequencies [Hz] of the layers of a random load: what wanders, what fluctuates, and what is nearly white."""
+WINDOW = 1.28
+"""Length [s] of a window in which the rotor's harmonics stand still enough to be kept apart from what lies between."""
+LONGER = (2.0, 4.0)
+"""Lengths over that: of windows for all lines together, and for those below the first harmonic."""
+QUIET = 1.6
+"""From this multiple of the anti-alias filter's cutoff on nothing but noise is left of a load."""
+TOP = 0.9
+"""Share of half the sample rate above which lines count as quiet where no filter makes any so."""
+BELOW_FIRST = 0.7
+"""Of the rotor's speed: lines below hold no harmonic."""
+UNINFORMED = 10.0
+"""How much larger than it is a load of which nothing is to be known is said to be."""
+BLOCK = 32768
+
+
+@dataclass(frozen=True)
+class Clean:
+    """Samples start to stop of a run, all of its usable channels sound; `names` of these."""
+
+    run: Run
+    names: tuple[str, ...]
+    spans: tuple[tuple[int, int], ...]
+
+    @property
+    def step(self) -> float:
+        """Time [s] between samples."""
+        assert self.run.sample_rate is not None
+        return 1.0 / self.run.sample_rate
+
+    def parts(self) -> Iterator[tuple[int, Array]]:
+        """First sample and samples (n, c) of each block."""
+        for start, stop in self.spans:
+            for first in range(start, stop, BLOCK):
+                yield first, read_channels(self.run, self.names, first, min(first + BLOCK, stop))
+
+    def window(self, seconds: float) -> int:
+        """Samples of a window about so long, a power of two, and at most a third of the longest span."""
+        longest = max(stop - start for start, stop in self.spans)
+        wanted = min(seconds / self.step, longest / 3)
+        return int(2 ** np.round(np.log2(max(wanted, 4 * MAIN_LOBE))))
+
+
+def channel_noise(clean: Clean, acquisition: Acquisition) -> Array:
+    """Variance (c,) [V2] of one sample of each channel's noise, from where no load reaches."""
+    spectra = cross_spectra(clean.parts(), clean.step, clean.window(WINDOW))
+    nyquist = 0.5 / clean.step
+    cutoff = acquisition.filter.cutoff if acquisition.filter else np.inf
+    quiet = spectra.frequency > (QUIET * cutoff if QUIET * cutoff < TOP * nyquist else TOP * nyquist)
+    return noise_of_channels(spectra, clean.step, quiet)
+
+
+def random_loads(clean: Clean, space: StateSpace, columns: Sequence[int], noise: Array) -> tuple[GaussMarkov, ...]:
+    """Layers of random loads that stand for all that the rotor does, its harmonics too."""
+    spectra = cross_spectra(clean.parts(), clean.step, clean.window(LONGER[0] * WINDOW))
+    return _layers(spectra, space, columns, noise, clean.step)
+
+
+def free_loads(random: Sequence[GaussMarkov], band: float) -> tuple[Flat, ...]:
+    """Loads of which nothing is said: white up to `band` [Hz], and far larger than they are."""
+    sigma = UNINFORMED * np.sqrt(np.sum([layer.sigma**2 for layer in random], axis=0))
+    return (Flat(np.maximum(sigma, 1e-3 * sigma.max()), band),)
+
+
+def loads_between_harmonics(
+    clean: Clean, space: StateSpace, columns: Sequence[int], noise: Array, azimuth: Azimuth
+) -> tuple[GaussMarkov, ...]:
+    """Layers of random loads for what the harmonics leave: of long windows the lines below the first harmonic, of
+
+    short ones those that lie between the harmonics, as these are in that window.
+    """
+    short, long = clean.window(WINDOW), clean.window(LONGER[1] * WINDOW)
+    above = cross_spectra(clean.parts(), clean.step, short, lambda first, f: _between(first, f, short, clean, azimuth))
+    low = cross_spectra(clean.parts(), clean.step, long)
+    slowest = float(np.min(azimuth.speed(np.linspace(azimuth.first, azimuth.last, 256))))
+    low = low.at(low.frequency < BELOW_FIRST * slowest - MAIN_LOBE / (long * clean.step))
+    together = CrossSpectra(
+        np.concatenate([low.frequency, above.frequency]),
+        np.concatenate([low.density, above.density]),
+        np.concatenate([low.averages, above.averages]),
+    )
+    return _layers(together, space, columns, noise, clean.step)
+
+
+def _between(first: int, frequency: Array, length: int, clean: Clean, azimuth: Azimuth) -> NDArray[np.bool_]:
+    """Lines of a window that are apart from all harmonics, however far the speed moves within it."""
+    time = np.clip((first + length * np.array([0.0, 0.5, 1.0])) * clean.step, azimuth.first, azimuth.last)
+    speed = azimuth.speed(time)
+    order = np.maximum(np.rint(frequency / speed[1]), 1.0)
+    reach = MAIN_LOBE / (length * clean.step) + order * np.abs(speed - speed[1]).max()
+    return np.asarray((np.abs(frequency - order * speed[1]) > reach) & (frequency > BELOW_FIRST * speed[1]))
+
+
+def _layers(
+    spectra: CrossSpectra, space: StateSpace, columns: Sequence[int], noise: Array, step: float
+) -> tuple[GaussMarkov, ...]:
+    response = space.response(spectra.frequency)[:, :, list(columns)]
+    unit = np.ones(1)
+    shapes = np.stack([GaussMarkov(unit, corner).spectrum(spectra.frequency)[:, 0] for corner in CORNERS])
+    variances = most_likely_variances(spectra, response, shapes, step, noise)
+    return tuple(GaussMarkov(np.sqrt(v), corner) for v, corner in zip(variances, CORNERS, strict=True))

@@ -1,0 +1,66 @@
+"""Steady covariances by doubling: each step goes twice as far in time as the one before.
+
+The structure-preserving doubling algorithm for the discrete Riccati equation, Chu, Fan, Lin and Wang, Int. J. Control
+77 (2004) 767; Anderson, Int. J. Control 28 (1978) 295.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+EXACT = 1e-13
+"""Relative change of a covariance at which doubling ends."""
+DOUBLINGS = 60
+
+
+def steady_covariance(F: Array, Q: Array, H: Array) -> Array:
+    """P = F (P - P H' (H P H' + I)^-1 H P) F' + Q (n, n): covariance of x[k] given y up to k - 1, noise of y white.
+
+    F, Q (n, n), H (c, n) in units of that noise. LinAlgError where nothing steady is reached.
+    """
+    A, G, P = F.T.copy(), H.T @ H, symmetric(Q)
+    for _ in range(DOUBLINGS):
+        W = np.eye(len(F)) + G @ P
+        solved = cast(Array, scipy.linalg.solve(W, np.hstack([A, G]), check_finite=False))
+        WA, WG = solved[:, : len(F)], solved[:, len(F) :]
+        gained = symmetric(A.T @ P @ WA)
+        G = symmetric(G + A @ WG @ A.T)
+        A, P = A @ WA, P + gained
+        if not np.isfinite(gained).all():
+            break
+        if np.all(np.abs(np.diag(gained)) <= EXACT * np.diag(P)):
+            return P
+    raise np.linalg.LinAlgError("the Riccati equation has no steady solution")
+
+
+def accumulated(L: Array, W: Array, steps: float = np.inf) -> Array:
+    """sum_j L^j' W L^j (n, n) over j = 0 .. steps - 1, by default without end."""
+    power, total, done = L, symmetric(W), 1
+    if not np.isfinite(steps):
+        for _ in range(DOUBLINGS):
+            gained = power.T @ total @ power
+            total, power = symmetric(total + gained), power @ power
+            if np.all(np.abs(np.diag(gained)) <= EXACT * np.diag(total)):
+                break
+        return total
+    whole: Array = np.zeros_like(total)
+    shift: Array = np.eye(len(L))
+    left = int(steps)
+    while left:
+        if left & done:
+            whole = whole + shift.T @ total @ shift
+            shift = shift @ power
+            left -= done
+        total, power, done = symmetric(total + power.T @ total @ power), power @ power, 2 * done
+    return symmetric(whole)
+
+
+def symmetric(matrix: Array) -> Array:
+    """The symmetric part, which rounding takes away."""
+    return np.asarray(0.5 * (matrix + matrix.T))

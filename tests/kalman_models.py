@@ -1,0 +1,92 @@
+"""Small models, and what Gaussian conditioning makes of them without any recursion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.kalman.discrete import SampledModel
+from balance_cli.kalman.passes import Filters, Stretch
+from balance_cli.kalman.riccati import accumulated
+from balance_cli.kalman.steady import SteadyFilter
+
+Array = NDArray[np.float64]
+
+
+def small_model(seed: int = 1) -> SampledModel:
+    """A load that wanders, a lightly damped oscillator that it drives, three channels."""
+    rng = np.random.default_rng(seed)
+    turn, decay = 0.7, 0.93
+    c, s = decay * np.cos(turn), decay * np.sin(turn)
+    F = np.array([[c, s, 0.3, 0.1], [-s, c, 0.2, 0.0], [0.0, 0.0, 0.95, 0.1], [0.0, 0.0, 0.0, 0.8]])
+    G = np.array([[0.1, 0.0], [0.0, 0.1], [0.5, 0.0], [0.2, 0.4]])
+    H = 3.0 * rng.standard_normal((3, 4))
+    U = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 2.0]])
+    return SampledModel(F, G @ G.T, H, U)
+
+
+@dataclass(frozen=True)
+class StillCoast:
+    """Gaps of a model that does not change with time."""
+
+    F: Array
+
+    def step(self, k: int, x: Array) -> Array:
+        """One sample on."""
+        return self.F @ x
+
+    def back(self, k: int, rho: Array) -> Array:
+        """One sample back."""
+        return self.F.T @ rho
+
+
+def filters_of(model: SampledModel, stretches: tuple[Stretch, ...]) -> Filters:
+    """The steady filter for each set of channels, and the stationary covariance to begin with."""
+    engines = {
+        s.channels: SteadyFilter(model.seen_by(np.eye(len(model.H))[list(s.channels)])) for s in stretches if s.channels
+    }
+    return Filters(engines, StillCoast(model.F), model.Q, accumulated(model.F.T, model.Q), model.U)
+
+
+def drawn(model: SampledModel, samples: int, seed: int = 0) -> tuple[Array, Array]:
+    """Channels (n, c) and outputs (n, o) of a stationary model, drawn at random."""
+    rng = np.random.default_rng(seed)
+    root = np.linalg.cholesky(model.Q + 1e-15 * np.eye(model.order))
+    x = np.linalg.cholesky(accumulated(model.F.T, model.Q)) @ rng.standard_normal(model.order)
+    y, u = np.empty((samples, len(model.H))), np.empty((samples, len(model.U)))
+    for k in range(samples):
+        y[k], u[k] = model.H @ x + rng.standard_normal(len(model.H)), model.U @ x
+        x = model.F @ x + root @ rng.standard_normal(model.order)
+    return y, u
+
+
+def conditioned(
+    model: SampledModel, y: Array, read: NDArray[np.bool_], until: Array | None = None
+) -> tuple[Array, Array]:
+    """Mean and variance (n, o) of the outputs given the samples of y (n, c) that were `read`, by dense algebra.
+
+    `until` (n,): the last sample that each output may know; all by default.
+    """
+    n, N = len(y), model.order
+    X = accumulated(model.F.T, model.Q)
+    powers = np.stack([np.linalg.matrix_power(model.F, k) for k in range(n)])
+    states = np.empty((n, N, n, N))
+    for i in range(n):
+        for j in range(n):
+            states[i, :, j, :] = powers[i - j] @ X if i >= j else X @ powers[j - i].T
+    states = states.reshape(n * N, n * N)
+    H, U = np.kron(np.eye(n), model.H)[read.ravel()], np.kron(np.eye(n), model.U)
+    joint = H @ states @ H.T + np.eye(len(H))
+    cross = U @ states @ H.T
+    known = np.repeat(np.arange(n), y.shape[1])[read.ravel()]
+    mean, variance = np.empty(n * len(model.U)), np.empty(n * len(model.U))
+    prior = np.einsum("an,nm,am->a", U, states, U)
+    last = np.repeat(np.full(n, n) if until is None else until, len(model.U))
+    for limit in np.unique(last):
+        mine, told = last == limit, known <= limit
+        gain = np.linalg.solve(joint[np.ix_(told, told)], cross[np.ix_(mine, told)].T).T
+        mean[mine] = gain @ y.ravel()[read.ravel()][told]
+        variance[mine] = prior[mine] - np.sum(gain * cross[np.ix_(mine, told)], axis=1)
+    return mean.reshape(n, -1), variance.reshape(n, -1)

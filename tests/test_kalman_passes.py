@@ -1,0 +1,78 @@
+"""Filters and smoothers against Gaussian conditioning by dense algebra: beginnings, gaps, lost channels, ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from balance_cli.kalman import passes
+from balance_cli.kalman.passes import Stretch, filtered, lagged, smoothed
+from tests.kalman_models import Array, conditioned, drawn, filters_of, small_model
+
+MODEL = small_model()
+WHOLE = (Stretch(0, 160, (0, 1, 2)),)
+BROKEN = (
+    Stretch(0, 60, (0, 1, 2)),
+    Stretch(60, 72, ()),
+    Stretch(72, 110, (0, 1, 2)),
+    Stretch(110, 140, (0, 2)),
+    Stretch(140, 200, (0, 1, 2)),
+)
+
+
+def _read(y: Array):
+    return lambda start, stop, channels: y[start:stop][:, list(channels)]
+
+
+def _mask(stretches: tuple[Stretch, ...]):
+    read = np.zeros((stretches[-1].stop, 3), bool)
+    for s in stretches:
+        read[s.start : s.stop, list(s.channels)] = True
+    return read
+
+
+def _joined(estimates):
+    parts = list(estimates)
+    assert [part.first for part in parts] == list(np.cumsum([0, *(len(part.loads) for part in parts[:-1])]))
+    return np.concatenate([part.loads for part in parts]), np.concatenate([part.variance for part in parts])
+
+
+@pytest.mark.parametrize("stretches", [WHOLE, BROKEN], ids=["whole", "broken"])
+@pytest.mark.parametrize("block", [8192, 17])
+def test_smoother_is_conditioning(stretches, block, monkeypatch):
+    monkeypatch.setattr(passes, "BLOCK", block)
+    y, _ = drawn(MODEL, stretches[-1].stop)
+    outputs, variance = _joined(smoothed(_read(y), stretches, filters_of(MODEL, stretches), 200))
+    mean, exact = conditioned(MODEL, y, _mask(stretches))
+    assert np.abs(outputs - mean).max() < 1e-3 * np.sqrt(exact.min())
+    assert np.abs(variance / exact - 1.0).max() < 2e-3
+
+
+def test_filter_is_conditioning_on_the_past_once_it_is_steady():
+    y, _ = drawn(MODEL, 160)
+    outputs, variance = _joined(filtered(_read(y), WHOLE, filters_of(MODEL, WHOLE), 60))
+    mean, exact = conditioned(MODEL, y, _mask(WHOLE), until=np.arange(160))
+    assert np.abs(outputs - mean)[60:].max() < 1e-3 * np.sqrt(exact.min())
+    assert np.abs(variance / exact - 1.0)[60:].max() < 1e-3
+    assert np.all(variance[60:] >= exact[60:] * (1 - 1e-6))
+
+
+def test_filter_states_how_far_it_errs_after_a_gap():
+    errors, stated = [], None
+    for seed in range(300):
+        y, u = drawn(MODEL, 200, seed)
+        outputs, stated = _joined(filtered(_read(y), BROKEN, filters_of(MODEL, BROKEN), 40))
+        errors.append(outputs - u)
+    scatter = np.mean(np.square(errors), axis=0)
+    ratio = scatter / stated
+    assert abs(ratio.mean() - 1.0) < 0.02
+    assert np.abs(ratio[60:76].mean() - 1.0) < 0.1
+
+
+def test_lag_is_conditioning_on_so_many_samples_more(monkeypatch):
+    monkeypatch.setattr(passes, "BLOCK", 50)
+    y, _ = drawn(MODEL, 160)
+    outputs, variance = _joined(lagged(_read(y), WHOLE, filters_of(MODEL, WHOLE), 60, 3))
+    mean, exact = conditioned(MODEL, y, _mask(WHOLE), until=np.minimum(np.arange(160) + 3, 159))
+    assert np.abs(outputs - mean)[60:].max() < 1e-3 * np.sqrt(exact.min())
+    assert np.abs(variance / exact - 1.0)[60:].max() < 1e-3
