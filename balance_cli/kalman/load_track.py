@@ -70,11 +70,11 @@ class LoadRecorder:
     def add(self, estimates: Estimates) -> None:
         """One block; what lies outside the pulses is left out."""
         frame = self._frame
-        time = (estimates.first + np.arange(len(estimates.loads))) * frame.step + frame.ahead
+        time: Array = (estimates.first + np.arange(len(estimates.loads), dtype=float)) * frame.step + frame.ahead
         inside = (time >= frame.azimuth.first) & (time <= frame.azimuth.last)
         if not inside.any():
             return
-        time = np.asarray(time[inside], float)
+        time = time[inside]
         loads = np.asarray(frame.mean + estimates.loads[inside], float)
         sigma = np.asarray(np.sqrt(estimates.variance[inside] + frame.mean_sigma**2), float)
         psi = frame.azimuth.psi(time)
