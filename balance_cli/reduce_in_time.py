@@ -39,7 +39,7 @@ from balance_cli.steady_loads import ZeroRecord
 Array = NDArray[np.float64]
 
 LOAD_MODELS = ("harmonics", "random", "free")
-BEGINNING = 3.0
+BEGINNING = 5.0
 """Time [s] of a record that tells the state with which it began."""
 NEXT_TO_NOTHING = 1e-6
 FREE_LAG = 0.05
@@ -128,7 +128,7 @@ def reduce_run_in_time(
     steady = reduced_record(_without_scatter(case.record), geometry, calibration, source, zero)
     recorder = LoadRecorder(_frame(case, steady, options), sink)
     sums = InnovationSums(len(case.sound.names))
-    for estimates in _estimates(case, _filters(case, geometry, steady, options), options):
+    for estimates in _estimates(case, _filters(case, steady, options), options):
         recorder.add(estimates)
         if len(estimates.channels) == len(case.sound.names):
             sums.add(estimates.innovations)
@@ -206,21 +206,19 @@ def _means(case: _Case) -> Array:
     return means
 
 
-def _filters(case: _Case, geometry: Geometry, steady: RunLoads, options: TimeOptions) -> Filters:
+def _filters(case: _Case, steady: RunLoads, options: TimeOptions) -> Filters:
     """The filters for what is known of the loads."""
     held = np.abs(steady.amplitude).sum(axis=0)
     clean, system, stretches = case.clean(), case.system, case.sound.stretches
     space, columns, noise = system.space, system.columns, system.noise
     if options.loads == "harmonics":
         between = loads_between_harmonics(clean, space, columns, noise, case.azimuth)
-        turning = drifting_harmonics(clean, space, columns, noise, case.azimuth, options.harmonics)
+        turning = drifting_harmonics(clean, space, columns, noise, case.azimuth, options.harmonics, between)
         return azimuth_locked_filters(system, between, turning, held, case.azimuth, stretches)
     random = random_loads(clean, space, columns, noise)
     if options.loads == "random":
         return still_filters(system, random, held, stretches)
-    declared = geometry.acquisition.filter
-    band = declared.cutoff if declared else 0.25 / system.step
-    return still_filters(system, free_loads(random, band), held, stretches)
+    return still_filters(system, free_loads(random), held, stretches)
 
 
 def _estimates(case: _Case, filters: Filters, options: TimeOptions) -> Iterator[Estimates]:

@@ -9,7 +9,7 @@ The drift of a component is one rate relative to the size of its harmonics.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from balance_cli.errors import UserError
 from balance_cli.kalman.levels import Clean
-from balance_cli.kalman.load_models import Oscillators
+from balance_cli.kalman.load_models import LoadLayer, Oscillators
 from balance_cli.model.state_space import StateSpace
 from balance_cli.runs import read_channels
 from balance_cli.signals.azimuth import Azimuth
@@ -34,11 +34,11 @@ HIGHER = 4
 RATES = np.geomspace(1e-4, 3.0, 46)
 """Relative drifts in one second (square root of time) that are tried."""
 NOISES = np.geomspace(1.0, 100.0, 13)
-"""Factors on the variance of noise that are tried: a load that fluctuates, and a response off its window's mean."""
+"""Factors on the variance of noise that are tried: a response off its window's mean scatters too."""
 OUTLYING = 3.0
 GENEROUS = 3.0
 """Times its usual size that an amplitude may have in the long run."""
-MEMORY = 3.0
+MEMORY = 5.0
 """Time [s] over which an amplitude is averaged at most: drift is never said to be less than that asks for."""
 
 
@@ -52,16 +52,27 @@ class Amplitudes:
 
 
 def drifting_harmonics(
-    clean: Clean, space: StateSpace, columns: Sequence[int], noise: Array, azimuth: Azimuth, highest: int
+    clean: Clean,
+    space: StateSpace,
+    columns: Sequence[int],
+    noise: Array,
+    azimuth: Azimuth,
+    highest: int,
+    between: Sequence[LoadLayer],
 ) -> Oscillators:
-    """Oscillators for harmonics 1 to `highest`, as large and as restless as the record's."""
+    """Oscillators for harmonics 1 to `highest`, as large and as restless as the record's.
+
+    Loads `between` the harmonics scatter the amplitudes of a window too, and are no drift.
+    """
     found = window_amplitudes(clean, space, columns, noise, azimuth, highest)
+    orders = np.arange(1, highest + 1)
+    density = np.sum([layer.spectrum(np.asarray(azimuth.mean_rate * orders, float)) for layer in between], axis=0)
+    found = replace(found, variance=found.variance + 4.0 * density / found.apart)
     size = np.sqrt(np.mean(np.abs(found.values) ** 2, axis=0) + found.variance)
     # The noise of an amplitude, for one second of averaging, decides how slow a drift can be of any use.
     least = np.sqrt(found.variance * found.apart) / MEMORY
     rate = relative_drift(found) if len(found.values) > 2 else np.zeros(size.shape[1])
-    drift = np.maximum(rate * size, least)
-    return Oscillators(drift, GENEROUS * size, tuple(range(1, highest + 1)))
+    return Oscillators(np.maximum(rate * size, least), GENEROUS * size, tuple(orders.tolist()))
 
 
 def window_amplitudes(

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from balance_cli.geometry import Acquisition
-from balance_cli.kalman.load_models import Flat, GaussMarkov
+from balance_cli.kalman.load_models import Flat, LoadLayer, Wandering
 from balance_cli.kalman.noise_levels import (
     MAIN_LOBE,
     CrossSpectra,
@@ -23,8 +24,16 @@ from balance_cli.signals.azimuth import Azimuth
 
 Array = NDArray[np.float64]
 
-CORNERS = (0.1, 3.0, 100.0)
-"""Corner frequencies [Hz] of the layers of a random load: what wanders, what fluctuates, and what is nearly white."""
+WANDERING = (0.1, 5.0)
+"""Corner frequencies [Hz] of the layer that wanders."""
+ROTOR_BAND = 40.0
+"""Band [Hz] of a second layer that fluctuates, where the rotor's harmonics are to be held by random loads."""
+BANDS = (25.0, 50.0, 100.0, 150.0)
+"""Bands [Hz] of the layer that fluctuates, about the likeliest of which the best is looked for."""
+BAND_STEPS = 7
+"""Further bands that are tried."""
+FREE_BAND = 150.0
+"""Band [Hz] of loads of which nothing is known."""
 WINDOW = 1.28
 """Length [s] of a window in which the rotor's harmonics stand still enough to be kept apart from what lies between."""
 LONGER = (2.0, 4.0)
@@ -76,21 +85,21 @@ def channel_noise(clean: Clean, acquisition: Acquisition) -> Array:
     return noise_of_channels(spectra, clean.step, quiet)
 
 
-def random_loads(clean: Clean, space: StateSpace, columns: Sequence[int], noise: Array) -> tuple[GaussMarkov, ...]:
+def random_loads(clean: Clean, space: StateSpace, columns: Sequence[int], noise: Array) -> tuple[LoadLayer, ...]:
     """Layers of random loads that stand for all that the rotor does, its harmonics too."""
     spectra = cross_spectra(clean.parts(), clean.step, clean.window(LONGER[0] * WINDOW))
-    return _layers(spectra, space, columns, noise, clean.step)
+    return _layers(spectra, space, columns, noise, clean.step, (ROTOR_BAND,))
 
 
-def free_loads(random: Sequence[GaussMarkov], band: float) -> tuple[Flat, ...]:
-    """Loads of which nothing is said: white up to `band` [Hz], and far larger than they are."""
+def free_loads(random: Sequence[LoadLayer]) -> tuple[LoadLayer, ...]:
+    """Loads of which nothing is said: white up to `FREE_BAND`, and far larger than they are."""
     sigma = UNINFORMED * np.sqrt(np.sum([layer.sigma**2 for layer in random], axis=0))
-    return (Flat(np.maximum(sigma, 1e-3 * sigma.max()), band),)
+    return (Flat(np.maximum(sigma, 1e-3 * sigma.max()), FREE_BAND),)
 
 
 def loads_between_harmonics(
     clean: Clean, space: StateSpace, columns: Sequence[int], noise: Array, azimuth: Azimuth
-) -> tuple[GaussMarkov, ...]:
+) -> tuple[LoadLayer, ...]:
     """Layers of random loads for what the harmonics leave: of long windows the lines below the first harmonic, of
 
     short ones those that lie between the harmonics, as these are in that window.
@@ -105,7 +114,7 @@ def loads_between_harmonics(
         np.concatenate([low.density, above.density]),
         np.concatenate([low.averages, above.averages]),
     )
-    return _layers(together, space, columns, noise, clean.step)
+    return _layers(together, space, columns, noise, clean.step, ())
 
 
 def _between(first: int, frequency: Array, length: int, clean: Clean, azimuth: Azimuth) -> NDArray[np.bool_]:
@@ -118,10 +127,33 @@ def _between(first: int, frequency: Array, length: int, clean: Clean, azimuth: A
 
 
 def _layers(
-    spectra: CrossSpectra, space: StateSpace, columns: Sequence[int], noise: Array, step: float
-) -> tuple[GaussMarkov, ...]:
+    spectra: CrossSpectra,
+    space: StateSpace,
+    columns: Sequence[int],
+    noise: Array,
+    step: float,
+    bands: Sequence[float],
+) -> tuple[LoadLayer, ...]:
+    """A layer that wanders, layers of these bands, and one that fluctuates, of the likeliest band."""
     response = space.response(spectra.frequency)[:, :, list(columns)]
-    unit = np.ones(1)
-    shapes = np.stack([GaussMarkov(unit, corner).spectrum(spectra.frequency)[:, 0] for corner in CORNERS])
-    variances = most_likely_variances(spectra, response, shapes, step, noise)
-    return tuple(GaussMarkov(np.sqrt(v), corner) for v, corner in zip(variances, CORNERS, strict=True))
+    found: dict[float, tuple[float, tuple[LoadLayer, ...]]] = {}
+
+    def misfit(ln_band: float) -> float:
+        band = float(np.exp(ln_band))
+        kinds = _kinds(np.ones((len(bands) + 2, 1)), (*bands, band))
+        shapes = np.stack([kind.spectrum(spectra.frequency)[:, 0] for kind in kinds])
+        one = most_likely_variances(spectra, response, shapes, step, noise)
+        found[band] = (one.misfit, _kinds(np.sqrt(one.values), (*bands, band)))
+        return one.misfit
+
+    tried = [misfit(float(np.log(band))) for band in BANDS]
+    best = int(np.argmin(tried))
+    around = [float(np.log(BANDS[min(max(i, 0), len(BANDS) - 1)])) for i in (best - 1, best + 1)]
+    minimize_scalar(misfit, bounds=(around[0], around[1]), method="bounded", options={"maxiter": BAND_STEPS})
+    return min(found.values(), key=lambda one: one[0])[1]
+
+
+def _kinds(sigma: Array, bands: Sequence[float]) -> tuple[LoadLayer, ...]:
+    """Layers of these sizes (l, m)."""
+    flats = [Flat(size, band) for size, band in zip(sigma[1:], bands, strict=True)]
+    return (Wandering(sigma[0], *WANDERING), *flats)

@@ -2,8 +2,8 @@
 
 Each is a linear system driven by white noise, x' = A x + noise of intensity W, u = U x:
 
-- `GaussMarkov`: u' = -a u + noise with a = 2 pi corner, a load that wanders (low corner) or fluctuates (high corner);
-- `Flat`: white within a band, all that joint estimation of inputs and states says of them;
+- `Wandering`: u' = b (v - u), v' = -a v + noise, a load that drifts and steps;
+- `Flat`: white within a band, a load that fluctuates; large, it is all that joint estimation of inputs and states says;
 - `Oscillators`: harmonics n of the rotor, p' = n Omega q + noise, q' = -n Omega p + noise, u = sum of p, so that at
   azimuth psi p = alpha cos n psi + beta sin n psi with amplitudes alpha, beta that drift.
 """
@@ -18,8 +18,12 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from balance_cli.signals.anti_alias import butterworth_poles
+
 Array = NDArray[np.float64]
 
+FLAT_ORDER = 6
+"""Order of the low-pass that ends a flat band."""
 SLOW = 0.01
 """Rate [1/s] at which amplitudes forget where only their size matters."""
 
@@ -42,46 +46,64 @@ class LoadLayer(Protocol):
 
 
 @dataclass(frozen=True)
-class GaussMarkov:
-    """Exponentially correlated loads of standard deviation `sigma` (m,), `corner` [Hz]."""
+class Wandering:
+    """Loads of standard deviation `sigma` (m,): white noise through low-passes at `corner` and `smooth` [Hz].
+
+    The second keeps them out of frequencies at which nothing can be measured.
+    """
 
     sigma: Array
     corner: float
+    smooth: float
 
     @property
-    def _rate(self) -> float:
-        return 2 * np.pi * self.corner
+    def _rates(self) -> tuple[float, float]:
+        return 2 * np.pi * self.corner, 2 * np.pi * self.smooth
 
     def matrices(self) -> tuple[Array, Array, Array]:
-        """Of x = u."""
-        m = len(self.sigma)
-        return -self._rate * np.eye(m), np.diag(2 * self._rate * self.sigma**2), np.eye(m)
+        """Of x = (u, v): u' = b (v - u), v' = -a v + noise."""
+        (a, b), m = self._rates, len(self.sigma)
+        A = np.kron(np.eye(m), np.array([[-b, b], [0.0, -a]]))
+        W = np.kron(np.diag(2 * a * (a + b) / b * self.sigma**2), np.diag([0.0, 1.0]))
+        return A, np.asarray(W, float), np.kron(np.eye(m), np.array([[1.0, 0.0]]))
 
     def spectrum(self, frequency: Array) -> Array:
-        """S(f) = 2 a sigma^2 / (a^2 + (2 pi f)^2)."""
-        density = 2 * self._rate / (self._rate**2 + (2 * np.pi * np.asarray(frequency, float)) ** 2)
+        """S(f) = 2 a b (a + b) sigma^2 / ((a^2 + w^2) (b^2 + w^2))."""
+        (a, b), w = self._rates, 2 * np.pi * np.asarray(frequency, float)
+        density = 2 * a * b * (a + b) / ((a**2 + w**2) * (b**2 + w**2))
         return np.asarray(density[:, None] * self.sigma**2)
 
 
 @dataclass(frozen=True)
 class Flat:
-    """Loads of standard deviation `sigma` (m,), white up to `band` [Hz] (a second-order Butterworth low-pass)."""
+    """Loads of standard deviation `sigma` (m,), white up to `band` [Hz]: white noise through a Butterworth low-pass."""
 
     sigma: Array
     band: float
 
+    @property
+    def _power(self) -> float:
+        """Int 1 / (1 + (f / band)^(2 n)) df over both signs of frequency."""
+        half = np.pi / (2 * FLAT_ORDER)
+        return float(2 * self.band * half / np.sin(half))
+
     def matrices(self) -> tuple[Array, Array, Array]:
-        """Of x = (u, u' / w), w = 2 pi band: u'' + sqrt(2) w u' + w^2 u is white."""
+        """Of x = (u, u' / w, u'' / w^2 ..), w = 2 pi band: the last of them is driven by white noise."""
         w, m = 2 * np.pi * self.band, len(self.sigma)
-        A = np.kron(np.eye(m), w * np.array([[0.0, 1.0], [-1.0, -np.sqrt(2.0)]]))
-        W = np.kron(np.diag(2 * np.sqrt(2.0) * w * self.sigma**2), np.diag([0.0, 1.0]))
-        U = np.kron(np.eye(m), np.array([[1.0, 0.0]]))
-        return np.asarray(A, float), np.asarray(W, float), U
+        coefficients = np.real(np.poly(butterworth_poles(FLAT_ORDER)))
+        A = np.diag(np.ones(FLAT_ORDER - 1), 1)
+        A[-1] = -coefficients[:0:-1]
+        density = self.sigma**2 / self._power
+        last = np.zeros(FLAT_ORDER)
+        last[-1] = 1.0
+        W = np.kron(np.diag(density * w**2), np.outer(last, last))
+        U = np.kron(np.eye(m), np.eye(FLAT_ORDER)[:1])
+        whole = np.kron(np.eye(m), w * A)
+        return np.asarray(whole, np.float64), np.asarray(W, np.float64), np.asarray(U, np.float64)
 
     def spectrum(self, frequency: Array) -> Array:
-        """S(f) = 2 sqrt(2) sigma^2 / (w (1 + (f / band)^4))."""
-        w = 2 * np.pi * self.band
-        density = 2 * np.sqrt(2.0) / (w * (1.0 + (np.asarray(frequency, float) / self.band) ** 4))
+        """S(f) proportional to 1 / (1 + (f / band)^(2 n))."""
+        density = 1.0 / (1.0 + (np.asarray(frequency, float) / self.band) ** (2 * FLAT_ORDER)) / self._power
         return np.asarray(density[:, None] * self.sigma**2)
 
 

@@ -35,8 +35,8 @@ SETTLED = 1e-2
 WORTH = 0.1
 """Gain in -ln L that a further step is worth."""
 LONGEST_STEP = 2.0
-LEAST_SHARE = 1e-9
-"""No variance falls below this share of the largest that its spectrum allows: there it does nothing."""
+LEAST = 1e-3
+"""Density over that of the noise at which a load does nothing any more."""
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,18 @@ def _median_of_mean(averages: float) -> float:
     return float(gammaincinv(averages, 0.5) / averages)
 
 
+@dataclass(frozen=True)
+class Variances:
+    """`values` (l, m) of the layers of each load, and -ln L at them, up to a constant."""
+
+    values: Array
+    misfit: float
+
+
 def most_likely_variances(
     spectra: CrossSpectra, response: ComplexArray, shapes: Array, step: float, noise: Array
-) -> Array:
-    """Variances (l, m) of the layers of each load that make the spectra most likely, by Fisher scoring in ln v.
+) -> Variances:
+    """Variances of the layers of each load that make the spectra most likely, by Fisher scoring in ln v.
 
     `response` (k, c, m) volts per load at the lines, `shapes` (l, k) densities of the layers for unit variance, `noise`
     (c,) variance of a channel's sample. Six combinations of the channels hold all that there is of six loads, so that
@@ -119,16 +127,19 @@ def most_likely_variances(
     reduced = Q.conj().swapaxes(1, 2) @ (spectra.density / np.outer(size, size)) @ Q
     terms = np.concatenate([response * np.sqrt(shape)[:, None, None] for shape in shapes], axis=2)
     likelihood = _Likelihood(reduced, terms, spectra.averages)
-    largest = _largest(reduced, terms)
-    ln_v = _maximum(likelihood, np.log(0.1 * largest), np.log(LEAST_SHARE * largest))
-    return np.asarray(np.exp(ln_v).reshape(len(shapes), -1))
+    largest, least = _largest(reduced, terms)
+    ln_v = _maximum(likelihood, np.log(np.maximum(0.1 * largest, least)), np.log(least))
+    return Variances(np.exp(ln_v).reshape(len(shapes), -1), likelihood.at(ln_v)[0])
 
 
-def _largest(density: ComplexArray, terms: ComplexArray) -> Array:
-    """Variance (j,) of each term that alone would have all the power that is there, in the best of cases."""
+def _largest(density: ComplexArray, terms: ComplexArray) -> tuple[Array, Array]:
+    """Variances (j,) of each term that alone would have all the power that is there, in the best of cases; and that
+
+    at which it is nowhere more than `LEAST` of the noise.
+    """
     power = np.einsum("kcc->k", density).real
-    own = np.sum(np.abs(terms) ** 2, axis=1)
-    return np.asarray(np.max(power[:, None] / np.maximum(own, 1e-300), axis=0))
+    own = np.maximum(np.sum(np.abs(terms) ** 2, axis=1), 1e-300)
+    return np.max(power[:, None] / own, axis=0), LEAST / np.max(own, axis=0)
 
 
 def _maximum(likelihood: _Likelihood, ln_v: Array, lower: Array) -> Array:

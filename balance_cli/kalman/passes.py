@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 Reader = Callable[[int, int, tuple[int, ...]], Array]
 """Samples start to stop of the channels with these numbers, in units of their noise and whitened."""
 
-BLOCK = 8192
+BLOCK = 32768
 FORGOTTEN = 1e-8
 """Share of the variance of the outputs that what lies beyond the memory would take away."""
 LONGEST_MEMORY = 2**17
