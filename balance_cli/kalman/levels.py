@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 WANDERING = (0.1, 5.0)
 """Corner frequencies [Hz] of the layer that wanders."""
+SLOW_FIRST = 100.0
+"""How much more of a load at rest is taken to wander than to fluctuate, at least."""
 ROTOR_BAND = 40.0
 """Band [Hz] of a second layer that fluctuates, where the rotor's harmonics are to be held by random loads."""
 BANDS = (25.0, 50.0, 100.0, 150.0)
@@ -150,7 +152,19 @@ def _layers(
     best = int(np.argmin(tried))
     around = [float(np.log(BANDS[min(max(i, 0), len(BANDS) - 1)])) for i in (best - 1, best + 1)]
     minimize_scalar(misfit, bounds=(around[0], around[1]), method="bounded", options={"maxiter": BAND_STEPS})
-    return min(found.values(), key=lambda one: one[0])[1]
+    return _believed(min(found.values(), key=lambda one: one[0])[1])
+
+
+def _believed(layers: tuple[LoadLayer, ...]) -> tuple[LoadLayer, ...]:
+    """The same, what wanders made so large that a load at rest belongs to it, and not to what fluctuates.
+
+    What fluctuates is forgotten within its band; a step that was taken for it would be, too.
+    """
+    wandering, *flats = layers
+    at_rest = np.zeros(1)
+    least = SLOW_FIRST * np.sum([one.spectrum(at_rest)[0] for one in flats], axis=0)
+    unit = Wandering(np.ones(1), *WANDERING).spectrum(at_rest)[0, 0]
+    return (Wandering(np.maximum(wandering.sigma, np.sqrt(least / unit)), *WANDERING), *flats)
 
 
 def _kinds(sigma: Array, bands: Sequence[float]) -> tuple[LoadLayer, ...]:
