@@ -148,7 +148,9 @@ class _Record:
         if lengths[longest] > self.stretch:
             self.stretch, self.stretch_start = int(lengths[longest]), int(starts[longest])
             self.stretch_value = float(values[max(self.stretch_start - self.samples, 0)])
-        self._add_turns(np.diff(np.r_[self.last, values]))
+        with np.errstate(invalid="ignore"):
+            steps = np.diff(np.r_[self.last, values])
+        self._add_turns(steps)
         self.open_start, self.last = int(starts[-1]), float(values[-1])
 
     def _add_turns(self, steps: Array) -> None:

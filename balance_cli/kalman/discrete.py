@@ -80,10 +80,10 @@ def step_of(A: Array, W: Array, time: float) -> tuple[Array, Array]:
 def sampled(model: ContinuousModel, step: float) -> SampledModel:
     """The model at samples `step` [s] apart; outputs that are late are further states."""
     whole, part = np.divmod(np.round(model.delay / step, 9), 1.0)
-    late = np.flatnonzero(model.delay > 0)
     n, c = len(model.A), len(model.C)
-    counts = np.zeros(c, int)
-    counts[late] = whole[late].astype(int) + (part[late] > 0)
+    counts = whole.astype(int) + (part > 0)
+    # A delay that was rounded to none keeps no states.
+    late = np.flatnonzero(counts)
     first = n + np.concatenate([[0], np.cumsum(counts)[:-1]])
     total = n + int(counts.sum())
     F, Q = np.eye(total), np.zeros((total, total))
@@ -93,7 +93,7 @@ def sampled(model: ContinuousModel, step: float) -> SampledModel:
         F, Q = _advanced(F, Q, model, (instant - at) * step)
         at = instant
         for channel in late:
-            if part[channel] > 0 and np.isclose(1.0 - part[channel], instant, atol=1e-9):
+            if part[channel] > 0 and np.isclose(1.0 - part[channel], instant, rtol=0.0, atol=1e-10):
                 F, Q = _recorded(F, Q, int(first[channel]), model.C[channel])
     H = np.zeros((c, total))
     for i in range(c):

@@ -27,8 +27,10 @@ ComplexArray = NDArray[np.complex128]
 
 MAIN_LOBE = 4
 """Lines from the centre of the window's main lobe to its edge."""
-INDEPENDENT = 0.55
+INDEPENDENT = 0.89
 """Independent spectra for each window, of those that lie a third of their length apart."""
+OWN = 0.37
+"""What a line tells that its neighbours do not: so much that n samples make n / 2 independent lines in all."""
 STEPS = 40
 SETTLED = 1e-2
 """Change of ln variance at which the maximum is reached; sizes need no more."""
@@ -126,7 +128,7 @@ def most_likely_variances(
     Q, response = np.linalg.qr(response / size[:, None])
     reduced = Q.conj().swapaxes(1, 2) @ (spectra.density / np.outer(size, size)) @ Q
     terms = np.concatenate([response * np.sqrt(shape)[:, None, None] for shape in shapes], axis=2)
-    likelihood = _Likelihood(reduced, terms, spectra.averages)
+    likelihood = _Likelihood(reduced, terms, OWN * spectra.averages)
     largest, least = _largest(reduced, terms)
     ln_v = _maximum(likelihood, np.log(np.maximum(0.1 * largest, least)), np.log(least))
     return Variances(np.exp(ln_v).reshape(len(shapes), -1), likelihood.at(ln_v)[0])

@@ -29,10 +29,12 @@ def steady_covariance(F: Array, Q: Array, H: Array) -> Array:
         W = np.eye(len(F)) + G @ P
         solved = cast(Array, scipy.linalg.solve(W, np.hstack([A, G]), check_finite=False))
         WA, WG = solved[:, : len(F)], solved[:, len(F) :]
-        gained = symmetric(A.T @ P @ WA)
-        G = symmetric(G + A @ WG @ A.T)
-        A, P = A @ WA, P + gained
-        if not np.isfinite(gained).all():
+        # What grows unseen does so without bound: found out below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            gained = symmetric(A.T @ P @ WA)
+            G = symmetric(G + A @ WG @ A.T)
+            A, P = A @ WA, P + gained
+        if not all(np.isfinite(matrix).all() for matrix in (A, G, P)):
             break
         if np.all(np.abs(np.diag(gained)) <= EXACT * np.diag(P)):
             return P

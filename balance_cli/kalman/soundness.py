@@ -77,6 +77,7 @@ def sound_stretches(run: Run, geometry: Geometry, health: ChannelHealth, start: 
             missing[low:high, names.index(name)] = True
     stretches = _stretches(~missing, start)
     _check_gaps(run, stretches)
+    _check_together(run, names, stretches)
     return Soundness(names, stretches, _notes(run, partly, stretches, start))
 
 
@@ -122,6 +123,13 @@ def _check_gaps(run: Run, stretches: Sequence[Stretch]) -> None:
             at = f"from {gap.start / run.sample_rate:.3f} s on, {length:.3f} s long"
             fault = f"the record has a gap {at}; at most {LONGEST_GAP:g} s can be bridged"
             raise UserError(fault, place, "channels", "Reduce the parts before and after it as runs of their own")
+
+
+def _check_together(run: Run, names: Sequence[str], stretches: Sequence[Stretch]) -> None:
+    """Noise and loads are first told by samples of all channels."""
+    if not any(len(s.channels) == len(names) for s in stretches):
+        fault = "the channels are never sound at once"
+        raise UserError(fault, str(run.path or run.name), "channels", "Leave out those that are bad for long")
 
 
 def _notes(

@@ -1,0 +1,318 @@
+"""Filters and smoothers at their steady gain against filterpy, sample by sample; and a whole reduction in time.
+
+The balance of the sample campaign with a flexible support and a late channel, six loads. The other one is the loop
+that filterpy's users write, `predict` and `update` of a `KalmanFilter` for each sample, with the same F, H, Q and R; it
+begins with the steady covariance, so that both should agree. Its `rts_smoother` follows, with a pseudo-inverse: hardly
+any noise drives some of the balance's modes, and with the plain inverse of their covariance it overflows.
+
+The record of ten minutes is not held anywhere: its samples are made as they are read, the reduction runs in a process
+of its own, and the peak memory of that is compared with that of a record of two.
+"""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibrate import calibrate
+from balance_cli.calibrated import Calibration
+from balance_cli.geometry import DeclaredEffect, Geometry
+from balance_cli.geometry_file import load_geometry
+from balance_cli.identify import identify
+from balance_cli.kalman.azimuth_locked import AzimuthLockedFilter
+from balance_cli.kalman.composite import MeasuredSystem
+from balance_cli.kalman.load_models import GaussMarkov, Oscillators
+from balance_cli.kalman.passes import Filters, Stretch
+from balance_cli.kalman.run_filters import azimuth_locked_filters, still_filters
+from balance_cli.kalman.steady import Engine, SteadyFilter
+from balance_cli.model.balance import balance_model
+from balance_cli.model.state_space import state_space, with_anti_alias
+from balance_cli.reduce_in_time import reduce_run_in_time
+from balance_cli.responses import ModelSource
+from balance_cli.run_files import open_run
+from balance_cli.runs import Block, Run
+from balance_cli.signals.azimuth import Azimuth
+from balance_cli.spectra import measured_spectra
+
+Array = NDArray[np.float64]
+ROOT = Path(__file__).parents[1]
+
+RATE, SPEED = 800.0, 17.5
+"""Samples in a second, and revolutions."""
+SAMPLES, THEIRS = 8000, 300
+"""For the filters here, and for filterpy."""
+TIMES = 3
+SHORT, LONG = 120.0, 600.0
+"""Lengths [s] of the records whose peak memory is compared."""
+CHUNK = 8192
+SUPPORT = {
+    "mass": 300.0,
+    "inertia_psi": 30.0,
+    "inertia_theta": 25.0,
+    "inertia_phi": 20.0,
+    "damping_ratio": 0.03,
+    "z": -0.3,
+    "compliance_x": 2e-9,
+    "compliance_y": 3e-9,
+    "compliance_z": 1e-9,
+    "compliance_psi": 1e-8,
+    "compliance_theta": 2e-8,
+    "compliance_phi": 1e-8,
+}
+SIZES = np.array([50.0, 50.0, 80.0, 10.0, 10.0, 8.0])
+"""Standard deviations [N, N m] of the loads between the harmonics."""
+
+
+def run() -> str:
+    """Time all, and say the ratios."""
+    try:
+        import filterpy
+    except ImportError:
+        return "filterpy is not installed: pip install '.[bench]'"
+    text = [f"samples {SAMPLES}, of filterpy {filterpy.__version__} {THEIRS}"]
+    text += _side_by_side("random loads", _engine(_still()))
+    text += _side_by_side("locked to the azimuth", _at_one_speed(_engine(_locked())))
+    with tempfile.TemporaryDirectory() as folder:
+        case = Path(folder) / "case"
+        case.write_bytes(pickle.dumps(_campaign()))
+        text += _whole_reduction(case)
+        text += _peak_memory(case)
+    return "\n".join(text)
+
+
+# ---- filters ---------------------------------------------------------------------------------------------------------
+
+
+def _balance() -> MeasuredSystem:
+    geometry = load_geometry(ROOT / "configs" / "rts-6.yaml")
+    effects = (
+        DeclaredEffect(name="support-flexibility", where=("x", "y", "z", "psi", "theta", "phi"), parameters=SUPPORT),
+        DeclaredEffect(name="time-delay", where=("z1.piezo",), parameters={"delay": 1e-3}),
+    )
+    system = balance_model(geometry.model_copy(update={"effects": effects})).system()
+    space = with_anti_alias(state_space(system, SPEED), geometry.acquisition)
+    channels = len(space.channel_names)
+    return MeasuredSystem(space, tuple(range(6)), 1.0 / RATE, np.full(channels, 1e-8), np.zeros(channels))
+
+
+def _layers() -> list[GaussMarkov]:
+    return [GaussMarkov(share * SIZES, corner) for share, corner in ((1.0, 0.1), (0.3, 3.0), (0.1, 100.0))]
+
+
+def _stretches(system: MeasuredSystem) -> tuple[Stretch, ...]:
+    return (Stretch(0, SAMPLES, tuple(range(len(system.noise)))),)
+
+
+def _still() -> Filters:
+    system = _balance()
+    return still_filters(system, _layers(), 10.0 * SIZES, _stretches(system))
+
+
+def _locked() -> Filters:
+    system = _balance()
+    turns = np.arange(int(SAMPLES / RATE * SPEED) + 4)
+    azimuth = Azimuth((turns - 0.5) / SPEED, turns)
+    oscillators = Oscillators(0.01 * np.tile(SIZES, (8, 1)), 0.3 * np.tile(SIZES, (8, 1)), tuple(range(1, 9)))
+    return azimuth_locked_filters(system, _layers(), oscillators, 10.0 * SIZES, azimuth, _stretches(system))
+
+
+def _engine(filters: Filters) -> Engine:
+    (engine,) = filters.engines.values()
+    return engine
+
+
+def _at_one_speed(engine: Engine) -> Engine:
+    """The same with the model of one and the same speed at both ends of its grid: what filterpy is given."""
+    assert isinstance(engine, AzimuthLockedFilter)
+    own = engine.filters[0]
+    turning = replace(engine.turning, azimuth=lambda sample: 2 * np.pi * engine.speeds[0] * sample / RATE)
+    return replace(engine, filters=(own, own), turning=turning)
+
+
+def _side_by_side(name: str, engine: Engine) -> list[str]:
+    """Seconds for each sample of both, filter and smoother, how far apart they are, and the ratios."""
+    steady = engine.at(0)
+    y, start = _drawn(steady, SAMPLES), np.zeros(steady.model.order)
+    piece = engine.forward(0, y, start)
+    engine.backward(piece, start)  # whatever is computed once
+    filtering = min(_seconds(lambda: engine.forward(0, y, start)) for _ in range(TIMES)) / SAMPLES
+    smoothing = min(_seconds(lambda: engine.backward(piece, start)) for _ in range(TIMES)) / SAMPLES
+    theirs = _with_filterpy(steady, y[:THEIRS])
+    own = engine.forward(0, y[:THEIRS], start)
+    apart = _apart(theirs.predicted, own.predicted), _apart(theirs.smoothed, engine.backward(own, start)[0].loads)
+    return [
+        f"{name}, states {steady.model.order}, channels {y.shape[1]}",
+        _line("filter", filtering, theirs.filtering),
+        _line("filter and smoother", filtering + smoothing, theirs.filtering + theirs.smoothing),
+        f"  largest difference {apart[0]:.1e} (filter), {apart[1]:.1e} (smoother) of a load's standard deviation",
+    ]
+
+
+def _line(what: str, ours: float, theirs: float) -> str:
+    rates = f"{1 / ours:8.0f} samples a second, {1 / ours / RATE:.0f} times real time; filterpy {1 / theirs:6.0f}"
+    return f"  {what:20s}{rates}, ratio {theirs / ours:.0f}"
+
+
+def _apart(one: Array, other: Array) -> float:
+    return float(np.max(np.abs(one - other).max(axis=0) / other.std(axis=0)))
+
+
+def _drawn(steady: SteadyFilter, samples: int, seed: int = 0) -> Array:
+    """Channels (n, c) of the model itself."""
+    model, rng = steady.model, np.random.default_rng(seed)
+    value, vector = np.linalg.eigh(model.Q)
+    root = vector * np.sqrt(np.maximum(value, 0.0))
+    noise = rng.standard_normal((samples, model.order)) @ root.T
+    x, y = np.zeros(model.order), rng.standard_normal((samples, len(model.H)))
+    for k in range(samples):
+        y[k] += model.H @ x
+        x = model.F @ x + noise[k]
+    return y
+
+
+def _seconds(call: Callable[[], object]) -> float:
+    start = time.process_time()
+    call()
+    return time.process_time() - start
+
+
+@dataclass(frozen=True)
+class Theirs:
+    """Loads (n, m), and seconds for each sample."""
+
+    predicted: Array
+    smoothed: Array
+    filtering: float
+    smoothing: float
+
+
+def _with_filterpy(steady: SteadyFilter, y: Array) -> Theirs:
+    from filterpy.kalman import KalmanFilter
+
+    model = steady.model
+    other = KalmanFilter(dim_x=model.order, dim_z=len(model.H))
+    other.F, other.H, other.Q, other.R = model.F, model.H, model.Q, np.eye(len(model.H))
+    other.x, other.P = np.zeros(model.order), steady.P
+    before, states, covariances = [], [], []
+    start = time.process_time()
+    for now in y:
+        before.append(other.x)
+        other.update(now)
+        states.append(other.x)
+        covariances.append(other.P)
+        other.predict()
+    filtered = time.process_time()
+    smoothed = other.rts_smoother(np.array(states), np.array(covariances), inv=np.linalg.pinv)[0]
+    end = time.process_time()
+    U, n = model.U, len(y)
+    return Theirs(np.array(before) @ U.T, smoothed @ U.T, (filtered - start) / n, (end - filtered) / n)
+
+
+# ---- whole reductions ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a reduction is made with."""
+
+    geometry: Geometry
+    calibration: Calibration
+    source: ModelSource
+
+
+def _campaign() -> Case:
+    geometry = load_geometry(ROOT / "configs" / "rts-6.yaml")
+    sweeps = [open_run(path) for path in sorted((ROOT / "sample_data").glob("s*.h5"))]
+    model = identify(measured_spectra(sweeps, geometry), geometry)
+    return Case(geometry, calibrate([one for one in sweeps if one.kind == "static"], geometry), ModelSource(model))
+
+
+def _whole_reduction(path: Path) -> list[str]:
+    case: Case = pickle.loads(path.read_bytes())
+    record = open_run(ROOT / "sample_data" / "wind-1.h5")
+    assert record.sample_rate is not None
+    length = record.samples / record.sample_rate
+    seconds = _seconds(lambda: reduce_run_in_time(record, case.geometry, case.calibration, case.source))
+    return [f"whole reduction of {length:.0f} s: {seconds:.1f} s, {length / seconds:.0f} times real time"]
+
+
+def _peak_memory(path: Path) -> list[str]:
+    peaks = [_peak_of(path, length) for length in (SHORT, LONG)]
+    text = " and ".join(f"{peak:.0f} MB for {length:.0f} s" for peak, length in zip(peaks, (SHORT, LONG), strict=True))
+    held = (LONG - SHORT) * RATE * 15 * 8 / 2**20
+    return [
+        f"peak memory {text}: {peaks[1] - peaks[0]:.0f} MB more; the samples of the difference alone are {held:.0f} MB"
+    ]
+
+
+def _peak_of(path: Path, length: float) -> float:
+    """Peak memory [MB] of a process that reduces a record of this length."""
+    command = [sys.executable, "-m", "benchmarks.filters", str(path), str(length)]
+    return float(subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout)
+
+
+@dataclass(frozen=True)
+class MadeAsRead:
+    """Harmonics of the rotor and white noise, the same whenever they are read, and held nowhere."""
+
+    channels: int
+    samples: int
+
+    def read(self, start: int, stop: int) -> Block:
+        """Samples start to stop."""
+        stop = min(stop, self.samples)
+        chunks = range(start // CHUNK, (stop - 1) // CHUNK + 1)
+        whole = np.concatenate([self._chunk(i) for i in chunks])
+        return Block(start, whole[start - chunks[0] * CHUNK : stop - chunks[0] * CHUNK], None)
+
+    def _chunk(self, index: int) -> Array:
+        noise = np.random.default_rng(index).standard_normal((CHUNK, self.channels))
+        psi = 2 * np.pi * SPEED / RATE * (index * CHUNK + np.arange(CHUNK))
+        shape = np.random.default_rng(2**32).standard_normal((2, 8, self.channels))
+        angle = np.outer(psi, np.arange(1, 9))
+        return 1e-3 * noise + 0.05 * (np.cos(angle) @ shape[0] + np.sin(angle) @ shape[1])
+
+
+def _made(case: Case, length: float) -> Run:
+    names = case.geometry.channel_names
+    samples = round(length * RATE)
+    pulses = np.arange(0.02, length - 0.02, 1.0 / SPEED)
+    source = MadeAsRead(len(names), samples)
+    return Run(
+        f"made-{length:.0f}",
+        case.geometry.rig,
+        "wind",
+        names,
+        samples,
+        source,
+        has_loads=False,
+        sample_rate=RATE,
+        rotor_speed=SPEED,
+        pulse_times=pulses,
+    )
+
+
+def _reduce_and_tell(path: Path, length: float) -> None:
+    """Standard output gets the peak memory [MB] of this process."""
+    case: Case = pickle.loads(path.read_bytes())
+    reduce_run_in_time(_made(case, length), case.geometry, case.calibration, case.source, sink=lambda history: None)
+    sys.stdout.write(f"{_peak()}\n")
+
+
+def _peak() -> float:
+    """Peak memory [MB] of this program, from Linux: `ru_maxrss` takes over what the parent had when it began."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+
+
+if __name__ == "__main__":
+    _reduce_and_tell(Path(sys.argv[1]), float(sys.argv[2]))
