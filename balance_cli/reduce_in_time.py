@@ -178,11 +178,14 @@ def _measured_system(
     source: ModelSource, geometry: Geometry, sound: Soundness, record: RotorRecord, step: float
 ) -> MeasuredSystem:
     """The model in time, of the channels used and the loads that the balance carries; its noise is set later."""
-    space = with_anti_alias(state_space(identified_system(source.model), record.spin), geometry.acquisition)
+    whole = state_space(identified_system(source.model), record.spin)
+    columns = [COMPONENTS.index(name) for name in record.components]
+    # The filter before a load that is not carried would have states that nothing drives, of no size.
+    carried = replace(whole, B=whole.B[:, columns], D=whole.D[:, columns])
+    space = with_anti_alias(carried, geometry.acquisition)
     rows = [space.channel_names.index(name) for name in sound.names]
     used = replace(space, mixing=space.mixing[rows])
-    columns = tuple(COMPONENTS.index(name) for name in record.components)
-    return MeasuredSystem(used, columns, step, np.ones(len(rows)), np.zeros(len(space.channel_names)))
+    return MeasuredSystem(used, tuple(range(len(columns))), step, np.ones(len(rows)), np.zeros(len(whole.delay)))
 
 
 def _without_scatter(record: RotorRecord) -> RotorRecord:

@@ -105,8 +105,8 @@ class LoadRecorder:
         frame, m = self._frame, self._sums.shape[1]
         count = frame.azimuth.count_beyond(marked.samples * frame.step + frame.ahead)
         turn = np.clip(count.astype(int), 0, frame.azimuth.turns - 1)
-        z = marked.outputs.reshape(len(turn), m, -1, 2)
-        spread = marked.variance.reshape(len(turn), m, -1, 2).mean(axis=3)
+        shape = (len(turn), m, frame.highest, 2)
+        z, spread = marked.outputs.reshape(shape), marked.variance.reshape(shape).mean(axis=3)
         turned = np.exp(-2j * np.pi * count[:, None] * np.arange(1, frame.highest + 1))
         self._pairs[turn] = np.conj(z[..., 0] + 1j * z[..., 1]).swapaxes(1, 2) * turned[:, :, None]
         self._sigma[turn] = np.sqrt(spread.swapaxes(1, 2))

@@ -199,8 +199,8 @@ def _looked_back(engine: Engine, piece: Piece, stretch: Stretch, excess: Array, 
 def smoothed(read: Reader, stretches: Sequence[Stretch], filters: Filters, beginning: int) -> Iterator[Estimates]:
     """Loads given the whole record.
 
-    The state at the beginning of a stretch is told by all of it where the filter does not change with time, by
-    `beginning` samples where it does.
+    The state at the beginning of a stretch is told by the memory of the filter and no less than `beginning` samples
+    where the filter does not change with time, by `beginning` samples where it does.
     """
     ahead = max((_memory(filters.engines[s.channels].at(s.start)) for s in stretches if s.channels), default=1)
     waiting: deque[_Passed] = deque()
@@ -289,7 +289,8 @@ def _forward(
             continue
         engine = filters.engines[stretch.channels]
         known = symmetric(P - engine.at(stretch.start).P)
-        x = _settled(read, stretch, engine, x, known, ahead if engine.invariant else min(ahead, beginning))
+        # The memory of the loads says nothing of offsets, which take the steady gain far longer to find.
+        x = _settled(read, stretch, engine, x, known, max(ahead, beginning) if engine.invariant else beginning)
         excess: Array | None = known
         for first, stop in _blocks(stretch, BLOCK):
             piece = engine.forward(first, read(first, stop, stretch.channels), x)

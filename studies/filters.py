@@ -1,0 +1,193 @@
+"""Frequency domain or Kalman filter: loads in time by all methods, on a balance with two degrees of freedom.
+
+The paper's figure 11, whose own is lost: what errors in the system matrix, in the channels, in the rotor's speed and in
+the steadiness of its loads do to each way of reducing the same records. The truth is integrated in time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import scipy.signal
+from numpy.typing import NDArray
+
+from balance_cli.calibrate import calibrate
+from balance_cli.calibrated import Calibration
+from balance_cli.dynamic_loads import rotor_record
+from balance_cli.geometry import Geometry
+from balance_cli.history import History
+from balance_cli.hub_loads import RunLoads
+from balance_cli.identify import IdentifyOptions, identify
+from balance_cli.reduce import reduce_run
+from balance_cli.reduce_in_time import TimeOptions, reduce_run_in_time
+from balance_cli.responses import ModelSource
+from balance_cli.runs import Run
+from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.azimuth import azimuth_from_pulses
+from balance_cli.simulation import RunTruth, simulate_run
+from balance_cli.spectra import Spectra
+from studies.filters_rig import (
+    CASES,
+    COLUMNS,
+    NOMINAL_SPEED,
+    SAMPLE_RATE,
+    FilterCase,
+    rotor_plan,
+    static_plan,
+    two_freedoms,
+)
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+DURATION = 16.0
+BEGINNING = 2.0
+"""Time [s] left out at the beginning of a record."""
+BAND = 150.0
+"""Frequency [Hz] up to which errors are counted a second time: beyond 8/rev, below the anti-alias filter."""
+HARMONICS = 8
+LAG = 0.05
+WIDTH = 1.959963984540054
+
+PAPER, HARMONIC = "T at nominal harmonics", "T at actual harmonics"
+IN_TIME = {
+    "harmonics, filter": TimeOptions(smooth=False, loads="harmonics"),
+    "harmonics, smoother": TimeOptions(smooth=True, loads="harmonics"),
+    "random, filter": TimeOptions(smooth=False, loads="random"),
+    "random, filter 0.05 s behind": TimeOptions(smooth=False, loads="random", lag=LAG),
+    "random, smoother": TimeOptions(smooth=True, loads="random"),
+    "free, filter 0.05 s behind": TimeOptions(smooth=False, loads="free", lag=LAG),
+    "free, smoother": TimeOptions(smooth=True, loads="free"),
+}
+METHODS = (PAPER, HARMONIC, *IN_TIME)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run with its truth, and what reduces it."""
+
+    run: Run
+    truth: RunTruth
+    geometry: Geometry
+    calibration: Calibration
+    source: ModelSource
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Loads (n, 2) at all samples between the pulses with sigma (n, 2) or none, amplitudes (8, 2) over `interval`."""
+
+    first: int
+    loads: Array
+    sigma: Array | None
+    amplitude: ComplexArray
+    interval: tuple[float, float]
+
+
+def filters_chunk(seed: int, duration: float = DURATION) -> pd.DataFrame:
+    """All cases by all methods for one seed, one row for each."""
+    rows = [row for case in CASES for row in case_rows(simulated_record(case, seed, duration), case.name)]
+    return pd.DataFrame(rows).assign(seed=seed)
+
+
+def simulated_record(case: FilterCase, seed: int, duration: float = DURATION) -> Record:
+    """A run of one case, and the static calibration of the same rig; the model is that of the declared rig."""
+    geometry = two_freedoms()
+    rig = case.rig(geometry, np.random.default_rng([seed, 11]), duration)
+    run, truth = simulate_run(rig, rotor_plan(case, duration), seed=seed)
+    static, _ = simulate_run(rig, static_plan(), seed=seed)
+    model = identify(Spectra((), (), {}, {}), geometry, IdentifyOptions(method="computed"))
+    return Record(run, truth, geometry, calibrate([static], geometry, search=False), ModelSource(model))
+
+
+def case_rows(record: Record, case: str, methods: tuple[str, ...] = METHODS) -> list[dict[str, object]]:
+    """Errors of one record by each method."""
+    return [{"case": case, "method": method, **errors(record, reduced(record, method))} for method in methods]
+
+
+def reduced(record: Record, method: str) -> Reduced:
+    """The record by one method."""
+    if method in IN_TIME:
+        return _in_time(record, IN_TIME[method])
+    steady = reduce_run(record.run, record.geometry, record.calibration, record.source)
+    amplitude = steady.amplitude[1:] if method == HARMONIC else loads_at_nominal_harmonics(record)
+    return _periodic(record, steady, amplitude)
+
+
+def loads_at_nominal_harmonics(record: Record) -> ComplexArray:
+    """Amplitudes (8, 2) as in the paper: harmonic analysis, then T_nu = (C*C)^-1 C* of the nominal harmonics."""
+    rotor = rotor_record(record.run, record.geometry, record.source, HARMONICS)
+    nominal = NOMINAL_SPEED * np.arange(1, HARMONICS + 1)
+    C = record.source.at(nominal, NOMINAL_SPEED)[:, :, COLUMNS]
+    spectra = rotor.spectra
+    s = spectra.amplitude[1:, spectra.columns(record.geometry.channel_names)]
+    s = s / anti_alias(record.geometry.acquisition, nominal)[:, None]
+    return np.asarray(np.einsum("hmc,hc->hm", np.linalg.pinv(C), s))
+
+
+def _periodic(record: Record, steady: RunLoads, amplitude: ComplexArray) -> Reduced:
+    """The sum of the harmonics at the azimuth of every sample."""
+    inside = _between_pulses(record)
+    assert record.run.pulse_times is not None
+    psi = azimuth_from_pulses(record.run.pulse_times).psi(record.truth.time[inside])
+    turns = np.exp(1j * psi[:, None] * np.arange(1, HARMONICS + 1))
+    loads = steady.amplitude[0].real + np.real(turns @ amplitude)
+    return Reduced(inside.start, loads, None, amplitude, steady.interval)
+
+
+def _in_time(record: Record, options: TimeOptions) -> Reduced:
+    parts: list[History] = []
+    found = reduce_run_in_time(
+        record.run, record.geometry, record.calibration, record.source, None, options, parts.append
+    )
+    loads, sigma = (np.concatenate([getattr(part, name) for part in parts])[:, COLUMNS] for name in ("loads", "sigma"))
+    first = round(float(parts[0].time[0]) * SAMPLE_RATE)
+    return Reduced(first, loads, sigma, found.loads.amplitude[1:], found.loads.interval)
+
+
+def _between_pulses(record: Record) -> slice:
+    """The samples from the first to the last pulse."""
+    pulses = record.run.pulse_times
+    assert pulses is not None
+    return slice(int(np.ceil(pulses[0] * SAMPLE_RATE)), int(np.floor(pulses[-1] * SAMPLE_RATE)) + 1)
+
+
+def errors(record: Record, found: Reduced) -> dict[str, float]:
+    """Errors relative to the true loads, both components together (root mean square of the two relative errors).
+
+    `history`: rms of the error over that of what varies in the load, mean load included; `in_band` the same below BAND;
+    `harmonics`: rms error of harmonics 1 to 8 over their rms; `coverage` of the 95 % intervals of the history.
+    """
+    part = slice(found.first, found.first + len(found.loads))
+    true, time = record.truth.loads[part][:, COLUMNS], record.truth.time[part]
+    error, later = found.loads - true, time >= BEGINNING
+    size = true[later].std(axis=0)
+    low = scipy.signal.butter(8, BAND, fs=SAMPLE_RATE, output="sos")
+    slow = np.asarray(scipy.signal.sosfiltfilt(low, error, axis=0))
+    cosine, sine = record.truth.harmonics(*found.interval)
+    amplitude = (cosine - 1j * sine)[1 : HARMONICS + 1, COLUMNS]
+    hits = np.nan if found.sigma is None else np.mean(np.abs(error) < WIDTH * found.sigma, where=later[:, None])
+    return {
+        "history": _pooled(_rms(error[later]) / size),
+        "in_band": _pooled(_rms(slow[later]) / size),
+        "harmonics": _pooled(_rms(found.amplitude - amplitude) / _rms(amplitude)),
+        "coverage": float(hits),
+    }
+
+
+def _rms(values: Array | ComplexArray) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.abs(values) ** 2, axis=0)))
+
+
+def _pooled(relative: Array) -> float:
+    return float(np.sqrt(np.mean(relative**2)))
+
+
+def filters_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Median, least and largest over the seeds, by case and method."""
+    grouped = rows.groupby(["case", "method"], sort=False)[["history", "in_band", "harmonics", "coverage"]]
+    table = grouped.agg(["median", "min", "max"])
+    table.columns = [f"{name}_{statistic}" for name, statistic in table.columns]
+    return table.drop(columns=["coverage_min", "coverage_max"]).reset_index()

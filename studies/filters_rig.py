@@ -1,0 +1,156 @@
+"""A balance with two degrees of freedom, its rotor loads, and the ways in which its model is wrong.
+
+A plate with a mast, free to move along x and to pitch, on one horizontal and two vertical cells; a harmonic of the
+rotor lies near either of its resonances. What reduces the records always knows the declared rig; the true rig differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS
+from balance_cli.geometry import Geometry
+from balance_cli.geometry_file import geometry_from_dict
+from balance_cli.simulation import RotorPlan, StaticPlan, TrueRig, true_rig
+from balance_cli.simulation.extensions import Extension
+from balance_cli.simulation.extensions.signals import TimeDelay
+from balance_cli.simulation.plans import SHAPE
+from balance_cli.simulation.rotor import smooth_step
+
+Array = NDArray[np.float64]
+
+CARRIED = ("Fx", "My")
+COLUMNS = [COMPONENTS.index(name) for name in CARRIED]
+SAMPLE_RATE = 800.0
+NOMINAL_SPEED = 17.5
+OFF_NOMINAL = 1.02
+DRIFT, DRIFT_PERIOD = 0.02, 9.0
+# One standard deviation, relative, of what is not known.
+STIFFNESS, DAMPING, SENSITIVITY = 0.04, 0.3, 0.03
+LATE = 2.5e-4
+"""Delay [s] of the piezo channels of which the model knows nothing: 13 degrees at 8/rev."""
+GROWTH, RISE = 0.6, 0.3
+"""Relative change of all loads in a manoeuvre, and the time [s] that it takes."""
+FIRST = {"Fx": 33.0, "My": 15.0}
+STEADY = {"Fx": 100.0, "My": -20.0}
+TURBULENCE = {"Fx": 3.0, "My": 1.5}
+"""Random loads [N, N m], rms: 4 and 6 per cent of the harmonics'."""
+
+
+@dataclass(frozen=True)
+class Manoeuvre(Extension):
+    """The loads of a wind-on run grow by GROWTH at the time `start` [s]; `step` [s] of the grid that they come on."""
+
+    name: ClassVar[str] = "manoeuvre"
+    start: float = 0.0
+    step: float = 1.0 / (8 * SAMPLE_RATE)
+
+    def true_loads(self, loads: Array, kind: str) -> Array:
+        """Loads (n, 6) as they act."""
+        if kind != "wind":
+            return loads
+        time = np.arange(len(loads)) * self.step
+        return np.asarray(loads * (1.0 + GROWTH * smooth_step(time, self.start, RISE))[:, None])
+
+
+@dataclass(frozen=True)
+class FilterCase:
+    """What differs from the declared rig at the nominal speed: the rig, and how the rotor turns."""
+
+    name: str
+    rig: Callable[[Geometry, np.random.Generator, float], TrueRig]
+    speed: float = NOMINAL_SPEED
+    drift: float = 0.0
+
+
+def two_freedoms() -> Geometry:
+    """The declared rig: modes near 2/rev and 4/rev with one per cent of damping."""
+    cells = {"x": ([0.0, 0.0, -0.05], [1, 0, 0], 6.2e6), "z1": ([0.36, 0.0, -0.05], [0, 0, 1], 8.4e6)}
+    cells["z2"] = ([-0.36, 0.0, -0.05], [0, 0, 1], 8.4e6)
+    strain = [{"name": f"{name}.strain", "cell": name, "sensitivity": 0.002, "lowpass": 90.0} for name in cells]
+    piezo = [{"name": f"{name}.piezo", "cell": name, "sensitivity": 0.01, "time_constant": 3.0} for name in cells]
+    plate = {"name": "plate", "mass": 80.0, "position": [0, 0, 0], "inertia": {"xx": 3.0, "yy": 5.0, "zz": 6.0}}
+    mast = {"name": "mast", "mass": 40.0, "position": [0, 0, 0.45], "inertia": {"xx": 2.0, "yy": 2.0, "zz": 0.5}}
+    return geometry_from_dict(
+        {
+            "format": "balance-geometry/1",
+            "name": "two freedoms",
+            "rig": "TWO",
+            "hub": [0.0, 0.0, 0.78],
+            "bodies": [plate, mast],
+            "cells": [
+                {"name": name, "position": position, "axis": axis, "stiffness": stiffness, "full_range": 5000.0}
+                for name, (position, axis, stiffness) in cells.items()
+            ],
+            "channels": strain + piezo,
+            "acquisition": {"filter": {"type": "butterworth", "order": 6, "cutoff": 200.0}},
+            "damping_ratio": 0.01,
+            "tolerances": {"stiffness": STIFFNESS, "damping_ratio": DAMPING, "sensitivity": SENSITIVITY},
+            "rotor": {"blades": 4, "speed": NOMINAL_SPEED},
+            "freedom": ["x", "theta"],
+        }
+    )
+
+
+def _declared(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+    return true_rig(geometry)
+
+
+def _other_system(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+    """Stiffness of each cell and damping of each mode are not as declared."""
+    stiffness = np.array([cell.effective_stiffness for cell in geometry.cells])
+    return true_rig(
+        geometry,
+        stiffness=stiffness * (1 + STIFFNESS * rng.standard_normal(len(stiffness))),
+        damping_ratios=geometry.damping_ratio * np.exp(DAMPING * rng.standard_normal(len(geometry.freedom))),
+    )
+
+
+def _other_channels(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+    """Sensitivities are not as declared, and piezo channels are late."""
+    sensitivity = np.array([channel.sensitivity for channel in geometry.channels])
+    rig = true_rig(geometry, sensitivities=sensitivity * (1 + SENSITIVITY * rng.standard_normal(len(sensitivity))))
+    piezo = tuple(channel.name for channel in geometry.channels if not channel.measures_dc)
+    return rig.extended(TimeDelay(where=piezo, delay=LATE))
+
+
+def _in_manoeuvre(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+    return true_rig(geometry).extended(Manoeuvre(start=0.55 * duration))
+
+
+EXACT = "exact model"
+CASES = (
+    FilterCase(EXACT, _declared),
+    FilterCase("system matrix wrong", _other_system),
+    FilterCase("T wrong", _other_channels),
+    FilterCase("speed 2 % off", _declared, speed=OFF_NOMINAL * NOMINAL_SPEED),
+    FilterCase("speed drifts by 2 %", _declared, drift=DRIFT),
+    FilterCase("manoeuvre", _in_manoeuvre),
+)
+
+
+def static_plan() -> StaticPlan:
+    """The static calibration of a case."""
+    return StaticPlan(run="static", largest={"Fx": 800.0, "My": 400.0})
+
+
+def rotor_plan(case: FilterCase, duration: float) -> RotorPlan:
+    """The wind-on run of a case."""
+    plan = RotorPlan(
+        run="wind",
+        kind="wind",
+        sample_rate=SAMPLE_RATE,
+        rotor_speed=case.speed,
+        duration=duration,
+        harmonics={name: tuple(first * x for x in SHAPE) for name, first in FIRST.items()},
+        steady=STEADY,
+        turbulence=TURBULENCE,
+    )
+    return plan.model_copy(update={"drift": case.drift, "drift_period": DRIFT_PERIOD})
+
+
