@@ -34,6 +34,7 @@ DIAGNOSIS := $(if $(SWEEP),$(R)/diagnosis.h5)
 BY := computed $(if $(STATIC),static) $(if $(SWEEP),transfer $(FITTED))
 REDUCED := $(and $(STATIC),$(ROTOR),yes)
 LOADS := $(if $(REDUCED),$(BY:%=$(R)/loads-%.h5))
+SMOOTHED := $(and $(STATIC),$(SWEEP),$(WIND),$(R)/loads-smoother.h5)
 
 .DELETE_ON_ERROR:
 .PHONY: all
@@ -84,6 +85,11 @@ $(R)/loads-transfer.h5: $(CAL) $(TF) $(rotor_lists)
 $(R)/loads-%.h5: $(R)/model-%.h5 $(CAL) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --model $< $(ROTOR) $(zero) -o $@ --json $(@:.h5=.json)
 
+# Wind-on loads sample by sample, by the closed model: beside the others in the report, and as histories.
+$(R)/loads-smoother.h5: $(R)/model-closed.h5 $(CAL) $(R)/wind.list $(R)/zero.list
+	$(BALANCE) reduce --calibration $(CAL) --model $< --method smoother $(WIND) $(zero) \
+		--history $(R)/histories -o $@ --json $(@:.h5=.json)
+
 # By the closed model, and beside it by the measured response: where the surplus flags the one, look at the other.
 $(R)/loads.csv: $(R)/model-closed.h5 $(CAL) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --model $< $(ROTOR) $(zero) -o $@
@@ -91,5 +97,5 @@ $(R)/loads.csv: $(R)/model-closed.h5 $(CAL) $(rotor_lists)
 $(R)/loads-transfer.csv: $(CAL) $(TF) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --transfer $(TF) $(ROTOR) $(zero) -o $@
 
-$(R)/report.html: $(CAL) $(TF) $(MODELS) $(DIAGNOSIS) $(LOADS)
+$(R)/report.html: $(CAL) $(TF) $(MODELS) $(DIAGNOSIS) $(LOADS) $(SMOOTHED)
 	$(BALANCE) report $^ -o $@

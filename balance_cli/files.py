@@ -27,6 +27,12 @@ class Staged:
         self._parts[target] = part
         return part
 
+    def withdraw(self, path: Path) -> None:
+        """Prepare no file at `path` after all; what was written for it is removed."""
+        part = self._parts.pop(path.resolve())
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
     def folder(self, path: Path) -> Path:
         """A folder for outputs, made where there is none (and removed again by `discard`)."""
         check_output_folder(path)

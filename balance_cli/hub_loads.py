@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.geometry import Geometry
+from balance_cli.kalman.innovations import InnovationTests
+from balance_cli.kalman.load_track import LoadTrack
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,12 +51,30 @@ class CheckErrors:
 
 
 @dataclass(frozen=True)
+class InTime:
+    """How a Kalman filter or smoother found the loads, and whether it was what it takes itself for.
+
+    `loads_as`: what was known of the loads (`harmonics`, `random`, `free`); `lag` [s] of a filter behind the samples,
+    None where it has none; `innovations` tested, None where no stretch has all channels; `track`: harmonics from
+    revolution to revolution, None where nothing follows them; `noise` {channel: standard deviation of a sample's noise,
+    V}; `bridged`: what was missing, in words.
+    """
+
+    loads_as: str
+    lag: float | None
+    innovations: InnovationTests | None
+    track: LoadTrack | None
+    noise: dict[str, float]
+    bridged: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class RunLoads:
     """Hub loads of one run: m components, harmonics 0 to n.
 
     frequency_hz (n+1,): n times the mean pulse rate of the record; amplitude (n+1, m) = cosine - j sine; sigma_cosine,
     sigma_sine (n+1, m); flags (n+1, m) words, empty where all is well; redundancy, redundancy_limit, condition (n+1,),
-    NaN where there is none; interval [s] that was used.
+    NaN where there is none; interval [s] that was used; `in_time`: where the loads were found by a filter or smoother.
     """
 
     run: str
@@ -74,11 +94,15 @@ class RunLoads:
     interval: tuple[float, float]
     notes: tuple[str, ...] = ()
     check: CheckErrors | None = None
+    in_time: InTime | None = None
 
 
 @dataclass(frozen=True)
 class Loads:
-    """Hub loads of all runs of one reduction, and the geometry of the calibration behind them."""
+    """Hub loads of all runs of one reduction, and the geometry of the calibration behind them.
+
+    `method` is `harmonic`, `kalman` or `smoother`.
+    """
 
     method: str
     response: str

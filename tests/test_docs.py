@@ -176,6 +176,7 @@ NAMES = {
     **dict.fromkeys(("load_error", "interaction", "load_noise", "interaction_noise"), 1),
     **dict.fromkeys(("terms_refused", "residual", "press", "left_out_sequences", "reach", "drift_per_sequence"), 1),
     **dict.fromkeys(("scatter_chi2_per_dof", "checks", "error_percent_fs", "within_interval"), 1),
+    **dict.fromkeys(("channels", "noise_v"), 1),
     **dict.fromkeys(("terms", "linear", "C0", "T0", "channel_hysteresis", "channels_left_out"), 2),
 }
 
@@ -207,7 +208,7 @@ def summaries(tmp_path_factory):
         "sweep-tf": [*g, sweep, "--to", "20", "-o", out],
         "identify": [*g, sweep, static, "--method", "computed", "-o", model],
         "diagnose": [model, sweep, "--hold-out", check, "-o", out, "--model-out", str(folder / "closed.h5")],
-        "reduce": ["--calibration", cal, "--static", check, "-o", out],
+        "reduce": ["--calibration", cal, "--model", model, "--method", "smoother", check, "-o", out],
         "modes": g,
         "simulate": [*g, "--plan", str(folder / "plan.yaml"), "-o", str(folder / "campaign")],
         "check": [static, str(ROOT / "pyproject.toml"), *g],

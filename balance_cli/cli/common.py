@@ -186,12 +186,16 @@ class Session:
 
     @contextmanager
     def skipping(self, run: Run, skip_bad: bool) -> Iterator[None]:
-        """With `skip_bad`, go on without a run that turns out to be unusable, and list it."""
+        """With `skip_bad`, go on without a run that turns out to be unusable, list it, withdraw its outputs."""
+        before = len(self._outputs)
         try:
             yield
         except UserError as error:
             if not skip_bad:
                 raise error.at(str(run.path or run.name)) from error
+            for path in self._outputs[before:]:
+                self._staged.withdraw(path)
+            del self._outputs[before:]
             self._skipped[str(run.path or run.name)] = str(error)
             self._say_warning(f"skipped: {error}")
 

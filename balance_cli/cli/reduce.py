@@ -1,10 +1,7 @@
-"""`balance reduce`: rotor-harmonic hub loads of check and wind runs."""
+"""`balance reduce`: hub loads of check and wind runs, by rotor harmonics or in time."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +9,7 @@ import click
 
 from balance_cli.cli.common import Session, balance_command, output_option, skip_bad_option
 from balance_cli.cli.options import InputFile, OutputFolder
+from balance_cli.cli.reduce_runs import LOADS_AS, METHODS, Method, Reduction, no_state_space
 from balance_cli.errors import UserError
 
 if TYPE_CHECKING:
@@ -39,10 +37,25 @@ INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
 )
 @click.option(
     "--method",
-    type=click.Choice(["harmonic"]),
-    default="harmonic",
+    type=click.Choice(METHODS),
+    default=METHODS[0],
     show_default=True,
-    help="Regression on azimuth over the whole record.",
+    help="Regression on azimuth over the whole record; loads in time by a Kalman filter, each sample given the past; "
+    "or by a smoother, given the whole record.",
+)
+@click.option(
+    "--loads-as",
+    type=click.Choice(LOADS_AS),
+    default=LOADS_AS[0],
+    show_default=True,
+    help="What is known of the loads in time: harmonics locked to the azimuth beside random loads; random loads alone; "
+    "nothing within a band.",
+)
+@click.option(
+    "--lag",
+    type=float,
+    metavar="SECONDS",
+    help="With --method kalman: each sample given so many seconds after it, too. Free loads take 0.05 by themselves.",
 )
 @click.option("--harmonics", type=click.IntRange(1, 64), default=8, show_default=True, help="Highest rotor harmonic.")
 @click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record that the mean loads count from.")
@@ -58,6 +71,8 @@ def command(
     static: bool,
     interpolation: str,
     method: str,
+    loads_as: str,
+    lag: float | None,
     harmonics: int,
     zero: Path | None,
     history: Path | None,
@@ -69,30 +84,40 @@ def command(
 
     The mean comes from the strain and torque channels through the static calibration, the harmonics from all channels
     through the response of a model or of a measurement, weighted by noise. A zero run among RUN... serves as --zero.
+
+    For loads that change in time, --method kalman and --method smoother estimate them sample by sample from all
+    channels through a model of the physical form; --history writes them, the table holds their harmonics.
     """
     from balance_cli.calibrated import Calibration
+    from balance_cli.cli.reduce_text import summary, text
     from balance_cli.hub_loads import Loads
-    from balance_cli.reduce import ReduceOptions, reduce_run
 
     _check_call(model, transfer, static, output)
+    how = Method(method, loads_as if _asked("loads_as") else None, lag, harmonics)
+    how.check(model is not None)
     cal: Calibration = session.artefact(calibration, {"balance-calibration/1": Calibration}, "calibration").content
     source = _source(session, cal, model, transfer, interpolation)
+    _check_source(how, source, model)
     records = session.runs(runs, cal.geometry, skip_bad)
-    reference = _zero(session, cal, zero, records)
-    options = ReduceOptions(harmonics)
+    reduction = Reduction(how, cal, source, _zero(session, cal, zero, records), history)
     reduced: dict[str, RunLoads] = {}
     used = [run for run in records if _is_used(session, run)]
     if not used:
         raise UserError("no check or wind run among the runs", "RUN...", remedy="Give the runs that are to be reduced")
     for run in session.progress(used, "runs", len(used)):
         with session.skipping(run, skip_bad):
-            reduced[run.name] = reduce_run(run, cal.geometry, cal, source, reference, options)
+            reduced[run.name] = reduction.reduced(session, run)
             for channel, reason in reduced[run.name].left_out.items():
                 session.warn(f"{run.name}: channel {channel} left out: {reason}")
-            _write_history(session, history, run, reduced[run.name])
     loads = Loads(method, source.description, cal.geometry, reduced)
     _write(session, output, loads)
-    session.finish(_summary(loads), _text(loads))
+    session.finish(summary(loads), text(loads))
+
+
+def _asked(option: str) -> bool:
+    """Whether the user gave this option."""
+    source = click.get_current_context().get_parameter_source(option)
+    return source is not click.core.ParameterSource.DEFAULT
 
 
 def _check_call(model: Path | None, transfer: Path | None, static: bool, output: Path) -> None:
@@ -123,6 +148,13 @@ def _source(
         _check_geometry(measured.geometry, calibration, transfer)
         return responses.transfer_source(measured, interpolation)
     return responses.static_source(calibration)
+
+
+def _check_source(method: Method, source: ResponseSource, model: Path | None) -> None:
+    from balance_cli.responses import ModelSource
+
+    if method.in_time and not isinstance(source, ModelSource):
+        raise no_state_space(method.name, str(model))
 
 
 def _check_geometry(geometry: Any, calibration: Calibration, path: Path) -> None:
@@ -168,16 +200,6 @@ def _is_used(session: Session, run: Run) -> bool:
     return False
 
 
-def _write_history(session: Session, folder: Path | None, run: Run, loads: RunLoads) -> None:
-    if folder is None:
-        return
-    from balance_cli.history import harmonic_history, write_history
-
-    if Path(run.name).name != run.name:
-        raise UserError(f"run name `{run.name}` is no file name", str(run.path), "attribute `run`", "Rename the run")
-    write_history(session.stage_in(folder, f"{run.name}.h5"), harmonic_history(run, loads))
-
-
 def _write(session: Session, output: Path, loads: Loads) -> None:
     if output.suffix == ".h5":
         session.save(output, FORMAT, loads)
@@ -185,48 +207,3 @@ def _write(session: Session, output: Path, loads: Loads) -> None:
     from balance_cli.hub_loads import load_table
 
     load_table(loads).to_csv(session.stage(output), index=False)
-
-
-def _summary(loads: Loads) -> dict[str, Any]:
-    return {
-        "method": loads.method,
-        "response": loads.response,
-        "runs": {name: _run_summary(run) for name, run in loads.runs.items()},
-    }
-
-
-def _run_summary(run: RunLoads) -> dict[str, Any]:
-    summary = {
-        "redundancy": dict(enumerate(run.redundancy)),
-        "redundancy_limit": dict(enumerate(run.redundancy_limit)),
-        "condition": dict(enumerate(run.condition)),
-        "channels_left_out": run.left_out,
-        "interval_s": run.interval,
-        "trim": run.trim,
-        "notes": run.notes,
-    }
-    if run.check is not None:
-        summary |= {key: value for key, value in asdict(run.check).items() if key != "applied"}
-    return summary
-
-
-def _text(loads: Loads) -> Iterator[str]:
-    yield f"{len(loads.runs)} runs reduced, {loads.response}"
-    for name, run in loads.runs.items():
-        yield f"{name}, {run.interval[0]:.2f} to {run.interval[1]:.2f} s: {_surplus(run)}"
-        if run.check is not None:
-            yield f"   error of the loads applied: {_percent(run.check.load_error)}"
-            yield f"   interaction in the others: {_percent(run.check.interaction)}"
-        for note in run.notes:
-            yield f"   {note}"
-
-
-def _surplus(run: RunLoads) -> str:
-    worst = max(range(1, len(run.redundancy)), key=lambda n: run.redundancy[n])
-    if math.isnan(run.redundancy[worst]):
-        return "no more channels than loads, so that nothing tests the response"
-    return f"redundancy up to {run.redundancy[worst]:.3g} (harmonic {worst}, limit {run.redundancy_limit[worst]:.2f})"
-
-
-def _percent(errors: dict[str, float]) -> str:
-    return ", ".join(f"{name} {100 * value:.2f} %" for name, value in errors.items()) or "none"

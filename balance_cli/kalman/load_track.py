@@ -25,8 +25,9 @@ HIGHER = 4
 class LoadTrack:
     """Amplitudes of the loads' harmonics from revolution to revolution.
 
-    time (r,) [s]: the middle of each; amplitude (r, n+1, m) = cosine - j sine, that of harmonic 0 the mean; sigma
-    (r, n+1, m) of a cosine or sine. Components in the order of the balance.
+    time (r,) [s]: the middle of each; amplitude (r, n+1, m) = cosine - j sine, that of harmonic 0 the mean, not a
+    number in the first and the last revolution; sigma (r, n+1, m) of a cosine or sine. Components in the order of the
+    balance.
     """
 
     time: Array
@@ -94,11 +95,18 @@ class LoadRecorder:
         self._moment += (basis * weight[:, None]).T @ loads
 
     def _add_turns(self, psi: Array, loads: Array, sigma: Array) -> None:
-        """Means over each revolution."""
-        turn = np.minimum((psi / (2 * np.pi)).astype(int), self._frame.azimuth.turns - 1)
-        np.add.at(self._count, turn, 1.0)
-        np.add.at(self._sums, turn, loads)
-        self._mean_sigma[turn] = sigma
+        """Means about the middle of each revolution, by a raised cosine over two: no harmonic leaks into these.
+
+        A plain mean would take in a part of them: no whole number of samples makes a revolution.
+        """
+        count, turns = psi / (2 * np.pi), self._frame.azimuth.turns
+        before = np.floor(count - 0.5).astype(int)
+        for turn in (before, before + 1):
+            mine = (turn >= 0) & (turn < turns)
+            weight = np.cos(0.5 * np.pi * (count - turn - 0.5)[mine]) ** 2
+            np.add.at(self._count, turn[mine], weight)
+            np.add.at(self._sums, turn[mine], loads[mine] * weight[:, None])
+        self._mean_sigma[np.minimum(count.astype(int), turns - 1)] = sigma
 
     def _add_marked(self, marked: Marked) -> None:
         """Amplitudes alpha - j beta, the pairs being p + j q = (alpha + j beta) exp(-j n psi)."""
@@ -124,6 +132,7 @@ class LoadRecorder:
         if not self._frame.pairs:
             return None
         steady = self._sums / np.maximum(self._count, 1.0)[:, None]
+        steady[[0, -1]] = np.nan
         amplitude = np.concatenate([steady[:, None, :].astype(complex), self._pairs], axis=1)
         sigma = np.concatenate([self._mean_sigma[:, None, :], self._sigma], axis=1)
         middle = self._frame.azimuth.time_of(np.arange(self._frame.azimuth.turns) + 0.5)

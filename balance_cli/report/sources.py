@@ -163,8 +163,15 @@ def _named_loads(source: Source[Loads], models: Mapping[str, Source[IdentifiedMo
     for item in source.artefact.provenance.inputs:
         if item.role == "model" and item.digest in models:
             rank, label = models[item.digest].rank, models[item.digest].label
-    method = source.content.method
-    return replace(source, rank=rank, label=label if method == "harmonic" else f"{label}, {method}")
+    return replace(source, rank=rank, label=", ".join([label, *_method_words(source.content)]))
+
+
+def _method_words(loads: Loads) -> tuple[str, ...]:
+    """What a label adds to that of the response: the method, and what it knows of the loads where that is not usual."""
+    if loads.method == "harmonic":
+        return ()
+    taken = {run.in_time.loads_as for run in loads.runs.values() if run.in_time is not None} - {"harmonics"}
+    return (loads.method, *(f"{kind} loads" for kind in sorted(taken)))
 
 
 def _response_role(description: str) -> tuple[str, str]:

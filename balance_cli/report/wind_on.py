@@ -56,18 +56,19 @@ def section(sources: Sources) -> Section | None:
     having = tuple(source for source in sources.loads if wind_runs(source.content))
     if not having:
         return None
-    shown = preferred(having)
+    tested = _tested(having)
+    shown = preferred(tested)
     blocks: list[Block] = [
         Text(
             "Nobody knows the true loads of these runs, but there are more channels than loads: the surplus equations "
             "fit within the noise as long as the response still holds (chi2 per degree of freedom near 1). Where they "
             "do not, beyond the 99.9 % point, the row is flagged and its sigma widened."
         ),
-        *_verdicts(having, shown),
+        *_verdicts(tested, shown),
         Picture(
             "redundancy",
             "Chi-square of the surplus equations per degree of freedom, by harmonic. Dashed: the 99.9 % point.",
-            svg("redundancy", "Redundancy by harmonic of every run and method", lambda: redundancy_figure(having)),
+            svg("redundancy", "Redundancy by harmonic of every run and method", lambda: redundancy_figure(tested)),
         ),
         Heading(f"Loads by {shown.label}"),
         Picture(
@@ -76,12 +77,17 @@ def section(sources: Sources) -> Section | None:
             svg("harmonics", "Harmonic hub loads by component", lambda: harmonics_figure(shown.content)),
         ),
         *_load_tables(shown.content),
-        condition_table(having),
+        condition_table(tested),
         *_left_out(having),
     ]
     others = [source for source in having if source is not shown]
     blocks += [Details(f"Loads by {source.label}", tuple(_load_tables(source.content))) for source in others]
     return Section("wind-on", "Wind-on loads", tuple(blocks))
+
+
+def _tested(having: Sequence[Source[Loads]]) -> Sequence[Source[Loads]]:
+    """Those by harmonics, where there are any: of loads in time the surplus and condition are the same."""
+    return [source for source in having if source.content.method == "harmonic"] or having
 
 
 def _verdicts(having: Sequence[Source[Loads]], shown: Source[Loads]) -> Iterator[Block]:

@@ -1,0 +1,162 @@
+"""How `balance reduce` takes one run after another: by harmonics or in time, with its load history."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from balance_cli.cli.common import Session
+from balance_cli.errors import UserError
+
+if TYPE_CHECKING:
+    from balance_cli.calibrated import Calibration
+    from balance_cli.history import History, HistoryFile
+    from balance_cli.hub_loads import RunLoads
+    from balance_cli.reduce_in_time import TimeOptions, TimeReduction
+    from balance_cli.responses import ModelSource, ResponseSource
+    from balance_cli.runs import Run
+    from balance_cli.steady_loads import ZeroRecord
+
+METHODS = ("harmonic", "kalman", "smoother")
+LOADS_AS = ("harmonics", "random", "free")
+
+
+@dataclass(frozen=True)
+class Method:
+    """What was asked for: `name` one of METHODS, `loads_as` one of LOADS_AS (None: not asked), `lag` [s], harmonics."""
+
+    name: str
+    loads_as: str | None
+    lag: float | None
+    harmonics: int
+
+    @property
+    def in_time(self) -> bool:
+        """Whether by a filter or smoother."""
+        return self.name != "harmonic"
+
+    def check(self, has_model: bool) -> None:
+        """UserError where the options do not go together."""
+        if self.loads_as is not None and not self.in_time:
+            fault = "what is known of the loads matters in time only"
+            raise UserError(fault, "--loads-as", remedy="Add --method kalman or --method smoother, or leave it out")
+        if self.lag is not None and self.name != "kalman":
+            raise UserError(
+                "only a filter looks back after a lag", "--lag", remedy="Add --method kalman, or leave it out"
+            )
+        if self.lag is not None and not (math.isfinite(self.lag) and self.lag > 0):
+            raise UserError(f"a lag of {self.lag:g} s is none", "--lag", remedy="Give seconds above 0, or leave it out")
+        if self.in_time and not has_model:
+            raise no_state_space(self.name)
+
+    def options(self) -> TimeOptions:
+        """Those of the step."""
+        from balance_cli.reduce_in_time import FREE_LAG, TimeOptions
+
+        loads_as, smooth = self.loads_as or LOADS_AS[0], self.name == "smoother"
+        lag = FREE_LAG if loads_as == "free" and not smooth and self.lag is None else self.lag
+        return TimeOptions(smooth, loads_as, lag, self.harmonics)
+
+
+def no_state_space(method: str, path: str = "") -> UserError:
+    """The response that was given cannot be taken sample by sample."""
+    return UserError(
+        "the response has no state space, which reduction in time needs",
+        path,
+        f"--method {method}",
+        "Give --model with a model of the physical form (`balance identify` without --form paper), "
+        "or use --method harmonic",
+    )
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """One call: how, by what response and calibration, and where histories go (None: nowhere)."""
+
+    method: Method
+    calibration: Calibration
+    source: ResponseSource
+    zero: ZeroRecord | None
+    histories: Path | None
+
+    def reduced(self, session: Session, run: Run) -> RunLoads:
+        """Loads of one run, its history prepared. UserError where it cannot be reduced."""
+        _check_name(run, self.histories)
+        with ExitStack() as stack:
+            history = _History(session, stack, self.histories, run.name)
+            return self._in_time(run, history) if self.method.in_time else self._by_harmonics(run, history)
+
+    def _by_harmonics(self, run: Run, history: _History) -> RunLoads:
+        from balance_cli.history import harmonic_blocks
+        from balance_cli.reduce import ReduceOptions, reduce_run
+
+        options = ReduceOptions(self.method.harmonics)
+        loads = reduce_run(run, self.calibration.geometry, self.calibration, self.source, self.zero, options)
+        if history.wanted:
+            for block in harmonic_blocks(run, loads):
+                history.file.add(block)
+        return loads
+
+    def _in_time(self, run: Run, history: _History) -> RunLoads:
+        from balance_cli.reduce_in_time import reduce_run_in_time
+
+        options = self.method.options()
+        found = reduce_run_in_time(
+            run, self.calibration.geometry, self.calibration, self._model(), self.zero, options, history.sink
+        )
+        if found.track is not None and history.wanted:
+            history.file.add_harmonics(found.track, found.loads.components)
+        return _with_tests(found, options)
+
+    def _model(self) -> ModelSource:
+        from balance_cli.responses import ModelSource
+
+        if not isinstance(self.source, ModelSource):
+            raise AssertionError("checked before the first run")
+        return self.source
+
+
+def _with_tests(found: TimeReduction, options: TimeOptions) -> RunLoads:
+    """The loads, and beside them how they were found."""
+    from balance_cli.hub_loads import InTime
+
+    how = InTime(options.loads, options.lag, found.innovations, found.track, found.noise, found.bridged)
+    return replace(found.loads, in_time=how)
+
+
+def _check_name(run: Run, folder: Path | None) -> None:
+    if folder is not None and Path(run.name).name != run.name:
+        raise UserError(f"run name `{run.name}` is no file name", str(run.path), "attribute `run`", "Rename the run")
+
+
+class _History:
+    """The history file of a run, which is there from the first block on: before that a run may still be refused."""
+
+    def __init__(self, session: Session, stack: ExitStack, folder: Path | None, run: str) -> None:
+        self._session, self._stack, self._folder, self._run = session, stack, folder, run
+        self._file: HistoryFile | None = None
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is to be one."""
+        return self._folder is not None
+
+    @property
+    def sink(self) -> Callable[[History], None] | None:
+        """Takes the blocks; None where nobody wants them."""
+        return (lambda block: self.file.add(block)) if self.wanted else None
+
+    @property
+    def file(self) -> HistoryFile:
+        """The file, made when first asked for."""
+        from balance_cli.history import HistoryFile
+
+        if self._file is None:
+            assert self._folder is not None
+            part = self._session.stage_in(self._folder, f"{self._run}.h5")
+            self._file = self._stack.enter_context(HistoryFile(part, self._run))
+        return self._file

@@ -1,0 +1,88 @@
+"""What `balance reduce` says of its result: the summary for scripts, the lines for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from balance_cli.hub_loads import InTime, Loads, RunLoads
+
+
+def summary(loads: Loads) -> dict[str, Any]:
+    """The summary of all runs (docs/json.md)."""
+    return {
+        "method": loads.method,
+        "response": loads.response,
+        "runs": {name: _run_summary(run) for name, run in loads.runs.items()},
+    }
+
+
+def _run_summary(run: RunLoads) -> dict[str, Any]:
+    summary = {
+        "redundancy": dict(enumerate(run.redundancy)),
+        "redundancy_limit": dict(enumerate(run.redundancy_limit)),
+        "condition": dict(enumerate(run.condition)),
+        "channels_left_out": run.left_out,
+        "interval_s": run.interval,
+        "trim": run.trim,
+        "notes": run.notes,
+    }
+    if run.check is not None:
+        summary |= {key: value for key, value in asdict(run.check).items() if key != "applied"}
+    if run.in_time is not None:
+        summary |= _filter_summary(run.in_time)
+    return summary
+
+
+def _filter_summary(found: InTime) -> dict[str, Any]:
+    """Of a run reduced in time; without tests of the innovations these are null."""
+    tests = found.innovations
+    return {
+        "loads_as": found.loads_as,
+        "lag_s": found.lag,
+        "nis": tests.nis if tests else None,
+        "nis_sigma": tests.nis_sigma if tests else None,
+        "whiteness": tests.whiteness if tests else None,
+        "whiteness_sigma": tests.whiteness_sigma if tests else None,
+        "channels": tests.channels if tests else {},
+        "noise_v": found.noise,
+        "bridged": found.bridged,
+    }
+
+
+def text(loads: Loads) -> Iterator[str]:
+    """One line a run, errors of check runs, tests of the filter and notes below it."""
+    yield f"{len(loads.runs)} runs reduced, {loads.response}"
+    for name, run in loads.runs.items():
+        yield f"{name}, {run.interval[0]:.2f} to {run.interval[1]:.2f} s: {_surplus(run)}"
+        if run.in_time is not None:
+            yield f"   {_innovations(run.in_time)}"
+        if run.check is not None:
+            yield f"   error of the loads applied: {_percent(run.check.load_error)}"
+            yield f"   interaction in the others: {_percent(run.check.interaction)}"
+        for note in run.notes:
+            yield f"   {note}"
+
+
+def _surplus(run: RunLoads) -> str:
+    worst = max(range(1, len(run.redundancy)), key=lambda n: run.redundancy[n])
+    if math.isnan(run.redundancy[worst]):
+        return "no more channels than loads, so that nothing tests the response"
+    return f"redundancy up to {run.redundancy[worst]:.3g} (harmonic {worst}, limit {run.redundancy_limit[worst]:.2f})"
+
+
+def _innovations(found: InTime) -> str:
+    tests = found.innovations
+    if tests is None:
+        return "innovations not tested: no stretch of the record has all channels"
+    return (
+        f"innovations: NIS {tests.nis:.3f} (1 +- {tests.nis_sigma:.3f} where the filter is right), "
+        f"whiteness {tests.whiteness:.3g} (1 +- {tests.whiteness_sigma:.2f} where they are white)"
+    )
+
+
+def _percent(errors: dict[str, float]) -> str:
+    return ", ".join(f"{name} {100 * value:.2f} %" for name, value in errors.items()) or "none"
