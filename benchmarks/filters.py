@@ -30,7 +30,7 @@ from balance_cli.geometry_file import load_geometry
 from balance_cli.identify import identify
 from balance_cli.kalman.azimuth_locked import AzimuthLockedFilter
 from balance_cli.kalman.composite import MeasuredSystem
-from balance_cli.kalman.load_models import GaussMarkov, Oscillators
+from balance_cli.kalman.load_models import Oscillators, Wandering
 from balance_cli.kalman.passes import Filters, Stretch
 from balance_cli.kalman.run_filters import azimuth_locked_filters, still_filters
 from balance_cli.kalman.steady import Engine, SteadyFilter
@@ -104,8 +104,8 @@ def _balance() -> MeasuredSystem:
     return MeasuredSystem(space, tuple(range(6)), 1.0 / RATE, np.full(channels, 1e-8), np.zeros(channels))
 
 
-def _layers() -> list[GaussMarkov]:
-    return [GaussMarkov(share * SIZES, corner) for share, corner in ((1.0, 0.1), (0.3, 3.0), (0.1, 100.0))]
+def _layers() -> list[Wandering]:
+    return [Wandering(share * SIZES, corner, 200.0) for share, corner in ((1.0, 0.1), (0.3, 3.0), (0.1, 100.0))]
 
 
 def _stretches(system: MeasuredSystem) -> tuple[Stretch, ...]:

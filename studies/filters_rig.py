@@ -152,5 +152,3 @@ def rotor_plan(case: FilterCase, duration: float) -> RotorPlan:
         turbulence=TURBULENCE,
     )
     return plan.model_copy(update={"drift": case.drift, "drift_period": DRIFT_PERIOD})
-
-

@@ -11,7 +11,7 @@ from rigs import rotor_balance
 from balance_cli.components import COMPONENTS
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.kalman.composite import MeasuredSystem, first_covariance, sampled_system
-from balance_cli.kalman.load_models import GaussMarkov, Oscillators
+from balance_cli.kalman.load_models import Oscillators, Wandering
 from balance_cli.model.balance import balance_model
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.signals.anti_alias import anti_alias
@@ -92,7 +92,10 @@ def test_loads_that_the_balance_does_not_carry_are_left_out():
     assert np.abs(part - whole[:, some]).max() < 1e-10 * np.abs(whole).max()
 
 
-LAYERS = (GaussMarkov(np.array([100.0, 80.0, 200.0, 20.0, 30.0, 10.0]), 0.1), GaussMarkov(np.full(6, 5.0), 100.0))
+LAYERS = (
+    Wandering(np.array([100.0, 80.0, 200.0, 20.0, 30.0, 10.0]), 0.1, 5.0),
+    Wandering(np.full(6, 5.0), 100.0, 150.0),
+)
 OSCILLATORS = Oscillators(np.full((3, 6), 1.0), np.full((3, 6), 20.0), (1, 2, 4), 17.5).stationary()
 HELD = np.array([500.0, 300.0, 2000.0, 100.0, 200.0, 150.0])
 
@@ -110,7 +113,7 @@ def test_first_covariance_is_one(effects, offset):
     value = np.linalg.eigvalsh(P / np.outer(size, size))
     assert value.min() > -1e-10
     if offset:
-        place = system.balance_order + 12 + 36
+        place = system.balance_order + 24 + 36
         assert np.isclose(size[place], offset, rtol=1e-4)
 
 

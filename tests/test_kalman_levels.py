@@ -7,7 +7,7 @@ import pytest
 import scipy.signal
 
 from balance_cli.kalman.amplitude_drift import Amplitudes, relative_drift
-from balance_cli.kalman.load_models import GaussMarkov
+from balance_cli.kalman.load_models import Wandering
 from balance_cli.kalman.noise_levels import (
     OWN,
     CrossSpectra,
@@ -45,7 +45,7 @@ def _spectra(y: Array) -> CrossSpectra:
 
 
 def _shapes(frequency: Array) -> Array:
-    return np.stack([GaussMarkov(np.ones(1), corner).spectrum(frequency)[:, 0] for corner in CORNERS])
+    return np.stack([Wandering(np.ones(1), corner, 400.0).spectrum(frequency)[:, 0] for corner in CORNERS])
 
 
 def _likelihood(spectra: CrossSpectra) -> _Likelihood:
@@ -60,7 +60,7 @@ def test_variances_come_back_within_their_standard_errors():
     for seed in range(16):
         spectra = _spectra(_record(seed))
         response = np.broadcast_to(READ.astype(complex), (len(spectra.frequency), 3, 2))
-        found = most_likely_variances(spectra, response, _shapes(spectra.frequency), STEP, NOISE)
+        found = most_likely_variances(spectra, response, _shapes(spectra.frequency), STEP, NOISE).values
         information = _likelihood(spectra).at(np.log(LAYERS.ravel()))[2]
         sigma = np.sqrt(np.diag(np.linalg.inv(information)))
         assert sigma.max() < 0.5
@@ -75,7 +75,7 @@ def test_a_layer_that_is_not_there_comes_out_small():
     quiet = np.sqrt(NOISE) * rng.standard_normal((60_000, 3))
     spectra = _spectra(quiet)
     response = np.broadcast_to(READ.astype(complex), (len(spectra.frequency), 3, 2))
-    found = most_likely_variances(spectra, response, _shapes(spectra.frequency), STEP, NOISE)
+    found = most_likely_variances(spectra, response, _shapes(spectra.frequency), STEP, NOISE).values
     assert found.max() < 0.02 * LAYERS.min()
     assert found.min() > 0.0
 

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from balance_cli.kalman.load_models import Flat, GaussMarkov, Oscillators, joined
+from balance_cli.kalman.load_models import Flat, Oscillators, Wandering, joined
 from tests.kalman_models import Array
 
 SIGMA = np.array([2.0, 0.5, 30.0])
-LAYERS = {"wandering": GaussMarkov(SIGMA, 0.3), "fluctuating": GaussMarkov(SIGMA, 50.0), "flat": Flat(SIGMA, 40.0)}
+LAYERS = {
+    "wandering": Wandering(SIGMA, 0.3, 5.0),
+    "fluctuating": Wandering(SIGMA, 50.0, 80.0),
+    "flat": Flat(SIGMA, 40.0),
+}
 
 
 def _density(matrices: tuple[Array, Array, Array], frequency: Array) -> Array:
@@ -80,7 +84,7 @@ def test_stationary_oscillators_keep_their_size():
 
 
 def test_layers_together_are_the_sum_of_their_loads():
-    first, second = GaussMarkov(SIGMA, 0.3), Flat(SIGMA, 40.0)
+    first, second = Wandering(SIGMA, 0.3, 5.0), Flat(SIGMA, 40.0)
     frequency = np.geomspace(0.01, 100.0, 20)
     both = _density(joined([first, second]), frequency)
     assert np.allclose(both, first.spectrum(frequency) + second.spectrum(frequency), rtol=1e-9, atol=0)

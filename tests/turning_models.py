@@ -9,7 +9,7 @@ import numpy as np
 
 from balance_cli.kalman.composite import MeasuredSystem, first_covariance, sampled_system
 from balance_cli.kalman.discrete import SampledModel
-from balance_cli.kalman.load_models import GaussMarkov, Oscillators
+from balance_cli.kalman.load_models import Oscillators, Wandering
 from balance_cli.kalman.passes import Filters, Stretch
 from balance_cli.kalman.run_filters import azimuth_locked_filters
 from balance_cli.model.state_space import StateSpace
@@ -17,7 +17,7 @@ from balance_cli.signals.azimuth import Azimuth
 from tests.kalman_models import Array
 
 STEP = 1.0 / 200.0
-LAYERS = (GaussMarkov(np.array([0.3, 0.2]), 2.0),)
+LAYERS = (Wandering(np.array([0.3, 0.2]), 2.0, 30.0),)
 OSCILLATORS = Oscillators(np.full((2, 2), 0.2), np.full((2, 2), 2.0), (1, 2))
 HELD = np.ones(2)
 
