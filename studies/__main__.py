@@ -15,6 +15,7 @@ from studies.calibration import calibration_chunk, calibration_table
 from studies.cases import KINDS, case, count
 from studies.chunks import run_chunks
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
+from studies.manoeuvre import manoeuvre_chunk, manoeuvre_table
 from studies.recovery import recovery_chunk, recovery_table
 
 TABLES = Path(__file__).parent / "tables"
@@ -31,6 +32,7 @@ def studies(context: click.Context) -> None:
         context.invoke(recovery)
         context.invoke(attribution)
         context.invoke(calibration)
+        context.invoke(manoeuvre)
 
 
 @studies.command()
@@ -84,12 +86,26 @@ def calibration(balances: int = 100, jobs: int = 2) -> None:
     click.echo(table.to_string(index=False))
 
 
+@studies.command()
+@click.option("--seeds", default=10, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def manoeuvre(seeds: int = 10, jobs: int = 2) -> None:
+    """Filters and smoothers on manoeuvres with known loads, beside the best linear smoother."""
+    table = manoeuvre_table(run_chunks("manoeuvre", _manoeuvre, range(seeds), jobs))
+    _write("manoeuvre", table)
+    click.echo(table.to_string(index=False))
+
+
 def _attribution(kind: str, seed: int) -> pd.DataFrame:
     return attribution_chunk(case(kind, seed))
 
 
 def _coverage(seed: int) -> pd.DataFrame:
     return coverage_chunk(load_geometry(GEOMETRY), CoverageTask(seed, FITS_PER_RIG))
+
+
+def _manoeuvre(seed: int) -> pd.DataFrame:
+    return manoeuvre_chunk(load_geometry(GEOMETRY), seed)
 
 
 def _recovery(seed: int) -> pd.DataFrame:

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from balance_cli.kalman import passes
+from balance_cli.kalman.discrete import SampledModel
 from balance_cli.kalman.passes import Stretch, filtered, lagged, smoothed
 from tests.kalman_models import Array, conditioned, drawn, filters_of, small_model
 
 MODEL = small_model()
 WHOLE = (Stretch(0, 160, (0, 1, 2)),)
+LONG = (Stretch(0, 200, (0, 1, 2)),)
 BROKEN = (
     Stretch(0, 60, (0, 1, 2)),
     Stretch(60, 72, ()),
@@ -76,3 +78,30 @@ def test_lag_is_conditioning_on_so_many_samples_more(monkeypatch):
     mean, exact = conditioned(MODEL, y, _mask(WHOLE), until=np.minimum(np.arange(160) + 3, 159))
     assert np.abs(outputs - mean)[60:].max() < 1e-3 * np.sqrt(exact.min())
     assert np.abs(variance / exact - 1.0)[60:].max() < 1e-3
+
+
+def _unbiased_inputs(F: Array, B: Array, H: Array, y: Array, known: int) -> Array:
+    """Least squares for the first state and all inputs up to sample `known`, of which nothing is said beforehand."""
+    n, m = len(F), B.shape[1]
+    columns = [np.linalg.matrix_power(F, k) for k in range(known + 1)]
+    rows = np.zeros(((known + 1) * len(H), n + known * m))
+    for k in range(known + 1):
+        part = slice(k * len(H), (k + 1) * len(H))
+        rows[part, :n] = H @ columns[k]
+        for j in range(k):
+            rows[part, n + j * m : n + (j + 1) * m] = H @ columns[k - 1 - j] @ B
+    return np.linalg.lstsq(rows, y[: known + 1].ravel(), rcond=None)[0][n:].reshape(-1, m)
+
+
+def test_large_free_inputs_are_joint_estimation_of_inputs_and_states():
+    """Held over a sample and far larger than all noise they are what least squares without any prior finds."""
+    F, B = MODEL.F[:2, :2], np.array([[0.4], [0.1]])
+    H = 30.0 * MODEL.H[:, :2]
+    joint = np.block([[F, B], [np.zeros((1, 3))]])
+    model = SampledModel(joint, np.diag([1e-9, 1e-9, 1e6]), np.hstack([H, np.zeros((3, 1))]), np.eye(3)[2:])
+    y, _ = drawn(SampledModel(joint, np.diag([1e-9, 1e-9, 4.0]), model.H, model.U), 200, seed=3)
+    lag = 4
+    outputs, variance = _joined(lagged(_read(y), LONG, filters_of(model, LONG), 10, lag))
+    for k in (120, 150, 190):
+        unbiased = _unbiased_inputs(F, B, H, y, k + lag)[k]
+        assert np.abs(outputs[k] - unbiased).max() < 1e-3 * np.sqrt(variance[k]).max()

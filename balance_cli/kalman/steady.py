@@ -5,7 +5,7 @@
     smoother      rho[k] = L' rho[k+1] + H' S^-1 e[k],             x[k] + P rho[k] given all of y
     fixed lag     the same with rho[k] - L'^(d+1) rho[k+d+1], which knows no y after k + d
 
-(Anderson and Moore, Optimal Filtering, 1979, chapters 4 and 7; de Jong, Ann. Statist. 17, 1989, 1073). In the
+(Anderson and Moore, Optimal Filtering, 1979, chapters 4 and 7; de Jong, J. Am. Stat. Assoc. 84, 1989, 1085). In the
 eigenvectors of L both recursions are first-order filters, one for each mode, which scipy runs compiled.
 """
 
