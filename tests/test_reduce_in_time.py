@@ -249,6 +249,7 @@ def test_a_channel_at_its_range_for_a_while_is_bridged(campaign, calibration, id
     told = summary(tmp_path / "out", "clipped")
     assert any("z1.piezo not used from" in note for note in told["notes"])
     assert "z1.piezo" in told["noise_v"]
+    assert told["channels_left_out"] == {}
     error, sigma, _ = error_of(campaign, "check-1", history(tmp_path / "out", "clipped"))
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 4.0 * sigma.mean(axis=0))
 

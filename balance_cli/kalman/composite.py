@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 OFFSET_MEMORY = 10.0
 """Time [s] over which an offset is averaged."""
+OFFSET_LIFE = 1000.0
+"""Time [s] in which an offset is forgotten: that of a channel that is not read must not grow without end."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ def continuous(system: MeasuredSystem, layers: Sequence[LoadLayer]) -> Continuou
     A, W = np.zeros((n + k + b,) * 2), np.zeros((n + k + b,) * 2)
     A[:n, : n + k] = np.hstack([space.A, B @ U])
     A[n : n + k, n : n + k] = A_load
+    A[n + k :, n + k :] = -np.eye(b) / OFFSET_LIFE
     W[n : n + k, n : n + k] = W_load
     W[n + k :, n + k :] = np.median(system.noise) * system.step / OFFSET_MEMORY**2 * np.eye(b)
     shown = np.zeros((len(space.C), b))
