@@ -12,7 +12,7 @@ from tests.kalman_models import Array, conditioned, drawn, filters_of, small_mod
 
 MODEL = small_model()
 WHOLE = (Stretch(0, 160, (0, 1, 2)),)
-LONG = (Stretch(0, 200, (0, 1, 2)),)
+LONG = (Stretch(0, 400, (0, 1, 2)),)
 BROKEN = (
     Stretch(0, 60, (0, 1, 2)),
     Stretch(60, 72, ()),
@@ -98,10 +98,10 @@ def test_large_free_inputs_are_joint_estimation_of_inputs_and_states():
     F, B = MODEL.F[:2, :2], np.array([[0.4], [0.1]])
     H = 30.0 * MODEL.H[:, :2]
     joint = np.block([[F, B], [np.zeros((1, 3))]])
-    model = SampledModel(joint, np.diag([1e-9, 1e-9, 1e6]), np.hstack([H, np.zeros((3, 1))]), np.eye(3)[2:])
-    y, _ = drawn(SampledModel(joint, np.diag([1e-9, 1e-9, 4.0]), model.H, model.U), 200, seed=3)
+    model = SampledModel(joint, np.diag([1e-9, 1e-9, 100.0]), np.hstack([H, np.zeros((3, 1))]), np.eye(3)[2:])
+    y, _ = drawn(SampledModel(joint, np.diag([1e-9, 1e-9, 4.0]), model.H, model.U), 400, seed=3)
     lag = 4
     outputs, variance = _joined(lagged(_read(y), LONG, filters_of(model, LONG), 10, lag))
-    for k in (120, 150, 190):
+    for k in (340, 370, 390):
         unbiased = _unbiased_inputs(F, B, H, y, k + lag)[k]
         assert np.abs(outputs[k] - unbiased).max() < 1e-3 * np.sqrt(variance[k]).max()

@@ -10,6 +10,7 @@ come in place of O, a smoother knows less by L^j' (O - J) L^j.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,20 +20,39 @@ Array = NDArray[np.float64]
 STRIDES = (1, 8, 64, 512)
 PLACES = 16
 """Samples of each stride at which a decay is evaluated; straight lines between."""
+SHORT_PLACES = 256
 NEGLIGIBLE = 1e-4
 """Of the steady variance: a smaller addition is left out."""
 
 
+class Steadied(Protocol):
+    """A steady filter: P, L and O (N, N)."""
+
+    @property
+    def P(self) -> Array: ...  # noqa: D102
+
+    @property
+    def L(self) -> Array: ...  # noqa: D102
+
+    @property
+    def all_information(self) -> Array: ...  # noqa: D102
+
+
 @dataclass(frozen=True)
 class Decay:
-    """A variance (o,) that dies away with the samples from an edge: `value` (p, o) after so many, `at` (p,)."""
+    """A variance (o,) that dies away with the samples from an edge: `value` (p, o) after so many, `at` (p,).
+
+    One that does not fade stays as it is beyond the last.
+    """
 
     at: Array
     value: Array
+    fades: bool = True
 
     def after(self, samples: NDArray[np.intp]) -> Array:
         """At numbers (n,) of samples: (n, o); straight lines between, and nothing beyond the last."""
-        return np.stack([np.interp(samples, self.at, column, right=0.0) for column in self.value.T], axis=1)
+        last = 0.0 if self.fades else None
+        return np.stack([np.interp(samples, self.at, column, right=last) for column in self.value.T], axis=1)
 
 
 def decay(rows: Array, transition: Array, spread: Array, count: int, floor: Array) -> Decay:
@@ -53,6 +73,31 @@ def decay(rows: Array, transition: Array, spread: Array, count: int, floor: Arra
                 return Decay(np.array(at, float), np.array(found))
             rows, k = rows @ power, k + stride
     return Decay(np.array(at, float), np.array(found))
+
+
+def between_edges(rows: Array, steady: Steadied, missing: Array, start: Array, count: int) -> Decay:
+    """What both edges of a short stretch add to the steady variance of a smoother, and each to what the other adds.
+
+    `missing` O - J (N, N) at its end, `start` (N, N) the covariance of what its first state was wrong by, given all:
+    with B = rows P L'^j, j samples before the end, and R = rows (1 - P O_k) L^k = rows (1 - P O) L^k + B (O - J) L^n,
+
+        diag(B (O - J) B' + R start R').
+    """
+    stride = max(count // SHORT_PLACES, 1)
+    at = np.arange(0, count, stride)
+    on, back = np.linalg.matrix_power(steady.L, stride), steady.P @ np.linalg.matrix_power(steady.L.T, count - at[-1])
+    through = missing @ np.linalg.matrix_power(steady.L, count)
+    before = rows @ back
+    ends = [before]
+    for _ in at[1:]:
+        ends.append(ends[-1] @ on.T)
+    first = rows - (rows @ steady.P) @ steady.all_information
+    found = []
+    for B in reversed(ends):
+        R = first + B @ through
+        found.append(np.sum((B @ missing) * B, axis=1) + np.sum((R @ start) * R, axis=1))
+        first = first @ on
+    return Decay(at.astype(float), np.array(found), fades=False)
 
 
 def told_apart(excess: Array, information: Array) -> Array:

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.kalman.edges import Decay, decay, seen_through, told_apart
+from balance_cli.kalman.edges import Decay, between_edges, decay, seen_through, told_apart
 from balance_cli.kalman.riccati import accumulated, symmetric
 from balance_cli.kalman.steady import Engine, Marks, Outputs, Piece, SteadyFilter
 
@@ -31,6 +31,8 @@ FORGOTTEN = 1e-8
 """Share of the variance of the outputs that what lies beyond the memory would take away."""
 LONGEST_MEMORY = 2**17
 CORRECTIONS = 2
+SHORT = 1024
+"""Samples of a stretch below which its edges are seen from each other."""
 GAP_BLOCK = 128
 """Samples of a gap whose covariances are held at once."""
 
@@ -354,12 +356,20 @@ def _smoothed_block(passed: _Passed, filters: Filters, rho: Array, J: Array) -> 
     rows, marks = _rows(engine, piece)
     floor = _variance(rows, P) - _variance(rows @ P, total)
     at = np.arange(count)
-    added = [(decay(rows @ P @ L.T, L.T, total - J, count, floor), at[::-1])]
-    power = np.linalg.matrix_power(L, count)
-    J = symmetric(total - power.T @ (total - J) @ power)
-    if passed.excess is not None:
-        added.append((decay(rows - (rows @ P) @ total, L, told_apart(passed.excess, J), count, floor), at))
+    missing, power = total - J, np.linalg.matrix_power(L, count)
+    J = symmetric(total - power.T @ missing @ power)
+    if passed.excess is None:
+        added = [(decay(rows @ P @ L.T, L.T, missing, count, floor), at[::-1])]
+    else:
+        start = told_apart(passed.excess, J)
         J = symmetric(seen_through(passed.excess, J))
+        if count < SHORT:
+            added = [(between_edges(rows, steady, missing, start, count), at)]
+        else:
+            added = [
+                (decay(rows @ P @ L.T, L.T, missing, count, floor), at[::-1]),
+                (decay(rows - (rows @ P) @ total, L, start, count, floor), at),
+            ]
     return _estimates(engine, piece, outputs, marks, True, passed.stretch, added), rho, J
 
 
