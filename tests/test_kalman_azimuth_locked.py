@@ -80,6 +80,15 @@ def test_at_one_speed_it_is_the_steady_filter(still):
         assert np.allclose(locked.variance(7, 5, smooth), steady.variance(7, 5, smooth), rtol=1e-12)
 
 
+def test_a_piece_holds_no_states_but_the_last(still):
+    """Pieces wait for the smoother by the dozen; the states of all their samples would fill the memory."""
+    locked, steady = still
+    piece = locked.forward(0, np.zeros((300, 3)), np.ones(steady.model.order))
+    rho = locked.backward(piece, np.ones(steady.model.order))[1]
+    assert all(one.base is None or one.base.size <= 300 * 3 for one in (piece.innovation, piece.predicted, piece.end))
+    assert rho.base is None
+
+
 def test_marked_pairs_add_up_to_the_loads_of_the_oscillators(still):
     """Loads that are nothing but oscillators are the sum of p over the harmonics: updated and smoothed."""
     locked, steady = still

@@ -120,7 +120,8 @@ class AzimuthLockedFilter:
         states = self._run(first, driven, start)
         H = self.filters[0].model.H
         marked = states[self._marked(first, len(y))] @ self._pairs.T
-        return Piece(first, y - states[:-1] @ H.T, states[:-1] @ self.outputs.T, states[-1], marked)
+        # A copy: a view would keep the states of all samples as long as the piece itself.
+        return Piece(first, y - states[:-1] @ H.T, states[:-1] @ self.outputs.T, states[-1].copy(), marked)
 
     def _marked(self, first: int, count: int) -> Index:
         low, high = np.searchsorted(self.marked, [first, first + count])
@@ -169,7 +170,7 @@ class AzimuthLockedFilter:
         loads = piece.predicted + self._weighed(adjoint, piece.first, spread)
         assert piece.marked is not None
         at, near = self._marked(piece.first, len(loads)), self.at(piece.first)
-        return Outputs(loads, piece.marked + adjoint[at] @ (self._pairs @ near.P).T), adjoint[0]
+        return Outputs(loads, piece.marked + adjoint[at] @ (self._pairs @ near.P).T), adjoint[0].copy()
 
     def backward_with_lag(self, piece: Piece, count: int, lag: int) -> Outputs:
         """The first `count` samples given all of the piece, which is `lag` samples longer."""
