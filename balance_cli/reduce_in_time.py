@@ -21,13 +21,15 @@ from balance_cli.geometry import Geometry
 from balance_cli.history import History
 from balance_cli.hub_loads import RunLoads
 from balance_cli.kalman.amplitude_drift import drifting_harmonics
+from balance_cli.kalman.causal import filtered, lagged
 from balance_cli.kalman.composite import MeasuredSystem
 from balance_cli.kalman.innovations import InnovationSums, InnovationTests
 from balance_cli.kalman.levels import Clean, channel_noise, free_loads, loads_between_harmonics, random_loads
 from balance_cli.kalman.load_track import LoadRecorder, LoadTrack, TrackFrame
-from balance_cli.kalman.passes import Estimates, Filters, filtered, lagged, smoothed
 from balance_cli.kalman.run_filters import azimuth_locked_filters, still_filters
+from balance_cli.kalman.smoothing import smoothed
 from balance_cli.kalman.soundness import Soundness, sound_stretches
+from balance_cli.kalman.stretches import Estimates, Filters
 from balance_cli.model.balance import identified_system
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.reduce import reduced_record
@@ -42,17 +44,19 @@ LOAD_MODELS = ("harmonics", "random", "free")
 BEGINNING = 5.0
 """Time [s] of a record that tells the state with which it began."""
 NEXT_TO_NOTHING = 1e-6
-FREE_LAG = 0.05
-"""Lag [s] of the filter that knows nothing of the loads, where none is asked for."""
 
 
 @dataclass(frozen=True)
 class TimeOptions:
-    """`smooth` the whole record or filter it, `lag` [s] behind the samples; what is known of the loads; harmonics."""
+    """`smooth` the whole record, or filter it and look back `lag` [s] later; what is known of the loads; harmonics.
+
+    A load shows in cells and behind the anti-alias filter some milliseconds late, so that a filter without any lag has
+    to foretell it.
+    """
 
     smooth: bool = True
     loads: str = "harmonics"
-    lag: float | None = None
+    lag: float = 0.05
     harmonics: int = 8
 
 
@@ -225,12 +229,12 @@ def _filters(case: _Case, steady: RunLoads, options: TimeOptions) -> Filters:
 
 
 def _estimates(case: _Case, filters: Filters, options: TimeOptions) -> Iterator[Estimates]:
-    lag = FREE_LAG if options.lag is None and options.loads == "free" and not options.smooth else options.lag
     beginning = round(BEGINNING / case.system.step)
     if options.smooth:
         return smoothed(case.read, case.sound.stretches, filters, beginning)
+    lag = round(options.lag / case.system.step)
     if lag:
-        return lagged(case.read, case.sound.stretches, filters, beginning, max(round(lag / case.system.step), 1))
+        return lagged(case.read, case.sound.stretches, filters, beginning, lag)
     return filtered(case.read, case.sound.stretches, filters, beginning)
 
 

@@ -30,10 +30,10 @@ from balance_cli.geometry_file import load_geometry
 from balance_cli.identify import identify
 from balance_cli.kalman.azimuth_locked import AzimuthLockedFilter
 from balance_cli.kalman.composite import MeasuredSystem
-from balance_cli.kalman.load_models import Oscillators, Wandering
-from balance_cli.kalman.passes import Filters, Stretch
+from balance_cli.kalman.load_models import Flat, LoadLayer, Oscillators, Wandering
 from balance_cli.kalman.run_filters import azimuth_locked_filters, still_filters
 from balance_cli.kalman.steady import Engine, SteadyFilter
+from balance_cli.kalman.stretches import Filters, Stretch
 from balance_cli.model.balance import balance_model
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.reduce_in_time import reduce_run_in_time
@@ -104,8 +104,8 @@ def _balance() -> MeasuredSystem:
     return MeasuredSystem(space, tuple(range(6)), 1.0 / RATE, np.full(channels, 1e-8), np.zeros(channels))
 
 
-def _layers() -> list[Wandering]:
-    return [Wandering(share * SIZES, corner, 200.0) for share, corner in ((1.0, 0.1), (0.3, 3.0), (0.1, 100.0))]
+def _layers(*bands: float) -> list[LoadLayer]:
+    return [Wandering(SIZES, 0.1, 5.0), *(Flat(0.1 * SIZES, band) for band in bands)]
 
 
 def _stretches(system: MeasuredSystem) -> tuple[Stretch, ...]:
@@ -114,7 +114,7 @@ def _stretches(system: MeasuredSystem) -> tuple[Stretch, ...]:
 
 def _still() -> Filters:
     system = _balance()
-    return still_filters(system, _layers(), 10.0 * SIZES, _stretches(system))
+    return still_filters(system, _layers(40.0, 150.0), 10.0 * SIZES, _stretches(system))
 
 
 def _locked() -> Filters:
@@ -122,7 +122,7 @@ def _locked() -> Filters:
     turns = np.arange(int(SAMPLES / RATE * SPEED) + 4)
     azimuth = Azimuth((turns - 0.5) / SPEED, turns)
     oscillators = Oscillators(0.01 * np.tile(SIZES, (8, 1)), 0.3 * np.tile(SIZES, (8, 1)), tuple(range(1, 9)))
-    return azimuth_locked_filters(system, _layers(), oscillators, 10.0 * SIZES, azimuth, _stretches(system))
+    return azimuth_locked_filters(system, _layers(100.0), oscillators, 10.0 * SIZES, azimuth, _stretches(system))
 
 
 def _engine(filters: Filters) -> Engine:

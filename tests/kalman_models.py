@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.kalman.discrete import SampledModel
-from balance_cli.kalman.passes import Filters, Stretch
 from balance_cli.kalman.riccati import accumulated
 from balance_cli.kalman.steady import SteadyFilter
+from balance_cli.kalman.stretches import Filters, Stretch
 
 Array = NDArray[np.float64]
 

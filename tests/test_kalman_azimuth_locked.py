@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from balance_cli.kalman.azimuth_locked import AzimuthLockedFilter
+from balance_cli.kalman.causal import filtered, lagged
 from balance_cli.kalman.composite import sampled_system
-from balance_cli.kalman.passes import filtered, lagged, smoothed
+from balance_cli.kalman.smoothing import smoothed
 from balance_cli.kalman.steady import SteadyFilter
 from tests.kalman_models import Array
 from tests.turning_models import (

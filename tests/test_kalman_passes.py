@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from balance_cli.kalman import passes
+from balance_cli.kalman import stretches as stretching
+from balance_cli.kalman.causal import filtered, lagged
 from balance_cli.kalman.discrete import SampledModel
-from balance_cli.kalman.passes import Stretch, filtered, lagged, smoothed
+from balance_cli.kalman.smoothing import smoothed
+from balance_cli.kalman.stretches import Stretch
 from tests.kalman_models import Array, conditioned, drawn, filters_of, small_model
 
 MODEL = small_model()
@@ -42,7 +44,7 @@ def _joined(estimates):
 @pytest.mark.parametrize("stretches", [WHOLE, BROKEN], ids=["whole", "broken"])
 @pytest.mark.parametrize("block", [8192, 17])
 def test_smoother_is_conditioning(stretches, block, monkeypatch):
-    monkeypatch.setattr(passes, "BLOCK", block)
+    monkeypatch.setattr(stretching, "BLOCK", block)
     y, _ = drawn(MODEL, stretches[-1].stop)
     outputs, variance = _joined(smoothed(_read(y), stretches, filters_of(MODEL, stretches), 200))
     mean, exact = conditioned(MODEL, y, _mask(stretches))
@@ -72,7 +74,7 @@ def test_filter_states_how_far_it_errs_after_a_gap():
 
 
 def test_lag_is_conditioning_on_so_many_samples_more(monkeypatch):
-    monkeypatch.setattr(passes, "BLOCK", 50)
+    monkeypatch.setattr(stretching, "BLOCK", 50)
     y, _ = drawn(MODEL, 160)
     outputs, variance = _joined(lagged(_read(y), WHOLE, filters_of(MODEL, WHOLE), 60, 3))
     mean, exact = conditioned(MODEL, y, _mask(WHOLE), until=np.minimum(np.arange(160) + 3, 159))

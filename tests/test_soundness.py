@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from balance_cli.channel_health import live_channels
 from balance_cli.errors import UserError
-from balance_cli.kalman.passes import Stretch
 from balance_cli.kalman.soundness import JOINED, LARGEST_SHARE, LONGEST_GAP, RECOVERY, Soundness, sound_stretches
+from balance_cli.kalman.stretches import Stretch
 from balance_cli.runs import MemorySource, Run
 from tests.simulation_rig import rig_geometry
 

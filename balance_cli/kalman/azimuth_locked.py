@@ -166,17 +166,25 @@ class AzimuthLockedFilter:
         """Given y after them too, and rho at the first sample."""
         told = self._weighed(piece.innovation, piece.first, np.stack([one.weighted for one in self.filters]))
         adjoint = self._run_back(piece.first, told, after)
+        return self._smoothed(piece, adjoint), adjoint[0]
+
+    def backward_with_lag(self, piece: Piece, count: int, lag: int) -> Outputs:
+        """Each sample given `lag` innovations after it, and up to twice as many: stretches of `lag` at a time."""
+        told = self._weighed(piece.innovation, piece.first, np.stack([one.weighted for one in self.filters]))
+        adjoint = np.empty((count, told.shape[1]))
+        for start in range(0, count, lag):
+            stop = min(start + lag, count)
+            back = self._run_back(piece.first + start, told[start : stop + lag], np.zeros(told.shape[1]))
+            adjoint[start:stop] = back[: stop - start]
+        return self._smoothed(piece, adjoint)
+
+    def _smoothed(self, piece: Piece, adjoint: Array) -> Outputs:
+        """X + P rho at every sample."""
         spread = np.stack([(one.outputs @ one.P).T for one in self.filters])
         loads = piece.predicted + self._weighed(adjoint, piece.first, spread)
         assert piece.marked is not None
         at, near = self._marked(piece.first, len(loads)), self.at(piece.first)
-        return Outputs(loads, piece.marked + adjoint[at] @ (self._pairs @ near.P).T), adjoint[0].copy()
-
-    def backward_with_lag(self, piece: Piece, count: int, lag: int) -> Outputs:
-        """The first `count` samples given all of the piece, which is `lag` samples longer."""
-        outputs, _ = self.backward(piece, np.zeros(len(piece.end)))
-        marked = None if outputs.marked is None else outputs.marked[: len(self._marked(piece.first, count))]
-        return Outputs(outputs.loads[:count], marked)
+        return Outputs(loads, piece.marked + adjoint[at] @ (self._pairs @ near.P).T)
 
     def _run_back(self, first: int, told: Array, after: Array) -> Array:
         """Rho (n, N) at each sample."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
 from balance_cli.history import History
-from balance_cli.kalman.passes import Estimates, Marked
+from balance_cli.kalman.stretches import Estimates, Marked
 from balance_cli.signals.azimuth import Azimuth
 from balance_cli.signals.harmonics import edge_weight
 

@@ -12,8 +12,8 @@ from balance_cli.kalman.azimuth_locked import AzimuthLockedFilter, Turning
 from balance_cli.kalman.composite import MeasuredSystem, first_covariance, sampled_system
 from balance_cli.kalman.discrete import SampledModel
 from balance_cli.kalman.load_models import LoadLayer, Oscillators
-from balance_cli.kalman.passes import Filters, Stretch
 from balance_cli.kalman.steady import Engine, SteadyFilter
+from balance_cli.kalman.stretches import Filters, Stretch
 from balance_cli.signals.azimuth import Azimuth
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from balance_cli.channel_health import AT_RANGE, ChannelHealth
 from balance_cli.errors import UserError
 from balance_cli.geometry import Geometry
-from balance_cli.kalman.passes import Stretch
+from balance_cli.kalman.stretches import Stretch
 from balance_cli.runs import Run, read_channels
 
 Bits = NDArray[np.bool_]

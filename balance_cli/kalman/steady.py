@@ -11,7 +11,7 @@ eigenvectors of L both recursions are first-order filters, one for each mode, wh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -40,10 +40,9 @@ class Piece:
     end: Array
     marked: Array | None = None
 
-    def begun(self, count: int, marks: Marks | None) -> Piece:
-        """Its first samples alone, which hold these marks."""
-        marked = None if self.marked is None or marks is None else self.marked[: len(marks.samples)]
-        return Piece(self.first, self.innovation[:count], self.predicted[:count], self.end, marked)
+    def with_innovations(self, later: Array) -> Piece:
+        """The same, known to be followed by these innovations (l, c)."""
+        return replace(self, innovation=np.concatenate([self.innovation, later]))
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class Engine(Protocol):
         ...
 
     def backward_with_lag(self, piece: Piece, count: int, lag: int) -> Outputs:
-        """The first `count` samples given `lag` samples after each, as far as the piece goes."""
+        """The `count` samples of a piece given `lag` innovations after each, as far as they go."""
         ...
 
     def variance(self, first: int, count: int, smoothed: bool) -> Array:
@@ -201,7 +200,7 @@ class SteadyFilter:
         adjoint = self._adjoint(piece, np.zeros(self.model.order))
         early, later = adjoint[:count].copy(), adjoint[lag + 1 : lag + 1 + count]
         early[: len(later)] -= modes.values ** (lag + 1) * later
-        return Outputs(piece.predicted[:count] + _real(early, self.outputs @ self.P @ modes.left.T))
+        return Outputs(piece.predicted + _real(early, self.outputs @ self.P @ modes.left.T))
 
     def marks(self, first: int, count: int) -> Marks | None:
         """There are none."""
@@ -269,11 +268,12 @@ def _modes(L: Array) -> _Modes:
 
 
 def _recursions(values: ComplexArray, driven: ComplexArray) -> ComplexArray:
-    """s[0] = driven[0], s[k] = value s[k-1] + driven[k] for each mode (column)."""
-    states = np.empty(driven.shape, complex)
+    """s[0] = driven[0], s[k] = value s[k-1] + driven[k] for each mode (column); real modes in real arithmetic."""
+    rows = np.ascontiguousarray(driven.T, dtype=complex)
     for i, value in enumerate(values):
-        states[:, i] = scipy.signal.lfilter([1.0], [1.0, -value], driven[:, i])
-    return states
+        row, decay = (rows[i], value) if value.imag else (rows[i].real.copy(), value.real)
+        rows[i] = scipy.signal.lfilter([1.0], [1.0, -decay], row)
+    return rows.T
 
 
 def _real(states: ComplexArray, rows: ComplexArray) -> Array:
