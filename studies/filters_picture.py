@@ -23,14 +23,13 @@ LIMITS = (3e-4, 2e1)
 
 def filters_picture(table: pd.DataFrame, seed: int = 0) -> Figure:
     """Above, load and errors in a manoeuvre; below, errors of all methods in each case."""
-    figure = new_figure(11.0, 8.6)
-    grid = figure.add_gridspec(3, 4, height_ratios=[1.0, 1.15, 1.15], left=0.165, right=0.985, top=0.965, bottom=0.075)
-    grid.update(hspace=0.3, wspace=0.09)
-    _manoeuvre(figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:]), seed)
+    figure = new_figure(11.0, 8.2)
+    above = figure.add_gridspec(1, 2, left=0.06, right=0.985, top=0.965, bottom=0.72, wspace=0.12)
+    _manoeuvre(figure.add_subplot(above[0, 0]), figure.add_subplot(above[0, 1]), seed)
+    below = figure.add_gridspec(2, 4, left=0.165, right=0.985, top=0.63, bottom=0.04, hspace=0.24, wspace=0.09)
     for i, case in enumerate(dict.fromkeys(table["case"])):
-        _errors(figure.add_subplot(grid[1 + i // 4, i % 4]), table[table["case"] == case], case, labelled=i % 4 == 0)
-    key = figure.add_subplot(grid[2, 3])
-    _key(key)
+        _errors(figure.add_subplot(below[i // 4, i % 4]), table[table["case"] == case], case, labelled=i % 4 == 0)
+    _key(figure.add_subplot(below[1, 3]))
     return figure
 
 
@@ -84,7 +83,7 @@ def _key(axes: Axes) -> None:
         "dot: median error of the load in time,",
         "       below 150 Hz",
         "tick: median error of harmonics 1 to 8",
-        "right of the black line nothing",
-        "would be better",
+        "beyond the black line the mean load",
+        "alone would err less",
     )
     axes.text(0.02, 0.95, "\n".join(lines), va="top", transform=axes.transAxes)

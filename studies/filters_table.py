@@ -12,7 +12,7 @@ def filters_table(rows: pd.DataFrame) -> pd.DataFrame:
     grouped = rows.groupby(["case", "method"], sort=False)
     table = grouped[list(MEASURES)].agg(["median", "min", "max"])
     table.columns = [f"{name}_{statistic}" for name, statistic in table.columns]
-    return table.assign(coverage=grouped["coverage"].mean()).reset_index()
+    return table.assign(coverage=grouped["coverage"].mean(), seeds=grouped["seed"].nunique()).reset_index()
 
 
 def page_table(table: pd.DataFrame, measure: str = "in_band") -> str:
