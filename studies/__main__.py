@@ -9,16 +9,21 @@ import click
 import pandas as pd
 
 from balance_cli.geometry_file import load_geometry
+from balance_cli.report.drawing import save_picture
 from studies.attribution import attribution_chunk
 from studies.attribution_tables import attribution_table
 from studies.calibration import calibration_chunk, calibration_table
 from studies.cases import KINDS, case, count
 from studies.chunks import run_chunks
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
+from studies.filters import filters_chunk
+from studies.filters_picture import filters_picture
+from studies.filters_table import filters_table, page_table
 from studies.manoeuvre import manoeuvre_chunk, manoeuvre_table
 from studies.recovery import recovery_chunk, recovery_table
 
 TABLES = Path(__file__).parent / "tables"
+PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
 GEOMETRY = Path(__file__).parents[1] / "configs" / "rts-6.yaml"
 FITS_PER_RIG = 50
 
@@ -33,6 +38,7 @@ def studies(context: click.Context) -> None:
         context.invoke(attribution)
         context.invoke(calibration)
         context.invoke(manoeuvre)
+        context.invoke(filters)
 
 
 @studies.command()
@@ -94,6 +100,17 @@ def manoeuvre(seeds: int = 10, jobs: int = 2) -> None:
     table = manoeuvre_table(run_chunks("manoeuvre", _manoeuvre, range(seeds), jobs))
     _write("manoeuvre", table)
     click.echo(table.to_string(index=False))
+
+
+@studies.command()
+@click.option("--seeds", default=10, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def filters(seeds: int = 10, jobs: int = 2) -> None:
+    """Frequency domain and Kalman filters on a balance with two degrees of freedom, with a picture."""
+    table = filters_table(run_chunks("filters", filters_chunk, range(seeds), jobs))
+    _write("filters", table)
+    save_picture(PICTURES / "filters.png", "filters", lambda: filters_picture(table), "png")
+    click.echo(page_table(table))
 
 
 def _attribution(kind: str, seed: int) -> pd.DataFrame:

@@ -6,11 +6,12 @@ rotor lies near either of its resonances. What reduces the records always knows 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+import scipy.signal
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
@@ -20,6 +21,7 @@ from balance_cli.simulation import RotorPlan, StaticPlan, TrueRig, true_rig
 from balance_cli.simulation.extensions import Extension
 from balance_cli.simulation.extensions.signals import TimeDelay
 from balance_cli.simulation.plans import SHAPE
+from balance_cli.simulation.records import OVERSAMPLING
 from balance_cli.simulation.rotor import smooth_step
 
 Array = NDArray[np.float64]
@@ -39,36 +41,64 @@ GROWTH, RISE = 0.6, 0.3
 FIRST = {"Fx": 33.0, "My": 15.0}
 STEADY = {"Fx": 100.0, "My": -20.0}
 TURBULENCE = {"Fx": 3.0, "My": 1.5}
-"""Random loads [N, N m], rms: 4 and 6 per cent of the harmonics'."""
+"""Random loads [N, N m], rms, within 0.5 to 100 Hz."""
+CORNER = 100.0
+"""Corner frequency [Hz] of turbulence that has no band."""
+STEP = 1.0 / (OVERSAMPLING * SAMPLE_RATE)
+"""Step [s] of the grid on which loads come."""
 
 
 @dataclass(frozen=True)
 class Manoeuvre(Extension):
-    """The loads of a wind-on run grow by GROWTH at the time `start` [s]; `step` [s] of the grid that they come on."""
+    """The loads of a wind-on run grow by GROWTH at the time `start` [s]."""
 
     name: ClassVar[str] = "manoeuvre"
     start: float = 0.0
-    step: float = 1.0 / (8 * SAMPLE_RATE)
 
     def true_loads(self, loads: Array, kind: str) -> Array:
         """Loads (n, 6) as they act."""
         if kind != "wind":
             return loads
-        time = np.arange(len(loads)) * self.step
+        time = np.arange(len(loads)) * STEP
         return np.asarray(loads * (1.0 + GROWTH * smooth_step(time, self.start, RISE))[:, None])
 
 
 @dataclass(frozen=True)
+class BroadTurbulence(Extension):
+    """Turbulence of a wind-on run that has no band: exponentially correlated, of the strength of TURBULENCE."""
+
+    name: ClassVar[str] = "broad turbulence"
+    seed: int = 0
+
+    def true_loads(self, loads: Array, kind: str) -> Array:
+        """Loads (n, 6) as they act."""
+        if kind != "wind":
+            return loads
+        rng, keep = np.random.default_rng(self.seed), np.exp(-2 * np.pi * CORNER * STEP)
+        rms = np.array(list(TURBULENCE.values()))
+        driven = np.sqrt(1 - keep**2) * rms * rng.standard_normal((len(loads), len(rms)))
+        driven[0] /= np.sqrt(1 - keep**2)
+        found = loads.copy()
+        found[:, COLUMNS] += scipy.signal.lfilter([1.0], [1.0, -keep], driven, axis=0)
+        return found
+
+
+@dataclass(frozen=True)
 class FilterCase:
-    """What differs from the declared rig at the nominal speed: the rig, and how the rotor turns."""
+    """What differs from the declared rig at the nominal speed: the rig, and how the rotor turns.
+
+    `tolerances` are declared: what is not known of the rig, and of what size that is, the reduction is told.
+    """
 
     name: str
     rig: Callable[[Geometry, np.random.Generator, float], TrueRig]
     speed: float = NOMINAL_SPEED
     drift: float = 0.0
+    turbulence: Mapping[str, float] = field(default_factory=lambda: TURBULENCE)
+    tolerances: Mapping[str, float] = field(default_factory=dict)
 
 
-def two_freedoms() -> Geometry:
+def two_freedoms(tolerances: Mapping[str, float]) -> Geometry:
     """The declared rig: modes near 2/rev and 4/rev with one per cent of damping."""
     cells = {"x": ([0.0, 0.0, -0.05], [1, 0, 0], 6.2e6), "z1": ([0.36, 0.0, -0.05], [0, 0, 1], 8.4e6)}
     cells["z2"] = ([-0.36, 0.0, -0.05], [0, 0, 1], 8.4e6)
@@ -90,7 +120,7 @@ def two_freedoms() -> Geometry:
             "channels": strain + piezo,
             "acquisition": {"filter": {"type": "butterworth", "order": 6, "cutoff": 200.0}},
             "damping_ratio": 0.01,
-            "tolerances": {"stiffness": STIFFNESS, "damping_ratio": DAMPING, "sensitivity": SENSITIVITY},
+            "tolerances": dict(tolerances),
             "rotor": {"blades": 4, "speed": NOMINAL_SPEED},
             "freedom": ["x", "theta"],
         }
@@ -123,15 +153,24 @@ def _in_manoeuvre(geometry: Geometry, rng: np.random.Generator, duration: float)
     return true_rig(geometry).extended(Manoeuvre(start=0.55 * duration))
 
 
-EXACT = "exact model"
-CASES = (
-    FilterCase(EXACT, _declared),
-    FilterCase("system matrix wrong", _other_system),
-    FilterCase("T wrong", _other_channels),
-    FilterCase("speed 2 % off", _declared, speed=OFF_NOMINAL * NOMINAL_SPEED),
-    FilterCase("speed drifts by 2 %", _declared, drift=DRIFT),
-    FilterCase("manoeuvre", _in_manoeuvre),
-)
+def _in_broad_turbulence(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+    return true_rig(geometry).extended(BroadTurbulence(seed=int(rng.integers(2**31))))
+
+
+EXACT, BROAD, SYSTEM, CHANNELS = "exact model", "exact model, broad turbulence", "system matrix wrong", "T wrong"
+OFF_SPEED, DRIFTING, MANOEUVRE = "speed 2 % off", "speed drifts by 2 %", "manoeuvre"
+CASES = {
+    case.name: case
+    for case in (
+        FilterCase(EXACT, _declared),
+        FilterCase(BROAD, _in_broad_turbulence, turbulence={}),
+        FilterCase(SYSTEM, _other_system, tolerances={"stiffness": STIFFNESS, "damping_ratio": DAMPING}),
+        FilterCase(CHANNELS, _other_channels, tolerances={"sensitivity": SENSITIVITY}),
+        FilterCase(OFF_SPEED, _declared, speed=OFF_NOMINAL * NOMINAL_SPEED),
+        FilterCase(DRIFTING, _declared, drift=DRIFT),
+        FilterCase(MANOEUVRE, _in_manoeuvre),
+    )
+}
 
 
 def static_plan() -> StaticPlan:
@@ -149,6 +188,6 @@ def rotor_plan(case: FilterCase, duration: float) -> RotorPlan:
         duration=duration,
         harmonics={name: tuple(first * x for x in SHAPE) for name, first in FIRST.items()},
         steady=STEADY,
-        turbulence=TURBULENCE,
     )
-    return plan.model_copy(update={"drift": case.drift, "drift_period": DRIFT_PERIOD})
+    changes = {"turbulence": case.turbulence, "drift": case.drift, "drift_period": DRIFT_PERIOD}
+    return plan.model_copy(update=changes)

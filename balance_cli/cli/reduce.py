@@ -55,7 +55,7 @@ INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
     "--lag",
     type=float,
     metavar="SECONDS",
-    help="With --method kalman: each sample given so many seconds after it, too. Free loads take 0.05 by themselves.",
+    help="With --method kalman: each sample given so many seconds after it, too (0: none).  [default: 0.05]",
 )
 @click.option("--harmonics", type=click.IntRange(1, 64), default=8, show_default=True, help="Highest rotor harmonic.")
 @click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record that the mean loads count from.")

@@ -48,18 +48,17 @@ class Method:
             raise UserError(
                 "only a filter looks back after a lag", "--lag", remedy="Add --method kalman, or leave it out"
             )
-        if self.lag is not None and not (math.isfinite(self.lag) and self.lag > 0):
-            raise UserError(f"a lag of {self.lag:g} s is none", "--lag", remedy="Give seconds above 0, or leave it out")
+        if self.lag is not None and not (math.isfinite(self.lag) and self.lag >= 0):
+            raise UserError(f"a lag of {self.lag:g} s is none", "--lag", remedy="Give seconds, 0 for none")
         if self.in_time and not has_model:
             raise no_state_space(self.name)
 
     def options(self) -> TimeOptions:
         """Those of the step."""
-        from balance_cli.reduce_in_time import FREE_LAG, TimeOptions
+        from balance_cli.reduce_in_time import TimeOptions
 
-        loads_as, smooth = self.loads_as or LOADS_AS[0], self.name == "smoother"
-        lag = FREE_LAG if loads_as == "free" and not smooth and self.lag is None else self.lag
-        return TimeOptions(smooth, loads_as, lag, self.harmonics)
+        known = TimeOptions(self.name == "smoother", self.loads_as or LOADS_AS[0], harmonics=self.harmonics)
+        return known if self.lag is None else replace(known, lag=self.lag)
 
 
 def no_state_space(method: str, path: str = "") -> UserError:

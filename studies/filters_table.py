@@ -1,0 +1,30 @@
+"""The table of the study of filters, and the lines of it that are shown on the page."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+MEASURES = ("history", "in_band", "harmonics")
+
+
+def filters_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Median, least and largest error over the seeds and mean coverage, by case and method."""
+    grouped = rows.groupby(["case", "method"], sort=False)
+    table = grouped[list(MEASURES)].agg(["median", "min", "max"])
+    table.columns = [f"{name}_{statistic}" for name, statistic in table.columns]
+    return table.assign(coverage=grouped["coverage"].mean(), seeds=grouped["seed"].nunique()).reset_index()
+
+
+def page_table(table: pd.DataFrame, measure: str = "in_band") -> str:
+    """Median errors in per cent as a table in Markdown: methods down, cases across."""
+    cases = list(dict.fromkeys(table["case"]))
+    values = table.set_index(["method", "case"])[f"{measure}_median"] * 100.0
+    lines = [f"| method | {' | '.join(cases)} |", f"|---|{'---|' * len(cases)}"]
+    for method in dict.fromkeys(table["method"]):
+        lines.append(f"| {method} | {' | '.join(_percent(values[method, case]) for case in cases)} |")
+    return "\n".join(lines)
+
+
+def _percent(value: float) -> str:
+    """Two significant figures."""
+    return f"{value:.2f}" if value < 1 else f"{value:.1f}" if value < 10 else f"{value:.0f}"
