@@ -12,6 +12,7 @@ from balance_cli.components import COMPONENTS
 from balance_cli.errors import UserError
 from balance_cli.estimation.hub_loads import SolvedLoads, solve_loads
 from balance_cli.geometry import Geometry
+from balance_cli.kalman.levels import Clean, channel_noise
 from balance_cli.model.plate import carried_components
 from balance_cli.responses import ModelSource, ResponseSource, circular_real, load_scale, stacked_real
 from balance_cli.runs import Run
@@ -109,9 +110,18 @@ def dynamic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSourc
 
     scale = np.tile(load_scale(geometry.hub)[columns], 2)
     stacked = np.concatenate([y.real, y.imag], axis=1)
+    sample = np.diag(_channel_noise(record, geometry)).astype(complex)
+    weighed_by = circular_real(combination @ sample @ combination.conj().swapaxes(1, 2))
     return solve_loads(
-        stacked_real(T), stacked, circular_real(noise), spectra.dof[1:], response_covariance, 1.0 / scale
+        stacked_real(T), stacked, circular_real(noise), spectra.dof[1:], response_covariance, 1.0 / scale, weighed_by
     )
+
+
+def _channel_noise(record: RotorRecord, geometry: Geometry) -> Array:
+    """Variance (c,) of a sample of each live channel's own noise, in the interval of the harmonics."""
+    assert record.run.sample_rate is not None
+    start, stop = (int(t * record.run.sample_rate) for t in record.spectra.interval)
+    return channel_noise(Clean(record.run, record.health.live, ((start, stop),)), geometry.acquisition)
 
 
 def response_of_harmonics(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> ComplexArray:

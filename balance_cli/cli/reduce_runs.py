@@ -123,7 +123,8 @@ def _with_tests(found: TimeReduction, options: TimeOptions) -> RunLoads:
     """The loads, and beside them how they were found; a channel that was lost for a while only is not left out."""
     from balance_cli.hub_loads import InTime
 
-    how = InTime(options.loads, options.lag, found.innovations, found.track, found.noise, found.bridged)
+    lag = None if options.smooth else options.lag
+    how = InTime(options.loads, lag, found.innovations, found.track, found.noise, found.bridged)
     left_out = {name: reason for name, reason in found.loads.left_out.items() if name not in found.noise}
     return replace(found.loads, in_time=how, left_out=left_out)
 

@@ -2,9 +2,12 @@
 
 For each harmonic y = T f + e with covariance C_noise + C_T(f). The estimate weighs by the noise alone: C_T grows with
 the loads that it is evaluated at, and a response that is wrong would choose its own weights (with the computed model
-of the sample balance, whose tolerances shift resonances by several half-widths, such a scheme diverges). Sigma and the
-test of the surplus take both parts. More channels than loads leave that surplus: wind-on nobody knows the true loads,
-and it is the only evidence that the response still holds.
+of the sample balance, whose tolerances shift resonances by several half-widths, such a scheme diverges). Nor is it the
+noise of the record at the harmonic where that of the channels is known apart: the record's holds loads that fluctuate,
+through the true response, and what a response that is slightly wrong leaves beside them would count as free of noise
+and get all the weight (signal cancellation; Cox, J. Acoust. Soc. Am. 54, 1973, 771). Sigma and the test of the surplus
+take all of it. More channels than loads leave that surplus: wind-on nobody knows the true loads, and it is the only
+evidence that the response still holds.
 """
 
 from __future__ import annotations
@@ -61,15 +64,21 @@ def solve_loads(
     dof: Array,
     response_covariance: Callable[[Array], Array],
     scale: Array,
+    weighed_by: Array | None = None,
 ) -> SolvedLoads:
     """Solve h systems at once in real form (`responses.stacked_real`).
 
     T (h, a, b), y (h, a), noise (h, a, a) estimated with `dof` (h,) complex degrees of freedom; `response_covariance`
     takes loads (h, b) to the covariance (h, a, a) of T f; `scale` (b,) makes the columns comparable for the condition.
+    `weighed_by` (h, a, a): the covariance by which the estimate weighs, up to a factor, where it is known apart; that
+    of the noise otherwise.
     """
     a, b = T.shape[1:]
-    G, noise_only = _weighted_inverse(T, noise)
-    noise_only = noise_only * _worth_of_weights(dof, a - b)[:, None, None]
+    G, noise_only = _weighted_inverse(T, noise if weighed_by is None else weighed_by)
+    if weighed_by is None:
+        noise_only = noise_only * _worth_of_weights(dof, a - b)[:, None, None]
+    else:
+        noise_only = G @ noise @ np.swapaxes(G, 1, 2)
     loads = np.einsum("hba,ha->hb", G, y)
     of_response = response_covariance(loads)
     total = noise + of_response

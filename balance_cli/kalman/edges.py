@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 STRIDES = (1, 8, 64, 512)
 PLACES = 16
 """Samples of each stride at which a decay is evaluated; straight lines between."""
-SHORT_PLACES = 256
 NEGLIGIBLE = 1e-4
 """Of the steady variance: a smaller addition is left out."""
 
@@ -76,28 +75,63 @@ def decay(rows: Array, transition: Array, spread: Array, count: int, floor: Arra
 
 
 def between_edges(rows: Array, steady: Steadied, missing: Array, start: Array, count: int) -> Decay:
-    """What both edges of a short stretch add to the steady variance of a smoother, and each to what the other adds.
+    """What both edges of a stretch add to the steady variance of a smoother, and each to what the other adds.
 
     `missing` O - J (N, N) at its end, `start` (N, N) the covariance of what its first state was wrong by, given all:
     with B = rows P L'^j, j samples before the end, and R = rows (1 - P O_k) L^k = rows (1 - P O) L^k + B (O - J) L^n,
 
         diag(B (O - J) B' + R start R').
     """
-    stride = max(count // SHORT_PLACES, 1)
-    at = np.arange(0, count, stride)
-    on, back = np.linalg.matrix_power(steady.L, stride), steady.P @ np.linalg.matrix_power(steady.L.T, count - at[-1])
-    through = missing @ np.linalg.matrix_power(steady.L, count)
-    before = rows @ back
-    ends = [before]
-    for _ in at[1:]:
-        ends.append(ends[-1] @ on.T)
-    first = rows - (rows @ steady.P) @ steady.all_information
+    at = _dense_at_both_ends(count)
+    powers = _Powers(steady.L)
+    through = missing @ powers.of(count)
+    first, last = rows - (rows @ steady.P) @ steady.all_information, rows @ steady.P @ powers.of(count - int(at[-1])).T
+    begun, ended = [first], [last]
+    for step in np.diff(at):
+        begun.append(powers.after(begun[-1], int(step)))
+    for step in np.diff(at)[::-1]:
+        ended.append(powers.before(ended[-1], int(step)))
     found = []
-    for B in reversed(ends):
-        R = first + B @ through
+    for A, B in zip(begun, reversed(ended), strict=True):
+        R = A + B @ through
         found.append(np.sum((B @ missing) * B, axis=1) + np.sum((R @ start) * R, axis=1))
-        first = first @ on
     return Decay(at.astype(float), np.array(found), fades=False)
+
+
+def _dense_at_both_ends(count: int) -> NDArray[np.intp]:
+    """Samples from 0 to `count` - 1, all of them near either end, ever fewer towards the middle."""
+    strides = np.repeat(2 ** np.arange(20), [PLACES, *[PLACES // 2] * 19])
+    near = np.concatenate([[0], np.cumsum(strides)])
+    near = near[near <= (count - 1) / 2]
+    return np.unique(np.concatenate([near, count - 1 - near])).astype(np.intp)
+
+
+class _Powers:
+    """Powers of L, those of two kept."""
+
+    def __init__(self, L: Array) -> None:
+        self._doubled = [L]
+
+    def _bits(self, exponent: int) -> list[Array]:
+        while 2 ** len(self._doubled) <= exponent:
+            self._doubled.append(self._doubled[-1] @ self._doubled[-1])
+        return [power for i, power in enumerate(self._doubled) if exponent >> i & 1]
+
+    def after(self, rows: Array, exponent: int) -> Array:
+        """Rows L^exponent."""
+        for power in self._bits(exponent):
+            rows = rows @ power
+        return rows
+
+    def before(self, rows: Array, exponent: int) -> Array:
+        """Rows L'^exponent."""
+        for power in self._bits(exponent):
+            rows = rows @ power.T
+        return rows
+
+    def of(self, exponent: int) -> Array:
+        """L^exponent."""
+        return self.after(np.eye(len(self._doubled[0])), exponent)
 
 
 def told_apart(excess: Array, information: Array) -> Array:

@@ -36,8 +36,6 @@ Array = NDArray[np.float64]
 FORGOTTEN = 1e-8
 """Share of the variance of the outputs that what lies beyond the memory would take away."""
 LONGEST_MEMORY = 2**17
-SHORT = 1024
-"""Samples of a stretch below which its edges are seen from each other."""
 
 
 def smoothed(read: Reader, stretches: Sequence[Stretch], filters: Filters, beginning: int) -> Iterator[Estimates]:
@@ -134,11 +132,5 @@ def _smoothed_block(passed: Passed, filters: Filters, rho: Array, J: Array) -> t
     else:
         start = told_apart(passed.excess, J)
         J = symmetric(seen_through(passed.excess, J))
-        if count < SHORT:
-            added = [(between_edges(rows, steady, missing, start, count), at)]
-        else:
-            added = [
-                (decay(rows @ P @ L.T, L.T, missing, count, floor), at[::-1]),
-                (decay(rows - (rows @ P) @ total, L, start, count, floor), at),
-            ]
+        added = [(between_edges(rows, steady, missing, start, count), at)]
     return estimates_of(engine, piece, outputs, marks, True, passed.stretch, added), rho, J
