@@ -211,9 +211,9 @@ def test_a_short_gap_is_bridged_and_said_so(campaign, folder, tmp_path):
     assert any(note.startswith("gap from 1.99") and note.endswith("bridged") for note in told["notes"])
     assert told["bridged"] and set(told["bridged"]) <= set(told["notes"])
     inside = (found["time"] > 2.05) & (found["time"] < 2.15)
-    before = (found["time"] > 1.0) & (found["time"] < 1.9)
+    after = (found["time"] > 3.0) & (found["time"] < 4.0)
     assert inside.sum() > 50
-    assert np.all(found["sigma"][inside].mean(axis=0) > found["sigma"][before].mean(axis=0))
+    assert np.all(found["sigma"][inside].mean(axis=0) > found["sigma"][after].mean(axis=0))
     assert np.all(np.isfinite(found["loads"]))
 
 

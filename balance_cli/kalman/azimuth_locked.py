@@ -51,6 +51,15 @@ class Turning:
         return np.asarray(steps / (2 * np.pi * self.step))
 
 
+def rotations(phasors: ComplexArray) -> Array:
+    """Block diagonal matrix (2 h, 2 h) that multiplies each p + j q by one of the phasors (h,)."""
+    blocks = np.zeros((2 * len(phasors),) * 2)
+    even = np.arange(0, 2 * len(phasors), 2)
+    blocks[even, even], blocks[even, even + 1] = phasors.real, -phasors.imag
+    blocks[even + 1, even], blocks[even + 1, even + 1] = phasors.imag, phasors.real
+    return blocks
+
+
 @dataclass(frozen=True)
 class AzimuthLockedFilter:
     """Steady filters (g,) at rising `speeds` (g,) [Hz] of one set of channels, and how the oscillators turn.
@@ -73,9 +82,13 @@ class AzimuthLockedFilter:
         """It is not."""
         return False
 
-    def at(self, first: int) -> SteadyFilter:
-        """The filter of the nearest speed."""
-        return self.filters[int(np.argmin(np.abs(self.speeds - self.turning.speed(first, 1)[0])))]
+    def at(self, first: int, count: int = 1) -> SteadyFilter:
+        """The filter of the speed nearest to the mean of so many samples; its pairs turn by just what these turn."""
+        turn = (self.turning.azimuth(np.array([first, first + count], float)) @ [-1.0, 1.0]) / count
+        near = int(np.argmin(np.abs(self.speeds - turn / (2 * np.pi * self.turning.step))))
+        L, s = self._still[near].copy(), self.turning.states
+        L[s, s] += rotations(np.exp(-1j * turn * self.turning.orders))
+        return self.filters[near].with_transition(L)
 
     @cached_property
     def _still(self) -> Array:
@@ -166,7 +179,7 @@ class AzimuthLockedFilter:
         """Given y after them too, and rho at the first sample."""
         told = self._weighed(piece.innovation, piece.first, np.stack([one.weighted for one in self.filters]))
         adjoint = self._run_back(piece.first, told, after)
-        return self._smoothed(piece, adjoint), adjoint[0]
+        return self._smoothed(piece, adjoint), adjoint[0].copy()
 
     def backward_with_lag(self, piece: Piece, count: int, lag: int) -> Outputs:
         """Each sample given `lag` innovations after it, and up to twice as many: stretches of `lag` at a time."""

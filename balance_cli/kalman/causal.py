@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from balance_cli.kalman.edges import Decay, decay, told_apart
 from balance_cli.kalman.gaps import GAP_BLOCK, led_on, through_gap
 from balance_cli.kalman.riccati import symmetric
-from balance_cli.kalman.steady import Engine, Piece, SteadyFilter
+from balance_cli.kalman.steady import Engine, Piece
 from balance_cli.kalman.stretches import (
     Estimates,
     Filters,
@@ -58,7 +58,8 @@ def filtered(read: Reader, stretches: Sequence[Stretch], filters: Filters, begin
 
 def _updated(engine: Engine, piece: Piece, stretch: Stretch, excess: Array) -> Estimates:
     """What the filter says of a block of a stretch that began with this excess."""
-    steady, count = engine.at(stretch.start), len(piece.predicted)
+    count = len(piece.predicted)
+    steady = engine.at(stretch.start, count)
     rows, marks = output_rows(engine, piece)
     after = rows - (rows @ steady.update_gain) @ steady.model.H
     fading = decay(after, steady.L, excess, piece.first - stretch.start + count, variance_of(rows, steady.P))
@@ -108,9 +109,8 @@ class _Edges:
         """The first `count` samples of a piece, each given `lag` samples more or what there is."""
         outputs = self.engine.backward_with_lag(piece, count, self.lag)
         own = replace(piece, innovation=piece.innovation[:count])
-        rows, marks = output_rows(self.engine, own)
-        at = np.arange(count)
-        ends, starts = self._decays(self.engine.at(piece.first), rows)
+        _, marks = output_rows(self.engine, own)
+        at, (ends, starts) = np.arange(count), self._decays
         added = [
             (ends, np.minimum(len(piece.innovation) - 1 - at, self.lag)),
             (starts, at + piece.first - self.stretch.start),
@@ -118,17 +118,14 @@ class _Edges:
         return estimates_of(self.engine, own, outputs, marks, True, self.stretch, added)
 
     @cached_property
-    def _known(self) -> dict[int, tuple[Decay, Decay]]:
-        return {}
-
-    def _decays(self, steady: SteadyFilter, rows: Array) -> tuple[Decay, Decay]:
-        """The same for all blocks of one speed."""
-        if id(steady) not in self._known:
-            P, L, total = steady.P, steady.L, steady.all_information
-            floor = variance_of(rows, P) - variance_of(rows @ P, total)
-            whole = self.stretch.stop - self.stretch.start
-            self._known[id(steady)] = (
-                decay(rows @ P @ L.T, L.T, total, self.lag + 1, floor),
-                decay(rows - (rows @ P) @ total, L, self.excess, whole, floor),
-            )
-        return self._known[id(steady)]
+    def _decays(self) -> tuple[Decay, Decay]:
+        """Towards the samples that are not known yet, and from the beginning on, at the mean speed of the stretch."""
+        whole = self.stretch.stop - self.stretch.start
+        steady, marks = self.engine.at(self.stretch.start, whole), self.engine.marks(self.stretch.start, 1)
+        rows = steady.outputs if marks is None else np.vstack([steady.outputs, marks.rows])
+        P, L, total = steady.P, steady.L, steady.all_information
+        floor = variance_of(rows, P) - variance_of(rows @ P, total)
+        return (
+            decay(rows @ P @ L.T, L.T, total, self.lag + 1, floor),
+            decay(rows - (rows @ P) @ total, L, self.excess, whole, floor),
+        )

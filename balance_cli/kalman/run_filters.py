@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.kalman.azimuth_locked import AzimuthLockedFilter, Turning
+from balance_cli.kalman.azimuth_locked import AzimuthLockedFilter, Turning, rotations
 from balance_cli.kalman.composite import MeasuredSystem, first_covariance, sampled_system
 from balance_cli.kalman.discrete import SampledModel
 from balance_cli.kalman.load_models import LoadLayer, Oscillators
@@ -49,7 +49,7 @@ class TurningCoast:
 
     def _at(self, k: int) -> Array:
         F, s = self.F.copy(), self.turning.states
-        F[s, s] = _turned(self.turning.phasors(k, 1)[0])
+        F[s, s] = rotations(self.turning.phasors(k, 1)[0])
         return F
 
     def step(self, k: int, x: Array) -> Array:
@@ -59,15 +59,6 @@ class TurningCoast:
     def back(self, k: int, rho: Array) -> Array:
         """F' rho."""
         return np.asarray(self._at(k).T @ rho)
-
-
-def _turned(phasors: NDArray[np.complex128]) -> Array:
-    """Block diagonal matrix of the rotations of all pairs."""
-    blocks = np.zeros((2 * len(phasors),) * 2)
-    even = np.arange(0, 2 * len(phasors), 2)
-    blocks[even, even], blocks[even, even + 1] = phasors.real, -phasors.imag
-    blocks[even + 1, even], blocks[even + 1, even + 1] = phasors.imag, phasors.real
-    return blocks
 
 
 def still_filters(

@@ -119,7 +119,7 @@ def _smoothed_block(passed: Passed, filters: Filters, rho: Array, J: Array) -> t
         return smoothed_gap(passed, filters, rho, J)
     piece, count = passed.piece, len(passed.piece.predicted)
     engine = filters.engines[passed.stretch.channels]
-    steady = engine.at(piece.first)
+    steady = engine.at(piece.first, count)
     total, P, L = steady.all_information, steady.P, steady.L
     outputs, rho = engine.backward(piece, rho)
     rows, marks = output_rows(engine, piece)

@@ -74,8 +74,8 @@ class Engine(Protocol):
         """Whether the matrices are the same at all times."""
         ...
 
-    def at(self, first: int) -> SteadyFilter:
-        """The steady filter whose matrices hold at sample `first`."""
+    def at(self, first: int, count: int = 1) -> SteadyFilter:
+        """The steady filter whose matrices hold from sample `first` on, L those of so many samples' mean."""
         ...
 
     def forward(self, first: int, y: Array, start: Array) -> Piece:
@@ -159,9 +159,16 @@ class SteadyFilter:
         """It is."""
         return True
 
-    def at(self, first: int) -> SteadyFilter:
+    def at(self, first: int, count: int = 1) -> SteadyFilter:
         """Itself."""
         return self
+
+    def with_transition(self, L: Array) -> SteadyFilter:
+        """The same filter, but that errors move on by L (N, N): gains and covariances are kept."""
+        other = SteadyFilter(self.model)
+        kept = ("P", "S", "update_gain", "K", "weighted", "information", "all_information")
+        other.__dict__.update({name: getattr(self, name) for name in kept}, L=L)
+        return other
 
     @cached_property
     def information(self) -> Array:

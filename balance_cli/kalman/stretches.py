@@ -145,15 +145,16 @@ def estimates_of(
 
 def covariance_at_end(engine: Engine, excess: Array, stretch: Stretch) -> Array:
     """Covariance of the state after a stretch: P + L^n D L^n'."""
-    last = engine.at(stretch.stop - 1)
-    power = np.linalg.matrix_power(last.L, stretch.stop - stretch.start)
-    return symmetric(last.P + power @ excess @ power.T)
+    count = stretch.stop - stretch.start
+    power = np.linalg.matrix_power(engine.at(stretch.start, count).L, count)
+    return symmetric(engine.at(stretch.stop - 1).P + power @ excess @ power.T)
 
 
 def told(engine: Engine, stretch: Stretch, samples: int) -> Array:
     """What so many samples of a stretch tell of the state at its start (N, N)."""
-    steady = engine.at(stretch.start)
-    return accumulated(steady.L, steady.information, min(samples, stretch.stop - stretch.start))
+    count = min(samples, stretch.stop - stretch.start)
+    steady = engine.at(stretch.start, count)
+    return accumulated(steady.L, steady.information, count)
 
 
 def settled(read: Reader, stretch: Stretch, engine: Engine, x: Array, excess: Array, ahead: int) -> Array:
