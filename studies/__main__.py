@@ -19,6 +19,7 @@ from studies.coverage import CoverageTask, coverage_chunk, coverage_table
 from studies.filters import filters_chunk
 from studies.filters_picture import filters_picture
 from studies.filters_table import filters_table, page_table
+from studies.lacking import lacking_table
 from studies.manoeuvre import manoeuvre_chunk, manoeuvre_table
 from studies.recovery import recovery_chunk, recovery_table
 
@@ -111,6 +112,16 @@ def filters(seeds: int = 10, jobs: int = 2) -> None:
     _write("filters", table)
     save_picture(PICTURES / "filters.png", "filters", lambda: filters_picture(table), "png")
     click.echo(page_table(table))
+
+
+@studies.command()
+@click.option("--results", default="results", type=click.Path(path_type=Path), show_default=True)
+@click.option("--data", default="sample_data", type=click.Path(path_type=Path), show_default=True)
+def lacking(results: Path, data: Path) -> None:
+    """Hub loads of check runs by a model that lacks what the rig has, and by the closed one; after `make run`."""
+    table = lacking_table(results, data)
+    _write("lacking", table)
+    click.echo(table.to_string(index=False))
 
 
 def _attribution(kind: str, seed: int) -> pd.DataFrame:

@@ -53,10 +53,10 @@ WIDTH = 1.959963984540054
 
 PAPER, HARMONIC = "T at nominal harmonics", "T at actual harmonics"
 IN_TIME = {
-    "harmonics, filter": TimeOptions(smooth=False, loads="harmonics"),
+    "harmonics, filter": TimeOptions(smooth=False, loads="harmonics", lag=0.0),
     "harmonics, filter 0.05 s behind": TimeOptions(smooth=False, loads="harmonics", lag=LAG),
     "harmonics, smoother": TimeOptions(smooth=True, loads="harmonics"),
-    "random, filter": TimeOptions(smooth=False, loads="random"),
+    "random, filter": TimeOptions(smooth=False, loads="random", lag=0.0),
     "random, filter 0.05 s behind": TimeOptions(smooth=False, loads="random", lag=LAG),
     "random, smoother": TimeOptions(smooth=True, loads="random"),
     "free, filter 0.05 s behind": TimeOptions(smooth=False, loads="free", lag=LAG),

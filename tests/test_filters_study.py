@@ -90,8 +90,8 @@ def test_a_smoother_is_no_worse_than_a_filter_behind():
 def test_intervals_hold_where_the_loads_are_of_the_assumed_kind():
     assert 0.88 < found(BROAD)["coverage"][SMOOTHER] < 0.99
     assert 0.85 < found(BROAD)["coverage"][FILTER] < 0.99
-    # Turbulence that ends at 100 Hz is assumed to go on.
-    assert found(EXACT)["coverage"][SMOOTHER] > 0.95
+    # Where turbulence ends, at 100 Hz here, the record tells.
+    assert 0.9 < found(EXACT)["coverage"][SMOOTHER] < 0.99
 
 
 @pytest.mark.parametrize(("case", "wrong"), [(OFF_SPEED, 0.5), (DRIFTING, 0.1)])
