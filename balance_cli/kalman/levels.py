@@ -30,16 +30,16 @@ SLOW_FIRST = 100.0
 """How much more of a load at rest is taken to wander than to fluctuate, at least."""
 ROTOR_BAND = 40.0
 """Band [Hz] of a second layer that fluctuates, where the rotor's harmonics are to be held by random loads."""
-BANDS = (25.0, 50.0, 100.0, 150.0)
+BANDS = (30.0, 70.0, 150.0)
 """Bands [Hz] of the layer that fluctuates, about the likeliest of which the best is looked for."""
-BAND_STEPS = 7
+BAND_STEPS = 6
 """Further bands that are tried."""
 FREE_BAND = 150.0
 """Band [Hz] of loads of which nothing is known."""
 WINDOW = 1.28
 """Length [s] of a window in which the rotor's harmonics stand still enough to be kept apart from what lies between."""
-LONGER = (2.0, 4.0)
-"""Lengths over that: of windows for all lines together, and for those below the first harmonic."""
+LONGER = 4.0
+"""Length over that of windows for the lines below the first harmonic."""
 QUIET = 1.6
 """From this multiple of the anti-alias filter's cutoff on nothing but noise is left of a load."""
 TOP = 0.9
@@ -89,7 +89,7 @@ def channel_noise(clean: Clean, acquisition: Acquisition) -> Array:
 
 def random_loads(clean: Clean, space: StateSpace, columns: Sequence[int], noise: Array) -> tuple[LoadLayer, ...]:
     """Layers of random loads that stand for all that the rotor does, its harmonics too."""
-    spectra = cross_spectra(clean.parts(), clean.step, clean.window(LONGER[0] * WINDOW))
+    spectra = cross_spectra(clean.parts(), clean.step, clean.window(WINDOW))
     return _layers(spectra, space, columns, noise, clean.step, (ROTOR_BAND,))
 
 
@@ -106,7 +106,7 @@ def loads_between_harmonics(
 
     short ones those that lie between the harmonics, as these are in that window.
     """
-    short, long = clean.window(WINDOW), clean.window(LONGER[1] * WINDOW)
+    short, long = clean.window(WINDOW), clean.window(LONGER * WINDOW)
     above = cross_spectra(clean.parts(), clean.step, short, lambda first, f: _between(first, f, short, clean, azimuth))
     low = cross_spectra(clean.parts(), clean.step, long)
     slowest = float(np.min(azimuth.speed(np.linspace(azimuth.first, azimuth.last, 256))))
@@ -139,12 +139,14 @@ def _layers(
     """A layer that wanders, layers of these bands, and one that fluctuates, of the likeliest band."""
     response = space.response(spectra.frequency)[:, :, list(columns)]
     found: dict[float, tuple[float, tuple[LoadLayer, ...]]] = {}
+    last: list[Array] = []
 
     def misfit(ln_band: float) -> float:
         band = float(np.exp(ln_band))
         kinds = _kinds(np.ones((len(bands) + 2, 1)), (*bands, band))
         shapes = np.stack([kind.spectrum(spectra.frequency)[:, 0] for kind in kinds])
-        one = most_likely_variances(spectra, response, shapes, step, noise)
+        one = most_likely_variances(spectra, response, shapes, step, noise, last[-1] if last else None)
+        last.append(one.values)
         found[band] = (one.misfit, _kinds(np.sqrt(one.values), (*bands, band)))
         return one.misfit
 

@@ -116,13 +116,18 @@ class Variances:
 
 
 def most_likely_variances(
-    spectra: CrossSpectra, response: ComplexArray, shapes: Array, step: float, noise: Array
+    spectra: CrossSpectra,
+    response: ComplexArray,
+    shapes: Array,
+    step: float,
+    noise: Array,
+    start: Array | None = None,
 ) -> Variances:
     """Variances of the layers of each load that make the spectra most likely, by Fisher scoring in ln v.
 
     `response` (k, c, m) volts per load at the lines, `shapes` (l, k) densities of the layers for unit variance, `noise`
-    (c,) variance of a channel's sample. Six combinations of the channels hold all that there is of six loads, so that
-    only these are looked at.
+    (c,) variance of a channel's sample, `start` (l, m) variances to begin with. Six combinations of the channels hold
+    all that there is of six loads, so that only these are looked at.
     """
     size = np.sqrt(step * noise)
     Q, response = np.linalg.qr(response / size[:, None])
@@ -130,7 +135,8 @@ def most_likely_variances(
     terms = np.concatenate([response * np.sqrt(shape)[:, None, None] for shape in shapes], axis=2)
     likelihood = _Likelihood(reduced, terms, OWN * spectra.averages)
     largest, least = _largest(reduced, terms)
-    ln_v = _maximum(likelihood, np.log(np.maximum(0.1 * largest, least)), np.log(least))
+    begun = 0.1 * largest if start is None else start.ravel()
+    ln_v = _maximum(likelihood, np.log(np.maximum(begun, least)), np.log(least))
     return Variances(np.exp(ln_v).reshape(len(shapes), -1), likelihood.at(ln_v)[0])
 
 

@@ -18,7 +18,7 @@ from balance_cli.signals.azimuth import Azimuth
 
 Array = NDArray[np.float64]
 
-SPEED_STEP = 0.2
+SPEED_STEP = 0.3
 """Step [Hz] of the grid of speeds at which gains are computed."""
 LEAST_SPREAD = 0.01
 """Half of the width [Hz] of the grid where the speed is steady."""
