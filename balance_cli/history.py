@@ -3,39 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS, UNITS
 from balance_cli.files import writing
+from balance_cli.hub_loads import RunLoads
+from balance_cli.loads_in_time import History, LoadTrack
 from balance_cli.runs import Run
 from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
-
-if TYPE_CHECKING:
-    # The table of loads holds what a filter found, which comes as histories.
-    from balance_cli.hub_loads import RunLoads
-    from balance_cli.kalman.load_track import LoadTrack
 
 Array = NDArray[np.float64]
 
 FORMAT = "balance-history/1"
 BLOCK = 8192
 """Rows of a history that are held at once, and of a chunk of its file."""
-
-
-@dataclass(frozen=True)
-class History:
-    """Hub loads over time: time (n,) [s from the first sample], loads and sigma (n, 6); NaN where not determined."""
-
-    run: str
-    time: Array
-    loads: Array
-    sigma: Array
 
 
 # ---- of harmonics ----------------------------------------------------------------------------------------------------

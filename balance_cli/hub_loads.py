@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.geometry import Geometry
 from balance_cli.kalman.innovations import InnovationTests
-from balance_cli.kalman.load_track import LoadTrack
+from balance_cli.loads_in_time import LoadTrack
 
 if TYPE_CHECKING:
     import pandas as pd

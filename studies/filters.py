@@ -17,9 +17,9 @@ from balance_cli.calibrate import calibrate
 from balance_cli.calibrated import Calibration
 from balance_cli.dynamic_loads import rotor_record
 from balance_cli.geometry import Geometry
-from balance_cli.history import History
 from balance_cli.hub_loads import RunLoads
 from balance_cli.identify import IdentifyOptions, identify
+from balance_cli.loads_in_time import History
 from balance_cli.reduce import reduce_run
 from balance_cli.reduce_in_time import TimeOptions, reduce_run_in_time
 from balance_cli.responses import ModelSource

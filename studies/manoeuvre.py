@@ -19,9 +19,9 @@ from balance_cli import reduce_in_time
 from balance_cli.calibrate import calibrate
 from balance_cli.components import COMPONENTS
 from balance_cli.geometry import Geometry
-from balance_cli.history import History
 from balance_cli.identify import IdentifyOptions, identify
 from balance_cli.kalman.load_models import Flat, Oscillators, Wandering
+from balance_cli.loads_in_time import History
 from balance_cli.reduce_in_time import TimeOptions, reduce_run_in_time
 from balance_cli.responses import model_source
 from balance_cli.simulation import simulate_campaign, simulate_run, true_rig

@@ -14,8 +14,9 @@ from balance_cli.errors import UserError
 
 if TYPE_CHECKING:
     from balance_cli.calibrated import Calibration
-    from balance_cli.history import History, HistoryFile
+    from balance_cli.history import HistoryFile
     from balance_cli.hub_loads import RunLoads
+    from balance_cli.loads_in_time import History
     from balance_cli.reduce_in_time import TimeOptions, TimeReduction
     from balance_cli.responses import ModelSource, ResponseSource
     from balance_cli.runs import Run

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
-from balance_cli.history import History
 from balance_cli.kalman.stretches import Estimates, Marked
+from balance_cli.loads_in_time import History, LoadTrack
 from balance_cli.signals.azimuth import Azimuth
 from balance_cli.signals.harmonics import edge_weight
 
@@ -19,20 +19,6 @@ ComplexArray = NDArray[np.complex128]
 
 HIGHER = 4
 """Harmonics regressed beyond those asked for, so that they do not leak into these."""
-
-
-@dataclass(frozen=True)
-class LoadTrack:
-    """Amplitudes of the loads' harmonics from revolution to revolution.
-
-    time (r,) [s]: the middle of each; amplitude (r, n+1, m) = cosine - j sine, that of harmonic 0 the mean, not a
-    number in the first and the last revolution; sigma (r, n+1, m) of a cosine or sine. Components in the order of the
-    balance.
-    """
-
-    time: Array
-    amplitude: ComplexArray
-    sigma: Array
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS, UNIT_OF
 from balance_cli.hub_loads import RunLoads
-from balance_cli.kalman.load_track import LoadTrack
+from balance_cli.loads_in_time import LoadTrack
 from balance_cli.report.drawing import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure
 from balance_cli.report.numbers import significant
 

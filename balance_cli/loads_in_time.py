@@ -1,0 +1,35 @@
+"""Loads as functions of time: what filters find, histories hold and the report draws."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class History:
+    """Hub loads over time: time (n,) [s from the first sample], loads and sigma (n, 6); NaN where not determined."""
+
+    run: str
+    time: Array
+    loads: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class LoadTrack:
+    """Amplitudes of the loads' harmonics from revolution to revolution.
+
+    time (r,) [s]: the middle of each; amplitude (r, n+1, m) = cosine - j sine, that of harmonic 0 the mean, not a
+    number in the first and the last revolution; sigma (r, n+1, m) of a cosine or sine. Components in the order of the
+    balance.
+    """
+
+    time: Array
+    amplitude: ComplexArray
+    sigma: Array
