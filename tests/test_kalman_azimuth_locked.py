@@ -12,6 +12,7 @@ from balance_cli.kalman.causal import filtered, lagged
 from balance_cli.kalman.composite import sampled_system
 from balance_cli.kalman.smoothing import smoothed
 from balance_cli.kalman.steady import SteadyFilter
+from balance_cli.kalman.stretches import told
 from tests.kalman_models import Array
 from tests.turning_models import (
     LAYERS,
@@ -113,6 +114,20 @@ def test_filter_is_close_to_the_exact_one_while_the_speed_moves(moving):
     assert np.sqrt(np.mean(off**2)) < 2e-3
     assert np.abs(off).max() < 1e-2
     assert np.abs(variance / exact.updated_variance - 1.0)[BEGINNING:].max() < 2e-3
+
+
+@pytest.mark.parametrize("count", [200, SAMPLES])
+def test_information_of_a_stretch_is_that_of_its_samples_one_by_one(moving, count):
+    """The adjoint of channels that read nothing is -O d from the start d, sample by sample at their own speeds."""
+    (filters, stretches), _, prior, _ = moving
+    engine = filters.engines[stretches[0].channels]
+    found, order = told(engine, stretches[0], count), len(prior)
+    columns = []
+    for d in np.eye(order):
+        piece = engine.forward(0, np.zeros((count, 3)), d)
+        columns.append(-engine.backward(piece, np.zeros(order))[1])
+    size = np.sqrt(np.diag(found))
+    assert np.abs((found - np.column_stack(columns)) / np.outer(size, size)).max() < 0.02
 
 
 def test_smoother_is_close_to_the_exact_one_while_the_speed_moves(moving):

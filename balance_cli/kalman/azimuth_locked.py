@@ -21,6 +21,11 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
+EVEN = 0.2
+"""Departure [rad] of the fastest oscillator from an even turning that the information of a part is indifferent to."""
+SHORTEST = 64
+"""Samples of a part."""
+
 
 @dataclass(frozen=True)
 class Turning:
@@ -89,6 +94,15 @@ class AzimuthLockedFilter:
         L, s = self._still[near].copy(), self.turning.states
         L[s, s] += rotations(np.exp(-1j * turn * self.turning.orders))
         return self.filters[near].with_transition(L)
+
+    def even_parts(self, first: int, count: int) -> list[tuple[int, int]]:
+        """Halves of halves, until no oscillator departs from an even turning by more than `EVEN`."""
+        psi = self.turning.azimuth(np.arange(first, first + count + 1, dtype=float))
+        bend = np.abs(psi - np.linspace(psi[0], psi[-1], count + 1)).max() * self.turning.orders.max()
+        if bend <= EVEN or count < 2 * SHORTEST:
+            return [(first, count)]
+        half = count // 2
+        return self.even_parts(first, half) + self.even_parts(first + half, count - half)
 
     @cached_property
     def _still(self) -> Array:

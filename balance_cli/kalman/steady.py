@@ -78,6 +78,10 @@ class Engine(Protocol):
         """The steady filter whose matrices hold from sample `first` on, L those of so many samples' mean."""
         ...
 
+    def even_parts(self, first: int, count: int) -> list[tuple[int, int]]:
+        """First sample and count of parts over each of which the matrices hardly change."""
+        ...
+
     def forward(self, first: int, y: Array, start: Array) -> Piece:
         """Innovations of y (n, c) and predictions, from the state `start` (N,) at sample `first`."""
         ...
@@ -162,6 +166,10 @@ class SteadyFilter:
     def at(self, first: int, count: int = 1) -> SteadyFilter:
         """Itself."""
         return self
+
+    def even_parts(self, first: int, count: int) -> list[tuple[int, int]]:
+        """One."""
+        return [(first, count)]
 
     def with_transition(self, L: Array) -> SteadyFilter:
         """The same filter, but that errors move on by L (N, N): gains and covariances are kept."""

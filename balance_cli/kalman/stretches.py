@@ -25,6 +25,8 @@ Reader = Callable[[int, int, tuple[int, ...]], Array]
 BLOCK = 32768
 """Samples that go through a filter at a time."""
 CORRECTIONS = 2
+FORGOTTEN = 1e-8
+"""Share of an error at the start of a stretch below which it is of no account any more."""
 
 
 @dataclass(frozen=True)
@@ -145,23 +147,32 @@ def estimates_of(
 
 def covariance_at_end(engine: Engine, excess: Array, stretch: Stretch) -> Array:
     """Covariance of the state after a stretch: P + L^n D L^n'."""
-    count = stretch.stop - stretch.start
-    power = np.linalg.matrix_power(engine.at(stretch.start, count).L, count)
+    power: Array = np.eye(len(excess))
+    for first, count in engine.even_parts(stretch.start, stretch.stop - stretch.start):
+        power = np.linalg.matrix_power(engine.at(first, count).L, count) @ power
+        if np.abs(power).max() < FORGOTTEN:
+            break
     return symmetric(engine.at(stretch.stop - 1).P + power @ excess @ power.T)
 
 
 def told(engine: Engine, stretch: Stretch, samples: int) -> Array:
     """What so many samples of a stretch tell of the state at its start (N, N)."""
-    count = min(samples, stretch.stop - stretch.start)
-    steady = engine.at(stretch.start, count)
-    return accumulated(steady.L, steady.information, count)
+    information = np.zeros_like(engine.at(stretch.start).L)
+    shift: Array = np.eye(len(information))
+    for first, count in engine.even_parts(stretch.start, min(samples, stretch.stop - stretch.start)):
+        steady = engine.at(first, count)
+        information = information + shift.T @ accumulated(steady.L, steady.information, count) @ shift
+        shift = np.linalg.matrix_power(steady.L, count) @ shift
+        if np.abs(shift).max() < FORGOTTEN:
+            break
+    return symmetric(information)
 
 
 def settled(read: Reader, stretch: Stretch, engine: Engine, x: Array, excess: Array, ahead: int) -> Array:
     """The state at the start of a stretch, given what the samples after it tell: x + d with d = D rho[0].
 
-    One Newton step is exact where the engine does not change with time; where it does, O is that of the speed at hand,
-    and a few do.
+    One Newton step is exact where the engine does not change with time; where it does, O is summed over parts of an
+    even speed, and a few steps do.
     """
     count = min(ahead, stretch.stop - stretch.start)
     y = read(stretch.start, stretch.start + count, stretch.channels)
