@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.kalman.azimuth_locked import AzimuthLockedFilter
+from balance_cli.kalman.azimuth_locked import FINER, AzimuthLockedFilter
 from balance_cli.kalman.causal import filtered, lagged
 from balance_cli.kalman.composite import sampled_system
 from balance_cli.kalman.smoothing import smoothed
@@ -183,9 +183,10 @@ def test_backward_is_the_adjoint_of_forward(rate):
     led_on = engine.forward(100, np.zeros((500, 3)), start)
     rho = engine.backward(replace(led_on, innovation=e), after)[1]
     inverse = np.stack([np.linalg.inv(one.S) for one in engine.filters])
-    speed = engine.turning.speed(100, 500)
+    place = np.interp(engine.turning.speed(100, 500), engine.speeds, np.arange(len(inverse)))
+    share = np.rint(FINER * place) / FINER
     weights = np.stack(
-        [np.interp(speed, engine.speeds, column) for column in inverse.reshape(len(inverse), -1).T], axis=1
+        [np.interp(share, np.arange(len(inverse)), column) for column in inverse.reshape(len(inverse), -1).T], axis=1
     ).reshape(-1, 3, 3)
     told = -np.einsum("ka,kab,kb->", e, weights, led_on.innovation)
     assert np.isclose(rho @ start, told + after @ led_on.end, rtol=1e-10)

@@ -121,12 +121,16 @@ def relative_drift(found: Amplitudes) -> Array:
     count = len(changes)
     away = 2.0 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / (count + 1)))
     size = np.mean(np.abs(found.values) ** 2, axis=0)
-    rates = np.concatenate([[0.0], RATES])
     # Real and imaginary part have half of the variance each.
-    walk = rates[:, None, None, None, None] ** 2 * size * found.apart
     noise = NOISES[:, None, None, None] * 0.5 * found.variance * away[:, None, None]
-    eigenvalue = walk + noise
-    value = np.sum(np.log(eigenvalue) + 0.5 * lines / eigenvalue, axis=(2, 3))
+    rates = np.concatenate([[0.0], RATES])
+
+    def misfit(rate: float) -> Array:
+        """For every factor on the noise (f, m)."""
+        eigenvalue = rate**2 * size * found.apart + noise
+        return np.asarray(np.sum(np.log(eigenvalue) + 0.5 * lines / eigenvalue, axis=(1, 2)))
+
+    value = np.stack([misfit(rate) for rate in rates])
     best = np.argmin(np.min(value, axis=1), axis=0)
     return np.asarray(rates[best])
 

@@ -25,6 +25,8 @@ EVEN = 0.2
 """Departure [rad] of the fastest oscillator from an even turning that the information of a part is indifferent to."""
 SHORTEST = 64
 """Samples of a part."""
+FINER = 32
+"""Steps of speed for each of the grid of filters: matrices in between are on the straight line, but on no other."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,24 @@ def rotations(phasors: ComplexArray) -> Array:
     blocks[even, even], blocks[even, even + 1] = phasors.real, -phasors.imag
     blocks[even + 1, even], blocks[even + 1, even + 1] = phasors.imag, phasors.real
     return blocks
+
+
+class _Between:
+    """Matrices (a, b) at every step of speed, from those (g, a, b) of the grid: made when they are first asked for."""
+
+    def __init__(self, matrices: Array) -> None:
+        self._matrices = matrices
+        self._made: dict[int, Array] = {}
+
+    def __getitem__(self, step: int) -> Array:
+        found = self._made.get(step)
+        if found is None:
+            cell, share = divmod(step, FINER)
+            found = self._matrices[cell]
+            if share:
+                found = found + share / FINER * (self._matrices[cell + 1] - found)
+            self._made[step] = found
+        return found
 
 
 @dataclass(frozen=True)
@@ -115,30 +135,25 @@ class AzimuthLockedFilter:
             parts.append(L)
         return np.stack(parts)
 
-    @cached_property
-    def _cells(self) -> Array:
-        """Each two neighbours of L without turning, one above the other (g - 1, 2 N, N)."""
-        return np.concatenate([self._still[:-1], self._still[1:]], axis=1)
-
-    @cached_property
-    def _adjoint_cells(self) -> Array:
-        turned = self._still.transpose(0, 2, 1)
-        return np.concatenate([turned[:-1], turned[1:]], axis=1)
-
-    def _places(self, first: int, count: int) -> tuple[Index, Array]:
-        """Cell of the grid of speeds and place within it (count,)."""
+    def _steps(self, first: int, count: int) -> Index:
+        """Place (count,) of the speed at each sample in a grid that is `FINER` than that of the filters."""
         place = np.interp(self.turning.speed(first, count), self.speeds, np.arange(len(self.speeds), dtype=float))
-        cell = np.minimum(place.astype(int), len(self.speeds) - 2)
-        return cell, place - cell
+        return np.asarray(np.rint(FINER * place), np.intp)
+
+    @cached_property
+    def _transitions(self) -> _Between:
+        return _Between(self._still)
 
     def _weighed(self, rows: Array, first: int, matrices: Array) -> Array:
         """Rows (n, a) times the matrices (g, a, b) of the speed at each sample: (n, b)."""
-        cell, share = self._places(first, len(rows))
-        total = np.zeros((len(rows), matrices.shape[2]))
-        for j in np.unique(cell):
-            mine = cell == j
-            part, w = rows[mine], share[mine][:, None]
-            total[mine] = (1 - w) * (part @ matrices[j]) + w * (part @ matrices[j + 1])
+        steps, between = self._steps(first, len(rows)), _Between(matrices)
+        here = np.unique(steps)
+        if len(here) == 1:
+            return np.asarray(rows @ between[int(here[0])])
+        total = np.empty((len(rows), matrices.shape[2]))
+        for step in here:
+            mine = steps == step
+            total[mine] = rows[mine] @ between[int(step)]
         return total
 
     def forward(self, first: int, y: Array, start: Array) -> Piece:
@@ -167,16 +182,14 @@ class AzimuthLockedFilter:
 
     def _run(self, first: int, driven: Array, start: Array) -> Array:
         """States (n + 1, N)."""
-        cell, share = self._places(first, len(driven))
+        steps, transitions = self._steps(first, len(driven)).tolist(), self._transitions
         phasors, turned = self.turning.phasors(first, len(driven)), self.turning.states
         states = np.empty((len(driven) + 1, len(start)))
         states[0] = start
-        cells, order = self._cells, len(start)
-        for k in range(len(driven)):
+        for k, step in enumerate(steps):
             x = states[k]
-            both = cells[cell[k]] @ x
-            low, high = both[:order], both[order:]
-            new = low + share[k] * (high - low) + driven[k]
+            new = transitions[step] @ x
+            new += driven[k]
             new[turned] += (phasors[k] * x[turned].view(complex)).view(float)
             states[k + 1] = new
         return states
@@ -215,14 +228,13 @@ class AzimuthLockedFilter:
 
     def _run_back(self, first: int, told: Array, after: Array) -> Array:
         """Rho (n, N) at each sample."""
-        cell, share = self._places(first, len(told))
+        steps, transitions = self._steps(first, len(told)).tolist(), self._transitions
         phasors, turned = self.turning.phasors(first, len(told)).conj(), self.turning.states
         adjoint = np.empty((len(told), len(after)))
-        rho, cells, order = after, self._adjoint_cells, len(after)
+        rho = after
         for k in range(len(told) - 1, -1, -1):
-            both = cells[cell[k]] @ rho
-            low, high = both[:order], both[order:]
-            new = low + share[k] * (high - low) + told[k]
+            new = rho @ transitions[steps[k]]
+            new += told[k]
             new[turned] += (phasors[k] * rho[turned].view(complex)).view(float)
             adjoint[k] = rho = new
         return adjoint

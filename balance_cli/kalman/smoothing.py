@@ -90,7 +90,9 @@ def _forward(
             piece = engine.forward(first, read(first, stop, stretch.channels), x)
             yield Passed(stretch, piece, excess)
             x, excess = piece.end, None
-        P = covariance_at_end(engine, told_apart(known, told(engine, stretch, stretch.stop - stretch.start)), stretch)
+        if stretch is not stretches[-1]:
+            start = told_apart(known, told(engine, stretch, stretch.stop - stretch.start))
+            P = covariance_at_end(engine, start, stretch)
 
 
 def _first_smoothed(waiting: deque[Passed], filters: Filters) -> Estimates:

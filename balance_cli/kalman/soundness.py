@@ -71,11 +71,8 @@ def sound_stretches(run: Run, geometry: Geometry, health: ChannelHealth, start: 
         if 0 < column.mean() <= LARGEST_SHARE and len(found) <= MOST_PLACES
     }
     names = tuple(name for name in present if name in health.live or name in partly)
-    missing = np.zeros((stop - start, len(names)), bool)
-    for name, found in partly.items():
-        for low, high in found:
-            missing[low:high, names.index(name)] = True
-    stretches = _stretches(~missing, start)
+    left_out = [(low, high, names.index(name)) for name, found in partly.items() for low, high in found]
+    stretches = _stretches(left_out, len(names), start, stop)
     _check_gaps(run, stretches)
     _check_together(run, names, stretches)
     return Soundness(names, stretches, _notes(run, partly, stretches, start))
@@ -104,11 +101,14 @@ def _places(bad: Bits, sample_rate: float) -> list[tuple[int, int]]:
     return found
 
 
-def _stretches(read: Bits, start: int) -> tuple[Stretch, ...]:
-    changes = np.flatnonzero(np.any(read[1:] != read[:-1], axis=1)) + 1
-    edges = [0, *changes.tolist(), len(read)]
+def _stretches(left_out: Sequence[tuple[int, int, int]], count: int, start: int, stop: int) -> tuple[Stretch, ...]:
+    """What is read of `count` channels, of which (low, high, channel), samples from `start` on, are left out."""
+    edges = sorted({0, stop - start, *(edge for low, high, _ in left_out for edge in (low, high))})
+    missing = [{i for low, high, i in left_out if low <= edge < high} for edge in edges]
+    changes = [0, *(k for k in range(1, len(edges) - 1) if missing[k] != missing[k - 1]), len(edges) - 1]
     return tuple(
-        Stretch(start + low, start + high, tuple(np.flatnonzero(read[low]).tolist())) for low, high in pairwise(edges)
+        Stretch(start + edges[a], start + edges[b], tuple(i for i in range(count) if i not in missing[a]))
+        for a, b in pairwise(changes)
     )
 
 
