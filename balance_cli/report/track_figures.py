@@ -68,6 +68,8 @@ def _panel(
         for edge in interval:
             axes.axvline(edge, color=GREY, linewidth=0.7, linestyle=(0, (4, 2)))
     upper.tick_params(axis="x", labelbottom=False)
+    # An offset would be written where the title is.
+    upper.ticklabel_format(axis="y", useOffset=False)
     if spec.is_first_col():
         upper.set_ylabel("mean")
         lower.set_ylabel("change")
