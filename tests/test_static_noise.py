@@ -127,7 +127,8 @@ def test_a_row_has_the_noise_of_a_load_only_where_that_was_applied():
     for seed in range(8):
         runs, _ = simulate_campaign(rig, CampaignPlan(runs=statics()[:1]), seed=seed)
         points = static_points(runs[0], runs[0].channel_names)
-        variance = points.row_covariance[:, points.channel_names.index("torque"), points.channel_names.index("torque")]
+        torque = points.channel_names.index("torque")
+        variance = sum(part.covariance for part in points.noise_parts)[:, torque, torque]
         twisted = points.loads[:, 5] != 0.0
         assert np.ptp(variance[twisted]) == 0.0
         found.append((variance[twisted].mean(), variance[~twisted].mean()))

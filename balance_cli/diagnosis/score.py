@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.candidates import Candidate, tested
+from balance_cli.diagnosis.noise_dof import RunInformation, noise_dof
 from balance_cli.diagnosis.point_mass import well_placed
 from balance_cli.effects import EffectParameter
 from balance_cli.estimation.gauss_newton import prior_curvature
@@ -157,7 +158,7 @@ class Projected:
     """Of a candidate: s (q,), V (q, q) with the fitted parameters projected out; `raw` (q,) is V's diagonal before.
 
     By a step d the fitted parameters change by `rest` - `along` d, (f,) and (f, q).
-    `noise_dof`: degrees of freedom of the noise in the runs that speak of it (Satterthwaite, by their information).
+    `noise_dof`: degrees of freedom of the noise in the runs that speak of it.
     """
 
     s: Array
@@ -173,41 +174,37 @@ def _projected(wide: BalanceModel, at: Array, batches: Sequence[Batch], places: 
     prior = prior_curvature(wide.parameters, at)
     gradient, cross = prior.gradient.copy(), prior.information[places.fitted].copy()
     blocks = [np.zeros((len(own), len(own))) for own in places.own]
-    by_runs: list[list[Array]] = []
+    runs: list[RunInformation] = []
 
-    def parts(batch: Batch) -> tuple[Array, Array, list[Array]]:
+    def parts(batch: Batch) -> tuple[Array, list[Array], RunInformation]:
         found = batch_slopes(batch, system)
         weighted = found.weighted()
         own = found.diagonal_blocks(weighted, places.own)
-        return found.gradient(), found.information(weighted, places.fitted, slice(None)), own
+        part_cross, diagonal = found.information(weighted, places.fitted, slice(None)), np.zeros(cross.shape[1])
+        for place, block in zip(places.own, own, strict=True):
+            diagonal[place] = np.diag(block)
+        return found.gradient(), own, RunInformation.of(batch, part_cross, diagonal, weighted)
 
     with ThreadPoolExecutor(WORKERS) as workers:
-        for part_gradient, part_cross, part_blocks in workers.map(parts, batches):
-            gradient, cross = gradient + part_gradient, cross + part_cross
+        for part_gradient, part_blocks, run in workers.map(parts, batches):
+            gradient, cross = gradient + part_gradient, cross + run.cross
             blocks = [one + other for one, other in zip(blocks, part_blocks, strict=True)]
-            by_runs.append([np.diag(block).copy() for block in part_blocks])
-    run_dof = np.array([batch.noise_dof[0] for batch in batches])
+            runs.append(run)
     inverse = covariance_of(cross[:, places.fitted])
     step = inverse @ gradient[places.fitted]
+    along = [inverse @ cross[:, own] for own in places.own]
+    dof = noise_dof(runs, places.fitted, places.own, along)
     return [
         Projected(
             -(gradient[own] - cross[:, own].T @ step),
-            V - cross[:, own].T @ inverse @ cross[:, own],
+            V - cross[:, own].T @ follows,
             np.diag(V).copy(),
-            _noise_dof(np.array([run[i] for run in by_runs]), run_dof),
+            float(known),
             -step,
-            inverse @ cross[:, own],
+            follows,
         )
-        for i, (own, V) in enumerate(zip(places.own, blocks, strict=True))
+        for own, V, follows, known in zip(places.own, blocks, along, dof, strict=True)
     ]
-
-
-def _noise_dof(information: Array, run_dof: Array) -> float:
-    """(sum I)^2 / sum (I^2 / dof) over runs, I (runs, q) shared out over the parameters by their whole information."""
-    whole = information.sum(axis=0)
-    share = (information / np.where(whole > 0, whole, 1.0)).sum(axis=1)
-    spread = float(np.sum(share**2 / run_dof))
-    return float(share.sum() ** 2 / spread) if spread > 0 else np.inf
 
 
 def with_candidates(geometry: Geometry, chosen: Sequence[tuple[Candidate, int]], started: bool = False) -> Geometry:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
-from balance_cli.signals.lines import Lines, LoadPoints, StaticPoints, Waveform, Window
+from balance_cli.signals.lines import Lines, LoadPoints, NoisePart, StaticPoints, Waveform, Window
 from balance_cli.signals.noise import inverse_bias_factor
 
 Array = NDArray[np.float64]
@@ -35,7 +35,8 @@ class Batch:
     The precision holds it as a factor, so that the information says what the estimate is worth; chi-square against
     the noise is that of the precision divided by it.
 
-    `noise_dof`: of each run, real degrees of freedom with which its noise is known.
+    `noise_dof`: of each run, real degrees of freedom with which its noise is known. `noise_parts`: of each run, what
+    that is made up of where its parts are not known alike, all channels in their order.
     `windows`: of each run, where a periodic record's lines come from; None where no free motion can be in them.
     constant_volts (K,), constant_loads (K, u) and `waveforms` as in `Lines`, all channels in their order.
     """
@@ -57,6 +58,7 @@ class Batch:
     constant_loads: Array
     waveforms: tuple[Waveform | LoadPoints | None, ...]
     noise_dof: tuple[float, ...]
+    noise_parts: tuple[tuple[NoisePart, ...], ...]
 
     @property
     def parts(self) -> tuple[slice, ...]:
@@ -74,6 +76,7 @@ def selected_lines(batch: Batch, chosen: NDArray[np.bool_]) -> Batch:
         narrowed = window and replace(window, start=window.start[kept], covariance=window.covariance[kept])
         windows.append(narrowed if kept.any() else None)
         waveforms.append(waveform.at(kept) if waveform is not None and kept.any() else None)
+    noise_parts = zip(batch.parts, batch.noise_parts, strict=True)
     return replace(
         batch,
         index=batch.index[chosen],
@@ -88,6 +91,7 @@ def selected_lines(batch: Batch, chosen: NDArray[np.bool_]) -> Batch:
         constant_volts=batch.constant_volts[chosen],
         constant_loads=batch.constant_loads[chosen],
         waveforms=tuple(waveforms),
+        noise_parts=tuple(tuple(one.at(chosen[part]) for one in several) for part, several in noise_parts),
     )
 
 
@@ -105,6 +109,7 @@ def _one_run(batch: Batch, i: int) -> Batch:
         windows=(batch.windows[i],),
         waveforms=(batch.waveforms[i],),
         noise_dof=(batch.noise_dof[i],),
+        noise_parts=(batch.noise_parts[i],),
         run=np.zeros_like(chosen.run),
         frequency=frequency,
         index=index.reshape(-1),
@@ -138,6 +143,7 @@ def static_lines(points: StaticPoints) -> Lines:
 
     With the centred loads U = Q R the rows carry C0 R' with noise `covariance` in each of the six columns, so that
     the straight part of all rows is kept without loss. The noise is real: as circular noise it counts double.
+    Where rows differ, lines do; noise that two of them have in common is left out.
     Where the points come with `share`, Q is made complete: lines without load hold what in the rows is not straight.
     """
     channels = points.channels - points.channels.mean(axis=0)
@@ -147,7 +153,8 @@ def static_lines(points: StaticPoints) -> Lines:
     components = tuple(name for name, used in zip(COMPONENTS, varied, strict=True) if used)
     count, c = len(R), len(points.channel_names)
     padded = np.zeros((count, c + count, c + count), complex)
-    padded[:, :c, :c] = 2.0 * _line_noise(points, Q)
+    parts = tuple(part.through(Q) for part in points.noise_parts)
+    padded[:, :c, :c] = 2.0 * (sum(part.covariance for part in parts) if parts else points.covariance)
     return Lines(
         run=points.run,
         channel_names=points.channel_names,
@@ -159,14 +166,8 @@ def static_lines(points: StaticPoints) -> Lines:
         dof=points.dof,
         constant_loads=Q.T @ (points.loads[:, varied] != 0.0),
         waveform=None if points.share is None else _load_points(points, Q.T),
+        noise_parts=parts,
     )
-
-
-def _line_noise(points: StaticPoints, Q: Array) -> Array:
-    """Noise covariance (c, c), or (K, c, c) by columns of Q (m, K) where rows differ; that between lines is small."""
-    if points.row_covariance is None:
-        return points.covariance
-    return np.asarray(np.einsum("mk,mcd->kcd", Q**2, points.row_covariance))
 
 
 def _complete_qr(loads: Array) -> tuple[Array, Array]:
@@ -210,7 +211,19 @@ def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: 
         constant_loads=np.concatenate([_constant_loads(item) for item in group]),
         waveforms=tuple(_all_waveforms(item, channel_names) for item in group),
         noise_dof=tuple(_noise_dof(item) for item in group),
+        noise_parts=tuple(_noise_parts(item, channel_names) for item in group),
     )
+
+
+def _noise_parts(lines: Lines, channel_names: tuple[str, ...]) -> tuple[NoisePart, ...]:
+    """The parts of a run's noise, spread over all channels."""
+    places, c = np.array(_places(lines, channel_names), np.intp), len(channel_names)
+    found = []
+    for part in lines.noise_parts:
+        wide = np.zeros((c, c))
+        wide[np.ix_(places, places)] = part.shape
+        found.append(replace(part, shape=wide))
+    return tuple(found)
 
 
 def _noise_dof(lines: Lines) -> float:

@@ -140,6 +140,32 @@ class LoadPoints:
 
 
 @dataclass(frozen=True)
+class NoisePart:
+    """A part of the channels' noise covariance, `size` * `share` (k,) * `shape` (c, c) at k lines or rows.
+
+    `error`: standard error of the size, which was estimated.
+    """
+
+    shape: Array
+    share: Array
+    size: float
+    error: float
+
+    @property
+    def covariance(self) -> Array:
+        """At every line or row (k, c, c)."""
+        return np.asarray(self.size * self.share[:, None, None] * self.shape)
+
+    def at(self, keep: NDArray[np.bool_]) -> NoisePart:
+        """At the lines or rows (k,) that are kept."""
+        return replace(self, share=self.share[keep])
+
+    def through(self, projection: Array) -> NoisePart:
+        """That of lines which are columns of a `projection` (k, l) of the rows."""
+        return replace(self, share=projection.T**2 @ self.share)
+
+
+@dataclass(frozen=True)
 class Lines:
     """Spectra of one run (or one experiment of it) at k lines: c channels, u excited load components.
 
@@ -150,7 +176,8 @@ class Lines:
     At frequency zero the amplitude is twice the mean, and the covariance twice the variance of that, as the noise is
     real; it is infinite where a channel tells nothing. `constant_volts` (k,) and `constant_loads` (k, u): what one volt
     too much in every channel, one unit in every load that was applied, adds to the lines. `waveform`: the channels
-    through time. None: nothing, or not asked for.
+    through time. None: nothing, or not asked for. `noise_parts`: what makes up the noise of the channels, where its
+    parts are not known alike.
 
     Shapes: frequency (k,) [Hz]; channels (k, c) [V]; loads (k, u) [N, N m]; covariance (k, c+u, c+u).
     """
@@ -169,6 +196,7 @@ class Lines:
     constant_volts: Array | None = None
     constant_loads: Array | None = None
     waveform: Waveform | LoadPoints | None = None
+    noise_parts: tuple[NoisePart, ...] = ()
 
     def at(self, keep: NDArray[np.bool_]) -> Lines:
         """Only the lines (k,) that are kept."""
@@ -185,6 +213,7 @@ class Lines:
             constant_volts=None if self.constant_volts is None else self.constant_volts[keep],
             constant_loads=None if self.constant_loads is None else self.constant_loads[keep],
             waveform=None if self.waveform is None else self.waveform.at(keep),
+            noise_parts=tuple(part.at(keep) for part in self.noise_parts),
         )
 
 
@@ -195,7 +224,7 @@ class StaticPoints:
     `covariance` (c, c) is the noise of a row's `channels - C0 loads` (so it holds the load readings' noise too),
     measured from second differences along the loading sequence and not from the residual of a fit.
     `share` (c,): the weight of each channel among those of its spring, where forces are to be told from them.
-    `row_covariance` (m, c, c): that of each row, where they are not alike.
+    `noise_parts`, with a share (m,) for each row: what makes it up, where rows are not alike.
     """
 
     run: str
@@ -206,7 +235,7 @@ class StaticPoints:
     covariance: Array
     dof: float
     share: Array | None = None
-    row_covariance: Array | None = None
+    noise_parts: tuple[NoisePart, ...] = ()
 
 
 @dataclass(frozen=True)

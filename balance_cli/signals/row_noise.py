@@ -15,6 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.signals.lines import NoisePart
+
 Array = NDArray[np.float64]
 
 ITERATIONS = 60
@@ -22,11 +24,13 @@ ITERATIONS = 60
 ALWAYS = 0.9
 
 
-def row_covariance(channels: Array, loads: Array, B: Array, weights: Array, start: Array) -> Array:
-    """Covariance (m, c, c) of each row of `channels - C0 loads`.
+def row_noise(
+    channels: Array, loads: Array, B: Array, weights: Array, start: Array, dof: float
+) -> tuple[NoisePart, ...]:
+    """Parts of the covariance of each of the m rows of `channels - C0 loads`.
 
     channels (m, c), loads (m, 6); B (t, m) takes rows to differences that hold nothing linear in the loads, each to
-    count by its weight (t,); `start` (c, c): the covariance if all rows were alike.
+    count by its weight (t,); `start` (c, c): the covariance if all rows were alike, known with `dof`.
     """
     applied = (loads != 0.0).astype(float)
     sometimes = np.flatnonzero((applied.mean(axis=0) > 0.0) & (applied.mean(axis=0) < ALWAYS))
@@ -39,8 +43,15 @@ def row_covariance(channels: Array, loads: Array, B: Array, weights: Array, star
     sigma = start
     for _ in range(ITERATIONS):
         sigma, variance = _better(sigma, variance, d, columns, H, whole, weights)
-    of_load = np.einsum("mj,cj,dj->mcd", applied[:, sometimes] * variance, columns, columns)
-    return np.asarray(sigma + of_load)
+    of_channels = NoisePart(sigma, np.ones(len(channels)), 1.0, float(np.sqrt(2.0 / dof)))
+    errors = _errors(sigma, variance, columns, H, whole, weights, B, applied[:, sometimes])
+    return (
+        of_channels,
+        *(
+            NoisePart(np.outer(column, column), applied[:, j], float(size), float(error))
+            for j, column, size, error in zip(sometimes, columns.T, variance, errors, strict=True)
+        ),
+    )
 
 
 def _columns(channels: Array, loads: Array) -> Array:
@@ -70,3 +81,27 @@ def _better(
     left = d - mean @ columns.T
     scatter = (left.T * weights) @ left + np.einsum("t,cj,tjk,dk->cd", weights, columns, spread, columns)
     return scatter / float(weights @ whole), variance
+
+
+def _errors(
+    sigma: Array, variance: Array, columns: Array, H: Array, whole: Array, weights: Array, B: Array, applied: Array
+) -> Array:
+    """Standard errors (j,) of the loads' variances, by their information.
+
+    Neighbouring differences share rows: so many of them are worth what `_independent` says.
+    """
+    covariance = whole[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", H * variance, columns, columns)
+    seen = np.einsum(
+        "cj,tcj->tj", columns, np.linalg.solve(covariance, np.broadcast_to(columns, (len(H), *columns.shape)))
+    )
+    information = 0.5 * np.sum(weights[:, None] * (H * seen) ** 2, axis=0)
+    share = np.array([_independent(weights, B * rows) for rows in applied.T])
+    return np.asarray(1.0 / np.sqrt(np.maximum(share * information, 1e-300)))
+
+
+def _independent(weights: Array, B: Array) -> float:
+    """Degrees of freedom of the weighted squares of differences B (t, m), for each of these."""
+    own = weights * np.sum(B**2, axis=1)
+    root = np.sqrt(weights)[:, None] * B
+    gram = root @ root.T
+    return float(np.sum(own**2) / np.sum(gram**2))

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.runs import Run
-from balance_cli.signals.lines import StaticPoints
+from balance_cli.signals.lines import NoisePart, StaticPoints
 from balance_cli.signals.records import fault, samples_of
-from balance_cli.signals.row_noise import row_covariance
+from balance_cli.signals.row_noise import row_noise
 
 Array = NDArray[np.float64]
 
@@ -36,9 +36,9 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     if len(differences) < c + 2:
         raise fault(run, f"only {len(differences)} rows lie within a ramp of the loading", "Apply the loads in steps")
     covariance, dof = difference_covariance(channels, loads, differences)
-    each = _each_row(channels, loads, differences, covariance, dof)
+    parts = _noise_parts(channels, loads, differences, covariance, dof)
     names = tuple(channel_names)
-    return StaticPoints(run.name, run.trim or "", names, channels, loads, covariance, dof, row_covariance=each)
+    return StaticPoints(run.name, run.trim or "", names, channels, loads, covariance, dof, noise_parts=parts)
 
 
 def second_differences(loads: Array) -> Array:
@@ -63,12 +63,14 @@ def second_differences(loads: Array) -> Array:
     return np.asarray(operator / np.linalg.norm(operator, axis=1)[:, None], float)
 
 
-def _each_row(channels: Array, loads: Array, operator: Array, covariance: Array, dof: float) -> Array:
-    """The noise covariance (m, c, c) of each row."""
+def _noise_parts(
+    channels: Array, loads: Array, operator: Array, covariance: Array, dof: float
+) -> tuple[NoisePart, ...]:
+    """What the noise covariance of each row is made up of."""
     B = _differenced(loads, operator)
     variance = np.sum(B**2, axis=1)
     weights = _robust_weights(B @ channels, covariance, variance, dof, channels.shape[1])
-    return row_covariance(channels, loads, B, weights, covariance)
+    return row_noise(channels, loads, B, weights, covariance, dof)
 
 
 def _differenced(loads: Array, operator: Array) -> Array:

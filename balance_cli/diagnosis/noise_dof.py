@@ -1,0 +1,80 @@
+"""How well the noise is known that a score is judged by.
+
+A score's variance V is a sum over runs, and of a run's noise over parts of which some are known from a few readings
+only. With v_i what a part gives to V and var v_i the doubt about it, V is as good as an estimate with
+
+    2 V^2 / sum var v_i
+
+degrees of freedom (Satterthwaite, Biometrics Bulletin 2 (1946) 110).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.estimation.measurements import Batch
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class RunInformation:
+    """What one run tells: rows `cross` (f, p) of the information for the fitted parameters, its whole `diagonal` (p,),
+
+    and the `weighted` slopes P dY (K, c, p), kept where the noise has parts.
+    """
+
+    batch: Batch
+    cross: Array
+    diagonal: Array
+    weighted: ComplexArray | None
+
+    @classmethod
+    def of(cls, batch: Batch, cross: Array, diagonal: Array, weighted: ComplexArray) -> RunInformation:
+        """Of a batch of one run."""
+        return cls(batch, cross, diagonal, weighted if batch.noise_parts[0] else None)
+
+    def variance(self, fitted: Index, tested: Index, along: Array) -> Array:
+        """What the run gives to the variance (n,) of each score, whose parameters take `along` (f, n) with them."""
+        own = self.diagonal[tested] - 2.0 * np.sum(along * self.cross[:, tested], axis=0)
+        return np.asarray(np.maximum(own + np.sum(along * (self.cross[:, fitted] @ along), axis=0), 0.0))
+
+    def doubt(self, fitted: Index, tested: Index, along: Array) -> Array:
+        """The relative variance (n,) of that, as the noise was estimated."""
+        parts = self.batch.noise_parts[0]
+        if self.weighted is None:
+            return np.full(len(tested), 2.0 / self.batch.noise_dof[0])
+        influence = self.weighted[:, :, tested] - self.weighted[:, :, fitted] @ along
+        power = np.array([_through(influence, part.shape, part.share) for part in parts])
+        size, error = (np.array([getattr(part, name) for part in parts]) for name in ("size", "error"))
+        whole = np.maximum(size @ power, np.finfo(float).tiny)
+        return np.asarray(np.sum((error[:, None] * power / whole) ** 2, axis=0))
+
+
+def _through(influence: ComplexArray, shape: Array, share: Array) -> Array:
+    """Sum of share (k,) g* shape g over the lines of an influence (k, c, n): (n,)."""
+    felt = np.einsum("cd,kdn->kcn", shape, influence)
+    return np.asarray(np.einsum("k,kcn,kcn->n", share, influence.conj(), felt, optimize=True).real)
+
+
+def noise_dof(runs: Sequence[RunInformation], fitted: Index, own: Sequence[Index], along: Sequence[Array]) -> Array:
+    """Degrees of freedom (n,) of the noise for each of n candidates with parameters `own` (q,), `along` (f, q).
+
+    The parameters of one candidate count alike, each by what it tells.
+    """
+    tested, joined = np.concatenate(own), np.hstack(along)
+    variance = np.array([run.variance(fitted, tested, joined) for run in runs])
+    doubt = np.array([run.doubt(fitted, tested, joined) for run in runs])
+    whole = variance.sum(axis=0)
+    share = variance / np.where(whole > 0.0, whole, 1.0)
+    edges = np.cumsum([0, *(len(each) for each in own)])[:-1]
+    gathered = np.add.reduceat(share, edges, axis=1)
+    spread = np.sum(gathered * np.add.reduceat(share * doubt, edges, axis=1), axis=0)
+    total = gathered.sum(axis=0)
+    return np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
