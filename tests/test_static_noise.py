@@ -134,3 +134,18 @@ def test_a_row_has_the_noise_of_a_load_only_where_that_was_applied():
         found.append((variance[twisted].mean(), variance[~twisted].mean()))
     of_moment = noise.static_channel**2 + (0.02 * noise.static_load) ** 2
     assert np.mean(found, axis=0) == pytest.approx([of_moment, noise.static_channel**2], rel=0.35)
+
+
+def test_what_is_known_of_a_loads_noise_is_said():
+    """Some twenty rows, of which neighbours share their differences, tell the variance of a reading to a half."""
+    rig, noise = true_rig(rotor_balance()), Noise()
+    sizes, errors = [], []
+    for seed in range(24):
+        runs, _ = simulate_campaign(rig, CampaignPlan(runs=statics()[:1]), seed=seed)
+        moment = static_points(runs[0], runs[0].channel_names).noise_parts[6]
+        sizes.append(moment.size)
+        errors.append(moment.error)
+    true = noise.static_load**2
+    assert np.mean(sizes) == pytest.approx(true, rel=0.3)
+    assert np.std(sizes) == pytest.approx(np.mean(errors), rel=0.4)
+    assert 0.3 < np.mean(errors) / true < 0.7

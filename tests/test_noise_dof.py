@@ -1,0 +1,109 @@
+"""Degrees of freedom of the noise behind a score: closed forms for one part, for several, and for runs together."""
+
+import numpy as np
+import pytest
+
+from balance_cli.diagnosis.noise_dof import RunInformation, noise_dof
+from balance_cli.estimation.measurements import stacked
+from balance_cli.signals.lines import Lines, NoisePart
+
+CHANNELS = ("a", "b", "c")
+FITTED, NONE = np.array([0], np.intp), np.zeros((1, 1))
+
+
+def run_information(
+    slopes: np.ndarray, parts: tuple[NoisePart, ...] = (), dof: float = 30.0, cross: float = 0.0
+) -> RunInformation:
+    """Of a run of k lines with slopes (k, 3, p) and unit weights; the first parameter is fitted."""
+    k = len(slopes)
+    lines = Lines(
+        run="run",
+        channel_names=CHANNELS,
+        components=("Fx",),
+        frequency=np.arange(1.0, k + 1.0),
+        channels=np.zeros((k, 3), complex),
+        loads=np.ones((k, 1), complex),
+        covariance=np.broadcast_to(np.diag([1.0, 1.0, 1.0, 0.0]).astype(complex), (k, 4, 4)),
+        dof=dof,
+        noise_parts=parts,
+    )
+    (batch,) = stacked([lines], [], CHANNELS)
+    flat = slopes.reshape(-1, slopes.shape[2])
+    information = flat.T @ flat
+    information[0, 1:] += cross
+    return RunInformation.of(batch, information[:1], np.diag(information), slopes.astype(complex))
+
+
+def part(shape: np.ndarray, share: np.ndarray, size: float = 1.0, error: float = 0.5) -> NoisePart:
+    return NoisePart(np.asarray(shape, float), np.asarray(share, float), size, error)
+
+
+def slopes_along(*channels: int, lines: int = 4) -> np.ndarray:
+    """Slopes (k, 3, 1 + n): nothing in the fitted parameter, one channel in each of the others."""
+    slopes = np.zeros((lines, 3, 1 + len(channels)))
+    for i, channel in enumerate(channels):
+        slopes[:, channel, 1 + i] = 1.0
+    return slopes
+
+
+def test_a_run_alone_has_the_dof_of_its_noise():
+    run = run_information(slopes_along(0), dof=40.0)
+    (found,) = noise_dof([run], FITTED, [np.array([1])], [NONE])
+    assert found == pytest.approx(run.batch.noise_dof[0])
+    assert run.batch.noise_dof[0] == 80.0
+
+
+def test_runs_that_tell_alike_add_up():
+    run = run_information(slopes_along(0), dof=40.0)
+    assert noise_dof([run, run, run], FITTED, [np.array([1])], [NONE])[0] == pytest.approx(240.0)
+
+
+def test_each_direction_has_the_dof_of_the_part_that_it_feels():
+    """A part with size s and standard error e is known as an estimate with 2 s^2 / e^2 degrees of freedom."""
+    parts = (
+        part(np.diag([1.0, 1.0, 0.0]), np.ones(4), 1.0, np.sqrt(2.0 / 50.0)),
+        part(np.diag([0.0, 0.0, 1.0]), np.ones(4), 3.0, 1.5),
+    )
+    run = run_information(slopes_along(0, 2), parts)
+    found = noise_dof([run], FITTED, [np.array([1]), np.array([2])], [NONE, NONE])
+    assert found == pytest.approx([50.0, 8.0])
+
+
+def test_two_parts_are_together_as_good_as_satterthwaite_says():
+    """Sizes 1 and 3 with 50 and 8: 4^2 / (1 / 50 + 9 / 8)."""
+    shape = np.diag([1.0, 0.0, 0.0])
+    parts = (part(shape, np.ones(4), 1.0, np.sqrt(2.0 / 50.0)), part(shape, np.ones(4), 3.0, 1.5))
+    run = run_information(slopes_along(0), parts)
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE])[0] == pytest.approx(16.0 / (1 / 50 + 9 / 8))
+
+
+def test_a_part_that_was_found_to_be_nothing_is_doubtful_all_the_same():
+    shape = np.diag([1.0, 0.0, 0.0])
+    parts = (part(shape, np.ones(4), 1.0, 0.0), part(shape, np.ones(4), 0.0, 0.5))
+    run = run_information(slopes_along(0), parts)
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE])[0] == pytest.approx(2.0 / 0.25)
+
+
+def test_a_part_counts_in_its_own_lines_only():
+    shape, later = np.diag([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0, 1.0])
+    parts = (part(shape, np.ones(4), 1.0, 0.1), part(shape, later, 1.0, 0.5))
+    slopes = slopes_along(0)
+    slopes[2:] = 0.0
+    run = run_information(slopes, parts)
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE])[0] == pytest.approx(2.0 / 0.01)
+
+
+def test_what_the_fitted_parameters_take_along_is_left_out():
+    """A candidate that shows in channels 0 and 2, and whose share in 2 a fitted parameter takes, feels channel 0."""
+    parts = (part(np.diag([1.0, 0.0, 0.0]), np.ones(4), 1.0, 0.1), part(np.diag([0.0, 0.0, 1.0]), np.ones(4), 1.0, 0.5))
+    slopes = np.zeros((4, 3, 2))
+    slopes[:, 2, 0] = 1.0
+    slopes[:, 0, 1] = slopes[:, 2, 1] = 1.0
+    run = run_information(slopes, parts)
+    assert run.variance(FITTED, np.array([1]), np.ones((1, 1))) == pytest.approx([4.0])
+    assert noise_dof([run], FITTED, [np.array([1])], [np.ones((1, 1))])[0] == pytest.approx(2.0 / 0.01)
+
+
+def test_nothing_told_is_no_reason_for_doubt():
+    run = run_information(np.zeros((4, 3, 2)))
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE])[0] == np.inf
