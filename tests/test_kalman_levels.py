@@ -7,7 +7,8 @@ import pytest
 import scipy.signal
 
 from balance_cli.kalman.amplitude_drift import Amplitudes, relative_drift
-from balance_cli.kalman.load_models import Wandering
+from balance_cli.kalman.levels import _layers
+from balance_cli.kalman.load_models import Flat, Gust, Wandering
 from balance_cli.kalman.noise_levels import (
     OWN,
     CrossSpectra,
@@ -147,6 +148,43 @@ def test_lines_that_are_not_used_count_for_nothing():
     near = found.density[np.abs(found.frequency - 50.0) < 5.0, 0, 0].real
     assert np.allclose(near / STEP, 1e-4, rtol=0.7)
     assert found.averages.min() < 0.6 * found.averages.max()
+
+
+class _Direct:
+    """Channels that read the loads at once."""
+
+    def response(self, frequency: Array) -> Array:
+        return np.broadcast_to(READ.astype(complex), (len(frequency), 3, 2))
+
+
+def _fluctuating(loads: Array, rate: float, highest: float, rng: np.random.Generator):
+    """The layer that is found for loads (n, 2) from channels with noise of their own, by the lines up to `highest`."""
+    noise = np.full(3, 0.05)
+    channels = loads @ READ.T + np.sqrt(noise) * rng.standard_normal((len(loads), 3))
+    spectra = cross_spectra([(0, channels)], 1.0 / rate, 2048)
+    spectra = spectra.at(spectra.frequency < highest)
+    return _layers(spectra, _Direct(), [0, 1], noise, 1.0 / rate, ())[-1]
+
+
+@pytest.mark.parametrize("corner", [15.0, 60.0])
+def test_turbulence_that_falls_slowly_is_found_with_its_corner(corner):
+    rate, samples, rng = 4000.0, 160_000, np.random.default_rng(7)
+    keep = np.exp(-2 * np.pi * corner / rate)
+    driven = np.sqrt(1 - keep**2) * rng.standard_normal((samples, 2)) * [2.0, 1.0]
+    found = _fluctuating(scipy.signal.lfilter([1.0], [1.0, -keep], driven, axis=0), rate, 0.1 * rate, rng)
+    assert isinstance(found, Gust)
+    assert found.corner == pytest.approx(corner, rel=0.2)
+    assert found.sigma == pytest.approx([2.0, 1.0], rel=0.1)
+
+
+@pytest.mark.parametrize("band", [50.0, 110.0])
+def test_turbulence_that_ends_at_a_band_is_found_with_that(band):
+    rate, rng = 800.0, np.random.default_rng(8)
+    low = scipy.signal.butter(6, band, fs=rate, output="sos")
+    loads = scipy.signal.sosfilt(low, rng.standard_normal((40_000, 2)), axis=0)
+    found = _fluctuating(loads / loads.std(axis=0) * [2.0, 1.0], rate, 0.4 * rate, rng)
+    assert isinstance(found, Flat)
+    assert found.band == pytest.approx(band, rel=0.15)
 
 
 def _walk(rate: float, seed: int, noise: float = 0.01, windows: int = 40, start: float = 1.0) -> Amplitudes:

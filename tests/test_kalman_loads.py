@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from balance_cli.kalman.load_models import Flat, Oscillators, Wandering, joined
+from balance_cli.kalman.load_models import Flat, Gust, Oscillators, Wandering, joined
 from tests.kalman_models import Array
 
 SIGMA = np.array([2.0, 0.5, 30.0])
@@ -14,6 +14,7 @@ LAYERS = {
     "wandering": Wandering(SIGMA, 0.3, 5.0),
     "fluctuating": Wandering(SIGMA, 50.0, 80.0),
     "flat": Flat(SIGMA, 40.0),
+    "gust": Gust(SIGMA, 25.0),
 }
 
 

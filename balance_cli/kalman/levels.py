@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from balance_cli.geometry import Acquisition
-from balance_cli.kalman.load_models import Flat, LoadLayer, Wandering
+from balance_cli.kalman.load_models import Flat, Gust, LoadLayer, Wandering
 from balance_cli.kalman.noise_levels import (
     MAIN_LOBE,
     CrossSpectra,
@@ -23,6 +24,8 @@ from balance_cli.runs import Run, read_channels
 from balance_cli.signals.azimuth import Azimuth
 
 Array = NDArray[np.float64]
+Kind = Callable[[Array], LoadLayer]
+"""A layer by its sizes (m,)."""
 
 WANDERING = (0.1, 5.0)
 """Corner frequencies [Hz] of the layer that wanders."""
@@ -32,8 +35,10 @@ ROTOR_BAND = 40.0
 """Band [Hz] of a second layer that fluctuates, where the rotor's harmonics are to be held by random loads."""
 BANDS = (30.0, 70.0, 150.0)
 """Bands [Hz] of the layer that fluctuates, about the likeliest of which the best is looked for."""
-BAND_STEPS = 6
-"""Further bands that are tried."""
+CORNERS = (10.0, 40.0, 160.0)
+"""Corner frequencies [Hz] of one that has no band, instead."""
+STEPS = 6
+"""Further bands or corners that are tried."""
 FREE_BAND = 150.0
 """Band [Hz] of loads of which nothing is known."""
 WINDOW = 1.28
@@ -136,25 +141,42 @@ def _layers(
     step: float,
     bands: Sequence[float],
 ) -> tuple[LoadLayer, ...]:
-    """A layer that wanders, layers of these bands, and one that fluctuates, of the likeliest band."""
+    """A layer that wanders, layers of these bands, and one that fluctuates, of the likeliest kind and scale."""
     response = space.response(spectra.frequency)[:, :, list(columns)]
-    found: dict[float, tuple[float, tuple[LoadLayer, ...]]] = {}
+    found: list[tuple[float, tuple[LoadLayer, ...]]] = []
     last: list[Array] = []
 
-    def misfit(ln_band: float) -> float:
-        band = float(np.exp(ln_band))
-        kinds = _kinds(np.ones((len(bands) + 2, 1)), (*bands, band))
-        shapes = np.stack([kind.spectrum(spectra.frequency)[:, 0] for kind in kinds])
+    def misfit(fluctuating: Callable[[float], Kind], ln_scale: float) -> float:
+        kinds = (_wandering, *(_flat(band) for band in bands), fluctuating(float(np.exp(ln_scale))))
+        shapes = np.stack([kind(np.ones(1)).spectrum(spectra.frequency)[:, 0] for kind in kinds])
         one = most_likely_variances(spectra, response, shapes, step, noise, last[-1] if last else None)
         last.append(one.values)
-        found[band] = (one.misfit, _kinds(np.sqrt(one.values), (*bands, band)))
+        layers = tuple(kind(size) for kind, size in zip(kinds, np.sqrt(one.values), strict=True))
+        found.append((one.misfit, layers))
         return one.misfit
 
-    tried = [misfit(float(np.log(band))) for band in BANDS]
-    best = int(np.argmin(tried))
-    around = [float(np.log(BANDS[min(max(i, 0), len(BANDS) - 1)])) for i in (best - 1, best + 1)]
-    minimize_scalar(misfit, bounds=(around[0], around[1]), method="bounded", options={"maxiter": BAND_STEPS})
-    return _believed(min(found.values(), key=lambda one: one[0])[1])
+    for kind, scales in ((_flat, BANDS), (_gust, CORNERS)):
+        _searched(partial(misfit, kind), np.log(scales))
+    return _believed(min(found, key=lambda one: one[0])[1])
+
+
+def _wandering(sigma: Array) -> LoadLayer:
+    return Wandering(sigma, *WANDERING)
+
+
+def _flat(band: float) -> Kind:
+    return lambda sigma: Flat(sigma, band)
+
+
+def _gust(corner: float) -> Kind:
+    return lambda sigma: Gust(sigma, corner)
+
+
+def _searched(misfit: Callable[[float], float], tried: Array) -> None:
+    """The likeliest of these, and then about it."""
+    best = int(np.argmin([misfit(float(one)) for one in tried]))
+    around = [float(tried[min(max(i, 0), len(tried) - 1)]) for i in (best - 1, best + 1)]
+    minimize_scalar(misfit, bounds=(around[0], around[1]), method="bounded", options={"maxiter": STEPS})
 
 
 def _believed(layers: tuple[LoadLayer, ...]) -> tuple[LoadLayer, ...]:
@@ -167,9 +189,3 @@ def _believed(layers: tuple[LoadLayer, ...]) -> tuple[LoadLayer, ...]:
     least = SLOW_FIRST * np.sum([one.spectrum(at_rest)[0] for one in flats], axis=0)
     unit = Wandering(np.ones(1), *WANDERING).spectrum(at_rest)[0, 0]
     return (Wandering(np.maximum(wandering.sigma, np.sqrt(least / unit)), *WANDERING), *flats)
-
-
-def _kinds(sigma: Array, bands: Sequence[float]) -> tuple[LoadLayer, ...]:
-    """Layers of these sizes (l, m)."""
-    flats = [Flat(size, band) for size, band in zip(sigma[1:], bands, strict=True)]
-    return (Wandering(sigma[0], *WANDERING), *flats)

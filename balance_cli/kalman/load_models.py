@@ -4,6 +4,7 @@ Each is a linear system driven by white noise, x' = A x + noise of intensity W, 
 
 - `Wandering`: u' = b (v - u), v' = -a v + noise, a load that drifts and steps;
 - `Flat`: white within a band, a load that fluctuates; large, it is all that joint estimation of inputs and states says;
+- `Gust`: u' = -a u + noise, a load that fluctuates and has no band, as in turbulence;
 - `Oscillators`: harmonics n of the rotor, p' = n Omega q + noise, q' = -n Omega p + noise, u = sum of p, so that at
   azimuth psi p = alpha cos n psi + beta sin n psi with amplitudes alpha, beta that drift.
 """
@@ -104,6 +105,31 @@ class Flat:
     def spectrum(self, frequency: Array) -> Array:
         """S(f) proportional to 1 / (1 + (f / band)^(2 n))."""
         density = 1.0 / (1.0 + (np.asarray(frequency, float) / self.band) ** (2 * FLAT_ORDER)) / self._power
+        return np.asarray(density[:, None] * self.sigma**2)
+
+
+@dataclass(frozen=True)
+class Gust:
+    """Loads of standard deviation `sigma` (m,), correlated exponentially: white noise through a pole at `corner` [Hz].
+
+    So is the gust along the wind in Dryden's turbulence.
+    """
+
+    sigma: Array
+    corner: float
+
+    @property
+    def _rate(self) -> float:
+        return 2 * np.pi * self.corner
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """Of x = u."""
+        m = len(self.sigma)
+        return -self._rate * np.eye(m), np.diag(2 * self._rate * self.sigma**2), np.eye(m)
+
+    def spectrum(self, frequency: Array) -> Array:
+        """S(f) = 2 a sigma^2 / (a^2 + w^2)."""
+        density = 2 * self._rate / (self._rate**2 + (2 * np.pi * np.asarray(frequency, float)) ** 2)
         return np.asarray(density[:, None] * self.sigma**2)
 
 
