@@ -6,7 +6,8 @@ from rigs import one_degree_of_freedom, rotor_balance
 
 from balance_cli.estimation.equation_error import equation_error, least_squares, measured_forces
 from balance_cli.estimation.likelihood import data_chi2, data_curvature, degrees_of_freedom, exciter_response
-from balance_cli.estimation.measurements import stacked, static_lines
+from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.static_lines import static_lines
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import response, solve
 from balance_cli.signals.lines import Lines, StaticPoints

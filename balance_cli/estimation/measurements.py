@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS
+from balance_cli.estimation.static_lines import static_lines
 from balance_cli.signals.lines import Lines, LoadPoints, NoisePart, StaticPoints, Waveform, Window
 from balance_cli.signals.noise import inverse_bias_factor
 
@@ -136,50 +137,6 @@ def _shared_out(group: list[Lines]) -> list[list[Lines]]:
     """The runs in as many parts as there are workers, so that each has its own batch."""
     size = -(-len(group) // WORKERS)
     return [group[start : start + size] for start in range(0, len(group), size)]
-
-
-def static_lines(points: StaticPoints) -> Lines:
-    """A static run as lines at frequency zero: its regression slopes, scaled to independent experiments.
-
-    With the centred loads U = Q R the rows carry C0 R' with noise `covariance` in each of the six columns, so that
-    the straight part of all rows is kept without loss. The noise is real: as circular noise it counts double.
-    Where rows differ, lines do; noise that two of them have in common is left out.
-    Where the points come with `share`, Q is made complete: lines without load hold what in the rows is not straight.
-    """
-    channels = points.channels - points.channels.mean(axis=0)
-    loads = points.loads - points.loads.mean(axis=0)
-    varied = np.ptp(points.loads, axis=0) > 0
-    Q, R = np.linalg.qr(loads[:, varied]) if points.share is None else _complete_qr(loads[:, varied])
-    components = tuple(name for name, used in zip(COMPONENTS, varied, strict=True) if used)
-    count, c = len(R), len(points.channel_names)
-    padded = np.zeros((count, c + count, c + count), complex)
-    parts = tuple(part.through(Q) for part in points.noise_parts)
-    padded[:, :c, :c] = 2.0 * (sum(part.covariance for part in parts) if parts else points.covariance)
-    return Lines(
-        run=points.run,
-        channel_names=points.channel_names,
-        components=components,
-        frequency=np.zeros(count),
-        channels=(Q.T @ channels).astype(complex),
-        loads=R.astype(complex),
-        covariance=padded,
-        dof=points.dof,
-        constant_loads=Q.T @ (points.loads[:, varied] != 0.0),
-        waveform=None if points.share is None else _load_points(points, Q.T),
-        noise_parts=parts,
-    )
-
-
-def _complete_qr(loads: Array) -> tuple[Array, Array]:
-    """Q (m, m-1) of all that is orthogonal to a constant, its first columns those of the centred loads, and R."""
-    ones = np.ones((len(loads), 1))
-    Q, R = np.linalg.qr(np.hstack([ones, loads]), "complete")
-    return np.asarray(Q[:, 1:]), np.asarray(R[1:, 1:])
-
-
-def _load_points(points: StaticPoints, projection: Array) -> LoadPoints:
-    share = np.broadcast_to(np.asarray(points.share), points.channels.shape)
-    return LoadPoints(points.channels.astype(complex), share, projection)
 
 
 def _exact(lines: Lines) -> bool:
