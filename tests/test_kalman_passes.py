@@ -52,6 +52,19 @@ def test_smoother_is_conditioning(stretches, block, monkeypatch):
     assert np.abs(variance / exact - 1.0).max() < 2e-3
 
 
+def test_smoother_is_conditioning_where_a_beginning_is_remembered_through_a_gap():
+    """A load that hardly changes, hardly seen: all of the record tells of its beginning."""
+    F, H = MODEL.F.copy(), MODEL.H * [0.1, 0.1, 0.003, 1.0]
+    F[2], F[0, 3] = [0.0, 0.0, 0.9995, 0.0], 0.0
+    G = np.array([[0.1, 0.0], [0.0, 0.1], [0.02, 0.0], [0.2, 0.4]])
+    slow = SampledModel(F, G @ G.T + 1e-9 * np.eye(4), H, MODEL.U)
+    y, _ = drawn(slow, BROKEN[-1].stop)
+    outputs, variance = _joined(smoothed(_read(y), BROKEN, filters_of(slow, BROKEN), 200))
+    mean, exact = conditioned(slow, y, _mask(BROKEN))
+    assert np.abs(outputs - mean).max() < 1e-9 * np.sqrt(exact.min())
+    assert np.abs(variance / exact - 1.0).max() < 1e-3
+
+
 def test_filter_is_conditioning_on_the_past_once_it_is_steady():
     y, _ = drawn(MODEL, 160)
     outputs, variance = _joined(filtered(_read(y), WHOLE, filters_of(MODEL, WHOLE), 60))

@@ -19,8 +19,8 @@ from balance_cli.kalman.stretches import (
     Reader,
     Stretch,
     blocks,
-    covariance_at_end,
     estimates_of,
+    excess_at_end,
     output_rows,
     settled,
     told,
@@ -53,7 +53,7 @@ def filtered(read: Reader, stretches: Sequence[Stretch], filters: Filters, begin
             piece = engine.forward(first, read(first, stop, stretch.channels), x)
             x = piece.end
             yield _updated(engine, piece, stretch, excess)
-        P = covariance_at_end(engine, excess, stretch)
+        P = engine.at(stretch.stop - 1).P + excess_at_end(engine, excess, stretch)
 
 
 def _updated(engine: Engine, piece: Piece, stretch: Stretch, excess: Array) -> Estimates:
@@ -93,7 +93,7 @@ def lagged(
                 ahead = engine.forward(stop, read(stop, min(stop + lag, stretch.stop), stretch.channels), x)
                 piece = piece.with_innovations(ahead.innovation)
             yield edges.looked_back(piece, stop - first)
-        P = covariance_at_end(engine, edges.excess, stretch)
+        P = engine.at(stretch.stop - 1).P + excess_at_end(engine, edges.excess, stretch)
 
 
 @dataclass(frozen=True)

@@ -134,6 +134,15 @@ class _Powers:
         return self.after(np.eye(len(self._doubled[0])), exponent)
 
 
+def beside_the_steady(excess: Array, rho: Array, information: Array) -> tuple[Array, Array]:
+    """Adjoint (N,) and information (N, N) for a state of covariance P, from those for one of P + D.
+
+    (1 - J D)^-1 of both: what is to come tells the same of the state whatever is known of it before.
+    """
+    together = np.linalg.solve(np.eye(len(excess)) - information @ excess, np.column_stack([rho, information]))
+    return np.ascontiguousarray(together[:, 0]), np.asarray(together[:, 1:])
+
+
 def told_apart(excess: Array, information: Array) -> Array:
     """D (1 + O D)^-1 (N, N): covariance of what the start was wrong by, given all that follows."""
     return np.asarray(np.linalg.solve(np.eye(len(excess)) + excess @ information, excess))

@@ -12,19 +12,20 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.kalman.edges import between_edges, decay, seen_through, told_apart
+from balance_cli.kalman.edges import beside_the_steady, between_edges, decay, seen_through, told_apart
 from balance_cli.kalman.gaps import GAP_BLOCK, smoothed_gap, through_gap
 from balance_cli.kalman.riccati import symmetric
-from balance_cli.kalman.steady import SteadyFilter
+from balance_cli.kalman.steady import Engine, Outputs, Piece, SteadyFilter
 from balance_cli.kalman.stretches import (
+    Beginning,
     Estimates,
     Filters,
     Passed,
     Reader,
     Stretch,
     blocks,
-    covariance_at_end,
     estimates_of,
+    excess_at_end,
     output_rows,
     settled,
     told,
@@ -36,6 +37,8 @@ Array = NDArray[np.float64]
 FORGOTTEN = 1e-8
 """Share of the variance of the outputs that what lies beyond the memory would take away."""
 LONGEST_MEMORY = 2**17
+NEGLIGIBLE = 1e-6
+"""Of the loads: a smaller change is not made."""
 
 
 def smoothed(read: Reader, stretches: Sequence[Stretch], filters: Filters, beginning: int) -> Iterator[Estimates]:
@@ -84,15 +87,18 @@ def _forward(
         engine = filters.engines[stretch.channels]
         known = symmetric(P - engine.at(stretch.start).P)
         # The memory of the loads says nothing of offsets, which take the steady gain far longer to find.
-        x = settled(read, stretch, engine, x, known, max(ahead, beginning) if engine.invariant else beginning)
-        excess: Array | None = known
+        start = settled(read, stretch, engine, x, known, max(ahead, beginning) if engine.invariant else beginning)
+        begun: Beginning | None = Beginning(known, start - x)
+        end_excess = None
+        if stretch is not stretches[-1]:
+            left = told_apart(known, told(engine, stretch, stretch.stop - stretch.start))
+            end_excess = excess_at_end(engine, left, stretch)
+            P = engine.at(stretch.stop - 1).P + end_excess
+        x = start
         for first, stop in blocks(stretch):
             piece = engine.forward(first, read(first, stop, stretch.channels), x)
-            yield Passed(stretch, piece, excess)
-            x, excess = piece.end, None
-        if stretch is not stretches[-1]:
-            start = told_apart(known, told(engine, stretch, stretch.stop - stretch.start))
-            P = covariance_at_end(engine, start, stretch)
+            yield Passed(stretch, piece, begun, end_excess if stop == stretch.stop else None)
+            x, begun = piece.end, None
 
 
 def _first_smoothed(waiting: deque[Passed], filters: Filters) -> Estimates:
@@ -119,20 +125,39 @@ def _smoothed_block(passed: Passed, filters: Filters, rho: Array, J: Array) -> t
     """One block, with rho and the information J (N, N) at its end; both at its start."""
     if passed.covariance is not None:
         return smoothed_gap(passed, filters, rho, J)
-    piece, count = passed.piece, len(passed.piece.predicted)
-    engine = filters.engines[passed.stretch.channels]
-    steady = engine.at(piece.first, count)
-    total, P, L = steady.all_information, steady.P, steady.L
-    outputs, rho = engine.backward(piece, rho)
+    engine, piece = filters.engines[passed.stretch.channels], passed.piece
+    count = len(piece.predicted)
+    steady, at = engine.at(piece.first, count), np.arange(count)
+    if passed.end_excess is not None:
+        rho, J = beside_the_steady(passed.end_excess, rho, J)
     rows, marks = output_rows(engine, piece)
-    floor = variance_of(rows, P) - variance_of(rows @ P, total)
-    at = np.arange(count)
-    missing, power = total - J, np.linalg.matrix_power(L, count)
-    J = symmetric(total - power.T @ missing @ power)
-    if passed.excess is None:
-        added = [(decay(rows @ P @ L.T, L.T, missing, count, floor), at[::-1])]
-    else:
-        start = told_apart(passed.excess, J)
-        J = symmetric(seen_through(passed.excess, J))
-        added = [(between_edges(rows, steady, missing, start, count), at)]
-    return estimates_of(engine, piece, outputs, marks, True, passed.stretch, added), rho, J
+    missing, power = steady.all_information - J, np.linalg.matrix_power(steady.L, count)
+    told_at_start = symmetric(steady.all_information - power.T @ missing @ power)
+    if passed.beginning is None:
+        outputs, rho = engine.backward(piece, rho)
+        floor = variance_of(rows, steady.P) - variance_of(rows @ steady.P, steady.all_information)
+        added = [(decay(rows @ steady.P @ steady.L.T, steady.L.T, missing, count, floor), at[::-1])]
+        return estimates_of(engine, piece, outputs, marks, True, passed.stretch, added), rho, told_at_start
+    excess = passed.beginning.excess
+    piece, outputs, rho = _begun_again(engine, piece, passed.beginning, rho, J, told_at_start)
+    added = [(between_edges(rows, steady, missing, told_apart(excess, told_at_start), count), at)]
+    estimates = estimates_of(engine, piece, outputs, marks, True, passed.stretch, added)
+    return estimates, rho, symmetric(seen_through(excess, told_at_start))
+
+
+def _begun_again(
+    engine: Engine, piece: Piece, beginning: Beginning, rho: Array, J: Array, told_at_start: Array
+) -> tuple[Piece, Outputs, Array]:
+    """The first block of a stretch from where all that follows has its first state: what lies behind it, too.
+
+    Its first state was moved by d = D rho[0] for the samples of the stretch alone. With those behind it d is off by
+    (1 + D O)^-1 (D rho[0] - d), and that runs through the block as a state does where nothing is read.
+    """
+    outputs, at_start = engine.backward(piece, rho)
+    D = beginning.excess
+    off = np.linalg.solve(np.eye(len(D)) + D @ told_at_start, D @ at_start - beginning.moved)
+    change = engine.forward(piece.first, np.zeros_like(piece.innovation), np.asarray(off, float))
+    if np.all(np.abs(change.predicted) <= NEGLIGIBLE * np.abs(outputs.loads).max(axis=0)):
+        return piece, outputs, at_start
+    piece = piece.plus(change)
+    return piece, *engine.backward(piece, rho - J @ change.end)

@@ -44,6 +44,12 @@ class Piece:
         """The same, known to be followed by these innovations (l, c)."""
         return replace(self, innovation=np.concatenate([self.innovation, later]))
 
+    def plus(self, other: Piece) -> Piece:
+        """The sum of two: the recursions are linear."""
+        marked = None if self.marked is None or other.marked is None else self.marked + other.marked
+        innovation, predicted = self.innovation + other.innovation, self.predicted + other.predicted
+        return Piece(self.first, innovation, predicted, self.end + other.end, marked)
+
 
 @dataclass(frozen=True)
 class Outputs:

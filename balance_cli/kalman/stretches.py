@@ -88,17 +88,29 @@ class Filters:
     outputs: Array
 
 
+@dataclass(frozen=True)
+class Beginning:
+    """Of a stretch: what the covariance of its first state has above P, `excess` (N, N), and by how much that state was
+
+    moved (N,) for what the samples after it tell.
+    """
+
+    excess: Array
+    moved: Array
+
+
 @dataclass
 class Passed:
     """A block after the forward pass.
 
-    `excess`: what the covariance at its start has above P, where it begins a stretch; `covariance`: that at the start
-    of a block of a gap.
+    `beginning`, where it begins a stretch; `end_excess`, where it ends one: what the covariance after it has above P;
+    `covariance`: that at the start of a block of a gap.
     """
 
     stretch: Stretch
     piece: Piece
-    excess: Array | None = None
+    beginning: Beginning | None = None
+    end_excess: Array | None = None
     covariance: Array | None = None
 
 
@@ -145,14 +157,14 @@ def estimates_of(
     return Estimates(piece.first, outputs.loads, np.maximum(variance, 0.0), marked, innovations, stretch.channels)
 
 
-def covariance_at_end(engine: Engine, excess: Array, stretch: Stretch) -> Array:
-    """Covariance of the state after a stretch: P + L^n D L^n'."""
+def excess_at_end(engine: Engine, excess: Array, stretch: Stretch) -> Array:
+    """What the covariance after a stretch has above P: L^n D L^n'."""
     power: Array = np.eye(len(excess))
     for first, count in engine.even_parts(stretch.start, stretch.stop - stretch.start):
         power = np.linalg.matrix_power(engine.at(first, count).L, count) @ power
         if np.abs(power).max() < FORGOTTEN:
             break
-    return symmetric(engine.at(stretch.stop - 1).P + power @ excess @ power.T)
+    return symmetric(power @ excess @ power.T)
 
 
 def told(engine: Engine, stretch: Stretch, samples: int) -> Array:
