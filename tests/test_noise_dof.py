@@ -11,9 +11,7 @@ CHANNELS = ("a", "b", "c")
 FITTED, NONE = np.array([0], np.intp), np.zeros((1, 1))
 
 
-def run_information(
-    slopes: np.ndarray, parts: tuple[NoisePart, ...] = (), dof: float = 30.0, cross: float = 0.0
-) -> RunInformation:
+def run_information(slopes: np.ndarray, parts: tuple[NoisePart, ...] = (), dof: float = 30.0) -> RunInformation:
     """Of a run of k lines with slopes (k, 3, p) and unit weights; the first parameter is fitted."""
     k = len(slopes)
     lines = Lines(
@@ -30,8 +28,9 @@ def run_information(
     (batch,) = stacked([lines], [], CHANNELS)
     flat = slopes.reshape(-1, slopes.shape[2])
     information = flat.T @ flat
-    information[0, 1:] += cross
-    return RunInformation.of(batch, information[:1], np.diag(information), slopes.astype(complex))
+    blocks = tuple(np.diag(information)[1:, None, None])
+    weighted = slopes.astype(complex) if parts else None
+    return RunInformation(batch, np.zeros(len(information)), information[:1], blocks, weighted)
 
 
 def part(shape: np.ndarray, share: np.ndarray, size: float = 1.0, error: float = 0.5) -> NoisePart:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.likelihood import Slopes
 from balance_cli.estimation.measurements import Batch
 
 Array = NDArray[np.float64]
@@ -25,24 +26,33 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class RunInformation:
-    """What one run tells: rows `cross` (f, p) of the information for the fitted parameters, its whole `diagonal` (p,),
+    """What one run tells: half the `gradient` (p,) of chi-square, and of its information rows `cross` (f, p) for the
 
-    and the `weighted` slopes P dY (K, c, p), kept where the noise has parts.
+    fitted parameters and `blocks` (q, q) for those of each candidate.
+    `weighted`: the slopes P dY (K, c, p), kept where the noise has parts.
     """
 
     batch: Batch
+    gradient: Array
     cross: Array
-    diagonal: Array
+    blocks: tuple[Array, ...]
     weighted: ComplexArray | None
 
     @classmethod
-    def of(cls, batch: Batch, cross: Array, diagonal: Array, weighted: ComplexArray) -> RunInformation:
+    def of(cls, batch: Batch, slopes: Slopes, fitted: Index, own: Sequence[Index]) -> RunInformation:
         """Of a batch of one run."""
-        return cls(batch, cross, diagonal, weighted if batch.noise_parts[0] else None)
+        weighted = slopes.weighted()
+        blocks = tuple(slopes.diagonal_blocks(weighted, own))
+        cross = slopes.information(weighted, fitted, slice(None))
+        return cls(batch, slopes.gradient(), cross, blocks, weighted if batch.noise_parts[0] else None)
 
     def variance(self, fitted: Index, tested: Index, along: Array) -> Array:
-        """What the run gives to the variance (n,) of each score, whose parameters take `along` (f, n) with them."""
-        own = self.diagonal[tested] - 2.0 * np.sum(along * self.cross[:, tested], axis=0)
+        """What the run gives to the variance (n,) of each score, whose parameters take `along` (f, n) with them.
+
+        `tested` (n,): the parameters of all candidates in turn.
+        """
+        diagonal = np.concatenate([np.diag(block) for block in self.blocks])
+        own = diagonal - 2.0 * np.sum(along * self.cross[:, tested], axis=0)
         return np.asarray(np.maximum(own + np.sum(along * (self.cross[:, fitted] @ along), axis=0), 0.0))
 
     def doubt(self, fitted: Index, tested: Index, along: Array) -> Array:

@@ -170,26 +170,10 @@ class Projected:
 
 
 def _projected(wide: BalanceModel, at: Array, batches: Sequence[Batch], places: _Places) -> list[Projected]:
-    system = wide.system(at)
-    prior = prior_curvature(wide.parameters, at)
-    gradient, cross = prior.gradient.copy(), prior.information[places.fitted].copy()
-    blocks = [np.zeros((len(own), len(own))) for own in places.own]
-    runs: list[RunInformation] = []
-
-    def parts(batch: Batch) -> tuple[Array, list[Array], RunInformation]:
-        found = batch_slopes(batch, system)
-        weighted = found.weighted()
-        own = found.diagonal_blocks(weighted, places.own)
-        part_cross, diagonal = found.information(weighted, places.fitted, slice(None)), np.zeros(cross.shape[1])
-        for place, block in zip(places.own, own, strict=True):
-            diagonal[place] = np.diag(block)
-        return found.gradient(), own, RunInformation.of(batch, part_cross, diagonal, weighted)
-
-    with ThreadPoolExecutor(WORKERS) as workers:
-        for part_gradient, part_blocks, run in workers.map(parts, batches):
-            gradient, cross = gradient + part_gradient, cross + run.cross
-            blocks = [one + other for one, other in zip(blocks, part_blocks, strict=True)]
-            runs.append(run)
+    prior, runs = prior_curvature(wide.parameters, at), _run_information(wide, at, batches, places)
+    gradient = sum((run.gradient for run in runs), prior.gradient)
+    cross = sum((run.cross for run in runs), prior.information[places.fitted])
+    blocks = [sum(parts, np.zeros_like(parts[0])) for parts in zip(*(run.blocks for run in runs), strict=True)]
     inverse = covariance_of(cross[:, places.fitted])
     step = inverse @ gradient[places.fitted]
     along = [inverse @ cross[:, own] for own in places.own]
@@ -205,6 +189,19 @@ def _projected(wide: BalanceModel, at: Array, batches: Sequence[Batch], places: 
         )
         for own, V, follows, known in zip(places.own, blocks, along, dof, strict=True)
     ]
+
+
+def _run_information(
+    wide: BalanceModel, at: Array, batches: Sequence[Batch], places: _Places
+) -> tuple[RunInformation, ...]:
+    """What each run tells, in order."""
+    system = wide.system(at)
+
+    def of(batch: Batch) -> RunInformation:
+        return RunInformation.of(batch, batch_slopes(batch, system), places.fitted, places.own)
+
+    with ThreadPoolExecutor(WORKERS) as workers:
+        return tuple(workers.map(of, batches))
 
 
 def with_candidates(geometry: Geometry, chosen: Sequence[tuple[Candidate, int]], started: bool = False) -> Geometry:
