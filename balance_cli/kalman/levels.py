@@ -37,7 +37,7 @@ BANDS = (30.0, 70.0, 150.0)
 """Bands [Hz] of the layer that fluctuates, about the likeliest of which the best is looked for."""
 CORNERS = (10.0, 40.0, 160.0)
 """Corner frequencies [Hz] of one that has no band, instead."""
-STEPS = 6
+STEPS = 4
 """Further bands or corners that are tried."""
 FREE_BAND = 150.0
 """Band [Hz] of loads of which nothing is known."""

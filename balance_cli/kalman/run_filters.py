@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 
 SPEED_STEP = 0.3
 """Step [Hz] of the grid of speeds at which gains are computed."""
-LEAST_SPREAD = 0.01
-"""Half of the width [Hz] of the grid where the speed is steady."""
+STEADY = 0.02
+"""Range [Hz] of a speed for which one gain does."""
 MOST_SPEEDS = 9
 
 
@@ -125,9 +125,10 @@ def _steady(models: Sequence[SampledModel], channels: tuple[int, ...]) -> tuple[
 
 def _speeds(azimuth: Azimuth) -> Array:
     speed = azimuth.speed(np.linspace(azimuth.first, azimuth.last, 512))
-    low, high = speed.min() - LEAST_SPREAD, speed.max() + LEAST_SPREAD
-    count = int(np.clip(np.ceil((high - low) / SPEED_STEP) + 1, 2, MOST_SPEEDS))
-    return np.linspace(low, high, count)
+    if np.ptp(speed) <= STEADY:
+        return np.array([speed.mean()])
+    count = int(np.clip(np.ceil(np.ptp(speed) / SPEED_STEP) + 1, 2, MOST_SPEEDS))
+    return np.linspace(speed.min(), speed.max(), count)
 
 
 def _first_pair(system: MeasuredSystem, layers: Sequence[LoadLayer]) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -114,11 +115,11 @@ class Passed:
     covariance: Array | None = None
 
 
-def blocks(stretch: Stretch, block: int | None = None) -> Iterator[tuple[int, int]]:
-    """First sample and end of each block of a stretch."""
+def blocks(stretch: Stretch, block: int | None = None, head: int = 0) -> Iterator[tuple[int, int]]:
+    """First sample and end of each block of a stretch, the first one no longer than `head` where that is said."""
     block = block or BLOCK
-    for first in range(stretch.start, stretch.stop, block):
-        yield first, min(first + block, stretch.stop)
+    edges = range(stretch.start + (min(head, block) or block), stretch.stop, block)
+    return pairwise([stretch.start, *edges, stretch.stop])
 
 
 def output_rows(engine: Engine, piece: Piece) -> tuple[Array, Marks | None]:
@@ -180,17 +181,19 @@ def told(engine: Engine, stretch: Stretch, samples: int) -> Array:
     return symmetric(information)
 
 
-def settled(read: Reader, stretch: Stretch, engine: Engine, x: Array, excess: Array, ahead: int) -> Array:
+def settled(
+    read: Reader, stretch: Stretch, engine: Engine, x: Array, excess: Array, ahead: int, steps: int = CORRECTIONS
+) -> Array:
     """The state at the start of a stretch, given what the samples after it tell: x + d with d = D rho[0].
 
     One Newton step is exact where the engine does not change with time; where it does, O is summed over parts of an
-    even speed, and a few steps do.
+    even speed, and a few `steps` do.
     """
     count = min(ahead, stretch.stop - stretch.start)
     y = read(stretch.start, stretch.start + count, stretch.channels)
     slope = np.eye(len(x)) + excess @ told(engine, stretch, count)
     found = np.zeros_like(x)
-    for _ in range(1 if engine.invariant else CORRECTIONS):
+    for _ in range(1 if engine.invariant else steps):
         piece = engine.forward(stretch.start, y, x + found)
         rho = engine.backward(piece, np.zeros_like(x))[1]
         found = found + np.linalg.solve(slope, excess @ rho - found)
