@@ -16,6 +16,7 @@ from balance_cli.diagnosis.score import best_gain, best_scores, extended, scores
 from balance_cli.errors import UserError
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.model_error import log_volume, shares_that_explain, with_model_error
+from balance_cli.estimation.starting_values import by_equations_of_motion
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.identify import IdentifyOptions, identify
 from balance_cli.model.balance import balance_model
@@ -111,6 +112,15 @@ def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late):
     assert fold_gain(model, fit.theta, batches, true) > 0.5 * true.gain
     chance = next(score for score in found if 0.0 < score.gain < 0.5)
     assert fold_gain(model, fit.theta, batches, chance) < 2.0
+
+
+def test_a_part_as_stiff_as_can_be_begins_where_it_is(healthy, capfd):
+    """At its null a mast has no compliance and no equation of motion, and LAPACK is not asked for one."""
+    model, mast = balance_model(RIG), candidate_at("mast-bending", ("x",), RIG)
+    wide, null = extended(model, model.parameters.value, with_candidates(RIG, [(mast, 0)]))
+    found = by_equations_of_motion(wide.parameters, lines_of(healthy), wide.system, null)
+    np.testing.assert_array_equal(found, null)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_folds_are_disjoint_leave_no_line_out_and_have_means_in_several(healthy):

@@ -116,7 +116,10 @@ def _minimum(
         return float(sum(np.sum(np.abs(item.error) ** 2) for item in found(theta)))
 
     p = int(parameters.free.sum())
-    count = sum(item.error.size for item in found(start))
+    begun = found(start)
+    count = sum(item.error.size for item in begun)
+    if not all(np.all(np.isfinite(item.error)) for item in begun):
+        return start  # a part that is as stiff as can be has no equation of motion
     for _ in range(ROUNDS if count else 0):
         variance = max(squares(start) / count, np.finfo(float).tiny)
         start = minimise(
