@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from balance_cli.diagnosis.noise_dof import RunInformation, noise_dof
+from balance_cli.diagnosis.score import improbability
 from balance_cli.estimation.measurements import stacked
 from balance_cli.signals.lines import Lines, NoisePart
 
@@ -101,6 +102,14 @@ def test_what_the_fitted_parameters_take_along_is_left_out():
     run = run_information(slopes, parts)
     assert run.variance(FITTED, np.array([1]), np.ones((1, 1))) == pytest.approx([4.0])
     assert noise_dof([run], FITTED, [np.array([1])], [np.ones((1, 1))])[0] == pytest.approx(2.0 / 0.01)
+
+
+def test_a_noise_of_which_nothing_is_known_makes_no_gain_significant():
+    shape = np.diag([1.0, 0.0, 0.0])
+    run = run_information(slopes_along(0), (part(shape, np.ones(4), 1.0, 0.1), part(shape, np.ones(4), 0.0, 1e12)))
+    (found,) = noise_dof([run], FITTED, [np.array([1])], [NONE])
+    assert found == 1.0
+    assert improbability(1e3, 1, float(found)) > 0.01
 
 
 def test_nothing_told_is_no_reason_for_doubt():

@@ -149,3 +149,17 @@ def test_what_is_known_of_a_loads_noise_is_said():
     assert np.mean(sizes) == pytest.approx(true, rel=0.3)
     assert np.std(sizes) == pytest.approx(np.mean(errors), rel=0.4)
     assert 0.3 < np.mean(errors) / true < 0.7
+
+
+def test_a_load_that_no_difference_tells_of_is_unknown_but_for_a_bound():
+    """One component in a ramp, another at single rows between which nothing is compared."""
+    rng = np.random.default_rng(3)
+    loads = np.zeros((60, 6))
+    loads[:50, 0] = 100.0 * np.arange(50)
+    loads[52::3, 1] = [100.0, -100.0, 50.0]
+    channels = loads @ rng.normal(size=(6, 4)) * 1e-3 + SIGMA * rng.standard_normal((60, 4))
+    parts = static_points(run_of(loads, channels), CHANNELS).noise_parts
+    assert len(parts) > 1
+    assert all(np.isfinite(part.size) and np.isfinite(part.error) for part in parts)
+    shape, channels_alone = parts[-1].shape, parts[0].shape
+    assert parts[-1].error == pytest.approx(1e3 / np.trace(np.linalg.solve(channels_alone, shape)))

@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
+LEAST_DOF = 1.0
+"""Of a noise of which nothing is known: against F with so many no gain says much."""
+
 
 @dataclass(frozen=True)
 class RunInformation:
@@ -87,4 +90,5 @@ def noise_dof(runs: Sequence[RunInformation], fitted: Index, own: Sequence[Index
     gathered = np.add.reduceat(share, edges, axis=1)
     spread = np.sum(gathered * np.add.reduceat(share * doubt, edges, axis=1), axis=0)
     total = gathered.sum(axis=0)
-    return np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
+    found = np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
+    return np.asarray(np.maximum(found, LEAST_DOF))

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 ITERATIONS = 60
 # Share of the rows beyond which a load counts as always applied.
 ALWAYS = 0.9
+UNKNOWN = 1e3
 
 
 def row_noise(
@@ -88,20 +89,22 @@ def _errors(
 ) -> Array:
     """Standard errors (j,) of the loads' variances, by their information.
 
-    Neighbouring differences share rows: so many of them are worth what `_independent` says.
+    Neighbouring differences share rows: so many of them are worth what `_independent` says. Of a load that no
+    difference tells of, the variance is any up to `UNKNOWN` times what would show beside the channels' noise.
     """
     covariance = whole[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", H * variance, columns, columns)
     seen = np.einsum(
         "cj,tcj->tj", columns, np.linalg.solve(covariance, np.broadcast_to(columns, (len(H), *columns.shape)))
     )
     information = 0.5 * np.sum(weights[:, None] * (H * seen) ** 2, axis=0)
-    share = np.array([_independent(weights, B * rows) for rows in applied.T])
-    return np.asarray(1.0 / np.sqrt(np.maximum(share * information, 1e-300)))
+    told = information * np.array([_independent(weights, B * rows) for rows in applied.T])
+    visible = np.sum(columns * np.linalg.solve(sigma, columns), axis=0)
+    return np.asarray(1.0 / np.sqrt(np.maximum(told, np.where(visible > 0.0, (visible / UNKNOWN) ** 2, np.inf))))
 
 
 def _independent(weights: Array, B: Array) -> float:
-    """Degrees of freedom of the weighted squares of differences B (t, m), for each of these."""
+    """Degrees of freedom of the weighted squares of differences B (t, m), for each; zero where there are none."""
     own = weights * np.sum(B**2, axis=1)
     root = np.sqrt(weights)[:, None] * B
-    gram = root @ root.T
-    return float(np.sum(own**2) / np.sum(gram**2))
+    together = float(np.sum((root @ root.T) ** 2))
+    return float(np.sum(own**2)) / together if together > 0.0 else 0.0
