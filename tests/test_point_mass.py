@@ -133,13 +133,13 @@ def test_no_other_place_gains_more(weighed):
 
 
 def test_mass_and_place_settle_where_a_fit_from_the_truth_ends(declared):
-    """Along mass against arm chi-square is a narrow valley: without this, ten steps end a thousand above."""
+    """Along mass against arm chi-square is a narrow valley: without this, ten steps end hundreds above."""
     model, theta = declared.begun_at(0)
     truth = declared.fit_from_the_truth()
     settled = settled_mass(model, theta, declared.batches)
     assert penalised_chi2(model, settled, declared.batches) < truth.chi2 + 1.0
     assert fitted(model, settled, declared.batches).chi2 < truth.chi2 + 1.0
-    assert begun(model, theta, declared.batches).chi2 > truth.chi2 + 500.0
+    assert begun(model, theta, declared.batches).chi2 > truth.chi2 + 200.0
 
 
 def test_a_mass_begun_with_the_wrong_sign_settles_where_it_is(weighed):

@@ -42,7 +42,7 @@ POINTS = np.vstack([CORNERS, *EDGES])
 # Points along each axis of the grid on which the top is sought.
 GRID = 25
 # Of a mass's information, what the fitted parameters must leave: rounding makes a tenth of this.
-LEAST_SHARE = 1e-6
+LEAST_SHARE = 1e-12
 # Steps of a fit of mass and place, and the chi-square that one must bring for a further one.
 STEPS = 3
 FOLLOW = 4
@@ -129,10 +129,19 @@ def _score_of_masses(model: BalanceModel, theta: Array, batches: Sequence[Batch]
     at = np.concatenate([theta, np.zeros(len(POINTS))])
     whole = data_curvature(batches, wide.system(at)) + prior_curvature(wide.parameters, at)
     fitted, own = slice(0, -len(POINTS)), slice(-len(POINTS), None)
-    inverse, cross = covariance_of(whole.information[fitted, fitted]), whole.information[fitted, own]
-    rest, along = -inverse @ whole.gradient[fitted], inverse @ cross
-    raw = whole.information[own, own]
-    return _Masses(-(whole.gradient[own] + cross.T @ rest), raw - cross.T @ along, raw, rest, along)
+    among, cross, raw = (whole.information[pair] for pair in ((fitted, fitted), (fitted, own), (own, own)))
+    inverse = covariance_of(among)
+    rest, along = (_solved(inverse, among, right) for right in (-whole.gradient[fitted], cross))
+    # Mass, centre of gravity and inertia do what the ten do, so that nearly nothing is left: in this form it has no
+    # error of first order in `along`.
+    V = raw - cross.T @ along - along.T @ cross + along.T @ among @ along
+    return _Masses(-(whole.gradient[own] - along.T @ whole.gradient[fitted]), 0.5 * (V + V.T), raw, rest, along)
+
+
+def _solved(inverse: Array, matrix: Array, right: Array) -> Array:
+    """The solution of matrix x = right from an inverse that rounding has made inexact, once refined."""
+    x = inverse @ right
+    return np.asarray(x + inverse @ (right - matrix @ x))
 
 
 @dataclass(frozen=True)

@@ -48,12 +48,13 @@ INERTIA = ("kg", "kg m2")
 class Coordinates:
     """Map between parameters theta (p,) and coordinates z (p,).
 
-    `logarithmic` (p,): z = ln theta; `products` (r, 3) rows (product, i, j) of indices: z = theta / sqrt(theta_i
-    theta_j); `power` (p,): z = theta (m0 / m)^power, m the parameter at index `mass`, whose declared value is m0; the
-    others are themselves.
+    `logarithmic` (p,): z = ln theta; `vanishing` (p,): those of them that may be as small as they like; `products`
+    (r, 3) rows (product, i, j) of indices: z = theta / sqrt(theta_i theta_j); `power` (p,): z = theta (m0 / m)^power, m
+    the parameter at index `mass`, whose declared value is m0; the others are themselves.
     """
 
     logarithmic: NDArray[np.bool_]
+    vanishing: NDArray[np.bool_]
     products: NDArray[np.intp]
     power: Array
     mass: int
@@ -108,4 +109,4 @@ def coordinates(parameters: ParameterSet, start: Array) -> Coordinates:
     mass = names.index("mass") if "mass" in names else 0
     relative = ~plate & ~logarithmic if logarithmic[mass] else np.zeros(len(names), bool)
     power = np.where(relative, [POWER.get(unit, 0.0) for unit in parameters.units], 0.0)
-    return Coordinates(logarithmic, chosen, power, mass, float(parameters.value[mass]))
+    return Coordinates(logarithmic, logarithmic & inertia, chosen, power, mass, float(parameters.value[mass]))

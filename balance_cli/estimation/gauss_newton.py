@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 # Damping starts at none: what the priors alone hold has an information of 1e-10 of what the data hold, and any damping
 # would keep such directions from moving.
 LEAST_DAMPING = 1e-8
+# Factors of the damping where a step does not serve and where one does; that by which one that serves is lengthened.
+HARDER, EASIER, LONGER = 10.0, 10.0, 3.0
+TRIALS = 24
 # Scales from a bound at which it is reached.
 AT_BOUND = 1e-2
 # Scales that a parameter without a prior may go in one step, where it is not as large itself.
@@ -53,48 +56,88 @@ def minimise(
 ) -> Minimum:
     """Minimise chi2 of the data plus priors over the free parameters.
 
-    Steps are taken in the coordinates that make the scale of the rig a straight line, damped after Marquardt. Ends
-    when the step promises to lower chi2 by less than `tolerance`, or by less than 1e-9 of it.
+    Steps are taken in the coordinates that make the scale of the rig a straight line, within bounds, damped after
+    Marquardt. Ends when the step promises to lower chi2 by less than `tolerance`, or by less than 1e-9 of it.
     """
     theta, damping = np.array(start, float), 0.0
-    space = coordinates(parameters, theta)
+    problem = _Problem(parameters, coordinates(parameters, theta), curvature, chi2)
     data = curvature(theta)
     for iteration in range(1, iterations + 1):
         whole = data + prior_curvature(parameters, theta)
-        total = _held_at_bounds(parameters, theta, _in_coordinates(parameters, space, theta, whole))
+        total = problem.held_at_bounds(theta, problem.in_coordinates(theta, whole))
         promised = _promised(total)
         if promised < max(tolerance, 1e-9 * total.chi2):
             return Minimum(theta, data, whole, iteration, True)
-        step = _descend(parameters, space, theta, total, damping, curvature, chi2)
+        step = _descend(problem, theta, total, damping)
         if step is None:
             return Minimum(theta, data, whole, iteration, promised < 1e-6 * total.chi2)
         theta, data, damping = step
     return Minimum(theta, data, data + prior_curvature(parameters, theta), iterations, False)
 
 
-def _in_coordinates(parameters: ParameterSet, space: Coordinates, theta: Array, total: Curvature) -> Curvature:
-    """The curvature with respect to the coordinates of the free parameters."""
-    J = space.jacobian(theta)[np.ix_(parameters.free, parameters.free)]
-    return Curvature(total.chi2, J.T @ total.gradient, J.T @ total.information @ J)
+@dataclass(frozen=True)
+class _Trial:
+    """Where a step led, chi-square of data and priors there, and the data's curvature where it is known.
 
-
-def _held_at_bounds(parameters: ParameterSet, theta: Array, total: Curvature) -> Curvature:
-    """The same curvature with the parameters held that rest on a bound and would cross it.
-
-    Those without a prior rest there exactly; the others, whose bounds are no place to be, at a hundredth of a sigma.
+    Chi-square is infinite where no rig is like this (an inertia that is not positive, say).
     """
-    free = parameters.free
-    near = np.where(np.isinf(parameters.sigma[free]), 0.0, AT_BOUND * parameters.scale[free])
-    position = theta[free]
-    below = (position - parameters.lower[free] <= near) & (total.gradient > 0)
-    above = (parameters.upper[free] - position <= near) & (total.gradient < 0)
-    held = below | above
-    if not held.any():
-        return total
-    information = total.information.copy()
-    information[held, :] = information[:, held] = 0.0
-    information[held, held] = 1.0
-    return Curvature(total.chi2, np.where(held, 0.0, total.gradient), information)
+
+    theta: Array
+    chi2: float
+    data: Curvature | None
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Chi-square and curvature of the data, the parameters with their priors, and the coordinates of the steps."""
+
+    parameters: ParameterSet
+    space: Coordinates
+    curvature: Callable[[Array], Curvature]
+    chi2: Callable[[Array], float]
+
+    def trial(self, theta: Array, with_curvature: bool) -> _Trial:
+        """What is there."""
+        try:
+            data = self.curvature(theta) if with_curvature else None
+            chi2 = self.chi2(theta) if data is None else data.chi2
+            return _Trial(theta, chi2 + prior_curvature(self.parameters, theta).chi2, data)
+        except np.linalg.LinAlgError:
+            return _Trial(theta, np.inf, None)
+
+    def in_coordinates(self, theta: Array, total: Curvature) -> Curvature:
+        """The curvature with respect to the coordinates of the free parameters."""
+        free = self.parameters.free
+        J = self.space.jacobian(theta)[np.ix_(free, free)]
+        return Curvature(total.chi2, J.T @ total.gradient, J.T @ total.information @ J)
+
+    def held_at_bounds(self, theta: Array, total: Curvature) -> Curvature:
+        """The same curvature with the parameters held that rest on a bound and would cross it.
+
+        Those without a prior rest there exactly; the others, whose bounds are no place to be, at a hundredth of a
+        sigma, and what goes to zero by its logarithm, without end, at a hundredth of its scale.
+        """
+        parameters, free = self.parameters, self.parameters.free
+        exactly = np.isinf(parameters.sigma) & ~self.space.vanishing
+        near = np.where(exactly, 0.0, AT_BOUND * parameters.scale)[free]
+        position = theta[free]
+        below = (position - parameters.lower[free] <= near) & (total.gradient > 0)
+        above = (parameters.upper[free] - position <= near) & (total.gradient < 0)
+        held = below | above
+        if not held.any():
+            return total
+        information = total.information.copy()
+        information[held, :] = information[:, held] = 0.0
+        information[held, held] = 1.0
+        return Curvature(total.chi2, np.where(held, 0.0, total.gradient), information)
+
+    def stepped(self, theta: Array, step: Array) -> Array:
+        """The step taken; a factor of three is the most that it may change a positive parameter."""
+        free, space = self.parameters.free, self.space
+        together = (space.logarithmic & ~space.vanishing)[free]
+        z = space.inward(theta)
+        z[free] += step / max(np.abs(step[together]).max(initial=0.0), 1.0)
+        return within_bounds(self.parameters, theta, space.outward(z))
 
 
 def _normalised(total: Curvature) -> tuple[Array, Array, Array]:
@@ -117,29 +160,36 @@ def _promised(total: Curvature) -> float:
 
 
 def _descend(
-    parameters: ParameterSet,
-    space: Coordinates,
-    theta: Array,
-    total: Curvature,
-    damping: float,
-    curvature: Callable[[Array], Curvature],
-    chi2: Callable[[Array], float],
+    problem: _Problem, theta: Array, total: Curvature, damping: float
 ) -> tuple[Array, Curvature, float] | None:
     """One accepted step, with the data's curvature there and the damping to begin the next with; None without one.
 
-    The first trial nearly always serves, so its curvature is asked for at once; further ones ask for chi2 alone.
+    An undamped step nearly always serves, so its curvature is asked for at once; of others chi2 alone. A damped one is
+    lengthened as long as that serves: along a narrow, curved valley the damping keeps steps short, and the next ones
+    would go the same way.
     """
     information, gradient, size = _normalised(total)
-    for trials in range(24):
-        step = -_solved(information + damping * np.eye(len(size)), gradient) * size
-        trial = _stepped(parameters, space, theta, step)
-        data = _curvature_at(trial, curvature) if trials == 0 else None
-        reached = _chi2_at(trial, parameters, chi2, data)
-        if reached < total.chi2:
-            easier = damping / 100.0 if damping > LEAST_DAMPING else 0.0
-            return trial, curvature(trial) if data is None else data, easier
-        damping = max(10.0 * damping, LEAST_DAMPING)
+    box = _box(problem.parameters, problem.space, theta)
+    for _ in range(TRIALS):
+        step = _step_within(information + damping * np.eye(len(size)), gradient, size, box)
+        trial = problem.trial(problem.stepped(theta, step), with_curvature=damping == 0.0)
+        if trial.chi2 < total.chi2:
+            end = trial if damping == 0.0 else _lengthened(problem, theta, step, trial)
+            data = problem.curvature(end.theta) if end.data is None else end.data
+            return end.theta, data, damping / EASIER if damping > LEAST_DAMPING else 0.0
+        damping = max(HARDER * damping, LEAST_DAMPING)
     return None
+
+
+def _lengthened(problem: _Problem, theta: Array, step: Array, trial: _Trial) -> _Trial:
+    """The same step threefold, and threefold again, as long as chi2 falls."""
+    for _ in range(TRIALS):
+        step = LONGER * step
+        further = problem.trial(problem.stepped(theta, step), with_curvature=False)
+        if not further.chi2 < trial.chi2:
+            break
+        trial = further
+    return trial
 
 
 def _solved(information: Array, gradient: Array) -> Array:
@@ -150,37 +200,46 @@ def _solved(information: Array, gradient: Array) -> Array:
         return np.asarray(np.linalg.lstsq(information, gradient, rcond=1e-12)[0])
 
 
-def _curvature_at(trial: Array, curvature: Callable[[Array], Curvature]) -> Curvature | None:
-    """The data's curvature; None where no rig is like this (an inertia that is not positive, say)."""
-    try:
-        return curvature(trial)
-    except np.linalg.LinAlgError:
-        return None
+@dataclass(frozen=True)
+class _Box:
+    """How far each coordinate of the free parameters may go in one step: down to `least`, up to `most`, (f,)."""
+
+    least: Array
+    most: Array
 
 
-def _chi2_at(trial: Array, parameters: ParameterSet, chi2: Callable[[Array], float], data: Curvature | None) -> float:
-    """Chi-square of data and priors, the data's as known where it is; infinite where no rig is like this."""
-    try:
-        return (chi2(trial) if data is None else data.chi2) + prior_curvature(parameters, trial).chi2
-    except np.linalg.LinAlgError:
-        return np.inf
-
-
-def _stepped(parameters: ParameterSet, space: Coordinates, theta: Array, step: Array) -> Array:
-    """The step taken, but at most nine tenths of the way to any bound, or onto it for one without a prior that is near.
+def _box(parameters: ParameterSet, space: Coordinates, theta: Array) -> _Box:
+    """Nine tenths of the way to any bound, or onto it for a parameter without a prior that is near.
 
     A parameter of which nothing is known beforehand may not leave its surroundings in one step: where it has little to
-    do yet, the straight line of a step says nothing of far away.
+    do yet, the straight line of a step says nothing of far away. What may vanish changes by a factor of e at most.
     """
-    z = space.inward(theta)
-    free = parameters.free
-    near = np.maximum(np.abs(theta[free]), FAR * parameters.scale[free])
-    step = np.where(np.isfinite(parameters.sigma[free]), step, np.clip(step, -near, near))
-    # A factor of three is the most that one step may change a positive parameter.
-    z[parameters.free] += step * min(
-        1.0, 1.0 / max(np.abs(step[space.logarithmic[parameters.free]]).max(initial=0), 1e-300)
-    )
-    return within_bounds(parameters, theta, space.outward(z))
+    far = np.where(np.isfinite(parameters.sigma), np.inf, np.maximum(np.abs(theta), FAR * parameters.scale))
+    least = np.maximum(-far, _toward(parameters.lower, theta, parameters) - theta)
+    most = np.minimum(far, _toward(parameters.upper, theta, parameters) - theta)
+    growth = np.diag(space.jacobian(theta))
+    least, most = least / growth, most / growth
+    # The logarithms of what has a prior are limited together.
+    least, most = (np.where(space.logarithmic, limit, x) for limit, x in ((-np.inf, least), (np.inf, most)))
+    least, most = (np.where(space.vanishing, limit, x) for limit, x in ((-1.0, least), (1.0, most)))
+    return _Box(least[parameters.free], most[parameters.free])
+
+
+def _step_within(information: Array, gradient: Array, size: Array, box: _Box) -> Array:
+    """The Gauss-Newton step; coordinates that would leave the box go to its side, and the others as then suits best.
+
+    `information` and `gradient` have a unit diagonal, and `size` gives steps back their units.
+    """
+    least, most = (limit / np.where(size > 0, size, 1.0) for limit in (box.least, box.most))
+    step = -_solved(information, gradient)
+    inside = np.ones(len(step), bool)
+    while True:
+        out = inside & ((step < least) | (step > most))
+        if not out.any():
+            return np.asarray(step * size)
+        step, inside = np.clip(step, least, most), inside & ~out
+        given = gradient[inside] + information[np.ix_(inside, ~inside)] @ step[~inside]
+        step[inside] = -_solved(information[np.ix_(inside, inside)], given)
 
 
 def within_bounds(parameters: ParameterSet, theta: Array, trial: Array) -> Array:

@@ -30,6 +30,9 @@ MEMORY = 20.0
 REMEMBERED = 1e-9
 # Where the anti-alias filter leaves less, a channel is left out rather than its noise amplified.
 LEAST_PASSED = 0.3
+# Amplitudes of a record by whose mean power one is told from noise, and the probability that noise has as much.
+NEIGHBOURS = 7
+NOISE_PROBABILITY = 1e-3
 # The scatter of the periods' means is taken for noise up to what is exceeded with this probability.
 DRIFT_PROBABILITY = 1e-4
 
@@ -50,7 +53,7 @@ def with_mean_and_waveform(run: Run, lines: Lines, geometry: Geometry) -> Lines:
     lines = _with_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, geometry)
     c = len(lines.channel_names)
     number = np.rint(lines.frequency * n / rate).astype(np.intp)
-    waveform = waveform_of(periods[:, :, :c].mean(axis=0), rate, lines, number, geometry, denoised=True)
+    waveform = waveform_of(periods[:, :, :c].mean(axis=0), rate, lines, number, geometry, neighbours=1)
     return replace(lines, waveform=waveform)
 
 
@@ -64,7 +67,7 @@ def local_lines_with_mean_and_waveform(run: Run, channel_names: Sequence[str], g
     channels, loads = samples_of(run, channel_names)
     mean = hann_mean(np.hstack([channels, loads[:, load_places(local.lines.components)]]))
     number = np.append(local.number, 0)
-    whole = waveform_of(channels, sample_rate(run), local.lines, number, geometry)
+    whole = waveform_of(channels, sample_rate(run), local.lines, number, geometry, NEIGHBOURS)
     M = local.weight.shape[1]
     waveform = RecordWaveform(
         **{**vars(whole), "recurs": False},
@@ -80,22 +83,36 @@ def waveform_of(
     lines: Lines,
     number: NDArray[np.intp],
     geometry: Geometry,
-    denoised: bool = False,
+    neighbours: int,
 ) -> Waveform:
     """Samples (n, c) of what recurs, as amplitudes before the anti-alias filter, for lines of these numbers (K,).
 
-    Where `denoised`, each amplitude is lessened by the share of noise in its power (Wiener): a contact that slips at
-    the least reversal would take noise for motion. That needs noise told from distortion, as periods do.
+    Each amplitude is lessened by the share of noise in the power of so many `neighbours`, itself in the middle: a
+    contact that slips at the least reversal would take noise for motion.
     """
     amplitudes, volts, frequency, passed = _before_filter(samples, rate, geometry)
     n = len(samples)
     dynamic = lines.frequency > 0
     variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
     variance = variance[: len(lines.channel_names)]
-    if denoised:
-        volts = volts * np.maximum(1.0 - variance / np.maximum(np.abs(amplitudes) ** 2, 1e-300), 0.0)
+    volts = volts * _signal_share(amplitudes, variance, neighbours)
     share = channel_shares(geometry, lines.channel_names, frequency, variance)
     return Waveform(frequency, volts, share, n, number, passed[number])
+
+
+def _signal_share(amplitudes: ComplexArray, variance: Array, neighbours: int) -> Array:
+    """What of the power of each amplitude (F, c) is no noise of this variance (c,), by its neighbours (Wiener, 1949).
+
+    Among neighbours there is none where noise alone would have as much power.
+    """
+    from scipy.ndimage import uniform_filter1d
+    from scipy.stats import chi2
+
+    power = uniform_filter1d(np.abs(amplitudes) ** 2, neighbours, axis=0)
+    ratio = variance / np.maximum(power, 1e-300)
+    dof = 2 * neighbours
+    least = 1.0 if neighbours == 1 else chi2.isf(NOISE_PROBABILITY, dof) / dof
+    return np.where(ratio * least < 1.0, 1.0 - ratio, 0.0)
 
 
 def _before_filter(
