@@ -20,8 +20,9 @@ LEAST_DAMPING = 1e-8
 # Factors of the damping where a step does not serve and where one does; that by which one that serves is lengthened.
 HARDER, EASIER, LONGER = 10.0, 10.0, 3.0
 TRIALS = 24
-# Scales from a bound at which it is reached.
+# Scales from a bound at which it is reached, and by which rounding may miss it.
 AT_BOUND = 1e-2
+ROUNDING = 1e-9
 # Scales that a parameter without a prior may go in one step, where it is not as large itself.
 FAR = 10.0
 
@@ -244,8 +245,11 @@ def _step_within(information: Array, gradient: Array, size: Array, box: _Box) ->
 
 def within_bounds(parameters: ParameterSet, theta: Array, trial: Array) -> Array:
     """A step from `theta` to `trial`, at most nine tenths of the way to any bound, or onto it where that is near."""
-    trial = np.where(trial <= parameters.lower, _toward(parameters.lower, theta, parameters), trial)
-    return np.asarray(np.where(trial >= parameters.upper, _toward(parameters.upper, theta, parameters), trial))
+    rounding = ROUNDING * parameters.scale
+    trial = np.where(trial <= parameters.lower + rounding, _toward(parameters.lower, theta, parameters), trial)
+    return np.asarray(
+        np.where(trial >= parameters.upper - rounding, _toward(parameters.upper, theta, parameters), trial)
+    )
 
 
 def _toward(bound: Array, theta: Array, parameters: ParameterSet) -> Array:
