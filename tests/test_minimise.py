@@ -66,7 +66,7 @@ def test_a_narrow_curved_valley_is_followed_in_long_steps():
 
 
 def test_what_vanishes_does_not_hold_up_the_others():
-    """An inertia that the data would rather have negative goes to zero by its logarithm; the rest is fitted in steps."""
+    """An inertia that the data would rather have negative goes to zero by its logarithm; the rest is soon fitted."""
     inertia = unknown("effect.inertia", unit="kg m2", lower=0.0, scale=1.0)
     problem = Residuals(
         lambda x: np.array([x[0] + 2.0, 100.0 * np.expm1(x[1]) - 600.0, 100.0 * (x[2] - 3.0 * x[1])]),

@@ -102,6 +102,15 @@ def test_gain_by_the_ten_is_the_score_at_the_place(weighed):
         assert c @ ten.s / (c @ ten.V @ c) == pytest.approx(score.step[0], rel=1e-6)
 
 
+def test_beside_tolerances_no_information_is_negative(declared):
+    """Mass, centre of gravity and inertia do what the ten do: all but a billionth of it is theirs."""
+    fit, batches = declared.fit, declared.batches
+    ten = point_mass._score_of_masses(fit.model, fit.theta, batches)
+    information = np.linalg.eigvalsh(ten.V)
+    assert information[0] > 0.0
+    assert information[0] < 1e-9 * np.linalg.eigvalsh(ten.raw)[-1]
+
+
 def test_a_mass_is_begun_where_it_is(weighed):
     """The score takes the change for a linear one: of 0.3 kg in 156 kg, a frequency that moves by a thousandth."""
     start = weighed.placed().starts[1]
