@@ -30,9 +30,11 @@ MEMORY = 20.0
 REMEMBERED = 1e-9
 # Where the anti-alias filter leaves less, a channel is left out rather than its noise amplified.
 LEAST_PASSED = 0.3
-# Amplitudes of a record by whose mean power one is told from noise, and the probability that noise has as much.
+# Amplitudes of a record by whose mean power one is told from noise, the probability that noise has as much, and the
+# part of a record's frequencies that hold little else.
 NEIGHBOURS = 7
 NOISE_PROBABILITY = 1e-3
+QUIET = 0.1
 # The scatter of the periods' means is taken for noise up to what is exceeded with this probability.
 DRIFT_PROBABILITY = 1e-4
 
@@ -103,16 +105,19 @@ def waveform_of(
 def _signal_share(amplitudes: ComplexArray, variance: Array, neighbours: int) -> Array:
     """What of the power of each amplitude (F, c) is no noise of this variance (c,), by its neighbours (Wiener, 1949).
 
-    Among neighbours there is none where noise alone would have as much power.
+    Among neighbours there is none where noise alone would have as much power. What the lines of a record do not follow
+    may be distortion, and motion: no more counts as noise than there is where it is quiet.
     """
     from scipy.ndimage import uniform_filter1d
     from scipy.stats import chi2
 
-    power = uniform_filter1d(np.abs(amplitudes) ** 2, neighbours, axis=0)
-    ratio = variance / np.maximum(power, 1e-300)
-    dof = 2 * neighbours
-    least = 1.0 if neighbours == 1 else chi2.isf(NOISE_PROBABILITY, dof) / dof
-    return np.where(ratio * least < 1.0, 1.0 - ratio, 0.0)
+    power, dof = np.abs(amplitudes) ** 2, 2 * neighbours
+    if neighbours == 1:
+        return np.maximum(1.0 - variance / np.maximum(power, 1e-300), 0.0)
+    power = uniform_filter1d(power, neighbours, axis=0)
+    quiet = np.quantile(power, QUIET, axis=0) * dof / chi2.ppf(QUIET, dof)
+    ratio = np.minimum(variance, quiet) / np.maximum(power, 1e-300)
+    return np.where(ratio * chi2.isf(NOISE_PROBABILITY, dof) / dof < 1.0, 1.0 - ratio, 0.0)
 
 
 def _before_filter(
