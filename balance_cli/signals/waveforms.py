@@ -113,7 +113,7 @@ def _signal_share(amplitudes: ComplexArray, variance: Array, neighbours: int) ->
 
     power, dof = np.abs(amplitudes) ** 2, 2 * neighbours
     if neighbours == 1:
-        return np.maximum(1.0 - variance / np.maximum(power, 1e-300), 0.0)
+        return np.asarray(np.maximum(1.0 - variance / np.maximum(power, 1e-300), 0.0))
     power = uniform_filter1d(power, neighbours, axis=0)
     quiet = np.quantile(power, QUIET, axis=0) * dof / chi2.ppf(QUIET, dof)
     ratio = np.minimum(variance, quiet) / np.maximum(power, 1e-300)
