@@ -78,6 +78,18 @@ def test_what_vanishes_does_not_hold_up_the_others():
     assert found.converged and found.iterations < 25
 
 
+def test_what_has_all_but_vanished_stays_a_number():
+    """Begun at a billionth of a billionth of its scale: a logarithm never meets its bound."""
+    inertia = unknown("effect.inertia", unit="kg m2", lower=0.0, scale=1.0)
+    problem = Residuals(
+        lambda x: np.array([x[0] + 2.0, x[1] - 1.0]),
+        lambda x: np.eye(2),
+    )
+    found = problem.minimum(inertia + unknown("a"), (1e-18, 0.0), tolerance=1e-9)
+    assert 0.0 < found.theta[0] < 1e-17
+    assert found.theta[1] == pytest.approx(1.0)
+
+
 def test_a_first_step_that_serves_asks_for_no_chi2():
     """Its curvature brings chi-square with it."""
     problem = Residuals(lambda x: np.array([x[0] - 3.0, 2.0 * x[1]]), lambda x: np.diag([1.0, 2.0]))

@@ -138,7 +138,9 @@ class _Problem:
         together = (space.logarithmic & ~space.vanishing)[free]
         z = space.inward(theta)
         z[free] += step / max(np.abs(step[together]).max(initial=0.0), 1.0)
-        return within_bounds(self.parameters, theta, space.outward(z))
+        trial = space.outward(z)
+        # A logarithm has no zero to be put at.
+        return np.where(space.vanishing, trial, within_bounds(self.parameters, theta, trial))
 
 
 def _normalised(total: Curvature) -> tuple[Array, Array, Array]:
