@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from balance_cli.diagnosed import (
 from balance_cli.diagnosis.confirm import SIGNIFICANT, Confirmed, chance, confirm
 from balance_cli.diagnosis.empirical import with_extra_modes
 from balance_cli.diagnosis.fit import Fit, fitted
+from balance_cli.diagnosis.mass_region import mass_intervals
 from balance_cli.diagnosis.model_free import model_free_tests
 from balance_cli.diagnosis.needed import believed, pruned
 from balance_cli.diagnosis.refit import State
@@ -77,7 +78,7 @@ def diagnose(
     if _labels(fit.model) == _labels(start) and closed.quality.chi2 > quality.chi2:
         # Nothing came in or went, and a fit that had to carry a model error is no better than the one given.
         closed, after = model, before
-    effects = _effects(closed, loop)
+    effects = _effects(closed, loop, mass_intervals(fit.model, fit.theta, batches))
     residuals = residual_map(batches, before, after)
     verdict = _verdict(effects, loop.confirmed, closed.quality)
     diagnosis = Diagnosis(
@@ -202,8 +203,13 @@ def _verdict(effects: Sequence[FoundEffect], confirmed: Confirmed, quality: FitQ
     return EXPLAINED if good and not empirical else PARTLY_EXPLAINED
 
 
-def _effects(closed: IdentifiedModel, loop: _Loop) -> tuple[FoundEffect, ...]:
-    """The effects that the loop has added, strongest first; those of the model given are not news."""
+def _effects(
+    closed: IdentifiedModel, loop: _Loop, intervals: Mapping[str, tuple[float, float]]
+) -> tuple[FoundEffect, ...]:
+    """The effects that the loop has added, strongest first; those of the model given are not news.
+
+    `intervals`: those of 95 % of parameters, by their full names, where sigma says little.
+    """
     described_effects = {one.label: one for one in identified_effects(closed)}
     result = []
     for one in declared_effects(closed.geometry):
@@ -222,7 +228,12 @@ def _effects(closed: IdentifiedModel, loop: _Loop) -> tuple[FoundEffect, ...]:
             round=came.round if came else 0,
             empirical=one.effect.empirical,
         )
-        result.append(_found(described_effects[one.label], evidence, stands.alike, one.effect.separated_by))
+        bounded = tuple(
+            replace(item, interval=intervals.get(f"{one.label}.{item.name}"))
+            for item in described_effects[one.label].parameters
+        )
+        effect = replace(described_effects[one.label], parameters=bounded)
+        result.append(_found(effect, evidence, stands.alike, one.effect.separated_by))
     return tuple(sorted(result, key=lambda item: -item.evidence.gain))
 
 

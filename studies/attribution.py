@@ -24,6 +24,7 @@ from balance_cli.simulation import TrueRig, draw_rig, simulate_campaign
 from balance_cli.simulation.extensions import apply_effects
 from balance_cli.spectra import measured_spectra
 from studies.cases import Case, plan
+from studies.coverage import NINETY_FIVE
 from studies.recovery import LEAST_DAMPING
 from studies.sizing import Hidden, candidate_of, expected_gains, hidden_effect, power, simulated
 from studies.unknown import unknown_effect
@@ -165,14 +166,22 @@ def same(found: str, hidden: str) -> bool:
 
 
 def deviations(after: IdentifiedModel, effects: Sequence[FoundEffect], hidden: Sequence[Hidden]) -> list[float]:
-    """(estimate - truth) / sigma of the parameters that act by themselves, of each effect found by its own name."""
+    """(estimate - truth) / sigma of the parameters that act by themselves, of each effect found by its own name.
+
+    Where an interval of 95 % is given, sigma is the distance of its end, on the side of the truth, over 1.96.
+    """
     table = after.parameters
     known = {name: i for i, name in enumerate(table.names)}
     found = []
     for item in hidden:
-        label = next((effect.label for effect in effects if same(effect.label, item.label)), None)
-        for parameter in item.own if label else ():
-            i = known.get(f"{label}.{parameter.fitted_name}")
+        effect = next((effect for effect in effects if same(effect.label, item.label)), None)
+        bounds = {} if effect is None else {one.name: one.interval for one in effect.parameters if one.interval}
+        for parameter in item.own if effect else ():
+            i = known.get(f"{effect.label}.{parameter.fitted_name}")  # type: ignore[union-attr]
             if i is not None and 0.0 < table.sigma[i] < np.inf:
-                found.append(float((table.value[i] - item.values[parameter.fitted_name]) / table.sigma[i]))
+                error, sigma = float(table.value[i] - item.values[parameter.fitted_name]), float(table.sigma[i])
+                if parameter.name in bounds:
+                    lower, upper = bounds[parameter.name]
+                    sigma = (table.value[i] - lower if error > 0.0 else upper - table.value[i]) / NINETY_FIVE
+                found.append(float(error / max(sigma, 1e-300)))
     return found

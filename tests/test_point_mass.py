@@ -84,7 +84,7 @@ def test_ten_masses_make_one_at_any_place():
         return motion.T @ motion
 
     places = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 3))
-    shares = point_mass._shares(places)
+    shares = point_mass.shares(places)
     expected = np.array([square(p) for p in places])
     found = np.einsum("pk,kij->pij", shares, np.array([square(p) for p in POINTS]))
     np.testing.assert_allclose(found, expected, atol=1e-12)
@@ -92,10 +92,10 @@ def test_ten_masses_make_one_at_any_place():
 
 def test_gain_by_the_ten_is_the_score_at_the_place(weighed):
     fit, batches = weighed.fit, weighed.batches
-    ten = point_mass._score_of_masses(fit.model, fit.theta, batches)
+    ten = point_mass.score_of_masses(fit.model, fit.theta, batches)
     one = candidate_at("added-mass", (), WEIGHED).one
     for place in (np.array(PLACE), *np.random.default_rng(1).uniform(-0.5, 0.5, (4, 3))):
-        (c,) = point_mass._shares(place[None])
+        (c,) = point_mass.shares(place[None])
         there = Candidate(one, (dict(zip("xyz", map(float, place), strict=True)),))
         (score,) = scores(fit.model, fit.theta, batches, [there])
         assert (c @ ten.s) ** 2 / (c @ ten.V @ c) == pytest.approx(score.gain, rel=1e-6)
@@ -105,7 +105,7 @@ def test_gain_by_the_ten_is_the_score_at_the_place(weighed):
 def test_beside_tolerances_no_information_is_negative(declared):
     """Mass, centre of gravity and inertia do what the ten do: all but a billionth of it is theirs."""
     fit, batches = declared.fit, declared.batches
-    ten = point_mass._score_of_masses(fit.model, fit.theta, batches)
+    ten = point_mass.score_of_masses(fit.model, fit.theta, batches)
     information = np.linalg.eigvalsh(ten.V)
     assert information[0] > 0.0
     assert information[0] < 1e-9 * np.linalg.eigvalsh(ten.raw)[-1]
@@ -136,8 +136,8 @@ def test_no_other_place_gains_more(weighed):
     (named,) = scores(fit.model, fit.theta, batches, [one])
     assert best.parameters == named.parameters + 3
     assert best.gain > 1.1 * named.gain
-    ten = point_mass._score_of_masses(fit.model, fit.theta, batches)
-    c = point_mass._shares(np.random.default_rng(2).uniform(-1.0, 1.0, (20000, 3)) * reach(WEIGHED))
+    ten = point_mass.score_of_masses(fit.model, fit.theta, batches)
+    c = point_mass.shares(np.random.default_rng(2).uniform(-1.0, 1.0, (20000, 3)) * reach(WEIGHED))
     assert np.max((c @ ten.s) ** 2 / np.sum((c @ ten.V) * c, axis=1)) < best.gain
 
 

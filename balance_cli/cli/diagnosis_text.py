@@ -88,7 +88,8 @@ def _effect_text(effect: FoundEffect) -> Iterator[str]:
     rise = f"without it chi2 rises by {evidence.gain:.4g}"
     yield f"{effect.label}{kind}: {rise} ({count}, p {_probability(evidence.p_value)})"
     for item in effect.parameters:
-        yield f"   {item.name:<24} {item.value:12.5g} +- {item.sigma:<9.2g} {item.unit}"
+        interval = "" if item.interval is None else "   95 %: {:.4g} to {:.4g}".format(*item.interval)
+        yield f"   {item.name:<24} {item.value:12.5g} +- {item.sigma:<9.2g} {item.unit}{interval}"
     if effect.indistinguishable_from:
         yield f"   cannot be told from {', '.join(effect.indistinguishable_from)}"
         if effect.separated_by:

@@ -26,7 +26,9 @@ def parameters_summary(table: ParameterTable) -> dict[str, dict[str, Any]]:
 def effect_summary(effect: FittedEffect | FoundEffect) -> dict[str, Any]:
     """An effect as the contract's section on effects has it; a parameter that is a word has no sigma."""
     parameters: dict[str, dict[str, Any]] = {
-        item.name: {"value": item.value, "sigma": item.sigma, "unit": item.unit} for item in effect.parameters
+        item.name: {"value": item.value, "sigma": item.sigma, "unit": item.unit}
+        | ({} if item.interval is None else {"interval_95": item.interval})
+        for item in effect.parameters
     }
     if effect.choice:
         name, word = effect.choice

@@ -34,6 +34,7 @@ from balance_cli.model.balance import BalanceModel
 from balance_cli.model.placed_effects import PlacedEffect, effect_parameters
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 # Corners and mid-edges of a tetrahedron: on these a quadratic polynomial of three variables is known.
 CORNERS = np.vstack([np.zeros(3), np.eye(3)])
@@ -58,7 +59,7 @@ def well_placed(
     """
     if model.geometry.freedom != FREEDOMS or not any(_is_mass(one.one) for one in candidates):
         return tuple(candidates)
-    score, far = _score_of_masses(model, theta, batches), reach(model.geometry)
+    score, far = score_of_masses(model, theta, batches), reach(model.geometry)
     starts = tuple(_best(score, score.s, sign, far).start for sign in (1.0, -1.0))
     return tuple(replace(one, starts=starts, chosen=3) if _is_mass(one.one) else one for one in candidates)
 
@@ -69,11 +70,10 @@ def settled_mass(model: BalanceModel, theta: Array, batches: Sequence[Batch]) ->
     Steps of Gauss and Newton for the ten masses, of which each finds the one mass that suits best, wherever it is:
     along mass against arm chi-square is a narrow and curved valley.
     """
-    own = next((one for one in model.effects if _is_mass(one)), None)
-    if own is None or model.geometry.freedom != FREEDOMS:
+    at = places_of_mass(model)
+    if at is None:
         return theta
-    at = np.array([model.parameters.index(own.full_name(item)) for item in own.parameters])
-    others = model.with_sigma(np.where(np.isin(np.arange(len(theta)), at), 0.0, model.parameters.sigma))
+    others = _without(model, at)
     chi2 = penalised_chi2(model, theta, batches)
     for _ in range(STEPS):
         begun = _step(others, theta, batches, at)
@@ -88,19 +88,42 @@ def settled_mass(model: BalanceModel, theta: Array, batches: Sequence[Batch]) ->
     return theta
 
 
-def _step(others: BalanceModel, theta: Array, batches: Sequence[Batch], at: NDArray[np.intp]) -> Array:
+def _step(others: BalanceModel, theta: Array, batches: Sequence[Batch], at: Index) -> Array:
     """One step: mass and place, at indices `at` of theta, as they suit best, and the others as they then follow."""
-    score, far = _score_of_masses(others, theta, batches), reach(others.geometry)
-    (c,) = _shares(theta[at[1:]][None])
-    before = theta[at[0]] * c
+    score, far = score_of_masses(others, theta, batches), reach(others.geometry)
+    before = _ten_of(theta[at])
     s = score.s + score.V @ before
     best = max((_best(score, s, sign, far) for sign in (1.0, -1.0)), key=lambda one: one.gain)
-    (c,) = _shares(best.place[None])
     found = theta.copy()
-    found[others.parameters.free] += score.rest - score.along @ (best.mass * c - before)
+    after = _ten_of(np.array([best.mass, *best.place]))
+    found[others.parameters.free] += score.rest - score.along @ (after - before)
     found = within_bounds(others.parameters, theta, found)
     found[at] = best.mass, *best.place
     return found
+
+
+def places_of_mass(model: BalanceModel) -> Index | None:
+    """Where mass and place of a model's point mass stand among its parameters (4,); None without one."""
+    own = next((one for one in model.effects if _is_mass(one)), None)
+    if own is None or model.geometry.freedom != FREEDOMS:
+        return None
+    return np.array([model.parameters.index(own.full_name(item)) for item in own.parameters])
+
+
+def whole_masses(model: BalanceModel, theta: Array, batches: Sequence[Batch], at: Index) -> Masses:
+    """The score of the ten masses as if the model had no point mass, whose parameters are at indices `at` (4,)."""
+    score = score_of_masses(_without(model, at), theta, batches)
+    return replace(score, s=score.s + score.V @ _ten_of(theta[at]))
+
+
+def _without(model: BalanceModel, at: Index) -> BalanceModel:
+    """The model with its point mass held."""
+    return model.with_sigma(np.where(np.isin(np.arange(len(model.parameters)), at), 0.0, model.parameters.sigma))
+
+
+def _ten_of(mass_and_place: Array) -> Array:
+    """The ten masses (10,) that do what one does, of mass and place (4,)."""
+    return np.asarray(mass_and_place[0] * shares(mass_and_place[1:][None])[0])
 
 
 def _is_mass(one: PlacedEffect) -> bool:
@@ -108,7 +131,7 @@ def _is_mass(one: PlacedEffect) -> bool:
 
 
 @dataclass(frozen=True)
-class _Masses:
+class Masses:
     """s (10,) and V (10, 10) of masses at POINTS, all f fitted parameters projected out; `raw` (10, 10) is V before.
 
     By masses d (10,) these change by `rest` - `along` d, (f,) and (f, 10).
@@ -121,7 +144,8 @@ class _Masses:
     along: Array
 
 
-def _score_of_masses(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> _Masses:
+def score_of_masses(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Masses:
+    """The score of ten masses at POINTS, beside what the model has at `theta` (p,)."""
     ten = PlacedEffect(MASSES, (), MASSES.parameters(model.geometry, ()), {})
     order = [effect.name for effect in EFFECTS]
     effects = sorted((*model.effects, ten), key=lambda one: order.index(one.effect.name))
@@ -135,7 +159,7 @@ def _score_of_masses(model: BalanceModel, theta: Array, batches: Sequence[Batch]
     # Mass, centre of gravity and inertia do what the ten do, so that nearly nothing is left: in this form it has no
     # error of first order in `along`.
     V = raw - cross.T @ along - along.T @ cross + along.T @ among @ along
-    return _Masses(-(whole.gradient[own] - along.T @ whole.gradient[fitted]), 0.5 * (V + V.T), raw, rest, along)
+    return Masses(-(whole.gradient[own] - along.T @ whole.gradient[fitted]), 0.5 * (V + V.T), raw, rest, along)
 
 
 def _solved(inverse: Array, matrix: Array, right: Array) -> Array:
@@ -158,12 +182,12 @@ class _Place:
         return {"mass": self.mass, **dict(zip("xyz", map(float, self.place), strict=True))}
 
 
-def _best(masses: _Masses, s: Array, sign: float, far: float) -> _Place:
+def _best(masses: Masses, s: Array, sign: float, far: float) -> _Place:
     """Where, within `far` of the origin along each axis, more mass (`sign` 1) or less (-1) gains most."""
     from scipy.optimize import minimize as lowest
 
     def slope_and_information(places: Array) -> tuple[Array, Array]:
-        c = _shares(places)
+        c = shares(places)
         least = LEAST_SHARE * np.sum((c @ masses.raw) * c, axis=1)
         return c @ s, np.maximum(np.sum((c @ masses.V) * c, axis=1), least)
 
@@ -182,7 +206,7 @@ def _best(masses: _Masses, s: Array, sign: float, far: float) -> _Place:
     return _Place(np.asarray(end.x), -float(end.fun), float(slope[0] / information[0]))
 
 
-def _shares(places: Array) -> Array:
+def shares(places: Array) -> Array:
     """C (k, 10): what of each mass at POINTS makes a unit of mass at `places` (k, 3)."""
     return np.asarray(np.linalg.solve(_moments(POINTS).T, _moments(places).T).T)
 

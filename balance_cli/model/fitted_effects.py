@@ -14,12 +14,16 @@ from balance_cli.model.placed_effects import PlacedEffect, declared_effects, eff
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """A parameter of an effect as found; sigma is 0 where it was held, infinite where nothing told of it."""
+    """A parameter of an effect as found; sigma is 0 where it was held, infinite where nothing told of it.
+
+    `interval`: that of 95 % by the likelihood, where it is no matter of sigma.
+    """
 
     name: str
     value: float
     sigma: float
     unit: str
+    interval: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

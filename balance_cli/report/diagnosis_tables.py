@@ -55,14 +55,21 @@ def _effect_row(effect: FoundEffect) -> Row:
 
 def parameter_table(effects: Sequence[FoundEffect]) -> Table:
     """Every parameter of every effect."""
-    head = tuple(Cell(word) for word in ("parameter", "value", "sigma", "unit"))
+    bounded = any(item.interval is not None for effect in effects for item in effect.parameters)
+    words = ("parameter", "value", "sigma", "unit", *(["95 %"] if bounded else []))
+    head = tuple(Cell(word) for word in words)
     rows: list[Row] = []
     for effect in effects:
         rows.append(group_row(effect.label, len(head)))
         for item in effect.parameters:
             value, sigma = with_sigma(item.value, item.sigma)
-            rows.append((Cell(item.name, mark="name"), Cell(value), Cell(sigma), Cell(item.unit, mark="quiet")))
-    return Table("Parameters of the effects, with one sigma.", (head,), tuple(rows))
+            row = [Cell(item.name, mark="name"), Cell(value), Cell(sigma), Cell(item.unit, mark="quiet")]
+            between = "" if item.interval is None else "{:.4g} to {:.4g}".format(*item.interval)
+            rows.append((*row, *([Cell(between)] if bounded else [])))
+    caption = "Parameters of the effects, with one sigma."
+    if bounded:
+        caption += " 95 %: by the likelihood, where sigma says little."
+    return Table(caption, (head,), tuple(rows))
 
 
 # ---- errors ----------------------------------------------------------------------------------------------------------
