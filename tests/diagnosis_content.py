@@ -32,7 +32,7 @@ def support() -> FoundEffect:
         name="support-flexibility",
         where=("x", "theta"),
         parameters=(
-            FittedParameter("compliance_x", 2.13e-8, 4.1e-10, "m/N"),
+            FittedParameter("compliance_x", 2.13e-8, 4.1e-10, "m/N", (1.9e-8, 2.9e-8)),
             FittedParameter("mass", 512.0, 23.0, "kg"),
             FittedParameter("damping_ratio", 0.021, float("inf"), "1"),
         ),

@@ -70,6 +70,7 @@ def test_the_summary_has_the_keys_of_the_contract(diagnose):
     assert {"name", "where", "parameters", "evidence", "indistinguishable_from"} <= set(first)
     assert first["where"] == ["x", "theta"]
     assert first["parameters"]["mass"] == {"value": 512.0, "sigma": 23.0, "unit": "kg"}
+    assert first["parameters"]["compliance_x"]["interval_95"] == [1.9e-8, 2.9e-8]
     assert first["parameters"]["damping_ratio"]["sigma"] is None
     assert first["indistinguishable_from"] == ["mast-bending@x"]
     assert told["not_testable"][0].keys() == {"name", "why"}
@@ -196,6 +197,7 @@ def test_the_text_says_verdict_effects_evidence_and_errors():
     assert lines[1].startswith("chi2/dof 2.3e+03 -> 1.04")
     assert "What is left: z3 at 118 Hz in My" in text
     assert "support-flexibility@x,theta: without it chi2 rises by 1.234e+06 (3 parameters, p < 1e-99)" in text
+    assert "m/N   95 %: 1.9e-08 to 2.9e-08" in text
     assert "cannot be told from mast-bending@x" in text and "a tap on the support" in text
     assert "every sigma" not in text
     assert any("every sigma" in line for line in diagnosis_text(diagnosis(chi2_per_dof_after=3.0)))
