@@ -12,7 +12,7 @@ from balance_cli.diagnosis.point_mass import settled_mass
 
 @pytest.fixture(scope="module")
 def declared():
-    """A mass of 0.6 kg beside tolerances: a gain of 600, and a long valley."""
+    """A mass of 0.6 kg beside tolerances: a gain of 500, and a long valley."""
     campaign = Campaign(DECLARED, 0.6)
     model, theta = campaign.begun_at(0)
     return campaign, fitted(model, settled_mass(model, theta, campaign.batches), campaign.batches)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.point_mass import Masses, places_of_mass, shares, whole_masses
+from balance_cli.diagnosis.point_mass import Masses, places_of_mass, whole_masses
 from balance_cli.effects.base import reach
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.balance import BalanceModel
@@ -108,8 +108,7 @@ class _Crowd:
 
 
 def _judged(masses: Masses, places: Array) -> _Crowd:
-    c = shares(places)
-    slope, information = c @ masses.s, np.maximum(np.sum((c @ masses.V) * c, axis=1), 1e-300)
+    slope, information = masses.at(places)
     gain = slope**2 / information
     half = np.sqrt(np.maximum(NINETY_FIVE - (gain.max() - gain), 0.0) / information)
     return _Crowd(places, gain, slope / information, half)

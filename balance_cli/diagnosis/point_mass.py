@@ -42,7 +42,7 @@ EDGES = [0.5 * (CORNERS[i] + CORNERS[j]) for i in range(4) for j in range(i)]
 POINTS = np.vstack([CORNERS, *EDGES])
 # Points along each axis of the grid on which the top is sought.
 GRID = 25
-# Of a mass's information, what the fitted parameters must leave: rounding makes a tenth of this.
+# Of a mass's information, what the fitted parameters leave at least: nothing is divided by rounding alone.
 LEAST_SHARE = 1e-12
 # Steps of a fit of mass and place, and the chi-square that one must bring for a further one.
 STEPS = 3
@@ -60,7 +60,7 @@ def well_placed(
     if model.geometry.freedom != FREEDOMS or not any(_is_mass(one.one) for one in candidates):
         return tuple(candidates)
     score, far = score_of_masses(model, theta, batches), reach(model.geometry)
-    starts = tuple(_best(score, score.s, sign, far).start for sign in (1.0, -1.0))
+    starts = tuple(_best(score, sign, far).start for sign in (1.0, -1.0))
     return tuple(replace(one, starts=starts, chosen=3) if _is_mass(one.one) else one for one in candidates)
 
 
@@ -90,13 +90,11 @@ def settled_mass(model: BalanceModel, theta: Array, batches: Sequence[Batch]) ->
 
 def _step(others: BalanceModel, theta: Array, batches: Sequence[Batch], at: Index) -> Array:
     """One step: mass and place, at indices `at` of theta, as they suit best, and the others as they then follow."""
-    score, far = score_of_masses(others, theta, batches), reach(others.geometry)
-    before = _ten_of(theta[at])
-    s = score.s + score.V @ before
-    best = max((_best(score, s, sign, far) for sign in (1.0, -1.0)), key=lambda one: one.gain)
+    masses, far = whole_masses(others, theta, batches, at), reach(others.geometry)
+    best = max((_best(masses, sign, far) for sign in (1.0, -1.0)), key=lambda one: one.gain)
     found = theta.copy()
-    after = _ten_of(np.array([best.mass, *best.place]))
-    found[others.parameters.free] += score.rest - score.along @ (after - before)
+    change = _ten_of(np.array([best.mass, *best.place])) - _ten_of(theta[at])
+    found[others.parameters.free] += masses.rest - masses.along @ change
     found = within_bounds(others.parameters, theta, found)
     found[at] = best.mass, *best.place
     return found
@@ -143,6 +141,12 @@ class Masses:
     rest: Array
     along: Array
 
+    def at(self, places: Array) -> tuple[Array, Array]:
+        """Slope c's and information c'V c (n,) of a unit of mass at places (n, 3)."""
+        c = shares(places)
+        least = LEAST_SHARE * np.sum((c @ self.raw) * c, axis=1)
+        return c @ self.s, np.maximum(np.sum((c @ self.V) * c, axis=1), least)
+
 
 def score_of_masses(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Masses:
     """The score of ten masses at POINTS, beside what the model has at `theta` (p,)."""
@@ -182,17 +186,12 @@ class _Place:
         return {"mass": self.mass, **dict(zip("xyz", map(float, self.place), strict=True))}
 
 
-def _best(masses: Masses, s: Array, sign: float, far: float) -> _Place:
+def _best(masses: Masses, sign: float, far: float) -> _Place:
     """Where, within `far` of the origin along each axis, more mass (`sign` 1) or less (-1) gains most."""
     from scipy.optimize import minimize as lowest
 
-    def slope_and_information(places: Array) -> tuple[Array, Array]:
-        c = shares(places)
-        least = LEAST_SHARE * np.sum((c @ masses.raw) * c, axis=1)
-        return c @ s, np.maximum(np.sum((c @ masses.V) * c, axis=1), least)
-
     def gain(places: Array) -> Array:
-        slope, information = slope_and_information(places)
+        slope, information = masses.at(places)
         return np.asarray(np.maximum(sign * slope, 0.0) ** 2 / information)
 
     def loss(place: Array) -> float:
@@ -202,7 +201,7 @@ def _best(masses: Masses, s: Array, sign: float, far: float) -> _Place:
     places = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     # The gain has a narrow ridge, mass against arm: no grid meets its top.
     end = lowest(loss, places[np.argmax(gain(places))], method="Nelder-Mead", bounds=[(-far, far)] * 3)
-    slope, information = slope_and_information(np.asarray(end.x)[None])
+    slope, information = masses.at(np.asarray(end.x)[None])
     return _Place(np.asarray(end.x), -float(end.fun), float(slope[0] / information[0]))
 
 
