@@ -13,6 +13,7 @@ from balance_cli.diagnosis.needed import believed
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.rivals import contested
 from balance_cli.diagnosis.score import best_gain, best_scores, extended, scores, with_candidates
+from balance_cli.effects.dry_friction import LEAST, STIFFNESSES
 from balance_cli.errors import UserError
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.model_error import log_volume, shares_that_explain, with_model_error
@@ -344,3 +345,35 @@ def test_of_two_that_do_the_same_the_linear_one_is_preferred():
     assert preferred([bends, offset], [717.6, 715.4]) == 1
     assert preferred([bends, offset], [722.0, 715.4]) == 0
     assert preferred([offset, bends, offset], [700.0, 690.0, 701.0]) == 2
+
+
+@pytest.mark.parametrize(
+    ("force", "stiffness", "share"),
+    [(0.3, 3e5, 0.5), (6.0, 3e4, 0.02), (15.0, 2e5, 0.02)],
+    ids=["slips", "both", "sticks"],
+)
+def test_friction_is_found_at_once_whether_it_slips_or_sticks(force, stiffness, share):
+    values = {"force": force, "stick_stiffness": stiffness}
+    found, _ = one_cell(DeclaredEffect(name="dry-friction", where=("z",), parameters=values))
+    assert [(effect.label, effect.evidence.round) for effect in found.effects] == [("dry-friction@z", 1)]
+    fitted_values = {item.name: item.value for item in found.effects[0].parameters}
+    assert fitted_values["force"] == pytest.approx(force, rel=0.01)
+    # A contact that mostly slips says little of how stiff it is.
+    assert fitted_values["stick_stiffness"] == pytest.approx(stiffness, rel=share)
+    assert found.chi2_per_dof_after < 0.03 * found.chi2_per_dof_before
+
+
+def test_a_search_begins_friction_with_the_slip_distance_that_it_scored():
+    candidate = candidate_at("dry-friction", ("z",), ONE).scanned(ONE)
+    assert len(candidate.starts) > 5
+    stiffness = ONE.cells[0].effective_stiffness
+    slips = []
+    for number, start in enumerate(candidate.starts[1:], 1):
+        begun = candidate.sized(ONE, number, [2.0])
+        slips.append(begun["force"] / begun["stick_stiffness"])
+        held = candidate.at_null(start).parameters["stick_stiffness"]
+        assert slips[-1] == pytest.approx(LEAST * ONE.cells[0].full_range / held) or (
+            begun["stick_stiffness"] == pytest.approx(STIFFNESSES[1] * stiffness)
+        )
+    assert slips == sorted(slips)
+    assert candidate.sized(ONE, 0, [2.0]) == {}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from balance_cli import effects
 from balance_cli.effects import Effect, EffectParameter, Where
@@ -43,6 +43,19 @@ class Candidate:
     def at_start(self, start: Mapping[str, float]) -> DeclaredEffect:
         """The effect where a fit begins."""
         return self._declared({one.name: start.get(one.fitted_name, one.fitted_start) for one in self.one.parameters})
+
+    def scanned(self, geometry: Geometry) -> Candidate:
+        """The candidate with the further starts that a search scores."""
+        scanned = self.effect.scanned
+        return self if scanned is None else replace(self, starts=(*self.starts, *scanned(geometry, self.one.where)))
+
+    def sized(self, geometry: Geometry, number: int, step: Sequence[float]) -> Mapping[str, float]:
+        """Values from which to begin at a start, where the score has found this `step` from the null."""
+        own = {
+            item.fitted_name: item.fitted_null + d for item, d in zip(tested(self.one.parameters), step, strict=True)
+        }
+        sized, start = self.effect.sized, self.starts[number]
+        return start if sized is None else sized(geometry, self.one.where, start, own)
 
     def _declared(self, fitted: Mapping[str, float]) -> DeclaredEffect:
         values = {one.name: one.natural(fitted[one.name]) for one in self.one.parameters}

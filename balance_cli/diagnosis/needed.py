@@ -13,6 +13,7 @@ from balance_cli.diagnosis.confirm import FAIR_SHARE, SIGNIFICANT, STRONG, chanc
 from balance_cli.diagnosis.fit import Fit, excess, fitted
 from balance_cli.diagnosis.score import extended
 from balance_cli.effects import Where
+from balance_cli.estimation.coordinates import coordinates
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.support import covariance_of
 from balance_cli.geometry import DeclaredEffect, Geometry
@@ -25,20 +26,22 @@ NEEDLESS = 1e-3
 
 
 def wald(fit: Fit, names: Iterable[str], nulls: Iterable[float]) -> tuple[float, int]:
-    """Chi-square of parameters against their nulls, the others free to follow (Wald), and how many are known."""
-    parameters = fit.model.parameters
-    free = [name for name, is_free in zip(parameters.names, parameters.free, strict=True) if is_free]
-    covariance = covariance_of(fit.minimum.total.information)
-    known = [
-        (free.index(name), fit.theta[parameters.index(name)] - null)
-        for name, null in zip(names, nulls, strict=True)
-        if name in free and covariance[free.index(name), free.index(name)] > 0
-    ]
-    if not known:
+    """Chi-square of parameters against their nulls, the others free to follow (Wald), and how many are known.
+
+    In the coordinates of the fit, where no stiffness owes its sigma to the scale of the rig, which only priors know.
+    """
+    parameters, theta = fit.model.parameters, fit.theta
+    null, tested_at = theta.copy(), [parameters.index(name) for name in names]
+    null[tested_at] = list(nulls)
+    to = coordinates(parameters, null)
+    J = to.jacobian(theta)[np.ix_(parameters.free, parameters.free)]
+    covariance = covariance_of(J.T @ fit.minimum.total.information @ J)
+    departure = (to.inward(theta) - to.inward(null))[parameters.free]
+    known = np.isin(np.flatnonzero(parameters.free), tested_at) & (np.diag(covariance) > 0)
+    if not known.any():
         return 0.0, 0
-    index, departure = np.array([i for i, _ in known]), np.array([d for _, d in known])
-    block = covariance[np.ix_(index, index)]
-    return float(departure @ np.linalg.lstsq(block, departure, rcond=1e-10)[0]), len(known)
+    block, d = covariance[np.ix_(known, known)], departure[known]
+    return float(d @ np.linalg.lstsq(block, d, rcond=1e-10)[0]), int(known.sum())
 
 
 def effect_wald(fit: Fit, one: PlacedEffect) -> tuple[float, int]:
@@ -96,12 +99,14 @@ def believed(
         open_ones = [one for one in declared_effects(fit.model.geometry) if one.label not in sure]
         if not open_ones:
             break
-        one = min(open_ones, key=lambda item: effect_wald(fit, item)[0])
-        gain, known = effect_wald(fit, one)
-        if gain >= least:
+        weak = [(one, without(fit, one, batches)) for one in open_ones if effect_wald(fit, one)[0] < least]
+        one, less = min(weak, key=lambda item: item[1].chi2, default=(None, fit))
+        gain = less.chi2 - fit.chi2
+        if one is None or gain >= least:
             break
-        trials.append(_removed(number, one, known, gain, "what no effect explains is larger and could look like it"))
-        fit = without(fit, one, batches)
+        why, known = "what no effect explains is larger and could look like it", effect_wald(fit, one)[1]
+        trials.append(_removed(number, one, known, gain, why))
+        fit = less
     return fit, tuple(trials)
 
 

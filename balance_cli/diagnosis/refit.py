@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.candidates import Candidate
 from balance_cli.diagnosis.point_mass import settled_mass
-from balance_cli.diagnosis.score import Score, extended, with_candidates
+from balance_cli.diagnosis.score import Score, extended, with_begun, with_candidates
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.estimation.gauss_newton import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2
@@ -109,10 +109,9 @@ def attempt(state: State, score: Score, lines: SearchLines) -> Attempt:
 
     The equations of motion with the cells' forces have no resonances to get wrong (`estimation.starting_values`).
     """
-    chosen = [(score.candidate, score.start)]
-    model, theta = extended(state.model, state.theta, with_candidates(state.geometry, chosen, started=True))
+    model, theta = extended(state.model, state.theta, with_begun(state.geometry, score))
     if score.candidate.chosen:
-        _, null = extended(state.model, state.theta, with_candidates(state.geometry, chosen))
+        _, null = extended(state.model, state.theta, with_candidates(state.geometry, [(score.candidate, score.start)]))
         theta = settled_mass(model, null, with_model_error(lines.fitted, state.shares))
     return _further(model, theta, state, lines)
 

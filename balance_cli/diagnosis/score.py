@@ -210,6 +210,13 @@ def with_candidates(geometry: Geometry, chosen: Sequence[tuple[Candidate, int]],
     return geometry.model_copy(update={"effects": (*geometry.effects, *added)})
 
 
+def with_begun(geometry: Geometry, score: Score) -> Geometry:
+    """The geometry with the candidate of a score where a fit of it begins."""
+    one = score.candidate
+    values = one.sized(geometry, score.start, [float(d) for d in score.step])
+    return geometry.model_copy(update={"effects": (*geometry.effects, one.at_start(values))})
+
+
 def extended(model: BalanceModel, theta: Array, geometry: Geometry) -> tuple[BalanceModel, Array]:
     """The model of a geometry with more effects, and its parameters with those of `model` as they are in `theta`.
 

@@ -167,7 +167,8 @@ def _why(gain: float, least: float, folds: float, chosen: bool) -> str:
 def ranked_scores(state: State, lines: SearchLines, pool: Sequence[Candidate]) -> list[Score]:
     """Scores of the candidates under the model error, best first."""
     batches = with_model_error(lines.fitted, state.shares)
-    found = scores(state.model, state.theta, batches, well_placed(pool, state.model, state.theta, batches))
+    pool = well_placed([one.scanned(state.geometry) for one in pool], state.model, state.theta, batches)
+    found = scores(state.model, state.theta, batches, pool)
     return sorted(found, key=lambda score: -score.gain)
 
 

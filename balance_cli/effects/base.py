@@ -15,6 +15,7 @@ from balance_cli.jets import Jet
 from balance_cli.kinematics import motion_at
 
 Where = tuple[str, ...]
+Start = Mapping[str, float]
 Array = NDArray[np.float64]
 
 ALL = "all"
@@ -119,7 +120,10 @@ class Effect:
 
     For a search: `searched(geometry)` are the places worth trying where not all are (a large place, that is made
     smaller afterwards); `starts(geometry, where)` fitted values to begin from, several where one start may lead into a
-    wrong minimum; `once`: a rig has it once at most; `empirical`: it describes and does not explain.
+    wrong minimum; `once`: a rig has it once at most; `empirical`: it describes and does not explain. Where what shapes
+    an effect counts as much as its size, `scanned(geometry, where)` are further starts at whose nulls a search scores
+    it, and `sized(geometry, where, start, own)` the values from which a fit then begins, `own` being what the score
+    makes of the parameters that do something by themselves.
 
     Where there is a `choice`, every word of it makes a place of its own: the word is the last name of `where`.
     `needs_mean`: it shows, among other things, in the mean of a record and in static rows that are not straight, or
@@ -137,7 +141,9 @@ class Effect:
     parameters: Callable[[Geometry, Where], tuple[EffectParameter, ...]]
     apply: Callable[[Equations, Geometry, Where, Mapping[str, Jet]], Equations]
     searched: Callable[[Geometry], tuple[Where, ...]] | None = None
-    starts: Callable[[Geometry, Where], tuple[Mapping[str, float], ...]] | None = None
+    starts: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
+    scanned: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
+    sized: Callable[[Geometry, Where, Start, Start], Start] | None = None
     once: bool = False
     needs_spin: bool = False
     empirical: bool = False

@@ -5,7 +5,9 @@ A spring kappa in series with a slider that holds up to F (Jenkins' element), d 
     f = kappa (d - w),        w stays until |f| would exceed F, then follows: |d - w| <= F / kappa
 
 The cell's channels do not read f. For F below a thousandth of a per cent of the cell's range the slip distance is left
-as it is there, and f is proportional to F: so it has a derivative at F = 0, where kappa does not matter.
+as it is there, and f is proportional to F: so it has a derivative at F = 0, where kappa does not matter. There kappa
+stands for the slip distance alone, and a search scores a contact at several of them, from one that always slips to one
+that mostly sticks.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.effects.base import Effect, EffectParameter, Where, each_cell
+from balance_cli.effects.base import Effect, EffectParameter, Start, Where, each_cell
 from balance_cli.equations import CellForce, Equations
 from balance_cli.geometry import Cell, Geometry
 from balance_cli.jets import Jet, stack
@@ -25,6 +27,10 @@ Array = NDArray[np.float64]
 
 LEAST = 1e-5
 MATTERS = 1e-3
+SLIPS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
+"""Slip distances at which a search scores a contact, shares of the cell's elongation at full range."""
+STIFFNESSES = (1e-3, 10.0)
+"""Shares of the cell's stiffness between which a contact that a search begins with lies."""
 
 
 def _cell(geometry: Geometry, where: Where) -> Cell:
@@ -39,6 +45,21 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         EffectParameter("force", "N", 0.0, force, "Force at which the contact slips.", lower=0.0, start=force),
         EffectParameter("stick_stiffness", "N/m", k, 0.1 * k, sentence, lower=1e-3 * k, start=k, secondary=True),
     )
+
+
+def _scanned(geometry: Geometry, where: Where) -> tuple[Start, ...]:
+    k = _cell(geometry, where).effective_stiffness
+    return tuple({"stick_stiffness": LEAST / slip * k} for slip in SLIPS)
+
+
+def _sized(geometry: Geometry, where: Where, start: Start, own: Start) -> Start:
+    """The force that the score found, slipping where it was scored: the stiffness follows."""
+    if "stick_stiffness" not in start:
+        return start
+    cell = _cell(geometry, where)
+    distance = LEAST * cell.full_range / start["stick_stiffness"]
+    lower, upper = (share * cell.effective_stiffness for share in STIFFNESSES)
+    return {"force": own["force"], "stick_stiffness": float(np.clip(own["force"] / distance, lower, upper))}
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
@@ -94,6 +115,8 @@ EFFECT = Effect(
     place="a cell",
     places=each_cell,
     parameters=_parameters,
+    scanned=_scanned,
+    sized=_sized,
     apply=_apply,
     needs_mean=True,
 )
