@@ -9,10 +9,11 @@ from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, 
 from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
 from balance_cli.diagnosis.fit import excess, fitted
 from balance_cli.diagnosis.folds import fold_gain, folds
-from balance_cli.diagnosis.needed import believed
+from balance_cli.diagnosis.needed import believed, without
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.rivals import contested
 from balance_cli.diagnosis.score import best_gain, best_scores, extended, scores, with_candidates
+from balance_cli.diagnosis.worth import blur, effect_wald
 from balance_cli.effects.dry_friction import LEAST, STIFFNESSES
 from balance_cli.errors import UserError
 from balance_cli.estimation.measurements import stacked
@@ -21,6 +22,7 @@ from balance_cli.estimation.starting_values import by_equations_of_motion
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.identify import IdentifyOptions, identify
 from balance_cli.model.balance import balance_model
+from balance_cli.model.placed_effects import declared_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.extensions import apply_effects
 from balance_cli.simulation.plans import HIGH, statics
@@ -252,6 +254,46 @@ def test_small_effects_are_not_believed_beside_a_large_residual():
     assert [trial.label for trial in trials] == ["channel-gain@y2.strain"]
     assert not less.model.geometry.effects
     assert believed(fit, batches, True, ("channel-gain@y2.strain",), 3) == (fit, ())
+
+
+STIFF = DeclaredEffect(name="transverse-stiffness", where=("all",), parameters={"stiffness": 2e4})
+
+
+@pytest.fixture(scope="module")
+def stiff():
+    """Lines and fit of a campaign with a large mechanical effect."""
+    batches = lines_of(simulated_spectra(STIFF))
+    known = candidate_at("transverse-stiffness", ("all",), RIG)
+    start = extended(balance_model(RIG), balance_model(RIG).parameters.value, with_candidates(RIG, [(known, 0)]))
+    return batches, fitted(*start, batches)
+
+
+def test_what_a_stiffness_is_worth_does_not_end_at_the_scale_of_the_rig(stiff):
+    """The tolerance of the scale, 1.3 %, is the sigma of any stiffness: 5500 would be the most that it could be worth."""
+    batches, fit = stiff
+    (one,) = declared_effects(fit.model.geometry)
+    gain, known = effect_wald(fit, one)
+    assert known == 1
+    assert gain > 1e5
+    assert gain == pytest.approx(without(fit, one, batches).chi2 - fit.chi2, rel=0.5)
+
+
+def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
+    """Whatever Wald makes of it: only chi-square without it lets it go."""
+    batches, fit = stiff
+    monkeypatch.setattr("balance_cli.diagnosis.needed.effect_wald", lambda fit, one: (1.0, 1))
+    monkeypatch.setattr("balance_cli.diagnosis.needed.excess", lambda fit, batches, alone: 1e5)
+    assert believed(fit, batches, True, (), 3) == (fit, ())
+
+
+def test_beside_large_friction_nothing_small_is_told(stiff):
+    _, fit = stiff
+    assert blur(fit) == (0.0, "")
+    friction = candidate_at("dry-friction", ("z1",), RIG)
+    model, theta = extended(fit.model, fit.theta, with_candidates(fit.model.geometry, [(friction, 0)], started=True))
+    beside = fitted(model, theta, stiff[0])
+    (worth,) = (effect_wald(beside, one) for one in declared_effects(model.geometry) if one.label == friction.label)
+    assert blur(beside) == (pytest.approx(1e-4 * worth[0]), friction.label)
 
 
 def test_what_no_effect_describes_stays_unexplained():

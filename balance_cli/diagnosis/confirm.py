@@ -28,6 +28,7 @@ from balance_cli.diagnosis.score import (
     with_candidates,
 )
 from balance_cli.diagnosis.trials import trial
+from balance_cli.diagnosis.worth import blur
 from balance_cli.estimation.maximum_likelihood import penalised_chi2
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.starting_values import by_equations_of_motion
@@ -40,6 +41,7 @@ MOST_ROUNDS = 8
 FAIR_SHARE = 0.1
 """Of the chi-square that noise does not explain, what an effect must take off: any other may look a little like it."""
 TOO_SLIGHT = "takes too little off what no noise explains"
+BLURRED = "gains no more than what is not exactly known of "
 STRONG = 1e3
 """Gain of chi-square beyond which an effect needs no refit without it to show that it is there."""
 # Candidates of a round that are refitted, and how near the best score they come, that a refit may turn them round.
@@ -76,12 +78,16 @@ def confirm(fit: Fit, batches: Sequence[Batch], noise_alone: bool, first_round: 
     for number in range(first_round, first_round + MOST_ROUNDS):
         say(f"all lines, round {number}")
         found = best_scores(fit.model, fit.theta, batches, candidates(fit.model.geometry))
-        open_ones = [score for score in found if score.candidate.label not in refused]
+        possible = [score for score in found if score.candidate.label not in refused]
+        blurred, behind = blur(fit)
+        open_ones = [score for score in possible if score.gain > blurred]
         left = min(
             (chance(score.gain, score.parameters, len(found), score.noise_dof) for score in open_ones), default=1.0
         )
         chosen = significant(open_ones, len(found))
         if not chosen:
+            unclear = significant([score for score in possible if score.gain <= blurred], len(found))
+            trials += [trial(number, score, len(found), float("nan"), False, BLURRED + behind) for score in unclear]
             break
         least = FAIR_SHARE * excess(fit, batches, noise_alone)
         if max(score.gain for score in chosen) < least:

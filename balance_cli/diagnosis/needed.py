@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,9 @@ from balance_cli.diagnosis.candidates import candidate_at, smaller_places, teste
 from balance_cli.diagnosis.confirm import FAIR_SHARE, SIGNIFICANT, STRONG, chance
 from balance_cli.diagnosis.fit import Fit, excess, fitted
 from balance_cli.diagnosis.score import extended
+from balance_cli.diagnosis.worth import effect_wald, wald
 from balance_cli.effects import Where
-from balance_cli.estimation.coordinates import coordinates
 from balance_cli.estimation.measurements import Batch
-from balance_cli.estimation.support import covariance_of
 from balance_cli.geometry import DeclaredEffect, Geometry
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
@@ -23,31 +22,6 @@ Array = NDArray[np.float64]
 
 # Probability beyond which a motion of an effect is as well left out.
 NEEDLESS = 1e-3
-
-
-def wald(fit: Fit, names: Iterable[str], nulls: Iterable[float]) -> tuple[float, int]:
-    """Chi-square of parameters against their nulls, the others free to follow (Wald), and how many are known.
-
-    In the coordinates of the fit, where no stiffness owes its sigma to the scale of the rig, which only priors know.
-    """
-    parameters, theta = fit.model.parameters, fit.theta
-    null, tested_at = theta.copy(), [parameters.index(name) for name in names]
-    null[tested_at] = list(nulls)
-    to = coordinates(parameters, null)
-    J = to.jacobian(theta)[np.ix_(parameters.free, parameters.free)]
-    covariance = covariance_of(J.T @ fit.minimum.total.information @ J)
-    departure = (to.inward(theta) - to.inward(null))[parameters.free]
-    known = np.isin(np.flatnonzero(parameters.free), tested_at) & (np.diag(covariance) > 0)
-    if not known.any():
-        return 0.0, 0
-    block, d = covariance[np.ix_(known, known)], departure[known]
-    return float(d @ np.linalg.lstsq(block, d, rcond=1e-10)[0]), int(known.sum())
-
-
-def effect_wald(fit: Fit, one: PlacedEffect) -> tuple[float, int]:
-    """The same for all of an effect's parameters that do something by themselves."""
-    items = tested(one.parameters)
-    return wald(fit, [one.full_name(item) for item in items], [item.fitted_null for item in items])
 
 
 def without(fit: Fit, one: PlacedEffect, batches: Sequence[Batch]) -> Fit:

@@ -9,11 +9,12 @@ from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidates, tested
 from balance_cli.diagnosis.confirm import STRONG
 from balance_cli.diagnosis.fit import Fit, fitted
-from balance_cli.diagnosis.needed import bare, effect_wald, pruned, without
+from balance_cli.diagnosis.needed import bare, pruned, without
 from balance_cli.diagnosis.point_mass import settled_mass, well_placed
 from balance_cli.diagnosis.preference import SAME
 from balance_cli.diagnosis.refit import PENALTY
 from balance_cli.diagnosis.score import Score, best_scores, extended, stepped, with_candidates
+from balance_cli.diagnosis.worth import effect_wald
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 

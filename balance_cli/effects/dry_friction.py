@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 LEAST = 1e-5
 MATTERS = 1e-3
+INACCURACY = 0.01
+"""Share of its force that the noise of the cell makes uncertain: it turns a little early, or late."""
 SLIPS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 """Slip distances at which a search scores a contact, shares of the cell's elongation at full range."""
 STIFFNESSES = (1e-3, 10.0)
@@ -115,6 +117,7 @@ EFFECT = Effect(
     place="a cell",
     places=each_cell,
     parameters=_parameters,
+    inaccuracy=INACCURACY,
     scanned=_scanned,
     sized=_sized,
     apply=_apply,
