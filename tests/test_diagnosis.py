@@ -269,7 +269,7 @@ def stiff():
 
 
 def test_what_a_stiffness_is_worth_does_not_end_at_the_scale_of_the_rig(stiff):
-    """The tolerance of the scale, 1.3 %, is the sigma of any stiffness: 5500 would be the most that it could be worth."""
+    """The tolerance of the scale, 1.3 %, is the sigma of any stiffness: no gain beyond 5500 could be seen in that."""
     batches, fit = stiff
     (one,) = declared_effects(fit.model.geometry)
     gain, known = effect_wald(fit, one)
