@@ -17,8 +17,9 @@ def attribution_table(rows: pd.DataFrame) -> pd.DataFrame:
     campaigns; `right_of_detected`: of those in which something was found. Load errors are medians of the largest
     component's error on the run held out; `not_worse`: share in which closing did not raise it.
     """
-    rows = rows.assign(effect=rows["hidden"].where(rows["kind"].isin(["nothing", "pair"]), rows["hidden"].map(_name)))
-    rows.loc[rows["kind"] == "pair", "effect"] = "two effects"
+    rows = rows.assign(effect=rows["hidden"].where(rows["kind"] == "nothing", rows["hidden"].map(_name)))
+    for kind, effect in (("pair", "two effects"), ("large", "one large effect"), ("three", "three effects")):
+        rows.loc[rows["kind"] == kind, "effect"] = effect
     groups = [(key, part) for key, part in rows.groupby(["kind", "effect"], sort=False)]
     lines = [_line(kind, effect, part) for (kind, effect), part in groups]
     singles = rows[rows["kind"] == "single"]

@@ -1,4 +1,7 @@
-"""What the study of attribution hides in its campaigns: one effect, two, none, one unknown, or one that cannot show."""
+"""What the study of attribution hides in its campaigns: effects small and large, alone or together, known, unknown or
+
+impossible to show; or nothing.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,15 @@ EXCITATIONS = ("multisine", "random", "stepped")
 SIZES = (25.0, 1e4)
 """Expected gains in chi-square between which the sizes of one effect alone are spread, evenly in their logarithm."""
 PAIR_SIZES = (100.0, 1e4)
+LARGE_SIZES = (1e5, 1e7)
+"""What the library calls a change that matters, and more."""
 SINGLE_TURNS = 10
 PAIR_TURNS = 1
+LARGE_TURNS = 2
+THREES = 18
 
 SWEEPS = len(HIGH)
-KINDS = ("single", "pair", "nothing", "unknown", "untestable")
+KINDS = ("single", "pair", "nothing", "unknown", "untestable", "large", "three")
 
 PLACES: dict[str, tuple[str, ...]] = {
     "support-flexibility": ("x,y,z,psi,theta,phi",),
@@ -88,25 +95,24 @@ class Case:
 def count(kind: str) -> int:
     """How many campaigns of a kind make the study."""
     singles, pairs = len(PLACES) * SINGLE_TURNS, len(PAIRS) * PAIR_TURNS
-    return dict(zip(KINDS, (singles, pairs, 300, 12, 9), strict=True))[kind]
+    large = len(PLACES) * LARGE_TURNS
+    return dict(zip(KINDS, (singles, pairs, 300, 12, 9, large, THREES), strict=True))[kind]
 
 
 def case(kind: str, seed: int) -> Case:
     """The campaign of this number: effects, places and excitations in turn, sizes in strata."""
-    return {"single": _single, "pair": _pair, "unknown": _unknown, "untestable": _untestable, "nothing": _nothing}[
-        kind
-    ](seed)
+    of_kind = (_single, _pair, _nothing, _unknown, _untestable, _large, _three)
+    return of_kind[KINDS.index(kind)](seed)
 
 
 def _single(seed: int) -> Case:
     names = tuple(PLACES)
     name, turn = names[seed % len(names)], seed // len(names)
-    where = PLACES[name][(turn // len(EXCITATIONS)) % len(PLACES[name])]
     excitation = EXCITATIONS[turn % len(EXCITATIONS)]
     # A stratum of the size for each turn: every excitation goes through all sizes.
     share = (turn + Case("single", seed, (), "", ()).rng.random()) / SINGLE_TURNS
     size = float(SIZES[0] * (SIZES[1] / SIZES[0]) ** share)
-    return Case("single", seed, (f"{name}@{where}" if where else name,), excitation, (size,))
+    return Case("single", seed, (_label(name, turn // len(EXCITATIONS)),), excitation, (size,))
 
 
 def _pair(seed: int) -> Case:
@@ -114,6 +120,29 @@ def _pair(seed: int) -> Case:
     excitation = EXCITATIONS[(seed + turn) % len(EXCITATIONS)]
     drawn = Case("pair", seed, (), "", ()).rng.uniform(*np.log(PAIR_SIZES), 2)
     return Case("pair", seed, PAIRS[seed % len(PAIRS)], excitation, tuple(float(size) for size in np.exp(drawn)))
+
+
+def _large(seed: int) -> Case:
+    """One effect of each kind, large, its places and the excitations in turn."""
+    names = tuple(PLACES)
+    name, turn = names[seed % len(names)], seed // len(names)
+    excitation = EXCITATIONS[(seed + turn) % len(EXCITATIONS)]
+    drawn = Case("large", seed, (), "", ()).rng.uniform(*np.log(LARGE_SIZES))
+    return Case("large", seed, (_label(name, turn),), excitation, (float(np.exp(drawn)),))
+
+
+def _three(seed: int) -> Case:
+    """Three effects of different kinds, drawn, from small ones to large ones."""
+    rng = Case("three", seed, (), "", ()).rng
+    names = rng.choice(tuple(PLACES), 3, replace=False)
+    labels = tuple(_label(str(name), int(rng.integers(2))) for name in names)
+    drawn = rng.uniform(*np.log((SIZES[1], LARGE_SIZES[1])), 3)
+    return Case("three", seed, labels, EXCITATIONS[seed % len(EXCITATIONS)], tuple(float(s) for s in np.exp(drawn)))
+
+
+def _label(name: str, turn: int) -> str:
+    where = PLACES[name][turn % len(PLACES[name])]
+    return f"{name}@{where}" if where else name
 
 
 def _nothing(seed: int) -> Case:

@@ -172,7 +172,7 @@ def share_for(size: float, step: Expected) -> float:
     if not step.tones:
         return float(np.sqrt(size / max(step.quadratic, 1e-300)))
     # A power grows with the share, and V d^2 with its square.
-    power = brentq(lambda q: _gain(replace(step, quadratic=q)) - size, 1e-3, 1e10)
+    power = brentq(lambda q: _gain(replace(step, quadratic=q)) - size, 1e-3, max(1e10, size**2))
     return float(np.sqrt(power / step.quadratic))
 
 

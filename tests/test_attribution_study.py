@@ -13,7 +13,7 @@ from balance_cli.simulation.mechanics import equations_of_motion
 from studies import chunks
 from studies.attribution import attributed
 from studies.attribution_tables import attribution_table
-from studies.cases import EXCITATIONS, KINDS, PAIRS, PLACES, SIZES, case, count
+from studies.cases import EXCITATIONS, KINDS, LARGE_SIZES, PAIRS, PLACES, SIZES, case, count
 from studies.sizing import power
 from studies.unknown import SaturatingChannel, TunedMass, unknown_effect
 
@@ -51,6 +51,17 @@ def test_pairs_nothing_and_what_no_file_describes():
     assert {case("untestable", seed).hidden[0] for seed in range(count("untestable"))} >= {"gyroscopic-coupling"}
     assert case("pair", 5) == case("pair", 5)
     assert len({case(kind, 3).rng.integers(2**31) for kind in KINDS}) == len(KINDS)
+
+
+def test_every_effect_is_hidden_large_and_three_different_ones_together():
+    large = [case("large", seed) for seed in range(count("large"))]
+    assert {one.hidden[0].partition("@")[0] for one in large} == set(PLACES)
+    assert {(one.hidden[0].partition("@")[0], one.excitation) for one in large} >= {("dry-friction", EXCITATIONS[0])}
+    threes = [case("three", seed) for seed in range(count("three"))]
+    assert all(len({label.partition("@")[0] for label in one.hidden}) == 3 for one in threes)
+    sizes = [size for one in (*large, *threes) for size in one.sizes]
+    assert SIZES[1] <= min(sizes) < max(sizes) <= LARGE_SIZES[1]
+    assert min(size for one in large for size in one.sizes) >= LARGE_SIZES[0]
 
 
 def test_right_is_what_is_hidden_and_nothing_else():
