@@ -287,13 +287,13 @@ def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
 
 
 def test_beside_large_friction_nothing_small_is_told(stiff):
-    _, fit = stiff
-    assert blur(fit) == (0.0, "")
+    batches, fit = stiff
+    assert blur(fit, batches) == (0.0, "")
     friction = candidate_at("dry-friction", ("z1",), RIG)
     model, theta = extended(fit.model, fit.theta, with_candidates(fit.model.geometry, [(friction, 0)], started=True))
-    beside = fitted(model, theta, stiff[0])
+    beside = fitted(model, theta, batches)
     (worth,) = (effect_wald(beside, one) for one in declared_effects(model.geometry) if one.label == friction.label)
-    assert blur(beside) == (pytest.approx(1e-4 * worth[0]), friction.label)
+    assert blur(beside, batches) == (pytest.approx(1e-4 * worth[0]), friction.label)
 
 
 def test_what_no_effect_describes_stays_unexplained():

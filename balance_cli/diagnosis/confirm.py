@@ -79,7 +79,7 @@ def confirm(fit: Fit, batches: Sequence[Batch], noise_alone: bool, first_round: 
         say(f"all lines, round {number}")
         found = best_scores(fit.model, fit.theta, batches, candidates(fit.model.geometry))
         possible = [score for score in found if score.candidate.label not in refused]
-        blurred, behind = blur(fit)
+        blurred, behind = blur(fit, batches)
         open_ones = [score for score in possible if score.gain > blurred]
         left = min(
             (chance(score.gain, score.parameters, len(found), score.noise_dof) for score in open_ones), default=1.0

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from balance_cli.diagnosis.candidates import tested
 from balance_cli.diagnosis.fit import Fit
 from balance_cli.estimation.coordinates import coordinates
+from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.support import covariance_of
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
+from balance_cli.signals.lines import RecordWaveform
 
 
 def wald(fit: Fit, names: Iterable[str], nulls: Iterable[float]) -> tuple[float, int]:
@@ -38,14 +40,12 @@ def effect_wald(fit: Fit, one: PlacedEffect) -> tuple[float, int]:
     return wald(fit, [one.full_name(item) for item in items], [item.fitted_null for item in items])
 
 
-def blur(fit: Fit) -> tuple[float, str]:
+def blur(fit: Fit, batches: Sequence[Batch]) -> tuple[float, str]:
     """Chi-square that an effect of the model may leave where it is known to a share of itself only, and its label.
 
     What gains no more beside it may be what is wrong with it.
     """
-    unknown = [(one.effect.inaccuracy**2 * effect_wald(fit, one)[0], one.label) for one in _inaccurate(fit)]
+    which = int(any(isinstance(waveform, RecordWaveform) for batch in batches for waveform in batch.waveforms))
+    effects = [(one.effect.inaccuracy[which], one) for one in declared_effects(fit.model.geometry)]
+    unknown = [(share**2 * effect_wald(fit, one)[0], one.label) for share, one in effects if share > 0]
     return max(unknown, default=(0.0, ""))
-
-
-def _inaccurate(fit: Fit) -> list[PlacedEffect]:
-    return [one for one in declared_effects(fit.model.geometry) if one.effect.inaccuracy > 0]

@@ -123,8 +123,9 @@ class Effect:
     wrong minimum; `once`: a rig has it once at most; `empirical`: it describes and does not explain. Where what shapes
     an effect counts as much as its size, `scanned(geometry, where)` are further starts at whose nulls a search scores
     it, and `sized(geometry, where, start, own)` the values from which a fit then begins, `own` being what the score
-    makes of the parameters that do something by themselves. `inaccuracy`: the share of its own signature to which the
-    measured motion tells it, where it is large; what is smaller beside it is not believed.
+    makes of the parameters that do something by themselves. `inaccuracy`: the shares of its own signature to which the
+    measured motion tells it, where it is large, in periodic records and in others; what is smaller beside it is not
+    believed.
 
     Where there is a `choice`, every word of it makes a place of its own: the word is the last name of `where`.
     `needs_mean`: it shows, among other things, in the mean of a record and in static rows that are not straight, or
@@ -145,7 +146,7 @@ class Effect:
     starts: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
     scanned: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
     sized: Callable[[Geometry, Where, Start, Start], Start] | None = None
-    inaccuracy: float = 0.0
+    inaccuracy: tuple[float, float] = (0.0, 0.0)
     once: bool = False
     needs_spin: bool = False
     empirical: bool = False

@@ -27,8 +27,11 @@ Array = NDArray[np.float64]
 
 LEAST = 1e-5
 MATTERS = 1e-3
-INACCURACY = 0.01
-"""Share of its force that the noise of the cell makes uncertain: it turns a little early, or late."""
+INACCURACY = (0.01, 0.05)
+"""Shares of its force that the noise of the cell makes uncertain, where periods are averaged and where nothing repeats:
+
+it turns a little early, or late.
+"""
 SLIPS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 """Slip distances at which a search scores a contact, shares of the cell's elongation at full range."""
 STIFFNESSES = (1e-3, 10.0)
