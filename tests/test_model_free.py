@@ -12,6 +12,7 @@ from balance_cli.diagnosis.channel_pairs import channel_pairs, channel_tests
 from balance_cli.diagnosis.mains_lines import mains_tests
 from balance_cli.diagnosis.model_free import model_free_tests
 from balance_cli.diagnosis.run_pairs import level_tests, spin_tests
+from balance_cli.diagnosis.seeds import seeds
 from balance_cli.diagnosis.static_pairs import static_tests
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.simulation import CampaignPlan, SweepPlan, draw_rig, short_plan, simulate_campaign, true_rig
@@ -102,10 +103,23 @@ def test_two_differences_are_both_named():
         assert abs(value - truth) < 4 * sigma
 
 
+def test_two_differences_are_two_seeds_and_the_plate_decides_whose_each_is():
+    factor = np.exp(-S * 5e-4) * S / (S + 1 / 2.0)
+    runs = [swept("Fz", 10.0, 1, changed={"z3.piezo": factor}), swept("Mx", 4.0, 2, changed={"z3.piezo": factor})]
+    late, forgets = seeds(runs, RIG)
+    assert {one.label for one in late.candidates} == {"time-delay@z3.piezo", "time-delay@z3.strain"}
+    assert sorted(one.starts[0]["delay"] for one in late.candidates) == pytest.approx([-5e-4, 5e-4], rel=0.01)
+    (one,) = forgets.candidates
+    assert one.label == "high-pass@z3.piezo"
+    assert one.starts[0]["cutoff"] == pytest.approx(1 / (4 * np.pi), rel=0.05)
+
+
 def test_what_is_no_simple_difference_is_said_to_be_neither():
     factor = 1 + 0.05 / (1 - (FREQUENCY / 80.0) ** 2 + 0.04j * FREQUENCY / 80.0)
-    (row,) = (r for r in channel_tests([swept(changed={"z1.piezo": factor})], RIG) if r.p_value < 1e-6)
+    runs = [swept(changed={"z1.piezo": factor})]
+    (row,) = (r for r in channel_tests(runs, RIG) if r.p_value < 1e-6)
     assert "neither delay, gain nor filter" in row.finding
+    assert not seeds(runs, RIG)
 
 
 def test_gains_within_their_tolerance_are_no_finding():

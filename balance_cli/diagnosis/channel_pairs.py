@@ -145,9 +145,7 @@ def _finding(pair: _Pair, start: RatioFit) -> str:
     """The simplest description that leaves nothing improbable; `neither` where none does."""
     fit, own, rival = start, len(start.kinds), None
     for _ in range(MOST_KINDS):
-        others = sorted(
-            (with_kind(pair.lines, fit, kind) for kind in KINDS if kind not in fit.kinds), key=lambda one: one.chi2
-        )
+        others = _with_one_more(pair, fit)
         if fit.chi2 - others[0].chi2 < LEAST_GAIN:
             break
         fit, rival = others[0], others[1] if others[1].chi2 < others[0].chi2 + ALIKE else None
@@ -161,7 +159,7 @@ def _finding(pair: _Pair, start: RatioFit) -> str:
 
 @dataclass(frozen=True)
 class PairFit:
-    """Two channels that differ in one way: kinds with their values that describe it, the best first; what it gains."""
+    """One way in which two channels differ: kinds with their values that describe it, the best first; what it gains."""
 
     first: str
     second: str
@@ -170,26 +168,43 @@ class PairFit:
 
 
 def differing_pairs(runs: Sequence[Lines], geometry: Geometry) -> tuple[PairFit, ...]:
-    """The pairs of channels that differ in one way, which leaves nothing improbable.
+    """The ways in which pairs of channels differ, one or two of a pair, which leave nothing improbable.
 
     Small differences are left to the score test, but for those of a high-pass: at rest it lets nothing through however
     low its cutoff is, which no derivative at its null can tell.
     """
     paths = {path.channel: path for path in declared_paths(geometry)}
-    found = []
+    found: list[PairFit] = []
     for first, second in channel_pairs(geometry):
         pair = _pair(runs, paths[first], paths[second], geometry.tolerances.sensitivity)
-        start = None if pair is None else _equal(pair.lines)
-        if pair is None or start is None:
-            continue
-        fits = sorted((with_kind(pair.lines, start, kind) for kind in KINDS), key=lambda one: one.chi2)
-        best = fits[0]
-        large = best.chi2 < 0.5 * start.chi2 and _left(pair, start) < IMPROBABLE
-        if (large or _high_pass(pair, start, best)) and _left(pair, best) > IMPROBABLE**2:
-            near = [one for one in fits if one.chi2 < best.chi2 + NEAR]
-            kinds = tuple((one.kinds[-1].name, float(one.values[-1])) for one in near)
-            found.append(PairFit(first, second, kinds, start.chi2 - best.chi2))
+        if pair is not None:
+            found += _ways(pair, _equal(pair.lines))
     return tuple(found)
+
+
+def _ways(pair: _Pair, start: RatioFit) -> list[PairFit]:
+    fits = _with_one_more(pair, start)
+    best = fits[0]
+    large = best.chi2 < 0.5 * start.chi2 and _left(pair, start) < IMPROBABLE
+    if not large and not _high_pass(pair, start, best):
+        return []
+    if _left(pair, best) > IMPROBABLE**2:
+        near = [one for one in fits if one.chi2 < best.chi2 + NEAR]
+        kinds = tuple((one.kinds[-1].name, float(one.values[-1])) for one in near)
+        return [PairFit(pair.first, pair.second, kinds, start.chi2 - best.chi2)]
+    both = _with_one_more(pair, best)[0]
+    if best.chi2 - both.chi2 < LEAST_GAIN or _left(pair, both) <= IMPROBABLE**2:
+        return []
+    gains = (start.chi2 - best.chi2, best.chi2 - both.chi2)
+    ways = zip(both.kinds[-2:], both.values[-2:], gains, strict=True)
+    return [PairFit(pair.first, pair.second, ((kind.name, float(value)),), gain) for kind, value, gain in ways]
+
+
+def _with_one_more(pair: _Pair, fit: RatioFit) -> list[RatioFit]:
+    """The fits with one kind more, the best first."""
+    return sorted(
+        (with_kind(pair.lines, fit, kind) for kind in KINDS if kind not in fit.kinds), key=lambda one: one.chi2
+    )
 
 
 def _high_pass(pair: _Pair, start: RatioFit, best: RatioFit) -> bool:

@@ -27,7 +27,7 @@ class Seed:
 
 
 def seeds(runs: Sequence[Lines], geometry: Geometry) -> tuple[Seed, ...]:
-    """One for each pair of channels that differ in one way, the clearest first; none that the geometry declares."""
+    """One for each way in which a pair of channels differs, the clearest first; none that the geometry declares."""
     found = []
     for pair in differing_pairs(runs, geometry):
         each = [_candidate(pair, *kind, own, geometry) for kind in pair.kinds for own in (1, 0)]
