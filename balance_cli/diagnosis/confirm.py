@@ -23,6 +23,7 @@ from balance_cli.diagnosis.score import (
     Score,
     best_scores,
     extended,
+    has_shape,
     improbability,
     stepped,
     with_candidates,
@@ -120,7 +121,7 @@ def _shaped(fit: Fit, found: Sequence[Score], chosen: Sequence[Score], batches: 
     By label, where these steps led.
     """
     least, taken = min(score.gain for score in chosen), {score.candidate.label for score in chosen}
-    shaped = [score for score in found if score.candidate.label not in taken and _has_shape(score)]
+    shaped = [score for score in found if score.candidate.label not in taken and has_shape(score)]
     shaped = [score for score in shaped if score.gain > SHAPED * chosen[0].gain and score.p_value < SIGNIFICANT]
     worth = {}
     for score in sorted(shaped, key=lambda score: -score.gain)[:MOST_SHAPED]:
@@ -143,10 +144,6 @@ def _first_steps(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
     regressed = by_equations_of_motion(model.parameters, batches, model.system, near)
     starts = [near, regressed] if np.isfinite(penalised_chi2(model, regressed, batches)) else [near]
     return min((begun(model, start, batches) for start in starts), key=lambda end: end.chi2)
-
-
-def _has_shape(score: Score) -> bool:
-    return any(item.secondary for item in score.candidate.one.parameters)
 
 
 def _best(fit: Fit, chosen: Sequence[Score], tried: Sequence[Fit]) -> int:
@@ -182,7 +179,7 @@ def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) 
 
 def _refitted(fit: Fit, score: Score, batches: Sequence[Batch], first: Fit | None) -> Fit:
     """The fit with a candidate added, from its `first` steps; where its score is no small one, from its start too."""
-    if not _has_shape(score):
+    if not has_shape(score):
         return fitted(*stepped(fit.model, fit.theta, batches, score), batches)
     first = _first_steps(fit, score, batches) if first is None else first
     near = fitted(first.model, first.theta, batches)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.candidates import Candidate
 from balance_cli.diagnosis.point_mass import settled_mass
-from balance_cli.diagnosis.score import Score, extended, with_begun, with_candidates
+from balance_cli.diagnosis.score import Score, extended, has_shape, with_begun, with_candidates
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.estimation.gauss_newton import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2
@@ -107,20 +107,23 @@ class Attempt:
 def attempt(state: State, score: Score, lines: SearchLines) -> Attempt:
     """The model with the candidate, some steps from where it begins or, if that leads further, from a regression.
 
-    The equations of motion with the cells' forces have no resonances to get wrong (`estimation.starting_values`).
+    The equations of motion with the cells' forces have no resonances to get wrong (`estimation.starting_values`). They
+    are asked where the candidate has values that nobody knows.
     """
     model, theta = extended(state.model, state.theta, with_begun(state.geometry, score))
     if score.candidate.chosen:
         _, null = extended(state.model, state.theta, with_candidates(state.geometry, [(score.candidate, score.start)]))
         theta = settled_mass(model, null, with_model_error(lines.fitted, state.shares))
-    return _further(model, theta, state, lines)
+    starts = [theta]
+    if has_shape(score):
+        starts.append(by_equations_of_motion(model.parameters, lines.fitted, model.system, theta))
+    return _further(model, starts, state, lines)
 
 
-def _further(model: BalanceModel, theta: Array, state: State, lines: SearchLines) -> Attempt:
+def _further(model: BalanceModel, starts: Sequence[Array], state: State, lines: SearchLines) -> Attempt:
     batches = with_model_error(lines.fitted, state.shares)
     before = penalised_chi2(state.model, state.theta, batches)
-    regressed = by_equations_of_motion(model.parameters, lines.fitted, model.system, theta)
-    ends = [steps(model, start, batches, FIRST_STEPS) for start in (theta, regressed)]
+    ends = [steps(model, start, batches, FIRST_STEPS) for start in starts]
     best = steps(model, min(ends, key=lambda end: penalised_chi2(model, end, batches)), batches, FIRST_STEPS)
     chi2 = penalised_chi2(model, best, batches)
     return Attempt(model, best, data_count(batches) * float(np.log(before / chi2)))

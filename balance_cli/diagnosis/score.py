@@ -82,6 +82,11 @@ def improbability(gain: float, parameters: int, noise_dof: float = np.inf) -> fl
     return float(f.sf(gain / parameters, parameters, noise_dof))
 
 
+def has_shape(score: Score) -> bool:
+    """Whether a score rests on values that nobody knows, so that it may be far too small."""
+    return any(item.secondary for item in score.candidate.one.parameters)
+
+
 def scores(
     model: BalanceModel, theta: Array, batches: Sequence[Batch], candidates: Sequence[Candidate]
 ) -> tuple[Score, ...]:

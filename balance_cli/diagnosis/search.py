@@ -7,6 +7,7 @@ The search ends when no candidate lowers -2 ln likelihood on the lines that were
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,7 @@ from balance_cli.diagnosis.score import Score, scores
 from balance_cli.diagnosis.search_lines import SearchLines
 from balance_cli.diagnosis.seeds import Seed
 from balance_cli.diagnosis.trials import trial
+from balance_cli.estimation.measurements import WORKERS
 from balance_cli.estimation.model_error import with_model_error
 from balance_cli.model.balance import BalanceModel
 
@@ -38,6 +40,9 @@ Array = NDArray[np.float64]
 # Leading candidates of a round that are refitted, and the share of the best score that makes one worth it.
 LEADING = 3
 WORTH_IT = 0.2
+# The same where a score rests on places or masses that nobody knows, and how many such are refitted beside the others.
+SHAPED = 0.1
+MOST_SHAPED = 1
 # A round that leaves more than this share of the model error may be in a wrong minimum.
 SLOW = 0.7
 # Candidates that are fitted to their end, and the share of the best gain of first steps that makes one of them.
@@ -122,7 +127,9 @@ def search_round(
 ) -> State | None:
     """The state with the best candidate of one round, put down in `trials` and `rivals`; None where none helps."""
     ranked = ranked_scores(state, lines, pool)
-    begun = [(score, attempt(state, score, lines)) for score in leading(ranked)]
+    first = leading(ranked)
+    with ThreadPoolExecutor(WORKERS) as workers:
+        begun = list(zip(first, workers.map(lambda score: attempt(state, score, lines), first), strict=True))
     tried = [(score, settled(one.model, one.theta, lines, state.shares)) for score, one in _worth_settling(begun)]
     if not tried:
         return None
@@ -173,12 +180,19 @@ def ranked_scores(state: State, lines: SearchLines, pool: Sequence[Candidate]) -
 
 
 def leading(ranked: Sequence[Score]) -> list[Score]:
-    """The leading candidates, one place of each effect."""
-    chosen: dict[str, Score] = {}
+    """The leading candidates, one place of each effect, and of those that a score may wrong the best beside them."""
+    best: dict[str, Score] = {}
     for score in ranked:
-        if score.gain > max(WORTH_IT * ranked[0].gain, PENALTY * score.parameters):
-            chosen.setdefault(score.candidate.effect.name, score)
-    return list(chosen.values())[:LEADING]
+        if score.gain > PENALTY * score.parameters:
+            best.setdefault(score.candidate.effect.name, score)
+    first = [score for score in best.values() if score.gain > WORTH_IT * ranked[0].gain][:LEADING]
+    others = [score for score in list(best.values())[len(first) :] if _wronged(score)]
+    return first + [score for score in others if score.gain > SHAPED * ranked[0].gain][:MOST_SHAPED]
+
+
+def _wronged(score: Score) -> bool:
+    """Whether a score rests on several values that nobody knows, a place and masses, and may be far too small."""
+    return sum(item.secondary for item in score.candidate.one.parameters) > 1
 
 
 def started_again(state: State, lines: SearchLines) -> State | None:

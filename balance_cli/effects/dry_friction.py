@@ -32,7 +32,7 @@ INACCURACY = (0.01, 0.05)
 
 it turns a little early, or late.
 """
-SLIPS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
+SLIPS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 """Slip distances at which a search scores a contact, shares of the cell's elongation at full range."""
 STIFFNESSES = (1e-3, 10.0)
 """Shares of the cell's stiffness between which a contact that a search begins with lies."""
