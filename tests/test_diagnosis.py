@@ -6,13 +6,14 @@ from rigs import one_degree_of_freedom, rotor_balance
 
 from balance_cli.diagnose import diagnose
 from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
-from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
+from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places, tested
 from balance_cli.diagnosis.fit import excess, fitted
 from balance_cli.diagnosis.folds import fold_gain, folds
 from balance_cli.diagnosis.needed import believed, without
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.rivals import contested
-from balance_cli.diagnosis.score import best_gain, best_scores, extended, scores, with_candidates
+from balance_cli.diagnosis.score import Score, best_gain, best_scores, extended, scores, with_candidates
+from balance_cli.diagnosis.search import leading
 from balance_cli.diagnosis.worth import blur, effect_wald
 from balance_cli.effects.dry_friction import LEAST, STIFFNESSES
 from balance_cli.errors import UserError
@@ -124,6 +125,30 @@ def test_a_part_as_stiff_as_can_be_begins_where_it_is(healthy, capfd):
     found = by_equations_of_motion(wide.parameters, lines_of(healthy), wide.system, null)
     np.testing.assert_array_equal(found, null)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_search_begins_what_rests_on_a_place_beside_what_leads():
+    def scored(name, where, gain):
+        candidate = candidate_at(name, where, RIG)
+        own = len(tested(candidate.one.parameters))
+        nothing = np.zeros(own)
+        return Score(candidate, 0, gain, own, 1.0, np.inf, np.eye(own), nothing, nothing)
+
+    support = ("support-flexibility", ("x", "y", "z", "psi", "theta", "phi"))
+    ranked = [
+        scored("dry-friction", ("x",), 324.0),
+        scored("dry-friction", ("y1",), 300.0),
+        scored("transverse-stiffness", ("all",), 218.0),
+        scored("structural-damping", ("z1",), 215.0),
+        scored("time-delay", ("x.piezo",), 160.0),
+        scored(*support, 116.0),
+        scored("added-mass", (), 100.0),
+    ]
+    first = ["dry-friction@x", "transverse-stiffness@all", "structural-damping@z1"]
+    labels = [score.candidate.label for score in leading(ranked)]
+    assert labels == [*first, "support-flexibility@x,y,z,psi,theta,phi"]
+    weak = [*ranked[:5], scored(*support, 30.0)]
+    assert [score.candidate.label for score in leading(weak)] == first
 
 
 def test_folds_are_disjoint_leave_no_line_out_and_have_means_in_several(healthy):
