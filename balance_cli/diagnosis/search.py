@@ -133,8 +133,9 @@ def search_round(
     tried = [(score, settled(one.model, one.theta, lines, state.shares)) for score, one in _worth_settling(begun)]
     if not tried:
         return None
-    best_score, best = tried[preferred([new.model for _, new in tried], [-new.fitted for _, new in tried])]
-    gains = {score.candidate.label: state.fitted - new.fitted - PENALTY * score.parameters for score, new in tried}
+    worth = [state.fitted - new.fitted - PENALTY * score.parameters for score, new in tried]
+    best_score, best = tried[preferred([new.model for _, new in tried], worth)]
+    gains = {score.candidate.label: gain for (score, _), gain in zip(tried, worth, strict=True)}
     label = best_score.candidate.label
     least = _least(lines, len(ranked))
     accepted = gains[label] > least and best.folds < state.folds
