@@ -6,7 +6,8 @@ from rigs import one_degree_of_freedom, rotor_balance
 
 from balance_cli.diagnose import diagnose
 from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
-from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places, tested
+from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
+from balance_cli.diagnosis.candidates import tested as acting
 from balance_cli.diagnosis.fit import excess, fitted
 from balance_cli.diagnosis.folds import fold_gain, folds
 from balance_cli.diagnosis.needed import believed, without
@@ -130,7 +131,7 @@ def test_a_part_as_stiff_as_can_be_begins_where_it_is(healthy, capfd):
 def test_a_search_begins_what_rests_on_a_place_beside_what_leads():
     def scored(name, where, gain):
         candidate = candidate_at(name, where, RIG)
-        own = len(tested(candidate.one.parameters))
+        own = len(acting(candidate.one.parameters))
         nothing = np.zeros(own)
         return Score(candidate, 0, gain, own, 1.0, np.inf, np.eye(own), nothing, nothing)
 
