@@ -10,7 +10,7 @@ from balance_cli.jets import constant, variables
 from balance_cli.model.balance import balance_model
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.free_motion import free_motion
-from balance_cli.model.modes import modes
+from balance_cli.model.modes import eigenvalues, modes
 from balance_cli.model.plate import plate_matrices
 from balance_cli.model.system import output_slopes, response, solve
 
@@ -105,6 +105,15 @@ def test_modal_damping_gives_each_mode_its_ratio():
     D = modal_damping(constant(plate.M, 1), constant(plate.K, 1), constant(zeta, 1)).value
     values, Phi = eigh(plate.K, plate.M)
     np.testing.assert_allclose(Phi.T @ D @ Phi, np.diag(2 * zeta * np.sqrt(values)), atol=1e-9)
+
+
+def test_what_has_no_finite_motion_is_no_rig():
+    """A step of a fit may lead there, and takes it for a place that cannot be."""
+    M, D = np.eye(2), np.zeros((2, 2))
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        eigenvalues(M, D, np.diag([1.0, np.inf]).astype(complex))
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        eigenvalues(np.diag([1.0, np.nan]), D, np.eye(2, dtype=complex))
 
 
 def test_equal_eigenvalues_do_not_break_the_derivative_of_the_damping():

@@ -82,6 +82,8 @@ def eigenvalues(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, Comp
     scale = np.sqrt(np.abs(np.trace(K)) / np.trace(M))
     companion = np.block([[nothing, identity], [-K / scale**2, -D / scale]])
     weight = np.block([[identity, nothing], [nothing, M]])
+    if not (np.isfinite(companion).all() and np.isfinite(weight).all()):
+        raise np.linalg.LinAlgError("matrices of motion that are not finite")
     values, left, right = eig(companion, weight, left=True, right=True)
     finite = np.isfinite(values) & (np.abs(values) < 1e6)
     oscillating = finite & (values.imag > 1e-9 * np.abs(np.where(finite, values, 0.0)).max())
