@@ -76,14 +76,15 @@ def eigenvalues(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, Comp
     """Oscillatory eigenvalues (m,) of rising size with left and right vectors (m, n) of the quadratic problem.
 
     The companion pencil is [[0, I], [-K, -D]] v = s [[I, 0], [0, M]] v; M may be singular (infinite eigenvalues).
+    LinAlgError where they are not finite.
     """
+    if not all(np.isfinite(part).all() for part in (M, D, K)):
+        raise np.linalg.LinAlgError("matrices of motion that are not finite")
     n = len(M)
     identity, nothing = np.eye(n), np.zeros((n, n))
     scale = np.sqrt(np.abs(np.trace(K)) / np.trace(M))
     companion = np.block([[nothing, identity], [-K / scale**2, -D / scale]])
     weight = np.block([[identity, nothing], [nothing, M]])
-    if not (np.isfinite(companion).all() and np.isfinite(weight).all()):
-        raise np.linalg.LinAlgError("matrices of motion that are not finite")
     values, left, right = eig(companion, weight, left=True, right=True)
     finite = np.isfinite(values) & (np.abs(values) < 1e6)
     oscillating = finite & (values.imag > 1e-9 * np.abs(np.where(finite, values, 0.0)).max())
