@@ -1,7 +1,4 @@
-"""What the study of attribution hides in its campaigns: effects small and large, alone or together, known, unknown or
-
-impossible to show; or nothing.
-"""
+"""What the study of attribution hides: effects small or large, alone or together, known or not, or nothing at all."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ SIZES = (25.0, 1e4)
 """Expected gains in chi-square between which the sizes of one effect alone are spread, evenly in their logarithm."""
 PAIR_SIZES = (100.0, 1e4)
 LARGE_SIZES = (1e5, 1e7)
-"""What the library calls a change that matters, and more."""
+"""Expected gains of a large effect."""
 SINGLE_TURNS = 10
 PAIR_TURNS = 1
 LARGE_TURNS = 2
