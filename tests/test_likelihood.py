@@ -1,12 +1,15 @@
 """The likelihood: elimination of the true loads, gradient, information, weights."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rigs import one_degree_of_freedom, rotor_balance
 
+from balance_cli.estimation import measurements
 from balance_cli.estimation.equation_error import equation_error, least_squares, measured_forces
 from balance_cli.estimation.likelihood import data_chi2, data_curvature, degrees_of_freedom, exciter_response
-from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.measurements import sized_for_slopes, stacked
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import response, solve
@@ -74,6 +77,25 @@ def test_gradient_is_exact_also_far_from_the_minimum():
         numerical = change / (4e-5 * parameters.scale[index])
         size = np.sqrt(curvature.information[place, place] * curvature.chi2)
         assert curvature.gradient[place] == pytest.approx(numerical, rel=1e-4, abs=1e-5 * size), parameters.names[index]
+
+
+def test_large_batches_are_derived_run_by_run_and_give_the_same(monkeypatch):
+    rig = rotor_balance()
+    rng = np.random.default_rng(5)
+    runs = [replace(noisy_lines(rig, rng, (name,)), run=name) for name in ("Fx", "My", "Fz")]
+    batches = stacked(runs, [], rig.channel_names)
+    model = balance_model(rig)
+    system = model.system(model.parameters.value + 0.3 * model.parameters.sigma)
+    assert sized_for_slopes(batches, system.parameters) == batches
+    whole = data_curvature(batches, system)
+    monkeypatch.setattr(measurements, "LARGEST_SLOPES", 2**10)
+    parts = sized_for_slopes(batches, system.parameters)
+    assert [part.runs for part in parts] == [("Fx",), ("My",), ("Fz",)]
+    split = data_curvature(batches, system)
+    size = np.sqrt(np.diag(whole.information))
+    assert split.chi2 == pytest.approx(whole.chi2, rel=1e-13)
+    assert np.all(np.abs(split.gradient - whole.gradient) <= 1e-12 * size * np.sqrt(whole.chi2))
+    assert np.all(np.abs(split.information - whole.information) <= 1e-12 * np.outer(size, size))
 
 
 def test_information_predicts_the_scatter_of_the_estimate():

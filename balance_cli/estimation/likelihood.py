@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.cell_forces import CellForces, cell_forces
-from balance_cli.estimation.measurements import WORKERS, Batch
+from balance_cli.estimation.measurements import WORKERS, Batch, sized_for_slopes
 from balance_cli.estimation.pickup import Tone, tones
 from balance_cli.estimation.transients import Taken, Transient, eliminated, transient_slopes, transients
 from balance_cli.model.system import Solution, System, output_slopes, response, solve
@@ -244,7 +244,7 @@ def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     with ThreadPoolExecutor(WORKERS) as workers:
         # Threads, because numpy lets go of the interpreter; summed in order, so that the result is always the same.
-        for part in workers.map(lambda batch: batch_curvature(batch, system), batches):
+        for part in workers.map(lambda batch: batch_curvature(batch, system), sized_for_slopes(batches, p)):
             total = total + part
     return total
 

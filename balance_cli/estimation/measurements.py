@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ Index = NDArray[np.intp]
 ENOUGH_DOF = 2.0
 # Batches that are worked on at once.
 WORKERS = 2
+# Bytes above which memory is taken from the system, and its pages filled with zeros, for every array anew.
+LARGEST_SLOPES = 2**25
 
 
 @dataclass(frozen=True)
@@ -80,20 +83,20 @@ def selected_lines(batch: Batch, chosen: NDArray[np.bool_]) -> Batch:
     noise_parts = zip(batch.parts, batch.noise_parts, strict=True)
     return replace(
         batch,
+        **_of_each_line(batch, chosen),
         index=batch.index[chosen],
-        channels=batch.channels[chosen],
-        loads=batch.loads[chosen],
-        components=batch.components[chosen],
-        precision=batch.precision[chosen],
-        count=batch.count[chosen],
         run=batch.run[chosen],
-        efficiency=batch.efficiency[chosen],
         windows=tuple(windows),
-        constant_volts=batch.constant_volts[chosen],
-        constant_loads=batch.constant_loads[chosen],
         waveforms=tuple(waveforms),
         noise_parts=tuple(tuple(one.at(chosen[part]) for one in several) for part, several in noise_parts),
     )
+
+
+def _of_each_line(batch: Batch, chosen: NDArray[np.bool_] | slice) -> dict[str, Any]:
+    """What the chosen lines hold; of a slice no copy is made."""
+    values = ("channels", "loads", "constant_volts", "constant_loads")
+    weights = ("components", "precision", "count", "efficiency")
+    return {name: getattr(batch, name)[chosen] for name in (*values, *weights)}
 
 
 def by_run(batches: Sequence[Batch]) -> tuple[Batch, ...]:
@@ -101,19 +104,30 @@ def by_run(batches: Sequence[Batch]) -> tuple[Batch, ...]:
     return tuple(_one_run(batch, i) for batch in batches for i in range(len(batch.runs)))
 
 
+def sized_for_slopes(batches: Sequence[Batch], parameters: int) -> tuple[Batch, ...]:
+    """The batches, run by run where the derivatives of one by so many parameters are too large to be kept at hand."""
+    sizes = [batch.channels.nbytes * parameters for batch in batches]
+    return tuple(
+        part
+        for batch, size in zip(batches, sizes, strict=True)
+        for part in ([batch] if size <= LARGEST_SLOPES else by_run([batch]))
+    )
+
+
 def _one_run(batch: Batch, i: int) -> Batch:
-    chosen = selected_lines(batch, batch.run == i)
-    frequency, index = np.unique(batch.frequency[chosen.index], return_inverse=True)
+    lines = batch.parts[i]
+    frequency, index = np.unique(batch.frequency[batch.index[lines]], return_inverse=True)
     return replace(
-        chosen,
+        batch,
+        **_of_each_line(batch, lines),
         runs=(batch.runs[i],),
+        frequency=frequency,
+        index=index.reshape(-1),
+        run=np.zeros_like(index.reshape(-1)),
         windows=(batch.windows[i],),
         waveforms=(batch.waveforms[i],),
         noise_dof=(batch.noise_dof[i],),
         noise_parts=(batch.noise_parts[i],),
-        run=np.zeros_like(chosen.run),
-        frequency=frequency,
-        index=index.reshape(-1),
     )
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.free_motion import FreeMotion, divided_differences, free_motion
-from balance_cli.model.system import System
+from balance_cli.model.system import System, unless_most
 from balance_cli.signals.lines import RecordWaveform, Window
 
 Array = NDArray[np.float64]
@@ -154,38 +154,39 @@ def transient_columns(free: FreeMotion, window: Window, frequency: Array) -> Com
     """C (K, c, 2m): the lines of the free motion per unit of the real, then of the imaginary parts of a."""
     starts, index = np.unique(window.start, return_inverse=True)
     decay = _decay(free.s, starts, window)[0][index]
-    each = [(decay * _comb(free.s, w, window)[0])[:, None, :] * free.volts for w in _both(frequency)]
+    each = [(decay * _comb(free.s, w, window))[:, None, :] * free.volts for w in _both(frequency)]
     return _real_columns(each[0], each[1].conj())
 
 
 def transient_slopes(fit: Transient) -> ComplexArray:
     """Derivatives (K, c, p) of C x by the parameters."""
-    free, window = fit.free, fit.window
-    a = _complex(fit.x)
-    starts, index = np.unique(window.start, return_inverse=True)
-    values, derivative = _decay(free.s, starts, window)
-    change = divided_differences(values, derivative, free.s) * a
-    # Most parameters of a score test change how the motion is read and not how it goes on.
-    moving = np.flatnonzero(np.any(free.s_slope, axis=(1, 2)))
-    d_xi = np.einsum("fij,pij->fip", change, free.s_slope[moving])[index]
-    xi = (values * a)[index]
-    parts = [_line_slopes(free, window, w, xi, d_xi, moving) for w in _both(fit.frequency)]
-    return np.asarray(parts[0] + parts[1].conj())
-
-
-def _line_slopes(
-    free: FreeMotion, window: Window, w: Array, xi: ComplexArray, d_xi: ComplexArray, moving: Index
-) -> ComplexArray:
-    """Slopes (K, c, p) of Phi R(S) xi, with xi = E(S) a (K, m) and its slopes (K, m, q) by the parameters `moving`."""
+    free = fit.free
     p, c, m = free.volts_slope.shape
-    values, derivative = _comb(free.s, w, window)
-    change = divided_differences(values, derivative, free.s) * xi[:, None, :]
-    inner = np.matmul(change.swapaxes(0, 1), free.s_slope[moving].transpose(1, 2, 0)).swapaxes(0, 1)
-    inner = inner + values[:, :, None] * d_xi
-    outer = (values * xi) @ free.volts_slope.transpose(2, 1, 0).reshape(m, c * p)
-    slopes = np.asarray(outer.reshape(-1, c, p), complex)
-    slopes[:, :, moving] += free.volts @ inner
+    parts = [_summed(free, fit.window, w, _complex(fit.x)) for w in _both(fit.frequency)]
+    motion, change = (np.concatenate([one, other.conj()], axis=1) for one, other in zip(*parts, strict=True))
+    read = np.concatenate([free.volts_slope, free.volts_slope.conj()], axis=2)
+    slopes = np.asarray((motion @ read.transpose(2, 1, 0).reshape(2 * m, c * p)).reshape(-1, c, p), complex)
+    # Most parameters of a score test change how the motion is read and not how it goes on.
+    moving = unless_most(np.any(free.s_slope, axis=(1, 2)))
+    moved = np.concatenate([free.s_slope[moving], free.s_slope[moving].conj()], axis=1)
+    inner = np.matmul(change.swapaxes(0, 1), moved.transpose(1, 2, 0)).swapaxes(0, 1)
+    slopes[:, :, moving] += np.concatenate([free.volts, free.volts.conj()], axis=1) @ inner
     return slopes
+
+
+def _summed(free: FreeMotion, window: Window, w: Array, a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """R(S) E(S) a (K, m), and what makes its change: sum over j of `change` (K, m, m) times dS_ij.
+
+    R is a resolvent, (1 - Z)^-1 of Z = exp((S - jw) h), so that dR = R dZ R: no differences at every line.
+    """
+    s, h = free.s, window.step
+    starts, index = np.unique(window.start, return_inverse=True)
+    E, dE = _decay(s, starts, window)
+    R, stepped = _comb(s, w, window), np.asarray(np.exp(s * h), complex)
+    motion = R * (E * a)[index]
+    dZ = np.exp(-1j * w * h)[:, None, None] * divided_differences(stepped, np.asarray(h * stepped, complex), s)
+    change = R[:, :, None] * (dZ * motion[:, None, :] + (divided_differences(E, dE, s) * a)[index])
+    return np.asarray(motion, complex), np.asarray(change, complex)
 
 
 @dataclass(frozen=True)
@@ -250,8 +251,6 @@ def _decay(s: ComplexArray, starts: Array, window: Window) -> tuple[ComplexArray
     return np.asarray(E, complex), np.asarray(slope, complex)
 
 
-def _comb(s: ComplexArray, w: Array, window: Window) -> tuple[ComplexArray, ComplexArray]:
-    """R (K, m) = 1 / (1 - exp((s - jw) h)), and dR/ds."""
-    turned = np.exp((s - 1j * w[:, None]) * window.step)
-    R = 1.0 / (1.0 - turned)
-    return np.asarray(R, complex), np.asarray(window.step * turned * R**2, complex)
+def _comb(s: ComplexArray, w: Array, window: Window) -> ComplexArray:
+    """R (K, m) = 1 / (1 - exp((s - jw) h))."""
+    return np.asarray(1.0 / (1.0 - np.exp((s - 1j * w[:, None]) * window.step)), complex)

@@ -258,7 +258,7 @@ def output_slopes(
     forces = spring_forces(system, solution, index, loads, extra)
     gains = solution.gains[index]
     volts = gains * forces[:, springs]
-    moving = moving_parameters(system)
+    moving = unless_most(moving_parameters(system))
     slopes = np.zeros((len(index), len(springs), system.parameters), complex)
     slopes[:, :, moving] = gains[:, :, None] * force_slopes(system, solution, index, loads, extra, moving)[:, springs]
     s = np.asarray(2j * np.pi * solution.frequency[:, None], np.complex128)
@@ -281,3 +281,8 @@ def moving_parameters(system: System) -> NDArray[np.bool_]:
     read = (system.readings, system.readings_loss, system.readings_stiffening)
     every = (*parts, *read, system.inputs, system.reactions)
     return np.asarray(np.any([part.slope.any(axis=(1, 2)) for part in every], axis=0))
+
+
+def unless_most(chosen: NDArray[np.bool_]) -> NDArray[np.bool_] | slice:
+    """The chosen parameters (p,), or all where they are most: a part of the last axis is slow to reach."""
+    return chosen if 2 * np.count_nonzero(chosen) < len(chosen) else slice(None)
