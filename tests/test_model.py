@@ -114,6 +114,8 @@ def test_what_has_no_finite_motion_is_no_rig():
         eigenvalues(M, D, np.diag([1.0, np.inf]).astype(complex))
     with pytest.raises(np.linalg.LinAlgError, match="not finite"):
         eigenvalues(np.diag([1.0, np.nan]), D, np.eye(2, dtype=complex))
+    with pytest.raises(np.linalg.LinAlgError, match="no inertia"):
+        eigenvalues(np.diag([1.0, -2.0]), D, np.eye(2, dtype=complex))
 
 
 def test_equal_eigenvalues_do_not_break_the_derivative_of_the_damping():

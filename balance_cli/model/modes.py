@@ -76,13 +76,14 @@ def eigenvalues(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, Comp
     """Oscillatory eigenvalues (m,) of rising size with left and right vectors (m, n) of the quadratic problem.
 
     The companion pencil is [[0, I], [-K, -D]] v = s [[I, 0], [0, M]] v; M may be singular (infinite eigenvalues).
-    LinAlgError where they are not finite.
+    LinAlgError where the matrices are not finite, or inertia or stiffness have no size.
     """
-    if not all(np.isfinite(part).all() for part in (M, D, K)):
-        raise np.linalg.LinAlgError("matrices of motion that are not finite")
+    inertia, stiffness = np.trace(M), np.abs(np.trace(K))
+    if not (inertia > 0.0 and stiffness > 0.0 and all(np.isfinite(part).all() for part in (M, D, K))):
+        raise np.linalg.LinAlgError("matrices of motion that are not finite, or of no inertia or stiffness")
     n = len(M)
     identity, nothing = np.eye(n), np.zeros((n, n))
-    scale = np.sqrt(np.abs(np.trace(K)) / np.trace(M))
+    scale = np.sqrt(stiffness / inertia)
     companion = np.block([[nothing, identity], [-K / scale**2, -D / scale]])
     weight = np.block([[identity, nothing], [nothing, M]])
     values, left, right = eig(companion, weight, left=True, right=True)
