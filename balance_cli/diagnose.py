@@ -23,7 +23,7 @@ from balance_cli.diagnosis.empirical import with_extra_modes
 from balance_cli.diagnosis.fit import Fit, fitted
 from balance_cli.diagnosis.mass_region import mass_intervals
 from balance_cli.diagnosis.model_free import model_free_tests
-from balance_cli.diagnosis.needed import believed, pruned
+from balance_cli.diagnosis.needed import believed, pruned, with_only
 from balance_cli.diagnosis.refit import State
 from balance_cli.diagnosis.residual_map import location, residual_map
 from balance_cli.diagnosis.rivals import Standing, contested
@@ -125,7 +125,11 @@ def _closed_loop(
     loop = _tested(found.state, batches, given, sure, found, say)
     if _described_well(loop.confirmed, _quality(loop.fit.model, loop.fit.theta, batches)):
         return loop
-    state, tried = with_extra_modes(loop.fit.model, loop.fit.theta, lines, _last_round(loop.trials) + 1, say)
+    # A resonance that nobody has written down may have passed for an effect: it is also sought without those found.
+    beginnings = [(loop.fit.model, loop.fit.theta)]
+    if not _labels(loop.fit.model) <= sure:
+        beginnings.append(with_only(sure, loop.fit.model.geometry, start, theta))
+    state, tried = with_extra_modes(beginnings, lines, _last_round(loop.trials) + 1, say)
     trials = (*loop.trials, *tried)
     if state is None:
         return replace(loop, trials=trials)

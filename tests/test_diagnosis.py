@@ -8,6 +8,7 @@ from balance_cli.diagnose import diagnose
 from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
 from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
 from balance_cli.diagnosis.candidates import tested as acting
+from balance_cli.diagnosis.empirical import with_extra_modes
 from balance_cli.diagnosis.fit import excess, fitted
 from balance_cli.diagnosis.folds import fold_gain, folds
 from balance_cli.diagnosis.needed import believed, without
@@ -15,6 +16,7 @@ from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.rivals import contested
 from balance_cli.diagnosis.score import Score, best_gain, best_scores, extended, scores, with_candidates
 from balance_cli.diagnosis.search import leading
+from balance_cli.diagnosis.search_lines import search_lines
 from balance_cli.diagnosis.worth import blur, effect_wald
 from balance_cli.effects.dry_friction import LEAST, STIFFNESSES
 from balance_cli.errors import UserError
@@ -333,11 +335,16 @@ def test_what_no_effect_describes_stays_unexplained():
     assert not closed.geometry.effects
 
 
-def test_what_resonates_without_a_cause_is_described_and_named_as_empirical():
-    hidden = TunedMass(
-        mass=0.7, frequency=51.3, damping_ratio=0.013, position=(-0.2, 0.15, 0.02), direction=(0.8, 0, 0.6)
-    )
-    spectra = simulated_spectra(hidden)
+TUNED = TunedMass(mass=0.7, frequency=51.3, damping_ratio=0.013, position=(-0.2, 0.15, 0.02), direction=(0.8, 0, 0.6))
+
+
+@pytest.fixture(scope="module")
+def resonating():
+    return simulated_spectra(TUNED)
+
+
+def test_what_resonates_without_a_cause_is_described_and_named_as_empirical(resonating):
+    spectra = resonating
     found, closed = diagnose(identify(spectra, RIG), spectra)
     assert found.verdict == PARTLY_EXPLAINED
     (effect,) = found.effects
@@ -350,6 +357,27 @@ def test_what_resonates_without_a_cause_is_described_and_named_as_empirical():
     assert values["shape_z"].value == pytest.approx(0.75, abs=0.02)
     assert found.chi2_per_dof_before > 100.0
     assert closed.quality.chi2_per_dof == pytest.approx(1.0, abs=0.06)
+
+
+def with_and_without(label, spectra):
+    """What resonances make of a model that has an effect, and of the one that has not, whichever ends better."""
+    known = candidate_at(label.partition("@")[0], tuple(label.partition("@")[2].split(",")), RIG)
+    start = balance_model(RIG)
+    bare = (start, start.parameters.value)
+    begun = extended(*bare, with_candidates(RIG, [(known, 0)], started=True))
+    state, trials = with_extra_modes([begun, bare], search_lines(spectra, RIG.channel_names), 1, lambda what: None)
+    removed = [trial.label for trial in trials if trial.decision == "removed"]
+    return {one.label for one in declared_effects(state.geometry)}, removed
+
+
+def test_a_resonance_that_passed_for_a_support_is_told_without_it(resonating):
+    wrong = "support-flexibility@y,theta,phi"
+    assert with_and_without(wrong, resonating) == ({"extra-mode@x"}, [wrong])
+
+
+def test_an_effect_that_is_there_stays_beside_a_resonance():
+    there = "transverse-stiffness@all"
+    assert with_and_without(there, simulated_spectra(TUNED, STIFF)) == ({"extra-mode@x", there}, [])
 
 
 def test_what_it_cannot_work_with(healthy):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import Candidate, candidates
-from balance_cli.diagnosis.refit import State, settled
+from balance_cli.diagnosis.refit import PENALTY, State, settled
 from balance_cli.diagnosis.score import extended
 from balance_cli.diagnosis.search import SMALL_ERROR, search_round
 from balance_cli.diagnosis.search_lines import SearchLines
@@ -23,6 +23,7 @@ from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.model_error import with_model_error
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.model.balance import BalanceModel
+from balance_cli.model.placed_effects import declared_effects
 from balance_cli.model.system import System, solve
 
 Array = NDArray[np.float64]
@@ -36,10 +37,41 @@ MOST = 3
 
 
 def with_extra_modes(
-    model: BalanceModel, theta: Array, lines: SearchLines, first_round: int, say: Callable[[str], None]
+    beginnings: Sequence[tuple[BalanceModel, Array]],
+    lines: SearchLines,
+    first_round: int,
+    say: Callable[[str], None],
 ) -> tuple[State | None, tuple[Trial, ...]]:
-    """The model with resonances that take their share off its error, and what was tried; None where none does."""
+    """The model with resonances that take their share off its error, and what was tried; None where none does.
+
+    Of several beginnings the one that ends with the better description. The first one has all that was found before;
+    what one of the others lacks of it is put down as removed.
+    """
     say("resonances without a cause")
+    ends = [_resonating(model, theta, lines, first_round) for model, theta in beginnings]
+    worth = [np.inf if state is None else _cost(state) for state, _ in ends]
+    if np.isinf(worth).all():
+        return ends[0]
+    best = int(np.argmin(worth))
+    state, trials = ends[best]
+    labels = [{one.label for one in declared_effects(model.geometry)} for model, _ in beginnings]
+    less = float(worth[best] - worth[0]) if best and np.isfinite(worth[0]) else np.nan
+    return state, (*trials, *(_needless(first_round, label, less) for label in sorted(labels[0] - labels[best])))
+
+
+def _cost(state: State) -> float:
+    """-2 ln likelihood, and what parameters cost."""
+    return state.fitted + PENALTY * float(np.count_nonzero(state.model.parameters.free))
+
+
+def _needless(number: int, label: str, less: float) -> Trial:
+    return Trial(number, label, 0.0, 1, 1.0, less, "removed", "resonances alone describe more")
+
+
+def _resonating(
+    model: BalanceModel, theta: Array, lines: SearchLines, first_round: int
+) -> tuple[State | None, tuple[Trial, ...]]:
+    """The model with the resonances that are accepted from one beginning."""
     state = settled(model, theta, lines)
     trials: list[Trial] = []
     for number in range(first_round, first_round + MOST):

@@ -16,6 +16,7 @@ from balance_cli.diagnosis.worth import effect_wald, wald
 from balance_cli.effects import Where
 from balance_cli.estimation.measurements import Batch
 from balance_cli.geometry import DeclaredEffect, Geometry
+from balance_cli.model.balance import BalanceModel
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
 Array = NDArray[np.float64]
@@ -28,6 +29,14 @@ def without(fit: Fit, one: PlacedEffect, batches: Sequence[Batch]) -> Fit:
     """The model without an effect, refitted."""
     model, theta = extended(fit.model, fit.theta, bare(fit.model.geometry, one))
     return fitted(model, theta, batches)
+
+
+def with_only(
+    labels: Collection[str], geometry: Geometry, model: BalanceModel, theta: Array
+) -> tuple[BalanceModel, Array]:
+    """A model with those effects of a geometry that have these labels, its other parameters as they are in `theta`."""
+    kept = [item for item, one in zip(geometry.effects, _in_order(geometry), strict=True) if one.label in labels]
+    return extended(model, theta, geometry.model_copy(update={"effects": tuple(kept)}))
 
 
 def bare(geometry: Geometry, one: PlacedEffect) -> Geometry:
