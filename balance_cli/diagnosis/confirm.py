@@ -178,7 +178,10 @@ def chance(gain: float, parameters: int, count: int, noise_dof: float = np.inf) 
 
 
 def _refitted(fit: Fit, score: Score, batches: Sequence[Batch], first: Fit | None) -> Fit:
-    """The fit with a candidate added, from its `first` steps; where its score is no small one, from its start too."""
+    """The fit with a candidate added, from its `first` steps; where its score is no small one, from its start too.
+
+    Where no fit comes to an end, in a valley, it is tried once more from the side.
+    """
     if not has_shape(score):
         return fitted(*stepped(fit.model, fit.theta, batches, score), batches)
     first = _first_steps(fit, score, batches) if first is None else first
@@ -187,4 +190,16 @@ def _refitted(fit: Fit, score: Score, batches: Sequence[Batch], first: Fit | Non
         return near
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started=True)
     far = fitted(*extended(fit.model, fit.theta, geometry), batches)
-    return min(near, far, key=lambda end: end.chi2)
+    best = min(near, far, key=lambda end: end.chi2)
+    if best.minimum.converged:
+        return best
+    return min(best, _shaped_last(fit, score, batches), key=lambda end: end.chi2)
+
+
+def _shaped_last(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
+    """The fit with what shapes a candidate held at first: until all else is where it belongs, that leads far away."""
+    model, near = stepped(fit.model, fit.theta, batches, score)
+    one, names = score.candidate.one, model.parameters.names
+    shape = {one.full_name(item) for item in one.parameters if item.secondary}
+    sigma = [0.0 if name in shape else known for name, known in zip(names, model.parameters.sigma, strict=True)]
+    return fitted(model, fitted(model.with_sigma(np.array(sigma)), near, batches).theta, batches)
