@@ -1,15 +1,19 @@
 """The loop and its parts: score test, model error, folds, and whole diagnoses of simulated campaigns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rigs import one_degree_of_freedom, rotor_balance
 
 from balance_cli.diagnose import diagnose
 from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
+from balance_cli.diagnosis import confirm
 from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
 from balance_cli.diagnosis.candidates import tested as acting
+from balance_cli.diagnosis.confirm import STRONG
 from balance_cli.diagnosis.empirical import with_extra_modes
-from balance_cli.diagnosis.fit import excess, fitted
+from balance_cli.diagnosis.fit import Fit, excess, fitted
 from balance_cli.diagnosis.folds import fold_gain, folds
 from balance_cli.diagnosis.needed import believed, without
 from balance_cli.diagnosis.preference import preferred
@@ -312,6 +316,34 @@ def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
     monkeypatch.setattr("balance_cli.diagnosis.needed.effect_wald", lambda fit, one: (1.0, 1))
     monkeypatch.setattr("balance_cli.diagnosis.needed.excess", lambda fit, batches, alone: 1e5)
     assert believed(fit, batches, True, (), 3) == (fit, ())
+
+
+def test_fits_that_come_to_no_end_are_tried_with_the_shape_held_at_first(stiff, monkeypatch):
+    batches, _ = stiff
+    plain = fitted(balance_model(RIG), balance_model(RIG).parameters.value, batches)
+    path = candidate_at("parallel-stiffness", (), RIG)
+    (score,) = scores(plain.model, plain.theta, batches, [path])
+    assert score.gain > STRONG
+    ends = []
+
+    def creeping(model, theta, batches):
+        """The first two fits stop far above a minimum."""
+        minimum = fitted(model, theta, batches).minimum
+        early = len(ends) < 2
+        total = replace(minimum.total, chi2=minimum.total.chi2 + 1e6 * early)
+        ends.append(Fit(model, replace(minimum, total=total, converged=not early)))
+        return ends[-1]
+
+    monkeypatch.setattr(confirm, "fitted", creeping)
+    found = confirm._refitted(plain, score, batches, None)
+    assert len(ends) == 4
+    assert found is ends[3]
+    shape = {path.one.full_name(item) for item in path.one.parameters if item.secondary}
+    held, still = (
+        {name for name, free in zip(end.model.parameters.names, end.model.parameters.free, strict=True) if not free}
+        for end in (ends[2], found)
+    )
+    assert held - still == shape
 
 
 def test_beside_large_friction_nothing_small_is_told(stiff):
