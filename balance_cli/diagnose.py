@@ -21,6 +21,7 @@ from balance_cli.diagnosed import (
 from balance_cli.diagnosis.confirm import SIGNIFICANT, Confirmed, chance, confirm
 from balance_cli.diagnosis.empirical import with_extra_modes
 from balance_cli.diagnosis.fit import Fit, fitted
+from balance_cli.diagnosis.mains_frequency import at_best_frequency
 from balance_cli.diagnosis.mass_region import mass_intervals
 from balance_cli.diagnosis.model_free import model_free_tests
 from balance_cli.diagnosis.needed import believed, pruned, with_only
@@ -149,7 +150,9 @@ def _tested(
     # While the model is still wrong, nothing can be judged by the noise alone.
     wrong = state.error > WRONG
     judged = with_model_error(batches, state.shares) if wrong else batches
-    fit, trials, rivals = fitted(state.model, state.theta, judged), found.trials, _rivals(found)
+    fit = fitted(state.model, state.theta, judged)
+    fit = at_best_frequency(fit, declared_effects(fit.model.geometry), judged)
+    trials, rivals = found.trials, _rivals(found)
     for look in range(MOST_LOOKS):
         confirmed = confirm(fit, judged, not wrong, _last_round(trials) + 1, say)
         say("what is needed")

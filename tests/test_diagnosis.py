@@ -15,6 +15,7 @@ from balance_cli.diagnosis.confirm import STRONG
 from balance_cli.diagnosis.empirical import with_extra_modes
 from balance_cli.diagnosis.fit import Fit, excess, fitted
 from balance_cli.diagnosis.folds import fold_gain, folds
+from balance_cli.diagnosis.mains_frequency import at_best_frequency
 from balance_cli.diagnosis.needed import believed, without
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.rivals import contested
@@ -344,6 +345,23 @@ def test_fits_that_come_to_no_end_are_tried_with_the_shape_held_at_first(stiff, 
         for end in (ends[2], found)
     )
     assert held - still == shape
+
+
+def test_frequency_of_the_mains_is_found_from_a_side_lobe():
+    hidden = {"amplitude": 2e-3, "frequency": 50.02}
+    batches = lines_of(simulated_spectra(DeclaredEffect(name="mains-pickup", where=("y2.strain",), parameters=hidden)))
+    beside = DeclaredEffect(
+        name="mains-pickup", where=("y2.strain",), parameters={"amplitude": 1e-3, "frequency": 50.2}
+    )
+    model = balance_model(RIG.model_copy(update={"effects": (beside,)}))
+    start = np.array(model.parameters.value)
+    stuck = fitted(model, start, batches)
+    found = at_best_frequency(stuck, declared_effects(model.geometry), batches)
+    place = model.parameters.index("mains-pickup@y2.strain.frequency")
+    assert abs(stuck.theta[place] - 50.02) > 0.1
+    assert found.theta[place] == pytest.approx(50.02, abs=5e-3)
+    assert found.chi2 < stuck.chi2 - 100.0
+    assert at_best_frequency(found, declared_effects(model.geometry), batches) is found
 
 
 def test_beside_large_friction_nothing_small_is_told(stiff):

@@ -16,6 +16,7 @@ from balance_cli.diagnosed import Trial
 from balance_cli.diagnosis.candidates import candidates
 from balance_cli.diagnosis.fit import Fit, begun, excess, fitted
 from balance_cli.diagnosis.folds import fold_gain
+from balance_cli.diagnosis.mains_frequency import at_best_frequency
 from balance_cli.diagnosis.point_mass import settled_mass
 from balance_cli.diagnosis.preference import preferred
 from balance_cli.diagnosis.refit import PENALTY
@@ -187,12 +188,12 @@ def _refitted(fit: Fit, score: Score, batches: Sequence[Batch], first: Fit | Non
     first = _first_steps(fit, score, batches) if first is None else first
     near = fitted(first.model, first.theta, batches)
     if score.gain < STRONG or score.candidate.chosen:
-        return near
+        return at_best_frequency(near, [score.candidate.one], batches)
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started=True)
     far = fitted(*extended(fit.model, fit.theta, geometry), batches)
     best = min(near, far, key=lambda end: end.chi2)
     if best.minimum.converged:
-        return best
+        return at_best_frequency(best, [score.candidate.one], batches)
     return min(best, _shaped_last(fit, score, batches), key=lambda end: end.chi2)
 
 

@@ -42,13 +42,16 @@ class Form:
 
     def __call__(self, left: ComplexArray, right: ComplexArray) -> Array:
         """B (q, s) of columns (k, c, q) and (k, c, s)."""
-        q, s = left.shape[2], right.shape[2]
-        weighted = self.weigh(self.lines, left).reshape(-1, q)
-        if self.transient is not None:
-            # Solved on the left, which has few columns; the right may be the slopes by every parameter.
-            of_motion = self.transient.weighted.reshape(len(weighted), -1)
-            weighted = weighted - of_motion @ self.transient.solved(self.motion(left))
-        return np.asarray(2.0 * np.real(weighted.conj().T @ right.reshape(-1, s)))
+        return np.asarray(2.0 * np.real(self.weighted(left).conj().T @ right.reshape(-1, right.shape[2])))
+
+    def weighted(self, left: ComplexArray) -> ComplexArray:
+        """What the form has on its left for columns (k, c, q): (k c, q)."""
+        weighted = self.weigh(self.lines, left).reshape(-1, left.shape[2])
+        if self.transient is None:
+            return weighted
+        # Solved on the left, which has few columns; the right may be the slopes by every parameter.
+        of_motion = self.transient.weighted.reshape(len(weighted), -1)
+        return np.asarray(weighted - of_motion @ self.transient.solved(self.motion(left)))
 
     def motion(self, columns: ComplexArray) -> Array:
         """What columns (k, c, q) have to do with the free motion (2m, q)."""
@@ -168,6 +171,22 @@ def _tone(
     tone = Tone(pickup, form, columns, slopes, n, b, np.zeros(2))
     unit = b / max(tone.size, 1e-300)
     return replace(tone, expected=np.sqrt(tone.power) * tone.coherence * unit)
+
+
+def tone_sizes(batch: Batch, tone: Tone, residual: ComplexArray, frequency: Array) -> tuple[Array, Array]:
+    """N and |b| (f,) of a tone at other frequencies [Hz], for the residual (k, c) of its run without the tone found."""
+    run = next(i for i, lines in enumerate(batch.parts) if lines == tone.form.lines)
+    waveform = batch.waveforms[run]
+    assert isinstance(waveform, Waveform)
+    with_tone = (residual + tone.columns @ tone.expected).reshape(-1)
+    channel = np.eye(residual.shape[1])[tone.pickup.channel][:, None]
+    sizes = np.zeros((2, len(frequency)))
+    for i, f in enumerate(frequency):
+        columns = _columns(batch, run, waveform, float(f))[0][:, None, :] * channel
+        weighted = tone.form.weighted(columns)
+        sizes[0, i] = np.real(np.sum(weighted.conj() * columns.reshape(weighted.shape)))
+        sizes[1, i] = np.linalg.norm(2.0 * np.real(weighted.conj().T @ with_tone))
+    return sizes[0], sizes[1]
 
 
 def _columns(batch: Batch, run: int, waveform: Waveform, f: float) -> tuple[ComplexArray, ComplexArray]:
