@@ -49,14 +49,14 @@ def with_extra_modes(
     """
     say("resonances without a cause")
     ends = [_resonating(model, theta, lines, first_round) for model, theta in beginnings]
-    worth = [np.inf if state is None else _cost(state) for state, _ in ends]
-    if np.isinf(worth).all():
-        return ends[0]
+    worth = [_cost(state) for state, _ in ends]
     best = int(np.argmin(worth))
     state, trials = ends[best]
+    if not any(trial.decision == "accepted" for trial in trials):
+        return None, trials
     labels = [{one.label for one in declared_effects(model.geometry)} for model, _ in beginnings]
-    less = float(worth[best] - worth[0]) if best and np.isfinite(worth[0]) else np.nan
-    return state, (*trials, *(_needless(first_round, label, less) for label in sorted(labels[0] - labels[best])))
+    gain = worth[best] - worth[0]
+    return state, (*trials, *(_needless(first_round, label, gain) for label in sorted(labels[0] - labels[best])))
 
 
 def _cost(state: State) -> float:
@@ -64,14 +64,14 @@ def _cost(state: State) -> float:
     return state.fitted + PENALTY * float(np.count_nonzero(state.model.parameters.free))
 
 
-def _needless(number: int, label: str, less: float) -> Trial:
-    return Trial(number, label, 0.0, 1, 1.0, less, "removed", "resonances alone describe more")
+def _needless(number: int, label: str, gain: float) -> Trial:
+    return Trial(number, label, 0.0, 1, 1.0, gain, "removed", "resonances alone describe more")
 
 
 def _resonating(
     model: BalanceModel, theta: Array, lines: SearchLines, first_round: int
-) -> tuple[State | None, tuple[Trial, ...]]:
-    """The model with the resonances that are accepted from one beginning."""
+) -> tuple[State, tuple[Trial, ...]]:
+    """The model with the resonances that are accepted from one beginning, or as it settles without any."""
     state = settled(model, theta, lines)
     trials: list[Trial] = []
     for number in range(first_round, first_round + MOST):
@@ -81,8 +81,7 @@ def _resonating(
         if added is None:
             break
         state = along_largest(added, lines)
-    found = any(trial.decision == "accepted" for trial in trials)
-    return state if found else None, tuple(trials)
+    return state, tuple(trials)
 
 
 def resonances(state: State, batches: Sequence[Batch]) -> tuple[Candidate, ...]:
