@@ -362,6 +362,10 @@ def test_frequency_of_the_mains_is_found_from_a_side_lobe():
     assert found.theta[place] == pytest.approx(50.02, abs=5e-3)
     assert found.chi2 < stuck.chi2 - 100.0
     assert at_best_frequency(found, declared_effects(model.geometry), batches) is found
+    sigma = np.array(model.parameters.sigma)
+    sigma[place] = 0.0
+    held = fitted(model.with_sigma(sigma), start, batches)
+    assert at_best_frequency(held, declared_effects(model.geometry), batches) is held
 
 
 def test_beside_large_friction_nothing_small_is_told(stiff):

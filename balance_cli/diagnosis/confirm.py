@@ -192,9 +192,9 @@ def _refitted(fit: Fit, score: Score, batches: Sequence[Batch], first: Fit | Non
     geometry = with_candidates(fit.model.geometry, [(score.candidate, score.start)], started=True)
     far = fitted(*extended(fit.model, fit.theta, geometry), batches)
     best = min(near, far, key=lambda end: end.chi2)
-    if best.minimum.converged:
-        return at_best_frequency(best, [score.candidate.one], batches)
-    return min(best, _shaped_last(fit, score, batches), key=lambda end: end.chi2)
+    if not best.minimum.converged:
+        best = min(best, _shaped_last(fit, score, batches), key=lambda end: end.chi2)
+    return at_best_frequency(best, [score.candidate.one], batches)
 
 
 def _shaped_last(fit: Fit, score: Score, batches: Sequence[Batch]) -> Fit:

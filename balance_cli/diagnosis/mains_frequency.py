@@ -39,6 +39,8 @@ def at_best_frequency(fit: Fit, effects: Sequence[PlacedEffect], batches: Sequen
 
 def _sought(fit: Fit, label: str, batches: Sequence[Batch]) -> Fit:
     power, place = (fit.model.parameters.index(f"{label}.{name}") for name in ("amplitude^2", "frequency"))
+    if not fit.model.parameters.free[[power, place]].all():
+        return fit
     frequency = fit.theta[place] + np.arange(-REACH, REACH + 0.5 * SPACING, SPACING)
     amplitude = np.sqrt(max(float(fit.theta[power]), np.finfo(float).tiny)) * FACTORS
     chi2 = _chi2(fit, label, batches, frequency, amplitude)
