@@ -12,12 +12,12 @@ from balance_cli.components import COMPONENTS
 from balance_cli.errors import UserError
 from balance_cli.estimation.hub_loads import SolvedLoads, solve_loads
 from balance_cli.geometry import Geometry
-from balance_cli.kalman.levels import Clean, channel_noise
 from balance_cli.model.plate import carried_components
 from balance_cli.responses import ModelSource, ResponseSource, circular_real, load_scale, stacked_real
 from balance_cli.runs import Run
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
+from balance_cli.signals.channel_noise import Clean, channel_noise
 from balance_cli.signals.harmonic_spectrum import harmonic_lines
 from balance_cli.signals.harmonics import FEWEST_REVOLUTIONS, Harmonics, harmonics
 from balance_cli.signals.settling import settling

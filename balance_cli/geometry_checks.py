@@ -9,7 +9,8 @@ import numpy as np
 from balance_cli.components import FREEDOMS
 from balance_cli.errors import UserError
 from balance_cli.geometry import Array, Body, Geometry
-from balance_cli.model.plate import elongation_matrix, moving_part
+from balance_cli.kinematics import elongation_matrix
+from balance_cli.mass_properties import moving_part
 
 RELATIVE_ROUNDING = 1e-9
 """Slack for declared values that sit on a limit (a flat disc has Ixx + Iyy = Izz exactly)."""

@@ -15,8 +15,7 @@ from balance_cli.estimation.linear_part import linear_part
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.quality import fit_quality
 from balance_cli.hub_loads import CheckErrors
-from balance_cli.identified import IdentifiedModel
-from balance_cli.model.balance import identified_system
+from balance_cli.identified import IdentifiedModel, identified_system
 from balance_cli.responses import ResponseSource, model_source
 from balance_cli.runs import Run
 from balance_cli.spectra import measured_spectra

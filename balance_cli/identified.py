@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.paper.fit import PaperFit
+from balance_cli.estimation.paper.result import PaperFit
 from balance_cli.geometry import Geometry
+from balance_cli.model.balance import balance_model
+from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -96,3 +98,9 @@ class IdentifiedModel:
         """Factor (Birge ratio) on every sigma where the model does not fit: sqrt(chi2/dof), at least 1."""
         ratio = self.quality.chi2_per_dof
         return float(np.sqrt(ratio)) if self.iterations and ratio > 1.0 else 1.0
+
+
+def identified_system(model: IdentifiedModel) -> System:
+    """The system of a model at its estimate, with slopes for the parameters that have a place in its covariance."""
+    whole = balance_model(model.geometry).with_sigma(model.parameters.declared_sigma)
+    return whole.system(model.parameters.value)

@@ -15,7 +15,7 @@ from balance_cli.estimation.gauss_newton import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
 from balance_cli.estimation.maximum_likelihood import best_of_starts, maximum_likelihood
 from balance_cli.estimation.measurements import Batch, stacked
-from balance_cli.estimation.paper.fit import PAPER_BAND, PaperOptions
+from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
 from balance_cli.estimation.quality import fit_quality
 from balance_cli.estimation.starting_values import by_equations_of_motion, starting_values
 from balance_cli.estimation.support import covariance_of, parameter_support, undetermined

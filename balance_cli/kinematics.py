@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.geometry import Geometry
+
 Array = NDArray[np.float64]
 
 # The paper's angles (psi, theta, phi) turn about (z, y, x): rows of q, columns of a rotation vector (x, y, z).
@@ -36,3 +38,10 @@ def motion_at(arm: Array) -> Array:
     R q = rotation x arm, which gives (theta zeta - psi eta, psi xi - phi zeta, phi eta - theta xi).
     """
     return np.asarray(AT_CENTRE + np.tensordot(np.asarray(arm, float), PER_ARM, axes=1))
+
+
+def elongation_matrix(geometry: Geometry, centre: Array) -> Array:
+    """B (cells, 6): elongation of each cell along its axis per unit q (paper, eq. 5)."""
+    arms = np.array([cell.position for cell in geometry.cells]) - centre
+    axes = np.array([cell.direction for cell in geometry.cells])
+    return np.asarray(np.einsum("ci,cij->cj", axes, motion_at(arms)))

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.errors import UserError
-from balance_cli.estimation.paper.fit import PaperFit, PaperOptions, identify_paper_form
+from balance_cli.estimation.paper.fit import identify_paper_form
+from balance_cli.estimation.paper.result import PaperFit, PaperOptions
 from balance_cli.geometry import Geometry
 from balance_cli.identified import FitQuality, IdentifiedModel, ModeTable, ParameterTable, RunFit
 from balance_cli.spectra import Spectra

@@ -19,23 +19,24 @@ from balance_cli.components import COMPONENTS
 from balance_cli.dynamic_loads import RotorRecord, rotor_record
 from balance_cli.geometry import Geometry
 from balance_cli.hub_loads import RunLoads
+from balance_cli.identified import identified_system
 from balance_cli.kalman.amplitude_drift import drifting_harmonics
 from balance_cli.kalman.causal import filtered, lagged
 from balance_cli.kalman.composite import MeasuredSystem
 from balance_cli.kalman.innovations import InnovationSums, InnovationTests
-from balance_cli.kalman.levels import Clean, channel_noise, free_loads, loads_between_harmonics, random_loads
+from balance_cli.kalman.levels import free_loads, loads_between_harmonics, random_loads
 from balance_cli.kalman.load_track import LoadRecorder, TrackFrame
 from balance_cli.kalman.run_filters import azimuth_locked_filters, still_filters
 from balance_cli.kalman.smoothing import smoothed
 from balance_cli.kalman.soundness import Soundness, sound_stretches
 from balance_cli.kalman.stretches import Estimates, Filters
 from balance_cli.loads_in_time import History, LoadTrack
-from balance_cli.model.balance import identified_system
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.reduce import reduced_record
 from balance_cli.responses import ModelSource
 from balance_cli.runs import Run, excerpt, read_channels
 from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
+from balance_cli.signals.channel_noise import Clean, channel_noise
 from balance_cli.steady_loads import ZeroRecord
 
 Array = NDArray[np.float64]

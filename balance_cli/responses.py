@@ -17,18 +17,19 @@ from balance_cli.calibrated import Calibration
 from balance_cli.components import COMPONENTS
 from balance_cli.errors import UserError
 from balance_cli.estimation.linear_part import linear_part
-from balance_cli.estimation.paper.fit import PaperFit, response_jacobian
 from balance_cli.estimation.paper.fit import response as paper_response
+from balance_cli.estimation.paper.fit import response_jacobian
+from balance_cli.estimation.paper.result import PaperFit
 from balance_cli.estimation.paper.spectra import channel_response
 from balance_cli.geometry import Channel, Geometry
-from balance_cli.identified import IdentifiedModel
-from balance_cli.model.balance import balance_model, identified_system
+from balance_cli.identified import IdentifiedModel, identified_system
+from balance_cli.model.balance import balance_model
 from balance_cli.model.plate import hub_arm
 from balance_cli.model.system import output_slopes, response, solve
 from balance_cli.runs import Run
 from balance_cli.signals.interpolation import response_at, values_at
 from balance_cli.signals.lines import Response
-from balance_cli.sweep_tf import Transfer, combined
+from balance_cli.signals.transfer import Transfer, combined
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -7,12 +7,11 @@ not leak. H1, H2, Hv and the local polynomial method are there for comparison.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from balance_cli.channel_health import live_channels
-from balance_cli.components import COMPONENTS
 from balance_cli.errors import UserError
 from balance_cli.geometry import Geometry
 from balance_cli.runs import Run
@@ -22,40 +21,9 @@ from balance_cli.signals.line_response import joint_response, response_across_li
 from balance_cli.signals.lines import Response
 from balance_cli.signals.local_response import local_response
 from balance_cli.signals.periodic import PeriodicRecord, periodic_record, repeats
+from balance_cli.signals.transfer import SteadyPart, Transfer
 
 ESTIMATORS = ("auto", "periodic", "lrm", "lpm", *AVERAGED)
-
-
-@dataclass(frozen=True)
-class SteadyPart:
-    """Part of a periodic run that was used: `start` to `stop` [s] at every line; `period` [s]; `periods` in the record;
-
-    `first` and `last`: earliest and latest steady period of a line (0 is the first); `steady`: by test.
-    """
-
-    start: float
-    stop: float
-    period: float
-    periods: int
-    first: int
-    last: int
-    steady: bool
-
-
-@dataclass(frozen=True)
-class Transfer:
-    """Measured responses of a rig, one per run and level (or one for runs that were solved together).
-
-    `estimator` is what was asked for; each response names its own. `steady` {run: part used}; `channels_left_out`
-    {run: {channel: why}}; `unused` {run: why}.
-    """
-
-    geometry: Geometry
-    responses: tuple[Response, ...]
-    estimator: str = "auto"
-    steady: dict[str, SteadyPart] = field(default_factory=dict)
-    channels_left_out: dict[str, dict[str, str]] = field(default_factory=dict)
-    unused: dict[str, str] = field(default_factory=dict)
 
 
 def estimate_responses(
@@ -83,56 +51,6 @@ def estimate_responses(
         channels_left_out=left_out,
         unused={run.name: f"a {run.kind} run; only sweeps are used" for run in given if run.kind != "sweep"},
     )
-
-
-def combined(transfer: Transfer, component: str, level: str = "highest") -> Response:
-    """The response to one component alone, of its `highest` or `lowest` level; of several, the one of least sigma.
-
-    UserError where no sweep excited that component.
-    """
-    having = [one_component(response, component) for response in transfer.responses if component in response.components]
-    if not having:
-        raise UserError(f"there is no measured response to {component}", remedy="Include a sweep that excites it")
-    levels = [response.level[0] for response in having]
-    wanted = max(levels) if level == "highest" else min(levels)
-    return min((r for r in having if np.isclose(r.level[0], wanted)), key=lambda r: float(np.median(relative_sigma(r))))
-
-
-def one_component(response: Response, component: str) -> Response:
-    """The column of one component; its level is nan where the run did not declare it excited."""
-    j = response.components.index(component)
-    return replace(
-        response,
-        components=(component,),
-        response=response.response[:, :, j : j + 1],
-        load_covariance=response.load_covariance[:, j : j + 1, j : j + 1],
-        coherence=response.coherence[:, :, j : j + 1],
-        level=(response.level[j] if len(response.level) == len(response.components) else float("nan"),),
-    )
-
-
-def relative_sigma(response: Response) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Standard deviation over amplitude (k,) of a one-component response, in the channel where it is least."""
-    channels = np.diagonal(response.channel_covariance, axis1=1, axis2=2).real
-    variance = channels * response.load_covariance[:, :1, 0].real
-    amplitude = np.maximum(np.abs(response.response[:, :, 0]), 1e-300)
-    return np.asarray(np.min(np.sqrt(variance) / amplitude, axis=1))
-
-
-def least_coherence(transfer: Transfer) -> dict[str, float]:
-    """{component: least over all lines and runs of the multiple coherence of the best-responding channel}."""
-    return {
-        name: min(
-            float(np.min(np.max(r.multiple_coherence, axis=1))) for r in transfer.responses if name in r.components
-        )
-        for name in components_of(transfer)
-    }
-
-
-def components_of(transfer: Transfer) -> tuple[str, ...]:
-    """Components that some response has, in the usual order."""
-    found = {name for response in transfer.responses for name in response.components}
-    return tuple(name for name in COMPONENTS if name in found)
 
 
 def _live(sweeps: Sequence[Run], geometry: Geometry) -> tuple[dict[str, tuple[str, ...]], dict[str, dict[str, str]]]:

@@ -21,7 +21,7 @@ from balance_cli.hold_out import hold_out_errors
 from balance_cli.identified import IdentifiedModel
 from balance_cli.identify import identify
 from balance_cli.simulation import TrueRig, draw_rig, simulate_campaign
-from balance_cli.simulation.extensions import apply_effects
+from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.spectra import measured_spectra
 from studies.cases import Case, plan
 from studies.coverage import NINETY_FIVE

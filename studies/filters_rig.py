@@ -18,7 +18,7 @@ from balance_cli.components import COMPONENTS
 from balance_cli.geometry import Geometry
 from balance_cli.geometry_file import geometry_from_dict
 from balance_cli.simulation import RotorPlan, StaticPlan, TrueRig, true_rig
-from balance_cli.simulation.extensions import Extension
+from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.signals import TimeDelay
 from balance_cli.simulation.plans import SHAPE
 from balance_cli.simulation.records import OVERSAMPLING

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.identified import IdentifiedModel
-from balance_cli.model.balance import identified_system
+from balance_cli.identified import IdentifiedModel, identified_system
 from balance_cli.model.parameters import ParameterSet
 from balance_cli.model.system import output_slopes, response, solve
-from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.assembly import equations_of_motion
 from balance_cli.simulation.response import force_matrix, input_matrix, state_matrix
 from balance_cli.simulation.rig import TrueRig
 

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.simulation import TrueRig
-from balance_cli.simulation.extensions import Extension, Signals
+from balance_cli.geometry import Geometry
+from balance_cli.simulation.extensions.base import Extension, Signals
 from balance_cli.simulation.mechanics import Mechanics
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ class TunedMass(Extension):
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the motion of the mass along the direction, against the plate, as a further coordinate."""
         wide = mechanics.widened(("tuned mass",))
         carried = wide.plate_point(self.position)

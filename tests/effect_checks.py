@@ -14,9 +14,9 @@ from balance_cli.effects import Effect
 from balance_cli.estimation.likelihood import data_chi2, data_curvature, exciter_response
 from balance_cli.estimation.measurements import Batch, stacked
 from balance_cli.geometry import DeclaredEffect, Geometry
-from balance_cli.identified import IdentifiedModel
+from balance_cli.identified import IdentifiedModel, identified_system
 from balance_cli.identify import identified_effects, identify
-from balance_cli.model.balance import BalanceModel, balance_model, identified_system
+from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.placed_effects import needs_mean
 from balance_cli.model.system import System, output_slopes, response, solve
 from balance_cli.runs import Run

@@ -20,7 +20,7 @@ from balance_cli.model.modes import modes
 from balance_cli.model.system import response, solve
 from balance_cli.runs import MemorySource, Run
 from balance_cli.signals.lines import Response
-from balance_cli.sweep_tf import Transfer
+from balance_cli.signals.transfer import Transfer
 
 FREQUENCY = np.linspace(2.0, 150.0, 45)
 NOISE = 1e-4

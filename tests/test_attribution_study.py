@@ -9,7 +9,7 @@ from rigs import rotor_balance
 
 from balance_cli.diagnosed import Evidence, FoundEffect
 from balance_cli.simulation import true_rig
-from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.assembly import equations_of_motion
 from studies import chunks
 from studies.attribution import attributed
 from studies.attribution_tables import attribution_table

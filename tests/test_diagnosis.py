@@ -33,7 +33,7 @@ from balance_cli.identify import IdentifyOptions, identify
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.extensions import apply_effects
+from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.plans import HIGH, statics
 from balance_cli.spectra import measured_spectra
 from studies.unknown import SaturatingChannel, TunedMass

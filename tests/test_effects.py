@@ -41,7 +41,8 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
 from balance_cli.run_files import open_run
 from balance_cli.simulation import true_rig
-from balance_cli.simulation.extensions import Extension, apply_effects
+from balance_cli.simulation.extensions.base import Extension
+from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.plans import HIGH
 from balance_cli.spectra import measured_spectra
 

@@ -24,7 +24,7 @@ from balance_cli.geometry_file import (
     read_geometry,
     save_geometry,
 )
-from balance_cli.model.plate import moving_part
+from balance_cli.mass_properties import moving_part
 
 ROOT = Path(__file__).parents[1]
 SHARED = Path(os.environ.get("BALANCE_SHARED", ROOT.parent / "shared"))

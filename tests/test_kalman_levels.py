@@ -9,14 +9,8 @@ import scipy.signal
 from balance_cli.kalman.amplitude_drift import Amplitudes, relative_drift
 from balance_cli.kalman.levels import _layers
 from balance_cli.kalman.load_models import Flat, Gust, Wandering
-from balance_cli.kalman.noise_levels import (
-    OWN,
-    CrossSpectra,
-    _Likelihood,
-    cross_spectra,
-    most_likely_variances,
-    noise_of_channels,
-)
+from balance_cli.kalman.noise_levels import OWN, _Likelihood, most_likely_variances
+from balance_cli.signals.cross_spectra import CrossSpectra, cross_spectra, noise_of_channels
 from tests.kalman_models import Array
 
 STEP = 1.0 / 400.0

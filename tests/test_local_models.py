@@ -16,7 +16,7 @@ from balance_cli.signals.local_response import local_response, response_of
 from balance_cli.signals.local_window import influence, pole_shift, poles, response_rows, slope_rows, split
 from balance_cli.signals.records import samples_of
 from balance_cli.simulation import Noise, SweepPlan, draw_rig, simulate_run
-from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.assembly import equations_of_motion
 
 BAND = (5.0, 145.0)
 RIG = SweptRig()

@@ -16,7 +16,7 @@ from balance_cli.diagnosis.seeds import seeds
 from balance_cli.diagnosis.static_pairs import static_tests
 from balance_cli.geometry import DeclaredEffect
 from balance_cli.simulation import CampaignPlan, SweepPlan, draw_rig, short_plan, simulate_campaign, true_rig
-from balance_cli.simulation.extensions import apply_effects
+from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.spectra import measured_spectra
 
 S = 2j * np.pi * FREQUENCY

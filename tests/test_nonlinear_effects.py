@@ -22,7 +22,7 @@ from balance_cli.responses import model_source
 from balance_cli.signals.lines import OVERSAMPLING
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
 from balance_cli.simulation import true_rig as true_rig_of
-from balance_cli.simulation.extensions import apply_effects
+from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.plans import SHAPE
 from balance_cli.spectra import measured_spectra
 

@@ -10,7 +10,8 @@ from scipy.linalg import eigh
 
 from balance_cli.errors import UserError
 from balance_cli.estimation.paper.equations import declared_coefficients
-from balance_cli.estimation.paper.fit import PaperOptions, identify_paper_form, response
+from balance_cli.estimation.paper.fit import identify_paper_form, response
+from balance_cli.estimation.paper.result import PaperOptions
 from balance_cli.estimation.paper.sensors import sensor_rule
 from balance_cli.run_files import open_run
 from balance_cli.signals.periodic import periodic_lines

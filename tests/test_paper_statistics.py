@@ -16,9 +16,10 @@ from balance_cli.estimation.paper.equations import (
     modes,
     stabilised,
 )
-from balance_cli.estimation.paper.fit import PaperOptions, identify_paper_form, response, response_jacobian
+from balance_cli.estimation.paper.fit import identify_paper_form, response, response_jacobian
 from balance_cli.estimation.paper.misfit import misfit
 from balance_cli.estimation.paper.output_error import exact, gauss_newton, grouped, point
+from balance_cli.estimation.paper.result import PaperOptions
 from balance_cli.estimation.paper.sensors import sensor_rule
 from balance_cli.estimation.paper.spectra import sensor_spectra
 

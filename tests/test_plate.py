@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 from rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
-from balance_cli.kinematics import motion_at
-from balance_cli.model.plate import (
-    carried_components,
-    elongation_matrix,
-    load_matrix,
-    mass_matrix,
-    moving_part,
-    plate_matrices,
-)
+from balance_cli.kinematics import elongation_matrix, motion_at
+from balance_cli.mass_properties import moving_part
+from balance_cli.model.plate import carried_components, load_matrix, mass_matrix, plate_matrices
 
 
 def test_motion_of_a_point_is_the_papers():

@@ -278,7 +278,7 @@ def test_options_that_do_not_go_together(folder, tmp_path, words, message):
 
 @pytest.mark.parametrize("method", ["kalman", "smoother"])
 def test_only_a_physical_model_has_a_state_space(campaign, folder, tmp_path, method):
-    from balance_cli.sweep_tf import Transfer
+    from balance_cli.signals.transfer import Transfer
 
     save_artefact(tmp_path / "tf.h5", "balance-transfer/1", Transfer(campaign.geometry, ()), MADE)
     for response in (("--static",), ("--transfer", tmp_path / "tf.h5")):

@@ -21,7 +21,7 @@ from balance_cli.simulation import (
     standard_plan,
     true_rig,
 )
-from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.assembly import equations_of_motion
 from balance_cli.simulation.rig import moving_part
 
 

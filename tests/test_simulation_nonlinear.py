@@ -16,8 +16,8 @@ from balance_cli.simulation import (
     simulate_run,
     true_rig,
 )
-from balance_cli.simulation.extensions import apply_effects, extension
-from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.assembly import equations_of_motion
+from balance_cli.simulation.extensions.library import apply_effects, extension
 
 Z1 = 3
 OPEN = rig_geometry(acquisition={})

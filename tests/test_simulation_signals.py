@@ -17,7 +17,7 @@ from balance_cli.simulation import (
     simulate_run,
     true_rig,
 )
-from balance_cli.simulation.extensions import apply_effects, extension
+from balance_cli.simulation.extensions.library import apply_effects, extension
 
 SWEEP = SweepPlan(run="s", excited=("Fy",), level=(30.0,), period=1.0, periods=6)
 STATIC = StaticPlan(run="t", largest={"Fx": 800.0, "Fz": 3500.0}, steps=2)

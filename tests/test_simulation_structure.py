@@ -8,8 +8,9 @@ from simulation_rig import GEOMETRY, rig_geometry
 from balance_cli.errors import UserError
 from balance_cli.geometry import Body, Cell
 from balance_cli.simulation import NO_NOISE, RotorPlan, SweepPlan, simulate_run, true_rig
-from balance_cli.simulation.extensions import apply_effects, extension
-from balance_cli.simulation.mechanics import displacement_rows, equations_of_motion
+from balance_cli.simulation.assembly import equations_of_motion
+from balance_cli.simulation.extensions.library import apply_effects, extension
+from balance_cli.simulation.mechanics import displacement_rows
 from balance_cli.simulation.response import state_matrix
 
 UNDAMPED = rig_geometry(damping_ratio=0.0)

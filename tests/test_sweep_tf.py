@@ -16,16 +16,15 @@ from balance_cli.errors import UserError
 from balance_cli.geometry import Channel
 from balance_cli.runs import MemorySource
 from balance_cli.signals.periodic import periodic_record
-from balance_cli.sweep_tf import (
-    ESTIMATORS,
+from balance_cli.signals.transfer import (
     Transfer,
     combined,
     components_of,
-    estimate_responses,
     least_coherence,
     one_component,
     relative_sigma,
 )
+from balance_cli.sweep_tf import ESTIMATORS, estimate_responses
 
 ROOT = Path(__file__).parents[1]
 RIG = SweptRig()

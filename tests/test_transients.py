@@ -20,7 +20,7 @@ from balance_cli.model.system import solve
 from balance_cli.signals.lines import Window
 from balance_cli.signals.periodic import periodic_record
 from balance_cli.simulation import SweepPlan, draw_rig, simulate_campaign, simulate_run, true_rig
-from balance_cli.simulation.extensions import apply_effects
+from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.plans import CampaignPlan, short_plan, standard_plan
 from balance_cli.spectra import Spectra, measured_spectra
 from studies.truth import response_errors, true_parameters

@@ -101,7 +101,7 @@ def _default(option: click.Option) -> Iterator[str]:
 
 
 def _effects() -> str:
-    from balance_cli.simulation.extensions import EXTENSIONS, parameter_names
+    from balance_cli.simulation.extensions.library import EXTENSIONS, parameter_names
 
     blocks = [EFFECTS_HEAD]
     for name, kind in EXTENSIONS.items():

@@ -22,8 +22,8 @@ from balance_cli.identified import IdentifiedModel
 from balance_cli.run_files import open_run
 from balance_cli.runs import Run
 from balance_cli.simulation import TrueRig, true_rig
-from balance_cli.simulation.extensions import apply_effects
-from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.assembly import equations_of_motion
+from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.motion import Motion, nonlinear_forces
 
 Array = NDArray[np.float64]

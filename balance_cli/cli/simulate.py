@@ -15,7 +15,7 @@ from balance_cli.errors import UserError
 if TYPE_CHECKING:
     from balance_cli.geometry import Geometry
     from balance_cli.simulation import CampaignPlan, TrueRig
-    from balance_cli.simulation.extensions import Extension
+    from balance_cli.simulation.extensions.base import Extension
 
 
 @balance_command("simulate")
@@ -70,7 +70,7 @@ def command(
     from dataclasses import replace
 
     from balance_cli.simulation import Noise, simulated
-    from balance_cli.simulation.extensions import apply_effects
+    from balance_cli.simulation.extensions.library import apply_effects
 
     if output.exists() and any(output.iterdir()):
         raise UserError("is not empty", str(output), remedy="Give a new or an empty folder")
@@ -123,7 +123,7 @@ def _rig(geometry: Geometry, draw: bool, seed: int) -> TrueRig:
 
 def _chosen(effects: tuple[str, ...], parameters: tuple[str, ...]) -> list[Extension]:
     """The effects of the command line with their parameters."""
-    from balance_cli.simulation.extensions import extension
+    from balance_cli.simulation.extensions.library import extension
 
     values: dict[str, dict[str, str]] = {effect: {} for effect in effects}
     for text in parameters:
@@ -148,7 +148,7 @@ def _split_parameter(text: str) -> tuple[str, str, str]:
 
 def _effect_meant(text: str, place: str, name: str, effects: tuple[str, ...]) -> str:
     """The effect that a parameter belongs to: the one named, or the only one that has such a parameter."""
-    from balance_cli.simulation.extensions import EXTENSIONS, parameter_names
+    from balance_cli.simulation.extensions.library import EXTENSIONS, parameter_names
 
     def has(effect: str) -> bool:
         kind = EXTENSIONS.get(_name_of(effect))

@@ -19,7 +19,7 @@ from balance_cli.cli.common import (
 
 if TYPE_CHECKING:
     from balance_cli.signals.lines import Response
-    from balance_cli.sweep_tf import Transfer
+    from balance_cli.signals.transfer import Transfer
 
 FORMAT = "balance-transfer/1"
 ESTIMATORS = ("auto", "periodic", "lrm", "lpm", "h1", "h2", "hv")
@@ -69,7 +69,7 @@ def command(
 
 
 def _summary(transfer: Transfer) -> dict[str, Any]:
-    from balance_cli.sweep_tf import components_of, least_coherence
+    from balance_cli.signals.transfer import components_of, least_coherence
 
     return {
         "geometry": transfer.geometry.name,
@@ -98,13 +98,13 @@ def _median_sigma(transfer: Transfer, component: str) -> float:
     """Median over the lines of sigma over amplitude, in the best channel, at the highest level."""
     import numpy as np
 
-    from balance_cli.sweep_tf import combined, relative_sigma
+    from balance_cli.signals.transfer import combined, relative_sigma
 
     return float(np.median(relative_sigma(combined(transfer, component))))
 
 
 def _text(transfer: Transfer) -> Iterator[str]:
-    from balance_cli.sweep_tf import components_of, least_coherence
+    from balance_cli.signals.transfer import components_of, least_coherence
 
     for response in transfer.responses:
         low, high = response.frequency[0], response.frequency[-1]

@@ -17,11 +17,11 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from balance_cli.errors import UserError
-from balance_cli.kalman.levels import Clean
 from balance_cli.kalman.load_models import LoadLayer, Oscillators
 from balance_cli.model.state_space import StateSpace
 from balance_cli.runs import read_channels
 from balance_cli.signals.azimuth import Azimuth
+from balance_cli.signals.channel_noise import Clean
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from balance_cli.geometry import Acquisition
 from balance_cli.kalman.load_models import Flat, Gust, LoadLayer, Wandering
-from balance_cli.kalman.noise_levels import (
-    MAIN_LOBE,
-    CrossSpectra,
-    cross_spectra,
-    most_likely_variances,
-    noise_of_channels,
-)
+from balance_cli.kalman.noise_levels import most_likely_variances
 from balance_cli.model.state_space import StateSpace
-from balance_cli.runs import Run, read_channels
 from balance_cli.signals.azimuth import Azimuth
+from balance_cli.signals.channel_noise import WINDOW, Clean
+from balance_cli.signals.cross_spectra import MAIN_LOBE, CrossSpectra, cross_spectra
 
 Array = NDArray[np.float64]
 Kind = Callable[[Array], LoadLayer]
@@ -41,55 +34,12 @@ STEPS = 4
 """Further bands or corners that are tried."""
 FREE_BAND = 150.0
 """Band [Hz] of loads of which nothing is known."""
-WINDOW = 1.28
-"""Length [s] of a window in which the rotor's harmonics stand still enough to be kept apart from what lies between."""
 LONGER = 4.0
 """Length over that of windows for the lines below the first harmonic."""
-QUIET = 1.6
-"""From this multiple of the anti-alias filter's cutoff on nothing but noise is left of a load."""
-TOP = 0.9
-"""Share of half the sample rate above which lines count as quiet where no filter makes any so."""
 BELOW_FIRST = 0.7
 """Of the rotor's speed: lines below hold no harmonic."""
 UNINFORMED = 10.0
 """How much larger than it is a load of which nothing is to be known is said to be."""
-BLOCK = 32768
-
-
-@dataclass(frozen=True)
-class Clean:
-    """Samples start to stop of a run, all of its usable channels sound; `names` of these."""
-
-    run: Run
-    names: tuple[str, ...]
-    spans: tuple[tuple[int, int], ...]
-
-    @property
-    def step(self) -> float:
-        """Time [s] between samples."""
-        assert self.run.sample_rate is not None
-        return 1.0 / self.run.sample_rate
-
-    def parts(self) -> Iterator[tuple[int, Array]]:
-        """First sample and samples (n, c) of each block."""
-        for start, stop in self.spans:
-            for first in range(start, stop, BLOCK):
-                yield first, read_channels(self.run, self.names, first, min(first + BLOCK, stop))
-
-    def window(self, seconds: float) -> int:
-        """Samples of a window about so long, a power of two, and at most a third of the longest span."""
-        longest = max(stop - start for start, stop in self.spans)
-        wanted = min(seconds / self.step, longest / 3)
-        return int(2 ** np.round(np.log2(max(wanted, 4 * MAIN_LOBE))))
-
-
-def channel_noise(clean: Clean, acquisition: Acquisition) -> Array:
-    """Variance (c,) [V2] of one sample of each channel's noise, from where no load reaches."""
-    spectra = cross_spectra(clean.parts(), clean.step, clean.window(WINDOW))
-    nyquist = 0.5 / clean.step
-    cutoff = acquisition.filter.cutoff if acquisition.filter else np.inf
-    quiet = spectra.frequency > (QUIET * cutoff if QUIET * cutoff < TOP * nyquist else TOP * nyquist)
-    return noise_of_channels(spectra, clean.step, quiet)
 
 
 def random_loads(clean: Clean, space: StateSpace, columns: Sequence[int], noise: Array) -> tuple[LoadLayer, ...]:

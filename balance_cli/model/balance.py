@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.geometry import Geometry
-from balance_cli.identified import IdentifiedModel
 from balance_cli.jets import Jet
 from balance_cli.model.parameters import ParameterSet, declared_parameters
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects, effect_parameters, with_effects
@@ -56,9 +55,3 @@ def balance_model(geometry: Geometry) -> BalanceModel:
     """The model of a declared rig."""
     effects = declared_effects(geometry)
     return BalanceModel(geometry, declared_parameters(geometry) + effect_parameters(effects), effects)
-
-
-def identified_system(model: IdentifiedModel) -> System:
-    """The system of a model at its estimate, with slopes for the parameters that have a place in its covariance."""
-    whole = balance_model(model.geometry).with_sigma(model.parameters.declared_sigma)
-    return whole.system(model.parameters.value)

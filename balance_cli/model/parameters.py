@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.geometry import Geometry
-from balance_cli.model.plate import cell_stiffness, free_index, moving_part
+from balance_cli.mass_properties import moving_part
+from balance_cli.model.plate import cell_stiffness, free_index
 
 Array = NDArray[np.float64]
 

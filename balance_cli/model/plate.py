@@ -15,30 +15,11 @@ from numpy.typing import NDArray
 from balance_cli.components import COMPONENTS, FREEDOMS
 from balance_cli.geometry import Geometry
 from balance_cli.jets import constant
-from balance_cli.kinematics import ROTATION_ORDER, motion_at
+from balance_cli.kinematics import ROTATION_ORDER, elongation_matrix, motion_at
+from balance_cli.mass_properties import moving_part
 from balance_cli.model.damping import modal_damping
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class MovingPart:
-    """The moving part as a whole: mass [kg], centre of gravity (3,) [m], inertia tensor about it (3, 3) [kg m2]."""
-
-    mass: float
-    centre_of_gravity: Array
-    inertia: Array
-
-
-def moving_part(geometry: Geometry) -> MovingPart:
-    """Mass, centre of gravity and inertia of all bodies together (parallel axes theorem)."""
-    masses = np.array([body.mass for body in geometry.bodies])
-    positions = np.array([body.position for body in geometry.bodies])
-    centre = masses @ positions / masses.sum()
-    arms = positions - centre
-    own = sum(body.inertia.tensor() for body in geometry.bodies)
-    steiner = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, arms, strict=True))
-    return MovingPart(float(masses.sum()), centre, own + steiner)
 
 
 def mass_matrix(mass: float, inertia: Array) -> Array:
@@ -47,13 +28,6 @@ def mass_matrix(mass: float, inertia: Array) -> Array:
     matrix[:3, :3] = mass * np.eye(3)
     matrix[3:, 3:] = ROTATION_ORDER @ inertia @ ROTATION_ORDER.T
     return matrix
-
-
-def elongation_matrix(geometry: Geometry, centre: Array) -> Array:
-    """B (cells, 6): elongation of each cell along its axis per unit q (paper, eq. 5)."""
-    arms = np.array([cell.position for cell in geometry.cells]) - centre
-    axes = np.array([cell.direction for cell in geometry.cells])
-    return np.asarray(np.einsum("ci,cij->cj", axes, motion_at(arms)))
 
 
 def load_matrix(geometry: Geometry, centre: Array) -> Array:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from balance_cli.equations import SHAFT, TORQUE, ChannelPath, Equations
 from balance_cli.geometry import Channel, Geometry
 from balance_cli.jets import Jet, block_diagonal, concatenate, constant, stack
-from balance_cli.kinematics import ROTATION_ORDER
+from balance_cli.kinematics import ROTATION_ORDER, elongation_matrix
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.parameters import INERTIA_NAMES
-from balance_cli.model.plate import elongation_matrix, free_index, load_matrix
+from balance_cli.model.plate import free_index, load_matrix
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from balance_cli.report.numbers import listed, percent
 from balance_cli.report.response_figures import Panel, component_figure, detail_figure
 from balance_cli.report.sources import Source, Sources
 from balance_cli.signals.lines import Response
-from balance_cli.sweep_tf import Transfer, combined, components_of
+from balance_cli.signals.transfer import Transfer, combined, components_of
 
 BAND = (2.0, 150.0)
 NEAR_NOISE = 1.5

@@ -15,7 +15,7 @@ from balance_cli.geometry import Geometry
 from balance_cli.hub_loads import Loads
 from balance_cli.identified import IdentifiedModel
 from balance_cli.report.drawing import BLUE, DATA, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, Look
-from balance_cli.sweep_tf import Transfer
+from balance_cli.signals.transfer import Transfer
 
 FORMATS: Mapping[str, type[Any]] = {
     "balance-calibration/1": Calibration,

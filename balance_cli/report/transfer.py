@@ -14,7 +14,7 @@ from balance_cli.report.numbers import listed, percent, significant
 from balance_cli.report.sources import Source, Sources
 from balance_cli.report.sweep_figures import channel_pairs, coherence_figure, ratio_figure
 from balance_cli.signals.lines import Response
-from balance_cli.sweep_tf import Transfer, one_component
+from balance_cli.signals.transfer import Transfer, one_component
 
 SIGNIFICANT = 1.5
 """A difference between levels above so many times the noise is marked."""

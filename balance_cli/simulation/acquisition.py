@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from balance_cli.geometry import Channel
 from balance_cli.runs import MemorySource, Run, run_digest
-from balance_cli.simulation.extensions import Signals
+from balance_cli.simulation.extensions.base import Signals
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, RotorPlan, SampledPlan, StaticPlan, SweepPlan
 from balance_cli.simulation.records import Grid, turning

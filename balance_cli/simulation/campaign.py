@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.runs import Run
 from balance_cli.simulation.acquisition import Acquisition, record_samples, record_static, true_loads
-from balance_cli.simulation.mechanics import equations_of_motion
+from balance_cli.simulation.assembly import equations_of_motion
 from balance_cli.simulation.motion import Motion, nonlinear_forces
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, CampaignPlan, SampledPlan, StaticPlan, campaign_plan

@@ -13,7 +13,7 @@ import yaml
 from pydantic import ValidationError
 
 from balance_cli.errors import UserError
-from balance_cli.simulation.extensions import Extension
+from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.plans import CampaignPlan
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.simulation.truth import RunTruth

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.errors import UserError
 from balance_cli.geometry import Geometry
-
-if TYPE_CHECKING:
-    from balance_cli.simulation.extensions import Extension
+from balance_cli.simulation.extensions.base import Extension
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.errors import UserError
+from balance_cli.geometry import Geometry
 from balance_cli.simulation.mechanics import Mechanics
-from balance_cli.simulation.rig import TrueRig
 
 Array = NDArray[np.float64]
 ALL = "all"
@@ -36,7 +36,7 @@ class Extension:
     name: ClassVar[str]
     where: tuple[str, ...] = ()
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """The equations of motion with the effect, at `rotor_speed` [Hz]."""
         return mechanics
 

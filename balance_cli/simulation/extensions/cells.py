@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.errors import UserError
+from balance_cli.geometry import Geometry
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.mechanics import Branch, CellForce, Mechanics
-from balance_cli.simulation.rig import TrueRig
 
 Array = NDArray[np.float64]
 INSIDE, BESIDE = "inside", "beside"
@@ -24,8 +24,8 @@ def felt(side: str) -> bool:
     return side == INSIDE
 
 
-def _with_forces(extension: Extension, mechanics: Mechanics, rig: TrueRig, force: CellForce) -> Mechanics:
-    cells = extension.places(rig.geometry.cell_names)
+def _with_forces(extension: Extension, mechanics: Mechanics, geometry: Geometry, force: CellForce) -> Mechanics:
+    cells = extension.places(geometry.cell_names)
     return replace(mechanics, forces=mechanics.forces + tuple(replace(force, cell=cell) for cell in cells))
 
 
@@ -37,9 +37,9 @@ class CubicStiffness(Extension):
     k3: float = 0.0
     side: str = INSIDE
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the force at every place."""
-        return _with_forces(self, mechanics, rig, CellForce(0, k3=self.k3, felt=felt(self.side)))
+        return _with_forces(self, mechanics, geometry, CellForce(0, k3=self.k3, felt=felt(self.side)))
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class QuadraticStiffness(Extension):
     k2: float = 0.0
     side: str = INSIDE
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the force at every place."""
-        return _with_forces(self, mechanics, rig, CellForce(0, k2=self.k2, felt=felt(self.side)))
+        return _with_forces(self, mechanics, geometry, CellForce(0, k2=self.k2, felt=felt(self.side)))
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,10 @@ class DryFriction(Extension):
     force: float = 0.0
     stick_stiffness: float = 0.0
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the contact at every place."""
         contact = CellForce(0, stick_stiffness=self.stick_stiffness, limit=self.force)
-        return _with_forces(self, mechanics, rig, contact)
+        return _with_forces(self, mechanics, geometry, contact)
 
 
 def transverse_axes(axis: Array) -> tuple[Array, Array]:
@@ -88,11 +88,11 @@ class CellMisalignment(Extension):
     angle_1: float = 0.0
     angle_2: float = 0.0
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the cell's force, and what it reads, along the leaning axis."""
         rows = mechanics.cell_rows.copy()
-        for index in self.places(rig.geometry.cell_names):
-            cell = rig.geometry.cells[index]
+        for index in self.places(geometry.cell_names):
+            cell = geometry.cells[index]
             first, second = transverse_axes(cell.direction)
             axis = cell.direction + self.angle_1 * first + self.angle_2 * second
             relative = mechanics.plate_point(cell.position) - mechanics.base_point(cell.position)
@@ -107,10 +107,10 @@ class TransverseStiffness(Extension):
     name: ClassVar[str] = "transverse-stiffness"
     stiffness: float = 0.0
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With two springs across each cell."""
-        for index in self.places(rig.geometry.cell_names):
-            cell = rig.geometry.cells[index]
+        for index in self.places(geometry.cell_names):
+            cell = geometry.cells[index]
             across = np.array(transverse_axes(cell.direction))
             relative = mechanics.plate_point(cell.position) - mechanics.base_point(cell.position)
             mechanics = mechanics.stiffened(across @ relative, np.full(2, self.stiffness))
@@ -138,13 +138,13 @@ class StructuralDamping(Extension):
     loss_factor: float = 0.0
     causality: float = 1.0
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the branches of each cell."""
         share = 2 / np.pi * self.loss_factor * np.log(CHAIN[1] / CHAIN[0])
         stored = share * np.sum(1 / (1 + (CHAIN / REFERENCE) ** 2))
         stiffness = mechanics.cell_stiffness.copy()
         branches = []
-        for index in self.places(rig.geometry.cell_names):
+        for index in self.places(geometry.cell_names):
             k = mechanics.cell_stiffness[index]
             stiffness[index] = k * (1 - stored)
             taus = 1 / (2 * np.pi * CHAIN)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from balance_cli.components import COMPONENTS, FREEDOMS
 from balance_cli.errors import UserError
+from balance_cli.geometry import Geometry
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.mechanics import Mechanics, displacement_rows
-from balance_cli.simulation.rig import TrueRig
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class SupportFlexibility(Extension):
     y: float = 0.0
     z: float = 0.0
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the lower body's motions as further coordinates."""
         motions = _flexible(self, FREEDOMS)
         masses = np.array([self.mass if name in "xyz" else getattr(self, f"inertia_{name}") for name in motions])
@@ -76,7 +76,7 @@ class SupportFlexibility(Extension):
         relative = np.hstack([np.eye(start), -mechanics.plate.T @ along])
         wide = mechanics.widened(tuple(f"base {name}" for name in motions))
         wide = replace(wide, base=np.hstack([np.zeros((6, start)), base]))
-        lower = [cell.direction @ wide.base_point(cell.position) for cell in rig.geometry.cells]
+        lower = [cell.direction @ wide.base_point(cell.position) for cell in geometry.cells]
         wide = replace(
             wide, cell_rows=wide.cell_rows - np.array(lower), damping=relative.T @ mechanics.damping @ relative
         )
@@ -98,7 +98,7 @@ class MastBending(Extension):
     compliance_y: float = 0.0
     damping_ratio: float = 0.0
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the hub's deflections as further coordinates."""
         motions = _flexible(self, ("x", "y"))
         if motions and self.mass <= 0:
@@ -106,7 +106,7 @@ class MastBending(Extension):
         start = mechanics.size
         axes = ["xyz".index(name) for name in motions]
         wide = mechanics.widened(tuple(f"hub {name}" for name in motions))
-        carried = wide.plate_point(rig.geometry.hub)[axes]
+        carried = wide.plate_point(geometry.hub)[axes]
         wide.mass[start:] += self.mass * carried
         wide.mass[:, start:] += self.mass * carried.T
         wide.loads[start:, [COMPONENTS.index(f"F{name}") for name in motions]] += np.eye(len(motions))
@@ -124,7 +124,7 @@ class AddedMass(Extension):
     y: float = 0.0
     z: float = 0.0
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the mass; the damping matrix stays as it was."""
         rows = mechanics.plate_point((self.x, self.y, self.z))
         return replace(mechanics, mass=mechanics.mass + self.mass * rows.T @ rows)
@@ -146,7 +146,7 @@ class ParallelStiffness(Extension):
     stiffness_z: float = 0.0
     damping_time: float = 0.0
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the three springs and their dashpots."""
         springs = np.array([self.stiffness_x, self.stiffness_y, self.stiffness_z])
         rows = mechanics.plate_point((self.x, self.y, self.z))
@@ -165,7 +165,7 @@ class GyroscopicCoupling(Extension):
     name: ClassVar[str] = "gyroscopic-coupling"
     polar_inertia: float = 0.0
 
-    def mechanics(self, mechanics: Mechanics, rig: TrueRig, rotor_speed: float) -> Mechanics:
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the coupling at this speed of the rotor."""
         momentum = self.polar_inertia * 2 * np.pi * rotor_speed
         coupling = np.zeros((6, 6))

@@ -1,0 +1,82 @@
+"""The equations of motion of a true rig: rigid plate, shaft, and its extensions in the order in which they act."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.components import COMPONENTS, FREEDOMS
+from balance_cli.errors import UserError
+from balance_cli.simulation.mechanics import (
+    ROTATION_ROWS,
+    TWIST,
+    Mechanics,
+    body_mass,
+    displacement_rows,
+    modal_damping,
+)
+from balance_cli.simulation.rig import TrueRig
+
+Array = NDArray[np.float64]
+
+
+def free_motions(rig: TrueRig) -> list[int]:
+    """Indices of the free motions among x y z psi theta phi."""
+    return [FREEDOMS.index(name) for name in FREEDOMS if name in rig.geometry.freedom]
+
+
+def rigid_plate(rig: TrueRig) -> Mechanics:
+    """The rigid plate on its cells and the shaft beside it, without any extension.
+
+    The shaft takes Mz beside the plate; without a torque meter there is no shaft, and Mz loads the plate.
+    """
+    geometry = rig.geometry
+    free = free_motions(rig)
+    mass = body_mass(rig.mass, rig.inertia)[np.ix_(free, free)]
+    cells = [c.direction @ displacement_rows(np.subtract(c.position, rig.cg)) for c in geometry.cells]
+    rows = np.array(cells)[:, free]
+    stiffness = rows.T @ (rig.stiffness[:, None] * rows)
+    damping = modal_damping(mass, stiffness, rig.damping_ratios)
+    at_hub = np.vstack([displacement_rows(np.subtract(geometry.hub, rig.cg)), ROTATION_ROWS])
+    loads = at_hub[:, free].T
+    if geometry.torque_meter:
+        loads[:, COMPONENTS.index("Mz")] = 0.0
+    n = len(free)
+    plate = Mechanics(
+        names=tuple(FREEDOMS[i] for i in free),
+        mass=mass,
+        damping=damping,
+        stiffness=np.zeros((n, n)),
+        loads=loads,
+        cell_rows=rows,
+        cell_stiffness=rig.stiffness,
+        torque_row=np.zeros(n),
+        plate=np.eye(6)[:, free],
+        base=np.zeros((6, n)),
+        cg=rig.cg,
+    )
+    return _with_shaft(plate, rig) if geometry.torque_meter else plate
+
+
+def _with_shaft(plate: Mechanics, rig: TrueRig) -> Mechanics:
+    """`J phi'' + d phi' + k phi = Mz`, no reaction on the plate."""
+    whole = plate.widened((TWIST,))
+    k, j = rig.torque_stiffness, rig.torque_inertia
+    whole.mass[-1, -1] = j
+    whole.damping[-1, -1] = 2 * rig.torque_damping_ratio * np.sqrt(k * j)
+    whole.stiffness[-1, -1] = k
+    whole.loads[-1, COMPONENTS.index("Mz")] = 1.0
+    whole.torque_row[-1] = k
+    return whole
+
+
+def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0) -> Mechanics:
+    """The rig with all its extensions, at `rotor_speed` [Hz]. Raises UserError where it cannot stand still."""
+    mechanics = rigid_plate(rig)
+    for extension in rig.extensions:
+        mechanics = extension.mechanics(mechanics, rig.geometry, rotor_speed)
+    if not np.all(np.linalg.eigvalsh(mechanics.total_stiffness()) > 0):
+        raise UserError(
+            "the cells do not hold every free motion", place="cells", remedy="Add cells or reduce `freedom`"
+        )
+    return mechanics

@@ -1,0 +1,110 @@
+"""Effects of a simulated rig: the list of all, in the order in which they act."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any, get_type_hints
+
+from balance_cli.errors import UserError
+from balance_cli.geometry import DeclaredEffect
+from balance_cli.simulation.extensions.base import Extension
+from balance_cli.simulation.extensions.cells import (
+    CellMisalignment,
+    CubicStiffness,
+    DryFriction,
+    QuadraticStiffness,
+    StructuralDamping,
+    TransverseStiffness,
+)
+from balance_cli.simulation.extensions.loads import ExciterMisalignment, LoadOffset
+from balance_cli.simulation.extensions.signals import (
+    ChannelGain,
+    ChannelOffset,
+    Crosstalk,
+    HighPass,
+    LowPass,
+    MainsPickup,
+    TimeDelay,
+)
+from balance_cli.simulation.extensions.structure import (
+    AddedMass,
+    GyroscopicCoupling,
+    MastBending,
+    ParallelStiffness,
+    SupportFlexibility,
+)
+from balance_cli.simulation.rig import TrueRig
+
+_IN_ORDER: tuple[type[Extension], ...] = (
+    SupportFlexibility,
+    MastBending,
+    AddedMass,
+    GyroscopicCoupling,
+    ParallelStiffness,
+    CellMisalignment,
+    TransverseStiffness,
+    StructuralDamping,
+    CubicStiffness,
+    QuadraticStiffness,
+    DryFriction,
+    ExciterMisalignment,
+    LoadOffset,
+    ChannelGain,
+    LowPass,
+    HighPass,
+    TimeDelay,
+    Crosstalk,
+    MainsPickup,
+    ChannelOffset,
+)
+EXTENSIONS: dict[str, type[Extension]] = {kind.name: kind for kind in _IN_ORDER}
+
+
+def parameter_names(kind: type[Extension]) -> tuple[str, ...]:
+    """Names of an effect's parameters."""
+    return tuple(item.name for item in fields(kind) if item.name != "where")
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    known = tuple(known)
+    close = difflib.get_close_matches(name, known, 1, 0.0)
+    return f"Did you mean `{close[0]}`? Known: {', '.join(known)}" if close else f"Known: {', '.join(known) or 'none'}"
+
+
+def extension(name: str, where: Iterable[str] = (), **parameters: float | str) -> Extension:
+    """The extension of this name, at these places. UserError where no effect or parameter has the name."""
+    if name not in EXTENSIONS:
+        raise UserError(f"there is no effect `{name}` to simulate", place="effects", remedy=_nearest(name, EXTENSIONS))
+    kind = EXTENSIONS[name]
+    known = parameter_names(kind)
+    for parameter in parameters:
+        if parameter not in known:
+            fault = f"`{name}` has no parameter `{parameter}`"
+            raise UserError(fault, place="effects", remedy=_nearest(parameter, known))
+    values: dict[str, Any] = {key: _value(kind, key, value) for key, value in parameters.items()}
+    return kind(where=tuple(where), **values)
+
+
+def _value(kind: type[Extension], parameter: str, value: float | str) -> float | str:
+    if get_type_hints(kind)[parameter] is str:
+        return str(value)
+    try:
+        return float(value)
+    except ValueError:
+        fault = f"`{parameter}` of `{kind.name}` is `{value}`, not a number"
+        raise UserError(fault, place="effects", remedy="Give a number in SI units") from None
+
+
+def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -> TrueRig:
+    """The rig with these effects (declared ones or extensions), sorted into the order in which they act.
+
+    Raises UserError for an unknown effect or parameter, and for a place that the rig does not have.
+    """
+    found = [
+        effect if isinstance(effect, Extension) else extension(effect.name, effect.where, **effect.parameters)
+        for effect in effects
+    ]
+    order = list(EXTENSIONS)
+    return rig.extended(*sorted(found, key=lambda each: order.index(each.name)))
