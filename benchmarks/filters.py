@@ -23,25 +23,25 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibrate import calibrate
-from balance_cli.calibrated import Calibration
-from balance_cli.geometry import DeclaredEffect, Geometry
-from balance_cli.geometry_file import load_geometry
-from balance_cli.identify import identify
-from balance_cli.kalman.azimuth_locked import AzimuthLockedFilter
-from balance_cli.kalman.composite import MeasuredSystem
-from balance_cli.kalman.load_models import Flat, LoadLayer, Oscillators, Wandering
-from balance_cli.kalman.run_filters import azimuth_locked_filters, still_filters
-from balance_cli.kalman.steady import Engine, SteadyFilter
-from balance_cli.kalman.stretches import Filters, Stretch
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.run import Block, Run
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import balance_model
 from balance_cli.model.state_space import state_space, with_anti_alias
-from balance_cli.reduce_in_time import reduce_run_in_time
-from balance_cli.responses import ModelSource
-from balance_cli.run_files import open_run
-from balance_cli.runs import Block, Run
+from balance_cli.reduction.kalman.azimuth_locked import AzimuthLockedFilter
+from balance_cli.reduction.kalman.composite import MeasuredSystem
+from balance_cli.reduction.kalman.load_models import Flat, LoadLayer, Oscillators, Wandering
+from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, still_filters
+from balance_cli.reduction.kalman.steady import Engine, SteadyFilter
+from balance_cli.reduction.kalman.stretches import Filters, Stretch
+from balance_cli.reduction.response_sources import ModelSource
 from balance_cli.signals.azimuth import Azimuth
-from balance_cli.spectra import measured_spectra
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.identify import identify
+from balance_cli.steps.reduce_in_time import reduce_run_in_time
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]

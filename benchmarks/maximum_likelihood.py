@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.estimation.gauss_newton import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, exciter_response, fitted
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import Batch, stacked
-from balance_cli.geometry_file import load_geometry
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.system import System, solve
-from balance_cli.run_files import open_run
-from balance_cli.spectra import measured_spectra
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]

@@ -9,16 +9,16 @@ import time
 from pathlib import Path
 
 import numpy as np
+from balance_cli.diagnosis.search.search.search import leading, ranked_scores
 
-from balance_cli.diagnosis.candidates import candidates
-from balance_cli.diagnosis.refit import attempt, settled
-from balance_cli.diagnosis.search import leading, ranked_scores
-from balance_cli.diagnosis.search_lines import search_lines
-from balance_cli.geometry_file import load_geometry
-from balance_cli.identify import identify
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.diagnosis.search.candidates import candidates
+from balance_cli.diagnosis.search.refit import attempt, settled
+from balance_cli.diagnosis.search.search_lines import search_lines
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import balance_model
-from balance_cli.run_files import open_run
-from balance_cli.spectra import measured_spectra
+from balance_cli.steps.identify import identify
 
 ROOT = Path(__file__).parents[1]
 

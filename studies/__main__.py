@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 import pandas as pd
 
-from balance_cli.geometry_file import load_geometry
+from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.report.drawing import save_picture
 from studies.attribution import attribution_chunk
 from studies.attribution_tables import attribution_table

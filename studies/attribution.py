@@ -13,16 +13,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from balance_cli.diagnose import diagnose
-from balance_cli.diagnosed import PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis, FoundEffect
-from balance_cli.geometry import Geometry
-from balance_cli.geometry_file import load_geometry
-from balance_cli.hold_out import hold_out_errors
-from balance_cli.identified import IdentifiedModel
-from balance_cli.identify import identify
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.diagnosis.result import PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis, FoundEffect
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.simulation import TrueRig, draw_rig, simulate_campaign
-from balance_cli.simulation.extensions.library import apply_effects
-from balance_cli.spectra import measured_spectra
+from balance_cli.simulation.rig import apply_effects
+from balance_cli.steps.diagnose import diagnose
+from balance_cli.steps.hold_out import hold_out_errors
+from balance_cli.steps.identify import identify
 from studies.cases import Case, plan
 from studies.coverage import NINETY_FIVE
 from studies.recovery import LEAST_DAMPING

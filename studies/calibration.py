@@ -20,7 +20,7 @@ from balance_cli.calibration.least_squares import regression
 from balance_cli.calibration.noise import NoiseParts
 from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms, term_named
 from balance_cli.calibration.whole import CheckedLoads, checked, gage_calibration
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 
 Array = NDArray[np.float64]
 

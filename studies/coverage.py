@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.support import parameter_support
-from balance_cli.geometry import Geometry
 from balance_cli.model.balance import balance_model
 from balance_cli.signals.lines import Lines, StaticPoints
 from balance_cli.signals.noise import pooled_covariance

@@ -13,21 +13,21 @@ import pandas as pd
 import scipy.signal
 from numpy.typing import NDArray
 
-from balance_cli.calibrate import calibrate
-from balance_cli.calibrated import Calibration
-from balance_cli.dynamic_loads import rotor_record
-from balance_cli.geometry import Geometry
-from balance_cli.hub_loads import RunLoads
-from balance_cli.identify import IdentifyOptions, identify
-from balance_cli.loads_in_time import History
-from balance_cli.reduce import reduce_run
-from balance_cli.reduce_in_time import TimeOptions, reduce_run_in_time
-from balance_cli.responses import ModelSource
-from balance_cli.runs import Run
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.reduction.harmonic_loads import rotor_record
+from balance_cli.reduction.kalman.load_history import History
+from balance_cli.reduction.response_sources import ModelSource
+from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.signals.azimuth import azimuth_from_pulses
 from balance_cli.simulation import RunTruth, simulate_run
-from balance_cli.spectra import Spectra
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.identify import IdentifyOptions, identify
+from balance_cli.steps.reduce import reduce_run
+from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
 from studies.filters_rig import (
     CASES,
     COLUMNS,

@@ -14,9 +14,9 @@ import numpy as np
 import scipy.signal
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
-from balance_cli.geometry import Geometry
-from balance_cli.geometry_file import geometry_from_dict
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict
 from balance_cli.simulation import RotorPlan, StaticPlan, TrueRig, true_rig
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.signals import TimeDelay

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pandas as pd
 
-from balance_cli.artefacts import load_artefact
-from balance_cli.calibrated import Calibration
-from balance_cli.hub_loads import RunLoads
-from balance_cli.identified import IdentifiedModel
-from balance_cli.reduce import reduce_run
-from balance_cli.reduce_in_time import TimeOptions, reduce_run_in_time
-from balance_cli.responses import ModelSource
-from balance_cli.run_files import open_run
-from balance_cli.runs import Run
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.io.artefacts import load_artefact
+from balance_cli.reduction.response_sources import ModelSource
+from balance_cli.reduction.result import RunLoads
+from balance_cli.steps.reduce import reduce_run
+from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
 
 MODELS = {"rigid": "model-rigid.h5", "closed": "model-closed.h5"}
 METHODS = {

@@ -15,18 +15,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from balance_cli import reduce_in_time
-from balance_cli.calibrate import calibrate
-from balance_cli.components import COMPONENTS
-from balance_cli.geometry import Geometry
-from balance_cli.identify import IdentifyOptions, identify
-from balance_cli.kalman.load_models import Flat, Oscillators, Wandering
-from balance_cli.loads_in_time import History
-from balance_cli.reduce_in_time import TimeOptions, reduce_run_in_time
-from balance_cli.responses import model_source
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.reduction.kalman.load_history import History
+from balance_cli.reduction.kalman.load_models import Flat, Oscillators, Wandering
+from balance_cli.reduction.response_sources import model_source
 from balance_cli.simulation import simulate_campaign, simulate_run, true_rig
 from balance_cli.simulation.plans import WIND, CampaignPlan, RotorPlan, Step, blade_loads, statics
-from balance_cli.spectra import Spectra
+from balance_cli.steps import reduce_in_time
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.identify import IdentifyOptions, identify
+from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
 
 Array = NDArray[np.float64]
 

@@ -12,16 +12,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from balance_cli.calibrate import calibrate
-from balance_cli.components import COMPONENTS
-from balance_cli.geometry import Geometry
-from balance_cli.hub_loads import RunLoads
-from balance_cli.identify import identify
-from balance_cli.reduce import reduce_run
-from balance_cli.responses import Readings, model_source, selected
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.reduction.response_sources import Readings, model_source, selected
+from balance_cli.reduction.result import RunLoads
 from balance_cli.simulation import draw_rig, simulate_campaign
 from balance_cli.simulation.rig import TrueRig
-from balance_cli.spectra import measured_spectra
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.identify import identify
+from balance_cli.steps.reduce import reduce_run
 from studies.truth import response_errors, true_response
 
 Array = NDArray[np.float64]

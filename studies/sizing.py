@@ -17,16 +17,16 @@ from scipy.optimize import brentq
 from scipy.special import ive
 from scipy.stats import chi2, ncx2
 
-from balance_cli.diagnosis.candidates import Candidate, candidate_at, tested
-from balance_cli.diagnosis.confirm import SIGNIFICANT
-from balance_cli.diagnosis.score import scores
-from balance_cli.effects import EFFECTS, EffectParameter
+from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, tested
+from balance_cli.diagnosis.search.score import scores
+from balance_cli.diagnosis.selection.confirm import SIGNIFICANT
+from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.estimation.measurements import Batch, stacked
-from balance_cli.geometry import DeclaredEffect, Geometry
-from balance_cli.geometry_file import load_geometry
 from balance_cli.model.balance import balance_model
+from balance_cli.model.effects import EFFECTS, EffectParameter
 from balance_cli.simulation import TrueRig, simulate_campaign, true_rig
-from balance_cli.spectra import Spectra, measured_spectra
 from studies.cases import SWEEPS, plan
 from studies.truth import true_parameters
 

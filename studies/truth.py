@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.identified import IdentifiedModel, identified_system
+from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.model.parameters import ParameterSet
 from balance_cli.model.system import output_slopes, response, solve
 from balance_cli.simulation.assembly import equations_of_motion

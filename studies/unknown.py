@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.geometry import Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.simulation.extensions.base import Extension, Signals
 from balance_cli.simulation.mechanics import Mechanics
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from balance_cli.calibration.fit import LoadPoints
 from balance_cli.calibration.terms import columns, linear_terms, term_named
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 
 CHANNELS = (*(f"g{i + 1}" for i in range(7)), "torque")
 FULL_RANGE = np.array([800.0, 800.0, 3500.0, 400.0, 400.0, 450.0])

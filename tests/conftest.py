@@ -48,14 +48,14 @@ def campaign():
 
 @pytest.fixture(scope="session")
 def identified(campaign):
-    from balance_cli.identify import identify
-    from balance_cli.spectra import measured_spectra
+    from balance_cli.estimation.measured_spectra import measured_spectra
+    from balance_cli.steps.identify import identify
 
     return identify(measured_spectra(campaign.runs, campaign.geometry), campaign.geometry)
 
 
 @pytest.fixture(scope="session")
 def calibration(campaign):
-    from balance_cli.calibrate import calibrate
+    from balance_cli.steps.calibrate import calibrate
 
     return calibrate(campaign.of("static"), campaign.geometry)

@@ -5,11 +5,11 @@ from functools import cache
 import numpy as np
 from test_calibrate import AMPLITUDE, C0, RIG, loading
 
-from balance_cli.calibrate import calibrate
 from balance_cli.calibration.terms import Term, columns, term_named
-from balance_cli.components import COMPONENTS
-from balance_cli.runs import MemorySource, Run
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.signals.harmonics import Harmonics
+from balance_cli.steps.calibrate import calibrate
 
 NAMES = tuple(channel.name for channel in RIG.channels if channel.measures_dc)
 # What a channel has besides its straight part [V at full range]: half a per cent, or so.

@@ -8,7 +8,8 @@ from types import ModuleType
 import numpy as np
 from report_content import model
 
-from balance_cli.diagnosed import (
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.result import (
     EXPLAINED,
     Diagnosis,
     Evidence,
@@ -20,10 +21,9 @@ from balance_cli.diagnosed import (
     Trial,
     Untestable,
 )
-from balance_cli.geometry import Geometry
-from balance_cli.identified import IdentifiedModel
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.model.fitted_effects import FittedParameter
-from balance_cli.spectra import Spectra
 
 
 def support() -> FoundEffect:
@@ -120,8 +120,8 @@ def diagnosis(verdict: str = EXPLAINED, **changes: object) -> Diagnosis:
 
 
 def engine_module(engine: Engine | None = None) -> ModuleType:
-    """A module to stand for `balance_cli.diagnose` while a command is tested."""
-    module = ModuleType("balance_cli.diagnose")
+    """A module to stand for `balance_cli.steps.diagnose` while a command is tested."""
+    module = ModuleType("balance_cli.steps.diagnose")
     module.diagnose = engine or Engine()  # type: ignore[attr-defined]
     return module
 

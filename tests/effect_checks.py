@@ -9,17 +9,17 @@ from functools import cache, lru_cache
 import numpy as np
 from rigs import rotor_balance
 
-from balance_cli.components import COMPONENTS
-from balance_cli.effects import Effect
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.likelihood import data_chi2, data_curvature, exciter_response
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import Batch, stacked
-from balance_cli.geometry import DeclaredEffect, Geometry
-from balance_cli.identified import IdentifiedModel, identified_system
-from balance_cli.identify import identified_effects, identify
 from balance_cli.model.balance import BalanceModel, balance_model
+from balance_cli.model.effects import Effect
 from balance_cli.model.placed_effects import needs_mean
 from balance_cli.model.system import System, output_slopes, response, solve
-from balance_cli.runs import Run
 from balance_cli.simulation import (
     NO_NOISE,
     CampaignPlan,
@@ -32,7 +32,7 @@ from balance_cli.simulation import (
     true_rig,
 )
 from balance_cli.simulation.plans import HIGH, statics
-from balance_cli.spectra import measured_spectra
+from balance_cli.steps.identify import identified_effects, identify
 
 
 def _rig():

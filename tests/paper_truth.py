@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eigh
 
-from balance_cli.components import COMPONENTS, FREEDOMS
-from balance_cli.geometry import Geometry
+from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.signals.lines import Lines
 
 

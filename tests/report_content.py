@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 from rigs import rotor_balance
 
-from balance_cli.artefacts import Artefact, Input, Provenance
-from balance_cli.calibrate import calibrate
-from balance_cli.calibrated import Calibration
-from balance_cli.components import COMPONENTS
-from balance_cli.geometry import Geometry
-from balance_cli.hub_loads import CheckErrors, Loads, RunLoads
-from balance_cli.identified import FitQuality, IdentifiedModel, ModeTable, ParameterTable, RunFit
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel, ModeTable, ParameterTable, RunFit
+from balance_cli.io.artefacts import Artefact, Input, Provenance
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
 from balance_cli.model.system import response, solve
-from balance_cli.runs import MemorySource, Run
+from balance_cli.reduction.result import CheckErrors, Loads, RunLoads
 from balance_cli.signals.lines import Response
 from balance_cli.signals.transfer import Transfer
+from balance_cli.steps.calibrate import calibrate
 
 FREQUENCY = np.linspace(2.0, 150.0, 45)
 NOISE = 1e-4

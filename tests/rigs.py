@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from balance_cli.geometry import Geometry
-from balance_cli.geometry_file import geometry_from_dict, load_geometry
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict, load_geometry
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 

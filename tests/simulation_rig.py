@@ -2,7 +2,7 @@
 
 import yaml
 
-from balance_cli.geometry import Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 
 RIG = """
 format: balance-geometry/1

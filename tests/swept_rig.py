@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import signal
 
-from balance_cli.components import COMPONENTS
-from balance_cli.runs import MemorySource, Run
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.rig.components import COMPONENTS
 
 RATE = 400.0
 MODES = (20.3, 31.7, 46.2, 77.1, 118.4)

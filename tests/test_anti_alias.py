@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqs
 
-from balance_cli.geometry import Acquisition, AnalogueFilter
+from balance_cli.campaign.rig.geometry import Acquisition, AnalogueFilter
 from balance_cli.signals.anti_alias import anti_alias
 
 

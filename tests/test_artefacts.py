@@ -14,7 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from balance_cli.artefacts import (
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.io.artefacts import (
     FORMATS,
     Input,
     Provenance,
@@ -24,10 +26,8 @@ from balance_cli.artefacts import (
     read_stored,
     save_artefact,
 )
-from balance_cli.errors import UserError
-from balance_cli.geometry import Geometry
-from balance_cli.geometry_file import load_geometry
-from balance_cli.trees import from_tree, to_tree, tree_digest
+from balance_cli.io.errors import UserError
+from balance_cli.io.hdf5_tree import from_tree, to_tree, tree_digest
 
 ROOT = Path(__file__).parents[1]
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from rigs import rotor_balance
 
-from balance_cli.diagnosed import Evidence, FoundEffect
+from balance_cli.diagnosis.result import Evidence, FoundEffect
 from balance_cli.simulation import true_rig
 from balance_cli.simulation.assembly import equations_of_motion
 from studies import chunks

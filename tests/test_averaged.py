@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from balance_cli.errors import UserError
-from balance_cli.runs import MemorySource, Run
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.io.errors import UserError
 from balance_cli.signals.averaged import averaged_response, spectral_matrix
 
 RATE = 200.0

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 from balance_cli.signals.azimuth import azimuth_from_pulses
 
 RATE = 17.5

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from rigs import CONFIGS, one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
-from balance_cli.calibrate import calibrate
-from balance_cli.calibrated import Calibration
-from balance_cli.components import COMPONENTS
-from balance_cli.errors import UserError
-from balance_cli.estimation.static_matrices import inverse_matrix
-from balance_cli.runs import MemorySource, Run
+from balance_cli.calibration.result import Calibration
+from balance_cli.calibration.static_matrices import inverse_matrix
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.io.errors import UserError
+from balance_cli.steps.calibrate import calibrate
 
 AMPLITUDE = np.array([800.0, 800.0, 3500.0, 400.0, 400.0, 450.0])
 STEPS = np.concatenate([np.arange(1, 6), np.arange(4, -6, -1), np.arange(-4, 1)]) / 5
@@ -249,9 +249,9 @@ def test_too_few_rows_and_no_static_run_are_refused():
 def test_command_writes_the_calibration_and_its_summary(tmp_path):
     from click.testing import CliRunner
 
-    from balance_cli.artefacts import load_artefact
+    from balance_cli.campaign.recording.run_file import write_run
     from balance_cli.cli import balance
-    from balance_cli.run_files import write_run
+    from balance_cli.io.artefacts import load_artefact
 
     rng = np.random.default_rng(12)
     write_run(tmp_path / "s1.h5", static_run(RIG, C0, loading(), rng))
@@ -283,6 +283,6 @@ def test_command_writes_the_calibration_and_its_summary(tmp_path):
 
 
 def calibrate_again(path):
-    from balance_cli.run_files import open_run
+    from balance_cli.campaign.recording.run_file import open_run
 
     return calibrate([open_run(path)], RIG).trims["bare"]

@@ -11,7 +11,7 @@ from balance_cli.calibration.selection import chosen_terms
 from balance_cli.calibration.sequences import described_sequence, loading_sequences
 from balance_cli.calibration.support import supported
 from balance_cli.calibration.terms import all_terms, columns, term_named
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 
 TERMS = all_terms(6)
 

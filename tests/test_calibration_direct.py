@@ -9,15 +9,15 @@ from click.testing import CliRunner
 from curved_rig import NAMES, RIG, calibration, record, static_runs
 from rigs import CONFIGS
 
-from balance_cli.calibrate import calibrate
 from balance_cli.calibration.direct import direct_model
 from balance_cli.calibration.fit import gage_fit
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
-from balance_cli.components import COMPONENTS
-from balance_cli.reduce import reduce_run
-from balance_cli.responses import static_source
-from balance_cli.run_files import write_run
-from balance_cli.steady_loads import zero_record
+from balance_cli.reduction.mean_loads import zero_record
+from balance_cli.reduction.response_sources import static_source
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.reduce import reduce_run
 
 LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
 

@@ -11,7 +11,7 @@ from balance_cli.calibration.fit import gage_fit
 from balance_cli.calibration.gage_model import GageModel, weighted_inverse
 from balance_cli.calibration.noise import noise_parts
 from balance_cli.calibration.terms import Term, columns, term_named
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pandas as pd
 
 from balance_cli.calibration.sequences import loading_sequences
 from balance_cli.calibration.support import supported
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 from studies.calibration import (
     CHANNELS,
     CHECKS,

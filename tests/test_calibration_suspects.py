@@ -10,7 +10,7 @@ from balance_cli.calibration.fit import gage_fit
 from balance_cli.calibration.suspects import _suspected, examined, exchanged
 from balance_cli.calibration.terms import columns
 from balance_cli.calibration.whole import gage_calibration
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 
 
 def terms_found(fit):

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.geometry_file import save_geometry
 from balance_cli.cli import balance
-from balance_cli.geometry_file import save_geometry
-from balance_cli.run_files import write_run
 
 
 def call(*words, status=0):
@@ -105,7 +105,7 @@ def test_a_history_is_written_per_run(results):
 
 
 def test_same_inputs_same_digest(folder, results):
-    from balance_cli.artefacts import read_stored
+    from balance_cli.io.artefacts import read_stored
 
     again = results / "again.h5"
     runs = sorted(folder.glob("*.h5"))
@@ -175,7 +175,7 @@ def test_loads_that_the_remaining_channels_do_not_determine_end_with_one_message
     """The only torque channel is dead: nothing tells Mz."""
     from dataclasses import replace
 
-    from balance_cli.runs import MemorySource
+    from balance_cli.campaign.recording.run import MemorySource
 
     run = campaign.of("check")[0]
     block = run.read()

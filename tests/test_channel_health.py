@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from balance_cli.channel_health import channel_faults, live_channels
-from balance_cli.components import COMPONENTS
-from balance_cli.geometry import Geometry
-from balance_cli.geometry_file import geometry_from_dict, geometry_to_dict, load_geometry
-from balance_cli.run_files import open_run
-from balance_cli.runs import Block, MemorySource, Run
+from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
+from balance_cli.campaign.recording.run import Block, MemorySource, Run
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict, geometry_to_dict, load_geometry
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from balance_cli.artefacts import provenance_now, save_artefact
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.cli import balance
-from balance_cli.geometry import Geometry
-from balance_cli.geometry_file import load_geometry
+from balance_cli.io.artefacts import provenance_now, save_artefact
 
 ROOT = Path(__file__).parents[1]
 RIG = ROOT / "configs" / "rts-6.yaml"

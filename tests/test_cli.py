@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from balance_cli import __version__
-from balance_cli.artefacts import load_artefact
 from balance_cli.cli import COMMANDS, balance
 from balance_cli.cli.common import (
     OutputFile,
@@ -28,7 +27,8 @@ from balance_cli.cli.common import (
     skip_bad_option,
 )
 from balance_cli.cli.summary import json_text
-from balance_cli.errors import UserError
+from balance_cli.io.artefacts import load_artefact
+from balance_cli.io.errors import UserError
 
 ROOT = Path(__file__).parents[1]
 RIG = str(ROOT / "configs" / "rts-6.yaml")

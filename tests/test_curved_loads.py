@@ -10,16 +10,16 @@ from rigs import CONFIGS
 
 from balance_cli.calibration.convergence import contraction
 from balance_cli.calibration.terms import all_terms, columns, slopes
-from balance_cli.channel_health import ChannelHealth
+from balance_cli.campaign.recording.channel_health import ChannelHealth
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
-from balance_cli.components import COMPONENTS
-from balance_cli.curved_loads import ALL_TRIMS, curved_loads
-from balance_cli.errors import UserError
-from balance_cli.reduce import reduce_run
-from balance_cli.responses import static_source
-from balance_cli.run_files import write_run
-from balance_cli.runs import MemorySource
-from balance_cli.steady_loads import steady_loads, zero_record
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.mean_loads import steady_loads, zero_record
+from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS, curved_loads
+from balance_cli.reduction.response_sources import static_source
+from balance_cli.steps.reduce import reduce_run
 
 LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
 ALL_LIVE = ChannelHealth(NAMES, {})

@@ -8,14 +8,14 @@ import pytest
 from click.testing import CliRunner
 from diagnosis_content import Engine, diagnosis, engine_module, hold_out
 
-from balance_cli.artefacts import load_artefact
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry_file import save_geometry
 from balance_cli.cli import balance
 from balance_cli.cli.diagnosis_text import diagnosis_text
-from balance_cli.components import COMPONENTS
-from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis
-from balance_cli.geometry_file import save_geometry
-from balance_cli.identified import IdentifiedModel
-from balance_cli.run_files import write_run
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.io.artefacts import load_artefact
 
 
 def call(*words, status=0):
@@ -44,7 +44,7 @@ def fitted(folder):
 def engine(monkeypatch):
     """A loop that returns a diagnosis made by hand."""
     made = Engine()
-    monkeypatch.setitem(sys.modules, "balance_cli.diagnose", engine_module(made))
+    monkeypatch.setitem(sys.modules, "balance_cli.steps.diagnose", engine_module(made))
     return made
 
 

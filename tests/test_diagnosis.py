@@ -4,38 +4,45 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from balance_cli.diagnosis.search.search.search import leading
 from rigs import one_degree_of_freedom, rotor_balance
 
-from balance_cli.diagnose import diagnose
-from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
-from balance_cli.diagnosis import confirm
-from balance_cli.diagnosis.candidates import candidate_at, candidates, smaller_places
-from balance_cli.diagnosis.candidates import tested as acting
-from balance_cli.diagnosis.confirm import STRONG
-from balance_cli.diagnosis.empirical import with_extra_modes
-from balance_cli.diagnosis.fit import Fit, excess, fitted
-from balance_cli.diagnosis.folds import fold_gain, folds
-from balance_cli.diagnosis.mains_frequency import at_best_frequency
-from balance_cli.diagnosis.needed import believed, without
-from balance_cli.diagnosis.preference import preferred
-from balance_cli.diagnosis.rivals import contested
-from balance_cli.diagnosis.score import Score, best_gain, best_scores, extended, scores, with_candidates
-from balance_cli.diagnosis.search import leading
-from balance_cli.diagnosis.search_lines import search_lines
-from balance_cli.diagnosis.worth import blur, effect_wald
-from balance_cli.effects.dry_friction import LEAST, STIFFNESSES
-from balance_cli.errors import UserError
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
+from balance_cli.diagnosis.search.candidates import candidate_at, candidates, smaller_places
+from balance_cli.diagnosis.search.candidates import tested as acting
+from balance_cli.diagnosis.search.empirical import with_extra_modes
+from balance_cli.diagnosis.search.preference import preferred
+from balance_cli.diagnosis.search.score import (
+    Score,
+    best_gain,
+    best_scores,
+    extended,
+    scores,
+    with_candidates,
+)
+from balance_cli.diagnosis.search.search_lines import search_lines
+from balance_cli.diagnosis.selection import confirm
+from balance_cli.diagnosis.selection.confirm import STRONG
+from balance_cli.diagnosis.selection.fit import Fit, excess, fitted
+from balance_cli.diagnosis.selection.folds import fold_gain, folds
+from balance_cli.diagnosis.selection.mains_frequency import at_best_frequency
+from balance_cli.diagnosis.selection.needed import believed, without
+from balance_cli.diagnosis.selection.rivals import contested
+from balance_cli.diagnosis.selection.worth import blur, effect_wald
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.model_error import log_volume, shares_that_explain, with_model_error
 from balance_cli.estimation.starting_values import by_equations_of_motion
-from balance_cli.geometry import DeclaredEffect
-from balance_cli.identify import IdentifyOptions, identify
+from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
+from balance_cli.model.effects.dry_friction import LEAST, STIFFNESSES
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.plans import HIGH, statics
-from balance_cli.spectra import measured_spectra
+from balance_cli.simulation.rig import apply_effects
+from balance_cli.steps.diagnose import diagnose
+from balance_cli.steps.identify import IdentifyOptions, identify
 from studies.unknown import SaturatingChannel, TunedMass
 
 RIG = rotor_balance()
@@ -314,8 +321,8 @@ def test_what_a_stiffness_is_worth_does_not_end_at_the_scale_of_the_rig(stiff):
 def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
     """Whatever Wald makes of it: only chi-square without it lets it go."""
     batches, fit = stiff
-    monkeypatch.setattr("balance_cli.diagnosis.needed.effect_wald", lambda fit, one: (1.0, 1))
-    monkeypatch.setattr("balance_cli.diagnosis.needed.excess", lambda fit, batches, alone: 1e5)
+    monkeypatch.setattr("balance_cli.diagnosis.selection.needed.effect_wald", lambda fit, one: (1.0, 1))
+    monkeypatch.setattr("balance_cli.diagnosis.selection.needed.excess", lambda fit, batches, alone: 1e5)
     assert believed(fit, batches, True, (), 3) == (fit, ())
 
 

@@ -15,12 +15,12 @@ from diagnosis_content import engine_module
 from pydantic import BaseModel
 from rigs import rotor_balance
 
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.cli import COMMANDS, balance
-from balance_cli.geometry import Geometry
-from balance_cli.hub_loads import COLUMNS
-from balance_cli.modes import computed_modes
+from balance_cli.reduction.result import COLUMNS
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.simulation.plans import RotorPlan, StaticPlan, SweepPlan, ZeroPlan
+from balance_cli.steps.modes import computed_modes
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -219,7 +219,7 @@ def summaries(tmp_path_factory):
         path = folder / f"{name}.json"
         # The loop itself takes its time, and finds nothing in so little: one by hand has all keys.
         with pytest.MonkeyPatch.context() as patch:
-            patch.setitem(sys.modules, "balance_cli.diagnose", engine_module())
+            patch.setitem(sys.modules, "balance_cli.steps.diagnose", engine_module())
             result = CliRunner().invoke(balance, [name, *words, "--json", str(path)])
         assert result.exit_code == (2 if name == "check" else 0), result.output
         found[name] = json.loads(path.read_text(encoding="utf-8"))

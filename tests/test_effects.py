@@ -29,22 +29,22 @@ from effect_checks import (
     response_difference,
 )
 
-from balance_cli.artefacts import load_artefact, provenance_now, save_artefact
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.cli import balance
-from balance_cli.effects import EFFECTS
-from balance_cli.errors import UserError
+from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.likelihood import data_chi2, degrees_of_freedom
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
-from balance_cli.geometry import DeclaredEffect
-from balance_cli.identified import IdentifiedModel
+from balance_cli.io.artefacts import load_artefact, provenance_now, save_artefact
+from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
+from balance_cli.model.effects import EFFECTS
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
-from balance_cli.run_files import open_run
 from balance_cli.simulation import true_rig
 from balance_cli.simulation.extensions.base import Extension
-from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.plans import HIGH
-from balance_cli.spectra import measured_spectra
+from balance_cli.simulation.rig import apply_effects
 
 PLACED = [(effect, where) for effect in EFFECTS for where in dict.fromkeys(effect.places(RIG)[i] for i in (0, -1))]
 IDS = [f"{effect.name}@{','.join(where)}" for effect, where in PLACED]

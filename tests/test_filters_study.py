@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from balance_cli.modes import computed_modes
+from balance_cli.steps.modes import computed_modes
 from studies.filters import HARMONIC, IN_TIME, METHODS, PAPER, case_rows, filters_chunk, simulated_record
 from studies.filters_rig import (
     BROAD,

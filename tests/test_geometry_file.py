@@ -12,10 +12,9 @@ from geometries import declarations
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from balance_cli.errors import UserError
-from balance_cli.geometry import Geometry
-from balance_cli.geometry_checks import unheld_motion
-from balance_cli.geometry_file import (
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_checks import unheld_motion
+from balance_cli.campaign.rig.geometry_file import (
     dotted_place,
     geometry_digest,
     geometry_from_dict,
@@ -24,7 +23,8 @@ from balance_cli.geometry_file import (
     read_geometry,
     save_geometry,
 )
-from balance_cli.mass_properties import moving_part
+from balance_cli.campaign.rig.mass_properties import moving_part
+from balance_cli.io.errors import UserError
 
 ROOT = Path(__file__).parents[1]
 SHARED = Path(os.environ.get("BALANCE_SHARED", ROOT.parent / "shared"))

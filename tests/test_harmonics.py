@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from balance_cli.errors import UserError
-from balance_cli.runs import MemorySource, Run
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.io.errors import UserError
 from balance_cli.signals.azimuth import azimuth_from_pulses
 from balance_cli.signals.harmonics import edge_weight, harmonics
 

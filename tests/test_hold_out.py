@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from rigs import one_degree_of_freedom, rotor_balance
 
-from balance_cli.errors import UserError
-from balance_cli.geometry import DeclaredEffect
-from balance_cli.hold_out import hold_out_errors
-from balance_cli.identify import IdentifyOptions, identify
-from balance_cli.reduce import reduce_run
-from balance_cli.responses import model_source
-from balance_cli.spectra import Spectra
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.response_sources import model_source
+from balance_cli.steps.hold_out import hold_out_errors
+from balance_cli.steps.identify import IdentifyOptions, identify
+from balance_cli.steps.reduce import reduce_run
 from studies.truth import response_errors
 
 NOTHING = Spectra((), (), {}, {})
@@ -74,7 +74,7 @@ def test_what_the_noise_leaves_of_a_response_is_what_a_good_fit_leaves(identifie
 def test_a_sweep_is_held_to_its_noise_without_what_a_spring_that_hardens_does():
     """In a record that does not repeat the distortion would pass for noise."""
     from balance_cli.simulation import Noise, SweepPlan, simulate_run, true_rig
-    from balance_cli.simulation.extensions.library import apply_effects
+    from balance_cli.simulation.rig import apply_effects
 
     geometry = one_degree_of_freedom()
     effect = DeclaredEffect(name="cubic-stiffness", where=("z",), parameters={"k3": 4e10, "side": "beside"})
@@ -90,7 +90,8 @@ def test_a_sweep_is_held_to_its_noise_without_what_a_spring_that_hardens_does():
 def test_loads_that_an_exciter_spills_act_too(campaign):
     """What a model knows of its exciters belongs to the loads that its reduction is held to."""
     from balance_cli.simulation import Noise, short_plan, simulate_run, true_rig
-    from balance_cli.simulation.extensions.library import apply_effects, extension
+    from balance_cli.simulation.extensions.library import extension
+    from balance_cli.simulation.rig import apply_effects
 
     geometry = rotor_balance()
     (plan,) = (one for one in short_plan().runs if one.kind == "check")
@@ -129,7 +130,8 @@ def test_a_dead_channel_is_left_out_of_the_comparison(campaign, identified):
 @pytest.mark.parametrize(("kind", "k3"), [("check", 3e14), ("sweep", 3e13)])
 def test_what_is_not_linear_is_taken_out_where_the_model_knows_of_it(kind, k3):
     from balance_cli.simulation import Noise, short_plan, simulate_run, true_rig
-    from balance_cli.simulation.extensions.library import apply_effects, extension
+    from balance_cli.simulation.extensions.library import extension
+    from balance_cli.simulation.rig import apply_effects
 
     geometry = rotor_balance()
     plan = next(one for one in short_plan().runs if one.kind == kind)

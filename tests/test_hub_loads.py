@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from balance_cli.estimation.hub_loads import solve_loads
-from balance_cli.responses import circular_real, stacked_real
+from balance_cli.reduction.response_sources import circular_real, stacked_real
+from balance_cli.reduction.weighted_least_squares import solve_loads
 
 
 def problem(rng, harmonics=1, channels=9, loads=6):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from rigs import one_degree_of_freedom, rotor_balance
 
-from balance_cli.errors import UserError
-from balance_cli.identify import IdentifyOptions, identify
+from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
+from balance_cli.io.errors import UserError
 from balance_cli.model.parameters import declared_parameters
-from balance_cli.spectra import Spectra, measured_spectra
+from balance_cli.steps.identify import IdentifyOptions, identify
 from studies.truth import response_errors, true_parameters
 
 NOTHING = Spectra((), (), {}, {})

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from swept_rig import LOAD_NOISE, MODES, NOISE, SweptRig, relative_error
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 from balance_cli.signals.interpolation import METHODS, response_at, values_at
 from balance_cli.signals.lines import Response
 

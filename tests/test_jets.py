@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from balance_cli.jets import Jet, block_diagonal, concatenate, constant, stack, variables
+from balance_cli.model.mechanics.dual_numbers import Jet, block_diagonal, concatenate, constant, stack, variables
 
 vectors = arrays(float, 3, elements=st.floats(0.5, 2.0))
 

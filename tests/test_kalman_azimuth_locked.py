@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.kalman.azimuth_locked import FINER, AzimuthLockedFilter
-from balance_cli.kalman.causal import filtered, lagged
-from balance_cli.kalman.composite import sampled_system
-from balance_cli.kalman.smoothing import smoothed
-from balance_cli.kalman.steady import SteadyFilter
-from balance_cli.kalman.stretches import told
+from balance_cli.reduction.kalman.azimuth_locked import FINER, AzimuthLockedFilter
+from balance_cli.reduction.kalman.causal import filtered, lagged
+from balance_cli.reduction.kalman.composite import sampled_system
+from balance_cli.reduction.kalman.smoothing import smoothed
+from balance_cli.reduction.kalman.steady import SteadyFilter
+from balance_cli.reduction.kalman.stretches import told
 from tests.kalman_models import Array
 from tests.turning_models import (
     LAYERS,

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from rigs import rotor_balance
 
-from balance_cli.components import COMPONENTS
-from balance_cli.geometry import DeclaredEffect
-from balance_cli.kalman.composite import MeasuredSystem, first_covariance, sampled_system
-from balance_cli.kalman.load_models import Oscillators, Wandering
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.model.balance import balance_model
 from balance_cli.model.state_space import state_space, with_anti_alias
+from balance_cli.reduction.kalman.composite import MeasuredSystem, first_covariance, sampled_system
+from balance_cli.reduction.kalman.load_models import Oscillators, Wandering
 from balance_cli.signals.anti_alias import anti_alias
 from tests.kalman_models import Array
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad_vec
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from balance_cli.kalman.discrete import ContinuousModel, sampled, step_of
-from balance_cli.kalman.riccati import accumulated
+from balance_cli.reduction.kalman.discrete import ContinuousModel, sampled, step_of
+from balance_cli.reduction.kalman.riccati import accumulated
 from tests.kalman_models import Array
 
 STEP = 0.01

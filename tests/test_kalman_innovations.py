@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from balance_cli.kalman.innovations import LAGS, InnovationSums, InnovationTests
+from balance_cli.reduction.kalman.innovations import LAGS, InnovationSums, InnovationTests
 from tests.kalman_models import Array
 
 NAMES = ("a", "b", "c")

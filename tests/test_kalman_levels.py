@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from balance_cli.kalman.amplitude_drift import Amplitudes, relative_drift
-from balance_cli.kalman.levels import _layers
-from balance_cli.kalman.load_models import Flat, Gust, Wandering
-from balance_cli.kalman.noise_levels import OWN, _Likelihood, most_likely_variances
+from balance_cli.reduction.kalman.amplitude_drift import Amplitudes, relative_drift
+from balance_cli.reduction.kalman.levels import _layers
+from balance_cli.reduction.kalman.load_models import Flat, Gust, Wandering
+from balance_cli.reduction.kalman.noise_levels import OWN, _Likelihood, most_likely_variances
 from balance_cli.signals.cross_spectra import CrossSpectra, cross_spectra, noise_of_channels
 from tests.kalman_models import Array
 

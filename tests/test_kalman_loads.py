@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from balance_cli.kalman.load_models import Flat, Gust, Oscillators, Wandering, joined
+from balance_cli.reduction.kalman.load_models import Flat, Gust, Oscillators, Wandering, joined
 from tests.kalman_models import Array
 
 SIGMA = np.array([2.0, 0.5, 30.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, solve_discrete_are
 
-from balance_cli.kalman.riccati import accumulated, steady_covariance
+from balance_cli.reduction.kalman.riccati import accumulated, steady_covariance
 from tests.kalman_models import Array
 
 

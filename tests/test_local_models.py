@@ -7,7 +7,7 @@ import pytest
 from rigs import rotor_balance
 from swept_rig import LOAD_NOISE, NOISE, SweptRig, beside_a_mode, chi2_per_dof, relative_error
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 from balance_cli.signals.averaged import averaged_response
 from balance_cli.signals.local_fit import Orders, Windows, fit_windows
 from balance_cli.signals.local_lines import lines_from_local_model, local_lines

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from test_point_mass import DECLARED, WEIGHED, Campaign, mass_and_place
 
-from balance_cli.diagnosis import point_mass
-from balance_cli.diagnosis.fit import fitted
-from balance_cli.diagnosis.mass_region import NINETY_FIVE, mass_intervals, mass_region, region_of
-from balance_cli.diagnosis.point_mass import settled_mass
+from balance_cli.diagnosis.search.mass_region import NINETY_FIVE, mass_intervals, mass_region, region_of
+from balance_cli.diagnosis.search.point_mass import settled_mass
+from balance_cli.diagnosis.search.search import point_mass
+from balance_cli.diagnosis.selection.fit import fitted
 
 
 @pytest.fixture(scope="module")

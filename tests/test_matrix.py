@@ -14,24 +14,24 @@ from hypothesis import strategies as st
 from rigs import CONFIGS, one_degree_of_freedom
 from test_calibrate import without
 
-from balance_cli.artefacts import load_artefact
-from balance_cli.calibrate import calibrate
-from balance_cli.calibrated import Calibration
 from balance_cli.calibration.matrix import matrix_of, model_of, term_unit
+from balance_cli.calibration.matrix_file import load_matrix
 from balance_cli.calibration.matrix_reader import read_matrix
 from balance_cli.calibration.matrix_text import FORMAT, matrix_csv, matrix_text
+from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.terms import all_terms, columns
-from balance_cli.channel_health import ChannelHealth
+from balance_cli.campaign.recording.channel_health import ChannelHealth
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
-from balance_cli.components import COMPONENTS
-from balance_cli.curved_loads import curved_loads
-from balance_cli.errors import UserError
-from balance_cli.matrix_file import load_matrix
-from balance_cli.reduce import ERRORS_UNKNOWN, reduce_run
-from balance_cli.responses import static_source
-from balance_cli.run_files import write_run
-from balance_cli.stated_calibration import ABSENT, MATRIX, stated_calibration
-from balance_cli.steady_loads import steady_loads, zero_record
+from balance_cli.io.artefacts import load_artefact
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.mean_loads import steady_loads, zero_record
+from balance_cli.reduction.mean_loads_nonlinear import curved_loads
+from balance_cli.reduction.response_sources import static_source
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.calibration_from_matrix import ABSENT, MATRIX, stated_calibration
+from balance_cli.steps.reduce import ERRORS_UNKNOWN, reduce_run
 
 MODEL = calibration().gage.model
 CSV = matrix_csv(matrix_of(MODEL, RIG.rig))

@@ -17,7 +17,7 @@ from effect_checks import (
     recovered,
 )
 
-from balance_cli import effects
+from balance_cli.model import effects
 from balance_cli.model.placed_effects import add_effects, declared_effects
 
 PAGE = Path(__file__).parents[1] / "docs" / "new-effect.md"

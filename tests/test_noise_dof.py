@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from balance_cli.diagnosis.noise_dof import RunInformation, noise_dof
-from balance_cli.diagnosis.score import improbability
+from balance_cli.diagnosis.search.noise_dof import RunInformation, noise_dof
+from balance_cli.diagnosis.search.score import improbability
 from balance_cli.estimation.measurements import stacked
 from balance_cli.signals.lines import Lines, NoisePart
 

@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 from rigs import rotor_balance
 
-from balance_cli.calibrate import calibrate
-from balance_cli.effects.dry_friction import last_slip
-from balance_cli.errors import UserError
+from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.support import unseen
-from balance_cli.geometry import DeclaredEffect
-from balance_cli.identify import identified_effects, identify
+from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
+from balance_cli.model.effects.dry_friction import last_slip
 from balance_cli.model.fitted_effects import declare
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
-from balance_cli.reduce import reduce_run
-from balance_cli.responses import model_source
+from balance_cli.reduction.response_sources import model_source
 from balance_cli.signals.lines import OVERSAMPLING
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
 from balance_cli.simulation import true_rig as true_rig_of
-from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.plans import SHAPE
-from balance_cli.spectra import measured_spectra
+from balance_cli.simulation.rig import apply_effects
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.identify import identified_effects, identify
+from balance_cli.steps.reduce import reduce_run
 
 RIG = rotor_balance()
 TRUTH = {

@@ -8,12 +8,12 @@ from paper_truth import plate, sweep, sweeps
 from rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 from scipy.linalg import eigh
 
-from balance_cli.errors import UserError
+from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.estimation.paper.equations import declared_coefficients
 from balance_cli.estimation.paper.fit import identify_paper_form, response
 from balance_cli.estimation.paper.result import PaperOptions
 from balance_cli.estimation.paper.sensors import sensor_rule
-from balance_cli.run_files import open_run
+from balance_cli.io.errors import UserError
 from balance_cli.signals.periodic import periodic_lines
 
 FIVE = ("Fx", "Fy", "Fz", "Mx", "My")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from swept_rig import LOAD_NOISE, NOISE, SweptRig, beside_a_mode, chi2_per_dof
 
-from balance_cli.errors import UserError
-from balance_cli.runs import MemorySource
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.io.errors import UserError
 from balance_cli.signals.noise import inverse_bias_factor, pooled_covariance
 from balance_cli.signals.periodic import periodic_lines, periodic_record, whole_period
 from balance_cli.signals.steady import steady_start

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
-from balance_cli.kinematics import elongation_matrix, motion_at
-from balance_cli.mass_properties import moving_part
+from balance_cli.campaign.rig.kinematics import elongation_matrix, motion_at
+from balance_cli.campaign.rig.mass_properties import moving_part
 from balance_cli.model.plate import carried_components, load_matrix, mass_matrix, plate_matrices
 
 

@@ -4,21 +4,21 @@ import numpy as np
 import pytest
 from rigs import rotor_balance, two_degrees_of_freedom
 
-from balance_cli.diagnosis import point_mass
-from balance_cli.diagnosis.candidates import Candidate, candidate_at, candidates
-from balance_cli.diagnosis.fit import begun, fitted
-from balance_cli.diagnosis.point_mass import GRID, POINTS, settled_mass, well_placed
-from balance_cli.diagnosis.score import best_scores, extended, scores, with_candidates
-from balance_cli.effects.base import reach
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, candidates
+from balance_cli.diagnosis.search.point_mass import GRID, POINTS, settled_mass, well_placed
+from balance_cli.diagnosis.search.score import best_scores, extended, scores, with_candidates
+from balance_cli.diagnosis.search.search import point_mass
+from balance_cli.diagnosis.selection.fit import begun, fitted
 from balance_cli.estimation.maximum_likelihood import penalised_chi2
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
-from balance_cli.geometry import DeclaredEffect
 from balance_cli.model.balance import balance_model
+from balance_cli.model.effects.base import reach
 from balance_cli.model.placed_effects import add_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.plans import HIGH, statics
-from balance_cli.spectra import measured_spectra
+from balance_cli.simulation.rig import apply_effects
 
 DECLARED = rotor_balance()
 WEIGHED = DECLARED.model_copy(

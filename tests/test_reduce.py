@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.errors import UserError
-from balance_cli.history import harmonic_blocks
-from balance_cli.hub_loads import COLUMNS, Loads, load_table
-from balance_cli.reduce import ReduceOptions, reduce_run
-from balance_cli.responses import model_source, static_source
-from balance_cli.runs import MemorySource
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.history_file import harmonic_blocks
+from balance_cli.reduction.response_sources import model_source, static_source
+from balance_cli.reduction.result import COLUMNS, Loads, load_table
+from balance_cli.steps.reduce import ReduceOptions, reduce_run
 from studies.recovery import TruthSource
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from balance_cli.artefacts import Provenance, load_artefact, save_artefact
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.cli import balance
-from balance_cli.hub_loads import Loads
-from balance_cli.run_files import write_run
-from balance_cli.runs import MemorySource
+from balance_cli.io.artefacts import Provenance, load_artefact, save_artefact
+from balance_cli.reduction.result import Loads
 from balance_cli.signals.azimuth import azimuth_from_pulses
 
 FORMATS = {"balance-loads/1": Loads}
@@ -291,7 +291,7 @@ def test_only_a_physical_model_has_a_state_space(campaign, folder, tmp_path, met
 
 def test_the_model_of_the_paper_is_refused(folder, identified, tmp_path, monkeypatch):
     """Its response is known at the harmonics only."""
-    from balance_cli import responses
+    from balance_cli.reduction import response_sources as responses
 
     monkeypatch.setattr(responses, "model_source", lambda model: responses.PaperSource(model, None))
     monkeypatch.setattr(responses.PaperSource, "description", "paper form")

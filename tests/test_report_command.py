@@ -6,8 +6,8 @@ import pytest
 from click.testing import CliRunner
 from report_content import campaign, loads, model
 
-from balance_cli.artefacts import Provenance, save_artefact
 from balance_cli.cli import balance
+from balance_cli.io.artefacts import Provenance, save_artefact
 
 MADE = Provenance("some-command", {}, (), {"numpy": "2.0"}, "2026-01-02T03:04:05+00:00")
 

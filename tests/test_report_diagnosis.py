@@ -9,7 +9,7 @@ from diagnosis_content import diagnosis, hold_out, support
 from report_content import artefact, campaign, model
 from test_report_page import read, texts
 
-from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, HoldOut, RunErrors
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, HoldOut, RunErrors
 from balance_cli.report.blocks import Details, Section, Table
 from balance_cli.report.diagnosis import section
 from balance_cli.report.diagnosis_errors import pooled

@@ -11,7 +11,8 @@ from test_calibrate import loading, static_run
 from test_report_diagnosis import row_of, tables
 from test_report_page import read, texts
 
-from balance_cli.calibrate import calibrate
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.report import gage_figures
 from balance_cli.report.blocks import Details, pictures
 from balance_cli.report.calibration import section
@@ -21,8 +22,7 @@ from balance_cli.report.gage_tables import ALONE, channel_table, check_table, cu
 from balance_cli.report.numbers import percent, significant, with_sigma
 from balance_cli.report.page import page
 from balance_cli.report.sources import Sources, sources
-from balance_cli.run_files import open_run
-from balance_cli.runs import MemorySource
+from balance_cli.steps.calibrate import calibrate
 
 SAMPLES = Path(__file__).parents[1] / "sample_data"
 FULL_RANGE = np.array([800.0, 800.0, 3725.0, 400.0, 400.0, 450.0])

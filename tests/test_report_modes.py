@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from report_content import model
 
-from balance_cli.identified import IdentifiedModel, ModeTable
+from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable
 from balance_cli.report.frequencies import deviation, matched, modal_assurance, shaft_mode
 
 

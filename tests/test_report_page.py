@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from report_content import artefact, campaign, loads, model
 
-from balance_cli.artefacts import Artefact
-from balance_cli.geometry import DeclaredEffect
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.io.artefacts import Artefact
 from balance_cli.report.check_errors import Error, harmonic_errors, overall_error, pooled_errors
 from balance_cli.report.check_runs import section
 from balance_cli.report.page import page

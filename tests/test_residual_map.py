@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
-from balance_cli.diagnosed import ResidualMap
 from balance_cli.diagnosis.residual_map import location, residual_map
+from balance_cli.diagnosis.result import ResidualMap
 from balance_cli.estimation.likelihood import data_chi2
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
 from balance_cli.model.balance import balance_model
 from balance_cli.signals.lines import StaticPoints
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.spectra import measured_spectra
 
 RIG = two_degrees_of_freedom()
 PLAN = {"period": 4.0, "periods": 9, "band": (2.0, 120.0)}

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from balance_cli.components import COMPONENTS, EXCITATIONS, UNITS
-from balance_cli.errors import UserError
-from balance_cli.geometry_file import load_geometry
-from balance_cli.run_files import open_run, open_runs, read_run, write_run
-from balance_cli.runs import MemorySource, Run, read_channels, run_digest
+from balance_cli.campaign.recording.run import MemorySource, Run, read_channels, run_digest
+from balance_cli.campaign.recording.run_file import open_run, open_runs, read_run, write_run
+from balance_cli.campaign.rig.components import COMPONENTS, EXCITATIONS, UNITS
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.io.errors import UserError
 
 ROOT = Path(__file__).parents[1]
 SAMPLES = sorted((ROOT / "sample_data").glob("*.h5"))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from balance_cli.runs import MemorySource, Run
+from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.signals.azimuth import azimuth_from_pulses
 from balance_cli.signals.settling import settling
 

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from balance_cli.artefacts import load_artefact
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.recording.run_file import open_run, write_run
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict
 from balance_cli.cli import balance
-from balance_cli.diagnose import diagnose
-from balance_cli.diagnosed import EXPLAINED, NOTHING_MISSING
-from balance_cli.diagnosis.candidates import candidate_at
-from balance_cli.diagnosis.score import scores
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING
+from balance_cli.diagnosis.search.candidates import candidate_at
+from balance_cli.diagnosis.search.score import scores
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
-from balance_cli.geometry_file import geometry_from_dict
-from balance_cli.identified import IdentifiedModel
-from balance_cli.identify import identified_effects, identify
+from balance_cli.io.artefacts import load_artefact
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import add_effects
-from balance_cli.run_files import open_run, write_run
-from balance_cli.runs import MemorySource
-from balance_cli.spectra import measured_spectra
+from balance_cli.steps.diagnose import diagnose
+from balance_cli.steps.identify import identified_effects, identify
 
 PROJECT = Path(__file__).parents[1]
 CSV = PROJECT.parent / "shared" / "measured" / "silverbox" / "SNLS80mV.csv"

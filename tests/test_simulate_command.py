@@ -9,8 +9,8 @@ import yaml
 from click.testing import CliRunner
 from simulation_rig import GEOMETRY, RIG
 
+from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.cli import balance
-from balance_cli.run_files import open_run
 from balance_cli.simulation import draw_rig, simulate_campaign
 from balance_cli.simulation.extensions.library import extension
 from balance_cli.simulation.files import read_plan

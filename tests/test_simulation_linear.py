@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 from simulation_rig import GEOMETRY, rig_geometry
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 from balance_cli.simulation import (
     NO_NOISE,
     Noise,

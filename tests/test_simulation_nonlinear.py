@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from simulation_rig import GEOMETRY, rig_geometry
 
-from balance_cli.errors import UserError
-from balance_cli.geometry import DeclaredEffect
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.io.errors import UserError
 from balance_cli.simulation import (
     NO_NOISE,
     CampaignPlan,
@@ -17,7 +17,8 @@ from balance_cli.simulation import (
     true_rig,
 )
 from balance_cli.simulation.assembly import equations_of_motion
-from balance_cli.simulation.extensions.library import apply_effects, extension
+from balance_cli.simulation.extensions.library import extension
+from balance_cli.simulation.rig import apply_effects
 
 Z1 = 3
 OPEN = rig_geometry(acquisition={})

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from simulation_rig import GEOMETRY
 
-from balance_cli.components import COMPONENTS
-from balance_cli.errors import UserError
-from balance_cli.geometry import DeclaredEffect
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.io.errors import UserError
 from balance_cli.simulation import (
     NO_NOISE,
     Noise,
@@ -17,7 +17,8 @@ from balance_cli.simulation import (
     simulate_run,
     true_rig,
 )
-from balance_cli.simulation.extensions.library import apply_effects, extension
+from balance_cli.simulation.extensions.library import extension
+from balance_cli.simulation.rig import apply_effects
 
 SWEEP = SweepPlan(run="s", excited=("Fy",), level=(30.0,), period=1.0, periods=6)
 STATIC = StaticPlan(run="t", largest={"Fx": 800.0, "Fz": 3500.0}, steps=2)

@@ -5,13 +5,14 @@ import pytest
 from scipy.linalg import eigh
 from simulation_rig import GEOMETRY, rig_geometry
 
-from balance_cli.errors import UserError
-from balance_cli.geometry import Body, Cell
+from balance_cli.campaign.rig.geometry import Body, Cell
+from balance_cli.io.errors import UserError
 from balance_cli.simulation import NO_NOISE, RotorPlan, SweepPlan, simulate_run, true_rig
 from balance_cli.simulation.assembly import equations_of_motion
-from balance_cli.simulation.extensions.library import apply_effects, extension
+from balance_cli.simulation.extensions.library import extension
 from balance_cli.simulation.mechanics import displacement_rows
 from balance_cli.simulation.response import state_matrix
+from balance_cli.simulation.rig import apply_effects
 
 UNDAMPED = rig_geometry(damping_ratio=0.0)
 LIFT = rig_geometry(freedom=("z",), acquisition={})

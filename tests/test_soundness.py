@@ -10,11 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from balance_cli.channel_health import live_channels
-from balance_cli.errors import UserError
-from balance_cli.kalman.soundness import JOINED, LARGEST_SHARE, LONGEST_GAP, RECOVERY, Soundness, sound_stretches
-from balance_cli.kalman.stretches import Stretch
-from balance_cli.runs import MemorySource, Run
+from balance_cli.campaign.recording.channel_health import live_channels
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.kalman.soundness import (
+    JOINED,
+    LARGEST_SHARE,
+    LONGEST_GAP,
+    RECOVERY,
+    Soundness,
+    sound_stretches,
+)
+from balance_cli.reduction.kalman.stretches import Stretch
 from tests.simulation_rig import rig_geometry
 
 RATE = 400.0

@@ -7,10 +7,10 @@ import pytest
 from effect_checks import RIG, SPIN, model_with
 from rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
-from balance_cli.effects import EFFECTS
-from balance_cli.errors import UserError
-from balance_cli.geometry import Acquisition, AnalogueFilter, DeclaredEffect
+from balance_cli.campaign.rig.geometry import Acquisition, AnalogueFilter, DeclaredEffect
+from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
+from balance_cli.model.effects import EFFECTS
 from balance_cli.model.realisation import Realisation, modal_form
 from balance_cli.model.relaxation import BAND, hysteretic, relaxation_chain
 from balance_cli.model.state_space import realisation_error, state_space, with_anti_alias

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from rigs import rotor_balance
 
-from balance_cli.errors import UserError
-from balance_cli.runs import MemorySource, Run
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.io.errors import UserError
 from balance_cli.signals.static_noise import second_differences, static_points
 from balance_cli.simulation import CampaignPlan, Noise, simulate_campaign, true_rig
 from balance_cli.simulation.plans import statics

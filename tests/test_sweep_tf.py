@@ -10,11 +10,11 @@ from click.testing import CliRunner
 from rigs import rotor_balance
 from swept_rig import SweptRig, relative_error
 
-from balance_cli.artefacts import load_artefact
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.rig.geometry import Channel
 from balance_cli.cli import balance
-from balance_cli.errors import UserError
-from balance_cli.geometry import Channel
-from balance_cli.runs import MemorySource
+from balance_cli.io.artefacts import load_artefact
+from balance_cli.io.errors import UserError
 from balance_cli.signals.periodic import periodic_record
 from balance_cli.signals.transfer import (
     Transfer,
@@ -24,7 +24,7 @@ from balance_cli.signals.transfer import (
     one_component,
     relative_sigma,
 )
-from balance_cli.sweep_tf import ESTIMATORS, estimate_responses
+from balance_cli.steps.sweep_tf import ESTIMATORS, estimate_responses
 
 ROOT = Path(__file__).parents[1]
 RIG = SweptRig()

@@ -17,18 +17,18 @@ from test_report_page import texts
 from test_run_files import a_run
 
 from balance_cli.__main__ import balance
-from balance_cli.attitude import gravity_directions, stretches
-from balance_cli.calibrate import calibrate
 from balance_cli.calibration.fit import LoadPoints
 from balance_cli.calibration.suspects import examined
 from balance_cli.calibration.tares import examined_with_tares, weight_loads
 from balance_cli.calibration.terms import columns
 from balance_cli.calibration.whole import gage_calibration
-from balance_cli.errors import UserError
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.recording.run_file import open_run, read_run, write_run
+from balance_cli.campaign.rig.attitude import gravity_directions, stretches
+from balance_cli.io.errors import UserError
 from balance_cli.report.calibration import section
 from balance_cli.report.sources import sources
-from balance_cli.run_files import open_run, read_run, write_run
-from balance_cli.runs import MemorySource, Run
+from balance_cli.steps.calibrate import calibrate
 
 SIX = np.array([[0.0, 0.0], [0.0, 30.0], [0.0, -30.0], [20.0, 0.0], [-20.0, 0.0], [15.0, 90.0]])
 W, R = 200.0, np.array([0.02, -0.05, 0.12])

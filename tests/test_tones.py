@@ -7,7 +7,7 @@ import pytest
 from rigs import rotor_balance
 from swept_rig import SweptRig
 
-from balance_cli.runs import MemorySource
+from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.signals.local_lines import local_lines
 from balance_cli.signals.local_models import local_models, record_spectrum
 from balance_cli.signals.local_response import response_of

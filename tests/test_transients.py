@@ -7,11 +7,11 @@ import pytest
 from rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 from scipy.linalg import expm
 
+from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.estimation.likelihood import data_chi2, data_curvature, fitted
+from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.transients import transient_columns
-from balance_cli.geometry import DeclaredEffect
-from balance_cli.identify import IdentifyOptions, identify
 from balance_cli.model.balance import balance_model
 from balance_cli.model.free_motion import divided_differences, free_motion
 from balance_cli.model.parameters import declared_parameters
@@ -20,9 +20,9 @@ from balance_cli.model.system import solve
 from balance_cli.signals.lines import Window
 from balance_cli.signals.periodic import periodic_record
 from balance_cli.simulation import SweepPlan, draw_rig, simulate_campaign, simulate_run, true_rig
-from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.plans import CampaignPlan, short_plan, standard_plan
-from balance_cli.spectra import Spectra, measured_spectra
+from balance_cli.simulation.rig import apply_effects
+from balance_cli.steps.identify import IdentifyOptions, identify
 from studies.truth import response_errors, true_parameters
 
 RATE = 800.0

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from balance_cli.effects import EFFECTS, Effect, EffectParameter, Where
-from balance_cli.geometry import Geometry
-from balance_cli.geometry_file import load_geometry
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.model.effects import EFFECTS, Effect, EffectParameter, Where
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "effects"

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from balance_cli.geometry_file import geometry_from_dict, save_geometry
-from balance_cli.run_files import write_run
-from balance_cli.runs import MemorySource, Run
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict, save_geometry
 
 RATE = 1e7 / 2**14
 MULTISINES = slice(40649, 127400)

@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.artefacts import load_artefact
-from balance_cli.identified import IdentifiedModel
-from balance_cli.run_files import open_run
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.io.artefacts import load_artefact
 from balance_cli.simulation import TrueRig, true_rig
 from balance_cli.simulation.assembly import equations_of_motion
-from balance_cli.simulation.extensions.library import apply_effects
 from balance_cli.simulation.motion import Motion, nonlinear_forces
+from balance_cli.simulation.rig import apply_effects
 
 Array = NDArray[np.float64]
 

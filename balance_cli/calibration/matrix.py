@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.gage_model import GageModel
 from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms
-from balance_cli.components import UNIT_OF
+from balance_cli.campaign.rig.components import UNIT_OF
 
 Array = NDArray[np.float64]
 

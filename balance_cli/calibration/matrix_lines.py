@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.matrix_text import FOR_READING, FORMAT
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 

@@ -27,8 +27,8 @@ from balance_cli.calibration.matrix_text import (
     ZERO,
 )
 from balance_cli.calibration.terms import Term, all_terms
-from balance_cli.components import COMPONENTS, UNIT_OF
-from balance_cli.errors import UserError
+from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from balance_cli.calibration.matrix import Matrix, term_unit
 from balance_cli.calibration.terms import all_terms
-from balance_cli.components import UNIT_OF
+from balance_cli.campaign.rig.components import UNIT_OF
 
 FORMAT = "balance-matrix/1"
 FOR_READING = f"{FORMAT} for reading"

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, stats
 
-from balance_cli.attitude import STEADY
 from balance_cli.calibration.fit import GageFit, LoadPoints
 from balance_cli.calibration.suspects import Examined, examined
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.attitude import STEADY
+from balance_cli.campaign.rig.components import COMPONENTS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

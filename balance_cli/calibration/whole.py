@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from balance_cli.attitude import gravity_directions
 from balance_cli.calibration.convergence import MARGIN
 from balance_cli.calibration.direct import DirectModel, direct_model
 from balance_cli.calibration.fit import LoadPoints
@@ -17,8 +16,9 @@ from balance_cli.calibration.gage_model import CONFIDENCE, GageModel
 from balance_cli.calibration.noise import APPLIED, NoiseParts, noise_parts
 from balance_cli.calibration.suspects import BadSequence, Outlier, exchanged
 from balance_cli.calibration.tares import Tares, examined_with_tares
-from balance_cli.components import COMPONENTS
-from balance_cli.runs import Run, read_channels
+from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.campaign.rig.attitude import gravity_directions
+from balance_cli.campaign.rig.components import COMPONENTS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

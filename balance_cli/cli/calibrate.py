@@ -16,12 +16,12 @@ from balance_cli.cli.common import (
     skip_bad_option,
 )
 from balance_cli.cli.options import InputFile, OutputFile, hold_out_option
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.calibrated import Calibration, TrimCalibration
-    from balance_cli.geometry import Geometry
-    from balance_cli.runs import Run
+    from balance_cli.calibration.result import Calibration, TrimCalibration
+    from balance_cli.campaign.recording.run import Run
+    from balance_cli.campaign.rig.geometry import Geometry
 
 FORMAT = "balance-calibration/1"
 
@@ -121,7 +121,7 @@ def _from_runs(
     skip_bad: bool,
 ) -> Calibration:
     """The calibration of runs; `model`: how terms are chosen, and whether the direct model is wanted."""
-    from balance_cli.calibrate import calibrate
+    from balance_cli.steps.calibrate import calibrate
 
     opened = session.runs(runs, rig, skip_bad)
     held = session.runs(hold_out, rig, skip_bad, role="hold-out", apart_from=opened)
@@ -135,7 +135,7 @@ def _from_runs(
 def _from_matrix(
     session: Session, rig: Geometry, path: Path, hold_out: tuple[Path, ...], skip_bad: bool
 ) -> Calibration:
-    from balance_cli.stated_calibration import stated_calibration
+    from balance_cli.steps.calibration_from_matrix import stated_calibration
 
     stated = session.matrix(path)
     held = session.runs(hold_out, rig, skip_bad, role="hold-out")

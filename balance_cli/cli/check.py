@@ -11,7 +11,7 @@ import click
 
 from balance_cli.cli.common import InputFile, Session, balance_command
 from balance_cli.cli.errors import USER_FAULT
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
     from balance_cli.cli.examine import Finding

@@ -9,7 +9,7 @@ A command reads, does one step, writes, and says what happened:
     @output_option("CAL")
     def command(session, geometry, runs, skip_bad, output):      # the group looks for this name
         '''One line for the list of commands.'''
-        from balance_cli.calibrate import calibrate
+        from balance_cli.steps.calibrate import calibrate
 
         rig = session.geometry(geometry)
         records = session.runs(runs, rig, skip_bad)
@@ -50,14 +50,14 @@ from balance_cli.cli.options import (
     skip_bad_option,
     verbose_option,
 )
-from balance_cli.errors import UserError
-from balance_cli.files import Staged, writing
+from balance_cli.io.atomic import Staged, writing
+from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.artefacts import Artefact, Provenance
     from balance_cli.calibration.matrix_reader import StatedMatrix
-    from balance_cli.geometry import Geometry
-    from balance_cli.runs import Run
+    from balance_cli.campaign.recording.run import Run
+    from balance_cli.campaign.rig.geometry import Geometry
+    from balance_cli.io.artefacts import Artefact, Provenance
 
 __all__ = [
     "InputFile",
@@ -92,7 +92,7 @@ class Session:
 
     def geometry(self, path: Path) -> Geometry:
         """Read a geometry, and remember it as an input."""
-        from balance_cli.geometry_file import geometry_digest, load_geometry
+        from balance_cli.campaign.rig.geometry_file import geometry_digest, load_geometry
 
         geometry = load_geometry(path)
         self._inputs.append((geometry.name, "geometry", geometry_digest(geometry)))
@@ -107,7 +107,7 @@ class Session:
         apart_from: Iterable[Run] = (),
     ) -> tuple[Run, ...]:
         """Open run files of this rig, and remember them as inputs in this role; UserError if one is in `apart_from`."""
-        from balance_cli.run_files import open_runs
+        from balance_cli.campaign.recording.run_file import open_runs
 
         runs, skipped = open_runs(tuple(paths), geometry, skip_bad)
         for path, reason in skipped.items():
@@ -122,7 +122,7 @@ class Session:
 
     def artefact(self, path: Path, types: Mapping[str, type[Any]], role: str = "artefact") -> Artefact:
         """Read an artefact of one of the formats in `types`, and remember it as an input."""
-        from balance_cli.artefacts import load_artefact
+        from balance_cli.io.artefacts import load_artefact
 
         artefact = load_artefact(path, types)
         self._inputs.append((path.name, role, artefact.digest))
@@ -130,7 +130,7 @@ class Session:
 
     def matrix(self, path: Path) -> StatedMatrix:
         """Read a matrix, and remember it as an input."""
-        from balance_cli.matrix_file import load_matrix
+        from balance_cli.calibration.matrix_file import load_matrix
 
         stated, digest = load_matrix(path)
         self._inputs.append((path.name, "matrix", digest))
@@ -147,14 +147,14 @@ class Session:
 
     def provenance(self) -> Provenance:
         """Command, options that differ from their defaults, inputs read so far, versions, time."""
-        from balance_cli.artefacts import Input, provenance_now
+        from balance_cli.io.artefacts import Input, provenance_now
 
         inputs = tuple(Input(*entry) for entry in self._inputs)
         return provenance_now(self._context.info_name or "", settings_of(self._context), inputs)
 
     def save(self, path: Path, format: str, content: Any) -> None:
         """Prepare an artefact of this format at `path`, with the provenance of all that was read so far."""
-        from balance_cli.artefacts import save_artefact
+        from balance_cli.io.artefacts import save_artefact
 
         save_artefact(self.stage(path), format, content, self.provenance())
 

@@ -18,13 +18,13 @@ from balance_cli.cli.common import (
     skip_bad_option,
 )
 from balance_cli.cli.options import hold_out_option
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.diagnosed import Diagnosis, HoldOut
-    from balance_cli.identified import IdentifiedModel
-    from balance_cli.runs import Run
-    from balance_cli.spectra import Spectra
+    from balance_cli.campaign.recording.run import Run
+    from balance_cli.diagnosis.result import Diagnosis, HoldOut
+    from balance_cli.estimation.identified_model import IdentifiedModel
+    from balance_cli.estimation.measured_spectra import Spectra
 
 FORMAT = "balance-diagnosis/1"
 MODEL_FORMAT = "balance-model/1"
@@ -59,8 +59,8 @@ def command(
     closed model is one like it.
     """
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text
-    from balance_cli.diagnosed import NOTHING_MISSING
-    from balance_cli.spectra import measured_spectra
+    from balance_cli.diagnosis.result import NOTHING_MISSING
+    from balance_cli.estimation.measured_spectra import measured_spectra
 
     before = _model(session, model)
     records = session.runs(runs, before.geometry, skip_bad)
@@ -80,7 +80,7 @@ def command(
 
 def _model(session: Session, path: Path) -> IdentifiedModel:
     """The model to begin with; UserError for the paper's form, which has no place for an effect."""
-    from balance_cli.identified import IdentifiedModel
+    from balance_cli.estimation.identified_model import IdentifiedModel
 
     model: IdentifiedModel = session.artefact(path, {MODEL_FORMAT: IdentifiedModel}, "model").content
     if model.form == "paper":
@@ -91,7 +91,7 @@ def _model(session: Session, path: Path) -> IdentifiedModel:
 
 def _that_serve(session: Session, held: tuple[Run, ...], skip_bad: bool) -> tuple[Run, ...]:
     """The hold-out runs that have something to compare with: said before the long fit, not after it."""
-    from balance_cli.hold_out import check_serves
+    from balance_cli.steps.hold_out import check_serves
 
     serving = []
     for run in held:
@@ -121,7 +121,7 @@ def _warn_of_hold_out(session: Session, before: IdentifiedModel, held: tuple[Run
 
 def _closed(before: IdentifiedModel, spectra: Spectra) -> tuple[Diagnosis, IdentifiedModel]:
     from balance_cli.cli.progress import share_bar
-    from balance_cli.diagnose import diagnose
+    from balance_cli.steps.diagnose import diagnose
 
     with share_bar() as progress:
         return diagnose(before, spectra, progress)
@@ -130,7 +130,7 @@ def _closed(before: IdentifiedModel, spectra: Spectra) -> tuple[Diagnosis, Ident
 def _errors(
     session: Session, held: tuple[Run, ...], before: IdentifiedModel, after: IdentifiedModel, skip_bad: bool
 ) -> dict[str, HoldOut]:
-    from balance_cli.hold_out import hold_out_errors
+    from balance_cli.steps.hold_out import hold_out_errors
 
     errors = {}
     for run in session.progress(held, "hold-out runs", len(held)):

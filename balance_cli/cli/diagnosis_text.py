@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli.model_summary import effect_summary, modes_summary, parameters_summary
-from balance_cli.components import COMPONENTS
-from balance_cli.diagnosed import MEANING, Diagnosis
+from balance_cli.diagnosis.result import MEANING, Diagnosis
 
 if TYPE_CHECKING:
-    from balance_cli.diagnosed import FoundEffect, HoldOut, RunErrors
-    from balance_cli.identified import IdentifiedModel
+    from balance_cli.diagnosis.result import FoundEffect, HoldOut, RunErrors
+    from balance_cli.estimation.identified_model import IdentifiedModel
 
 DESCRIBES = 1.2
 """Largest chi2/dof of a model that describes its data."""

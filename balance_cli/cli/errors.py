@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 USER_FAULT = 2
 OUR_FAULT = 1

@@ -6,17 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from balance_cli.artefacts import FORMATS, Stored, read_stored
 from balance_cli.calibration.matrix_text import FORMAT as MATRIX_FORMAT
-from balance_cli.channel_health import channel_faults, live_channels
-from balance_cli.errors import UserError
-from balance_cli.geometry import FORMAT as GEOMETRY_FORMAT
-from balance_cli.geometry import Geometry
-from balance_cli.geometry_file import geometry_digest, read_geometry
-from balance_cli.recognise import require_file, stored_format, what_is
-from balance_cli.run_checks import FORMAT as RUN_FORMAT
-from balance_cli.run_files import mismatches, read_run
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.recording.run_file import mismatches, read_run
+from balance_cli.campaign.recording.run_schema import FORMAT as RUN_FORMAT
+from balance_cli.campaign.rig.geometry import FORMAT as GEOMETRY_FORMAT
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import geometry_digest, read_geometry
+from balance_cli.io.artefacts import FORMATS, Stored, read_stored
+from balance_cli.io.errors import UserError
+from balance_cli.io.sniff import require_file, stored_format, what_is
 
 LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
 
@@ -141,8 +141,8 @@ def _geometry_within(stored: Stored) -> Geometry | None:
 
 
 def _matrix(path: Path, geometry: Geometry | None) -> Finding:
-    from balance_cli.matrix_file import load_matrix
-    from balance_cli.stated_calibration import stated_calibration
+    from balance_cli.calibration.matrix_file import load_matrix
+    from balance_cli.steps.calibration_from_matrix import stated_calibration
 
     try:
         stated, digest = load_matrix(path)

@@ -20,7 +20,7 @@ from balance_cli.cli.model_summary import effect_summary, modes_summary, paramet
 from balance_cli.cli.options import InputFile
 
 if TYPE_CHECKING:
-    from balance_cli.identified import IdentifiedModel
+    from balance_cli.estimation.identified_model import IdentifiedModel
 
 FORMAT = "balance-model/1"
 METHODS = ("ls", "ml", "ls+ml", "computed")
@@ -82,9 +82,9 @@ def command(
 
     Runs of other kinds are left out and named. With --method computed no run is needed: the model is the geometry.
     """
-    from balance_cli.identify import IdentifyOptions, identify
+    from balance_cli.estimation.measured_spectra import measured_spectra
     from balance_cli.model.placed_effects import add_effects, check_effects
-    from balance_cli.spectra import measured_spectra
+    from balance_cli.steps.identify import IdentifyOptions, identify
 
     rig = session.geometry(geometry)
     check_effects(rig, str(geometry))
@@ -101,7 +101,7 @@ def command(
 
 def model_summary(model: IdentifiedModel) -> dict[str, Any]:
     """The fixed keys of the contract, and what else tells how good the fit is."""
-    from balance_cli.identify import identified_effects
+    from balance_cli.steps.identify import identified_effects
 
     quality = model.quality
     return {
@@ -123,7 +123,7 @@ def model_summary(model: IdentifiedModel) -> dict[str, Any]:
 
 def model_text(model: IdentifiedModel) -> Iterator[str]:
     """What a user wants to know at once: modes, quality of the fit, what the data left open."""
-    from balance_cli.identify import identified_effects
+    from balance_cli.steps.identify import identified_effects
 
     quality, modes = model.quality, model.modes
     yield f"{model.form} form, {model.method}, {model.iterations} iterations from {model.start}"

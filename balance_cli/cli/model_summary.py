@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from balance_cli.diagnosed import FoundEffect
-    from balance_cli.identified import ModeTable, ParameterTable
+    from balance_cli.diagnosis.result import FoundEffect
+    from balance_cli.estimation.identified_model import ModeTable, ParameterTable
     from balance_cli.model.fitted_effects import FittedEffect
 
 

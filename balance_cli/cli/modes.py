@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 from balance_cli.cli.common import Session, balance_command, geometry_option
 
 if TYPE_CHECKING:
-    from balance_cli.modes import ComputedModes
+    from balance_cli.steps.modes import ComputedModes
 
 
 @balance_command("modes")
 @geometry_option
 def command(session: Session, geometry: Path) -> None:
     """Computed eigenfrequencies, shapes, their sensitivity to each stiffness."""
-    from balance_cli.modes import computed_modes
+    from balance_cli.steps.modes import computed_modes
 
     rig = session.geometry(geometry)
     computed = computed_modes(rig)

@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 
 import click
 
-from balance_cli.errors import UserError
-from balance_cli.files import check_output, check_output_folder
+from balance_cli.io.atomic import check_output, check_output_folder
+from balance_cli.io.errors import UserError
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -10,14 +10,14 @@ import click
 from balance_cli.cli.common import Session, balance_command, output_option, skip_bad_option
 from balance_cli.cli.options import InputFile, OutputFolder
 from balance_cli.cli.reduce_runs import LOADS_AS, METHODS, Method, Reduction, no_state_space
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.calibrated import Calibration
-    from balance_cli.hub_loads import Loads, RunLoads
-    from balance_cli.responses import ResponseSource
-    from balance_cli.runs import Run
-    from balance_cli.steady_loads import ZeroRecord
+    from balance_cli.calibration.result import Calibration
+    from balance_cli.campaign.recording.run import Run
+    from balance_cli.reduction.mean_loads import ZeroRecord
+    from balance_cli.reduction.response_sources import ResponseSource
+    from balance_cli.reduction.result import Loads, RunLoads
 
 FORMAT = "balance-loads/1"
 INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
@@ -88,9 +88,9 @@ def command(
     For loads that change in time, --method kalman and --method smoother estimate them sample by sample from all
     channels through a model of the physical form; --history writes them, the table holds their harmonics.
     """
-    from balance_cli.calibrated import Calibration
+    from balance_cli.calibration.result import Calibration
     from balance_cli.cli.reduce_text import summary, text
-    from balance_cli.hub_loads import Loads
+    from balance_cli.reduction.result import Loads
 
     _check_call(model, transfer, static, output)
     how = Method(method, loads_as if _asked("loads_as") else None, lag, harmonics)
@@ -133,10 +133,10 @@ def _source(
     session: Session, calibration: Calibration, model: Path | None, transfer: Path | None, interpolation: str
 ) -> ResponseSource:
     """The response that was asked for. UserError where its geometry is not that of the calibration."""
-    from balance_cli import responses
+    from balance_cli.reduction import response_sources as responses
 
     if model is not None:
-        from balance_cli.identified import IdentifiedModel
+        from balance_cli.estimation.identified_model import IdentifiedModel
 
         identified: IdentifiedModel = session.artefact(model, {"balance-model/1": IdentifiedModel}, "model").content
         _check_geometry(identified.geometry, calibration, model)
@@ -151,14 +151,14 @@ def _source(
 
 
 def _check_source(method: Method, source: ResponseSource, model: Path | None) -> None:
-    from balance_cli.responses import ModelSource
+    from balance_cli.reduction.response_sources import ModelSource
 
     if method.in_time and not isinstance(source, ModelSource):
         raise no_state_space(method.name, str(model))
 
 
 def _check_geometry(geometry: Any, calibration: Calibration, path: Path) -> None:
-    from balance_cli.geometry_file import geometry_digest
+    from balance_cli.campaign.rig.geometry_file import geometry_digest
 
     bare, other = (item.model_copy(update={"effects": ()}) for item in (geometry, calibration.geometry))
     if geometry_digest(bare) != geometry_digest(other):
@@ -171,8 +171,8 @@ def _check_geometry(geometry: Any, calibration: Calibration, path: Path) -> None
 
 
 def _zero(session: Session, calibration: Calibration, path: Path | None, records: tuple[Run, ...]) -> ZeroRecord | None:
-    from balance_cli.channel_health import live_channels
-    from balance_cli.steady_loads import zero_record
+    from balance_cli.campaign.recording.channel_health import live_channels
+    from balance_cli.reduction.mean_loads import zero_record
 
     zeros = [run for run in records if run.kind == "zero"]
     if path is not None:
@@ -204,6 +204,6 @@ def _write(session: Session, output: Path, loads: Loads) -> None:
     if output.suffix == ".h5":
         session.save(output, FORMAT, loads)
         return
-    from balance_cli.hub_loads import load_table
+    from balance_cli.reduction.result import load_table
 
     load_table(loads).to_csv(session.stage(output), index=False)

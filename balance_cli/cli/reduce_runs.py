@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from balance_cli.cli.common import Session
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.calibrated import Calibration
-    from balance_cli.history import HistoryFile
-    from balance_cli.hub_loads import RunLoads
-    from balance_cli.loads_in_time import History
-    from balance_cli.reduce_in_time import TimeOptions, TimeReduction
-    from balance_cli.responses import ModelSource, ResponseSource
-    from balance_cli.runs import Run
-    from balance_cli.steady_loads import ZeroRecord
+    from balance_cli.calibration.result import Calibration
+    from balance_cli.campaign.recording.run import Run
+    from balance_cli.reduction.history_file import HistoryFile
+    from balance_cli.reduction.kalman.load_history import History
+    from balance_cli.reduction.mean_loads import ZeroRecord
+    from balance_cli.reduction.response_sources import ModelSource, ResponseSource
+    from balance_cli.reduction.result import RunLoads
+    from balance_cli.steps.reduce_in_time import TimeOptions, TimeReduction
 
 METHODS = ("harmonic", "kalman", "smoother")
 LOADS_AS = ("harmonics", "random", "free")
@@ -56,7 +56,7 @@ class Method:
 
     def options(self) -> TimeOptions:
         """Those of the step."""
-        from balance_cli.reduce_in_time import TimeOptions
+        from balance_cli.steps.reduce_in_time import TimeOptions
 
         known = TimeOptions(self.name == "smoother", self.loads_as or LOADS_AS[0], harmonics=self.harmonics)
         return known if self.lag is None else replace(known, lag=self.lag)
@@ -91,8 +91,8 @@ class Reduction:
             return self._in_time(run, history) if self.method.in_time else self._by_harmonics(run, history)
 
     def _by_harmonics(self, run: Run, history: _History) -> RunLoads:
-        from balance_cli.history import harmonic_blocks
-        from balance_cli.reduce import ReduceOptions, reduce_run
+        from balance_cli.reduction.history_file import harmonic_blocks
+        from balance_cli.steps.reduce import ReduceOptions, reduce_run
 
         options = ReduceOptions(self.method.harmonics)
         loads = reduce_run(run, self.calibration.geometry, self.calibration, self.source, self.zero, options)
@@ -102,7 +102,7 @@ class Reduction:
         return loads
 
     def _in_time(self, run: Run, history: _History) -> RunLoads:
-        from balance_cli.reduce_in_time import reduce_run_in_time
+        from balance_cli.steps.reduce_in_time import reduce_run_in_time
 
         options = self.method.options()
         found = reduce_run_in_time(
@@ -113,7 +113,7 @@ class Reduction:
         return _with_tests(found, options)
 
     def _model(self) -> ModelSource:
-        from balance_cli.responses import ModelSource
+        from balance_cli.reduction.response_sources import ModelSource
 
         if not isinstance(self.source, ModelSource):
             raise AssertionError("checked before the first run")
@@ -122,7 +122,7 @@ class Reduction:
 
 def _with_tests(found: TimeReduction, options: TimeOptions) -> RunLoads:
     """The loads, and beside them how they were found; a channel that was lost for a while only is not left out."""
-    from balance_cli.hub_loads import InTime
+    from balance_cli.reduction.result import InTime
 
     lag = None if options.smooth else options.lag
     how = InTime(options.loads, lag, found.innovations, found.track, found.noise, found.bridged)
@@ -155,7 +155,7 @@ class _History:
     @property
     def file(self) -> HistoryFile:
         """The file, made when first asked for."""
-        from balance_cli.history import HistoryFile
+        from balance_cli.reduction.history_file import HistoryFile
 
         if self._file is None:
             assert self._folder is not None

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from balance_cli.hub_loads import InTime, Loads, RunLoads
+    from balance_cli.reduction.result import InTime, Loads, RunLoads
 
 
 def summary(loads: Loads) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from balance_cli.cli.common import InputFile, OutputFile, Session, balance_command, output_option
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
     from balance_cli.report.page import Page

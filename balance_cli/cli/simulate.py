@@ -10,10 +10,10 @@ import click
 
 from balance_cli.cli.common import Session, balance_command, geometry_option
 from balance_cli.cli.options import OutputFolder
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.geometry import Geometry
+    from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.simulation import CampaignPlan, TrueRig
     from balance_cli.simulation.extensions.base import Extension
 
@@ -70,7 +70,7 @@ def command(
     from dataclasses import replace
 
     from balance_cli.simulation import Noise, simulated
-    from balance_cli.simulation.extensions.library import apply_effects
+    from balance_cli.simulation.rig import apply_effects
 
     if output.exists() and any(output.iterdir()):
         raise UserError("is not empty", str(output), remedy="Give a new or an empty folder")
@@ -87,7 +87,7 @@ def _written(
     session: Session, output: Path, rig: TrueRig, plan: CampaignPlan, pairs: Iterable[Any], about: dict[str, Any]
 ) -> dict[str, Any]:
     """Prepare all files; returns the summary."""
-    from balance_cli.run_files import write_run
+    from balance_cli.campaign.recording.run_file import write_run
     from balance_cli.simulation.files import described_rig, write_truth_arrays, write_truth_text
 
     truths, described = [], {}

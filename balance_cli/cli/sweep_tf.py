@@ -50,7 +50,7 @@ def command(
     output: Path,
 ) -> None:
     """Frequency responses of the sweeps, with covariance."""
-    from balance_cli.sweep_tf import estimate_responses
+    from balance_cli.steps.sweep_tf import estimate_responses
 
     rig = session.geometry(geometry)
     opened = session.runs(runs, rig, skip_bad)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosed import ResidualMap
+from balance_cli.diagnosis.result import ResidualMap
 from balance_cli.estimation.likelihood import exciter_response, fitted
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.quality import residual_variance

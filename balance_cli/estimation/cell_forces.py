@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.equations import CellForce
 from balance_cli.estimation.measurements import Batch
-from balance_cli.jets import Jet, constant
 from balance_cli.model.channel_gains import channel_gains, log_gain_slope
+from balance_cli.model.mechanics.dual_numbers import Jet, constant
+from balance_cli.model.mechanics.equations import CellForce
 from balance_cli.model.system import (
     Solution,
     SpringInputs,

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.run import MemorySource, Run, read_channels
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.cell_forces import forces_at
-from balance_cli.geometry import Geometry
 from balance_cli.model.system import System, solve
-from balance_cli.runs import MemorySource, Run, read_channels
 from balance_cli.signals.records import sample_rate
 from balance_cli.signals.waveforms import record_waveform
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.signals.lines import Lines, LoadPoints, NoisePart, StaticPoints, Waveform, Window
 from balance_cli.signals.noise import inverse_bias_factor

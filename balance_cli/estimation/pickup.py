@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.equations import Pickup
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.transients import Transient
+from balance_cli.model.mechanics.equations import Pickup
 from balance_cli.model.system import System
 from balance_cli.signals.lines import RecordWaveform, Waveform
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.identified_model import FitQuality, RunFit
 from balance_cli.estimation.likelihood import exciter_response, fitted
 from balance_cli.estimation.measurements import Batch
-from balance_cli.identified import FitQuality, RunFit
 from balance_cli.model.system import System, solve
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.signals.lines import Lines, LoadPoints, StaticPoints
 
 Array = NDArray[np.float64]

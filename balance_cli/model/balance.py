@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.geometry import Geometry
-from balance_cli.jets import Jet
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.mechanics.dual_numbers import Jet
 from balance_cli.model.parameters import ParameterSet, declared_parameters
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects, effect_parameters, with_effects
 from balance_cli.model.rigid import rigid_equations

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.equations import ChannelPath
+from balance_cli.model.mechanics.equations import ChannelPath
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import eigh
 
-from balance_cli.jets import Jet
+from balance_cli.model.mechanics.dual_numbers import Jet
 
 # Two eigenvalues closer than this (relative) are one: their vectors may be chosen freely in the common plane.
 DEGENERATE = 1e-9

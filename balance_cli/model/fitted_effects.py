@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from balance_cli.effects import EffectParameter, Where
-from balance_cli.geometry import DeclaredEffect, Geometry
+from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.model.effects import EffectParameter, Where
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects, effect_label
 
 

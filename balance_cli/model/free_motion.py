@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.equations import ChannelPath
 from balance_cli.model.channel_gains import channel_dynamics, log_gain_slope
+from balance_cli.model.mechanics.equations import ChannelPath
 from balance_cli.model.modes import eigenvalues, stiffened
 from balance_cli.model.system import System
 

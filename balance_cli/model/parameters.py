@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.geometry import Geometry
-from balance_cli.mass_properties import moving_part
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.mass_properties import moving_part
 from balance_cli.model.plate import cell_stiffness, free_index
 
 Array = NDArray[np.float64]

@@ -8,12 +8,12 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from balance_cli import effects as library
-from balance_cli.effects import Effect, EffectParameter, Where
-from balance_cli.equations import Equations
-from balance_cli.errors import UserError
-from balance_cli.geometry import DeclaredEffect, Geometry
-from balance_cli.jets import Jet
+from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.io.errors import UserError
+from balance_cli.model import effects as library
+from balance_cli.model.effects import Effect, EffectParameter, Where
+from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.equations import Equations
 from balance_cli.model.parameters import ParameterSet
 
 # More places than this are described in words.

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS, FREEDOMS
-from balance_cli.geometry import Geometry
-from balance_cli.jets import constant
-from balance_cli.kinematics import ROTATION_ORDER, elongation_matrix, motion_at
-from balance_cli.mass_properties import moving_part
+from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix, motion_at
+from balance_cli.campaign.rig.mass_properties import moving_part
 from balance_cli.model.damping import modal_damping
+from balance_cli.model.mechanics.dual_numbers import constant
 
 Array = NDArray[np.float64]
 

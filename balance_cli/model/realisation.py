@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, eigvals, ordqz
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.equations import SHAFT, TORQUE, ChannelPath, Equations
-from balance_cli.geometry import Channel, Geometry
-from balance_cli.jets import Jet, block_diagonal, concatenate, constant, stack
-from balance_cli.kinematics import ROTATION_ORDER, elongation_matrix
+from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix
 from balance_cli.model.damping import modal_damping
+from balance_cli.model.mechanics.dual_numbers import Jet, block_diagonal, concatenate, constant, stack
+from balance_cli.model.mechanics.equations import SHAFT, TORQUE, ChannelPath, Equations
 from balance_cli.model.parameters import INERTIA_NAMES
 from balance_cli.model.plate import free_index, load_matrix
 

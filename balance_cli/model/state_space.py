@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from balance_cli.equations import ChannelPath
-from balance_cli.geometry import Acquisition, AnalogueFilter
+from balance_cli.campaign.rig.geometry import Acquisition, AnalogueFilter
+from balance_cli.model.mechanics.equations import ChannelPath
 from balance_cli.model.realisation import Descriptor, Realisation, gain, modal_form, parallel, proper_part, series
 from balance_cli.model.relaxation import relaxation_chain
 from balance_cli.model.system import System, response, solve

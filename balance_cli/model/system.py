@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.equations import CellForce, ChannelPath, Equations, Pickup
-from balance_cli.jets import Jet
 from balance_cli.model.channel_gains import channel_gains, log_gain_slope, path_parameters
+from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.equations import CellForce, ChannelPath, Equations, Pickup
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

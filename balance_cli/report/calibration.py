@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibrated import Calibration, TrimCalibration
-from balance_cli.components import UNIT_OF
+from balance_cli.calibration.result import Calibration, TrimCalibration
+from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.report.blocks import Block, Cell, Details, Heading, Row, Section, Table, Text, Warn, named_row
 from balance_cli.report.gage_model import gage_blocks
 from balance_cli.report.numbers import SIGNIFICANT, significant, with_sigma

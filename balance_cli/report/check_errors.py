@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
-from balance_cli.hub_loads import Loads, RunLoads
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.reduction.result import Loads, RunLoads
 from balance_cli.report.sources import Source, Sources
 
 Array = NDArray[np.float64]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from balance_cli.components import COMPONENTS
-from balance_cli.hub_loads import Loads, RunLoads
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.reduction.result import Loads, RunLoads
 from balance_cli.report.blocks import Block, Cell, Details, Picture, Row, Section, Table, Text, group_row
 from balance_cli.report.check_errors import (
     KINDS,

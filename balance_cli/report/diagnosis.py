@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from balance_cli.diagnosed import (
-    EXPLAINED,
-    MEANING,
-    NOTHING_MISSING,
-    Diagnosis,
-    ModelFreeTest,
-    Trial,
-)
+from balance_cli.diagnosis.result import EXPLAINED, MEANING, NOTHING_MISSING, Diagnosis, ModelFreeTest, Trial
 from balance_cli.report.blocks import (
     Block,
     Cell,

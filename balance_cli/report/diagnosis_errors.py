@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from balance_cli.components import COMPONENTS
-from balance_cli.diagnosed import Diagnosis, HoldOut, RunErrors
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.diagnosis.result import Diagnosis, HoldOut, RunErrors
 from balance_cli.report.check_errors import Error, rms_error
 
 STAGES = ("before", "after")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 from numpy.typing import NDArray
 
-from balance_cli.diagnosed import Diagnosis, ResidualMap
+from balance_cli.diagnosis.result import Diagnosis, ResidualMap
 from balance_cli.report.check_errors import KINDS
 from balance_cli.report.check_figures import Bars, error_figure
 from balance_cli.report.diagnosis_errors import STAGES, pooled

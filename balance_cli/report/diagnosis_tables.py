@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from balance_cli.diagnosed import Diagnosis, FoundEffect, HoldOut
-from balance_cli.identified import ModeTable
+from balance_cli.diagnosis.result import Diagnosis, FoundEffect, HoldOut
+from balance_cli.estimation.identified_model import ModeTable
 from balance_cli.report.blocks import Cell, Row, Table, group_row
 from balance_cli.report.check_errors import KINDS, TITLES, Error
 from balance_cli.report.diagnosis_errors import STAGES, pooled, response_error, run_errors

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from balance_cli.equations import SHAFT
-from balance_cli.identified import IdentifiedModel, ModeTable
+from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable
+from balance_cli.model.mechanics.equations import SHAFT
 from balance_cli.report.blocks import Block, Cell, Details, Picture, Row, Section, Table, Text
 from balance_cli.report.drawing import new_figure, svg
 from balance_cli.report.numbers import MINUS, fixed, sentence, with_sigma

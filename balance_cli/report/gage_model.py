@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from matplotlib.figure import Figure
 
-from balance_cli.calibrated import Calibration
 from balance_cli.calibration.convergence import Contraction
 from balance_cli.calibration.direct import DirectModel
+from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.selection import LEVEL
 from balance_cli.calibration.suspects import BadSequence, Outlier
 from balance_cli.calibration.tares import Tares
 from balance_cli.calibration.whole import GageCalibration
-from balance_cli.components import UNIT_OF
+from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.report.blocks import Block, Details, Heading, Picture, Text, Warn
 from balance_cli.report.diagnosis_tables import PLUS_MINUS
 from balance_cli.report.drawing import svg

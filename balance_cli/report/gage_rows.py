@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibrated import Calibration
+from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.sequences import MOVED, described_sequence, loading_sequences
 from balance_cli.calibration.suspects import Outlier
 from balance_cli.calibration.whole import GageCalibration

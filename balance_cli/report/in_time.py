@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from balance_cli.hub_loads import InTime, Loads, RunLoads
-from balance_cli.loads_in_time import LoadTrack
+from balance_cli.reduction.kalman.load_history import LoadTrack
+from balance_cli.reduction.result import InTime, Loads, RunLoads
 from balance_cli.report.blocks import Block, Cell, Details, Heading, Picture, Row, Section, Table, Text, group_row
 from balance_cli.report.drawing import svg
 from balance_cli.report.numbers import NONE, fixed, significant

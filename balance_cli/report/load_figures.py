@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS, UNIT_OF
-from balance_cli.hub_loads import Loads, RunLoads
+from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.reduction.result import Loads, RunLoads
 from balance_cli.report.drawing import BLACK, BLUE, GREEN, MORE, ORANGE, VERMILION, decades, new_figure, plain_log
 from balance_cli.report.sources import Source
 

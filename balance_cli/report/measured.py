@@ -9,11 +9,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.spectra import channel_response
-from balance_cli.geometry import Channel, Geometry
-from balance_cli.identified import IdentifiedModel, identified_system
 from balance_cli.model.system import response, solve
 from balance_cli.signals.lines import Response
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from balance_cli.identified import IdentifiedModel
+from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.report.blocks import Block, Cell, Details, Heading, Points, Row, Section, Table, Text, Warn
 from balance_cli.report.frequencies import sigma_scale
 from balance_cli.report.numbers import fixed, percent, sentence, significant, with_sigma

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from balance_cli.components import UNIT_OF
+from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.report.drawing import BLACK, Look, new_figure, plain_log
 from balance_cli.report.measured import Curve, quotient
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from balance_cli.components import COMPONENTS
-from balance_cli.geometry import Geometry
-from balance_cli.identified import IdentifiedModel
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.report.blocks import Block, Cell, Details, Heading, Picture, Row, Section, Table, Text, group_row
 from balance_cli.report.drawing import svg
 from balance_cli.report.measured import (

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from balance_cli.artefacts import Artefact
-from balance_cli.calibrated import Calibration
-from balance_cli.diagnosed import Diagnosis
-from balance_cli.geometry import Geometry
-from balance_cli.hub_loads import Loads
-from balance_cli.identified import IdentifiedModel
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.result import Diagnosis
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.io.artefacts import Artefact
+from balance_cli.reduction.result import Loads
 from balance_cli.report.drawing import BLUE, DATA, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, Look
 from balance_cli.signals.transfer import Transfer
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from balance_cli.geometry import Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.report.blocks import Block, Figures, Points, Section, Warn
 from balance_cli.report.check_errors import checked, overall_error
 from balance_cli.report.diagnosis import verdict_words

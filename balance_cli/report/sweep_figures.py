@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.paper.spectra import channel_response
-from balance_cli.geometry import Geometry
 from balance_cli.report.drawing import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure
 from balance_cli.report.measured import best_channel, level, quotient
 from balance_cli.signals.lines import Response

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS, UNIT_OF
-from balance_cli.hub_loads import RunLoads
-from balance_cli.loads_in_time import LoadTrack
+from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.reduction.kalman.load_history import LoadTrack
+from balance_cli.reduction.result import RunLoads
 from balance_cli.report.drawing import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure
 from balance_cli.report.numbers import significant
 

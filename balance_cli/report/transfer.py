@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from balance_cli.components import COMPONENTS, UNIT_OF
+from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.report.blocks import Block, Cell, Picture, Row, Section, Table, Text, Warn
 from balance_cli.report.drawing import svg
 from balance_cli.report.measured import best_channel, error_band, force_response, level, relative_error, relative_noise

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from balance_cli.components import COMPONENTS, UNIT_OF
-from balance_cli.hub_loads import Loads, RunLoads
+from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.reduction.result import Loads, RunLoads
 from balance_cli.report.blocks import (
     Block,
     Cell,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from balance_cli.geometry import Acquisition
+from balance_cli.campaign.rig.geometry import Acquisition
 
 ComplexArray = NDArray[np.complex128]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.lines import Response
 from balance_cli.signals.local_models import LEAST_DISTINCT, distinctness, has_power
 from balance_cli.signals.local_response import coherences

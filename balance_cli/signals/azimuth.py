@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline

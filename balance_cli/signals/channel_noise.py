@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.geometry import Acquisition
-from balance_cli.runs import Run, read_channels
+from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.campaign.rig.geometry import Acquisition
 from balance_cli.signals.cross_spectra import MAIN_LOBE, cross_spectra, noise_of_channels
 
 Array = NDArray[np.float64]

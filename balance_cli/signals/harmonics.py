@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
-from balance_cli.errors import UserError
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.io.errors import UserError
 from balance_cli.signals.azimuth import Azimuth
 from balance_cli.signals.neighbour_lines import PooledNoise, line_offsets, pooled_noise, taper
 

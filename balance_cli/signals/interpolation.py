@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 from balance_cli.signals.lines import Response
 from balance_cli.signals.local_fit import LocalFit, Orders, Windows, fit_windows
 from balance_cli.signals.local_window import WindowFit, influence, pole_shift, response_rows, slope_rows, split

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.errors import UserError
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
+from balance_cli.io.errors import UserError
 from balance_cli.signals.lines import Lines, Response
 from balance_cli.signals.local_fit import Orders, Windows
 from balance_cli.signals.local_models import LocalModels, Spectrum, best_fits, sliding, stitched_response

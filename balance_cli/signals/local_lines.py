@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.lines import Lines
 from balance_cli.signals.local_models import LocalModels, local_models, record_spectrum
 from balance_cli.signals.local_window import design, influence, poles, response_rows

@@ -18,7 +18,7 @@ from math import log
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.local_fit import Orders, Windows, fit_windows
 from balance_cli.signals.local_noise import NoiseComponents, noise_components
 from balance_cli.signals.local_window import WindowFit, design, influence, response_rows, split

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.errors import UserError
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
+from balance_cli.io.errors import UserError
 from balance_cli.signals.lines import Lines, Window
 from balance_cli.signals.noise import (
     distances,

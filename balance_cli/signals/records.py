@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
-from balance_cli.errors import UserError
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.azimuth import Azimuth
 
 Array = NDArray[np.float64]

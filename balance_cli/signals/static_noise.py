@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.lines import NoisePart, StaticPoints
 from balance_cli.signals.records import fault, samples_of
 from balance_cli.signals.row_noise import row_noise

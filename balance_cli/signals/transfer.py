@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from balance_cli.components import COMPONENTS
-from balance_cli.errors import UserError
-from balance_cli.geometry import Geometry
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
 from balance_cli.signals.lines import Response
 
 

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.geometry import Channel, Geometry
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.signals.lines import Lines, RecordWaveform, StaticPoints, Waveform, hann_mean
 from balance_cli.signals.local_lines import local_lines

@@ -9,14 +9,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.geometry import Channel
-from balance_cli.runs import MemorySource, Run, run_digest
+from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
+from balance_cli.campaign.rig.geometry import Channel
 from balance_cli.simulation.extensions.base import Signals
+from balance_cli.simulation.filters import anti_alias
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, RotorPlan, SampledPlan, StaticPlan, SweepPlan
 from balance_cli.simulation.records import Grid, turning
 from balance_cli.simulation.rig import TrueRig
-from balance_cli.simulation.sensors import anti_alias, sensor_volts
+from balance_cli.simulation.sensors import sensor_volts
 from balance_cli.simulation.truth import RunTruth, stream
 
 Array = NDArray[np.float64]

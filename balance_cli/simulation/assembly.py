@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS, FREEDOMS
-from balance_cli.errors import UserError
+from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
+from balance_cli.io.errors import UserError
 from balance_cli.simulation.mechanics import (
     ROTATION_ROWS,
     TWIST,

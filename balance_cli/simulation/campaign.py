@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.runs import Run
+from balance_cli.campaign.recording.run import Run
 from balance_cli.simulation.acquisition import Acquisition, record_samples, record_static, true_loads
 from balance_cli.simulation.assembly import equations_of_motion
 from balance_cli.simulation.motion import Motion, nonlinear_forces

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from pydantic import ValidationError
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.plans import CampaignPlan
 from balance_cli.simulation.rig import TrueRig

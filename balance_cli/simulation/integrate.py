@@ -17,7 +17,7 @@ import scipy.linalg
 import scipy.signal
 from numpy.typing import NDArray
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.errors import UserError
+from balance_cli.io.errors import UserError
 from balance_cli.simulation.integrate import ModalSystem, hold_weights
 from balance_cli.simulation.mechanics import CellForce
 

@@ -8,8 +8,8 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
-from balance_cli.components import COMPONENTS
-from balance_cli.geometry import NonNegative, Part, Positive
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import NonNegative, Part, Positive
 
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 Excitation = Literal["multisine", "random", "sine-sweep", "stepped"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.simulation.excitation import multisine, random_noise, sine_sweep, stepped_sine
 from balance_cli.simulation.plans import RotorPlan, SampledPlan, SweepPlan, ZeroPlan
 from balance_cli.simulation.rotor import Turning, harmonic_load, smooth_step

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from balance_cli.errors import UserError
-from balance_cli.geometry import Geometry
+from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
+from balance_cli.simulation.extensions.library import EXTENSIONS, extension
 
 Array = NDArray[np.float64]
 
@@ -169,3 +171,16 @@ def draw_rig(geometry: Geometry, rng: np.random.Generator, attempts: int = 1000)
         place="tolerances",
         remedy="Declare smaller tolerances or other values",
     )
+
+
+def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -> TrueRig:
+    """The rig with these effects (declared ones or extensions), sorted into the order in which they act.
+
+    Raises UserError for an unknown effect or parameter, and for a place that the rig does not have.
+    """
+    found = [
+        effect if isinstance(effect, Extension) else extension(effect.name, effect.where, **effect.parameters)
+        for effect in effects
+    ]
+    order = list(EXTENSIONS)
+    return rig.extended(*sorted(found, key=lambda each: order.index(each.name)))

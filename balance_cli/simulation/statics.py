@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.simulation.mechanics import Mechanics
 from balance_cli.simulation.nonlinear import Forces, rest
 from balance_cli.simulation.plans import Component, StaticPlan

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.paper.sensors import SensorRule, sensor_matrix
-from balance_cli.geometry import Geometry
 from balance_cli.model.plate import plate_matrices
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.errors import UserError
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.paper.equations import (
     declared_coefficients,
     free_coefficients,
@@ -23,7 +23,7 @@ from balance_cli.estimation.paper.result import PaperFit, PaperOptions
 from balance_cli.estimation.paper.sensors import SensorRule, sensor_rule
 from balance_cli.estimation.paper.spectra import SensorSpectra, sensor_spectra
 from balance_cli.estimation.paper.starts import best_start
-from balance_cli.geometry import Geometry
+from balance_cli.io.errors import UserError
 from balance_cli.signals.lines import Lines
 
 Array = NDArray[np.float64]

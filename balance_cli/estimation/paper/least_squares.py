@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.errors import UserError
 from balance_cli.estimation.paper.equations import Coefficients, from_table, regressors
 from balance_cli.estimation.paper.spectra import SensorSpectra
+from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

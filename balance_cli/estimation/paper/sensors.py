@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.errors import UserError
-from balance_cli.geometry import Geometry
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
 from balance_cli.model.plate import PlateMatrices, plate_matrices
 
 Array = NDArray[np.float64]

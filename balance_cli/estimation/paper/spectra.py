@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.components import COMPONENTS
-from balance_cli.errors import UserError
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.estimation.paper.sensors import SensorRule
-from balance_cli.geometry import Channel, Geometry
+from balance_cli.io.errors import UserError
 from balance_cli.model.plate import plate_matrices
 from balance_cli.signals.lines import Lines
 

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.errors import UserError
-from balance_cli.geometry import Geometry
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.mechanics import Branch, CellForce, Mechanics
 

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any, get_type_hints
 
-from balance_cli.errors import UserError
-from balance_cli.geometry import DeclaredEffect
+from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.cells import (
     CellMisalignment,
@@ -35,7 +34,6 @@ from balance_cli.simulation.extensions.structure import (
     ParallelStiffness,
     SupportFlexibility,
 )
-from balance_cli.simulation.rig import TrueRig
 
 _IN_ORDER: tuple[type[Extension], ...] = (
     SupportFlexibility,
@@ -95,16 +93,3 @@ def _value(kind: type[Extension], parameter: str, value: float | str) -> float |
     except ValueError:
         fault = f"`{parameter}` of `{kind.name}` is `{value}`, not a number"
         raise UserError(fault, place="effects", remedy="Give a number in SI units") from None
-
-
-def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -> TrueRig:
-    """The rig with these effects (declared ones or extensions), sorted into the order in which they act.
-
-    Raises UserError for an unknown effect or parameter, and for a place that the rig does not have.
-    """
-    found = [
-        effect if isinstance(effect, Extension) else extension(effect.name, effect.where, **effect.parameters)
-        for effect in effects
-    ]
-    order = list(EXTENSIONS)
-    return rig.extended(*sorted(found, key=lambda each: order.index(each.name)))

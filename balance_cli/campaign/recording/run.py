@@ -1,0 +1,139 @@
+"""Runs: what one recorded run says of itself, and its samples, whole or in blocks."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive samples: `start` index, `channels` (m, n_channels) [V], `loads` (m, 6) [N, N m] or None."""
+
+    start: int
+    channels: Array
+    loads: Array | None
+
+
+class Source(Protocol):
+    """Where the samples of a run come from (a file, or memory)."""
+
+    def read(self, start: int, stop: int) -> Block:
+        """Samples start to stop as float64, channels in the order of `Run.channel_names`."""
+        ...
+
+
+@dataclass(frozen=True)
+class MemorySource:
+    """Samples held in memory."""
+
+    channels: Array
+    loads: Array | None
+
+    def read(self, start: int, stop: int) -> Block:
+        """Samples start to stop."""
+        loads = None if self.loads is None else self.loads[start:stop]
+        return Block(start, self.channels[start:stop], loads)
+
+
+@dataclass(frozen=True)
+class ExcerptSource:
+    """Part of another source, from sample `start` of it on."""
+
+    whole: Source
+    start: int
+
+    def read(self, start: int, stop: int) -> Block:
+        """Samples start to stop of the part."""
+        block = self.whole.read(self.start + start, self.start + stop)
+        return Block(start, block.channels, block.loads)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recorded run: what the file says of itself, and its samples on demand.
+
+    `excited` and `level` (rms in N or N m) are parallel tuples; `period` [s] where the excitation is periodic;
+    `pulse_times` (n_rev,) [s from the first sample]; `attitude` (n, 2) of a static run: pitch and roll [deg] as in
+    balance_cli.campaign.rig.attitude; `digest` is the hex SHA-256 of the content.
+    """
+
+    name: str
+    rig: str
+    kind: str
+    channel_names: tuple[str, ...]
+    samples: int
+    source: Source = field(repr=False)
+    has_loads: bool = True
+    sample_rate: float | None = None
+    rotor_speed: float = 0.0
+    excited: tuple[str, ...] = ()
+    excitation: str | None = None
+    level: tuple[float, ...] = ()
+    period: float | None = None
+    trim: str | None = None
+    pulse_times: Array | None = field(default=None, repr=False)
+    attitude: Array | None = field(default=None, repr=False)
+    recorded: str | None = None
+    note: str | None = None
+    path: Path | None = None
+    digest: str = ""
+
+    def read(self, start: int = 0, stop: int | None = None) -> Block:
+        """Samples start to stop (default: all) as one block."""
+        return self.source.read(start, self.samples if stop is None else min(stop, self.samples))
+
+    def blocks(self, size: int = 65536) -> Iterator[Block]:
+        """All samples, in blocks of at most `size`."""
+        for start in range(0, self.samples, size):
+            yield self.read(start, start + size)
+
+
+def excerpt(run: Run, start: int, stop: int) -> Run:
+    """Samples start to stop of a sampled run as a run of its own, with the pulses that fall into it."""
+    assert run.sample_rate is not None
+    pulses = run.pulse_times
+    if pulses is not None:
+        pulses = pulses - start / run.sample_rate
+        pulses = pulses[(pulses >= 0.0) & (pulses <= (stop - 1 - start) / run.sample_rate)]
+    return replace(run, samples=stop - start, source=ExcerptSource(run.source, start), pulse_times=pulses)
+
+
+def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | None = None) -> Array:
+    """Samples (n, len(names)) [V] of these channels; a channel that the run does not have is NaN throughout."""
+    return pick_channels(run.read(start, stop).channels, run.channel_names, names)
+
+
+def pick_channels(channels: Array, present: Sequence[str], names: Sequence[str]) -> Array:
+    """Columns (n, len(names)) of `channels` (n, len(present)) in the order of `names`; NaN where one is absent."""
+    column = {name: index for index, name in enumerate(present)}
+    picked = np.full((len(channels), len(names)), np.nan)
+    here = [index for index, name in enumerate(names) if name in column]
+    picked[:, here] = channels[:, [column[names[index]] for index in here]]
+    return picked
+
+
+_ABOUT = {item.name for item in fields(Run)} - {"source", "path", "digest", "pulse_times", "attitude"}
+
+
+def run_digest(run: Run) -> str:
+    """Hex SHA-256 of what the run says of itself and of its samples as float64: not of its path or storage."""
+    about = {name: getattr(run, name) for name in _ABOUT}
+    about["pulse_times"] = None if run.pulse_times is None else run.pulse_times.tolist()
+    hashed = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    if run.attitude is not None:
+        hashed.update(b"attitude" + np.ascontiguousarray(run.attitude, "<f8").tobytes())
+    for block in run.blocks():
+        hashed.update(np.ascontiguousarray(block.channels, "<f8").tobytes())
+        if block.loads is not None:
+            hashed.update(np.ascontiguousarray(block.loads, "<f8").tobytes())
+    return hashed.hexdigest()

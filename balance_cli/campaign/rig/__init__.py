@@ -1,0 +1,1 @@
+"""The rig as declared: geometry, its file and its checks."""

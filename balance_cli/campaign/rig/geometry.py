@@ -1,0 +1,186 @@
+"""The rig as declared: YAML -> Geometry (`format: balance-geometry/1`), checked once, frozen afterwards."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from balance_cli.campaign.rig.components import FREEDOMS
+
+FORMAT = "balance-geometry/1"
+
+Name = Annotated[str, Field(min_length=1)]
+Vector = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Array = NDArray[np.float64]
+
+
+class Part(BaseModel):
+    """Base of all parts: frozen, unknown keys refused, no infinities."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Inertia(Part):
+    """Inertia about the body's own centre [kg m2]; products are positive integrals of xy dm."""
+
+    xx: NonNegative
+    yy: NonNegative
+    zz: NonNegative
+    xy: float = 0.0
+    xz: float = 0.0
+    yz: float = 0.0
+
+    def tensor(self) -> Array:
+        """The inertia tensor (3, 3) [kg m2]: products enter with a minus sign."""
+        return np.array(
+            [[self.xx, -self.xy, -self.xz], [-self.xy, self.yy, -self.yz], [-self.xz, -self.yz, self.zz]], float
+        )
+
+
+class Body(Part):
+    """A lumped mass: mass [kg], position of its centre [m], inertia about that centre."""
+
+    name: Name
+    mass: Positive
+    position: Vector
+    inertia: Inertia
+
+
+class Cell(Part):
+    """A load cell: acts along `axis` at `position` [m]; stiffness [N/m], or cell and beam in series."""
+
+    name: Name
+    position: Vector
+    axis: Vector
+    stiffness: Positive | None = None
+    series: tuple[Positive, ...] | None = None
+    full_range: Positive
+
+    @model_validator(mode="after")
+    def _one_stiffness(self) -> Cell:
+        if (self.stiffness is None) == (self.series is None):
+            raise ValueError("give either `stiffness` or `series`, not both and not neither")
+        if float(np.linalg.norm(self.axis)) == 0.0:
+            raise ValueError("`axis` has no length")
+        return self
+
+    @property
+    def effective_stiffness(self) -> float:
+        """Stiffness along the axis [N/m]; springs in series add their compliances (paper, section 3)."""
+        if self.stiffness is not None:
+            return self.stiffness
+        assert self.series is not None
+        return 1.0 / sum(1.0 / k for k in self.series)
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector (3,) along the axis."""
+        axis: Array = np.asarray(self.axis, float)
+        unit: Array = axis / np.linalg.norm(axis)
+        return unit
+
+
+class TorqueMeter(Part):
+    """The torque meter in the shaft: stiffness [N m/rad], inertia of what it turns [kg m2]."""
+
+    stiffness: Positive
+    inertia: Positive
+
+
+class Channel(Part):
+    """A recorded channel: what it measures, sensitivity [V/N or V/(N m)] and its own first-order dynamics."""
+
+    name: Name
+    cell: str | None = None
+    torque_meter: bool = False
+    sensitivity: float
+    lowpass: Positive | None = None
+    time_constant: Positive | None = None
+    range: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Channel:
+        if (self.cell is None) != self.torque_meter:
+            raise ValueError("give either `cell: NAME` or `torque_meter: true`")
+        if self.sensitivity == 0.0:
+            raise ValueError("`sensitivity` is zero")
+        return self
+
+    @property
+    def measures_dc(self) -> bool:
+        """Whether the channel passes a constant load (no high-pass)."""
+        return self.time_constant is None
+
+
+class AnalogueFilter(Part):
+    """The anti-alias filter of the acquisition: Butterworth low-pass of `order` at `cutoff` [Hz]."""
+
+    type: Literal["butterworth"]
+    order: Annotated[int, Field(ge=1, le=20)]
+    cutoff: Positive
+
+
+class Acquisition(Part):
+    """The data acquisition: its anti-alias filter, the same in every channel and load signal."""
+
+    filter: AnalogueFilter | None = None
+
+
+class Tolerances(Part):
+    """One standard deviation of what is declared: relative, but `centre_of_gravity` in m; 0 means exact."""
+
+    stiffness: NonNegative = 0.0
+    mass: NonNegative = 0.0
+    centre_of_gravity: NonNegative = 0.0
+    inertia: NonNegative = 0.0
+    damping_ratio: NonNegative = 0.0
+    sensitivity: NonNegative = 0.0
+
+
+class Rotor(Part):
+    """The rotor: number of blades and nominal speed [Hz]."""
+
+    blades: Annotated[int, Field(ge=1)]
+    speed: Positive
+
+
+class DeclaredEffect(Part):
+    """An effect beyond the rigid plate: its name, its places, its parameters (a choice between words is a text)."""
+
+    name: Name
+    where: tuple[str, ...] = ()
+    parameters: dict[str, float | str] = {}
+
+
+class Geometry(Part):
+    """A rotor balance as declared. Compared by content."""
+
+    format: Literal["balance-geometry/1"]
+    name: Name
+    rig: Name
+    hub: Vector
+    bodies: Annotated[tuple[Body, ...], Field(min_length=1)]
+    cells: Annotated[tuple[Cell, ...], Field(min_length=1)]
+    torque_meter: TorqueMeter | None = None
+    channels: Annotated[tuple[Channel, ...], Field(min_length=1)]
+    acquisition: Acquisition = Acquisition()
+    damping_ratio: NonNegative
+    tolerances: Tolerances = Tolerances()
+    rotor: Rotor | None = None
+    freedom: Annotated[tuple[Literal["x", "y", "z", "psi", "theta", "phi"], ...], Field(min_length=1)] = FREEDOMS  # type: ignore[assignment]
+    effects: tuple[DeclaredEffect, ...] = ()
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of all channels, in declared order."""
+        return tuple(channel.name for channel in self.channels)
+
+    @property
+    def cell_names(self) -> tuple[str, ...]:
+        """Names of all cells, in declared order."""
+        return tuple(cell.name for cell in self.cells)

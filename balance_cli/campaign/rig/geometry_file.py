@@ -1,0 +1,200 @@
+"""Geometry files: YAML <-> Geometry, with every fault named by file, place and remedy; geometries by content."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from balance_cli.campaign.rig.geometry import FORMAT, Geometry
+from balance_cli.campaign.rig.geometry_checks import faults_between_parts
+from balance_cli.io.atomic import written_whole
+from balance_cli.io.errors import UserError
+from balance_cli.io.sniff import is_hdf5, require_file, what_is
+
+Place = tuple[int | str, ...]
+
+
+def load_geometry(path: Path) -> Geometry:
+    """The geometry declared in a YAML file. Raises UserError for its first fault."""
+    geometry, faults = read_geometry(path)
+    if geometry is None or faults:
+        raise faults[0]
+    return geometry
+
+
+def read_geometry(path: Path) -> tuple[Geometry | None, tuple[UserError, ...]]:
+    """The geometry in a YAML file as far as it can be read, and all its faults."""
+    try:
+        geometry, faults = _parse(_read_yaml(Path(path)))
+    except UserError as error:
+        return None, (error.at(file=str(path)),)
+    return geometry, tuple(fault.at(file=str(path)) for fault in faults)
+
+
+def save_geometry(path: Path, geometry: Geometry) -> None:
+    """Write a geometry as YAML, whole or not at all."""
+    text = yaml.safe_dump(geometry_to_dict(geometry), sort_keys=False, allow_unicode=True, default_flow_style=None)
+    with written_whole(Path(path)) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def geometry_to_dict(geometry: Geometry) -> dict[str, Any]:
+    """The geometry as plain dicts, lists, numbers and strings; keys that are not set are left out."""
+    plain: dict[str, Any] = geometry.model_dump(mode="json", exclude_none=True)
+    return plain
+
+
+def geometry_from_dict(declared: object) -> Geometry:
+    """The inverse of `geometry_to_dict`, with all checks. Raises UserError for the first fault."""
+    geometry, faults = _parse(declared)
+    if geometry is None or faults:
+        raise faults[0]
+    return geometry
+
+
+def geometry_digest(geometry: Geometry) -> str:
+    """Hex SHA-256 of the content: the same for two files that declare the same geometry in other words."""
+    text = json.dumps(geometry_to_dict(geometry), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _parse(declared: object) -> tuple[Geometry | None, tuple[UserError, ...]]:
+    if not isinstance(declared, dict):
+        raise UserError("is not a geometry: no keys in it", remedy=f"The first line should be `format: {FORMAT}`")
+    if declared.get("format", FORMAT) != FORMAT or not set(declared) & set(Geometry.model_fields):
+        found = f"is `{declared['format']}`" if "format" in declared else "is missing"
+        raise UserError(f"`format` {found}", place="format", remedy=f"It should be `format: {FORMAT}`")
+    try:
+        geometry = Geometry.model_validate(declared)
+    except ValidationError as error:
+        return None, _declared_faults(error.errors(include_url=False))
+    return geometry, tuple(faults_between_parts(geometry))
+
+
+# ---- YAML ------------------------------------------------------------------------------------------------------------
+
+
+class _Loader(yaml.SafeLoader):
+    """The safe loader, with a key that stands twice refused, and 1e-3 read as a number as in YAML 1.2."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            key = str(getattr(key_node, "value", key_node))
+            if key in seen:
+                line = key_node.start_mark.line + 1
+                raise UserError(f"key `{key}` stands twice", place=f"line {line}", remedy="Remove one of them")
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
+
+
+def _read_yaml(path: Path) -> object:
+    require_file(path)
+    if not path.is_file() or is_hdf5(path):
+        raise UserError(f"is {what_is(path)}, where a geometry was expected", remedy="Give the YAML file of the rig")
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise UserError(f"is not YAML: {error.problem}", place=place, remedy="Mend the syntax there") from error
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(f"is not YAML: {reason}", remedy="Give the YAML file of the rig") from error
+    except OSError as error:
+        raise UserError(f"cannot be read: {error.strerror}", remedy="Check its permissions") from error
+
+
+# ---- faults that pydantic finds --------------------------------------------------------------------------------------
+
+
+PLAIN_WORDS = {
+    "tuple_type": "should be a list of values",
+    "model_type": "should be keys with values",
+    "too_short": "has too few entries",
+    "too_long": "has too many entries",
+}
+"""Instead of the validator's message, where that speaks of Python."""
+
+
+def _declared_faults(details: Sequence[ErrorDetails]) -> tuple[UserError, ...]:
+    """Unknown keys first: a misspelt key explains the one that is missing. A list is not short for a bad entry."""
+    places = [detail["loc"] for detail in details]
+    own = [
+        detail
+        for detail in details
+        if detail["type"] != "too_short" or not any(_within(place, detail["loc"]) for place in places)
+    ]
+    return tuple(_fault(detail) for detail in sorted(own, key=lambda detail: detail["type"] != "extra_forbidden"))
+
+
+def _within(place: Place, outer: Place) -> bool:
+    return len(place) > len(outer) and place[: len(outer)] == outer
+
+
+def _fault(detail: ErrorDetails) -> UserError:
+    place, kind = detail["loc"], detail["type"]
+    dotted = dotted_place(place)
+    if kind == "extra_forbidden":
+        return _unknown_key(place)
+    if kind == "missing":
+        missing = f"`{place[-1]}` is missing" if isinstance(place[-1], str) else "this entry is missing"
+        return UserError(missing, place=dotted, remedy="Add it")
+    if kind == "value_error":
+        return UserError(str(detail["ctx"]["error"]), place=dotted, remedy="Correct this entry")
+    message = PLAIN_WORDS.get(kind) or detail["msg"].removeprefix("Input ")
+    return UserError(f"{message} (found {_shown(detail['input'])})", place=dotted, remedy="Correct this value")
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def dotted_place(place: Iterable[int | str]) -> str:
+    """A place in a file as in `cells[3].stiffness`."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place)
+    return text.removeprefix(".")
+
+
+def _unknown_key(place: Place) -> UserError:
+    key, known = str(place[-1]), _known_keys(place[:-1])
+    near = difflib.get_close_matches(key, known, n=1, cutoff=0.0)
+    remedy = f"The nearest known key is `{near[0]}`" if near else "Remove it"
+    return UserError(f"unknown key `{key}`", place=dotted_place(place), remedy=remedy)
+
+
+def _known_keys(place: Place) -> tuple[str, ...]:
+    """The keys that the part at `place` may have."""
+    part: Any = Geometry
+    for step in place:
+        if isinstance(step, str) and isinstance(part, type) and issubclass(part, BaseModel):
+            part = _part_within(part.model_fields[step].annotation)
+    return tuple(part.model_fields) if isinstance(part, type) and issubclass(part, BaseModel) else ()
+
+
+def _part_within(annotation: Any) -> Any:
+    """The model inside `Model | None`, `tuple[Model, ...]` and the like."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    if get_origin(annotation) in (tuple, Union, UnionType):
+        inner = (_part_within(argument) for argument in get_args(annotation))
+        return next((part for part in inner if part is not None), None)
+    return None

@@ -1,0 +1,1 @@
+"""Tests of the measured data against themselves, without a mechanical model."""

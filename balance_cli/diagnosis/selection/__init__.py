@@ -1,0 +1,1 @@
+"""Which of the effects found are kept, and what supports them."""

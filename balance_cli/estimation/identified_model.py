@@ -1,0 +1,106 @@
+"""An identified model: what `identify` leaves behind and `reduce`, `simulate` and the report take up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.paper.result import PaperFit
+from balance_cli.model.balance import balance_model
+from balance_cli.model.system import System
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class ParameterTable:
+    """Parameters of a fit, in the model's order.
+
+    value, sigma, declared, declared_sigma (p,); unit; `rests_on` is `data`, `prior` (more than half of the variance
+    comes from the declared tolerances), or `exact` (declared without tolerance, never fitted).
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: Array
+    sigma: Array
+    declared: Array
+    declared_sigma: Array
+    rests_on: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ModeTable:
+    """Oscillatory modes: frequency [Hz], damping ratio, their sigma (m,); shape (m, n) over `coordinates`."""
+
+    coordinates: tuple[str, ...]
+    frequency: Array
+    damping_ratio: Array
+    sigma_frequency: Array
+    sigma_damping_ratio: Array
+    shape: ComplexArray
+
+
+@dataclass(frozen=True)
+class RunFit:
+    """How one run fits: chi2 and its degrees of freedom, relative error of the response and what noise leaves of it."""
+
+    chi2: float
+    dof: float
+    frf_error: float
+    frf_noise: float
+
+
+@dataclass(frozen=True)
+class FitQuality:
+    """Chi-square against the measured noise, its degrees of freedom, and the relative error of all responses."""
+
+    chi2: float
+    dof: float
+    frf_error: float
+    runs: dict[str, RunFit]
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """Chi-square per degree of freedom; NaN where nothing was fitted."""
+        return self.chi2 / self.dof if self.dof > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class IdentifiedModel:
+    """A balance model, computed or identified.
+
+    `form` is `physical` or `paper`; `method` is `computed`, `ls`, `ml` or `ls+ml`; `start` says where the maximum
+    likelihood began; `covariance` (p, p) is that of all parameters, zero rows for exact ones; `undetermined` says in
+    words what the data alone leave open; `channels_left_out` {run: {channel: why}}.
+    """
+
+    form: str
+    method: str
+    start: str
+    geometry: Geometry
+    parameters: ParameterTable
+    covariance: Array
+    modes: ModeTable
+    quality: FitQuality
+    undetermined: tuple[str, ...]
+    channels_left_out: dict[str, dict[str, str]]
+    iterations: int
+    converged: bool
+    paper: PaperFit | None = None
+
+    @property
+    def misfit_scale(self) -> float:
+        """Factor (Birge ratio) on every sigma where the model does not fit: sqrt(chi2/dof), at least 1."""
+        ratio = self.quality.chi2_per_dof
+        return float(np.sqrt(ratio)) if self.iterations and ratio > 1.0 else 1.0
+
+
+def identified_system(model: IdentifiedModel) -> System:
+    """The system of a model at its estimate, with slopes for the parameters that have a place in its covariance."""
+    whole = balance_model(model.geometry).with_sigma(model.parameters.declared_sigma)
+    return whole.system(model.parameters.value)

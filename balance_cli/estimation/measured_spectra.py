@@ -1,0 +1,77 @@
+"""From runs to what the estimators use: lines of the sweeps, points of the static runs, each with its noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from balance_cli.campaign.recording.channel_health import live_channels
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
+from balance_cli.model.placed_effects import needs_mean
+from balance_cli.signals.lines import Lines, StaticPoints
+from balance_cli.signals.local_lines import lines_from_local_model
+from balance_cli.signals.periodic import periodic_lines, repeats
+from balance_cli.signals.static_noise import static_points
+from balance_cli.signals.waveforms import (
+    local_lines_with_mean_and_waveform,
+    with_mean_and_waveform,
+    with_shares,
+)
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Lines and static points of a campaign.
+
+    `unused` {run: why}: runs of kinds that hold nothing for an identification; `channels_left_out`
+    {run: {channel: why}}: channels that were dead, clipped, absent or not finite.
+    """
+
+    lines: tuple[Lines, ...]
+    statics: tuple[StaticPoints, ...]
+    unused: dict[str, str]
+    channels_left_out: dict[str, dict[str, str]]
+
+
+def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None = None) -> Spectra:
+    """Lines of every sweep and points of every static run; the rest is said to be unused.
+
+    So is a static run with too few rows to tell its own noise: the sweeps can do without it.
+    Periodic records give the lines of their steady periods; others the independent lines of a local rational model.
+    With `means` (which is up to the geometry's effects where nothing is said) records give their means and waveforms
+    too, static runs all that is in their rows. UserError where no channel of a run is left.
+    """
+    means = needs_mean(geometry) if means is None else means
+    lines: list[Lines] = []
+    statics: list[StaticPoints] = []
+    unused: dict[str, str] = {}
+    left_out: dict[str, dict[str, str]] = {}
+    for run in runs:
+        if run.kind not in ("sweep", "static"):
+            unused[run.name] = f"a {run.kind} run takes no part in a fit"
+            continue
+        health = live_channels(run, geometry)
+        if health.left_out:
+            left_out[run.name] = health.left_out
+        if not health.live:
+            raise UserError("no channel is left", str(run.path or run.name), "channels", "Mend or leave out this run")
+        if run.kind == "static":
+            try:
+                points = static_points(run, health.live)
+                statics.append(with_shares(points, geometry) if means else points)
+            except UserError as error:
+                unused[run.name] = error.fault
+        else:
+            lines.append(_sweep_lines(run, health.live, geometry, means))
+    return Spectra(tuple(lines), tuple(statics), unused, left_out)
+
+
+def _sweep_lines(run: Run, channel_names: tuple[str, ...], geometry: Geometry, means: bool) -> Lines:
+    if repeats(run):
+        lines = periodic_lines(run, channel_names)
+        return with_mean_and_waveform(run, lines, geometry) if means else lines
+    if means:
+        return local_lines_with_mean_and_waveform(run, channel_names, geometry)
+    return lines_from_local_model(run, channel_names)

@@ -1,0 +1,169 @@
+"""Artefacts: results of the steps as HDF5, with their provenance and a digest of their content.
+
+An artefact holds one frozen dataclass in the group `content` (see `balance_cli.io.hdf5_tree`).
+Root attributes: `format`, `digest`, `command`, `options` (JSON), `inputs` (JSON), `versions` (JSON), `created`
+(ISO 8601).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from balance_cli import __version__
+from balance_cli.io.atomic import written_whole
+from balance_cli.io.errors import UserError
+from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
+from balance_cli.io.sniff import is_hdf5, require_file, stored_format, what_is
+
+FORMATS = (
+    "balance-calibration/1",
+    "balance-transfer/1",
+    "balance-model/1",
+    "balance-diagnosis/1",
+    "balance-loads/1",
+)
+PACKAGES = ("numpy", "scipy", "h5py", "pandas", "pydantic")
+
+
+@dataclass(frozen=True)
+class Input:
+    """What a result was made from: its name, its role there, and the digest of its content."""
+
+    name: str
+    role: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a result came about. `options` are those that differ from their defaults, as JSON values."""
+
+    command: str
+    options: Mapping[str, Any]
+    inputs: tuple[Input, ...]
+    versions: Mapping[str, str]
+    created: str
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """An artefact as read: `content` is a dataclass of the type that belongs to `format`."""
+
+    format: str
+    content: Any
+    provenance: Provenance
+    digest: str
+
+
+@dataclass(frozen=True)
+class Stored:
+    """An artefact as stored, whatever its type: the tree of its content, and the digest that the file states."""
+
+    format: str
+    tree: Tree
+    provenance: Provenance
+    digest: str
+
+
+def provenance_now(command: str, options: Mapping[str, Any], inputs: tuple[Input, ...]) -> Provenance:
+    """The provenance of a result that is made now, by this installation."""
+    plain_options = json.loads(json.dumps(dict(options), default=str))
+    versions = {"balance-cli": __version__, "python": platform.python_version()}
+    versions |= {package: version(package) for package in PACKAGES}
+    return Provenance(command, plain_options, inputs, versions, datetime.now(UTC).isoformat(timespec="seconds"))
+
+
+def content_digest(format: str, content: Any, provenance: Provenance) -> str:
+    """Hex SHA-256 of schema, data, options and input digests; not of command, names, paths, versions and time."""
+    return _digest(format, to_tree(content), provenance)
+
+
+def _digest(format: str, tree: Tree, provenance: Provenance) -> str:
+    inputs = sorted((item.role, item.digest) for item in provenance.inputs)
+    parts = (format, tree_digest(tree), json.dumps(provenance.options, sort_keys=True), json.dumps(inputs))
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def save_artefact(path: Path, format: str, content: Any, provenance: Provenance) -> str:
+    """Write an artefact, whole or not at all; returns its digest.
+
+    Raises UserError where the file cannot be written, TypeError where the content has no place in an artefact.
+    """
+    if format not in FORMATS:
+        raise ValueError(f"unknown format {format}")
+    tree = to_tree(content)
+    digest = _digest(format, tree, provenance)
+    with written_whole(Path(path)) as part, h5py.File(part, "w") as file:
+        for name, text in _root_attributes(format, digest, provenance).items():
+            file.attrs[name] = text
+        write_tree(file.create_group("content", track_order=True), tree)
+    return digest
+
+
+def _root_attributes(format: str, digest: str, provenance: Provenance) -> dict[str, str]:
+    return {
+        "format": format,
+        "digest": digest,
+        "command": provenance.command,
+        "options": json.dumps(provenance.options, ensure_ascii=False),
+        "inputs": json.dumps([asdict(item) for item in provenance.inputs], ensure_ascii=False),
+        "versions": json.dumps(dict(provenance.versions)),
+        "created": provenance.created,
+    }
+
+
+def load_artefact(path: Path, types: Mapping[str, type[Any]]) -> Artefact:
+    """Read an artefact of one of the formats in `types` (format -> dataclass).
+
+    Raises UserError where the file is something else, damaged, or changed since it was written.
+    """
+    path = Path(path)
+    require_file(path)
+    expected = " or ".join(f"`{format}`" for format in types)
+    if stored_format(path) not in types or not is_hdf5(path):
+        raise UserError(f"is {what_is(path)}, where {expected} was expected", str(path), remedy="Give another file")
+    stored = read_stored(path)
+    with _damage(path):
+        content = from_tree(stored.tree, types[stored.format])
+    return Artefact(stored.format, content, stored.provenance, stored.digest)
+
+
+def read_stored(path: Path) -> Stored:
+    """Read an artefact without knowing its type, and check its digest. UserError as for `load_artefact`."""
+    with _damage(path), h5py.File(path, "r") as file:
+        attributes = {name: str(value) for name, value in file.attrs.items()}
+        provenance = Provenance(
+            attributes["command"],
+            json.loads(attributes["options"]),
+            tuple(Input(**item) for item in json.loads(attributes["inputs"])),
+            json.loads(attributes["versions"]),
+            attributes["created"],
+        )
+        stored = Stored(attributes["format"], read_tree(file["content"]), provenance, attributes["digest"])
+        computed = _digest(stored.format, stored.tree, provenance)
+    if computed != stored.digest:
+        fault = "its content does not match its digest: it was changed after it was written"
+        raise UserError(fault, str(path), "digest", f"Make it again with `balance {provenance.command}`")
+    return stored
+
+
+@contextmanager
+def _damage(path: Path) -> Iterator[None]:
+    """Whatever a damaged file makes the reader say, as a UserError."""
+    try:
+        yield
+    except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError, MemoryError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        fault = f"does not hold what its format says: {reason}"
+        raise UserError(fault, str(path), remedy="It is damaged; make it again") from error

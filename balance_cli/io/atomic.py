@@ -1,0 +1,107 @@
+"""Files written whole or not at all: prepared beside their place, then moved there together."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from balance_cli.io.errors import UserError
+
+
+class Staged:
+    """Output files prepared beside their places and put there together by `commit`, or removed by `discard`."""
+
+    def __init__(self) -> None:
+        self._parts: dict[Path, Path] = {}
+        self._folders: list[Path] = []
+
+    def file(self, path: Path) -> Path:
+        """The path to write to instead of `path` (same folder, same suffix). UserError where none can stand there."""
+        check_output(path)
+        target = path.resolve()
+        if target in self._parts:
+            raise UserError("two outputs have this name", str(path), remedy="Give each output a name of its own")
+        part = target.with_name(f".part-{os.getpid()}-{target.name}")
+        self._parts[target] = part
+        return part
+
+    def withdraw(self, path: Path) -> None:
+        """Prepare no file at `path` after all; what was written for it is removed."""
+        part = self._parts.pop(path.resolve())
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+    def folder(self, path: Path) -> Path:
+        """A folder for outputs, made where there is none (and removed again by `discard`)."""
+        check_output_folder(path)
+        if not path.exists():
+            with writing(path):
+                path.mkdir()
+            self._folders.append(path)
+        return path
+
+    def commit(self) -> tuple[Path, ...]:
+        """Move all prepared files to their places; returns these."""
+        for target, part in self._parts.items():
+            with writing(target):
+                part.replace(target)
+        done = tuple(self._parts)
+        self._parts, self._folders = {}, []
+        return done
+
+    def discard(self) -> None:
+        """Remove whatever was prepared and not moved."""
+        for part in self._parts.values():
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+        for folder in self._folders:
+            with suppress(OSError):
+                folder.rmdir()
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """The path to write to; moved to `path` when the block ends well, removed when it does not."""
+    staged = Staged()
+    try:
+        with writing(path):
+            yield staged.file(path)
+        staged.commit()
+    finally:
+        staged.discard()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn an operating-system fault (disk full, no permission) into a UserError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise UserError(f"cannot be written: {reason}", str(path), remedy="Choose another place") from error
+
+
+def check_output(path: Path) -> None:
+    """UserError unless an ordinary file can be written at `path`."""
+    if path.is_dir():
+        raise UserError("is a folder, not a file", str(path), remedy="Give the name of a file")
+    if path.exists() and not path.is_file():
+        raise UserError("is not an ordinary file", str(path), remedy="Give a file name, or `--json -` for the terminal")
+    _check_parent(path)
+
+
+def check_output_folder(path: Path) -> None:
+    """UserError unless `path` is a folder to write to, or can be made."""
+    if path.exists() and not path.is_dir():
+        raise UserError("is a file, not a folder", str(path), remedy="Give the name of a folder")
+    _check_parent(path if path.exists() else path.absolute())
+
+
+def _check_parent(path: Path) -> None:
+    parent = path if path.is_dir() else path.resolve().parent
+    if not parent.is_dir():
+        raise UserError("its folder does not exist", str(path), remedy=f"Make the folder first: {parent}")
+    if not os.access(parent, os.W_OK):
+        raise UserError("its folder cannot be written to", str(path), remedy="Choose another folder")

@@ -1,0 +1,79 @@
+"""What a file is, by its content and not by its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from balance_cli.io.errors import UserError
+
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+FIRST_BYTES = 65536
+"""Where the `format` key of a YAML file is looked for."""
+
+
+def stored_format(path: Path) -> str | None:
+    """The `format` that a file declares of itself (HDF5 root attribute, or key of a YAML file), else None."""
+    if not path.is_file():
+        return None
+    if is_hdf5(path):
+        return _hdf5_format(path)
+    return _yaml_format(path)
+
+
+def is_hdf5(path: Path) -> bool:
+    """Whether the file begins as an HDF5 file does."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE
+    except OSError:
+        return False
+
+
+def what_is(path: Path) -> str:
+    """A noun phrase for a message: what the file at `path` is."""
+    if path.is_dir():
+        return "a folder"
+    if not path.is_file():
+        return "not an ordinary file"
+    if path.stat().st_size == 0:
+        return "an empty file"
+    declared = stored_format(path)
+    if declared is not None:
+        return f"a file of format `{declared}`"
+    return "an HDF5 file without a readable `format`" if is_hdf5(path) else "not an HDF5 file"
+
+
+def require_file(path: Path) -> None:
+    """UserError where nothing is at `path`."""
+    if not path.exists():
+        raise UserError("there is no such file", str(path), remedy="Check the name")
+
+
+def _hdf5_format(path: Path) -> str | None:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return text_of(file.attrs.get("format"))
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _yaml_format(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            text = file.read(FIRST_BYTES).decode("utf-8", "replace")
+    except OSError:
+        return None
+    for line in text.splitlines():
+        key, colon, value = line.partition(":")
+        if colon and key.strip() == "format":
+            return value.split("#")[0].strip().strip("'\"") or None
+    return None
+
+
+def text_of(value: object) -> str | None:
+    """An HDF5 attribute as text (what is not UTF-8 replaced), or None where it is none."""
+    if isinstance(value, str):
+        value = value.encode("utf-8", "surrogateescape")
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else None

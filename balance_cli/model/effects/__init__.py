@@ -1,0 +1,55 @@
+"""The library of effects, in the order in which they act. A new effect is one file and one line here.
+
+What the cells stand on comes first: cells that lean or resist sideways act on the motion relative to it.
+"""
+
+from balance_cli.model.effects import (
+    added_mass,
+    cell_misalignment,
+    channel_gain,
+    channel_offset,
+    crosstalk,
+    cubic_stiffness,
+    dry_friction,
+    exciter_misalignment,
+    extra_mode,
+    gyroscopic_coupling,
+    high_pass,
+    load_offset,
+    low_pass,
+    mains_pickup,
+    mast_bending,
+    parallel_stiffness,
+    quadratic_stiffness,
+    structural_damping,
+    support_flexibility,
+    time_delay,
+    transverse_stiffness,
+)
+from balance_cli.model.effects.base import Choice, Effect, EffectParameter, Where
+
+EFFECTS: tuple[Effect, ...] = (
+    support_flexibility.EFFECT,
+    mast_bending.EFFECT,
+    added_mass.EFFECT,
+    gyroscopic_coupling.EFFECT,
+    parallel_stiffness.EFFECT,
+    cell_misalignment.EFFECT,
+    transverse_stiffness.EFFECT,
+    structural_damping.EFFECT,
+    cubic_stiffness.EFFECT,
+    quadratic_stiffness.EFFECT,
+    dry_friction.EFFECT,
+    extra_mode.EFFECT,
+    channel_gain.EFFECT,
+    low_pass.EFFECT,
+    high_pass.EFFECT,
+    time_delay.EFFECT,
+    crosstalk.EFFECT,
+    exciter_misalignment.EFFECT,
+    load_offset.EFFECT,
+    mains_pickup.EFFECT,
+    channel_offset.EFFECT,
+)
+
+__all__ = ["EFFECTS", "Choice", "Effect", "EffectParameter", "Where"]

@@ -1,0 +1,61 @@
+"""`cell-misalignment`: a cell's axis leans by two small angles.
+
+With t1, t2 the unit vectors across the declared axis a (for a cell along x those of y and z, and so
+on in cyclic order),
+
+    a -> (a + alpha_1 t1 + alpha_2 t2) / sqrt(1 + alpha_1^2 + alpha_2^2)
+
+and with it the cell's row of E: its force acts, and is read, along the leaning axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_cell, transverse_axes
+from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.equations import Equations
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    axis = next(cell.direction for cell in geometry.cells if cell.name == where[0])
+    toward = ("xyz"[int(np.argmax(np.abs(across)))] for across in transverse_axes(axis))
+    return tuple(
+        EffectParameter(
+            f"angle_{i}", "rad", 0.0, 0.005, f"Lean of its upper end towards {name}.", lower=-0.5, upper=0.5
+        )
+        for i, name in enumerate(toward, 1)
+    )
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    index = geometry.cell_names.index(where[0])
+    cell = geometry.cells[index]
+    first, second = transverse_axes(cell.direction)
+    one, two = values["angle_1"], values["angle_2"]
+    axis = (cell.direction + one * first + two * second) * (1.0 + one * one + two * two).sqrt().reciprocal()
+    motion = equations.relative_motion(np.array(cell.position))
+    chosen = np.zeros((len(equations.springs), 1))
+    chosen[index] = 1.0
+    row = axis.expanded(0) @ motion
+    return replace(equations, elongation=equations.elongation * (1.0 - chosen) + chosen * row)
+
+
+EFFECT = Effect(
+    name="cell-misalignment",
+    summary="A cell does not stand along its declared axis.",
+    validity="Small angles, the same at every load; the foot of the cell stays where it is declared.",
+    reference="AIAA R-091-2003, Calibration and Use of Internal Strain-Gage Balances (linear interactions).",
+    trace="A fixed share of a transverse load in this cell, at rest as in motion, and opposite shares in its "
+    "neighbours: the cells still add up to the load.",
+    separated_by="A static calibration, with the exciter's own direction checked: an exciter that leans shows in all "
+    "cells under one load, a cell that leans in one cell under all loads.",
+    place="a cell",
+    places=each_cell,
+    parameters=_parameters,
+    apply=_apply,
+)

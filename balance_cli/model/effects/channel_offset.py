@@ -1,0 +1,43 @@
+"""`channel-offset`: a channel reads a constant too much.
+
+    y = X g f + offset
+
+Static runs are taken about their mean, where it drops out, but for the elongations that it feigns to cells that are
+not linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
+from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.equations import Equations
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    return (EffectParameter("offset", "V", 0.0, 1e-3, "What the channel reads without load."),)
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    unit = np.array([float(name == where[0]) for name in equations.channel_names])
+    return replace(equations, channel_offset=equations.channel_offset + values["offset"] * unit)
+
+
+EFFECT = Effect(
+    name="channel-offset",
+    summary="The channel does not read zero without load.",
+    validity="The same in all runs; a bridge that drifts from run to run has no one offset.",
+    reference="Pintelon and Schoukens, System Identification, 2nd ed., 2012, section 2.2 (DC values set apart).",
+    trace="The mean of the channel in every dynamic record, whatever the load; nothing at any other frequency.",
+    separated_by="A record of the unloaded rig; an offset of a load moves all strain channels in fixed proportion.",
+    place="a channel",
+    places=each_channel,
+    parameters=_parameters,
+    apply=_apply,
+    needs_mean=True,
+)

@@ -1,0 +1,48 @@
+"""`crosstalk`: a channel takes up a share of another one's volts.
+
+    y_to -> y_to + epsilon y_from
+
+for the volts as they would be without any crosstalk: several do not pass through one another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import Effect, EffectParameter, Where, ordered_pairs
+from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.equations import Equations
+
+
+def _places(geometry: Geometry) -> tuple[Where, ...]:
+    return ordered_pairs(geometry.channel_names)
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    sentence = f"Share of {where[1]} that {where[0]} takes up."
+    return (EffectParameter("fraction", "1", 0.0, 0.002, sentence, lower=-1.0, upper=1.0),)
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    to, source = (equations.channel_names.index(name) for name in where)
+    entry = np.zeros((len(equations.paths),) * 2)
+    entry[to, source] = 1.0
+    return replace(equations, mixing=equations.mixing + values["fraction"] * entry)
+
+
+EFFECT = Effect(
+    name="crosstalk",
+    summary="A channel picks up part of another channel's signal.",
+    validity="A fixed real share: neighbouring leads, a common supply, an amplifier that is not separated.",
+    reference="Ott, Electromagnetic Compatibility Engineering, 2009, chapter 2 (cabling).",
+    trace="The residual of one channel is a fixed real share of another's reading, whatever the load.",
+    separated_by="Shorting the input of the channel; the other channel of the same cell, which does not have it.",
+    place="two channels: the one that takes up, the one that gives",
+    places=_places,
+    parameters=_parameters,
+    apply=_apply,
+)

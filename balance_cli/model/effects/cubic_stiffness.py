@@ -1,0 +1,50 @@
+"""`cubic-stiffness`: a cell hardens or softens alike in tension and compression; or a spring beside it does.
+
+A force f = k3 d^3 along the cell, d being its elongation from the unloaded rig:
+
+    M q'' + D q' + K q = F u - E' f(d),        the cell's channels read k d + f(d) (`inside`) or k d (`beside`)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import INSIDE, SIDE, Effect, EffectParameter, Where, each_cell_and_side
+from balance_cli.model.mechanics.dual_numbers import Jet, stack
+from balance_cli.model.mechanics.equations import CellForce, Equations
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    cell = next(cell for cell in geometry.cells if cell.name == where[0])
+    k = cell.effective_stiffness
+    scale = 0.01 * k * (k / cell.full_range) ** 2
+    return (EffectParameter("k3", "N/m3", 0.0, scale, "Force over the cube of the elongation; positive hardens."),)
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    cell, side = where
+    spring = equations.springs.index(cell)
+    return equations.with_force(CellForce(spring, stack([values["k3"]]), _cube, side == INSIDE))
+
+
+def _cube(d: Jet, values: Jet, recurs: bool) -> Jet:
+    return d * d * d
+
+
+EFFECT = Effect(
+    name="cubic-stiffness",
+    summary="The force along a cell grows with the cube of its elongation besides its linear part.",
+    validity="The law holds at every frequency; elongations within what the records reached.",
+    reference="Wigren and Schoukens, Three free data sets for development and benchmarking in nonlinear system "
+    "identification, ECC 2013 (the Silverbox); Kerschen et al., Mech. Syst. Signal Process. 20 (2006) 505.",
+    trace="Resonances shift with the level; static curves bend alike up and down; lines gather distortion around them.",
+    separated_by="Sweeps at two levels, or a static run to the full range; `inside` and `beside` differ in whether the "
+    "cells' sum still is the load.",
+    place="a cell, then `inside` or `beside` (`inside` where nothing is said)",
+    places=each_cell_and_side,
+    parameters=_parameters,
+    apply=_apply,
+    choice=SIDE,
+    needs_mean=True,
+)

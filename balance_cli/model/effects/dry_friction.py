@@ -1,0 +1,128 @@
+"""`dry-friction`: a contact beside a cell sticks, and slips where it is asked for more than it holds.
+
+A spring kappa in series with a slider that holds up to F (Jenkins' element), d being the cell's elongation:
+
+    f = kappa (d - w),        w stays until |f| would exceed F, then follows: |d - w| <= F / kappa
+
+The cell's channels do not read f. For F below a thousandth of a per cent of the cell's range the slip distance is left
+as it is there, and f is proportional to F: so it has a derivative at F = 0, where kappa does not matter. There kappa
+stands for the slip distance alone, and a search scores a contact at several of them, from one that always slips to one
+that mostly sticks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.geometry import Cell, Geometry
+from balance_cli.model.effects.base import Effect, EffectParameter, Start, Where, each_cell
+from balance_cli.model.mechanics.dual_numbers import Jet, stack
+from balance_cli.model.mechanics.equations import CellForce, Equations
+
+Array = NDArray[np.float64]
+
+LEAST = 1e-5
+MATTERS = 1e-3
+INACCURACY = (0.01, 0.05)
+"""Shares of its force that the noise of the cell makes uncertain, where periods are averaged and where nothing repeats:
+
+it turns a little early, or late.
+"""
+SLIPS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
+"""Slip distances at which a search scores a contact, shares of the cell's elongation at full range."""
+STIFFNESSES = (1e-3, 10.0)
+"""Shares of the cell's stiffness between which a contact that a search begins with lies."""
+
+
+def _cell(geometry: Geometry, where: Where) -> Cell:
+    return next(cell for cell in geometry.cells if cell.name == where[0])
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    cell = _cell(geometry, where)
+    k = cell.effective_stiffness
+    force, sentence = MATTERS * cell.full_range, "Stiffness of the contact while it sticks."
+    return (
+        EffectParameter("force", "N", 0.0, force, "Force at which the contact slips.", lower=0.0, start=force),
+        EffectParameter("stick_stiffness", "N/m", k, 0.1 * k, sentence, lower=1e-3 * k, start=k, secondary=True),
+    )
+
+
+def _scanned(geometry: Geometry, where: Where) -> tuple[Start, ...]:
+    k = _cell(geometry, where).effective_stiffness
+    return tuple({"stick_stiffness": LEAST / slip * k} for slip in SLIPS)
+
+
+def _sized(geometry: Geometry, where: Where, start: Start, own: Start) -> Start:
+    """The force that the score found, slipping where it was scored: the stiffness follows."""
+    if "stick_stiffness" not in start:
+        return start
+    cell = _cell(geometry, where)
+    distance = LEAST * cell.full_range / start["stick_stiffness"]
+    lower, upper = (share * cell.effective_stiffness for share in STIFFNESSES)
+    return {"force": own["force"], "stick_stiffness": float(np.clip(own["force"] / distance, lower, upper))}
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    spring = equations.springs.index(where[0])
+    shape = partial(_slipping, least=LEAST * _cell(geometry, where).full_range)
+    force = CellForce(spring, stack([values["force"], values["stick_stiffness"]]), shape, read=False)
+    return equations.with_force(force)
+
+
+def _slipping(d: Jet, values: Jet, recurs: bool, least: float) -> Jet:
+    """Force over the slipping force (n,): since the contact last slipped, in a direction, it has been a spring."""
+    force, kappa = values[0], values[1]
+    limit = force if force.value > least else Jet(np.array(least), np.zeros(force.parameters))
+    stiffness = kappa * limit.reciprocal()
+    last, direction = last_slip(d.value, float(1.0 / stiffness.value), recurs)
+    since = Jet(d.value[last], d.slope[:, last]) * (last >= 0)
+    return (d - since) * stiffness + direction
+
+
+def last_slip(d: Array, distance: float, recurs: bool) -> tuple[NDArray[np.intp], Array]:
+    """When (n,) the contact last slipped up to each instant, -1 where it never did, and in which direction (+-1, or 0).
+
+    The play operator w_t = min(max(w_{t-1}, d_t - distance), d_t + distance) is a chain of clamps. A chain of clamps is
+    a clamp, so that all of them come from sums by doubling. It begins at w = 0; what recurs goes round twice.
+    """
+    n = len(d)
+    path = np.concatenate([d, d]) if recurs else d
+    low, high = path - distance, path + distance
+    step = 1
+    while step < len(path):
+        before_low, before_high = low[:-step], high[:-step]
+        low, high = (
+            np.concatenate([low[:step], np.clip(before_low, low[step:], high[step:])]),
+            np.concatenate([high[:step], np.clip(before_high, low[step:], high[step:])]),
+        )
+        step *= 2
+    w = np.clip(0.0, low, high)
+    moved = np.diff(w, prepend=0.0)
+    last = np.maximum.accumulate(np.where(moved != 0.0, np.arange(len(path)), -1))
+    direction = np.where(last >= 0, np.sign(moved)[last], 0.0)
+    return np.where(last >= 0, last % n, -1)[-n:], direction[-n:]
+
+
+EFFECT = Effect(
+    name="dry-friction",
+    summary="Something rubs beside a cell: a seal, a cable, a stop that touches. It sticks for small motions and slips "
+    "for large ones.",
+    validity="One contact, the same limit both ways and at every speed; the rig was unloaded when a record began.",
+    reference="Iwan, J. Appl. Mech. 33 (1966) 893; Gaul and Nitsche, Appl. Mech. Rev. 54 (2001) 93.",
+    trace="Static loops: the way up differs from the way down by twice the force. In motion more stiffness and less "
+    "damping at low level than at high.",
+    separated_by="Sweeps at a very low level, where it sticks; a slow static loop; structural damping knows no level.",
+    place="a cell",
+    places=each_cell,
+    parameters=_parameters,
+    inaccuracy=INACCURACY,
+    scanned=_scanned,
+    sized=_sized,
+    apply=_apply,
+    needs_mean=True,
+)

@@ -1,0 +1,151 @@
+"""`extra-mode`: empirical: a resonance that no physical effect explains, of free shape.
+
+At a motion (x, y, z) it is one that the moving part carries: a cable, a loose part, a mode of the plate itself.
+With an effective mass m, a shape phi over the plate's motions (one in the direction of the place) and e its own motion
+against the plate
+
+    plate:   M q'' + ... + m phi e'' = F u,          e'' + 2 zeta w0 e' + w0^2 e = - phi' q'',
+
+so that every load and every cell feels it, as one mode of a passive structure must, and nothing does at rest. The mass
+is part of the declared one: M is that of the moving part with e held.
+
+At a load component (Fx .. Mz) it is added to what the cells feel of that load alone. The force of spring i gets
+
+    shape_i R(w) u,        R = (w / w0)^2 / (1 - (w / w0)^2 + 2 j zeta w / w0)
+
+which vanishes at rest: whatever resonates, there the springs carry the load. Two coordinates carry it: z = u, and
+
+    (e'' + z'') / w0^2 + 2 zeta e' / w0 + e = 0,        so that e = R u
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import Effect, EffectParameter, Where
+from balance_cli.model.mechanics.dual_numbers import Jet, concatenate, constant, stack
+from balance_cli.model.mechanics.equations import TORQUE, Equations
+
+AXES = ("x", "y", "z")
+# An effective mass that matters, as a share of the moving part.
+SMALL = 0.01
+
+
+def _springs(geometry: Geometry) -> tuple[str, ...]:
+    return geometry.cell_names + ((TORQUE,) if geometry.torque_meter else ())
+
+
+def _motions(geometry: Geometry) -> tuple[Where, ...]:
+    """The directions in which the plate moves."""
+    return tuple((axis,) for axis in AXES if axis in geometry.freedom)
+
+
+def _places(geometry: Geometry) -> tuple[Where, ...]:
+    """One place for each of them, and one for each load component."""
+    return _motions(geometry) + tuple((name,) for name in COMPONENTS)
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    frequency = EffectParameter("frequency", "Hz", 60.0, 1.0, "Eigenfrequency of the mode.", lower=1.0, secondary=True)
+    damping = EffectParameter(
+        "damping_ratio", "1", 0.0, 0.01, "Its damping ratio.", lower=0.0, upper=1.0, start=0.02, secondary=True
+    )
+    shape = _carried(geometry, where) if where[0] in AXES else _read(geometry, where)
+    return (frequency, damping, *shape)
+
+
+def _carried(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    scale = SMALL * sum(body.mass for body in geometry.bodies)
+    sentence = f"Its effective mass along {where[0]}, part of the declared one."
+    mass = EffectParameter("mass", "kg", 0.0, scale, sentence, lower=0.0, start=scale)
+    others = (
+        EffectParameter(
+            f"shape_{name}",
+            "1" if name in AXES else "m",
+            0.0,
+            0.1,
+            f"How it takes part in the motion {name} of the centre of gravity; in {where[0]} by one.",
+            secondary=True,
+        )
+        for name in geometry.freedom
+        if name != where[0]
+    )
+    return (mass, *others)
+
+
+def _read(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    moment = where[0][0] == "M"
+
+    def unit(spring: str) -> str:
+        return "1" if moment == (spring == TORQUE) else "1/m" if moment else "m"
+
+    return tuple(
+        EffectParameter(f"shape_{name}", unit(name), 0.0, 1e-2, f"Share of the load in {name}, times its resonance.")
+        for name in _springs(geometry)
+    )
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    rate = (2 * np.pi * values["frequency"]).reciprocal()
+    if where[0] in AXES:
+        return _with_carried(equations, where[0], values, rate)
+    return _with_read(equations, geometry, where[0], values, rate)
+
+
+def _with_carried(equations: Equations, axis: str, values: Mapping[str, Jet], rate: Jet) -> Equations:
+    p, n = equations.parameters, len(equations.coordinates)
+    moving = [FREEDOMS[index] for index in equations.freedom]
+    parts = [constant(1.0, p) if name == axis else values[f"shape_{name}"] for name in moving]
+    nothing = [constant(0.0, p)] * (n - len(moving))
+    wide = equations.with_coordinates(
+        names=(f"extra {axis}",),
+        mass=rate * rate * np.ones((1, 1)),
+        damping=2.0 * values["damping_ratio"] * rate * np.ones((1, 1)),
+        inputs=constant(np.zeros((1, 6)), p),
+        compliance=constant(np.ones(1), p),
+    )
+    plate = stack([*parts, *nothing, constant(0.0, p)])
+    own = np.eye(n + 1)[:, -1:]
+    pulled = values["mass"] * (plate.expanded(-1) @ own.T)
+    return replace(wide, mass=wide.mass + pulled + rate * rate * (own @ plate.expanded(0)))
+
+
+def _with_read(
+    equations: Equations, geometry: Geometry, component: str, values: Mapping[str, Jet], rate: Jet
+) -> Equations:
+    p, n = equations.parameters, len(equations.coordinates)
+    drive = np.zeros((2, 6))
+    drive[0, COMPONENTS.index(component)] = 1.0
+    wide = equations.with_coordinates(
+        names=(f"load {component}", f"extra {component}"),
+        mass=rate * rate * np.array([[0.0, 0.0], [1.0, 1.0]]),
+        damping=2.0 * values["damping_ratio"] * rate * np.array([[0.0, 0.0], [0.0, 1.0]]),
+        inputs=constant(drive, p),
+        compliance=constant(np.ones(2), p),
+    )
+    shape = stack([values[f"shape_{name}"] for name in _springs(geometry)]).expanded(-1)
+    nothing = constant(np.zeros((len(equations.springs), n + 1)), p)
+    return replace(wide, extra_readings=wide.extra_readings + concatenate([nothing, shape], axis=1))
+
+
+EFFECT = Effect(
+    name="extra-mode",
+    summary="One further resonance of free shape and without a known cause.",
+    validity="A description, not an explanation. At a motion it is reciprocal and holds for all loads; at a load "
+    "component it holds for that load alone and says nothing of the others.",
+    reference="Ewins, Modal Testing: Theory, Practice and Application, 2nd ed., 2000, chapter 4 (modal constants). "
+    "Den Hartog, Mechanical Vibrations, 1956, chapter 3 (a mass on a spring, carried).",
+    trace="A peak at one frequency in several channels, where the model has none.",
+    separated_by="Looking for what resonates: a roving accelerometer at the frequency found.",
+    place="the motion x, y or z of the moving part that carries it, or the load component in whose response it is seen",
+    places=_places,
+    parameters=_parameters,
+    apply=_apply,
+    empirical=True,
+    searched=_motions,
+)

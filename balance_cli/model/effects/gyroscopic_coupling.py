@@ -1,0 +1,62 @@
+"""`gyroscopic-coupling`: what spins about z couples the tilts of the plate.
+
+The angular momentum H = I Omega e of what spins turns with the plate, whose z axis points to e = (theta, -phi, 1).
+Changing H takes the moment H', so that on the left of the equations of motion stand
+
+    about x (phi):      + I Omega theta'
+    about y (theta):    - I Omega phi'
+
+the skew matrix Omega G of the equations, Omega = 2 pi times the rotor speed of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import Effect, EffectParameter, Where
+from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.equations import Equations
+
+
+def _places(geometry: Geometry) -> tuple[Where, ...]:
+    """The whole rig, where it can tilt about both axes."""
+    return ((),) if {"theta", "phi"} <= set(geometry.freedom) else ()
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    scale = 0.1 * (geometry.torque_meter.inertia if geometry.torque_meter else 1.0)
+    return (
+        EffectParameter(
+            "polar_inertia",
+            "kg m2",
+            0.0,
+            scale,
+            "Moment of inertia about z of what spins; negative where it turns clockwise seen from above.",
+        ),
+    )
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    phi, theta = equations.coordinates.index("phi"), equations.coordinates.index("theta")
+    G = np.zeros((len(equations.coordinates),) * 2)
+    G[phi, theta], G[theta, phi] = 1.0, -1.0
+    return replace(equations, gyroscopic=equations.gyroscopic + values["polar_inertia"] * G)
+
+
+EFFECT = Effect(
+    name="gyroscopic-coupling",
+    summary="The spinning shaft and hub couple pitch and roll of the plate.",
+    validity="Small tilts; a symmetrical spinning part whose axis stays that of the plate.",
+    reference="Den Hartog, Mechanical Vibrations, 4th ed., 1956, chapter 6 (rotating machinery).",
+    trace="Nothing at rest. With the rotor turning, the two tilt modes part and whirl, and Mx shows in pitch.",
+    separated_by="The same sweep at rest and with the rotor turning.",
+    place="none",
+    places=_places,
+    parameters=_parameters,
+    apply=_apply,
+    needs_spin=True,
+)

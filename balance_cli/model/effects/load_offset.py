@@ -1,0 +1,50 @@
+"""`load-offset`: the force cell of an exciter reads a constant too much wherever it applies a load.
+
+    true load = spill (recorded load - offset)
+
+A component that was not applied in a run, or in a static row, is declared zero, and so without offset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import Effect, EffectParameter, Where
+from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.equations import Equations
+
+
+def _places(geometry: Geometry) -> tuple[Where, ...]:
+    return tuple((name,) for name in COMPONENTS)
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    unit = "N" if where[0].startswith("F") else "N m"
+    return (EffectParameter("offset", unit, 0.0, 0.1, "Recorded load without a true one."),)
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    unit = np.array([float(name == where[0]) for name in COMPONENTS])
+    return replace(equations, load_offset=equations.load_offset + values["offset"] * unit)
+
+
+EFFECT = Effect(
+    name="load-offset",
+    summary="The exciter's force cell does not read zero without load.",
+    validity="The same in all runs in which the component is applied.",
+    reference="Wigren and Schoukens, Three free data sets for development and benchmarking in nonlinear system "
+    "identification, ECC 2013 (offset of the Silverbox's input).",
+    trace="The means of all strain channels shift in the proportions that the load itself has; in a static run a jump "
+    "where the load sets in.",
+    separated_by="A record with the exciter coupled and at rest; an offset of a channel is in that channel alone.",
+    place="a load component",
+    places=_places,
+    parameters=_parameters,
+    apply=_apply,
+    needs_mean=True,
+)

@@ -1,0 +1,114 @@
+"""`mast-bending`: the hub gives way sideways on the mast.
+
+The hub, a point mass m at h, is part of the declared moving part. Its deflections w against the plate are further
+coordinates; it moves by N q + w, N the rows of [I, R(h - g)] for the flexible directions:
+
+    kinetic energy    T = 1/2 q' M q + m w' N q + 1/2 m w' w
+    hub forces        act on N q + w
+
+with compliance c and damping d = 2 zeta sqrt(m / c). The equation of w is multiplied by c, so that it says w = 0
+where c = 0:
+
+    c (m (N q'' + w'') + d w' - F_hub) + w = 0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import Effect, EffectParameter, Where, floored, stiffness_by_motion, subsets
+from balance_cli.model.mechanics.dual_numbers import Jet, concatenate, constant, stack
+from balance_cli.model.mechanics.equations import Equations
+
+AXES = ("x", "y")
+
+# A change of a compliance that matters, and one with which a fit may begin, relative to that of all cells together.
+SMALL = 1e-1
+# Square roots are taken as if mass and compliance were at least this part of their scale.
+FLOOR = 1e-6
+
+
+def _places(geometry: Geometry) -> tuple[Where, ...]:
+    """The sideways motions that the plate has."""
+    return subsets(tuple(axis for axis in AXES if axis in geometry.freedom))
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    hub = min(geometry.bodies, key=lambda body: float(np.linalg.norm(np.subtract(body.position, geometry.hub))))
+    stiffness = stiffness_by_motion(geometry)
+    mass = EffectParameter(
+        "mass",
+        "kg",
+        0.0,
+        0.1 * hub.mass,
+        "Mass that goes with the hub; part of the declared mass of the moving part.",
+        lower=0.0,
+        start=0.5 * hub.mass,
+        secondary=True,
+    )
+    compliances = (
+        EffectParameter(
+            f"compliance_{axis}",
+            "m/N",
+            0.0,
+            SMALL / stiffness[axis],
+            f"Deflection of the hub along {axis} per unit force, against the plate.",
+            lower=0.0,
+            start=SMALL / stiffness[axis],
+        )
+        for axis in where
+    )
+    damping = EffectParameter(
+        "damping_ratio",
+        "1",
+        0.0,
+        0.01,
+        "Of the hub on the mast, with the plate held.",
+        lower=0.0,
+        upper=1.0,
+        start=0.01,
+        secondary=True,
+    )
+    return (mass, *compliances, damping)
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    p, m, n = equations.parameters, len(where), len(equations.coordinates)
+    mass, compliance = values["mass"], stack([values[f"compliance_{axis}"] for axis in where])
+    scale = {item.name: FLOOR * item.scale for item in _parameters(geometry, where)}
+    floors = np.array([scale[f"compliance_{axis}"] for axis in where])
+    ratio = floored(mass, scale["mass"]) * floored(compliance, floors).reciprocal()
+    damping = 2.0 * values["damping_ratio"] * ratio.sqrt()
+    moving = equations.motion(np.array(geometry.hub))[["xyz".index(axis) for axis in where]]
+    unit = np.eye(6)[[COMPONENTS.index(f"F{axis}") for axis in where]]
+    wide = equations.with_coordinates(
+        names=tuple(f"hub {axis}" for axis in where),
+        mass=mass * np.eye(m),
+        damping=damping.expanded(-1) * np.eye(m),
+        inputs=constant(unit, p),
+        compliance=compliance,
+    )
+    shared = mass * concatenate([moving, constant(np.zeros((m, m)), p)], axis=1)
+    lower = concatenate([constant(np.zeros((n, n + m)), p), shared])
+    return replace(wide, mass=wide.mass + lower + lower.T)
+
+
+EFFECT = Effect(
+    name="mast-bending",
+    summary="The hub, on which the loads act, swings sideways on a flexible mast.",
+    validity="A point mass at the hub and small deflections; the tilt of the hub, and with it what hub moments do, "
+    "is left out.",
+    reference="Den Hartog, Mechanical Vibrations, 4th ed., 1956, chapter 3 (a small mass on a large one).",
+    trace="Responses to Fx or Fy rise above the rigid ones with the square of the frequency, all cells alike; those to "
+    "moments do so much less. The static calibration stays as it is.",
+    separated_by="An accelerometer at the hub, or a sweep with a known mass added there.",
+    place="x, y or both: the directions in which the mast bends",
+    places=_places,
+    parameters=_parameters,
+    apply=_apply,
+)

@@ -1,0 +1,87 @@
+"""`parallel-stiffness`: a path from the plate to ground beside the cells: a hose, a cable, something that touches.
+
+Three springs at one point p of the plate, along the rig's axes, each with a dashpot beside it; no channel reads them.
+With N = [I, R(p - g)] and one time constant tau for all,
+
+    K -> K + N' diag(k_x, k_y, k_z) N,        D -> D + tau N' diag(k_x, k_y, k_z) N
+
+Their other end stands on the ground, not on the lower body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import (
+    Effect,
+    EffectParameter,
+    Where,
+    nowhere_in_particular,
+    reach,
+    stiffness_by_motion,
+)
+from balance_cli.model.mechanics.dual_numbers import Jet, stack
+from balance_cli.model.mechanics.equations import Equations
+
+# A share of the cells' stiffness that matters, and one with which a fit may begin.
+SMALL = 1e-2
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    cells = stiffness_by_motion(geometry)
+    largest = max(cells[axis] for axis in "xyz")
+    # Half way up to the hub: at the origin itself the moments of the springs would have no slope to begin with.
+    far = reach(geometry)
+    point = (
+        EffectParameter(
+            axis, "m", 0.0, 0.1, f"The point where it holds the plate, {axis}.", -far, far, 0.5 * at, secondary=True
+        )
+        for axis, at in zip("xyz", geometry.hub, strict=True)
+    )
+    springs = (
+        EffectParameter(
+            f"stiffness_{axis}",
+            "N/m",
+            0.0,
+            SMALL * (cells[axis] or largest),
+            f"Stiffness along {axis}.",
+            lower=0.0,
+            start=SMALL * (cells[axis] or largest),
+        )
+        for axis in "xyz"
+    )
+    damping = EffectParameter(
+        "damping_time",
+        "s",
+        0.0,
+        1e-4,
+        "Dashpot over spring: the loss factor at angular frequency w is w times this.",
+        lower=0.0,
+        start=1e-4,
+        secondary=True,
+    )
+    return (*point, *springs, damping)
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    motion = equations.motion(stack([values[axis] for axis in "xyz"]))
+    stiffness = stack([values[f"stiffness_{axis}"] for axis in "xyz"])
+    dashpots = motion.T @ ((values["damping_time"] * stiffness).expanded(-1) * motion)
+    return replace(equations.with_springs(motion, stiffness), damping=equations.damping + dashpots)
+
+
+EFFECT = Effect(
+    name="parallel-stiffness",
+    summary="Part of the load goes past the cells through a spring between plate and ground.",
+    validity="Massless linear springs and dashpots at one point, their axes along the rig's.",
+    reference="Tropea, Yarin and Foss (eds.), Springer Handbook of Experimental Fluid Mechanics, 2007, chapter 8 "
+    "(force and moment measurement).",
+    trace="At rest the cells carry less than is applied, by a fixed share; the eigenfrequencies lie higher.",
+    separated_by="A static calibration with and without the hose, cable or fouling.",
+    place="none",
+    places=nowhere_in_particular,
+    parameters=_parameters,
+    apply=_apply,
+)

@@ -1,0 +1,49 @@
+"""`quadratic-stiffness`: a cell is stiffer one way than the other; or a spring beside it is.
+
+A force f = k2 d^2 along the cell, d being its elongation from the unloaded rig:
+
+    M q'' + D q' + K q = F u - E' f(d),        the cell's channels read k d + f(d) (`inside`) or k d (`beside`)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import INSIDE, SIDE, Effect, EffectParameter, Where, each_cell_and_side
+from balance_cli.model.mechanics.dual_numbers import Jet, stack
+from balance_cli.model.mechanics.equations import CellForce, Equations
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    cell = next(cell for cell in geometry.cells if cell.name == where[0])
+    k = cell.effective_stiffness
+    scale = 0.01 * k * (k / cell.full_range)
+    return (EffectParameter("k2", "N/m2", 0.0, scale, "Force over the square of the elongation."),)
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    cell, side = where
+    spring = equations.springs.index(cell)
+    return equations.with_force(CellForce(spring, stack([values["k2"]]), _square, side == INSIDE))
+
+
+def _square(d: Jet, values: Jet, recurs: bool) -> Jet:
+    return d * d
+
+
+EFFECT = Effect(
+    name="quadratic-stiffness",
+    summary="The force along a cell holds a part that grows with the square of its elongation.",
+    validity="The law holds at every frequency; elongations within what the records reached.",
+    reference="Nayfeh and Mook, Nonlinear Oscillations, 1979, section 2.3 (quadratic and cubic restoring forces).",
+    trace="Static curves bend one way; a motion shifts the mean, and stiffness depends on the steady load.",
+    separated_by="A static run to the full range both ways; sweeps about two steady loads; `inside` and `beside` "
+    "differ in whether the cells' sum still is the load.",
+    place="a cell, then `inside` or `beside` (`inside` where nothing is said)",
+    places=each_cell_and_side,
+    parameters=_parameters,
+    apply=_apply,
+    choice=SIDE,
+    needs_mean=True,
+)

@@ -1,0 +1,67 @@
+"""`structural-damping`: a cell's force lags its elongation by the same angle at every frequency.
+
+    f = k (1 + j eta + r (2 / pi) eta ln(w / w0)) d        (for positive frequencies; at rest f = k d)
+
+The channels of the cell read the whole force. With a constant k, r = 0, no such law is causal: a force that lags by one
+angle at all frequencies comes from a spring that stiffens, r = 1, or it would begin before the elongation does. Both
+are the real and the imaginary part of k (1 + (2 / pi) eta ln(s / w0)). w0 / (2 pi) is 20 Hz: k is the stiffness there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import Effect, EffectParameter, Where, cells_at, each_cell_or_all
+from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.equations import Equations
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    return (
+        EffectParameter("loss_factor", "1", 0.0, 0.005, "Tangent of the angle by which the force lags.", lower=0.0),
+        EffectParameter(
+            "causality",
+            "1",
+            0.0,
+            0.1,
+            "Share of the stiffening with frequency that a causal law has; 0 is a constant stiffness.",
+            lower=0.0,
+            upper=1.0,
+            start=1.0,
+            secondary=True,
+        ),
+    )
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    chosen = np.zeros(len(equations.springs))
+    chosen[cells_at(geometry, where)] = 1.0
+    loss = values["loss_factor"] * chosen
+    rising = (2.0 / np.pi) * values["causality"] * loss
+    return replace(equations, loss=equations.loss + loss, stiffening=equations.stiffening + rising)
+
+
+def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
+    """As a spring can be, and as the law is mostly written."""
+    return ({"causality": 1.0}, {"causality": 0.0})
+
+
+EFFECT = Effect(
+    name="structural-damping",
+    summary="The cells lose a fixed share of their energy in each cycle, whatever its frequency.",
+    validity="A small loss factor; the modes' own frequencies feel the stiffening to first order.",
+    reference="Crandall, The role of damping in vibration theory, J. Sound Vib. 11 (1970) 3-18. Bishop and Johnson, "
+    "The Mechanics of Vibration, 1960. Makris, Causal hysteretic element, J. Eng. Mech. 123 (1997) 1209-1214.",
+    trace="Damping ratios that do not follow from one damping matrix, and a phase between two cells under one load "
+    "that does not vanish at low frequency.",
+    separated_by="Damping at low frequency: a viscous force vanishes there, this one does not.",
+    place="a cell, or `all`",
+    places=each_cell_or_all,
+    parameters=_parameters,
+    apply=_apply,
+    starts=_starts,
+)

@@ -1,0 +1,203 @@
+"""`support-flexibility`: the lower body, on which the cells stand, is a rigid body on springs of its own.
+
+Its motions b (those of its centre c that are flexible) are further coordinates. A cell at p is elongated by the motion
+of the plate against the lower body,
+
+    d = a' (motion of the plate at p - [I, R(p - c)] b)
+
+and pushes both. Each motion has inertia m, compliance s and damping d = 2 zeta sqrt(m / s); its equation is multiplied
+by s, so that it says b = 0 where s = 0:
+
+    s (m b'' + d b' - sum of the cells' forces on the lower body) + b = 0
+
+The plate's own damping D acts on its motion relative to the lower body, q - [I R(g - c); 0 I] b, with the motion of the
+plate's centre of gravity g when both move as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.rig.components import FREEDOMS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.effects.base import (
+    Effect,
+    EffectParameter,
+    Where,
+    floored,
+    inertia_by_motion,
+    reach,
+    stiffness_by_motion,
+    subsets,
+)
+from balance_cli.model.mechanics.dual_numbers import Jet, block_diagonal, concatenate, constant, stack
+from balance_cli.model.mechanics.equations import Equations, motion_of
+
+TRANSLATIONS = FREEDOMS[:3]
+
+# A change of a compliance that matters, and one with which a fit may begin, relative to that of all cells together.
+SMALL = 1e-2
+# Square roots are taken as if masses and compliances were at least this part of their scale.
+FLOOR = 1e-6
+# Where a search begins: compliances relative to those of the cells, and the depth of the lower body's centre below the
+# lowest cell, relative to the height of the hub over it.
+SOFTNESS = 0.1
+START_DEPTH = 0.2
+
+
+def _places(geometry: Geometry) -> tuple[Where, ...]:
+    """Any motions that the cells resist."""
+    stiffness = stiffness_by_motion(geometry)
+    return subsets(tuple(name for name in FREEDOMS if stiffness[name] > 0))
+
+
+def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    stiffness = stiffness_by_motion(geometry)
+    compliances = (
+        EffectParameter(
+            f"compliance_{name}",
+            "m/N" if name in TRANSLATIONS else "rad/(N m)",
+            0.0,
+            SMALL / stiffness[name],
+            f"Motion {name} of the lower body per unit load on it.",
+            lower=0.0,
+            start=SMALL / stiffness[name],
+        )
+        for name in where
+    )
+    damping = EffectParameter(
+        "damping_ratio",
+        "1",
+        0.0,
+        0.01,
+        "Of each motion of the lower body alone, with the plate taken off.",
+        lower=0.0,
+        upper=1.0,
+        start=0.02,
+        secondary=True,
+    )
+    return (*_inertias(geometry, where), *compliances, damping, *_centre(geometry, where))
+
+
+def _centre(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    """Position of the centre, as far as the rotations of the lower body show it."""
+    shown = {"psi": "xy", "theta": "xz", "phi": "yz"}
+    axes = sorted({axis for name in where for axis in shown.get(name, "")})
+    far = reach(geometry)
+    return tuple(
+        EffectParameter(axis, "m", 0.0, 0.05, f"Position {axis} of its centre.", -far, far, secondary=True)
+        for axis in axes
+    )
+
+
+def _inertia_name(motion: str) -> str:
+    return "mass" if motion in TRANSLATIONS else f"inertia_{motion}"
+
+
+def _inertias(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    """One mass for all translations, one inertia for each rotation; of the size of the moving part's."""
+    moving = {_inertia_name(name): inertia for name, inertia in inertia_by_motion(geometry).items()}
+    sentences = {"mass": "Mass of the lower body."}
+    return tuple(
+        EffectParameter(
+            name,
+            "kg" if name == "mass" else "kg m2",
+            0.0,
+            0.1 * moving[name],
+            sentences.get(name, f"Inertia of the lower body against {name[8:]}, about its centre."),
+            lower=0.0,
+            start=moving[name],
+            secondary=True,
+        )
+        for name in dict.fromkeys(_inertia_name(motion) for motion in where)
+    )
+
+
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+    p, m, n = equations.parameters, len(where), len(equations.coordinates)
+    inertia = stack([values[_inertia_name(name)] for name in where])
+    compliance = stack([values[f"compliance_{name}"] for name in where])
+    damping = 2.0 * values["damping_ratio"] * _at_least(inertia, compliance, geometry, where).sqrt()
+    nothing = constant(np.zeros((m, m)), p)
+    wide = equations.with_coordinates(
+        names=tuple(f"lower {name}" for name in where),
+        mass=inertia.expanded(-1) * np.eye(m),
+        damping=nothing,
+        inputs=constant(np.zeros((m, 6)), p),
+        compliance=compliance,
+    )
+    lower = _at_origin(values, where, p)
+    wide = replace(wide, base=concatenate([equations.base, lower], axis=1))
+    directions = np.array([cell.direction for cell in geometry.cells])
+    motion = wide.relative_motion(np.array([cell.position for cell in geometry.cells]))
+    cells = (directions[:, None, :] @ motion)[:, 0]
+    torque = wide.elongation[len(directions) :]
+    relative = concatenate([constant(np.eye(n), p), -_carried(equations, lower)], axis=1)
+    own = block_diagonal(constant(np.zeros((n, n)), p), damping.expanded(-1) * np.eye(m))
+    return replace(
+        wide,
+        elongation=concatenate([cells, torque]),
+        damping=relative.T @ equations.damping @ relative + own,
+    )
+
+
+def _at_origin(values: Mapping[str, Jet], where: Where, p: int) -> Jet:
+    """Motion (6, m) of the lower body at the rig's origin per motion of its centre."""
+    centre = stack([values[axis] if axis in values else constant(0.0, p) for axis in "xyz"])
+    whole = concatenate([motion_of(-centre), constant(np.eye(6)[3:], p)])
+    return whole[:, [FREEDOMS.index(name) for name in where]]
+
+
+def _carried(equations: Equations, lower: Jet) -> Jet:
+    """Motion (n, m) of each coordinate when the plate goes along with the lower body; the shaft does not."""
+    p, others = equations.parameters, len(equations.coordinates) - len(equations.freedom)
+    along = concatenate([motion_of(equations.centre), constant(np.eye(6)[3:], p)]) @ lower
+    return concatenate([along[list(equations.freedom)], constant(np.zeros((others, lower.value.shape[1])), p)])
+
+
+def _searched(geometry: Geometry) -> tuple[Where, ...]:
+    """All motions at once; those that turn out stiff are taken out afterwards."""
+    return _places(geometry)[-1:]
+
+
+def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
+    """A lower body as heavy as the moving part, stiffer than the cells; its centre below them, at them, far below."""
+    stiffness = stiffness_by_motion(geometry)
+    lowest = min(cell.position[2] for cell in geometry.cells)
+    depth = START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3)
+    softness = {f"compliance_{name}": SOFTNESS / stiffness[name] for name in where}
+    return tuple({"z": lowest - times * depth, **softness} for times in (1.0, 0.0, 2.0))
+
+
+def _at_least(inertia: Jet, compliance: Jet, geometry: Geometry, where: Where) -> Jet:
+    """Inertia over compliance (m,), both kept off zero, where the square root of either has no derivative."""
+    parameters = {item.name: item for item in _parameters(geometry, where)}
+    ratios = [
+        floored(inertia[i], FLOOR * parameters[_inertia_name(name)].scale)
+        * floored(compliance[i], FLOOR * parameters[f"compliance_{name}"].scale).reciprocal()
+        for i, name in enumerate(where)
+    ]
+    return stack(ratios)
+
+
+EFFECT = Effect(
+    name="support-flexibility",
+    summary="The lower body gives way under the cells, with mass, springs and damping of its own.",
+    validity="Small motions of a rigid lower body whose springs and inertias act at one point, its centre, along the "
+    "rig's axes, without coupling between them.",
+    reference="The 1985 paper, section 3, assumes it away (`the eigenfrequencies of the support do not influence the "
+    "balance dynamics`). Den Hartog, Mechanical Vibrations, 4th ed., 1956, chapter 3 (two degrees of freedom).",
+    trace="Eigenfrequencies lower than computed and further resonances above them, while the static calibration "
+    "stays as it is: at rest the cells carry the loads whatever they stand on.",
+    separated_by="Accelerometers on the lower body; a sweep with the lower body clamped or loaded with a known mass.",
+    place="the motions of the lower body that are flexible, any of x y z psi theta phi",
+    places=_places,
+    parameters=_parameters,
+    apply=_apply,
+    searched=_searched,
+    starts=_starts,
+    once=True,
+)

@@ -1,0 +1,1 @@
+"""Equations of motion, and dual numbers that carry their derivatives."""

@@ -1,0 +1,1 @@
+"""From channels to hub loads: mean loads, harmonic loads, loads in time."""

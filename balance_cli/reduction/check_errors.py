@@ -1,0 +1,90 @@
+"""Errors on a check run: reduced against applied loads, beside what the record's noise alone would leave."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.plate import hub_arm
+from balance_cli.reduction.result import CheckErrors
+from balance_cli.reduction.weighted_least_squares import SolvedLoads
+from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.harmonics import Harmonics
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+HARMONICS_COMPARED = 8
+
+
+def check_errors(
+    spectra: Harmonics,
+    dynamic: SolvedLoads,
+    components: tuple[str, ...],
+    geometry: Geometry,
+    spill: Array | None = None,
+) -> CheckErrors:
+    """Compare over harmonics 1 to 8, complex amplitudes (contract, `load_error` and `interaction`).
+
+    A component was applied where its column of the loads is not all zeros. `spill` (6, 6): what acts for each load that
+    the exciter's force cells measure, where a model knows; the error is that against the loads that act.
+    """
+    H = anti_alias(geometry.acquisition, spectra.frequency_hz)
+    mine = spectra.columns(components)
+    was_applied = np.any(spectra.amplitude[:, mine] != 0, axis=0)
+    applied, variance = spectra.amplitude[:, mine], np.real(np.diagonal(spectra.covariance, axis1=1, axis2=2))[:, mine]
+    if spill is not None and np.any(spill != np.eye(6)):
+        applied, variance = _acting(spectra, spill, components)
+    applied, variance = applied / H[:, None], variance / np.abs(H[:, None]) ** 2
+    last = min(HARMONICS_COMPARED, len(spectra.frequency_hz) - 1)
+    error = _rms(dynamic.loads[:last] - applied[1 : last + 1])
+    noise = _noise(dynamic, variance[1:])[:last]
+    size = np.where(
+        was_applied, _rms(applied[1 : last + 1]), _largest_force(applied[1 : last + 1], components, geometry)
+    )
+    relative, of_noise = error / size, np.sqrt(np.mean(noise, axis=0)) / size
+    return CheckErrors(
+        load_error=_named(components, relative, was_applied),
+        interaction=_named(components, relative, ~was_applied),
+        load_noise=_named(components, of_noise, was_applied),
+        interaction_noise=_named(components, of_noise, ~was_applied),
+        applied=applied,
+    )
+
+
+def _acting(spectra: Harmonics, spill: Array, components: tuple[str, ...]) -> tuple[ComplexArray, Array]:
+    """Loads (n+1, m) that act, and their variance, where those of the force cells spill into others."""
+    six = spectra.columns(COMPONENTS)
+    to = spill[[COMPONENTS.index(name) for name in components]]
+    covariance = spectra.covariance[:, six][:, :, six]
+    return spectra.amplitude[:, six] @ to.T, np.real(np.einsum("mi,hij,mj->hm", to, covariance, to))
+
+
+def _rms(values: ComplexArray) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.abs(values) ** 2, axis=0)))
+
+
+def _noise(dynamic: SolvedLoads, applied_variance: Array) -> Array:
+    """Expected |reduced - applied|^2 (n, m) from noise of the channels and of the applied loads' own reading."""
+    m = dynamic.loads.shape[1]
+    variance = np.diagonal(dynamic.noise_covariance, axis1=1, axis2=2)
+    return np.asarray(variance[:, :m] + variance[:, m:] + applied_variance)
+
+
+def _largest_force(applied: ComplexArray, components: tuple[str, ...], geometry: Geometry) -> Array:
+    """What interactions are compared with: the largest applied force; for moments times the height of the hub.
+
+    Where moments alone were applied, the largest of them over that height stands for the force.
+    """
+    arm = hub_arm(geometry.hub)
+    moment = np.array([COMPONENTS.index(name) >= 3 for name in components])
+    sizes = _rms(applied)
+    forces = sizes[~moment]
+    force = max(forces.max(initial=0.0), 0.0) or (sizes[moment] / arm).max(initial=0.0) or np.nan
+    return np.asarray(np.where(moment, arm * force, force), float)
+
+
+def _named(components: tuple[str, ...], values: Array, keep: NDArray[np.bool_]) -> dict[str, float]:
+    return {name: float(value) for name, value, k in zip(components, values, keep, strict=True) if k}

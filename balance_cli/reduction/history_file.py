@@ -1,0 +1,140 @@
+"""Load histories of a run: hub loads over time with sigma, and the file that holds them, written block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.components import COMPONENTS, UNITS
+from balance_cli.io.atomic import writing
+from balance_cli.reduction.kalman.load_history import History, LoadTrack
+from balance_cli.reduction.result import RunLoads
+from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
+
+Array = NDArray[np.float64]
+
+FORMAT = "balance-history/1"
+BLOCK = 8192
+"""Rows of a history that are held at once, and of a chunk of its file."""
+
+
+# ---- of harmonics ----------------------------------------------------------------------------------------------------
+
+
+def harmonic_blocks(run: Run, loads: RunLoads) -> Iterator[History]:
+    """The sum of the harmonics of a steady run at the azimuth of each sample, over the interval that was used."""
+    assert run.sample_rate is not None and run.pulse_times is not None
+    azimuth = azimuth_from_pulses(run.pulse_times)
+    # As the times themselves are compared: the product may be off by the last digit.
+    first, stop = (int(t * run.sample_rate) for t in loads.interval)
+    for start in range(max(first - 1, 0), min(stop + 2, run.samples), BLOCK):
+        time = np.arange(start, min(start + BLOCK, stop + 2, run.samples)) / run.sample_rate
+        time = time[(time >= loads.interval[0]) & (time < loads.interval[1])]
+        if len(time):
+            yield _summed(azimuth, loads, time)
+
+
+def _summed(azimuth: Azimuth, loads: RunLoads, time: Array) -> History:
+    """The sum of the harmonics at some times (n,) [s]."""
+    turns = np.exp(1j * azimuth.psi(time)[:, None] * np.arange(len(loads.frequency_hz)))
+    mine = [COMPONENTS.index(name) for name in loads.components]
+    values, sigma = np.full((2, len(time), 6), np.nan)
+    values[:, mine] = np.real(turns @ loads.amplitude)
+    variance = turns.real**2 @ loads.sigma_cosine**2 + turns.imag**2 @ loads.sigma_sine**2
+    sigma[:, mine] = np.sqrt(variance)
+    return History(loads.run, time, values, sigma)
+
+
+# ---- the file --------------------------------------------------------------------------------------------------------
+
+
+class HistoryFile:
+    """An HDF5 file with `time` (n,), `loads` (n, 6), `sigma` (n, 6) (contract, LOADS) to which blocks are appended.
+
+    As a context manager it is closed at the end of the block. UserError where it cannot be written.
+    """
+
+    def __init__(self, path: Path, run: str) -> None:
+        import h5py
+
+        self._path, self._waiting = path, _Waiting()
+        with writing(path):
+            self._file: Any = h5py.File(path, "w")
+            self._file.attrs["format"] = FORMAT
+            self._file.attrs["run"] = run
+            self._growing("time", ()).attrs["unit"] = "s"
+            for name in ("loads", "sigma"):
+                table = self._growing(name, (len(COMPONENTS),))
+                table.attrs["names"] = COMPONENTS
+                table.attrs["units"] = UNITS
+
+    def _growing(self, name: str, row: tuple[int, ...]) -> Any:
+        """An empty dataset to which rows can be added."""
+        return self._file.create_dataset(
+            name, (0, *row), maxshape=(None, *row), chunks=(BLOCK, *row), dtype="f8", compression="gzip"
+        )
+
+    def __enter__(self) -> HistoryFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with writing(self._path):
+            if error is None:
+                self._append(self._waiting.taken())
+            self._file.close()
+
+    def add(self, block: History) -> None:
+        """Rows after those that are there; short blocks are gathered before they are written."""
+        self._waiting.add(block)
+        if self._waiting.rows >= BLOCK:
+            with writing(self._path):
+                self._append(self._waiting.taken())
+
+    def _append(self, rows: dict[str, Array]) -> None:
+        for name, values in rows.items():
+            dataset = self._file[name]
+            before = len(dataset)
+            dataset.resize(before + len(values), axis=0)
+            dataset[before:] = values
+
+    def add_harmonics(self, track: LoadTrack, components: tuple[str, ...]) -> None:
+        """Group `harmonics`: `time` (r,), `cosine`, `sine`, `sigma` (r, n+1, 6), NaN for components not carried."""
+        mine = [COMPONENTS.index(name) for name in components]
+        parts = {"cosine": track.amplitude.real, "sine": -track.amplitude.imag, "sigma": track.sigma}
+        with writing(self._path):
+            group = self._file.create_group("harmonics")
+            group.create_dataset("time", data=track.time).attrs["unit"] = "s"
+            for name, values in parts.items():
+                table = np.full((*values.shape[:2], len(COMPONENTS)), np.nan)
+                table[:, :, mine] = values
+                dataset = group.create_dataset(name, data=table, compression="gzip")
+                dataset.attrs["names"] = COMPONENTS
+                dataset.attrs["units"] = UNITS
+
+
+class _Waiting:
+    """Blocks not yet written, by dataset."""
+
+    def __init__(self) -> None:
+        self.rows = 0
+        self._blocks: list[History] = []
+
+    def add(self, block: History) -> None:
+        """One more."""
+        self._blocks.append(block)
+        self.rows += len(block.time)
+
+    def taken(self) -> dict[str, Array]:
+        """{dataset: rows} of all of them, which are then gone."""
+        blocks, self._blocks, self.rows = self._blocks, [], 0
+        if not blocks:
+            return {}
+        return {name: np.concatenate([getattr(block, name) for block in blocks]) for name in ("time", "loads", "sigma")}

@@ -1,0 +1,149 @@
+"""From a continuous model driven by white noise to one from sample to sample, delays between samples included.
+
+Between samples nothing is held: states, their noise and outputs that are late by any time are exact. An output that is
+late by a part of the step is the state at an instant between two samples, which is reached first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from balance_cli.reduction.kalman.riccati import symmetric
+
+Array = NDArray[np.float64]
+
+SMALL_STEP = 0.25
+"""Largest norm of A h for which the series of a step are summed."""
+TERMS = 18
+
+
+@dataclass(frozen=True)
+class ContinuousModel:
+    """x' = A x + noise of intensity W, y_c = C_c x(t - delay_c), u = U x; n states, c channels, m loads.
+
+    A, W (n, n), C (c, n), delay (c,) [s], not negative, U (m, n).
+    """
+
+    A: Array
+    W: Array
+    C: Array
+    delay: Array
+    U: Array
+
+
+@dataclass(frozen=True)
+class SampledModel:
+    """x[k+1] = F x[k] + w, y[k] = H x[k] + v, u[k] = U x[k]: F and Q = E[w w'] (n, n), H (c, n), U (m, n)."""
+
+    F: Array
+    Q: Array
+    H: Array
+    U: Array
+
+    @property
+    def order(self) -> int:
+        """Number n of states."""
+        return len(self.F)
+
+    def scaled(self, size: Array) -> SampledModel:
+        """The same with states in units of `size` (n,)."""
+        return SampledModel(self.F * size / size[:, None], self.Q / np.outer(size, size), self.H * size, self.U * size)
+
+    def seen_by(self, channels: Array) -> SampledModel:
+        """The same with some of the channels, or with combinations `channels` (r, c) of them."""
+        return replace(self, H=channels @ self.H)
+
+
+def step_of(A: Array, W: Array, time: float) -> tuple[Array, Array]:
+    """exp(A t) and the noise covariance int exp(A s) W exp(A s)' ds (n, n) of a step.
+
+    The series for a short step, then doubling: Q(2h) = Q(h) + Phi(h) Q(h) Phi(h)', which no fast decay can harm.
+    """
+    size = float(np.linalg.norm(A, 1)) * time
+    halvings = max(int(np.ceil(np.log2(max(size, 1e-300) / SMALL_STEP))), 0)
+    h = time / 2**halvings
+    term = W * h
+    Q = term.copy()
+    for i in range(2, TERMS):
+        term = (A @ term + term @ A.T) * (h / i)
+        Q = Q + term
+    Phi = np.asarray(scipy.linalg.expm(A * h), float)
+    for _ in range(halvings):
+        Q, Phi = symmetric(Q + Phi @ Q @ Phi.T), Phi @ Phi
+    return Phi, symmetric(Q)
+
+
+def sampled(model: ContinuousModel, step: float) -> SampledModel:
+    """The model at samples `step` [s] apart; outputs that are late are further states."""
+    whole, part = np.divmod(np.round(model.delay / step, 9), 1.0)
+    n, c = len(model.A), len(model.C)
+    counts = whole.astype(int) + (part > 0)
+    # A delay that was rounded to none keeps no states.
+    late = np.flatnonzero(counts)
+    first = n + np.concatenate([[0], np.cumsum(counts)[:-1]])
+    total = n + int(counts.sum())
+    F, Q = np.eye(total), np.zeros((total, total))
+    F, Q = _shifted(F, Q, first, counts)
+    at = 0.0
+    for instant in [*sorted({1.0 - p for p in part[late] if p > 0}), 1.0]:
+        F, Q = _advanced(F, Q, model, (instant - at) * step)
+        at = instant
+        for channel in late:
+            if part[channel] > 0 and np.isclose(1.0 - part[channel], instant, rtol=0.0, atol=1e-10):
+                F, Q = _recorded(F, Q, int(first[channel]), model.C[channel])
+    H = np.zeros((c, total))
+    for i in range(c):
+        if counts[i]:
+            H[i, first[i] + counts[i] - 1] = 1.0
+        else:
+            H[i, :n] = model.C[i]
+    for channel in late:
+        if part[channel] == 0:
+            F, Q = _recorded_before(F, Q, int(first[channel]), model.C[channel])
+    return SampledModel(F, Q, H, np.hstack([model.U, np.zeros((len(model.U), total - n))]))
+
+
+def _advanced(F: Array, Q: Array, model: ContinuousModel, time: float) -> tuple[Array, Array]:
+    """The map and its noise, continued by a time through which only the states proper move."""
+    n = len(model.A)
+    Phi, noise = step_of(model.A, model.W, time)
+    F, Q = F.copy(), Q.copy()
+    F[:n] = Phi @ F[:n]
+    Q[:n] = Phi @ Q[:n]
+    Q[:, :n] = Q[:, :n] @ Phi.T
+    Q[:n, :n] += noise
+    return F, Q
+
+
+def _recorded(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]:
+    """What an output is at this instant, kept in a state."""
+    n = len(C)
+    F, Q = F.copy(), Q.copy()
+    F[row] = C @ F[:n]
+    Q[row] = C @ Q[:n]
+    Q[:, row] = Q[:, :n] @ C
+    return F, Q
+
+
+def _recorded_before(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]:
+    """What an output was at the last sample, kept in a state: late by whole steps."""
+    F, Q = F.copy(), Q.copy()
+    F[row], Q[row], Q[:, row] = 0.0, 0.0, 0.0
+    F[row, : len(C)] = C
+    return F, Q
+
+
+def _shifted(F: Array, Q: Array, first: Array, counts: Array) -> tuple[Array, Array]:
+    """What was kept moves on by one place; the first place of each output is free."""
+    F = F.copy()
+    for start, count in zip(first, counts, strict=True):
+        for row in range(int(start) + int(count) - 1, int(start), -1):
+            F[row] = 0.0
+            F[row, row - 1] = 1.0
+        if count:
+            F[start] = 0.0
+    return F, Q

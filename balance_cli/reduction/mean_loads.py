@@ -1,0 +1,196 @@
+"""Harmonic 0: mean hub loads from strain and torque channels through the static matrix of the nearest trim.
+
+Where the readings curve with the loads, `balance_cli.reduction.mean_loads_nonlinear` takes the place of the matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from balance_cli.calibration.result import Calibration, TrimCalibration
+from balance_cli.campaign.recording.channel_health import ChannelHealth
+from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.weighted_least_squares import SURPLUS_PROBABILITY
+from balance_cli.signals.harmonics import Harmonics
+
+Array = NDArray[np.float64]
+
+# Stretches into which a zero record is cut; the scatter of their means is the error of the whole mean.
+STRETCHES = 16
+NO_ZERO = "no zero"
+REDUNDANCY = "redundancy"
+EXTRAPOLATED = "extrapolated"
+# Condition of the matrix, loads in units of full range, from which it does not determine them.
+LARGEST_CONDITION = 1e8
+
+
+@dataclass(frozen=True)
+class ZeroRecord:
+    """Reading of the unloaded rig: means (c,) [V] of the named channels and their variance."""
+
+    run: str
+    channel_names: tuple[str, ...]
+    mean: Array
+    variance: Array
+
+
+def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
+    """Means of a wind-off record, with the error that the scatter of its stretches shows."""
+    names = tuple(name for name in channel_names if name in run.channel_names)
+    values = read_channels(run, names)
+    means = np.array([part.mean(axis=0) for part in np.array_split(values, STRETCHES)])
+    return ZeroRecord(run.name, names, values.mean(axis=0), means.var(axis=0, ddof=1) / STRETCHES)
+
+
+@dataclass(frozen=True)
+class SteadyLoads:
+    """Mean loads (m,) of the named components with sigma (m,), the trim that was used, and the surplus chi-square.
+
+    `flags` (m,): the words of each component.
+    """
+
+    components: tuple[str, ...]
+    loads: Array
+    sigma: Array
+    trim: str
+    flags: tuple[str, ...]
+    redundancy: float
+    redundancy_limit: float
+    condition: float
+
+
+@dataclass(frozen=True)
+class MeanReading:
+    """Mean readings (c,) of the usable ones (rows) of some channels, counted from a reading, with covariance (c, c)."""
+
+    rows: list[int]
+    change: Array
+    covariance: Array
+
+
+def steady_loads(
+    spectra: Harmonics, calibration: Calibration, health: ChannelHealth, zero: ZeroRecord | None
+) -> SteadyLoads:
+    """Loads through T0 of the trim nearest in mean load, found by going through the trims once.
+
+    Where channels were left out, the weighted inverse of what remains of C0 takes the place of T0. Raises UserError
+    where that does not determine the loads. A load outside those of the whole calibration is flagged, where they are
+    known.
+    """
+    first = next(iter(calibration.trims.values()))
+    found = _through(first, spectra, health, zero)
+    trim = calibration.nearest(_named(found))
+    if trim is not first:
+        found = _through(trim, spectra, health, zero)
+    gage = calibration.gage
+    outside = gage.model.extrapolated(found.loads + gage.level) if gage else ()
+    return with_word(found, outside)
+
+
+def with_word(loads: SteadyLoads, outside: Sequence[str]) -> SteadyLoads:
+    """The same loads, those of the components `outside` flagged as EXTRAPOLATED."""
+    words = zip(loads.components, loads.flags, strict=True)
+    flags = ("; ".join(filter(None, (flag, EXTRAPOLATED if name in outside else ""))) for name, flag in words)
+    return replace(loads, flags=tuple(flags))
+
+
+def _named(loads: SteadyLoads) -> Mapping[str, float]:
+    return dict(zip(loads.components, loads.loads.tolist(), strict=True))
+
+
+def _through(trim: TrimCalibration, spectra: Harmonics, health: ChannelHealth, zero: ZeroRecord | None) -> SteadyLoads:
+    unloaded = trim.offsets.mean(axis=0)
+    reading = mean_reading(trim.channel_names, trim.mean_channels, unloaded, spectra, health, zero)
+    C0 = trim.C0[reading.rows]
+    if not determined(C0 * trim.full_range):
+        raise undetermined(health, spectra.run)
+    W = np.linalg.inv(trim.noise_covariance[np.ix_(reading.rows, reading.rows)])
+    whole = len(reading.rows) == len(trim.channel_names)
+    T0 = trim.T0 if whole else np.linalg.inv(C0.T @ W @ C0) @ C0.T @ W
+    change = T0 @ reading.change
+    covariance = reading.covariance + _matrix_error(trim, reading.rows, change)
+    redundancy, limit = surplus(reading.change - C0 @ change, C0, covariance)
+    variance = np.diag(T0 @ covariance @ T0.T) * (redundancy if redundancy > limit else 1.0)
+    return SteadyLoads(
+        components=trim.components,
+        loads=trim.mean_load + change,
+        sigma=np.sqrt(variance),
+        trim=trim.trim,
+        flags=run_flags(trim.components, zero, redundancy > limit),
+        redundancy=redundancy,
+        redundancy_limit=limit,
+        condition=trim.condition,
+    )
+
+
+def run_flags(components: Sequence[str], zero: ZeroRecord | None, misfit: bool) -> tuple[str, ...]:
+    """The words that all components of a run have."""
+    words = ([NO_ZERO] if zero is None else []) + ([REDUNDANCY] if misfit else [])
+    return tuple(["; ".join(words)] * len(components))
+
+
+def _matrix_error(trim: TrimCalibration, rows: list[int], change: Array) -> Array:
+    """Covariance (c, c) of C0 f for the load change (m,), and of what the straight line leaves beyond noise."""
+    spread = np.einsum("ijkl,j,l->ik", trim.C0_covariance, change, change)
+    return np.asarray((spread + trim.lasting * trim.residual_covariance)[np.ix_(rows, rows)])
+
+
+def mean_reading(
+    channel_names: Sequence[str],
+    middle: Array,
+    unloaded: Array,
+    spectra: Harmonics,
+    health: ChannelHealth,
+    zero: ZeroRecord | None,
+) -> MeanReading:
+    """What the usable ones of the channels (c,) read more than `middle` (c,), zero shift taken off.
+
+    The zero shift is what a zero record reads more than the rig read `unloaded` (c,) in the calibration.
+    """
+    usable = set(health.live) & set(channel_names)
+    if zero is not None:
+        usable &= set(zero.channel_names)
+    rows = [i for i, name in enumerate(channel_names) if name in usable]
+    names = [channel_names[i] for i in rows]
+    mine = spectra.columns(names)
+    change = spectra.amplitude[0, mine].real - middle[rows]
+    covariance = np.real(spectra.covariance[0][np.ix_(mine, mine)])
+    if zero is not None:
+        at = [zero.channel_names.index(name) for name in names]
+        change = change - (zero.mean[at] - unloaded[rows])
+        covariance = covariance + np.diag(zero.variance[at])
+    return MeanReading(rows, change, covariance)
+
+
+def determined(C0: Array) -> bool:
+    """Whether the matrix (c, k) of the channels that remain, loads over full range, determines the loads."""
+    return len(C0) >= C0.shape[1] and bool(np.linalg.cond(C0) < LARGEST_CONDITION)
+
+
+def undetermined(health: ChannelHealth, run: str) -> UserError:
+    """What is wrong with a run whose remaining channels do not determine the loads."""
+    names = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items()) or "none"
+    return UserError(
+        f"the remaining strain and torque channels do not determine the mean loads (left out: {names})",
+        run,
+        "channels",
+        "Mend the channels, or leave the run out with --skip-bad",
+    )
+
+
+def surplus(residual: Array, C0: Array, covariance: Array) -> tuple[float, float]:
+    """Chi-square per degree of freedom of the surplus channels, and its 99.9 % point."""
+    degrees = len(C0) - C0.shape[1]
+    if degrees <= 0:
+        return float("nan"), float("inf")
+    weight = np.linalg.inv(covariance)
+    inverse = np.linalg.inv(C0.T @ weight @ C0)
+    projected = residual - C0 @ (inverse @ C0.T @ weight @ residual)
+    chi2 = float(projected @ weight @ projected)
+    return chi2 / degrees, float(stats.chi2.ppf(SURPLUS_PROBABILITY, degrees)) / degrees

@@ -1,0 +1,1 @@
+"""The steps of the chain: pure functions from data to results, one for each command."""

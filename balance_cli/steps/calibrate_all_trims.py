@@ -1,0 +1,109 @@
+"""The gage model of a calibration from its static runs, through all trims."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.fit import LoadPoints
+from balance_cli.calibration.least_squares import CollinearError
+from balance_cli.calibration.result import TrimCalibration
+from balance_cli.calibration.whole import GageCalibration, gage_calibration, rows_of
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.attitude import gravity_directions
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
+from balance_cli.model.balance import balance_model
+from balance_cli.model.system import response, solve
+from balance_cli.signals.static_noise import static_points
+
+Array = NDArray[np.float64]
+
+
+def gage_through_all_trims(
+    runs: Sequence[Run],
+    geometry: Geometry,
+    trims: Mapping[str, TrimCalibration],
+    hold_out: Sequence[Run],
+    search: bool,
+    direct: bool = False,
+) -> GageCalibration | None:
+    """One model through all trims.
+
+    None where their common channels do not serve, other loads were applied, or no load by itself within a sequence.
+    UserError for a hold-out run without some of the channels.
+    """
+    first = next(iter(trims.values()))
+    names = tuple(name for name in first.channel_names if all(name in trim.channel_names for trim in trims.values()))
+    if len(names) < len(first.components) or any(_loaded_otherwise(run, first.components) for run in runs):
+        return None
+    each = [rows_of(run, names, first.components) for run in runs]
+    lengths = [len(loads) for _, loads in each]
+    points = LoadPoints(
+        channel_names=names,
+        components=first.components,
+        run_names=tuple(run.name for run in runs),
+        channels=np.vstack([channels for channels, _ in each]),
+        loads=np.vstack([loads for _, loads in each]),
+        run=np.repeat(np.arange(len(runs)), lengths),
+        weight=np.repeat([1.0 / _own_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
+        full_range=first.full_range,
+        gravity=gravity(runs),
+    )
+    for run in hold_out:
+        _check_channels(run, names)
+    checks = [(run.name, *rows_of(run, names, first.components)) for run in hold_out]
+    try:
+        declared, by_run = _declared_response(geometry, points), _gravity_by_run(hold_out)
+        return gage_calibration(points, checks, search, declared, direct, by_run)
+    except CollinearError:
+        return None
+
+
+def gravity(runs: Sequence[Run]) -> Array | None:
+    """Directions (m, 3) of gravity in all rows, NaN for runs that do not state their attitude; None where none does."""
+    known = _gravity_by_run(runs)
+    return np.vstack([known.get(run.name, np.full((run.samples, 3), np.nan)) for run in runs]) if known else None
+
+
+def _gravity_by_run(runs: Sequence[Run]) -> dict[str, Array]:
+    return {run.name: gravity_directions(run.attitude) for run in runs if run.attitude is not None}
+
+
+def _declared_response(geometry: Geometry, points: LoadPoints) -> Array:
+    """What the declared rig reads at rest (c, k) [V/N, V/(N m)]."""
+    system = balance_model(geometry).system()
+    T = response(system, solve(system, np.zeros(1)))[0].real
+    rows = [geometry.channel_names.index(name) for name in points.channel_names]
+    return np.asarray(T[np.ix_(rows, [COMPONENTS.index(name) for name in points.components])])
+
+
+def _check_channels(run: Run, names: tuple[str, ...]) -> None:
+    """UserError for a hold-out run that lacks a channel of the calibration."""
+    lost = [name for name in names if name not in run.channel_names]
+    if lost:
+        fault = f"the hold-out run has no channel {', '.join(lost)}"
+        raise UserError(
+            fault, str(run.path or f"run {run.name}"), "channels", "Hold out a run with all channels of the calibration"
+        )
+
+
+def _loaded_otherwise(run: Run, components: tuple[str, ...]) -> bool:
+    """Whether a load was applied that the balance does not carry."""
+    loads = run.read().loads
+    assert loads is not None
+    other = [j for j, name in enumerate(COMPONENTS) if name not in components]
+    return bool(np.any(np.ptp(loads[:, other], axis=0) > 0))
+
+
+def _own_noise(run: Run, names: tuple[str, ...], trim: TrimCalibration) -> float:
+    """Mean variance of a row of this run over that of its trim; 1 where its rows do not tell."""
+    try:
+        own = np.diagonal(static_points(run, names).covariance)
+    except UserError:
+        return 1.0
+    at = [trim.channel_names.index(name) for name in names]
+    return float(np.mean(own / np.diagonal(trim.noise_covariance)[at]))

@@ -1,0 +1,98 @@
+"""What a model is worth on a run that no fit has seen: errors of hub loads and of responses, before and after."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.channel_health import live_channels
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.diagnosis.result import HoldOut, RunErrors
+from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
+from balance_cli.estimation.linear_part import linear_part
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.quality import fit_quality
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.check_errors import check_errors
+from balance_cli.reduction.harmonic_loads import RotorRecord, dynamic_loads, response_of_harmonics, rotor_record
+from balance_cli.reduction.response_sources import ResponseSource, model_source
+from balance_cli.reduction.result import CheckErrors
+
+Array = NDArray[np.float64]
+
+KINDS = ("check", "sweep")
+
+
+def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -> HoldOut:
+    """Errors of a run by the model before and after closing, and what the noise of the record alone would leave.
+
+    A `check` run has errors of its hub loads and of its response at the rotor harmonics 1 to 8, a `sweep` run those of
+    its response from 5 to 150 Hz. Raises UserError for other kinds, and where the run cannot be reduced.
+    """
+    check_serves(run)
+    errors = _check_run if run.kind == "check" else _sweep_run
+    (old, _), (new, noise) = errors(run, before), errors(run, after)
+    return HoldOut(old, new, noise)
+
+
+def check_serves(run: Run) -> None:
+    """UserError for a run of which nothing is known that a model could be held to."""
+    place = str(run.path or run.name)
+    if run.kind not in KINDS:
+        remedy = "Hold out check runs (errors of hub loads) or sweeps (errors of responses)"
+        raise UserError(f"a {run.kind} run has no known loads to compare with", place, "--hold-out", remedy)
+    if not run.has_loads:
+        raise UserError("has no `loads` to compare with", place, "loads", "Hold out a run whose loads were measured")
+
+
+def _check_run(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
+    """Errors of a check run, and their part that is noise, without a calibration: the harmonics from 1 on."""
+    source, geometry = model_source(model), model.geometry
+    record = rotor_record(run, geometry, source)
+    spill = identified_system(model).spill.value
+    loads = check_errors(record.spectra, dynamic_loads(record, geometry, source), record.components, geometry, spill)
+    return _named(loads, *_harmonic_errors(record, model, source, spill))
+
+
+def _named(loads: CheckErrors, frf_error: float, frf_noise: float) -> tuple[RunErrors, RunErrors]:
+    return (
+        RunErrors(loads.load_error, loads.interaction, frf_error),
+        RunErrors(loads.load_noise, loads.interaction_noise, frf_noise),
+    )
+
+
+def _harmonic_errors(
+    record: RotorRecord, model: IdentifiedModel, source: ResponseSource, spill: Array
+) -> tuple[float, float]:
+    """Rms of measured channels less response times applied loads over rms of the channels, and what noise leaves.
+
+    The anti-alias filter is the same in channels and loads.
+    """
+    spectra = record.spectra
+    readings = source.readings(spectra.frequency_hz[1:], record.health.live)
+    T = response_of_harmonics(record, model.geometry, source)[:, readings.rows] @ spill
+    # Residual and channels as combinations (h, r, c + 6) of everything that was recorded.
+    whole = np.concatenate([readings.combination, np.zeros_like(T)], axis=2)
+    less = np.concatenate([readings.combination, -T], axis=2)
+    mine = spectra.columns((*record.health.live, *COMPONENTS))
+    recorded = spectra.amplitude[1:, mine]
+    covariance = spectra.covariance[1:][:, mine][:, :, mine]
+    size, error = (np.linalg.norm(np.einsum("hrc,hc->hr", part, recorded)) for part in (whole, less))
+    noise = np.sqrt(np.real(np.einsum("hrc,hcd,hrd->", less, covariance, less.conj())))
+    return float(error / size), float(noise / size)
+
+
+def _sweep_run(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
+    """Error of the response of a sweep, as the quality of a fit has it, and what its noise leaves of a true model.
+
+    Forces along the cells that are not linear go out of the record first: where nothing repeats, what they do to it
+    would pass for noise.
+    """
+    system = identified_system(model)
+    run = linear_part(run, system, model.geometry, live_channels(run, model.geometry).live)
+    spectra = measured_spectra([run], model.geometry, means=False)
+    batches = stacked(spectra.lines, (), model.geometry.channel_names)
+    quality = fit_quality(batches, system, 0.0).runs[run.name]
+    return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise)

@@ -1,0 +1,218 @@
+"""Identification in the frequency domain: least squares, then maximum likelihood, all runs at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.equation_error import least_squares
+from balance_cli.estimation.gauss_newton import Minimum, prior_curvature
+from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable, ParameterTable
+from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
+from balance_cli.estimation.maximum_likelihood import best_of_starts, maximum_likelihood
+from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.estimation.measurements import Batch, stacked
+from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
+from balance_cli.estimation.quality import fit_quality
+from balance_cli.estimation.starting_values import by_equations_of_motion, starting_values
+from balance_cli.estimation.support import covariance_of, parameter_support, undetermined
+from balance_cli.io.errors import UserError
+from balance_cli.model.balance import BalanceModel, balance_model
+from balance_cli.model.fitted_effects import FittedEffect, declare, fitted_effects
+from balance_cli.model.modes import modes
+from balance_cli.model.placed_effects import without_effects
+from balance_cli.signals.lines import Lines
+from balance_cli.steps.identify_paper_form import paper_form
+
+Array = NDArray[np.float64]
+
+ALL_LINES = (0.0, np.inf)
+# The equation error takes the dynamic lines; frequency zero tells nothing of mass and damping.
+DYNAMIC = (0.5, np.inf)
+
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """How to identify: `method`, `form`, the damping matrix of the paper's form, and the band [Hz] of the lines.
+
+    Without a band the physical form uses all lines, the paper's those from 10 to 125 Hz.
+    """
+
+    method: Literal["ls", "ml", "ls+ml", "computed"] = "ls+ml"
+    form: Literal["physical", "paper"] = "physical"
+    damping: Literal["diagonal", "full"] = "diagonal"
+    band: tuple[float, float] | None = None
+
+
+def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | None = None) -> IdentifiedModel:
+    """Fit the balance to the lines of all sweeps and to the static points, at once.
+
+    The effects that the geometry declares are fitted too, from what is declared of them; the model's geometry has them
+    as found. Raises UserError where there is nothing to fit, and where effects are declared for a method or form that
+    knows none.
+    """
+    options = options or IdentifyOptions()
+    if options.method != "computed" and not spectra.lines:
+        raise UserError("no sweep run to identify from", remedy="Give at least one sweep run")
+    _check_effects(geometry, options)
+    if options.form == "paper":
+        return paper_form(spectra, geometry, _paper_options(options))
+    band = options.band or ALL_LINES
+    lines = tuple(item for item in (_in_band(run, band) for run in spectra.lines) if len(item.frequency))
+    return _physical_form(replace(spectra, lines=lines), geometry, options)
+
+
+def _check_effects(geometry: Geometry, options: IdentifyOptions) -> None:
+    if not geometry.effects:
+        return
+    names = ", ".join(effect.name for effect in geometry.effects)
+    if options.form == "paper":
+        raise UserError(f"the paper's form knows no effects ({names})", "--form", remedy="Use `physical`")
+    if options.method == "ls":
+        raise UserError(f"least squares knows no effects ({names})", "--method", remedy="Use ml or ls+ml")
+
+
+def _paper_options(options: IdentifyOptions) -> PaperOptions:
+    if options.method == "computed":
+        raise UserError("the paper's form is identified, not computed", "--method", remedy="Use ls, ml or ls+ml")
+    return PaperOptions(method=options.method, damping=options.damping, band=options.band or PAPER_BAND)
+
+
+def _physical_form(spectra: Spectra, geometry: Geometry, options: IdentifyOptions) -> IdentifiedModel:
+    model = balance_model(geometry)
+    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    if options.method == "computed":
+        model = model.with_exact_effects()
+        minimum, start = _unfitted(model, batches), "geometry"
+    else:
+        minimum, start = _fitted(model, batches, _driven_batches(spectra, geometry), options)
+    return described(model, batches, minimum, options.method, start, spectra.channels_left_out)
+
+
+def _in_band(lines: Lines, band: tuple[float, float]) -> Lines:
+    """The lines inside the band; the same object where all are."""
+    keep = (lines.frequency >= band[0]) & (lines.frequency <= band[1])
+    return lines if keep.all() else lines.at(keep)
+
+
+def _unfitted(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
+    """The declared parameters, with the tolerances for their covariance."""
+    theta = model.parameters.value
+    p = int(model.parameters.free.sum())
+    chi2 = data_chi2(batches, model.system())
+    data = Curvature(chi2, np.zeros(p), np.zeros((p, p)))
+    return Minimum(theta, data, data + prior_curvature(model.parameters, theta), 0, True)
+
+
+def _driven_batches(spectra: Spectra, geometry: Geometry) -> tuple[Batch, ...]:
+    """The lines that have loads, without the means; the straight part of the static rows."""
+    lines = [run.at(run.frequency > 0) for run in spectra.lines]
+    statics = [replace(points, share=None) for points in spectra.statics]
+    return stacked(lines, statics, geometry.channel_names)
+
+
+def _fitted(
+    model: BalanceModel, batches: Sequence[Batch], driven: Sequence[Batch], options: IdentifyOptions
+) -> tuple[Minimum, str]:
+    """The estimate, and where it started: equations of motion, least squares or geometry, which fits the lines best.
+
+    The `driven` lines serve for a start.
+    With effects both are followed some way, and the better one to its end.
+    """
+    declared = model.parameters.value
+    if options.method == "ml":
+        return maximum_likelihood(model, batches, declared), "geometry"
+    first = _least_squares(model, driven)
+    if options.method == "ls":
+        data = data_curvature(batches, model.system(first.theta))
+        total = data + prior_curvature(model.parameters, first.theta)
+        return Minimum(first.theta, data, total, first.iterations, first.converged), "geometry"
+    if model.geometry.effects:
+        found = starting_values(model.parameters, driven, model.system, declared)
+        return best_of_starts(model, batches, {"least squares": found.freed, "geometry": found.held})
+    motion = by_equations_of_motion(model.parameters, driven, model.system, declared)
+    starts = {"equations of motion": motion, "least squares": first.theta, "geometry": declared}
+    best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
+    return maximum_likelihood(model, batches, starts[best]), best
+
+
+def _least_squares(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
+    """The rigid balance by its equation error: the motion of a flexible part cannot be told from the cells' forces."""
+    rigid = balance_model(without_effects(model.geometry))
+    return least_squares(rigid.parameters, batches, rigid.system, DYNAMIC)
+
+
+def described(
+    model: BalanceModel,
+    batches: Sequence[Batch],
+    minimum: Minimum,
+    method: str,
+    start: str,
+    left_out: dict[str, dict[str, str]],
+) -> IdentifiedModel:
+    """The model at a minimum, with all that is known of it; `start` and `method` say how it was found."""
+    covariance = covariance_of(minimum.total.information)
+    support = parameter_support(model.parameters, minimum.data.information)
+    return IdentifiedModel(
+        form="physical",
+        method=method,
+        start=start,
+        geometry=declare(model.geometry, model.parameters.names, minimum.theta.tolist()),
+        parameters=_table(model, minimum.theta, covariance, support.rests_on),
+        covariance=_with_exact(model, covariance),
+        modes=mode_table(model, minimum.theta, covariance),
+        quality=fit_quality(batches, model.system(minimum.theta), support.determined),
+        undetermined=() if method == "computed" else undetermined(model.parameters, minimum.data.information),
+        channels_left_out=left_out,
+        iterations=minimum.iterations,
+        converged=minimum.converged,
+    )
+
+
+def identified_effects(model: IdentifiedModel) -> tuple[FittedEffect, ...]:
+    """The effects of a model with what was found of them."""
+    table = model.parameters
+    return fitted_effects(model.geometry, table.names, table.value.tolist(), table.sigma.tolist())
+
+
+def _with_exact(model: BalanceModel, covariance: Array) -> Array:
+    """The covariance of the free parameters among all, zero rows and columns for exact ones."""
+    free, p = model.parameters.free, len(model.parameters)
+    full = np.zeros((p, p))
+    full[np.ix_(free, free)] = covariance
+    return full
+
+
+def _table(model: BalanceModel, theta: Array, covariance: Array, rests_on: tuple[str, ...]) -> ParameterTable:
+    parameters = model.parameters
+    return ParameterTable(
+        names=parameters.names,
+        units=parameters.units,
+        value=theta,
+        sigma=np.sqrt(np.diag(_with_exact(model, covariance))),
+        declared=parameters.value,
+        declared_sigma=parameters.sigma,
+        rests_on=rests_on,
+    )
+
+
+def mode_table(model: BalanceModel, theta: Array, covariance: Array) -> ModeTable:
+    """Modes at `theta` with sigma from the covariance of the free parameters."""
+    found = modes(model.system(theta))
+    return ModeTable(
+        coordinates=found.coordinates,
+        frequency=found.frequency,
+        damping_ratio=found.damping_ratio,
+        sigma_frequency=_sigma(found.frequency_slope, covariance),
+        sigma_damping_ratio=_sigma(found.damping_slope, covariance),
+        shape=found.shape,
+    )
+
+
+def _sigma(slope: Array, covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.einsum("mp,pq,mq->m", slope, covariance, slope), 0.0)))

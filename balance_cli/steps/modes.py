@@ -1,0 +1,48 @@
+"""Computed eigenfrequencies of the declared balance, and what each stiffness does to them (paper, figure 8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.identified_model import ModeTable
+from balance_cli.model.balance import balance_model
+from balance_cli.model.modes import modes
+from balance_cli.steps.identify import mode_table
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ComputedModes:
+    """Modes of the geometry, with sigma from its tolerances.
+
+    sensitivity (m, s): relative change of each eigenfrequency per relative change of each of the s stiffnesses named
+    in `stiffnesses`. The numbers of one mode add up to 1/2 where all stiffnesses are listed and nothing else springs.
+    """
+
+    modes: ModeTable
+    stiffnesses: tuple[str, ...]
+    sensitivity: Array
+
+
+def computed_modes(geometry: Geometry) -> ComputedModes:
+    """Eigenfrequencies, shapes and their sensitivity to each cell and to the torque meter."""
+    model = balance_model(geometry).with_exact_effects()
+    parameters = model.parameters
+    covariance = np.diag(parameters.sigma[parameters.free] ** 2)
+    table = mode_table(model, parameters.value, covariance)
+    names = tuple(name for name in parameters.names if "stiffness" in name)
+    everything = model.all_free()
+    found = modes(everything.system())
+    index = [parameters.index(name) for name in names]
+    relative = found.frequency_slope[:, index] * parameters.value[index] / found.frequency[:, None]
+    return ComputedModes(table, tuple(_place(name) for name in names), relative)
+
+
+def _place(name: str) -> str:
+    """`stiffness.z1` -> `z1`, `torque_meter.stiffness` -> `torque_meter`."""
+    return name.removeprefix("stiffness.").removesuffix(".stiffness")

@@ -1,0 +1,104 @@
+"""Reduction: rotor-harmonic hub loads of a run from its channels, the response and the static calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.reduction.check_errors import check_errors
+from balance_cli.reduction.harmonic_loads import RotorRecord, dynamic_loads, rotor_record
+from balance_cli.reduction.mean_loads import SteadyLoads, ZeroRecord, steady_loads
+from balance_cli.reduction.mean_loads_nonlinear import curved_loads
+from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.weighted_least_squares import SolvedLoads
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+ERRORS_UNKNOWN = "sigma of the mean loads holds noise and the residuals that the matrix states, not its own errors"
+"""Said of a run that was reduced by a matrix without standard errors."""
+
+
+@dataclass(frozen=True)
+class ReduceOptions:
+    """Harmonics 0 to `harmonics` are reduced."""
+
+    harmonics: int = 8
+
+
+def reduce_run(
+    run: Run,
+    geometry: Geometry,
+    calibration: Calibration,
+    source: ResponseSource,
+    zero: ZeroRecord | None = None,
+    options: ReduceOptions | None = None,
+) -> RunLoads:
+    """Hub loads of one `check` or `wind` run.
+
+    Raises UserError where the pulses or the channels that remain do not determine the loads.
+    """
+    options = options or ReduceOptions()
+    record = rotor_record(run, geometry, source, options.harmonics)
+    return reduced_record(record, geometry, calibration, source, zero)
+
+
+def reduced_record(
+    record: RotorRecord,
+    geometry: Geometry,
+    calibration: Calibration,
+    source: ResponseSource,
+    zero: ZeroRecord | None = None,
+    amplitudes: ComplexArray | None = None,
+) -> RunLoads:
+    """Hub loads of a record whose harmonics are known.
+
+    Where `amplitudes` (n, m) of harmonics 1 to n were found in another way they take the place of those of the response
+    at the harmonics, whose errors, redundancy and condition stand.
+    """
+    steady = _mean_loads(record, calibration, zero)
+    dynamic = dynamic_loads(record, geometry, source)
+    if amplitudes is not None:
+        dynamic = replace(dynamic, loads=amplitudes)
+    notes = record.azimuth.notes if calibration.errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
+    loads = replace(_joined(record, steady, dynamic, source), notes=notes)
+    if not record.run.has_loads or record.run.kind != "check":
+        return loads
+    return replace(loads, check=check_errors(record.spectra, dynamic, loads.components, geometry))
+
+
+def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> SteadyLoads:
+    """By the model through all trims where that is curved, else by the matrix of the nearest trim."""
+    if calibration.gage is not None and calibration.gage.model.curved:
+        return curved_loads(record.spectra, calibration, calibration.gage.model, record.health, zero)
+    return steady_loads(record.spectra, calibration, record.health, zero)
+
+
+def _joined(record: RotorRecord, steady: SteadyLoads, dynamic: SolvedLoads, source: ResponseSource) -> RunLoads:
+    """Harmonic 0 from the steady loads, the others from the dynamic ones."""
+    spectra, m = record.spectra, len(steady.components)
+    variance = np.diagonal(dynamic.widened, axis1=1, axis2=2)
+    words = np.where(dynamic.misfit, "redundancy", "")
+    return RunLoads(
+        run=record.run.name,
+        kind=record.run.kind,
+        response=source.description,
+        trim=steady.trim,
+        components=steady.components,
+        frequency_hz=np.asarray(np.arange(len(spectra.frequency_hz)) * record.azimuth.mean_rate, float),
+        amplitude=np.concatenate([steady.loads[None, :].astype(complex), dynamic.loads]),
+        sigma_cosine=np.concatenate([steady.sigma[None, :], np.sqrt(variance[:, :m])]),
+        sigma_sine=np.concatenate([np.zeros((1, m)), np.sqrt(variance[:, m:])]),
+        flags=(steady.flags, *(tuple([str(word)] * m) for word in words)),
+        redundancy=np.concatenate([[steady.redundancy], dynamic.surplus]),
+        redundancy_limit=np.concatenate([[steady.redundancy_limit], dynamic.limit]),
+        condition=np.concatenate([[steady.condition], dynamic.condition]),
+        left_out=record.health.left_out,
+        interval=spectra.interval,
+    )

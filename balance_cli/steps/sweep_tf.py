@@ -1,0 +1,120 @@
+"""Frequency responses of the sweeps of a campaign, with their covariance.
+
+Which estimator: periodic records need none but the ratio of their lines; others get a local rational model, which does
+not leak. H1, H2, Hv and the local polynomial method are there for comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.recording.channel_health import live_channels
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
+from balance_cli.signals.averaged import ESTIMATORS as AVERAGED
+from balance_cli.signals.averaged import averaged_response
+from balance_cli.signals.line_response import joint_response, response_across_lines
+from balance_cli.signals.lines import Response
+from balance_cli.signals.local_response import local_response
+from balance_cli.signals.periodic import PeriodicRecord, periodic_record, repeats
+from balance_cli.signals.transfer import SteadyPart, Transfer
+
+ESTIMATORS = ("auto", "periodic", "lrm", "lpm", *AVERAGED)
+
+
+def estimate_responses(
+    runs: Iterable[Run], geometry: Geometry, estimator: str = "auto", band: tuple[float, float] = (0.0, np.inf)
+) -> Transfer:
+    """Responses of all sweeps among the runs by one of ESTIMATORS, at their lines within `band` [Hz].
+
+    UserError: no sweep at all, a sweep with no live channel, or one that the estimator cannot use.
+    """
+    if not band[0] < band[1]:
+        raise UserError(f"there is nothing between {band[0]:g} and {band[1]:g} Hz", "--from, --to")
+    given = tuple(runs)
+    sweeps = [run for run in given if run.kind == "sweep"]
+    if not sweeps:
+        raise UserError("none of the runs is a sweep", remedy="Give at least one run of kind `sweep`")
+    live, left_out = _live(sweeps, geometry)
+    periodic = [run for run in sweeps if _is_periodic(run, estimator)]
+    records = [(run, periodic_record(run, live[run.name], band)) for run in periodic]
+    rest = [run for run in sweeps if run not in periodic]
+    return Transfer(
+        geometry=geometry,
+        responses=(*_periodic_responses(records), *(_other(run, live[run.name], estimator, band) for run in rest)),
+        estimator=estimator,
+        steady={run.name: _steady_part(record) for run, record in records},
+        channels_left_out=left_out,
+        unused={run.name: f"a {run.kind} run; only sweeps are used" for run in given if run.kind != "sweep"},
+    )
+
+
+def _live(sweeps: Sequence[Run], geometry: Geometry) -> tuple[dict[str, tuple[str, ...]], dict[str, dict[str, str]]]:
+    """Live channels of every sweep, and those left out with the reason."""
+    health = {run.name: live_channels(run, geometry) for run in sweeps}
+    for run in sweeps:
+        if not health[run.name].live:
+            raise UserError("no channel is left", str(run.path or run.name), "channels", "Mend or leave out this run")
+    left_out = {name: each.left_out for name, each in health.items() if each.left_out}
+    return {name: each.live for name, each in health.items()}, left_out
+
+
+def _is_periodic(run: Run, estimator: str) -> bool:
+    """Whether the lines of whole periods are to be used."""
+    return repeats(run) if estimator == "auto" else estimator == "periodic"
+
+
+def _other(run: Run, channel_names: tuple[str, ...], estimator: str, band: tuple[float, float]) -> Response:
+    if estimator in AVERAGED:
+        return averaged_response(run, channel_names, estimator, band)
+    return local_response(run, channel_names, "lrm" if estimator == "auto" else estimator, band)
+
+
+def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[Response]:
+    """Runs that excite several components are solved together where there are enough of them, else one by one."""
+    groups: dict[tuple[object, ...], list[tuple[Run, PeriodicRecord]]] = {}
+    for run, record in records:
+        groups.setdefault(_group_key(run, record), []).append((run, record))
+    responses = []
+    for members in groups.values():
+        inputs = len(members[0][1].lines.components)
+        if inputs == 1:
+            responses += [joint_response([record]) for _, record in members]
+        elif len(members) >= inputs:
+            responses.append(_with_levels(joint_response([record for _, record in members]), members))
+        else:
+            responses += [
+                _with_levels(response_across_lines(run, record.lines), [(run, record)]) for run, record in members
+            ]
+    return responses
+
+
+def _group_key(run: Run, record: PeriodicRecord) -> tuple[object, ...]:
+    """What runs must share to be solved together."""
+    lines = record.lines
+    level = run.level if set(run.excited) == set(lines.components) else ()
+    return (lines.components, level, lines.rotor_speed, lines.channel_names, lines.frequency.tobytes())
+
+
+def _with_levels(response: Response, members: Sequence[tuple[Run, PeriodicRecord]]) -> Response:
+    """The response with the level of each component, from the run that declares it (nan where none does)."""
+    declared: dict[str, float] = {}
+    for run, _ in members:
+        declared.update(zip(run.excited, run.level, strict=False))
+    return replace(response, level=tuple(declared.get(name, float("nan")) for name in response.components))
+
+
+def _steady_part(record: PeriodicRecord) -> SteadyPart:
+    return SteadyPart(
+        start=record.start,
+        stop=record.stop,
+        period=record.period,
+        periods=record.periods,
+        first=int(record.first.min()),
+        last=int(record.first.max()),
+        steady=record.steady,
+    )
