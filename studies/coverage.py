@@ -22,7 +22,7 @@ from balance_cli.signals.noise import pooled_covariance
 from balance_cli.simulation import Noise, draw_rig, simulate_run
 from balance_cli.simulation.plans import StaticPlan, SweepPlan, campaign_plan
 from balance_cli.simulation.rig import TrueRig
-from studies.truth import true_parameters
+from tests.support.truth import true_parameters
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -6,7 +6,7 @@ and goes through the chain as files would: spectra, maximum likelihood, reductio
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.reduction.response_sources import Readings, model_source, selected
+from balance_cli.reduction.response_sources import model_source
 from balance_cli.reduction.result import RunLoads
 from balance_cli.simulation import draw_rig, simulate_campaign
-from balance_cli.simulation.rig import TrueRig
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import identify
 from balance_cli.steps.reduce import reduce_run
-from studies.truth import response_errors, true_response
+from tests.support.truth import response_errors
+from tests.support.truth_source import TruthSource
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -61,28 +61,6 @@ def _load_error(runs: list[RunLoads]) -> Array:
     """Root mean square over the check runs of the hub-load error or interaction of each component."""
     values = [{**run.check.load_error, **run.check.interaction} for run in runs if run.check is not None]
     return np.array([np.sqrt(np.mean([value[name] ** 2 for value in values])) for name in COMPONENTS])
-
-
-@dataclass(frozen=True)
-class TruthSource:
-    """The true response, as `reduce` would have it if nothing about the balance were unknown."""
-
-    rig: TrueRig
-    slowest_decay: float
-    description: str = "true response"
-
-    def readings(self, frequency: Array, live: tuple[str, ...]) -> Readings:
-        """Rows are the channels."""
-        return selected(self.rig.geometry.channel_names, live, len(frequency))
-
-    def at(self, frequency: Array, spin: float) -> ComplexArray:
-        """T of the rig that was simulated."""
-        return true_response(self.rig, frequency)
-
-    def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
-        """Nothing is uncertain."""
-        count = 2 * len(self.rig.geometry.channels)
-        return np.zeros((len(frequency), count, count))
 
 
 def recovery_table(rows: pd.DataFrame) -> pd.DataFrame:

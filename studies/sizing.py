@@ -28,7 +28,7 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS, EffectParameter
 from balance_cli.simulation import TrueRig, simulate_campaign, true_rig
 from studies.cases import SWEEPS, plan
-from studies.truth import true_parameters
+from tests.support.truth import true_parameters
 
 Array = NDArray[np.float64]
 

@@ -30,9 +30,8 @@ class SimulatedCampaign:
 
 @pytest.fixture(scope="session")
 def campaign():
-    from rigs import rotor_balance
-
     from balance_cli.simulation import draw_rig, short_plan, simulate_campaign
+    from tests.support.rigs import rotor_balance
 
     geometry = rotor_balance()
     rig = draw_rig(geometry, np.random.default_rng(11))

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
-from diagnosis_content import engine_module
 from pydantic import BaseModel
-from rigs import rotor_balance
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.cli import COMMANDS, balance
@@ -21,6 +19,9 @@ from balance_cli.reduction.result import COLUMNS
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.simulation.plans import RotorPlan, StaticPlan, SweepPlan, ZeroPlan
 from balance_cli.steps.modes import computed_modes
+from tests.support.diagnosis_content import engine_module
+from tests.support.rigs import rotor_balance
+from tests.support.tools import tool
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -41,14 +42,6 @@ def anchors(page: Path) -> set[str]:
 
 def listed_commands() -> list[str]:
     return balance.list_commands(click.Context(balance))
-
-
-def tool(name: str):
-    """A program of `tools`, as a module."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def named(page: Path) -> str:

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.simulation import sensors
+from balance_cli.simulation import filters
 from balance_cli.simulation.extensions.base import Extension, Signals
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ class TimeDelay(Extension):
     def volts(self, signals: Signals) -> Array:
         """Shifted; before the record the rig stood still."""
         step = signals.step
-        return _each(self, signals, lambda v: v if step is None else sensors.delayed(v, self.delay, step))
+        return _each(self, signals, lambda v: v if step is None else filters.delayed(v, self.delay, step))
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class LowPass(Extension):
         step = signals.step
         if step is None or np.isinf(self.cutoff):
             return signals.volts
-        return _each(self, signals, lambda v: sensors.low_pass(v, self.cutoff, step))
+        return _each(self, signals, lambda v: filters.low_pass(v, self.cutoff, step))
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class HighPass(Extension):
         if self.cutoff == 0:
             return signals.volts
         tau = 1 / (2 * np.pi * self.cutoff)
-        return _each(self, signals, lambda v: np.zeros_like(v) if step is None else sensors.high_pass(v, tau, step))
+        return _each(self, signals, lambda v: np.zeros_like(v) if step is None else filters.high_pass(v, tau, step))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,184 @@
+"""Loading sequences, what they support, and which terms a channel has."""
+
+import numpy as np
+import pytest
+
+from balance_cli.calibration import selection
+from balance_cli.calibration.fit import gage_fit
+from balance_cli.calibration.least_squares import regression, without_zeros
+from balance_cli.calibration.selection import chosen_terms
+from balance_cli.calibration.sequences import described_sequence, loading_sequences
+from balance_cli.calibration.support import supported
+from balance_cli.calibration.terms import all_terms, columns, term_named
+from balance_cli.campaign.rig.components import COMPONENTS
+from tests.support.calibration_stand import CHANNELS, CURVED, stand_loads, stand_points
+
+TERMS = all_terms(6)
+
+
+def place(name):
+    return TERMS.index(term_named(name, COMPONENTS))
+
+
+# ---- sequences -------------------------------------------------------------------------------------------------------
+
+
+def test_sequences_are_those_that_were_loaded():
+    x, sequence = stand_loads()
+    np.testing.assert_array_equal(loading_sequences(x, np.zeros(len(x), int)), sequence)
+
+
+def test_runs_are_never_one_sequence():
+    x = np.outer(np.linspace(0.0, 1.0, 10), np.eye(6)[0])
+    run = np.repeat([0, 1], 5)
+    np.testing.assert_array_equal(loading_sequences(x, run), run)
+
+
+def test_a_load_that_hangs_on_the_other_side_begins_a_sequence():
+    ramp = np.r_[np.arange(6), np.arange(4, -1, -1)] / 5.0
+    x = np.zeros((33, 6))
+    x[:22, 0], x[:, 1] = np.r_[ramp, -ramp], np.r_[np.full(11, 0.6), np.full(11, -0.6), ramp]
+    np.testing.assert_array_equal(loading_sequences(x, np.zeros(33, int)), np.repeat([0, 1, 2], 11))
+
+
+def test_a_sequence_in_words():
+    x, sequence = stand_loads()
+    assert described_sequence(np.flatnonzero(sequence == 1), "s1", COMPONENTS, x) == "s1 rows 21 to 40 (Fy)"
+
+
+# ---- support ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_whole_schedule_supports_all_terms():
+    x, sequence = stand_loads()
+    found = supported(TERMS, x, sequence, COMPONENTS)
+    assert found.terms == TERMS and found.refused == {}
+
+
+def test_reasons_why_terms_are_not_supported():
+    x, sequence = stand_loads()
+    alone = (x != 0).sum(axis=1) <= 1
+    x, sequence = x[alone & (x[:, 5] == 0)], sequence[alone & (x[:, 5] == 0)]
+    up = x[:, 1] >= 0
+    found = supported(TERMS, x[up], sequence[up], COMPONENTS)
+    reasons = {term.name(COMPONENTS): reason for term, reason in found.refused.items()}
+    assert reasons["Mz^2"] == "Mz was never loaded"
+    assert reasons["Fx Fz"] == "Fx and Fz were never loaded together"
+    assert reasons["|Fy|"] == "Fy was never loaded downwards"
+    assert "Fx^2" not in reasons and "Fx|Fx|" not in reasons and "|Fx|" not in reasons
+    # To one side only F|F| is F^2.
+    assert ("Fy^2" in reasons) != ("Fy|Fy|" in reasons) or reasons["Fy|Fy|"] == "does what Fy^2 does in these loads"
+
+
+def test_a_load_to_one_side_only_tells_no_odd_from_even_terms():
+    x, sequence = stand_loads()
+    up = np.all(x >= 0, axis=1)
+    found = supported(TERMS, x[up], sequence[up], COMPONENTS)
+    kept = {term.name(COMPONENTS) for term in found.terms}
+    assert "Fx^2" in kept and "Fx|Fx|" not in kept
+    assert found.refused[term_named("Fx|Fx|", COMPONENTS)] == "does what Fx^2 does in these loads"
+
+
+# ---- selection -------------------------------------------------------------------------------------------------------
+
+
+def readings(terms, sigma=5e-4, seed=0):
+    """Columns of all terms, one output with these terms beside the loads, and the sequences."""
+    rng = np.random.default_rng(seed)
+    x, sequence = stand_loads()
+    X = columns(TERMS, x)
+    y = X[:, :6] @ rng.normal(size=6) + sum((value * X[:, place(name)] for name, value in terms.items()), 0.0)
+    zeros = rng.normal(size=sequence[-1] + 1)[sequence]
+    return X, (y + zeros + sigma * rng.normal(size=len(x)))[:, None], sequence
+
+
+def chosen(terms, **more):
+    X, Y, sequence = readings(terms, **more)
+    (found,) = chosen_terms(X, Y, sequence, sequence, 6)
+    assert found[:6] == tuple(range(6))
+    return {TERMS[i].name(COMPONENTS) for i in found[6:]}
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        {},
+        {"Fx^2": 0.01},
+        {"|Fy|": 0.005, "Fy Fz": -0.008},
+        {"Mx |My|": 0.01, "|Mx| My": 0.01, "|Mx My|": -0.01},
+        {"Mz^3": 0.02, "|Fz^3|": 0.01, "Fx|Fx|": -0.02, "Fy |Mz|": 0.006},
+    ],
+)
+def test_the_terms_that_are_there_are_found_and_no_others(terms):
+    assert chosen(terms) == set(terms)
+
+
+def test_two_terms_that_nearly_cancel_are_found_together():
+    """Beside the load itself F|F| and F^3 are 97 % alike: with opposite signs neither shows without the other."""
+    assert chosen({"My|My|": -0.0104, "My^3": 0.0073}, sigma=3e-4) == {"My|My|", "My^3"}
+
+
+def test_terms_are_replaced_when_better_ones_have_come_in(monkeypatch):
+    """|F| and |F^3| together look like F^2 at first; only replacement finds back."""
+    terms = {"Fy^3": -0.0069, "|Fx|": -0.0105, "|Fx^3|": -0.0087}
+    assert chosen(terms) == set(terms)
+    monkeypatch.setattr(selection, "_replaced", lambda normal, found, straight: found)
+    assert chosen(terms) != set(terms)
+
+
+def test_a_term_that_is_no_longer_significant_goes():
+    X, Y, sequence = readings({"Fx Fy": 0.01})
+    w = np.ones(len(X))
+    Xs = without_zeros(X, sequence, w)
+    y = without_zeros(Y, sequence, w)[:, 0]
+    normal = selection._Normal(Xs.T @ Xs, Xs.T @ y, float(y @ y), len(X) - sequence[-1] - 1)
+    kept = [*range(6), place("Fx Fy")]
+    assert selection._pruned(normal, [*kept, place("Mz^2"), place("|Fx Fy|")], 6, 1e-5) == kept
+    # The loads stay, whether they are significant or not.
+    assert selection._pruned(normal, kept, 6, 0.0) == list(range(6))
+
+
+def test_spurious_terms_are_as_rare_as_the_level_says(monkeypatch):
+    """With the level at one a half, half of all balances without curved terms may get one; at 0.01 next to none."""
+    x, sequence = stand_loads()
+    X = columns(TERMS, x)
+    rng = np.random.default_rng(5)
+    Y = rng.normal(size=(len(x), 200))
+    monkeypatch.setattr(selection, "_validated", lambda found, *_: tuple(found))
+    strict = sum(len(one) > 6 for one in chosen_terms(X, Y, sequence, sequence, 6))
+    monkeypatch.setattr(selection, "LEVEL", 40.0)
+    loose = sum(len(one) > 6 for one in chosen_terms(X, Y, sequence, sequence, 6))
+    # Expected 0.01 and, by the bound of Bonferroni for terms that are alike in part, 20 to 40.
+    assert strict == 0 and 10 <= loose <= 45
+
+
+def test_a_term_that_does_not_help_sequences_left_out_goes():
+    """One sequence alone is curved, strongly: significant as the term is, all others are predicted better without."""
+    X, Y, sequence = readings({"Mx^2": 0.01})
+    own, true = place("Fz^2"), place("Mx^2")
+    rows = sequence == 2
+    Y[rows] += 0.01 * X[rows][:, [own]]
+    whole, w = [*range(6), own, true], np.ones(len(X))
+    assert regression(X[:, whole], Y, sequence).t[6, 0] > 5.0
+    kept = selection._validated(whole, X, Y[:, 0], sequence, sequence, 6, w)
+    assert kept == (*range(6), true)
+
+
+def test_gage_fit_finds_the_terms_of_every_channel():
+    model = gage_fit(stand_points()).model
+    for channel in CHANNELS:
+        found = {name for name in model.of_channel(channel) if name not in COMPONENTS}
+        assert found == set(CURVED.get(channel, {})), channel
+        for name, value in CURVED.get(channel, {}).items():
+            row, c = model.terms.index(name), CHANNELS.index(channel)
+            assert abs(model.coefficients[row, c] - value) < 5.0 * np.sqrt(model.covariance[c, row, row])
+    assert gage_fit(stand_points(), search=False).model.terms == COMPONENTS
+
+
+def test_loads_exchanged_at_once_are_one_sequence():
+    """Zeros for stretches in which one load only replaces another would say what the loads say."""
+    x = np.repeat(np.vstack([np.eye(6), -np.eye(6)]), 2, axis=0)
+    assert not loading_sequences(x, np.zeros(24, int)).any()
+    # With each load by itself between, it is not so.
+    apart = np.vstack([np.outer(np.arange(4) / 3.0, one) for one in np.eye(6)])
+    assert loading_sequences(apart, np.zeros(24, int))[-1] == 5

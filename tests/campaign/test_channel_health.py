@@ -1,0 +1,227 @@
+"""Which channels are sound: every fault is found and named, and no sound channel is taken for a faulty one."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
+from balance_cli.campaign.recording.run import Block, MemorySource, Run
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict, geometry_to_dict, load_geometry
+
+Array = NDArray[np.float64]
+ROOT = Path(__file__).parents[2]
+SAMPLES = sorted((ROOT / "sample_data").glob("*.h5"))
+RIG = load_geometry(ROOT / "configs" / "rts-6.yaml")
+STEP = 20.0 / 2**16
+"""Step of a 16-bit converter over +-10 V."""
+
+
+def record(*channels: Array) -> Run:
+    samples = np.column_stack(channels)
+    names = tuple(f"c{index}" for index in range(samples.shape[1]))
+    return Run("r", "R", "wind", names, len(samples), MemorySource(samples, None), has_loads=False, sample_rate=800.0)
+
+
+def fault(channel: Array, limit: float | None = None) -> str:
+    return channel_faults(record(channel), {"c0": limit}).get("c0", "")
+
+
+def quantised(signal: Array, step: float = STEP) -> Array:
+    return np.asarray(np.round(signal / step) * step, np.float32).astype(float)
+
+
+def noise(samples: int = 20000, sigma: float = 1.0, seed: int = 0) -> Array:
+    return np.random.default_rng(seed).normal(scale=sigma, size=samples)
+
+
+def opened(path: Path) -> Run:
+    return open_run(path)
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+def test_every_channel_of_the_sample_campaign_is_sound(path: Path) -> None:
+    run = opened(path)
+    health = live_channels(run, RIG)
+    assert health.left_out == {}
+    assert set(health.live) == set(run.channel_names)
+    assert channel_faults(run, dict.fromkeys(run.channel_names)) == {}
+
+
+@given(
+    sigma=st.floats(0.35, 30.0),
+    amplitude=st.sampled_from([0.0, 2.0, 20.0, 300.0]),
+    frequency=st.floats(0.3, 150.0),
+    offset=st.floats(-50.0, 50.0),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_quiet_and_coarsely_quantised_channel_is_sound(
+    sigma: float, amplitude: float, frequency: float, offset: float, seed: int
+) -> None:
+    """All in steps of the converter: noise from a third of a step, sines from none to many, any offset."""
+    time = np.arange(8000) / 800.0
+    signal = offset + amplitude * np.sin(2 * np.pi * frequency * time) + noise(8000, sigma, seed)
+    assert fault(quantised(signal, 1.0)) == ""
+
+
+@given(st.floats(0.5, 100.0), st.floats(5.0, 2000.0), st.integers(1, 7))
+@settings(max_examples=60, deadline=None)
+def test_a_smooth_periodic_signal_without_noise_is_sound(frequency: float, amplitude: float, periods: int) -> None:
+    """It dwells at its peaks, and repeats every value in each period."""
+    time = np.arange(4000) / 800.0
+    one = amplitude * (np.sin(2 * np.pi * frequency * time) + 0.3 * np.cos(2 * np.pi * 1.7 * frequency * time))
+    assert fault(np.tile(one, periods)) == ""
+    assert fault(quantised(np.tile(one, periods), 1.0)) == ""
+
+
+@pytest.mark.parametrize("value", [0.0, -3.25])
+def test_a_constant_channel_is_dead(value: float) -> None:
+    assert fault(np.full(1000, value)) == f"dead: constant at {value:.6g} V"
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0, 5000), (7000, 7100), (12000, 20000), (20, 20000), (0, 19990)])
+@pytest.mark.parametrize("sigma", [0.7 * STEP, 1.0])
+def test_a_channel_that_dies_for_part_of_the_record_is_found(start: int, stop: int, sigma: float) -> None:
+    channel = quantised(noise(20000, sigma))
+    channel[start:stop] = 4.0
+    assert fault(channel) == f"dead for part of the record: constant at 4 V from sample {start} to {stop - 1}"
+
+
+def test_samples_that_are_not_finite_are_counted() -> None:
+    channel = noise()
+    channel[[7, 9000]] = np.nan, np.inf
+    assert fault(channel) == "not finite: 2 of 20000 samples, the first is sample 7"
+
+
+@pytest.mark.parametrize("limits", [(-10.0, 10.0), (-99.0, 10.0), (-10.0, 99.0)])
+def test_a_sample_at_the_declared_range_is_clipped(limits: tuple[float, float]) -> None:
+    channel = noise(sigma=2.0)
+    channel[:5] = 12.0, -12.0, 0.0, 11.0, -11.0
+    cut = np.clip(channel, *limits)
+    cut = cut.astype(np.float32).astype(float)
+    assert fault(cut, 10.0).startswith("clipped: reaches")
+    assert fault(0.8 * noise(sigma=2.0), 10.0) == ""
+
+
+@pytest.mark.parametrize("frequency", [3.0, 17.5, 140.0, 390.0])
+@pytest.mark.parametrize("step", [None, STEP])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_without_a_range_clipping_shows_in_the_extreme(frequency: float, step: float | None, side: float) -> None:
+    time = np.arange(20000) / 800.0
+    signal = side * np.minimum(np.sin(2 * np.pi * frequency * time) + noise(sigma=0.02), 0.9)
+    channel = signal if step is None else quantised(signal)
+    assert fault(channel).startswith("clipped: ")
+    assert fault(channel, 5.0).startswith("clipped: ")
+
+
+def test_clipped_load_points_show_where_nothing_else_repeats() -> None:
+    run = opened(ROOT / "sample_data" / "static-bare.h5")
+    samples = run.read().channels.copy()
+    third = np.sort(samples[:, 3])[-3]
+    samples[:, 3] = np.sort(np.minimum(samples[:, 3], third))
+    health = live_channels(replace(run, source=MemorySource(samples, run.read().loads)), RIG)
+    assert health.left_out == {"z1.strain": f"clipped: 3 samples at its extreme of {third:.6g} V"}
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The same samples, handed out in blocks of a given size."""
+
+    run: Run
+    size: int
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.run, name)
+
+    def blocks(self) -> Iterator[Block]:
+        return self.run.blocks(self.size)
+
+
+@given(st.integers(1, 40), st.integers(0, 60), st.integers(0, 60), st.integers(0, 5))
+@settings(max_examples=60, deadline=None)
+def test_the_size_of_the_blocks_does_not_matter(size: int, start: int, length: int, seed: int) -> None:
+    channel = quantised(noise(120, 1.0, seed), 0.5)
+    channel[start : start + length] = 1.5
+    other = np.minimum(noise(120, 1.0, seed), 0.5)
+    run = record(channel, other, np.where(np.arange(120) == start, np.nan, other))
+    whole = channel_faults(run, dict.fromkeys(run.channel_names))
+    assert channel_faults(Parts(run, size), dict.fromkeys(run.channel_names)) == whole  # type: ignore[arg-type]
+
+
+def test_what_is_wrong_in_a_run_is_named_by_channel() -> None:
+    run = opened(ROOT / "sample_data" / "wind-1.h5")
+    samples = run.read().channels.copy()
+    column = run.channel_names.index
+    samples[:, column("torque")] = 0.02
+    samples[:, column("z1.piezo")] = samples[:, column("z1.piezo")].clip(-5.0, 5.0)
+    samples[100, column("x.strain")] = np.nan
+    kept = [index for index, name in enumerate(run.channel_names) if name != "y2.piezo"]
+    names = tuple(run.channel_names[index] for index in kept)
+    health = live_channels(
+        replace(run, source=MemorySource(samples[:, kept], None), channel_names=(*names,)), with_range(5.0)
+    )
+    reasons = {name: reason.split(":")[0] for name, reason in health.left_out.items()}
+    assert reasons == {
+        "x.strain": "not finite",
+        "y2.piezo": "absent from the run",
+        "z1.piezo": "clipped",
+        "z2.piezo": "clipped",
+        "z3.piezo": "clipped",
+        "torque": "clipped",
+    } | {"torque": "dead"}
+    assert set(health.live) == set(RIG.channel_names) - set(reasons)
+    assert list(health.live) == [name for name in RIG.channel_names if name in health.live]
+
+
+def with_range(limit: float) -> Geometry:
+    declared = geometry_to_dict(RIG)
+    for channel in declared["channels"]:
+        channel["range"] = limit
+    return geometry_from_dict(declared)
+
+
+def test_a_static_run_needs_only_the_channels_that_pass_a_constant_load() -> None:
+    run = opened(ROOT / "sample_data" / "static-bare.h5")
+    samples = run.read().channels.copy()
+    samples[:, 2] = 0.1
+    samples[60:, 4] = 0.2
+    loads = run.read().loads
+    health = live_channels(replace(run, source=MemorySource(samples, loads)), RIG)
+    assert {name: reason.split(":")[0] for name, reason in health.left_out.items()} == {
+        "y2.strain": "dead",
+        "z2.strain": "dead for part of the record",
+    }
+    assert len(health.live) == 6
+
+
+@pytest.mark.parametrize(("channel", "load"), [("torque", "Mz"), ("x.strain", "Fx")])
+def test_in_a_static_run_a_channel_may_stand_still_as_long_as_its_loads_do(channel: str, load: str) -> None:
+    """Load points without any noise: each channel stands still while nothing that reaches it changes."""
+    run = opened(ROOT / "sample_data" / "static-bare.h5")
+    column, component = run.channel_names.index(channel), COMPONENTS.index(load)
+    block = run.read()
+    samples, loads = block.channels.copy(), np.array(block.loads)
+    own = [component] if channel == "torque" else [0, 1, 2, 3, 4]
+    loads[:100, own] = 0.0
+    samples[:100, column] = 5.0
+    still = replace(run, source=MemorySource(samples, loads))
+    assert live_channels(still, RIG).left_out == {}
+    loads[50, component] = 1.0
+    assert list(live_channels(still, RIG).left_out) == [channel]
+    assert list(channel_faults(still, dict.fromkeys(run.channel_names))) == [channel]
+
+
+def test_one_load_point_is_no_evidence() -> None:
+    run = opened(ROOT / "sample_data" / "static-bare.h5")
+    samples, loads = run.read().channels, run.read().loads
+    one = replace(run, samples=1, source=MemorySource(samples[:1], None if loads is None else loads[:1]))
+    assert len(live_channels(one, RIG).live) == 8

@@ -1,0 +1,159 @@
+"""`balance check`: every file is recognised by its content, and all that is wrong with it is said."""
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.cli import balance
+from balance_cli.io.artefacts import provenance_now, save_artefact
+
+ROOT = Path(__file__).parents[2]
+RIG = ROOT / "configs" / "rts-6.yaml"
+WIND = ROOT / "sample_data" / "wind-1.h5"
+
+
+@dataclass(frozen=True)
+class Made:
+    geometry: Geometry
+    value: float = 1.0
+
+
+def check(*words: object) -> Result:
+    return CliRunner().invoke(balance, ["check", *map(str, words)], prog_name="balance")
+
+
+def found(*words: object) -> dict[str, Any]:
+    result = check(*words, "--json", "-")
+    assert result.exit_code in (0, 2), result.output
+    summary: dict[str, Any] = json.loads(result.stdout)
+    assert summary["faulty"] == sum(bool(file["faults"]) for file in summary["files"].values())
+    assert result.exit_code == (2 if summary["faulty"] else 0)
+    return dict(summary["files"])
+
+
+def faults(path: Path, *words: object) -> list[tuple[str, str]]:
+    return [(fault["place"], fault["fault"]) for fault in found(path, *words)[str(path)]["faults"]]
+
+
+@pytest.fixture
+def artefact(tmp_path: Path) -> Path:
+    path = tmp_path / "model.h5"
+    save_artefact(path, "balance-model/1", Made(load_geometry(RIG)), provenance_now("identify", {}, ()))
+    return path
+
+
+def test_the_sample_campaign_and_its_geometry_have_no_fault() -> None:
+    files = sorted((ROOT / "sample_data").glob("*.h5"))
+    result = check("-g", RIG, RIG, *files)
+    assert result.exit_code == 0, result.output
+    assert "sweep run `sweep-Fx-high` of rig `RTS-6`: 15 channels, 28 s at 800 Hz, rotor at 0 Hz, " in result.stdout
+    assert "multisine of Fx 40 rms" in result.stdout
+    assert "static run `static-bare` of rig `RTS-6`: 8 channels, 121 load points, trim `bare`" in result.stdout
+    assert result.stdout.endswith(f"{len(files) + 1} files, 0 with faults\n")
+
+
+def test_files_are_known_by_their_content(tmp_path: Path, artefact: Path) -> None:
+    table = tmp_path / "loads.txt"
+    header = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
+    table.write_text(f"{header}\n", encoding="utf-8")
+    geometry = Path(shutil.copy(RIG, tmp_path / "geometry.txt"))
+    run = Path(shutil.copy(WIND, tmp_path / "run.dat"))
+    files = found(table, geometry, run, artefact)
+    kinds = {Path(name).name: (file["kind"], file["name"], file["rig"]) for name, file in files.items()}
+    assert kinds == {
+        "loads.txt": ("loads", "", ""),
+        "geometry.txt": ("geometry", "rts-1", "RTS-6"),
+        "run.dat": ("run", "wind-1", "RTS-6"),
+        "model.h5": ("balance-model/1", "model.h5", "RTS-6"),
+    }
+
+
+def test_truth_of_simulated_runs_is_no_fault(tmp_path: Path) -> None:
+    words = ("-g", str(RIG), "--plan", "short", "--only", "static-bare", "-o", str(tmp_path / "runs"))
+    assert CliRunner().invoke(balance, ["simulate", *words]).exit_code == 0
+    files = found(*sorted((tmp_path / "runs").iterdir()))
+    assert {file["kind"] for file in files.values()} == {"run", "balance-truth/1"}
+
+
+def test_what_is_not_known_is_a_fault(tmp_path: Path) -> None:
+    other = tmp_path / "other.txt"
+    other.write_text("hello", encoding="utf-8")
+    assert faults(other) == [("", "is not an HDF5 file")]
+    assert faults(tmp_path) == [("", "is a folder")]
+    assert faults(tmp_path / "missing") == [("", "there is no such file")]
+
+
+def test_all_faults_of_a_run_are_listed(tmp_path: Path) -> None:
+    path = Path(shutil.copy(WIND, tmp_path))
+    with h5py.File(path, "a") as file:
+        file.attrs["sample_rate"] = 0.0
+        del file.attrs["rig"]
+        del file["rotor"]
+    places = [place for place, _ in faults(path)]
+    assert places == ["attribute rig", "attribute sample_rate", "rotor/pulse_times"]
+
+
+def test_dead_clipped_and_absent_channels_are_listed(tmp_path: Path) -> None:
+    path = Path(shutil.copy(WIND, tmp_path))
+    with h5py.File(path, "a") as file:
+        names = list(file["channels"].attrs["names"])
+        samples = file["channels"][()]
+        samples[:, names.index("torque")] = 1.0
+        samples[:, names.index("z1.piezo")] = np.clip(samples[:, names.index("z1.piezo")], -4.0, 4.0)
+        file["channels"][...] = samples
+        names[names.index("y1.piezo")] = "spare"
+        file["channels"].attrs["names"] = names
+    expected = {"channel torque": "dead", "channel z1.piezo": "clipped"}
+    assert {place: fault.split(":")[0] for place, fault in faults(path)} == expected
+    with_geometry = {place: fault.split(":")[0] for place, fault in faults(path, "-g", RIG)}
+    assert with_geometry == expected | {"channel y1.piezo": "absent from the run"}
+
+
+def test_a_file_of_another_rig_or_geometry_does_not_match(tmp_path: Path, artefact: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text(RIG.read_text(encoding="utf-8").replace("rig: RTS-6", "rig: RTS-7"), encoding="utf-8")
+    assert faults(WIND, "-g", other)[0][0] == "rig"
+    assert "RTS-7" in faults(WIND, "-g", other)[0][1]
+    assert "another geometry" in faults(artefact, "-g", other)[0][1]
+    assert "something else" in faults(other, "-g", RIG)[0][1]
+    assert faults(artefact, "-g", RIG) == faults(RIG, "-g", RIG) == []
+
+
+def test_an_artefact_that_was_changed_is_faulty(artefact: Path) -> None:
+    with h5py.File(artefact, "a") as file:
+        file["content/value"][()] = 2.0
+    assert "digest" in faults(artefact)[0][1]
+
+
+def test_a_broken_geometry_is_recognised_by_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("fromat: balance-geometry/1\nname: [\n", encoding="utf-8")
+    assert "not YAML" in faults(path)[0][1]
+
+
+def test_run_names_must_differ(tmp_path: Path) -> None:
+    copy = Path(shutil.copy(WIND, tmp_path / "copy.h5"))
+    files = found(WIND, copy)
+    assert files[str(WIND)]["faults"] == []
+    assert f"also that of {WIND}" in files[str(copy)]["faults"][0]["fault"]
+
+
+def test_the_summary_is_written_although_there_are_faults(tmp_path: Path) -> None:
+    summary = tmp_path / "check.json"
+    assert check(tmp_path / "missing", "--json", summary).exit_code == 2
+    assert json.loads(summary.read_text(encoding="utf-8"))["faulty"] == 1
+
+
+def test_without_a_readable_geometry_nothing_is_checked(tmp_path: Path) -> None:
+    result = check(WIND, "-g", tmp_path / "missing.yaml")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"balance: error: {tmp_path / 'missing.yaml'}: there is no such file")

@@ -1,0 +1,222 @@
+"""`balance diagnose` as a command: what it reads, writes, says and refuses. The loop itself has tests of its own."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry_file import save_geometry
+from balance_cli.cli import balance
+from balance_cli.cli.diagnosis_text import diagnosis_text
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.io.artefacts import load_artefact
+from tests.support.diagnosis_content import Engine, diagnosis, engine_module, hold_out
+
+
+def call(*words, status=0):
+    result = CliRunner().invoke(balance, [str(word) for word in words])
+    assert result.exit_code == status, result.output
+    assert "Traceback" not in result.output
+    return result
+
+
+@pytest.fixture(scope="module")
+def folder(campaign, tmp_path_factory):
+    """Run files of the simulated campaign and the rigid model that was identified from them."""
+    folder = tmp_path_factory.mktemp("diagnose")
+    save_geometry(folder / "geometry.yaml", campaign.geometry)
+    for run in campaign.runs:
+        write_run(folder / f"{run.name}.h5", run)
+    call("identify", "-g", folder / "geometry.yaml", *fitted(folder), "-o", folder / "rigid.model")
+    return folder
+
+
+def fitted(folder):
+    return sorted([*folder.glob("sweep-*.h5"), *folder.glob("static-*.h5")])
+
+
+@pytest.fixture
+def engine(monkeypatch):
+    """A loop that returns a diagnosis made by hand."""
+    made = Engine()
+    monkeypatch.setitem(sys.modules, "balance_cli.steps.diagnose", engine_module(made))
+    return made
+
+
+@pytest.fixture
+def diagnose(folder, engine, tmp_path):
+    """A call with its outputs in `tmp_path`; returns what was said and the summary."""
+
+    def run(*words, runs=None, held=("check-1",), status=0):
+        files = fitted(folder) if runs is None else runs
+        hold = [word for name in held for word in ("--hold-out", folder / f"{name}.h5")]
+        out = ("-o", tmp_path / "d.h5", "--model-out", tmp_path / "closed.h5", "--json", tmp_path / "d.json")
+        result = call("diagnose", folder / "rigid.model", *files, *hold, *out, *words, status=status)
+        summary = tmp_path / "d.json"
+        return result, json.loads(summary.read_text()) if summary.exists() else None
+
+    return run
+
+
+def test_the_summary_has_the_keys_of_the_contract(diagnose):
+    _, told = diagnose()
+    assert told["verdict"] == EXPLAINED
+    first = told["effects"][0]
+    assert {"name", "where", "parameters", "evidence", "indistinguishable_from"} <= set(first)
+    assert first["where"] == ["x", "theta"]
+    assert first["parameters"]["mass"] == {"value": 512.0, "sigma": 23.0, "unit": "kg"}
+    assert first["parameters"]["compliance_x"]["interval_95"] == [1.9e-8, 2.9e-8]
+    assert first["parameters"]["damping_ratio"]["sigma"] is None
+    assert first["indistinguishable_from"] == ["mast-bending@x"]
+    assert told["not_testable"][0].keys() == {"name", "why"}
+    assert told["chi2_per_dof"] == {"before": 2300.0, "after": 1.04}
+    run = told["hold_out"]["check-1"]
+    assert run["before"].keys() == run["after"].keys() == {"load_error", "interaction", "frf_error"}
+    assert run["after"]["load_error"].keys() | run["after"]["interaction"].keys() == set(COMPONENTS)
+    assert 0 < run["after"]["frf_error"] < 0.01
+    assert told["trials"][0]["decision"] == "accepted"
+    assert len(told["modes"]["before"]) == 7
+
+
+def test_artefacts_come_back_as_they_were(diagnose, folder, tmp_path):
+    diagnose(held=("check-1", "sweep-Mz"), runs=[path for path in fitted(folder) if "Mz" not in path.name])
+    stored = load_artefact(tmp_path / "d.h5", {"balance-diagnosis/1": Diagnosis})
+    expected = diagnosis()
+    assert stored.content.effects == expected.effects
+    assert stored.content.tests == expected.tests
+    assert stored.content.not_testable == expected.not_testable
+    assert list(stored.content.hold_out) == ["check-1", "sweep-Mz"]
+    np.testing.assert_array_equal(stored.content.residual.before, expected.residual.before)
+    assert stored.content.hold_out["sweep-Mz"].after.load_error == {}
+    roles = {item.name: item.role for item in stored.provenance.inputs}
+    assert roles["check-1"] == "hold-out" and roles["sweep-Fx"] == "run" and roles["rigid.model"] == "model"
+    closed = load_artefact(tmp_path / "closed.h5", {"balance-model/1": IdentifiedModel}).content
+    rigid = load_artefact(folder / "rigid.model", {"balance-model/1": IdentifiedModel}).content
+    np.testing.assert_array_equal(closed.parameters.value, rigid.parameters.value)
+    call("check", tmp_path / "d.h5", tmp_path / "closed.h5")
+
+
+def test_the_report_takes_what_was_written(diagnose, tmp_path):
+    diagnose()
+    page, summary = tmp_path / "r.html", tmp_path / "r.json"
+    call("report", tmp_path / "d.h5", tmp_path / "closed.h5", "-o", page, "--json", summary)
+    told = json.loads(summary.read_text())
+    assert "diagnosis" in told["sections"]
+    assert {"hold-out", "residual"} <= set(told["figures"])
+    assert "support-flexibility" in page.read_text(encoding="utf-8")
+
+
+def test_other_kinds_among_the_runs_are_left_out_and_never_fitted(diagnose, engine, folder):
+    others = [folder / f"{name}.h5" for name in ("wind-1", "check-1")]
+    result, told = diagnose(runs=[*fitted(folder), *others], held=())
+    assert set(told["left_out"]) == {"wind-1", "check-1"}
+    assert "wind-1 left out" in result.stderr
+    seen = {item.run for item in (*engine.spectra.lines, *engine.spectra.statics)}
+    assert seen == {path.stem for path in fitted(folder)}
+
+
+def test_without_hold_out_it_warns_and_goes_on(diagnose):
+    result, told = diagnose(held=())
+    assert "no hold-out" in result.stderr
+    assert told["hold_out"] == {}
+    assert "Errors on runs" not in result.stdout
+
+
+def test_a_hold_out_run_that_the_model_was_fitted_to_is_named(diagnose, folder):
+    without = [path for path in fitted(folder) if "Mz" not in path.name]
+    result, _ = diagnose(runs=without, held=("sweep-Mz",))
+    assert "sweep-Mz is held out here, but the model was fitted to it" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("verdict", "status"), [(NOTHING_MISSING, 0), (EXPLAINED, 3), (PARTLY_EXPLAINED, 3), (UNEXPLAINED, 3)]
+)
+def test_exit_status_by_verdict(diagnose, engine, tmp_path, verdict, status):
+    engine.verdict = verdict
+    result, told = diagnose("--fail-on-discrepancy", status=status)
+    assert told["verdict"] == verdict
+    assert result.stdout.startswith(f"Verdict: {verdict}:")
+    assert (tmp_path / "closed.h5").exists()
+    diagnose(status=0)
+
+
+# ---- what is refused -------------------------------------------------------------------------------------------------
+
+
+def refused(result, tmp_path, *words):
+    for word in words:
+        assert word in result.stderr
+    assert len(result.stderr.strip().splitlines()) <= 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_in_both_lists_is_refused(diagnose, folder, tmp_path):
+    result, _ = diagnose(runs=[*fitted(folder), folder / "check-1.h5"], status=2)
+    refused(result, tmp_path, "check-1", "both lists")
+    result, _ = diagnose(held=("sweep-Fx",), status=2)
+    refused(result, tmp_path, "sweep-Fx", "both lists")
+
+
+def test_a_hold_out_run_without_known_loads_is_refused_before_the_fit(diagnose, engine, folder, tmp_path):
+    result, _ = diagnose(held=("wind-1",), status=2)
+    refused(result, tmp_path, "wind-1", "check runs")
+    assert engine.spectra is None
+    result, told = diagnose("--skip-bad", held=("wind-1", "check-1"))
+    assert list(told["hold_out"]) == ["check-1"]
+    assert "wind-1" in str(told["skipped"])
+
+
+def test_the_papers_form_is_refused_with_what_to_do(diagnose, folder, tmp_path):
+    paper = folder / "paper.model"
+    call("identify", "-g", folder / "geometry.yaml", *fitted(folder), "--form", "paper", "-o", paper)
+    out = ("-o", tmp_path / "d.h5", "--model-out", tmp_path / "closed.h5")
+    result = call("diagnose", paper, *fitted(folder), *out, status=2)
+    refused(result, tmp_path, "paper.model", "--form physical")
+
+
+def test_no_sweep_and_no_model_are_refused(diagnose, folder, tmp_path):
+    result, _ = diagnose(runs=sorted(folder.glob("static-*.h5")), status=2)
+    refused(result, tmp_path, "no sweep run")
+    out = ("-o", tmp_path / "d.h5", "--model-out", tmp_path / "closed.h5")
+    result = call("diagnose", folder / "geometry.yaml", *fitted(folder), *out, status=2)
+    refused(result, tmp_path, "geometry.yaml", "balance-model/1")
+
+
+# ---- what is said ----------------------------------------------------------------------------------------------------
+
+
+def test_the_text_says_verdict_effects_evidence_and_errors():
+    lines = list(diagnosis_text(diagnosis(hold_out=hold_out(), location="z3 at 118 Hz in My")))
+    text = "\n".join(lines)
+    assert lines[0].startswith("Verdict: explained: ")
+    assert lines[1].startswith("chi2/dof 2.3e+03 -> 1.04")
+    assert "What is left: z3 at 118 Hz in My" in text
+    assert "support-flexibility@x,theta: without it chi2 rises by 1.234e+06 (3 parameters, p < 1e-99)" in text
+    assert "m/N   95 %: 1.9e-08 to 2.9e-08" in text
+    assert "cannot be told from mast-bending@x" in text and "a tap on the support" in text
+    assert "every sigma" not in text
+    assert any("every sigma" in line for line in diagnosis_text(diagnosis(chi2_per_dof_after=3.0)))
+    assert "time-delay@z1.piezo: without it chi2 rises by 812.3 (1 parameter, p < 1e-99)" in text
+    assert "gyroscopic-coupling: all runs are at rest" in text
+    (heads,) = (line.split() for line in lines if line.startswith("   check-1"))
+    assert heads == ["check-1", "Fx", "Fz", "My", "Mz", "response"]
+    (before, _) = (line.split() for line in lines if line.startswith("      before"))
+    assert before == ["before", "(755)", "5.46", "1.27e+03", "(0.62)", "10.1"]
+
+
+def test_a_bar_is_drawn_where_stderr_is_a_terminal(monkeypatch, capsys):
+    from balance_cli.cli.progress import share_bar
+
+    with share_bar() as progress:
+        progress("residual", 0.5)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with share_bar() as progress:
+        progress("refit of support-flexibility", 0.5)
+    shown = capsys.readouterr().err
+    assert "refit of support-flexibility" in shown and "50 %" in shown

@@ -1,0 +1,84 @@
+"""`balance report` as a command: what it writes, what it refuses."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from balance_cli.cli import balance
+from balance_cli.io.artefacts import Provenance, save_artefact
+from tests.support.report_content import campaign, loads, model
+
+MADE = Provenance("some-command", {}, (), {"numpy": "2.0"}, "2026-01-02T03:04:05+00:00")
+
+
+def call(*arguments: object):
+    return CliRunner().invoke(balance, ["report", *map(str, arguments)])
+
+
+@pytest.fixture
+def files(tmp_path):
+    save_artefact(tmp_path / "model.h5", "balance-model/1", model(), MADE)
+    save_artefact(tmp_path / "loads.h5", "balance-loads/1", loads(), MADE)
+    return tmp_path / "model.h5", tmp_path / "loads.h5"
+
+
+def test_page_summary_and_picture(files, tmp_path):
+    page, summary, picture = (tmp_path / name for name in ("r.html", "s.json", "p.png"))
+    result = call(*files, "-o", page, "--json", summary, "--picture", picture)
+    assert result.exit_code == 0, result.output
+    told = json.loads(summary.read_text())
+    assert list(told["sections"]) == [
+        "summary",
+        "check-runs",
+        "wind-on",
+        "eigenfrequencies",
+        "parameters",
+        "provenance",
+    ]
+    assert "check-runs" in told["figures"]
+    assert told["artefacts"] == {"model.h5": "identified rigid (LS+ML)", "loads.h5": "static matrix"}
+    assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_artefact_survives_its_file(tmp_path):
+    for path, item in campaign():
+        save_artefact(tmp_path / path.name, item.format, item.content, item.provenance)
+    result = call(*sorted(tmp_path.glob("*.h5")), "-o", tmp_path / "r.html")
+    assert result.exit_code == 0, result.output
+    assert "7 artefacts, 9 sections" in result.output
+
+
+def refused(result, tmp_path, *words: str) -> None:
+    assert result.exit_code == 2, result.output
+    for word in words:
+        assert word in result.output
+    assert "Traceback" not in result.output
+    assert not list(tmp_path.glob("r.*"))
+
+
+def test_what_is_no_artefact_is_refused(files, tmp_path):
+    other = tmp_path / "loads.csv"
+    other.write_text("run,component\n")
+    refused(call(*files, other, "-o", tmp_path / "r.html"), tmp_path, "loads.csv", "balance-loads/1")
+    refused(call(tmp_path / "none.h5", "-o", tmp_path / "r.html"), tmp_path, "none.h5")
+
+
+def test_a_changed_artefact_is_refused(files, tmp_path):
+    import h5py
+
+    with h5py.File(files[0], "r+") as file:
+        file["content/quality/chi2"][()] = 1.0
+    refused(call(*files, "-o", tmp_path / "r.html"), tmp_path, "model.h5", "digest")
+
+
+def test_other_names_than_html_are_refused(files, tmp_path):
+    refused(call(*files, "-o", tmp_path / "r.pdf"), tmp_path, "r.pdf", ".html")
+    page = tmp_path / "r.html"
+    refused(call(*files, "-o", page, "--picture", tmp_path / "r.gif"), tmp_path, "r.gif", ".png")
+
+
+def test_a_picture_without_check_runs_is_refused(files, tmp_path):
+    result = call(files[0], "-o", tmp_path / "r.html", "--picture", tmp_path / "r.png")
+    refused(result, tmp_path, "--picture", "check runs")

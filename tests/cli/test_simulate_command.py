@@ -1,0 +1,123 @@
+"""`balance simulate`: files, truth, options and faults."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.cli import balance
+from balance_cli.simulation import draw_rig, simulate_campaign
+from balance_cli.simulation.extensions.library import extension
+from balance_cli.simulation.files import read_plan
+from balance_cli.simulation.truth import stream
+from tests.support.simulation_rig import GEOMETRY, RIG
+
+PLAN = """
+runs:
+- {run: s, kind: static, largest: {Fx: 800}, steps: 1}
+- {run: f, kind: sweep, excited: [Fz], level: [50], period: 0.5, periods: 2}
+- {run: w, kind: wind, rotor_speed: 17.5, duration: 1, harmonics: {Fz: [10, 5]}, steady: {Fz: 100}}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "geometry.yaml").write_text(RIG)
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    return tmp_path
+
+
+def call(folder, *words, plan="plan.yaml"):
+    base = ["simulate", "-g", str(folder / "geometry.yaml"), "-o", str(folder / "out")]
+    where = [] if plan is None else ["--plan", str(folder / plan)]
+    return CliRunner().invoke(balance, [*base, *where, *words])
+
+
+def test_files_hold_what_the_step_gives(folder):
+    words = ("--draw", "--seed", "7", "--effect", "time-delay@z1.strain", "--parameter", "delay=0.002")
+    result = call(folder, *words, "--json", str(folder / "s.json"))
+    assert result.exit_code == 0, result.output
+    names = sorted(path.name for path in (folder / "out").iterdir())
+    assert names == ["f.h5", "s.h5", "truth.hdf5", "truth.yaml", "w.h5"]
+    summary = json.loads((folder / "s.json").read_text())
+    run = open_run(folder / "out" / "f.h5")
+    assert run.digest == summary["runs"]["f"]["digest"]
+    truth = yaml.safe_load((folder / "out" / "truth.yaml").read_text())
+    rig = draw_rig(GEOMETRY, stream(7, "", "rig"))
+    assert truth["rig"]["mass"] == rig.mass
+    assert truth["rig"]["effects"][0]["parameters"] == {"delay": 0.002}
+    rig = rig.extended(extension("time-delay", ("z1.strain",), delay=0.002))
+    runs, truths = simulate_campaign(rig, read_plan(folder / "plan.yaml"), seed=7)
+    np.testing.assert_array_equal(run.read().channels, runs[1].read().channels)
+    with h5py.File(folder / "out" / "truth.hdf5") as file:
+        np.testing.assert_array_equal(file["w/cosine"], truths[2].cosine)
+        np.testing.assert_array_equal(file["f/loads"], truths[1].loads)
+    assert open_run(folder / "out" / "w.h5").read().loads is None
+
+
+def test_only_and_noise(folder):
+    assert call(folder, "--only", "f", "--noise", "0").exit_code == 0
+    samples = open_run(folder / "out" / "f.h5").read().channels
+    assert np.any(samples != samples.astype(np.float32))
+    assert not (folder / "out" / "s.h5").exists()
+
+
+def test_declared_effects_are_simulated(folder):
+    declared = {
+        **yaml.safe_load(RIG),
+        "effects": [{"name": "channel-gain", "where": ["torque"], "parameters": {"gain": 2.0}}],
+    }
+    (folder / "geometry.yaml").write_text(yaml.safe_dump(declared))
+    assert call(folder, "--only", "s").exit_code == 0
+    assert yaml.safe_load((folder / "out" / "truth.yaml").read_text())["rig"]["effects"][0]["name"] == "channel-gain"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--only", "q"), "no run `q`"),
+        (("--effect", "cubic@z1", "--parameter", "k3=1"), "Did you mean `cubic-stiffness`"),
+        (("--effect", "cubic-stiffness@z1", "--parameter", "k4=1"), "Did you mean `k3`"),
+        (("--effect", "cubic-stiffness@z1"), "has no parameter"),
+        (("--effect", "low-pass@torque", "--effect", "high-pass@torque", "--parameter", "cutoff=1"), "more than one"),
+        (("--effect", "low-pass@torque", "--parameter", "cutoff"), "has no `=`"),
+        (("--effect", "low-pass@torqe", "--parameter", "cutoff=1"), "not at torqe"),
+        (("--parameter", "cutoff=1"), "no effect"),
+    ],
+)
+def test_faults_of_the_call(folder, words, message):
+    result = call(folder, *words)
+    assert result.exit_code == 2
+    assert message in result.output
+    assert result.output.count("error") == 1
+    assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("runs: [{run: a, kind: sweep, excited: [Fz], level: [1, 2]}]", "one `level`"),
+        ("runs: [{run: a, kind: zero}, {run: a, kind: zero}]", "not unique"),
+        ("runs: [{run: a, kind: zero, durration: 3}]", "durration"),
+        ("runs: [", "not YAML"),
+    ],
+)
+def test_faults_of_the_plan(folder, text, message):
+    (folder / "bad.yaml").write_text(text)
+    result = call(folder, plan="bad.yaml")
+    assert result.exit_code == 2
+    assert message in result.output
+    assert "bad.yaml" in result.output
+
+
+def test_full_folder_is_refused(folder):
+    (folder / "out").mkdir()
+    (folder / "out" / "mine.txt").write_text("kept")
+    result = call(folder)
+    assert result.exit_code == 2
+    assert "not empty" in result.output
+    assert [path.name for path in (folder / "out").iterdir()] == ["mine.txt"]

@@ -1,0 +1,536 @@
+"""The loop and its parts: score test, model error, folds, and whole diagnoses of simulated campaigns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from balance_cli.diagnosis.search.search import leading
+
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
+from balance_cli.diagnosis.search.candidates import candidate_at, candidates, smaller_places
+from balance_cli.diagnosis.search.candidates import tested as acting
+from balance_cli.diagnosis.search.empirical import with_extra_modes
+from balance_cli.diagnosis.search.preference import preferred
+from balance_cli.diagnosis.search.score import (
+    Score,
+    best_gain,
+    best_scores,
+    extended,
+    scores,
+    with_candidates,
+)
+from balance_cli.diagnosis.search.search_lines import search_lines
+from balance_cli.diagnosis.selection import confirm
+from balance_cli.diagnosis.selection.confirm import STRONG
+from balance_cli.diagnosis.selection.fit import Fit, excess, fitted
+from balance_cli.diagnosis.selection.folds import fold_gain, folds
+from balance_cli.diagnosis.selection.mains_frequency import at_best_frequency
+from balance_cli.diagnosis.selection.needed import believed, without
+from balance_cli.diagnosis.selection.rivals import contested
+from balance_cli.diagnosis.selection.worth import blur, effect_wald
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.model_error import log_volume, shares_that_explain, with_model_error
+from balance_cli.estimation.starting_values import by_equations_of_motion
+from balance_cli.io.errors import UserError
+from balance_cli.model.balance import balance_model
+from balance_cli.model.effects.dry_friction import LEAST, STIFFNESSES
+from balance_cli.model.placed_effects import declared_effects
+from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
+from balance_cli.simulation.plans import HIGH, statics
+from balance_cli.simulation.rig import apply_effects
+from balance_cli.steps.diagnose import diagnose
+from balance_cli.steps.identify import IdentifyOptions, identify
+from tests.support.rigs import one_degree_of_freedom, rotor_balance
+from tests.support.unknown_effects import SaturatingChannel, TunedMass
+
+RIG = rotor_balance()
+PLAN = CampaignPlan(
+    runs=(
+        *statics(),
+        *(
+            SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=8)
+            for name, level in HIGH.items()
+        ),
+    )
+)
+
+
+BENDS = SaturatingChannel(where=("z1.piezo",), limit=6.0)
+
+
+def simulated_spectra(*effects, seed=3):
+    rig = true_rig(RIG)
+    for effect in effects:
+        rig = apply_effects(rig, [effect]) if isinstance(effect, DeclaredEffect) else rig.extended(effect)
+    runs, _ = simulate_campaign(rig, PLAN, seed=seed)
+    return measured_spectra(runs, RIG, means=True)
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return simulated_spectra()
+
+
+@pytest.fixture(scope="module")
+def late():
+    """A channel is late by a little: a gain of about a hundred in chi-square."""
+    return simulated_spectra(DeclaredEffect(name="time-delay", where=("z1.piezo",), parameters={"delay": 1.5e-6}))
+
+
+def lines_of(spectra):
+    return stacked(spectra.lines, spectra.statics, RIG.channel_names)
+
+
+# ---- score test ------------------------------------------------------------------------------------------------------
+
+
+def test_gain_without_bounds_is_that_of_rao():
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((4, 4))
+    V, s = root @ root.T, rng.standard_normal(4)
+    nothing = np.zeros(4, bool)
+    gain, used, step = best_gain(s, V, nothing, nothing)
+    assert used == 4
+    assert gain == pytest.approx(s @ np.linalg.solve(V, s))
+    np.testing.assert_allclose(V @ step, s)
+
+
+def test_gain_with_bounds_is_the_best_that_is_allowed():
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((2, 2))
+    V, s = root @ root.T + np.eye(2), np.array([-2.0, 1.5])
+    grid = np.stack(np.meshgrid(np.linspace(0, 3, 601), np.linspace(-3, 3, 1201), indexing="ij"), axis=-1)
+    best = (2 * grid @ s - np.einsum("abi,ij,abj->ab", grid, V, grid)).max()
+    gain, _, step = best_gain(s, V, np.array([True, False]), np.zeros(2, bool))
+    assert gain == pytest.approx(best, rel=1e-4)
+    assert step[0] >= 0.0
+    assert 2 * s @ step - step @ V @ step == pytest.approx(gain)
+    assert gain < s @ np.linalg.solve(V, s)
+
+
+def test_a_score_is_what_a_refit_gains(late):
+    model, batches = balance_model(RIG), lines_of(late)
+    fit = fitted(model, model.parameters.value, batches)
+    one = candidate_at("time-delay", ("z1.piezo",), RIG)
+    (score,) = scores(model, fit.theta, batches, [one])
+    wide, theta = extended(model, fit.theta, with_candidates(RIG, [(one, 0)]))
+    gained = fit.chi2 - fitted(wide, theta, batches).chi2
+    assert score.gain > 50.0
+    assert score.gain == pytest.approx(gained, rel=0.02)
+
+
+def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late):
+    model, batches = balance_model(RIG), lines_of(late)
+    fit = fitted(model, model.parameters.value, batches)
+    found = sorted(best_scores(model, fit.theta, batches, candidates(RIG)), key=lambda score: -score.gain)
+    labels = [score.candidate.label for score in found[:2]]
+    assert "time-delay@z1.piezo" in labels
+    true = next(score for score in found if score.candidate.label == "time-delay@z1.piezo")
+    assert fold_gain(model, fit.theta, batches, true) > 0.5 * true.gain
+    chance = next(score for score in found if 0.0 < score.gain < 0.5)
+    assert fold_gain(model, fit.theta, batches, chance) < 2.0
+
+
+def test_a_part_as_stiff_as_can_be_begins_where_it_is(healthy, capfd):
+    """At its null a mast has no compliance and no equation of motion, and LAPACK is not asked for one."""
+    model, mast = balance_model(RIG), candidate_at("mast-bending", ("x",), RIG)
+    wide, null = extended(model, model.parameters.value, with_candidates(RIG, [(mast, 0)]))
+    found = by_equations_of_motion(wide.parameters, lines_of(healthy), wide.system, null)
+    np.testing.assert_array_equal(found, null)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_search_begins_what_rests_on_a_place_beside_what_leads():
+    def scored(name, where, gain):
+        candidate = candidate_at(name, where, RIG)
+        own = len(acting(candidate.one.parameters))
+        nothing = np.zeros(own)
+        return Score(candidate, 0, gain, own, 1.0, np.inf, np.eye(own), nothing, nothing)
+
+    support = ("support-flexibility", ("x", "y", "z", "psi", "theta", "phi"))
+    ranked = [
+        scored("dry-friction", ("x",), 324.0),
+        scored("dry-friction", ("y1",), 300.0),
+        scored("transverse-stiffness", ("all",), 218.0),
+        scored("structural-damping", ("z1",), 215.0),
+        scored("time-delay", ("x.piezo",), 160.0),
+        scored(*support, 116.0),
+        scored("added-mass", (), 100.0),
+    ]
+    first = ["dry-friction@x", "transverse-stiffness@all", "structural-damping@z1"]
+    labels = [score.candidate.label for score in leading(ranked)]
+    assert labels == [*first, "support-flexibility@x,y,z,psi,theta,phi"]
+    weak = [*ranked[:5], scored(*support, 30.0)]
+    assert [score.candidate.label for score in leading(weak)] == first
+
+
+def test_folds_are_disjoint_leave_no_line_out_and_have_means_in_several(healthy):
+    batches = lines_of(healthy)
+    for batch, *parts in zip(batches, *folds(batches), strict=True):
+        assert sum(len(part.index) for part in parts) == len(batch.index)
+        means = [int(np.sum(part.frequency[part.index] == 0)) for part in parts]
+        if np.any(batch.frequency > 0):
+            assert sum(means) == len(batch.runs)
+            assert sum(count > 0 for count in means) > len(batch.runs) // 2
+
+
+def test_candidates_leave_out_what_the_rig_has():
+    have = RIG.model_copy(update={"effects": (DeclaredEffect(name="time-delay", where=("x.piezo",)),)})
+    labels = {one.label for one in candidates(have)}
+    assert "time-delay@x.piezo" not in labels
+    assert "time-delay@x.strain" in labels
+    assert not any(label.startswith("extra-mode") for label in labels)
+    support = next(one for one in candidates(RIG) if one.effect.name == "support-flexibility")
+    assert all(len(where) == len(support.one.where) - 1 for where in smaller_places(support.one, RIG))
+
+
+# ---- model error -----------------------------------------------------------------------------------------------------
+
+
+def test_no_model_error_where_nothing_is_wrong(healthy):
+    model, batches = balance_model(RIG), lines_of(healthy)
+    fit = fitted(model, model.parameters.value, batches)
+    shares = shares_that_explain(batches, model.system(fit.theta), by_chance=3.0)
+    assert set(shares.values()) == {0.0}
+    assert with_model_error(batches, shares) == batches
+    assert log_volume(batches, shares) == 0.0
+
+
+def test_model_error_is_about_as_large_as_what_is_wrong(healthy):
+    """All stiffnesses and masses as they are, every sensitivity of what is measured two per cent off by chance."""
+    model, batches = balance_model(RIG), lines_of(healthy)
+    fit = fitted(model, model.parameters.value, batches)
+    theta = fit.theta.copy()
+    rng = np.random.default_rng(4)
+    for i, name in enumerate(model.parameters.names):
+        if name.startswith("sensitivity."):
+            theta[i] *= 1.0 + 0.02 * rng.standard_normal()
+    shares = shares_that_explain(batches, model.system(theta))
+    assert 0.005 < np.median(list(shares.values())) < 0.06
+
+
+# ---- the loop --------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_missing_where_nothing_is(healthy):
+    diagnosis, closed = diagnose(identify(healthy, RIG), healthy)
+    assert diagnosis.verdict == NOTHING_MISSING
+    assert not diagnosis.effects
+    assert not closed.geometry.effects
+    assert diagnosis.chi2_per_dof_after == pytest.approx(1.0, abs=0.05)
+    assert "gyroscopic-coupling" in {item.name for item in diagnosis.not_testable}
+    assert any("one level" in note for note in diagnosis.notes)
+
+
+def test_two_effects_at_once_are_found_and_the_model_is_closed():
+    hidden = (
+        DeclaredEffect(name="time-delay", where=("x.piezo",), parameters={"delay": 4e-4}),
+        DeclaredEffect(
+            name="parallel-stiffness",
+            parameters={"x": 0.1, "y": 0.2, "z": 0.15, "stiffness_x": 1e5, "stiffness_y": 1e5, "stiffness_z": 2e5},
+        ),
+    )
+    spectra = simulated_spectra(*hidden)
+    before = identify(spectra, RIG)
+    said = []
+    diagnosis, closed = diagnose(before, spectra, progress=lambda what, share: said.append(share))
+    assert diagnosis.verdict == EXPLAINED
+    assert {effect.label for effect in diagnosis.effects} == {"time-delay@x.piezo", "parallel-stiffness"}
+    delay = next(effect for effect in diagnosis.effects if effect.name == "time-delay").parameters[0]
+    assert abs(delay.value - 4e-4) < 4 * delay.sigma
+    assert diagnosis.chi2_per_dof_before > 10
+    assert closed.quality.chi2_per_dof == pytest.approx(1.0, abs=0.06)
+    assert said == sorted(said)
+    assert said[-1] == 1.0
+    again, _ = diagnose(closed, spectra)
+    assert again.verdict == NOTHING_MISSING
+
+
+def test_a_strain_channel_that_forgets_is_found_though_it_reads_nothing_at_rest():
+    leak = DeclaredEffect(name="high-pass", where=("z1.strain",), parameters={"cutoff": 0.04})
+    spectra = simulated_spectra(leak)
+    found, closed = diagnose(identify(spectra, RIG), spectra)
+    assert found.verdict == EXPLAINED
+    assert [effect.label for effect in found.effects] == ["high-pass@z1.strain"]
+    (cutoff,) = found.effects[0].parameters
+    assert abs(cutoff.value - 0.04) < 4 * cutoff.sigma
+    assert closed.quality.chi2_per_dof < 1.2
+
+
+# ---- rivals, and what cannot be believed -----------------------------------------------------------------------------
+
+
+def test_a_rival_that_explains_more_takes_the_place(late):
+    """A crosstalk does part of what a late channel does; so weak an effect meets all others as rivals."""
+    wrong = candidate_at("crosstalk", ("z1.piezo", "x.piezo"), RIG)
+    model, theta = extended(balance_model(RIG), balance_model(RIG).parameters.value, with_candidates(RIG, [(wrong, 0)]))
+    batches = lines_of(late)
+    fit = fitted(model, theta, batches)
+    found = contested(fit, batches, (), {}, 400, 2, lambda what: None)
+    assert (
+        set(found.standings) == {"time-delay@z1.piezo"}
+        or "time-delay@z1.piezo" in found.standings["low-pass@z1.piezo"].alike
+    )
+    assert found.fit.chi2 < fit.chi2 - 50.0
+    assert [trial.decision for trial in found.trials] == ["removed", "accepted"]
+    assert found.trials[0].label == "crosstalk@z1.piezo,x.piezo"
+    (standing,) = found.standings.values()
+    assert standing.gain > 50.0
+    kept = contested(fit, batches, (wrong.label,), {}, 400, 2, lambda what: None)
+    assert kept.fit is fit
+    assert not kept.standings
+
+
+def test_small_effects_are_not_believed_beside_a_large_residual():
+    """A channel that bends is in no file of effects; a gain that takes a little off what it leaves is no finding."""
+    batches = lines_of(simulated_spectra(BENDS))
+    small = candidate_at("channel-gain", ("y2.strain",), RIG)
+    model, theta = extended(balance_model(RIG), balance_model(RIG).parameters.value, with_candidates(RIG, [(small, 0)]))
+    fit = fitted(model, theta, batches)
+    assert excess(fit, batches, noise_alone=True) > 1e3
+    less, trials = believed(fit, batches, True, (), 3)
+    assert [trial.label for trial in trials] == ["channel-gain@y2.strain"]
+    assert not less.model.geometry.effects
+    assert believed(fit, batches, True, ("channel-gain@y2.strain",), 3) == (fit, ())
+
+
+STIFF = DeclaredEffect(name="transverse-stiffness", where=("all",), parameters={"stiffness": 2e4})
+
+
+@pytest.fixture(scope="module")
+def stiff():
+    """Lines and fit of a campaign with a large mechanical effect."""
+    batches = lines_of(simulated_spectra(STIFF))
+    known = candidate_at("transverse-stiffness", ("all",), RIG)
+    start = extended(balance_model(RIG), balance_model(RIG).parameters.value, with_candidates(RIG, [(known, 0)]))
+    return batches, fitted(*start, batches)
+
+
+def test_what_a_stiffness_is_worth_does_not_end_at_the_scale_of_the_rig(stiff):
+    """The tolerance of the scale, 1.3 %, is the sigma of any stiffness: no gain beyond 5500 could be seen in that."""
+    batches, fit = stiff
+    (one,) = declared_effects(fit.model.geometry)
+    gain, known = effect_wald(fit, one)
+    assert known == 1
+    assert gain > 1e5
+    assert gain == pytest.approx(without(fit, one, batches).chi2 - fit.chi2, rel=0.5)
+
+
+def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
+    """Whatever Wald makes of it: only chi-square without it lets it go."""
+    batches, fit = stiff
+    monkeypatch.setattr("balance_cli.diagnosis.selection.needed.effect_wald", lambda fit, one: (1.0, 1))
+    monkeypatch.setattr("balance_cli.diagnosis.selection.needed.excess", lambda fit, batches, alone: 1e5)
+    assert believed(fit, batches, True, (), 3) == (fit, ())
+
+
+def test_fits_that_come_to_no_end_are_tried_with_the_shape_held_at_first(stiff, monkeypatch):
+    batches, _ = stiff
+    plain = fitted(balance_model(RIG), balance_model(RIG).parameters.value, batches)
+    path = candidate_at("parallel-stiffness", (), RIG)
+    (score,) = scores(plain.model, plain.theta, batches, [path])
+    assert score.gain > STRONG
+    ends = []
+
+    def creeping(model, theta, batches):
+        """The first two fits stop far above a minimum."""
+        minimum = fitted(model, theta, batches).minimum
+        early = len(ends) < 2
+        total = replace(minimum.total, chi2=minimum.total.chi2 + 1e6 * early)
+        ends.append(Fit(model, replace(minimum, total=total, converged=not early)))
+        return ends[-1]
+
+    monkeypatch.setattr(confirm, "fitted", creeping)
+    found = confirm._refitted(plain, score, batches, None)
+    assert len(ends) == 4
+    assert found is ends[3]
+    shape = {path.one.full_name(item) for item in path.one.parameters if item.secondary}
+    held, still = (
+        {name for name, free in zip(end.model.parameters.names, end.model.parameters.free, strict=True) if not free}
+        for end in (ends[2], found)
+    )
+    assert held - still == shape
+
+
+def test_frequency_of_the_mains_is_found_from_a_side_lobe():
+    hidden = {"amplitude": 2e-3, "frequency": 50.02}
+    batches = lines_of(simulated_spectra(DeclaredEffect(name="mains-pickup", where=("y2.strain",), parameters=hidden)))
+    beside = DeclaredEffect(
+        name="mains-pickup", where=("y2.strain",), parameters={"amplitude": 1e-3, "frequency": 50.2}
+    )
+    model = balance_model(RIG.model_copy(update={"effects": (beside,)}))
+    start = np.array(model.parameters.value)
+    stuck = fitted(model, start, batches)
+    found = at_best_frequency(stuck, declared_effects(model.geometry), batches)
+    place = model.parameters.index("mains-pickup@y2.strain.frequency")
+    assert abs(stuck.theta[place] - 50.02) > 0.1
+    assert found.theta[place] == pytest.approx(50.02, abs=5e-3)
+    assert found.chi2 < stuck.chi2 - 100.0
+    assert at_best_frequency(found, declared_effects(model.geometry), batches) is found
+    sigma = np.array(model.parameters.sigma)
+    sigma[place] = 0.0
+    held = fitted(model.with_sigma(sigma), start, batches)
+    assert at_best_frequency(held, declared_effects(model.geometry), batches) is held
+
+
+def test_beside_large_friction_nothing_small_is_told(stiff):
+    batches, fit = stiff
+    assert blur(fit, batches) == (0.0, "")
+    friction = candidate_at("dry-friction", ("z1",), RIG)
+    model, theta = extended(fit.model, fit.theta, with_candidates(fit.model.geometry, [(friction, 0)], started=True))
+    beside = fitted(model, theta, batches)
+    (worth,) = (effect_wald(beside, one) for one in declared_effects(model.geometry) if one.label == friction.label)
+    assert blur(beside, batches) == (pytest.approx(1e-4 * worth[0]), friction.label)
+
+
+def test_what_no_effect_describes_stays_unexplained():
+    spectra = simulated_spectra(BENDS)
+    before = identify(spectra, RIG)
+    found, closed = diagnose(before, spectra)
+    assert found.verdict == UNEXPLAINED
+    assert not found.effects
+    assert "z1.piezo" in found.location
+    assert found.chi2_per_dof_after <= found.chi2_per_dof_before
+    assert not closed.geometry.effects
+
+
+TUNED = TunedMass(mass=0.7, frequency=51.3, damping_ratio=0.013, position=(-0.2, 0.15, 0.02), direction=(0.8, 0, 0.6))
+
+
+@pytest.fixture(scope="module")
+def resonating():
+    return simulated_spectra(TUNED)
+
+
+def test_what_resonates_without_a_cause_is_described_and_named_as_empirical(resonating):
+    spectra = resonating
+    found, closed = diagnose(identify(spectra, RIG), spectra)
+    assert found.verdict == PARTLY_EXPLAINED
+    (effect,) = found.effects
+    assert effect.label == "extra-mode@x"
+    assert effect.evidence.empirical
+    values = {item.name: item for item in effect.parameters}
+    assert abs(values["frequency"].value - 51.3) < 4 * values["frequency"].sigma < 0.05
+    assert abs(values["damping_ratio"].value - 0.013) < 4 * values["damping_ratio"].sigma
+    assert values["mass"].value == pytest.approx(0.7 * 0.8**2, rel=0.05)
+    assert values["shape_z"].value == pytest.approx(0.75, abs=0.02)
+    assert found.chi2_per_dof_before > 100.0
+    assert closed.quality.chi2_per_dof == pytest.approx(1.0, abs=0.06)
+
+
+def with_and_without(label, spectra):
+    """What resonances make of a model that has an effect, and of the one that has not, whichever ends better."""
+    known = candidate_at(label.partition("@")[0], tuple(label.partition("@")[2].split(",")), RIG)
+    start = balance_model(RIG)
+    bare = (start, start.parameters.value)
+    begun = extended(*bare, with_candidates(RIG, [(known, 0)], started=True))
+    state, trials = with_extra_modes([begun, bare], search_lines(spectra, RIG.channel_names), 1, lambda what: None)
+    removed = [trial.label for trial in trials if trial.decision == "removed"]
+    return {one.label for one in declared_effects(state.geometry)}, removed
+
+
+def test_a_resonance_that_passed_for_a_support_is_told_without_it(resonating):
+    wrong = "support-flexibility@y,theta,phi"
+    assert with_and_without(wrong, resonating) == ({"extra-mode@x"}, [wrong])
+
+
+def test_an_effect_that_is_there_stays_beside_a_resonance():
+    there = "transverse-stiffness@all"
+    assert with_and_without(there, simulated_spectra(TUNED, STIFF)) == ({"extra-mode@x", there}, [])
+
+
+def test_what_it_cannot_work_with(healthy):
+    model = identify(healthy, RIG, IdentifyOptions(method="computed"))
+    with pytest.raises(UserError, match="no sweep run"):
+        diagnose(model, measured_spectra([], RIG))
+
+
+# ---- one cell --------------------------------------------------------------------------------------------------------
+
+ONE = one_degree_of_freedom()
+CUBIC = DeclaredEffect(name="cubic-stiffness", where=("z",), parameters={"k3": 4e10, "side": "beside"})
+QUADRATIC = DeclaredEffect(name="quadratic-stiffness", where=("z",), parameters={"k2": 4e6, "side": "beside"})
+OFFSET = DeclaredEffect(name="load-offset", where=("Fz",), parameters={"offset": 5.0})
+
+
+def one_cell(*effects):
+    """The diagnosis of a rig with one cell and one freedom by one sweep: no static run, no torque, no other level."""
+    plan = SweepPlan(run="sweep", excited=("Fz",), level=(60.0,), period=4.0, periods=6)
+    runs, _ = simulate_campaign(apply_effects(true_rig(ONE), effects), CampaignPlan(runs=(plan,)), seed=5)
+    model = identify(measured_spectra(runs, ONE), ONE)
+    return diagnose(model, measured_spectra(runs, ONE, means=True))
+
+
+@pytest.mark.parametrize(
+    ("effects", "labels"),
+    [
+        ((), set()),
+        ((CUBIC,), {"cubic-stiffness@z,beside"}),
+        ((CUBIC, OFFSET), {"cubic-stiffness@z,beside", "load-offset@Fz"}),
+        ((CUBIC, QUADRATIC), {"cubic-stiffness@z,beside", "quadratic-stiffness@z,beside"}),
+    ],
+    ids=["nothing", "cubic", "cubic and offset", "cubic and quadratic"],
+)
+def test_effects_of_a_rig_with_one_cell_are_found(effects, labels):
+    found, closed = one_cell(*effects)
+    assert found.verdict == (EXPLAINED if effects else NOTHING_MISSING)
+    assert {effect.label for effect in found.effects} == labels
+    assert closed.quality.chi2_per_dof < 1.2
+    truth = {item.name: [value for value in item.parameters.values() if isinstance(value, float)] for item in effects}
+    for effect in found.effects:
+        assert effect.choice == (None if effect.name == "load-offset" else ("side", "beside"))
+        (item,) = effect.parameters
+        assert abs(item.value - truth[effect.name][0]) < 4 * item.sigma
+
+
+def test_what_has_no_place_in_a_rig_is_not_testable_and_what_was_found_is_not_listed():
+    found, _ = one_cell(CUBIC, OFFSET)
+    why = {item.name: item.why for item in found.not_testable}
+    assert why["crosstalk"] == "a rig with 1 cell, 1 channel that moves in z has no place for it"
+    assert not {"load-offset", "cubic-stiffness"} & set(why)
+    assert "the fitted parameters" in why["exciter-misalignment"]
+    assert "added-mass" in why
+
+
+def test_of_two_that_do_the_same_the_linear_one_is_preferred():
+    def with_effect(name, where):
+        return balance_model(ONE.model_copy(update={"effects": (DeclaredEffect(name=name, where=where),)}))
+
+    offset, bends = with_effect("load-offset", ("Fz",)), with_effect("quadratic-stiffness", ("z", "beside"))
+    assert preferred([bends, offset], [717.6, 715.4]) == 1
+    assert preferred([bends, offset], [722.0, 715.4]) == 0
+    assert preferred([offset, bends, offset], [700.0, 690.0, 701.0]) == 2
+
+
+@pytest.mark.parametrize(
+    ("force", "stiffness", "share"),
+    [(0.3, 3e5, 0.5), (6.0, 3e4, 0.02), (15.0, 2e5, 0.02)],
+    ids=["slips", "both", "sticks"],
+)
+def test_friction_is_found_at_once_whether_it_slips_or_sticks(force, stiffness, share):
+    values = {"force": force, "stick_stiffness": stiffness}
+    found, _ = one_cell(DeclaredEffect(name="dry-friction", where=("z",), parameters=values))
+    assert [(effect.label, effect.evidence.round) for effect in found.effects] == [("dry-friction@z", 1)]
+    fitted_values = {item.name: item.value for item in found.effects[0].parameters}
+    assert fitted_values["force"] == pytest.approx(force, rel=0.01)
+    # A contact that mostly slips says little of how stiff it is.
+    assert fitted_values["stick_stiffness"] == pytest.approx(stiffness, rel=share)
+    assert found.chi2_per_dof_after < 0.03 * found.chi2_per_dof_before
+
+
+def test_a_search_begins_friction_with_the_slip_distance_that_it_scored():
+    candidate = candidate_at("dry-friction", ("z",), ONE).scanned(ONE)
+    assert len(candidate.starts) > 5
+    stiffness = ONE.cells[0].effective_stiffness
+    slips = []
+    for number, start in enumerate(candidate.starts[1:], 1):
+        begun = candidate.sized(ONE, number, [2.0])
+        slips.append(begun["force"] / begun["stick_stiffness"])
+        held = candidate.at_null(start).parameters["stick_stiffness"]
+        assert slips[-1] == pytest.approx(LEAST * ONE.cells[0].full_range / held) or (
+            begun["stick_stiffness"] == pytest.approx(STIFFNESSES[1] * stiffness)
+        )
+    assert slips == sorted(slips)
+    assert candidate.sized(ONE, 0, [2.0]) == {}

@@ -1,0 +1,206 @@
+"""A real measurement: the Silverbox as a balance of one degree of freedom, its fit integrated in time, its loop."""
+
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.recording.run_file import open_run, write_run
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict
+from balance_cli.cli import balance
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING
+from balance_cli.diagnosis.search.candidates import candidate_at
+from balance_cli.diagnosis.search.score import scores
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.estimation.measurements import stacked
+from balance_cli.io.artefacts import load_artefact
+from balance_cli.model.balance import balance_model
+from balance_cli.model.placed_effects import add_effects
+from balance_cli.steps.diagnose import diagnose
+from balance_cli.steps.identify import identified_effects, identify
+
+PROJECT = Path(__file__).parents[2]
+CSV = PROJECT.parent / "shared" / "measured" / "silverbox" / "SNLS80mV.csv"
+SHORT = 22000
+CLOSING = ("load-offset@Fz", "cubic-stiffness@z,beside")
+
+pytestmark = pytest.mark.skipif(not CSV.exists(), reason="the measured data are not here")
+
+
+def load_tool(name):
+    spec = importlib.util.spec_from_file_location(name, PROJECT / "tools" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def silverbox():
+    return load_tool("silverbox")
+
+
+@pytest.fixture(scope="module")
+def errors(runs):
+    """RMSE [mV] of a model on the test part of the multisines and on the arrow head."""
+    tool = load_tool("silverbox_errors")
+    return lambda model: tool.errors(model, runs)[:2]
+
+
+@pytest.fixture(scope="module")
+def runs(silverbox):
+    return silverbox.silverbox_runs(CSV)
+
+
+@pytest.fixture(scope="module")
+def spectra(silverbox, runs):
+    return measured_spectra([runs["train"]], geometry_from_dict(silverbox.GEOMETRY), means=True)
+
+
+def fit(silverbox, spectra, *effects):
+    return identify(spectra, add_effects(geometry_from_dict(silverbox.GEOMETRY), effects))
+
+
+@pytest.fixture(scope="module")
+def closed(silverbox, spectra):
+    return fit(silverbox, spectra, *CLOSING)
+
+
+def test_linear_it_is_as_wrong_as_known(silverbox, spectra, errors):
+    test, arrow = errors(fit(silverbox, spectra))
+    assert test == pytest.approx(8.64, abs=0.1)
+    assert arrow == pytest.approx(15.3, abs=0.4)
+
+
+def test_load_offset_and_a_cubic_spring_beside_the_cell_close_it(closed, errors):
+    test, arrow = errors(closed)
+    assert test < 0.41
+    assert arrow < 0.50
+    found = {effect.name: effect.parameters[0] for effect in identified_effects(closed)}
+    assert found["cubic-stiffness"].value > 30 * found["cubic-stiffness"].sigma
+    assert found["load-offset"].value == pytest.approx(0.0053, abs=0.0005)
+
+
+def test_the_side_is_beside(silverbox, spectra, closed):
+    inside = fit(silverbox, spectra, "load-offset@Fz", "cubic-stiffness@z,inside")
+    assert inside.quality.chi2 > 10 * closed.quality.chi2
+
+
+def test_a_quadratic_stiffness_gains_nothing_beyond_an_offset(silverbox, spectra, closed):
+    """Beside the cell it is the same as an offset of the channel, a shift of the origin of the elongation."""
+    offset = fit(silverbox, spectra, *CLOSING, "channel-offset@z")
+    quadratic = fit(silverbox, spectra, *CLOSING, "quadratic-stiffness@z,beside")
+    assert 0.0 < closed.quality.chi2 - quadratic.quality.chi2 < 10.0
+    assert quadratic.quality.chi2 == pytest.approx(offset.quality.chi2, abs=0.5)
+    model, theta = balance_model(offset.geometry), np.array(offset.parameters.value)
+    further = [candidate_at("quadratic-stiffness", ("z", side), offset.geometry) for side in ("beside", "inside")]
+    found = scores(model, theta, stacked(spectra.lines, spectra.statics, ("z",)), further)
+    assert all(score.gain < 1.0 for score in found)
+
+
+# ---- the loop --------------------------------------------------------------------------------------------------------
+
+
+def call(*words):
+    result = CliRunner().invoke(balance, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def shortened(run):
+    """Its first samples."""
+    block = run.read()
+    return replace(run, samples=SHORT, source=MemorySource(block.channels[:SHORT], block.loads[:SHORT]))
+
+
+@pytest.fixture(scope="module")
+def loop(silverbox, tmp_path_factory):
+    """The commands of the manual, with the first third of the training part and the first half of the arrow head:
+
+    what `diagnose` says, its summary, the linear model and the closed one.
+    """
+    folder = tmp_path_factory.mktemp("silverbox")
+    silverbox.write_silverbox(CSV, folder)
+    write_run(folder / "third.h5", shortened(open_run(folder / "train.h5")))
+    write_run(folder / "half.h5", shortened(open_run(folder / "arrow.h5")))
+    linear, closed, told = folder / "linear.h5", folder / "closed.h5", folder / "told.json"
+    call("identify", "-g", folder / "geometry.yaml", folder / "third.h5", "-o", linear)
+    held = ("--hold-out", folder / "test.h5", "--hold-out", folder / "half.h5")
+    out = ("-o", folder / "diagnosis.h5", "--model-out", closed, "--json", told)
+    result = call("diagnose", linear, folder / "third.h5", *held, *out)
+    models = [load_artefact(path, {"balance-model/1": IdentifiedModel}).content for path in (linear, closed)]
+    return result, json.loads(told.read_text()), *models
+
+
+def test_the_loop_finds_load_offset_and_cubic_stiffness_by_itself(loop):
+    _, told, _, _ = loop
+    assert told["verdict"] == EXPLAINED
+    found = {effect["name"]: effect for effect in told["effects"]}
+    assert {"load-offset", "cubic-stiffness"} <= set(found) <= {"load-offset", "cubic-stiffness", "channel-offset"}
+    assert found["load-offset"]["where"] == ["Fz"]
+    assert found["cubic-stiffness"]["where"] == ["z"]
+    assert found["cubic-stiffness"]["parameters"]["side"] == {"value": "beside", "sigma": None, "unit": ""}
+    cubic = found["cubic-stiffness"]["parameters"]["k3"]
+    assert cubic["value"] > 30 * cubic["sigma"]
+    assert cubic["value"] == told["parameters"]["cubic-stiffness@z,beside.k3"]["value"]
+
+
+def test_the_closed_model_simulates_what_the_box_did(loop, errors):
+    _, _, linear, closed = loop
+    before, after = errors(linear), errors(closed)
+    assert before[0] > 8.0 and before[1] > 14.0
+    assert after[0] < 0.41
+    assert after[1] < 0.50
+
+
+def test_errors_on_hold_out_runs_fall_about_to_what_their_noise_leaves(loop):
+    result, told, _, _ = loop
+    assert list(told["hold_out"]) == ["test", "arrow"]
+    for run in told["hold_out"].values():
+        before, after, noise = (run[stage]["frf_error"] for stage in ("before", "after", "noise"))
+        assert before > 0.03
+        assert after < 0.1 * before
+        # 0.97 times on the test part, 2.01 on the half arrow head.
+        assert after < 2.2 * noise < 4.4 * after
+    assert "cubic-stiffness@z,beside" in result.stdout
+
+
+def test_what_one_record_of_one_cell_cannot_show_is_said(loop):
+    _, told, _, _ = loop
+    why = {item["name"]: item["why"] for item in told["not_testable"]}
+    assert {"gyroscopic-coupling", "crosstalk", "mast-bending"} <= set(why)
+    assert all("has no place for it" in why[name] for name in ("gyroscopic-coupling", "crosstalk", "mast-bending"))
+    assert "weighing" in why["added-mass"]
+    assert not {"load-offset", "cubic-stiffness", "time-delay"} & set(why)
+    notes = " ".join(told["notes"])
+    assert all(word in notes for word in ("one level only", "no static run", "chi2/dof is below one"))
+
+
+@pytest.fixture(scope="module")
+def third(silverbox, runs):
+    """Spectra of the first third of the training part."""
+    return measured_spectra([shortened(runs["train"])], geometry_from_dict(silverbox.GEOMETRY), means=True)
+
+
+@pytest.mark.parametrize("side", ["beside", "inside"])
+def test_a_quadratic_stiffness_in_the_model_is_taken_out_again(silverbox, third, side):
+    found, without = diagnose(fit(silverbox, third, *CLOSING, f"quadratic-stiffness@z,{side}"), third)
+    assert found.verdict == NOTHING_MISSING
+    (removed,) = (trial for trial in found.trials if trial.decision == "removed")
+    assert removed.label == f"quadratic-stiffness@z,{side}"
+    assert {effect.label for effect in identified_effects(without)} == set(CLOSING)
+
+
+def test_an_offset_of_the_channel_first_gives_way_to_that_of_the_load(silverbox, third, errors):
+    """To the linear model the two are the same."""
+    found, closed = diagnose(fit(silverbox, third, "channel-offset@z"), third)
+    assert {effect.label for effect in found.effects} == set(CLOSING)
+    assert [trial.label for trial in found.trials if trial.decision == "removed"] == ["channel-offset@z"]
+    test, arrow = errors(closed)
+    assert test < 0.41
+    assert arrow < 0.50

@@ -1,0 +1,185 @@
+"""Frequency responses against closed forms; their derivatives against numerical ones; modes; damping."""
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.model.balance import balance_model
+from balance_cli.model.damping import modal_damping
+from balance_cli.model.free_motion import free_motion
+from balance_cli.model.mechanics.dual_numbers import constant, variables
+from balance_cli.model.modes import eigenvalues, modes
+from balance_cli.model.plate import plate_matrices
+from balance_cli.model.system import output_slopes, response, solve
+from tests.support.rigs import angular, one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
+
+FREQUENCY = np.concatenate([[0.0], np.linspace(2.0, 150.0, 60)])
+
+
+def test_response_of_one_degree_of_freedom():
+    rig = one_degree_of_freedom(
+        channels=[{"name": "z.piezo", "cell": "z", "sensitivity": 0.01, "time_constant": 3.0, "lowpass": 90.0}]
+    )
+    system = balance_model(rig).system()
+    T = response(system, solve(system, FREQUENCY))[:, 0, 2]
+    w, k, m = angular(FREQUENCY), 4e5, 10.0
+    plate = k / (k - w**2 * m + 1j * w * 2 * 0.02 * np.sqrt(k * m))
+    channel = 0.01 * (1j * w * 3.0) / (1 + 1j * w * 3.0) / (1 + 1j * FREQUENCY / 90.0)
+    np.testing.assert_allclose(T, plate * channel, rtol=1e-12, atol=1e-18)
+
+
+def test_torque_goes_through_the_shaft_and_leaves_the_plate_alone():
+    system = balance_model(rotor_balance()).system()
+    T = response(system, solve(system, FREQUENCY))
+    w = angular(FREQUENCY)
+    d = 2 * 0.01 * np.sqrt(9e4 * 0.65)
+    np.testing.assert_allclose(T[:, -1, 5], 0.02 * 9e4 / (9e4 - 0.65 * w**2 + 1j * w * d), rtol=1e-12)
+    assert not T[:, :-1, 5].any()
+    assert not T[:, -1, :5].any()
+
+
+def test_static_response_is_the_static_calibration_of_the_plate():
+    rig = rotor_balance()
+    system, plate = balance_model(rig).system(), plate_matrices(rig)
+    forces = plate.C[:, None] * plate.B @ np.linalg.solve(plate.K, plate.F)
+    T = response(system, solve(system, np.zeros(1)))[0]
+    np.testing.assert_allclose(T[:7], 0.002 * forces, atol=1e-15)
+    np.testing.assert_array_equal(T[7:14], 0.0)
+
+
+@pytest.mark.parametrize("rig", [rotor_balance(), two_degrees_of_freedom()], ids=["rotor balance", "heave and pitch"])
+def test_slopes_against_numerical_derivatives(rig):
+    model = balance_model(rig).all_free()
+    theta, scale = model.parameters.value, model.parameters.scale
+    rng = np.random.default_rng(1)
+    loads = rng.normal(size=(len(FREQUENCY), 6)) + 1j * rng.normal(size=(len(FREQUENCY), 6))
+    system = model.system(theta)
+    slopes = output_slopes(system, solve(system, FREQUENCY), np.arange(len(FREQUENCY)), loads)
+
+    def outputs(at):
+        there = model.system(at)
+        return np.einsum("kcj,kj->kc", response(there, solve(there, FREQUENCY)), loads)
+
+    for i in range(len(theta)):
+        step = 1e-5 * scale[i] * np.eye(len(theta))[i]
+        numerical = (outputs(theta + step) - outputs(theta - step)) / (2e-5 * scale[i])
+        size = max(np.abs(numerical).max(), 1e-9 * np.abs(outputs(theta)).max() / scale[i])
+        np.testing.assert_allclose(slopes[:, :, i], numerical, atol=2e-5 * size, err_msg=model.parameters.names[i])
+
+
+def test_modes_of_heave_and_pitch():
+    found = modes(balance_model(two_degrees_of_freedom()).system())
+    expected = np.sqrt([2e6 / 20.0, 2e6 * 0.09 / 0.8]) / (2 * np.pi)
+    np.testing.assert_allclose(found.frequency, expected, rtol=1e-12)
+    np.testing.assert_allclose(found.damping_ratio, 0.02, rtol=1e-10)
+
+
+def test_mode_slopes_against_numerical_derivatives():
+    model = balance_model(rotor_balance()).all_free()
+    theta, scale = model.parameters.value, model.parameters.scale
+    found = modes(model.system())
+    for i in range(26):
+        step = 1e-4 * scale[i] * np.eye(len(theta))[i]
+        above, below = modes(model.system(theta + step)), modes(model.system(theta - step))
+        frequency = (above.frequency - below.frequency) / 2e-4
+        damping = (above.damping_ratio - below.damping_ratio) / 2e-4
+        np.testing.assert_allclose(found.frequency_slope[:, i] * scale[i], frequency, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(found.damping_slope[:, i] * scale[i], damping, rtol=1e-5, atol=1e-8)
+
+
+def test_a_stiffness_and_mass_scaled_together_leave_every_response():
+    model = balance_model(rotor_balance())
+    theta = model.parameters.value.copy()
+    scaled = theta.copy()
+    for i, name in enumerate(model.parameters.names):
+        if name.startswith(("stiffness", "mass", "inertia", "torque_meter.stiffness", "torque_meter.inertia")):
+            scaled[i] *= 1.07
+    one, other = (response(s, solve(s, FREQUENCY)) for s in (model.system(theta), model.system(scaled)))
+    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-15)
+
+
+def test_modal_damping_gives_each_mode_its_ratio():
+    plate = plate_matrices(rotor_balance())
+    zeta = np.array([0.004, 0.01, 0.02, 0.005, 0.03, 0.015])
+    D = modal_damping(constant(plate.M, 1), constant(plate.K, 1), constant(zeta, 1)).value
+    values, Phi = eigh(plate.K, plate.M)
+    np.testing.assert_allclose(Phi.T @ D @ Phi, np.diag(2 * zeta * np.sqrt(values)), atol=1e-9)
+
+
+def test_what_has_no_finite_motion_is_no_rig():
+    """A step of a fit may lead there, and takes it for a place that cannot be."""
+    M, D = np.eye(2), np.zeros((2, 2))
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        eigenvalues(M, D, np.diag([1.0, np.inf]).astype(complex))
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        eigenvalues(np.diag([1.0, np.nan]), D, np.eye(2, dtype=complex))
+    with pytest.raises(np.linalg.LinAlgError, match="no inertia"):
+        eigenvalues(np.diag([1.0, -2.0]), D, np.eye(2, dtype=complex))
+
+
+def test_equal_eigenvalues_do_not_break_the_derivative_of_the_damping():
+    """Four equal springs: with equal ratios D is a smooth function even where eigenvectors are not unique."""
+
+    def damping(x):
+        theta = variables(x)
+        M = constant(np.eye(2), 2) + theta[0] * np.array([[1.0, 0.5], [0.5, 2.0]])
+        K = constant(4.0 * np.eye(2), 2) + theta[1] * np.array([[1.0, 0.3], [0.3, -1.0]])
+        return modal_damping(M, K, constant([0.1, 0.1], 2))
+
+    at, step = damping(np.zeros(2)), 1e-6
+    for i, e in enumerate(np.eye(2)):
+        numerical = (damping(step * e).value - damping(-step * e).value) / (2 * step)
+        np.testing.assert_allclose(at.slope[i], numerical, atol=1e-6)
+
+
+# ---- a spring that loses a share of its energy in each cycle ---------------------------------------------------------
+
+LOSS = 0.01
+
+
+def lossy(causality):
+    """One degree of freedom on a cell with structural damping and hardly another."""
+    values = {"loss_factor": LOSS, "causality": causality}
+    effect = DeclaredEffect(name="structural-damping", where=("z",), parameters=values)
+    return balance_model(one_degree_of_freedom().model_copy(update={"effects": (effect,)}))
+
+
+@pytest.mark.parametrize("causality", [0.0, 1.0])
+def test_response_with_structural_damping(causality):
+    system = lossy(causality).system()
+    T = response(system, solve(system, FREQUENCY))[:, 0, 2]
+    w, k, m = angular(FREQUENCY[1:]), 4e5, 10.0
+    rising = causality * 2 / np.pi * LOSS * np.log(FREQUENCY[1:] / 20.0)
+    spring = k * (1 + 1j * LOSS + rising)
+    gain = T[0] / 1.0
+    expected = gain * spring / (spring - w**2 * m + 1j * w * 2 * 0.02 * np.sqrt(k * m))
+    np.testing.assert_allclose(T[1:], expected, rtol=1e-12)
+
+
+def test_modes_and_free_motion_with_structural_damping_to_first_order():
+    model = lossy(1.0)
+    found, free = modes(model.system()), free_motion(model.system(), 0.0, 400.0)
+    k, m, d = 4e5, 10.0, 2 * 0.02 * np.sqrt(4e6)
+
+    def equation(s):
+        return m * s**2 + d * s + k * (1 + 2 / np.pi * LOSS * np.log(s / angular(20.0)))
+
+    s = complex(-d / (2 * m), np.sqrt(k / m))
+    for _ in range(20):
+        s -= equation(s) / (2 * m * s + d + k * 2 / np.pi * LOSS / s)
+    assert found.frequency[0] == pytest.approx(abs(s) / (2 * np.pi), rel=LOSS**2)
+    assert found.damping_ratio[0] == pytest.approx(-s.real / abs(s), rel=5e-3)
+    assert free.s[0] == pytest.approx(s, rel=LOSS**2)
+
+
+def test_slopes_of_a_lossy_mode_against_numerical_derivatives():
+    model = lossy(0.7).all_free()
+    theta, scale = model.parameters.value, model.parameters.scale
+    found = modes(model.system(theta))
+    for name in ("structural-damping@z.loss_factor", "structural-damping@z.causality", "stiffness.z"):
+        i = model.parameters.index(name)
+        step = 1e-4 * scale[i] * np.eye(len(theta))[i]
+        above, below = modes(model.system(theta + step)), modes(model.system(theta - step))
+        numerical = (above.frequency - below.frequency) / 2e-4
+        np.testing.assert_allclose(found.frequency_slope[:, i] * scale[i], numerical, rtol=2 * LOSS, atol=1e-9)

@@ -1,0 +1,183 @@
+"""Mean loads where the readings curve with the loads: by iteration, or refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from balance_cli.calibration.convergence import contraction
+from balance_cli.calibration.terms import all_terms, columns, slopes
+from balance_cli.campaign.recording.channel_health import ChannelHealth
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.cli import balance
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.mean_loads import steady_loads, zero_record
+from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS, curved_loads
+from balance_cli.reduction.response_sources import static_source
+from balance_cli.steps.reduce import reduce_run
+from tests.support.curved_rig import AMPLITUDE, NAMES, RIG, calibration, readings, record, spectra, static_runs
+from tests.support.rigs import CONFIGS
+
+LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
+ALL_LIVE = ChannelHealth(NAMES, {})
+
+
+def zero(shift=0.0, seed=5):
+    return zero_record(record("zero", np.zeros(6), shift, kind="zero", seed=seed), NAMES)
+
+
+def reduced(run, cal, reference=None):
+    return reduce_run(run, RIG, cal, static_source(cal), reference)
+
+
+def with_model(cal, **changes):
+    """The calibration with its model changed."""
+    return replace(cal, gage=replace(cal.gage, model=replace(cal.gage.model, **changes)))
+
+
+def test_mean_loads_are_those_applied_within_sigma():
+    found = reduced(record("w", LOADS), calibration(), zero())
+    error = (found.amplitude[0].real - LOADS) / found.sigma_cosine[0]
+    assert np.abs(error).max() < 4.0
+    assert np.all(found.sigma_cosine[0] < 1e-4 * AMPLITUDE)
+    assert found.flags[0] == ("",) * 6 and found.trim == ALL_TRIMS and found.redundancy[0] < found.redundancy_limit[0]
+    straight = replace(calibration(), gage=None)
+    assert np.max(np.abs(reduced(record("w", LOADS), straight, zero()).amplitude[0].real - LOADS)) > 0.5
+
+
+def test_what_shifts_record_and_zero_alike_changes_nothing():
+    plain, shifted = (reduced(record("w", LOADS, shift), calibration(), zero(shift)) for shift in (0.0, 0.02))
+    np.testing.assert_allclose(shifted.amplitude[0], plain.amplitude[0], rtol=0, atol=1e-9)
+
+
+def test_without_a_zero_run_loads_count_from_the_zeros_of_the_calibration():
+    found = reduced(record("w", LOADS), calibration())
+    assert found.flags[0] == ("no zero",) * 6
+    assert np.all(np.abs(found.amplitude[0].real - LOADS) < 5e-4 * AMPLITUDE)
+
+
+@pytest.mark.parametrize("lost", ["z3.strain", "y1.strain"])
+def test_a_dead_channel_is_left_out(lost):
+    run = record("w", LOADS)
+    channels = run.read().channels.copy()
+    channels[:, NAMES.index(lost)] = 0.0
+    found = reduced(replace(run, source=MemorySource(channels, None)), calibration(), zero())
+    assert lost in found.left_out
+    assert np.all(np.abs(found.amplitude[0].real - LOADS) < 5 * found.sigma_cosine[0])
+
+
+def test_sigma_covers_the_errors_of_calibration_and_record():
+    rng = np.random.default_rng(3)
+    cal, inside = calibration(), []
+    for _ in range(200):
+        loads = 0.8 * AMPLITUDE * rng.uniform(-1, 1, 6)
+        volts = 0.05 + readings(loads)[0] + 2e-5 * rng.normal(size=len(NAMES))
+        found = curved_loads(spectra(volts, 2e-5), cal, cal.gage.model, ALL_LIVE, None)
+        inside.append(np.abs(found.loads - loads) < 1.96 * found.sigma)
+    assert np.mean(inside) > 0.85
+    assert np.mean(found.sigma / AMPLITUDE) < 1e-4
+
+
+def test_readings_that_contradict_each_other_are_flagged():
+    volts = 0.05 + readings(LOADS)[0]
+    volts[NAMES.index("z2.strain")] += 0.01
+    found = curved_loads(spectra(volts, 2e-5), calibration(), calibration().gage.model, ALL_LIVE, None)
+    assert found.flags == ("no zero; redundancy",) * 6
+    sound = curved_loads(
+        spectra(0.05 + readings(LOADS)[0], 2e-5), calibration(), calibration().gage.model, ALL_LIVE, None
+    )
+    assert np.all(found.sigma > 3 * sound.sigma)
+
+
+@pytest.mark.parametrize("curved", [True, False])
+def test_a_load_outside_those_of_the_calibration_is_flagged(curved):
+    cal = calibration(curved)
+    assert cal.gage.model.curved == curved
+    loads = LOADS * [1, 1, 1, 1, 1, 1.03 * 450.0 / 150.0]
+    found = reduced(record("w", loads, curved=curved), cal, zero())
+    assert found.flags[0] == ("",) * 5 + ("extrapolated",)
+    np.testing.assert_allclose(found.amplitude[0].real, loads, atol=0.5)
+
+
+def test_a_straight_model_leaves_the_nearest_trim_in_its_place():
+    cal = calibration(curved=False)
+    volts = 0.05 + LOADS @ cal.trims["bare"].C0.T
+    found = steady_loads(spectra(volts), cal, ALL_LIVE, None)
+    trim = cal.trims[found.trim]
+    np.testing.assert_array_equal(found.loads, trim.mean_load + trim.T0 @ (volts - trim.mean_channels))
+    assert reduced(record("w", LOADS, curved=False), cal).trim in cal.trims
+
+
+def test_loads_beyond_the_reach_of_the_proof_are_refused():
+    with pytest.raises(UserError) as caught:
+        reduced(record("w9", 1.6 * AMPLITUDE * [0, 0, 1, 0, 0, 0]), calibration(), zero())
+    message = str(caught.value)
+    assert message.startswith(
+        "w9, mean of Fz: the mean lies where loads by iteration are not proved: Fz of about 5600 N"
+    )
+    assert "1.6 times full range (3500 N)" in message and "--skip-bad" in message
+
+
+def test_loads_so_large_that_the_iteration_runs_away_are_refused():
+    with pytest.raises(UserError, match=r"mean of .*Fx.*times full range"):
+        reduced(record("w9", 60.0 * AMPLITUDE * [1, 0, 1, 0, 0, 0]), calibration(), zero())
+
+
+def test_a_model_whose_iteration_is_not_proved_is_refused():
+    model = calibration().gage.model
+    curved = np.arange(len(model.terms))[:, None] >= 6
+    wild = with_model(calibration(), coefficients=np.where(curved, 60.0, 1.0) * model.coefficients)
+    assert not wild.gage.model.contraction().proved
+    with pytest.raises(UserError, match=r"w, mean of Fx, Fy, Fz, Mx, My, Mz: the iteration .* not proved to converge"):
+        reduced(record("w", LOADS), wild, zero())
+
+
+def test_channels_that_do_not_determine_the_loads_are_refused():
+    with pytest.raises(UserError, match="do not determine the mean loads"):
+        live = ChannelHealth(tuple(name for name in NAMES if name != "torque"), {"torque": "dead"})
+        curved_loads(spectra(np.zeros(len(NAMES))), calibration(), calibration().gage.model, live, None)
+
+
+def test_skip_bad_leaves_out_the_run_that_cannot_be_solved(tmp_path):
+    for run in (*static_runs(np.random.default_rng(1)), record("w1", LOADS), record("w2", [0, 0, 7000.0, 0, 0, 0])):
+        write_run(tmp_path / f"{run.name}.h5", run)
+    cal, out = tmp_path / "cal.h5", tmp_path / "loads.csv"
+    static = [str(path) for path in sorted(tmp_path.glob("static-*.h5"))]
+    words = ["calibrate", "-g", str(CONFIGS / "rts-6.yaml"), *static, "-o", str(cal)]
+    assert CliRunner().invoke(balance, words).exit_code == 0
+    words = ["reduce", "--calibration", str(cal), "--static", *(str(tmp_path / f"w{i}.h5") for i in (1, 2))]
+    refused = CliRunner().invoke(balance, [*words, "-o", str(out)])
+    assert refused.exit_code == 2 and not out.exists()
+    assert "w2, mean of Fz" in refused.stderr
+    done = CliRunner().invoke(balance, [*words, "-o", str(out), "--skip-bad"])
+    assert done.exit_code == 0, done.output
+    assert "w1" in out.read_text() and "w2" not in out.read_text()
+
+
+# ---- the model and the proof behind them -----------------------------------------------------------------------------
+
+
+def test_the_tangent_is_the_derivative_of_the_readings():
+    model = calibration().gage.model
+    h = 1e-6
+    for j in range(6):
+        step = h * np.eye(6)[j] * model.full_range
+        numerical = (model.readings(LOADS[None] + step) - model.readings(LOADS[None] - step))[0] / (2 * h)
+        np.testing.assert_allclose(model.tangent(LOADS)[0, :, j], numerical, atol=1e-8)
+
+
+def test_the_proof_holds_where_a_load_has_next_to_no_part_in_the_slowest_direction():
+    terms = [term for term in all_terms(6) if term.name(COMPONENTS) in ("Fx^3", "Fx Fz", "Fz^2")]
+    back = np.zeros((6, 3))
+    back[0, :], back[4, 0], back[2, 2] = 0.02, 0.05, 1e-6
+    proof = contraction(back, terms, 6)
+    assert proof.proved and np.all(proof.reach < 1.3)
+    rng = np.random.default_rng(0)
+    # What was proved: no error after one step is larger than M times the error before.
+    M = np.abs(back) @ np.max(np.abs(slopes(terms, proof.reach[None])), axis=0)
+    x, y = (proof.reach * rng.uniform(-1, 1, (500, 6)) for _ in range(2))
+    after = np.abs((columns(terms, x) - columns(terms, y)) @ back.T)
+    assert np.all(after <= np.abs(x - y) @ M.T + 1e-12)

@@ -1,0 +1,184 @@
+"""The page: what is on it for which artefacts, that it stands alone, and that it says what the artefacts say."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.io.artefacts import Artefact
+from balance_cli.report.check_errors import Error, harmonic_errors, overall_error, pooled_errors
+from balance_cli.report.check_runs import section
+from balance_cli.report.page import page
+from balance_cli.report.parameters import section as parameter_section
+from balance_cli.report.sources import Sources, sources
+from balance_cli.report.wind_on import section as wind_section
+from tests.support.page_content import read, texts
+from tests.support.report_content import artefact, campaign, loads, model
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return page(sources(campaign()))
+
+
+def test_every_section_of_a_campaign_is_there(whole):
+    expected = ["summary", "check-runs", "wind-on", "eigenfrequencies", "responses", "parameters", "sweeps"]
+    assert list(whole.sections) == [*expected, "calibration", "provenance"]
+    assert set(whole.pictures) >= {"check-runs", "redundancy", "harmonics", "eigenfrequencies", "fit", "coherence"}
+    assert {"response-Fx", "response-Mz"} <= set(whole.pictures)
+
+
+def test_the_page_is_well_formed_and_needs_nothing_else(whole):
+    tags = read(whole.html)
+    assert not tags.open
+    assert not tags.outside
+    assert "@import" not in whole.html
+    assert max(tags.ids.values()) == 1
+    assert tags.references <= set(tags.ids)
+    assert len(whole.html) < 8e6
+
+
+def test_the_same_artefacts_give_the_same_bytes(whole):
+    assert page(sources(campaign())).html == whole.html
+
+
+def test_provenance_names_files_digests_and_times_but_no_folders(whole):
+    text = " ".join(read(whole.html).text)
+    assert "cal.h5" in text
+    assert "somewhere" not in text
+    assert "2026-01-02T03:04:05+00:00" in text
+    assert "harmonics=3" in text
+    assert "d" * 64 in whole.html
+
+
+KINDS = {
+    "balance-calibration/1": {"calibration"},
+    "balance-transfer/1": {"responses", "sweeps"},
+    "balance-model/1": {"eigenfrequencies", "parameters"},
+    "balance-loads/1": {"check-runs", "wind-on"},
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_subset_gives_the_sections_it_can(kind):
+    some = [(path, item) for path, item in campaign() if item.format == kind]
+    made = page(sources(some))
+    assert set(made.sections) == {"summary", "provenance"} | KINDS[kind]
+    assert not read(made.html).open
+
+
+def test_names_from_files_are_not_taken_for_markup():
+    content = loads()
+    strange = {f"<i>{name}</i>": run for name, run in content.runs.items()}
+    made = page(sources([(Path("<b>.h5"), artefact("balance-loads/1", loads(runs=strange), "1" * 64))]))
+    assert "<b>.h5" not in made.html
+    assert "<i>" not in made.html
+    assert not read(made.html).open
+
+
+def labels(items: list[tuple[Path, Artefact]]) -> dict[str, str]:
+    return {source.file: source.label for source in sources(items).everything}
+
+
+def test_loads_bear_the_label_of_their_model():
+    found = labels(campaign())
+    assert found["loads-model.h5"] == found["model.h5"] == "identified rigid (LS+ML)"
+    assert found["loads-static.h5"] == "static matrix"
+    assert found["loads-tf.h5"] == "transfer function"
+    looks = {source.file: source.look for source in sources(campaign()).everything}
+    assert looks["loads-model.h5"] == looks["model.h5"]
+
+
+def test_two_artefacts_of_one_role_are_told_apart_by_their_files():
+    first, second = (artefact("balance-model/1", model(), digit * 64) for digit in "12")
+    items = [(Path("a/one.h5"), first), (Path("b/two.h5"), second)]
+    assert sorted(labels(items).values()) == ["identified rigid (LS+ML), one", "identified rigid (LS+ML), two"]
+    same_names = [(Path("a/one.h5"), first), (Path("b/one.h5"), second)]
+    drawn = sources(same_names).models
+    assert len({source.label for source in drawn}) == 2
+    assert len({source.look for source in drawn}) == 2
+
+
+def test_roles_from_the_words_of_reduce():
+    words = {
+        "static matrix": "static",
+        "measured response (spline)": "measured",
+        "physical model (computed)": "computed",
+        "physical model (ls)": "ls",
+        "physical model (ls+ml)": "identified",
+        "paper form (ls+ml, diagonal damping)": "paper",
+        "paper form (ls, full damping)": "paper-ls",
+        "physical model (ml) with mast-bending": "closed",
+        "physical model (computed) with mast-bending": "computed",
+        "something new": "",
+    }
+    for response, rank in words.items():
+        (source,) = sources([(Path("x.h5"), artefact("balance-loads/1", loads(response), "1" * 64))]).loads
+        assert source.rank == rank, response
+
+
+def test_a_closed_model_is_called_by_its_effects_and_many_are_counted():
+    names = ("mast-bending", "added-mass", "time-delay")
+    for used, words in ((names[:2], "mast-bending, added-mass"), (names, "3 effects")):
+        effects = tuple(DeclaredEffect(name=name) for name in used)
+        closed = model(geometry=model().geometry.model_copy(update={"effects": effects}))
+        assert labels([(Path("m.h5"), artefact("balance-model/1", closed, "1" * 64))]) == {"m.h5": f"closed: {words}"}
+        by = loads(f"physical model (ls+ml) with {', '.join(used)}")
+        assert labels([(Path("l.h5"), artefact("balance-loads/1", by, "2" * 64))]) == {"l.h5": f"closed: {words}"}
+
+
+# ---- what the check runs say -----------------------------------------------------------------------------------------
+
+
+def test_errors_are_pooled_over_the_check_runs():
+    content = loads(error=0.5)
+    pooled = pooled_errors(content, "load_error")
+    assert pooled["Fx"] == Error(0.5, 0.01)
+    assert pooled["Fz"].value == pytest.approx(np.sqrt((1.0**2 + 0.5**2) / 2))
+    assert pooled_errors(content, "interaction")["Fx"].value == pytest.approx(0.05)
+    overall = overall_error(content, "load_error")
+    assert overall.value == pytest.approx(np.sqrt((0.5**2 + 1.0**2 + 0.5**2) / 3))
+
+
+def test_errors_by_harmonic_are_those_of_the_runs_that_applied_the_component():
+    content = loads()
+    first = content.runs["check-1"]
+    applied = first.amplitude / (1.0 + 0.1 * np.arange(4)[:, None])
+    runs = {"check-1": replace(first, check=replace(first.check, applied=applied)), "wind-1": content.runs["wind-1"]}
+    np.testing.assert_allclose(harmonic_errors(replace(content, runs=runs), "Fx"), [0.1, 0.2, 0.3])
+    assert len(harmonic_errors(replace(content, runs=runs), "My")) == 0
+
+
+def test_the_table_that_matters_shows_every_method_beside_its_noise():
+    made = section(sources(campaign()))
+    table = next(block for block in made.blocks if block.kind == "table")
+    assert [cell.text for cell in table.head[0]][1:] == [
+        "static matrix",
+        "transfer function",
+        "identified rigid (LS+ML)",
+    ]
+    row = next(row for row in table.rows if row[0].text == "Fx")
+    assert [(cell.text, cell.note) for cell in row[1:]] == [("50", "1.0"), ("5.0", "1.0"), ("1.0", "1.0")]
+    assert "best" in row[3].mark and "good" in row[3].mark
+    assert "good" not in row[1].mark
+
+
+@pytest.mark.parametrize(("ratio", "warned"), [(1.1, False), (45.0, True)])
+def test_a_model_that_does_not_describe_the_data_is_called_so(ratio, warned):
+    given = sources([(Path("m.h5"), artefact("balance-model/1", model(chi2_per_dof=ratio), "1" * 64))])
+    assert ("does not describe" in texts(parameter_section(given), "warn")) is warned
+
+
+def test_wind_on_harmonics_beyond_the_limit_are_counted_and_lost_channels_named():
+    given = sources([(Path("l.h5"), artefact("balance-loads/1", loads(redundancy=9.0), "1" * 64))])
+    words = texts(wind_section(given), "warn")
+    assert "1 of 3 harmonics do not fit" in words
+    assert "channel z2.piezo left out: clipped" in words
+    fine = sources([(Path("l.h5"), artefact("balance-loads/1", loads(), "1" * 64))])
+    assert "do not fit" not in texts(wind_section(fine), "warn")
+
+
+def test_nothing_gives_an_empty_report():
+    assert list(page(Sources()).sections) == ["summary", "provenance"]

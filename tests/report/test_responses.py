@@ -1,0 +1,96 @@
+"""Forces of cells from channels, measured and modelled, and the errors that the page quotes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from balance_cli.model.balance import balance_model
+from balance_cli.model.system import solve
+from balance_cli.report.measured import (
+    TORQUE_METER,
+    measured_curve,
+    model_response,
+    relative_error,
+    sensors,
+)
+from balance_cli.report.numbers import percent
+from balance_cli.report.response_figures import unwrapped_gaps
+from balance_cli.report.responses import comparisons, sensor_errors
+from balance_cli.report.sources import sources
+from balance_cli.report.sweep_figures import channel_pairs, channel_ratio
+from balance_cli.report.transfer import level_table
+from tests.support.report_content import FREQUENCY, NOISE, artefact, campaign, measured, model, transfer
+from tests.support.rigs import rotor_balance
+
+RIG = rotor_balance()
+
+
+def test_a_measured_curve_is_the_force_in_the_spring():
+    """Against the springs' forces of the model, which know nothing of channels."""
+    response = measured("Fx", 20.0)
+    forces = solve(balance_model(RIG).system(), FREQUENCY).forces
+    shown = sensors(RIG, [response], [])
+    assert [sensor.name for sensor in shown] == [*RIG.cell_names, TORQUE_METER]
+    for i, sensor in enumerate(shown):
+        curve = measured_curve(response, sensor, "Fx", RIG)
+        np.testing.assert_allclose(curve.value, forces[:, i, 0], rtol=1e-9, atol=1e-12)
+
+
+def test_the_noise_of_a_curve_grows_where_the_channel_sees_less():
+    response = measured("Fx", 20.0)
+    strain = next(s for s in sensors(RIG, [response], []) if s.name == "x")
+    assert list(strain.channels) == ["x.strain"]  # both channels are equally quiet: the first declared
+    curve = measured_curve(response, strain, "Fx", RIG)
+    np.testing.assert_allclose(curve.sigma, NOISE * np.sqrt(1 + (FREQUENCY / 90.0) ** 2), rtol=1e-9)
+
+
+def test_the_run_of_the_highest_level_is_shown():
+    assert [each.measured.run for each in comparisons(sources(campaign()))] == ["sweep-Fx-20", "sweep-Mz-20"]
+
+
+def test_a_response_that_grows_with_the_level_is_marked():
+    low, high = measured("Fx", 5.0), measured("Fx", 20.0)
+    grown = replace(high, response=1.01 * high.response)
+    source = sources([(Path("tf.h5"), artefact("balance-transfer/1", transfer(), "b" * 64))]).transfers[0]
+    for responses, difference, mark in (((low, high), 0.0, ""), ((low, grown), 0.01 / 1.01, "bad")):
+        (row,) = level_table(source, responses).rows
+        assert row[3].text == percent(difference)
+        assert row[3].mark == mark
+
+
+def test_the_true_model_is_off_by_nothing_and_a_scaled_one_by_its_scale():
+    found = {source.label: source for source in sources(campaign()).models}
+    each = comparisons(sources(campaign()))[0]
+    noise, errors = sensor_errors(each)
+    by_label = dict(zip([source.label for source, _ in each.models], errors, strict=True))
+    assert by_label["identified rigid (LS+ML)"] < 1e-9
+    assert by_label["computed"] > 0.1
+    assert 0 < noise < 1e-3
+    assert set(found) == set(by_label)
+    value = np.array([1.0 + 1j, -2.0])
+    assert relative_error(1.1 * value, value) == pytest.approx(0.1)
+
+
+def test_channels_of_a_model_are_told_beside_its_forces():
+    response = measured("Fx", 20.0)
+    told = model_response(model(), FREQUENCY, 0.0, sensors(RIG, [response], []), RIG)
+    np.testing.assert_allclose(told.channels["x.piezo"][:, 0], response.response[:, 7, 0], rtol=1e-9)
+
+
+def test_two_channels_of_a_cell_differ_by_their_dynamics():
+    responses = transfer().responses
+    pairs = channel_pairs({channel.name: channel.cell for channel in RIG.channels}, responses)
+    assert pairs["z1"] == ("z1.piezo", "z1.strain")
+    sensitivity = {channel.name: channel.sensitivity for channel in RIG.channels}
+    frequency, ratio = channel_ratio(pairs["z1"], responses, sensitivity)
+    s = 2j * np.pi * frequency
+    expected = 3.0 * s / (1 + 3.0 * s) * (1 + 1j * frequency / 90.0)
+    np.testing.assert_allclose(frequency, FREQUENCY)
+    np.testing.assert_allclose(ratio, expected, rtol=1e-9)
+
+
+def test_phase_is_not_drawn_across_the_picture():
+    phase = unwrapped_gaps(np.exp(1j * np.radians([170.0, 179.0, -175.0, -170.0])))
+    np.testing.assert_allclose(phase, [170.0, 179.0, np.nan, -170.0])

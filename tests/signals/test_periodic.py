@@ -1,0 +1,187 @@
+"""Lines of periodic records: steady periods, amplitudes, and a noise covariance that is right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.io.errors import UserError
+from balance_cli.signals.noise import inverse_bias_factor, pooled_covariance
+from balance_cli.signals.periodic import periodic_lines, periodic_record, whole_period
+from balance_cli.signals.steady import steady_start
+from tests.support.swept_rig import LOAD_NOISE, NOISE, SweptRig, beside_a_mode, chi2_per_dof
+
+RIG = SweptRig()
+SEEDS = range(6)
+
+
+@pytest.fixture(scope="module")
+def records():
+    return [periodic_record(RIG.multisine(seed), RIG.names) for seed in SEEDS]
+
+
+def test_lines_are_those_excited(records):
+    lines = records[0].lines
+    assert lines.frequency == pytest.approx(np.arange(2, 150.1, 0.25))
+    assert lines.components == ("Fx",)
+    # 593 lines of equal amplitude a carry rms 40: 593 a^2 / 2 = 1600.
+    assert np.abs(lines.loads[:, 0]) == pytest.approx(np.sqrt(3200 / 593), rel=2e-3)
+
+
+def test_chi_square_of_the_true_response_is_one_everywhere(records):
+    """5 channels, 593 lines, 6 runs: 17 790 complex values, so 1 +- 0.0075; beside the modes 1 +- 0.03."""
+    values = np.concatenate([chi2_per_dof(RIG, record.lines) for record in records])
+    near = np.concatenate([beside_a_mode(record.lines.frequency, 0.5) for record in records])
+    assert values.mean() == pytest.approx(1.0, abs=0.04)
+    assert values[near].mean() == pytest.approx(1.0, abs=0.12)
+
+
+def test_noise_is_measured_within_a_few_percent(records):
+    """Sample noise s gives a line of a period of N samples the variance 4 s^2 / N, a mean of m periods that over m."""
+    ratios = []
+    for record in records:
+        m = (record.periods - record.first)[:, None]
+        variance = np.diagonal(record.lines.covariance, axis1=1, axis2=2).real * m
+        expected = 4 * np.array([NOISE] * 5 + [LOAD_NOISE]) ** 2 / 1600
+        ratios.append((variance / expected).mean(axis=0))
+    assert np.mean(ratios, axis=0) == pytest.approx(np.ones(6), abs=0.05)
+
+
+def test_periods_are_discarded_where_a_mode_still_rings(records):
+    for record in records:
+        slowest = np.abs(record.lines.frequency - 20.3) < 0.3
+        assert record.first[slowest].min() > np.median(record.first)
+        assert record.steady
+        assert record.start == pytest.approx(record.first.max() * 4.0)
+        assert record.stop == pytest.approx(28.0)
+
+
+def test_a_record_that_begins_steady_loses_no_period():
+    record = periodic_record(RIG.multisine(spin_up=40, periods=5), RIG.names)
+    assert np.mean(record.first == 0) > 0.99
+
+
+def test_two_periods_remain_however_long_the_transient():
+    slow = SweptRig(zeta=0.0005)
+    record = periodic_record(slow.multisine(periods=4), slow.names)
+    assert record.first.max() == 2
+    assert not record.steady
+
+
+def test_transient_that_has_to_stay_is_in_the_covariance():
+    short = periodic_record(RIG.multisine(periods=3), RIG.names)
+    assert chi2_per_dof(RIG, short.lines).mean() < 1.3
+
+
+def test_record_need_not_begin_with_a_period():
+    run = RIG.multisine()
+    block = run.read(333)
+    cut = replace(run, samples=len(block.channels), source=MemorySource(block.channels, block.loads))
+    record = periodic_record(cut, RIG.names)
+    assert record.periods == 6
+    assert chi2_per_dof(RIG, record.lines).mean() == pytest.approx(1.0, abs=0.1)
+
+
+def test_period_that_is_no_whole_number_of_samples():
+    """Two periods of 400.5 samples are 801: lines are cut from pairs, and only every second one was excited."""
+    n, rate = 801, RIG.rate
+    run = RIG.multisine(period=n / rate, periods=8)
+    doubled = np.fft.rfft(run.read().loads[:n, 0])
+    assert whole_period(run) == n
+    declared = replace(run, period=n / rate / 2)
+    assert whole_period(declared) == n
+    assert np.count_nonzero(np.abs(doubled) > 100) > 100
+    with pytest.raises(UserError, match="whole number of samples"):
+        whole_period(replace(run, period=(n + 0.2371) / rate))
+
+
+def test_wrong_period_is_refused():
+    rig = SweptRig()
+    with pytest.raises(UserError, match="repeats"):
+        periodic_record(replace(rig.random(seconds=12.0), period=4.0), rig.names)
+
+
+def test_what_the_user_must_hear():
+    run = RIG.multisine(periods=3)
+    with pytest.raises(UserError, match="no `period`"):
+        periodic_lines(replace(run, period=None), RIG.names)
+    with pytest.raises(UserError, match="two periods"):
+        periodic_lines(replace(run, period=20.0), RIG.names)
+    with pytest.raises(UserError, match="no channel `nowhere`"):
+        periodic_lines(run, ("c0", "nowhere"))
+    with pytest.raises(UserError, match="column is zero"):
+        periodic_lines(replace(run, excited=("Mz",)), RIG.names)
+    with pytest.raises(UserError, match="no line was excited from 160"):
+        periodic_lines(run, RIG.names, (160.0, 170.0))
+
+
+def test_a_measured_component_that_holds_only_noise_is_no_input():
+    run = RIG.multisine(periods=4)
+    block = run.read()
+    assert block.loads is not None
+    loads = block.loads.copy()
+    loads[:, 4] = 0.01 * np.random.default_rng(3).normal(size=len(loads))
+    lines = periodic_lines(replace(run, source=MemorySource(block.channels, loads)), RIG.names)
+    assert lines.components == ("Fx",)
+    assert lines.covariance.shape[1:] == (6, 6)
+
+
+def test_spill_that_was_measured_is_an_input():
+    two = SweptRig(components=("Fx", "My"))
+    declared = replace(two.multisine(periods=4), excited=("Fx",), level=(40.0,))
+    assert periodic_lines(declared, two.names).components == ("Fx", "My")
+
+
+def _scatter(rng, lines, n, counts):
+    vectors = rng.normal(size=(lines, counts, n)) + 1j * rng.normal(size=(lines, counts, n))
+    return np.einsum("kmi,kmj->kij", vectors, vectors.conj()) / 2, np.full(lines, float(counts))
+
+
+def test_inverse_bias_factor_by_simulation():
+    """Mean inverse of a complex Wishart matrix, 20 degrees of freedom, 6 signals."""
+    rng = np.random.default_rng(1)
+    scatter, _ = _scatter(rng, 4000, 6, 20)
+    inverse = np.linalg.inv(scatter / 20).mean(axis=0).real * inverse_bias_factor(20, 6)
+    assert np.diagonal(inverse) == pytest.approx(np.ones(6), abs=0.03)
+    assert inverse_bias_factor(np.inf, 6) == 1.0
+    with pytest.raises(ValueError, match="no inverse"):
+        inverse_bias_factor(6, 6)
+
+
+def test_one_bad_line_does_not_spoil_its_neighbours():
+    rng = np.random.default_rng(2)
+    scatter, counts = _scatter(rng, 400, 6, 3)
+    clean, dof = pooled_covariance(scatter, counts)
+    assert dof >= 150
+    scatter[200] *= 1e4
+    spoilt, _ = pooled_covariance(scatter, counts)
+    assert np.trace(spoilt[190]).real == pytest.approx(np.trace(clean[190]).real, rel=0.08)
+    assert np.trace(clean, axis1=1, axis2=2).real.mean() == pytest.approx(6.0, rel=0.03)
+
+
+def test_covariance_follows_the_colour_of_the_noise():
+    rng = np.random.default_rng(3)
+    scatter, counts = _scatter(rng, 1000, 4, 3)
+    colour = np.linspace(1.0, 10.0, 1000)
+    pooled, _ = pooled_covariance(scatter * colour[:, None, None], counts)
+    ratio = np.trace(pooled, axis1=1, axis2=2).real / (4 * colour)
+    assert np.abs(ratio[30:-30] - 1).max() < 0.3
+    assert ratio[30:-30].mean() == pytest.approx(1.0, abs=0.03)
+
+
+def test_white_noise_alone_is_steady_from_the_beginning():
+    rng = np.random.default_rng(4)
+    spectra = rng.normal(size=(6, 500, 8)) + 1j * rng.normal(size=(6, 500, 8))
+    assert np.mean(steady_start(spectra).first == 0) > 0.98
+
+
+def test_recovery_of_one_channel_is_seen():
+    """A slow exponential in one of eight signals, smooth over all lines."""
+    rng = np.random.default_rng(5)
+    spectra = rng.normal(size=(7, 500, 8)) + 1j * rng.normal(size=(7, 500, 8))
+    spectra[:, :, 3] += 40.0 * np.exp(-4 / 3 * np.arange(7))[:, None]
+    first = steady_start(spectra).first
+    left = (40.0 * np.exp(-4 / 3 * first)) / (7 - first) / (1 - np.exp(-4 / 3))
+    assert np.median(left * np.sqrt((7 - first) / 2)) < 0.7
+    assert np.mean(first <= 5) == 1.0

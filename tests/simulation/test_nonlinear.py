@@ -1,0 +1,138 @@
+"""Nonlinear cells in the simulation against scipy's general integrator, and by hand at rest."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.io.errors import UserError
+from balance_cli.simulation import (
+    NO_NOISE,
+    CampaignPlan,
+    RotorPlan,
+    StaticPlan,
+    simulate_campaign,
+    simulate_run,
+    true_rig,
+)
+from balance_cli.simulation.assembly import equations_of_motion
+from balance_cli.simulation.extensions.library import extension
+from balance_cli.simulation.rig import apply_effects
+from tests.support.simulation_rig import GEOMETRY, rig_geometry
+
+Z1 = 3
+OPEN = rig_geometry(acquisition={})
+PLAN = RotorPlan(
+    run="c",
+    rotor_speed=17.5,
+    duration=0.3,
+    harmonics={"Fz": (300.0, 100.0, 0.0, 200.0), "Mx": (40.0,)},
+    steady={"Fz": 400.0},
+)
+
+
+def reference(rig, truth, extra_force, contact=(0.0, 0.0)):
+    """Elongation of cell z1 and its contact's force (samples,), by DOP853 from the same rest."""
+    m = equations_of_motion(rig)
+    K, row = m.total_stiffness(), m.cell_rows[Z1]
+    n = m.size
+    stick, limit = contact
+
+    def loads(t):
+        angle = 2 * np.pi * 17.5 * t * np.arange(9)
+        return np.cos(angle) @ truth.cosine + np.sin(angle) @ truth.sine
+
+    def rates(t, x):
+        q, v, held = x[:n], x[n:-1], x[-1]
+        force = m.loads @ loads(t) - m.damping @ v - K @ q - row * (extra_force(row @ q) + held)
+        slides = abs(held) >= limit and held * (row @ v) > 0
+        return np.concatenate([v, np.linalg.solve(m.mass, force), [0.0 if slides else stick * (row @ v)]])
+
+    q = np.zeros(n)
+    for _ in range(200):
+        held = np.clip(stick * (row @ q), -limit, limit)
+        q = np.linalg.solve(K, m.loads @ loads(0.0) - row * (extra_force(row @ q) + held))
+    start = np.concatenate([q, np.zeros(n), [np.clip(stick * (row @ q), -limit, limit)]])
+    solution = solve_ivp(rates, (0, truth.time[-1]), start, "DOP853", truth.time, rtol=1e-9, atol=1e-13, max_step=2e-4)
+    return solution.y[:n].T @ row, solution.y[-1], solution.y[:n].T @ m.cell_rows[0]
+
+
+@pytest.mark.parametrize("side", ["inside", "beside"])
+@pytest.mark.parametrize(
+    ("name", "key", "value", "power"), [("cubic-stiffness", "k3", 2e14, 3), ("quadratic-stiffness", "k2", 2e9, 2)]
+)
+def test_polynomial_springs_against_general_integrator(name, key, value, power, side):
+    channels = [c if c.lowpass is None else c.model_copy(update={"lowpass": None}) for c in OPEN.channels]
+    rig = true_rig(OPEN.model_copy(update={"channels": tuple(channels)}))
+    rig = rig.extended(extension(name, ("z1",), **{key: value, "side": side}))
+    run, truth = simulate_run(rig, PLAN, NO_NOISE)
+    d, _, dx = reference(rig, truth, lambda e: value * e**power)
+    felt = value * d**power if side == "inside" else 0.0
+    expected = 0.002 * (5.1e6 * d + felt)
+    assert np.max(np.abs(value * d**power)) > 0.03 * np.max(np.abs(5.1e6 * d))
+    volts = run.read().channels
+    assert np.max(np.abs(volts[:, 1] - expected)) < 1e-5 * np.max(np.abs(expected))
+    assert np.max(np.abs(volts[:, 3] - 0.002 * 3e6 * dx)) < 1e-5 * np.max(np.abs(0.002 * 3e6 * dx))
+
+
+def test_slipping_contact_against_general_integrator():
+    rig = true_rig(OPEN).extended(extension("dry-friction", ("z1",), force=12.0, stick_stiffness=1e6))
+    run, truth = simulate_run(rig, PLAN, NO_NOISE)
+    _, held, dx = reference(rig, truth, lambda e: 0.0, (1e6, 12.0))
+    assert np.max(held) > 11.999
+    assert np.min(held) < -11.999
+    expected = 0.002 * 3e6 * dx
+    error = run.read().channels[:, 3] - expected
+    assert np.max(np.abs(error)) < 1e-4 * np.max(np.abs(expected))
+
+
+def test_runs_together_are_the_runs_alone():
+    rig = true_rig(GEOMETRY).extended(
+        extension("dry-friction", ("x",), force=2.0, stick_stiffness=1e6),
+        extension("cubic-stiffness", ("z1", "z2"), k3=1e14),
+    )
+    longer = PLAN.model_copy(update={"run": "d", "duration": 0.4, "rotor_speed": 16.0})
+    runs, _ = simulate_campaign(rig, CampaignPlan(runs=(PLAN, longer)))
+    for plan, run in zip((PLAN, longer), runs, strict=True):
+        alone, _ = simulate_run(rig, plan)
+        np.testing.assert_allclose(run.read().channels, alone.read().channels, atol=1e-12)
+
+
+def test_contact_leaves_a_loop_in_the_static_calibration():
+    geometry = rig_geometry(freedom=("x",))
+    rig = true_rig(geometry).extended(extension("dry-friction", ("x",), force=30.0, stick_stiffness=1e6))
+    plan = StaticPlan(run="s", largest={"Fx": 800.0}, steps=4)
+    run, _ = simulate_run(rig, plan, NO_NOISE)
+    cell = run.read().channels[:, 2] / 0.002
+    k, stick, limit = 3e6, 1e6, 30.0
+    expected, d, held = [], 0.0, 0.0
+    for load in np.array([0, 1, 2, 3, 4, 3, 2, 1, 0, -1, -2, -3, -4, -3, -2, -1, 0]) * 200.0:
+        stuck = (load + stick * d - held) / (k + stick)
+        moved = held + stick * (stuck - d)
+        held = np.clip(moved, -limit, limit)
+        d = (load - held) / k if abs(moved) > limit else stuck
+        expected.append(k * d)
+    np.testing.assert_allclose(cell, expected, atol=1e-8)
+    assert cell[5] - cell[3] == pytest.approx(50.0)
+
+
+def test_cubic_spring_at_rest_obeys_its_law():
+    geometry = rig_geometry(freedom=("x",))
+    rig = true_rig(geometry).extended(extension("cubic-stiffness", ("x",), k3=1e13, side="beside"))
+    run, truth = simulate_run(rig, StaticPlan(run="s", largest={"Fx": 800.0}), NO_NOISE)
+    d = run.read().channels[:, 2] / 0.002 / 3e6
+    np.testing.assert_allclose(3e6 * d + 1e13 * d**3, truth.loads[:, 0], atol=1e-7)
+
+
+def test_faults_name_the_nearest():
+    rig = true_rig(GEOMETRY)
+    with pytest.raises(UserError, match="cubic-stiffness"):
+        apply_effects(rig, [DeclaredEffect(name="cubic-stifness", where=("z1",))])
+    with pytest.raises(UserError, match="Did you mean `k3`"):
+        apply_effects(rig, [DeclaredEffect(name="cubic-stiffness", where=("z1",), parameters={"k33": 1.0})])
+    with pytest.raises(UserError, match="not at z9"):
+        equations_of_motion(apply_effects(rig, [DeclaredEffect(name="cubic-stiffness", where=("z9",))]))
+    with pytest.raises(UserError, match="`sideways`"):
+        equations_of_motion(rig.extended(extension("cubic-stiffness", ("z1",), k3=1.0, side="sideways")))
+    with pytest.raises(UserError, match="not a number"):
+        extension("time-delay", ("torque",), delay="long")

@@ -1,0 +1,125 @@
+"""Reduction of simulated runs whose hub loads are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.history_file import harmonic_blocks
+from balance_cli.reduction.response_sources import model_source, static_source
+from balance_cli.reduction.result import COLUMNS, Loads, load_table
+from balance_cli.steps.reduce import ReduceOptions, reduce_run
+from tests.support.channels import with_channel
+from tests.support.truth_source import TruthSource
+
+
+@pytest.fixture(scope="module")
+def check(campaign):
+    return campaign.of("check")[0]
+
+
+@pytest.fixture(scope="module")
+def reduced(campaign, calibration, identified, check):
+    return reduce_run(check, campaign.geometry, calibration, model_source(identified))
+
+
+def truth_of(campaign, run, reduced):
+    return campaign.truths[run.name].harmonics(*reduced.interval)
+
+
+def test_harmonics_are_the_true_hub_loads_within_sigma(campaign, check, reduced):
+    cosine, sine = truth_of(campaign, check, reduced)
+    error = np.concatenate(
+        [
+            (reduced.amplitude.real - cosine)[1:] / reduced.sigma_cosine[1:],
+            (-reduced.amplitude.imag - sine)[1:] / reduced.sigma_sine[1:],
+        ]
+    )
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(1.0, abs=0.35)
+    assert np.abs(error).max() < 5.0
+
+
+def test_errors_are_little_more_than_the_true_response_would_leave(campaign, calibration, check, reduced):
+    best = reduce_run(check, campaign.geometry, calibration, TruthSource(campaign.rig, 2.0))
+    for name, value in reduced.check.load_error.items():
+        assert value < 1.3 * max(best.check.load_error[name], reduced.check.load_noise[name])
+        assert value < 0.02
+
+
+def test_the_surplus_equations_agree(reduced):
+    assert np.all(reduced.redundancy[1:] < 2.5)
+    assert all(flag == "" for flags in reduced.flags[1:] for flag in flags)
+
+
+def test_the_static_matrix_is_wrong_and_the_surplus_says_so(campaign, calibration, check):
+    static = reduce_run(check, campaign.geometry, calibration, static_source(calibration))
+    assert max(static.check.load_error.values()) > 0.1
+    assert any("redundancy" in flags[0] for flags in static.flags[1:])
+
+
+def test_mean_loads_of_a_wind_run(campaign, calibration, identified):
+    wind = campaign.of("wind")[0]
+    found = reduce_run(wind, campaign.geometry, calibration, model_source(identified))
+    cosine, _ = truth_of(campaign, wind, found)
+    error = (found.amplitude[0].real - cosine[0]) / found.sigma_cosine[0]
+    assert np.abs(error).max() < 5.0
+    assert all("no zero" in flag for flag in found.flags[0])
+    assert found.trim in ("bare", "trim")
+
+
+def test_a_dead_channel_is_left_out_and_the_loads_stay_right(campaign, calibration, identified, check, reduced):
+    broken = with_channel(check, "z3.piezo", lambda x: np.zeros_like(x))
+    found = reduce_run(broken, campaign.geometry, calibration, model_source(identified))
+    assert list(found.left_out) == ["z3.piezo"]
+    apart = np.abs(found.amplitude[1:] - reduced.amplitude[1:])
+    assert np.all(apart < 5 * (found.sigma_cosine[1:] + reduced.sigma_cosine[1:]))
+
+
+@pytest.mark.parametrize(
+    "change", [lambda x: np.clip(x, -0.05, 0.05), lambda x: np.where(np.arange(len(x)) == 99, np.nan, x)]
+)
+def test_a_clipped_or_non_finite_channel_is_left_out(campaign, calibration, identified, check, change):
+    broken = with_channel(check, "z1.piezo", change)
+    found = reduce_run(broken, campaign.geometry, calibration, model_source(identified))
+    assert list(found.left_out) == ["z1.piezo"]
+
+
+def test_loads_that_the_remaining_channels_do_not_determine_are_refused(campaign, calibration, identified, check):
+    broken = with_channel(check, "torque", np.zeros_like)
+    with pytest.raises(UserError, match="do not determine") as error:
+        reduce_run(broken, campaign.geometry, calibration, model_source(identified))
+    assert "torque" in str(error.value)
+
+
+def test_a_run_without_pulses_is_refused(campaign, calibration, identified, check):
+    with pytest.raises(UserError, match="no 1/rev pulses"):
+        reduce_run(replace(check, pulse_times=None), campaign.geometry, calibration, model_source(identified))
+
+
+def test_the_table_has_one_row_per_component_and_harmonic(campaign, calibration, identified, check):
+    options = ReduceOptions(harmonics=5)
+    run = reduce_run(check, campaign.geometry, calibration, model_source(identified), options=options)
+    table = load_table(Loads("harmonic", "model", campaign.geometry, {run.run: run}))
+    assert tuple(table.columns) == COLUMNS
+    assert len(table) == 6 * 6
+    row = table[(table.component == "Mx") & (table.harmonic == 3)].iloc[0]
+    assert row.unit == "N m"
+    assert row.amplitude == pytest.approx(np.hypot(row.cosine, row.sine))
+    angle = np.radians(row.phase_deg)
+    assert row.cosine == pytest.approx(row.amplitude * np.cos(angle))
+    assert row.sine == pytest.approx(-row.amplitude * np.sin(angle))
+
+
+def test_a_history_is_the_sum_of_the_harmonics(check, reduced, campaign):
+    blocks = tuple(harmonic_blocks(check, reduced))
+    time, loads, sigma = (np.concatenate([getattr(one, name) for one in blocks]) for name in ("time", "loads", "sigma"))
+    truth = campaign.truths[check.name]
+    every = truth.time[(truth.time >= reduced.interval[0]) & (truth.time < reduced.interval[1])]
+    np.testing.assert_array_equal(time, every)
+    at = np.searchsorted(truth.time, time[0])
+    true = truth.loads[at : at + len(time)]
+    applied = [i for i in range(6) if np.any(true[:, i])]
+    error = (loads - true)[:, applied] - (loads - true)[:, applied].mean(axis=0)
+    assert np.all(error.std(axis=0) < 0.03 * true[:, applied].std(axis=0) + 1e-9)
+    assert np.all(sigma > 0)

@@ -1,0 +1,37 @@
+"""A response source that is the truth of a simulated rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.reduction.response_sources import Readings, selected
+from balance_cli.simulation.rig import TrueRig
+from tests.support.truth import true_response
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class TruthSource:
+    """The true response, as `reduce` would have it if nothing about the balance were unknown."""
+
+    rig: TrueRig
+    slowest_decay: float
+    description: str = "true response"
+
+    def readings(self, frequency: Array, live: tuple[str, ...]) -> Readings:
+        """Rows are the channels."""
+        return selected(self.rig.geometry.channel_names, live, len(frequency))
+
+    def at(self, frequency: Array, spin: float) -> ComplexArray:
+        """T of the rig that was simulated."""
+        return true_response(self.rig, frequency)
+
+    def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
+        """Nothing is uncertain."""
+        count = 2 * len(self.rig.geometry.channels)
+        return np.zeros((len(frequency), count, count))

@@ -1,0 +1,124 @@
+"""A small balance under a rotor whose speed may change, its exact filter and smoother, and records drawn from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from balance_cli.model.state_space import StateSpace
+from balance_cli.reduction.kalman.composite import MeasuredSystem, first_covariance, sampled_system
+from balance_cli.reduction.kalman.discrete import SampledModel
+from balance_cli.reduction.kalman.load_models import Oscillators, Wandering
+from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters
+from balance_cli.reduction.kalman.stretches import Filters, Stretch
+from balance_cli.signals.azimuth import Azimuth
+from tests.support.kalman_models import Array
+
+STEP = 1.0 / 200.0
+LAYERS = (Wandering(np.array([0.3, 0.2]), 2.0, 30.0),)
+OSCILLATORS = Oscillators(np.full((2, 2), 0.2), np.full((2, 2), 2.0), (1, 2))
+HELD = np.ones(2)
+
+
+def _resonance(frequency: float, damping_ratio: float) -> Array:
+    w = 2 * np.pi * frequency
+    return np.array([[0.0, w], [-w, -2 * damping_ratio * w]])
+
+
+def small_balance() -> MeasuredSystem:
+    """Two modes, one of them where the second harmonic comes by, three channels, one of them late by 0.4 samples."""
+    A = np.zeros((4, 4))
+    A[:2, :2], A[2:, 2:] = _resonance(20.0, 0.05), _resonance(55.0, 0.03)
+    B, D = np.zeros((4, 6)), np.zeros((3, 6))
+    B[1, :2], B[3, :2] = [90.0, 40.0], [-100.0, 250.0]
+    D[:, :2] = [[0.3, 0.0], [0.1, -0.2], [0.0, 0.4]]
+    C = np.array([[1.0, 0.0, 0.3, 0.0], [0.4, 0.1, 1.0, 0.0], [0.5, 0.0, -0.8, 0.1]])
+    space = StateSpace(("a", "b", "c"), A, B, C, D, np.array([0.0, 0.4, 0.0]) * STEP, np.eye(3))
+    return MeasuredSystem(space, (0, 1), STEP, np.full(3, 0.05), np.zeros(3))
+
+
+SYSTEM = small_balance()
+
+
+def azimuth_of(speed: float, rate: float, duration: float) -> Azimuth:
+    """Of a rotor at `speed` [Hz] at first that gains `rate` [Hz/s]; a little longer than the record at either end."""
+    turns = np.arange(int((speed + rate * duration / 2) * duration) + 4.0)
+    time = turns / speed if rate == 0.0 else (np.sqrt(speed**2 + 2 * rate * turns) - speed) / rate
+    return Azimuth(time - 0.5 / speed, turns.astype(np.int64))
+
+
+def locked_filters(azimuth: Azimuth, samples: int) -> tuple[Filters, tuple[Stretch, ...]]:
+    """The filters that follow this azimuth, for all channels."""
+    stretches = (Stretch(0, samples, (0, 1, 2)),)
+    return azimuth_locked_filters(SYSTEM, LAYERS, OSCILLATORS, HELD, azimuth, stretches), stretches
+
+
+def models_through_time(azimuth: Azimuth, samples: int) -> list[SampledModel]:
+    """From each sample to the next the model of the mean speed in between."""
+    count = azimuth.count_beyond(np.arange(samples + 1) * STEP)
+    return [sampled_system(SYSTEM, [*LAYERS, OSCILLATORS.at(speed)]) for speed in np.diff(count) / STEP]
+
+
+def prior_of(azimuth: Azimuth) -> Array:
+    """What is known before the first sample."""
+    starting = OSCILLATORS.stationary().at(float(azimuth.speed(azimuth.first)))
+    return first_covariance(SYSTEM, [*LAYERS, starting], HELD)
+
+
+def drawn_through_time(
+    models: Sequence[SampledModel], prior: Array, records: int, seed: int = 0
+) -> tuple[Array, Array, Array]:
+    """Channels (r, n, c) in units of their noise, loads (r, n, m) and states (r, n, N) of so many records."""
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((records, len(prior))) @ _root(prior).T
+    states = np.empty((records, len(models), len(prior)))
+    for k, one in enumerate(models):
+        states[:, k] = x
+        x = x @ one.F.T + rng.standard_normal(x.shape) @ _root(one.Q).T
+    y = states @ models[0].H.T
+    return y + rng.standard_normal(y.shape), states @ models[0].U.T, states
+
+
+def _root(covariance: Array) -> Array:
+    value, vector = np.linalg.eigh(covariance)
+    return vector * np.sqrt(np.maximum(value, 0.0))
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Loads and their variances (n, m) given each sample and those before it, and given all."""
+
+    updated: Array
+    updated_variance: Array
+    smoothed: Array
+    smoothed_variance: Array
+
+
+def exact_estimates(models: Sequence[SampledModel], prior: Array, y: Array) -> Exact:
+    """Kalman filter by the recursion of its covariance, then Rauch, Tung and Striebel's smoother, with time-varying
+
+    F and Q: textbook formulas, sample by sample.
+    """
+    x, P = np.zeros(len(prior)), prior
+    before, after = [], []
+    for one, now in zip(models, y, strict=True):
+        before.append((x, P))
+        S = one.H @ P @ one.H.T + np.eye(len(one.H))
+        gain = np.linalg.solve(S, one.H @ P).T
+        x, P = x + gain @ (now - one.H @ x), P - gain @ S @ gain.T
+        after.append((x, P))
+        x, P = one.F @ x, one.F @ P @ one.F.T + one.Q
+    smooth = [after[-1]]
+    for k in range(len(y) - 2, -1, -1):
+        (x, P), (ahead, spread), (later, known) = after[k], before[k + 1], smooth[-1]
+        # A late channel repeats what its own state was: the covariance ahead is singular.
+        back = P @ models[k].F.T @ np.linalg.pinv(spread, rcond=1e-13, hermitian=True)
+        smooth.append((x + back @ (later - ahead), P + back @ (known - spread) @ back.T))
+    U = models[0].U
+    return Exact(*_loads(after, U), *_loads(smooth[::-1], U))
+
+
+def _loads(estimates: Sequence[tuple[Array, Array]], U: Array) -> tuple[Array, Array]:
+    return np.array([U @ x for x, _ in estimates]), np.array([np.diag(U @ P @ U.T) for _, P in estimates])
