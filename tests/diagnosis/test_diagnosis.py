@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from balance_cli.diagnosis.search.search import leading
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
@@ -20,6 +19,7 @@ from balance_cli.diagnosis.search.score import (
     scores,
     with_candidates,
 )
+from balance_cli.diagnosis.search.search import leading
 from balance_cli.diagnosis.search.search_lines import search_lines
 from balance_cli.diagnosis.selection import confirm
 from balance_cli.diagnosis.selection.confirm import STRONG

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from balance_cli.diagnosis.search import point_mass
 from balance_cli.diagnosis.search.mass_region import NINETY_FIVE, mass_intervals, mass_region, region_of
 from balance_cli.diagnosis.search.point_mass import settled_mass
-from balance_cli.diagnosis.search import point_mass
 from balance_cli.diagnosis.selection.fit import fitted
 from tests.support.mass_campaign import DECLARED, WEIGHED, Campaign, mass_and_place
 
