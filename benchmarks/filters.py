@@ -31,12 +31,12 @@ from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import balance_model
 from balance_cli.model.state_space import state_space, with_anti_alias
+from balance_cli.reduction.kalman.augmented_model import MeasuredSystem
 from balance_cli.reduction.kalman.azimuth_locked import AzimuthLockedFilter
-from balance_cli.reduction.kalman.composite import MeasuredSystem
 from balance_cli.reduction.kalman.load_models import Flat, LoadLayer, Oscillators, Wandering
 from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, still_filters
-from balance_cli.reduction.kalman.steady import Engine, SteadyFilter
-from balance_cli.reduction.kalman.stretches import Filters, Stretch
+from balance_cli.reduction.kalman.segments import Filters, Stretch
+from balance_cli.reduction.kalman.steady_filter import Engine, SteadyFilter
 from balance_cli.reduction.response_sources import ModelSource
 from balance_cli.signals.azimuth import Azimuth
 from balance_cli.steps.calibrate import calibrate

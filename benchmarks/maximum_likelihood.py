@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
-from balance_cli.estimation.gauss_newton import prior_curvature
+from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, exciter_response, fitted
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measured_spectra import measured_spectra

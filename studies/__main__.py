@@ -9,7 +9,7 @@ import click
 import pandas as pd
 
 from balance_cli.campaign.rig.geometry_file import load_geometry
-from balance_cli.report.drawing import save_picture
+from balance_cli.report.figure_style import save_picture
 from studies.attribution import attribution_chunk
 from studies.attribution_tables import attribution_table
 from studies.calibration import calibration_chunk, calibration_table

@@ -14,12 +14,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from balance_cli.calibration.all_trims import CheckedLoads, checked, gage_calibration
 from balance_cli.calibration.fit import LoadPoints
-from balance_cli.calibration.gage_model import GageModel
 from balance_cli.calibration.least_squares import regression
+from balance_cli.calibration.math_model import GageModel
 from balance_cli.calibration.noise import NoiseParts
 from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms, term_named
-from balance_cli.calibration.whole import CheckedLoads, checked, gage_calibration
 from balance_cli.campaign.rig.components import COMPONENTS
 
 Array = NDArray[np.float64]

@@ -13,12 +13,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.identifiability import parameter_support
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measurements import stacked
-from balance_cli.estimation.support import parameter_support
 from balance_cli.model.balance import balance_model
-from balance_cli.signals.lines import Lines, StaticPoints
-from balance_cli.signals.noise import pooled_covariance
+from balance_cli.signals.covariance_pooling import pooled_covariance
+from balance_cli.signals.run_spectrum import Lines, StaticPoints
 from balance_cli.simulation import Noise, draw_rig, simulate_run
 from balance_cli.simulation.plans import StaticPlan, SweepPlan, campaign_plan
 from balance_cli.simulation.rig import TrueRig

@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from balance_cli.report.drawing import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_figure
+from balance_cli.report.figure_style import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_figure
 from studies.filters import PAPER, reduced, simulated_record
 from studies.filters_rig import CASES, COLUMNS, MANOEUVRE
 

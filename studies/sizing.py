@@ -20,7 +20,7 @@ from scipy.stats import chi2, ncx2
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, tested
-from balance_cli.diagnosis.search.score import scores
+from balance_cli.diagnosis.search.score_statistics import scores
 from balance_cli.diagnosis.selection.confirm import SIGNIFICANT
 from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.estimation.measurements import Batch, stacked

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.gage_model import GageModel
 from balance_cli.calibration.least_squares import LeastSquares, regression
+from balance_cli.calibration.load_series import described_sequence, loading_sequences
+from balance_cli.calibration.math_model import GageModel
 from balance_cli.calibration.selection import chosen_terms
-from balance_cli.calibration.sequences import described_sequence, loading_sequences
-from balance_cli.calibration.support import supported
+from balance_cli.calibration.term_support import supported
 from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms
 from balance_cli.campaign.rig.attitude import stretches
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from balance_cli.calibration.extended import Extended, gram_schmidt, inner_products, triangular_inverse
+from balance_cli.calibration.extended_precision import Extended, gram_schmidt, inner_products, triangular_inverse
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.gage_model import GageModel
+from balance_cli.calibration.math_model import GageModel
 from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms
 from balance_cli.campaign.rig.components import UNIT_OF
 

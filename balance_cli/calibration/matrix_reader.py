@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.matrix import Matrix, full_range_terms, term_unit
-from balance_cli.calibration.matrix_lines import MatrixLine, check_count, matrix_lines, nearest, numbers, wrong_unit
+from balance_cli.calibration.matrix_rows import MatrixLine, check_count, matrix_lines, nearest, numbers, wrong_unit
 from balance_cli.calibration.matrix_text import (
     CHANNEL,
     COMPONENT,

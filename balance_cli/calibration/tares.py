@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import linalg, stats
 
 from balance_cli.calibration.fit import GageFit, LoadPoints
-from balance_cli.calibration.suspects import Examined, examined
+from balance_cli.calibration.outliers import Examined, examined
 from balance_cli.campaign.rig.attitude import STEADY
 from balance_cli.campaign.rig.components import COMPONENTS
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from balance_cli.calibration.direct import DirectModel
-    from balance_cli.calibration.suspects import BadSequence
+    from balance_cli.calibration.all_trims import CheckedLoads, GageCalibration
+    from balance_cli.calibration.noniterative import DirectModel
+    from balance_cli.calibration.outliers import BadSequence
     from balance_cli.calibration.tares import Tares
-    from balance_cli.calibration.whole import CheckedLoads, GageCalibration
 
 
 def gage_summary(gage: GageCalibration) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from balance_cli.cli.errors import USER_FAULT
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.cli.examine import Finding
+    from balance_cli.cli.file_check import Finding
 
 
 @balance_command("check")
@@ -26,7 +26,7 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     A file is known by its content: a geometry, a run file, a result of another command. All faults of a file are
     listed, channels that are dead or clipped among them. Exit status 2 where any file has a fault.
     """
-    from balance_cli.cli.examine import examine
+    from balance_cli.cli.file_check import examine
     from balance_cli.model.placed_effects import check_effects
 
     rig = None if geometry is None else session.geometry(geometry)

@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from balance_cli.cli.errors import BalanceCommand
-from balance_cli.cli.messages import messages
+from balance_cli.cli.log_messages import messages
 from balance_cli.cli.options import (
     InputFile,
     OutputFile,

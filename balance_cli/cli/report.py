@@ -58,7 +58,7 @@ def _check_names(output: Path, picture: Path | None) -> None:
 def _draw(session: Session, picture: Path, found: Sources) -> None:
     from balance_cli.report.check_errors import checked
     from balance_cli.report.check_figures import comparison_figure
-    from balance_cli.report.drawing import save_picture
+    from balance_cli.report.figure_style import save_picture
 
     methods = checked(found)
     if not methods:

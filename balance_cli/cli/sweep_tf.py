@@ -18,7 +18,7 @@ from balance_cli.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from balance_cli.signals.lines import Response
+    from balance_cli.signals.run_spectrum import Response
     from balance_cli.signals.transfer import Transfer
 
 FORMAT = "balance-transfer/1"

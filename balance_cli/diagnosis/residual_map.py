@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import ResidualMap
+from balance_cli.estimation.fit_quality import residual_variance
 from balance_cli.estimation.likelihood import exciter_response, fitted
 from balance_cli.estimation.measurements import Batch
-from balance_cli.estimation.quality import residual_variance
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.system import System, solve
 

@@ -30,7 +30,7 @@ from balance_cli.model.system import (
     solve,
     volts_of_forces,
 )
-from balance_cli.signals.lines import LoadPoints, RecordWaveform, Waveform
+from balance_cli.signals.run_spectrum import LoadPoints, RecordWaveform, Waveform
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

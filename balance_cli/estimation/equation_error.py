@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.gauss_newton import Minimum, minimise
+from balance_cli.estimation.levenberg_marquardt import Minimum, minimise
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.channel_gains import channel_gains

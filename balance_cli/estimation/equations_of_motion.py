@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.equation_error import measured_forces
-from balance_cli.estimation.linear_residual import ENOUGH_LINES, Residual, every, solved, sparsity
 from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.regression_residual import ENOUGH_LINES, Residual, every, solved, sparsity
 from balance_cli.model.system import System, dynamic_stiffness, rise, slopes_times
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.cell_forces import CellForces, cell_forces
+from balance_cli.estimation.mains_interference import Tone, tones
 from balance_cli.estimation.measurements import WORKERS, Batch, sized_for_slopes
-from balance_cli.estimation.pickup import Tone, tones
 from balance_cli.estimation.transients import Taken, Transient, eliminated, transient_slopes, transients
 from balance_cli.model.system import Solution, System, output_slopes, response, solve
 

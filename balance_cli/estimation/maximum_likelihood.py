@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.gauss_newton import Minimum, minimise, prior_curvature
+from balance_cli.estimation.levenberg_marquardt import Minimum, minimise, prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.starting_values import parameters_within

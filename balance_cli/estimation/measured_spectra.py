@@ -10,9 +10,9 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.placed_effects import needs_mean
-from balance_cli.signals.lines import Lines, StaticPoints
-from balance_cli.signals.local_lines import lines_from_local_model
+from balance_cli.signals.nonperiodic_spectrum import lines_from_local_model
 from balance_cli.signals.periodic import periodic_lines, repeats
+from balance_cli.signals.run_spectrum import Lines, StaticPoints
 from balance_cli.signals.static_noise import static_points
 from balance_cli.signals.waveforms import (
     local_lines_with_mean_and_waveform,

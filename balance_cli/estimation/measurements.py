@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.estimation.static_lines import static_lines
-from balance_cli.signals.lines import Lines, LoadPoints, NoisePart, StaticPoints, Waveform, Window
-from balance_cli.signals.noise import inverse_bias_factor
+from balance_cli.signals.covariance_pooling import inverse_bias_factor
+from balance_cli.signals.run_spectrum import Lines, LoadPoints, NoisePart, StaticPoints, Waveform, Window
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

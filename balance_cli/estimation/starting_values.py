@@ -30,12 +30,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.alignment import alignment
+from balance_cli.estimation.channel_alignment import alignment
 from balance_cli.estimation.equations_of_motion import motions
-from balance_cli.estimation.gauss_newton import minimise
+from balance_cli.estimation.levenberg_marquardt import minimise
 from balance_cli.estimation.likelihood import Curvature
-from balance_cli.estimation.linear_residual import Residual, sparsity
 from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.regression_residual import Residual, sparsity
 from balance_cli.model.parameters import ParameterSet
 from balance_cli.model.system import System
 

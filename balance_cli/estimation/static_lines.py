@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.signals.lines import Lines, LoadPoints, StaticPoints
+from balance_cli.signals.run_spectrum import Lines, LoadPoints, StaticPoints
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.free_motion import FreeMotion, divided_differences, free_motion
 from balance_cli.model.system import System, unless_most
-from balance_cli.signals.lines import RecordWaveform, Window
+from balance_cli.signals.run_spectrum import RecordWaveform, Window
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -20,7 +20,7 @@ from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.channel_noise import Clean, channel_noise
 from balance_cli.signals.harmonic_spectrum import harmonic_lines
 from balance_cli.signals.harmonics import FEWEST_REVOLUTIONS, Harmonics, harmonics
-from balance_cli.signals.settling import settling
+from balance_cli.signals.transient_end import settling
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.convergence import Contraction
-from balance_cli.calibration.gage_model import GageModel
+from balance_cli.calibration.math_model import GageModel
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.static_matrices import lack_of_fit
 from balance_cli.campaign.recording.channel_health import ChannelHealth

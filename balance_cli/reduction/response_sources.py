@@ -18,7 +18,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
-from balance_cli.estimation.linear_part import linear_part
+from balance_cli.estimation.nonlinear_contribution import linear_part
 from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.fit import response_jacobian
 from balance_cli.estimation.paper.result import PaperFit
@@ -27,8 +27,8 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.plate import hub_arm
 from balance_cli.model.system import output_slopes, response, solve
-from balance_cli.signals.interpolation import response_at, values_at
-from balance_cli.signals.lines import Response
+from balance_cli.signals.response_interpolation import response_at, values_at
+from balance_cli.signals.run_spectrum import Response
 from balance_cli.signals.transfer import Transfer, combined
 
 Array = NDArray[np.float64]

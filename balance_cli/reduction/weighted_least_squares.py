@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from balance_cli.signals.noise import inverse_bias_factor
+from balance_cli.signals.covariance_pooling import inverse_bias_factor
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.report.blocks import Block, Cell, Details, Heading, Row, Section, Table, Text, Warn, named_row
-from balance_cli.report.gage_model import gage_blocks
-from balance_cli.report.numbers import SIGNIFICANT, significant, with_sigma
+from balance_cli.report.math_model import gage_blocks
+from balance_cli.report.number_format import SIGNIFICANT, significant, with_sigma
 from balance_cli.report.sources import Source, Sources
 
 Array = NDArray[np.float64]

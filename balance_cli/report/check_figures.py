@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.reduction.result import Loads
 from balance_cli.report.check_errors import KINDS, TITLES, Error, harmonic_errors, pooled_errors
-from balance_cli.report.drawing import BLACK, decades, new_figure, plain_log
+from balance_cli.report.figure_style import BLACK, decades, new_figure, plain_log
 from balance_cli.report.sources import Source
 
 

@@ -18,8 +18,8 @@ from balance_cli.report.check_errors import (
     run_errors,
 )
 from balance_cli.report.check_figures import comparison_figure, harmonic_error_figure
-from balance_cli.report.drawing import svg
-from balance_cli.report.numbers import percent
+from balance_cli.report.figure_style import svg
+from balance_cli.report.number_format import percent
 from balance_cli.report.sources import Source, Sources
 
 

@@ -28,8 +28,8 @@ from balance_cli.report.diagnosis_tables import (
     probability,
     run_tables,
 )
-from balance_cli.report.drawing import svg
-from balance_cli.report.numbers import percent, sentence, significant
+from balance_cli.report.figure_style import svg
+from balance_cli.report.number_format import percent, sentence, significant
 from balance_cli.report.parameters import DESCRIBES
 from balance_cli.report.sources import Source, Sources
 

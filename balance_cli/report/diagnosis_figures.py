@@ -15,7 +15,7 @@ from balance_cli.diagnosis.result import Diagnosis, ResidualMap
 from balance_cli.report.check_errors import KINDS
 from balance_cli.report.check_figures import Bars, error_figure
 from balance_cli.report.diagnosis_errors import STAGES, pooled
-from balance_cli.report.drawing import PURPLE, VERMILION, new_figure
+from balance_cli.report.figure_style import PURPLE, VERMILION, new_figure
 
 Array = NDArray[np.float64]
 

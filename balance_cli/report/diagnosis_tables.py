@@ -13,7 +13,7 @@ from balance_cli.report.blocks import Cell, Row, Table, group_row
 from balance_cli.report.check_errors import KINDS, TITLES, Error
 from balance_cli.report.diagnosis_errors import STAGES, pooled, response_error, run_errors
 from balance_cli.report.frequencies import CONSIDERABLE, matched_modes, signed_percent
-from balance_cli.report.numbers import NONE, listed, percent, significant, with_sigma
+from balance_cli.report.number_format import NONE, listed, percent, significant, with_sigma
 
 LEAST_P = 1e-99
 RESPONSES = "Response: % of what the channels read"

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable
 from balance_cli.model.mechanics.equations import SHAFT
 from balance_cli.report.blocks import Block, Cell, Details, Picture, Row, Section, Table, Text
-from balance_cli.report.drawing import new_figure, svg
-from balance_cli.report.numbers import MINUS, fixed, sentence, with_sigma
+from balance_cli.report.figure_style import new_figure, svg
+from balance_cli.report.number_format import MINUS, fixed, sentence, with_sigma
 from balance_cli.report.sources import Source, Sources
 
 CONSIDERABLE = 0.05

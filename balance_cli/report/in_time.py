@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from balance_cli.reduction.kalman.load_history import LoadTrack
 from balance_cli.reduction.result import InTime, Loads, RunLoads
 from balance_cli.report.blocks import Block, Cell, Details, Heading, Picture, Row, Section, Table, Text, group_row
-from balance_cli.report.drawing import svg
-from balance_cli.report.numbers import NONE, fixed, significant
+from balance_cli.report.figure_style import svg
+from balance_cli.report.number_format import NONE, fixed, significant
 from balance_cli.report.sources import Source, Sources
 from balance_cli.report.track_figures import STRONGEST, track_figure
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.reduction.result import Loads, RunLoads
-from balance_cli.report.drawing import BLACK, BLUE, GREEN, MORE, ORANGE, VERMILION, decades, new_figure, plain_log
+from balance_cli.report.figure_style import BLACK, BLUE, GREEN, MORE, ORANGE, VERMILION, decades, new_figure, plain_log
 from balance_cli.report.sources import Source
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.report.blocks import Block, Cell, Details, Heading, Points, Row, Section, Table, Text, Warn
 from balance_cli.report.frequencies import sigma_scale
-from balance_cli.report.numbers import fixed, percent, sentence, significant, with_sigma
+from balance_cli.report.number_format import fixed, percent, sentence, significant, with_sigma
 from balance_cli.report.sources import Source, Sources
 
 DESCRIBES = 1.2

@@ -15,8 +15,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import UNIT_OF
-from balance_cli.report.drawing import BLACK, Look, new_figure, plain_log
-from balance_cli.report.measured import Curve, quotient
+from balance_cli.report.figure_style import BLACK, Look, new_figure, plain_log
+from balance_cli.report.force_responses import Curve, quotient
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

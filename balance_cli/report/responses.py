@@ -11,8 +11,8 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.report.blocks import Block, Cell, Details, Heading, Picture, Row, Section, Table, Text, group_row
-from balance_cli.report.drawing import svg
-from balance_cli.report.measured import (
+from balance_cli.report.figure_style import svg
+from balance_cli.report.force_responses import (
     ERROR_BAND,
     Curve,
     ModelResponse,
@@ -24,10 +24,10 @@ from balance_cli.report.measured import (
     relative_noise,
     sensors,
 )
-from balance_cli.report.numbers import listed, percent
+from balance_cli.report.number_format import listed, percent
 from balance_cli.report.response_figures import Panel, component_figure, detail_figure
 from balance_cli.report.sources import Source, Sources
-from balance_cli.signals.lines import Response
+from balance_cli.signals.run_spectrum import Response
 from balance_cli.signals.transfer import Transfer, combined, components_of
 
 BAND = (2.0, 150.0)

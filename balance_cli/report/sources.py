@@ -14,7 +14,7 @@ from balance_cli.diagnosis.result import Diagnosis
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import Artefact
 from balance_cli.reduction.result import Loads
-from balance_cli.report.drawing import BLUE, DATA, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, Look
+from balance_cli.report.figure_style import BLUE, DATA, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, Look
 from balance_cli.signals.transfer import Transfer
 
 FORMATS: Mapping[str, type[Any]] = {

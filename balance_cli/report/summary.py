@@ -12,7 +12,7 @@ from balance_cli.report.check_errors import checked, overall_error
 from balance_cli.report.diagnosis import verdict_words
 from balance_cli.report.frequencies import CONSIDERABLE, deviation, reference
 from balance_cli.report.load_figures import wind_runs
-from balance_cli.report.numbers import listed, percent, sentence, significant
+from balance_cli.report.number_format import listed, percent, sentence, significant
 from balance_cli.report.parameters import describes
 from balance_cli.report.sources import Sources
 from balance_cli.report.wind_on import preferred, unexplained

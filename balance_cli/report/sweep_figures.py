@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.paper.spectra import channel_response
-from balance_cli.report.drawing import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure
-from balance_cli.report.measured import best_channel, level, quotient
-from balance_cli.signals.lines import Response
+from balance_cli.report.figure_style import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure
+from balance_cli.report.force_responses import best_channel, level, quotient
+from balance_cli.signals.run_spectrum import Response
 
 Array = NDArray[np.float64]
 

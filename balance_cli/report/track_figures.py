@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.reduction.kalman.load_history import LoadTrack
 from balance_cli.reduction.result import RunLoads
-from balance_cli.report.drawing import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure
-from balance_cli.report.numbers import significant
+from balance_cli.report.figure_style import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure
+from balance_cli.report.number_format import significant
 
 Array = NDArray[np.float64]
 

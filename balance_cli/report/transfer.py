@@ -8,12 +8,19 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.report.blocks import Block, Cell, Picture, Row, Section, Table, Text, Warn
-from balance_cli.report.drawing import svg
-from balance_cli.report.measured import best_channel, error_band, force_response, level, relative_error, relative_noise
-from balance_cli.report.numbers import listed, percent, significant
+from balance_cli.report.figure_style import svg
+from balance_cli.report.force_responses import (
+    best_channel,
+    error_band,
+    force_response,
+    level,
+    relative_error,
+    relative_noise,
+)
+from balance_cli.report.number_format import listed, percent, significant
 from balance_cli.report.sources import Source, Sources
 from balance_cli.report.sweep_figures import channel_pairs, coherence_figure, ratio_figure
-from balance_cli.signals.lines import Response
+from balance_cli.signals.run_spectrum import Response
 from balance_cli.signals.transfer import Transfer, one_component
 
 SIGNIFICANT = 1.5

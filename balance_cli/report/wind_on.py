@@ -22,7 +22,7 @@ from balance_cli.report.blocks import (
     Warn,
     group_row,
 )
-from balance_cli.report.drawing import svg
+from balance_cli.report.figure_style import svg
 from balance_cli.report.load_figures import (
     REDUNDANCY_FLAG,
     amplitude_sigma,
@@ -30,7 +30,7 @@ from balance_cli.report.load_figures import (
     redundancy_figure,
     wind_runs,
 )
-from balance_cli.report.numbers import fixed, listed, significant, with_sigma
+from balance_cli.report.number_format import fixed, listed, significant, with_sigma
 from balance_cli.report.sources import Source, Sources
 
 PREFERRED = ("closed", "identified", "paper", "ls", "paper-ls", "measured", "computed", "static")

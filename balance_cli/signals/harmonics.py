@@ -12,7 +12,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.signals.azimuth import Azimuth
-from balance_cli.signals.neighbour_lines import PooledNoise, line_offsets, pooled_noise, taper
+from balance_cli.signals.harmonic_noise import PooledNoise, line_offsets, pooled_noise, taper
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

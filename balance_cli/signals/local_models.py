@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
+from balance_cli.signals.covariance_pooling import LEAST_SHARE, window_sums
 from balance_cli.signals.local_fit import Orders, Windows, fit_windows
 from balance_cli.signals.local_noise import NoiseComponents, noise_components
 from balance_cli.signals.local_window import WindowFit, design, influence, response_rows, split
-from balance_cli.signals.noise import LEAST_SHARE, window_sums
-from balance_cli.signals.records import fault, load_places, measured_components, sample_rate, samples_of
+from balance_cli.signals.run_samples import fault, load_places, measured_components, sample_rate, samples_of
 from balance_cli.signals.tones import tone_lines
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.noise import pooled_covariance
+from balance_cli.signals.covariance_pooling import pooled_covariance
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.lines import Response
 from balance_cli.signals.local_models import LocalModels, every_line, local_models, local_power, record_spectrum
 from balance_cli.signals.local_window import influence, pole_shift, response_rows
+from balance_cli.signals.run_spectrum import Response
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
-from balance_cli.signals.lines import Lines, Window
-from balance_cli.signals.noise import (
+from balance_cli.signals.covariance_pooling import (
     distances,
     inverse_bias_factor,
     least_variance,
@@ -22,7 +21,8 @@ from balance_cli.signals.noise import (
     pooled_covariance,
     window_sums,
 )
-from balance_cli.signals.records import (
+from balance_cli.signals.periodic_transient import steady_start
+from balance_cli.signals.run_samples import (
     channel_places,
     fault,
     load_places,
@@ -30,7 +30,7 @@ from balance_cli.signals.records import (
     sample_rate,
     samples_of,
 )
-from balance_cli.signals.steady import steady_start
+from balance_cli.signals.run_spectrum import Lines, Window
 
 __all__ = ["PeriodicRecord", "inverse_bias_factor", "periodic_lines", "periodic_record", "repeats", "whole_period"]
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.lines import NoisePart
+from balance_cli.signals.run_spectrum import NoisePart
 
 Array = NDArray[np.float64]
 

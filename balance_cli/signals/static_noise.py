@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.lines import NoisePart, StaticPoints
-from balance_cli.signals.records import fault, samples_of
 from balance_cli.signals.row_noise import row_noise
+from balance_cli.signals.run_samples import fault, samples_of
+from balance_cli.signals.run_spectrum import NoisePart, StaticPoints
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
-from balance_cli.signals.lines import Response
+from balance_cli.signals.run_spectrum import Response
 
 
 @dataclass(frozen=True)

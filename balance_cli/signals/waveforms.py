@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.signals.anti_alias import anti_alias
-from balance_cli.signals.lines import Lines, RecordWaveform, StaticPoints, Waveform, hann_mean
-from balance_cli.signals.local_lines import local_lines
+from balance_cli.signals.nonperiodic_spectrum import local_lines
 from balance_cli.signals.periodic import whole_period
-from balance_cli.signals.records import load_places, sample_rate, samples_of
+from balance_cli.signals.run_samples import load_places, sample_rate, samples_of
+from balance_cli.signals.run_spectrum import Lines, RecordWaveform, StaticPoints, Waveform, hann_mean
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.all_trims import GageCalibration, gage_calibration, rows_of
 from balance_cli.calibration.fit import LoadPoints
 from balance_cli.calibration.least_squares import CollinearError
 from balance_cli.calibration.result import TrimCalibration
-from balance_cli.calibration.whole import GageCalibration, gage_calibration, rows_of
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.components import COMPONENTS

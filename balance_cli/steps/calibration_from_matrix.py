@@ -8,14 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.gage_model import GageModel
+from balance_cli.calibration.all_trims import Drift, GageCalibration, checked, rows_of
+from balance_cli.calibration.math_model import GageModel
 from balance_cli.calibration.matrix import model_of
 from balance_cli.calibration.matrix_reader import StatedMatrix
 from balance_cli.calibration.matrix_text import CHANNEL, COMPONENT, RIG
 from balance_cli.calibration.noise import NoiseParts
 from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration
 from balance_cli.calibration.static_matrices import inverse_matrix
-from balance_cli.calibration.whole import Drift, GageCalibration, checked, rows_of
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError

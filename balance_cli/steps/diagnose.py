@@ -20,31 +20,31 @@ from balance_cli.diagnosis.result import (
     FoundEffect,
     Trial,
 )
-from balance_cli.diagnosis.search.empirical import with_extra_modes
+from balance_cli.diagnosis.search.initial_candidates import seeds
 from balance_cli.diagnosis.search.mass_region import mass_intervals
 from balance_cli.diagnosis.search.refit import State
 from balance_cli.diagnosis.search.search import WRONG, Found, search
 from balance_cli.diagnosis.search.search_lines import search_lines
-from balance_cli.diagnosis.search.seeds import seeds
+from balance_cli.diagnosis.search.unmodelled_modes import with_extra_modes
+from balance_cli.diagnosis.selection.alternatives import Standing, contested
 from balance_cli.diagnosis.selection.confirm import SIGNIFICANT, Confirmed, chance, confirm
+from balance_cli.diagnosis.selection.effect_selection import believed, pruned, with_only
 from balance_cli.diagnosis.selection.fit import Fit, fitted
 from balance_cli.diagnosis.selection.mains_frequency import at_best_frequency
-from balance_cli.diagnosis.selection.needed import believed, pruned, with_only
-from balance_cli.diagnosis.selection.rivals import Standing, contested
-from balance_cli.diagnosis.selection.testable import not_testable
+from balance_cli.diagnosis.selection.testability import not_testable
+from balance_cli.estimation.fit_quality import fit_quality
+from balance_cli.estimation.identifiability import parameter_support
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel
 from balance_cli.estimation.likelihood import data_curvature
 from balance_cli.estimation.maximum_likelihood import TOLERANCE
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import Batch, stacked
 from balance_cli.estimation.model_error import with_model_error
-from balance_cli.estimation.quality import fit_quality
-from balance_cli.estimation.support import parameter_support
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.fitted_effects import FittedEffect
 from balance_cli.model.placed_effects import declared_effects
-from balance_cli.signals.lines import RecordWaveform
+from balance_cli.signals.run_spectrum import RecordWaveform
 from balance_cli.steps.identify import described, identified_effects
 
 Array = NDArray[np.float64]

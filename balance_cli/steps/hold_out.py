@@ -9,11 +9,11 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.result import HoldOut, RunErrors
+from balance_cli.estimation.fit_quality import fit_quality
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
-from balance_cli.estimation.linear_part import linear_part
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
-from balance_cli.estimation.quality import fit_quality
+from balance_cli.estimation.nonlinear_contribution import linear_part
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_errors import check_errors
 from balance_cli.reduction.harmonic_loads import RotorRecord, dynamic_loads, response_of_harmonics, rotor_record

@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.equation_error import least_squares
-from balance_cli.estimation.gauss_newton import Minimum, prior_curvature
+from balance_cli.estimation.fit_quality import fit_quality
+from balance_cli.estimation.identifiability import covariance_of, parameter_support, undetermined
 from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable, ParameterTable
+from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
 from balance_cli.estimation.maximum_likelihood import best_of_starts, maximum_likelihood
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import Batch, stacked
 from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
-from balance_cli.estimation.quality import fit_quality
 from balance_cli.estimation.starting_values import by_equations_of_motion, starting_values
-from balance_cli.estimation.support import covariance_of, parameter_support, undetermined
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.fitted_effects import FittedEffect, declare, fitted_effects
 from balance_cli.model.modes import modes
 from balance_cli.model.placed_effects import without_effects
-from balance_cli.signals.lines import Lines
+from balance_cli.signals.run_spectrum import Lines
 from balance_cli.steps.identify_paper_form import paper_form
 
 Array = NDArray[np.float64]

@@ -22,16 +22,16 @@ from balance_cli.estimation.identified_model import identified_system
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.reduction.harmonic_loads import RotorRecord, rotor_record
 from balance_cli.reduction.kalman.amplitude_drift import drifting_harmonics
-from balance_cli.reduction.kalman.causal import filtered, lagged
-from balance_cli.reduction.kalman.composite import MeasuredSystem
+from balance_cli.reduction.kalman.augmented_model import MeasuredSystem
+from balance_cli.reduction.kalman.data_quality import Soundness, sound_stretches
+from balance_cli.reduction.kalman.filter_tuning import free_loads, loads_between_harmonics, random_loads
+from balance_cli.reduction.kalman.filtering import filtered, lagged
 from balance_cli.reduction.kalman.innovations import InnovationSums, InnovationTests
-from balance_cli.reduction.kalman.levels import free_loads, loads_between_harmonics, random_loads
 from balance_cli.reduction.kalman.load_history import History, LoadTrack
-from balance_cli.reduction.kalman.load_track import LoadRecorder, TrackFrame
+from balance_cli.reduction.kalman.load_recorder import LoadRecorder, TrackFrame
 from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, still_filters
+from balance_cli.reduction.kalman.segments import Estimates, Filters
 from balance_cli.reduction.kalman.smoothing import smoothed
-from balance_cli.reduction.kalman.soundness import Soundness, sound_stretches
-from balance_cli.reduction.kalman.stretches import Estimates, Filters
 from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.response_sources import ModelSource
 from balance_cli.reduction.result import RunLoads

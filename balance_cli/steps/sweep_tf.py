@@ -15,12 +15,12 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
-from balance_cli.signals.averaged import ESTIMATORS as AVERAGED
-from balance_cli.signals.averaged import averaged_response
-from balance_cli.signals.line_response import joint_response, response_across_lines
-from balance_cli.signals.lines import Response
+from balance_cli.signals.averaged_spectra import ESTIMATORS as AVERAGED
+from balance_cli.signals.averaged_spectra import averaged_response
 from balance_cli.signals.local_response import local_response
 from balance_cli.signals.periodic import PeriodicRecord, periodic_record, repeats
+from balance_cli.signals.periodic_response import joint_response, response_across_lines
+from balance_cli.signals.run_spectrum import Response
 from balance_cli.signals.transfer import SteadyPart, Transfer
 
 ESTIMATORS = ("auto", "periodic", "lrm", "lpm", *AVERAGED)

@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from balance_cli.calibration.sequences import loading_sequences
-from balance_cli.calibration.support import supported
+from balance_cli.calibration.load_series import loading_sequences
+from balance_cli.calibration.term_support import supported
 from balance_cli.campaign.rig.components import COMPONENTS
 from studies.calibration import (
     CHANNELS,

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from balance_cli.calibration.extended import inner_products
+from balance_cli.calibration.extended_precision import inner_products
 from balance_cli.calibration.least_squares import CollinearError, regression
 
 

@@ -29,7 +29,7 @@ from balance_cli.reduction.response_sources import static_source
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.calibration_from_matrix import ABSENT, MATRIX, stated_calibration
 from balance_cli.steps.reduce import ERRORS_UNKNOWN, reduce_run
-from tests.support.curved_rig import NAMES, RIG, calibration, readings, record, spectra, static_runs
+from tests.support.nonlinear_rig import NAMES, RIG, calibration, readings, record, spectra, static_runs
 from tests.support.rigs import CONFIGS, one_degree_of_freedom
 from tests.support.static_runs import without
 

@@ -6,9 +6,9 @@ import pytest
 from balance_cli.calibration import selection
 from balance_cli.calibration.fit import gage_fit
 from balance_cli.calibration.least_squares import regression, without_zeros
+from balance_cli.calibration.load_series import described_sequence, loading_sequences
 from balance_cli.calibration.selection import chosen_terms
-from balance_cli.calibration.sequences import described_sequence, loading_sequences
-from balance_cli.calibration.support import supported
+from balance_cli.calibration.term_support import supported
 from balance_cli.calibration.terms import all_terms, columns, term_named
 from balance_cli.campaign.rig.components import COMPONENTS
 from tests.support.calibration_stand import CHANNELS, CURVED, stand_loads, stand_points

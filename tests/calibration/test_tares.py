@@ -10,11 +10,11 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.__main__ import balance
+from balance_cli.calibration.all_trims import gage_calibration
 from balance_cli.calibration.fit import LoadPoints
-from balance_cli.calibration.suspects import examined
+from balance_cli.calibration.outliers import examined
 from balance_cli.calibration.tares import examined_with_tares, weight_loads
 from balance_cli.calibration.terms import columns
-from balance_cli.calibration.whole import gage_calibration
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.recording.run_file import open_run, read_run, write_run
 from balance_cli.campaign.rig.attitude import gravity_directions, stretches

@@ -7,17 +7,28 @@ import pytest
 from scipy.stats import kstest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.diagnosis.data_tests.chances import of_several_looks, probability, with_sigma
 from balance_cli.diagnosis.data_tests.channel_pairs import channel_pairs, channel_tests
-from balance_cli.diagnosis.data_tests.mains_lines import mains_tests
+from balance_cli.diagnosis.data_tests.mains_detection import mains_tests
 from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.data_tests.run_pairs import level_tests, spin_tests
 from balance_cli.diagnosis.data_tests.static_pairs import static_tests
-from balance_cli.diagnosis.search.seeds import seeds
+from balance_cli.diagnosis.search.initial_candidates import seeds
+from balance_cli.diagnosis.significance import of_several_looks, probability, with_sigma
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.simulation import CampaignPlan, SweepPlan, draw_rig, short_plan, simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
-from tests.support.free_lines import FREQUENCY, LOAD_NOISE, MODES, NAMES, NOISE, RIG, circular, response, static, swept
+from tests.support.simulated_lines import (
+    FREQUENCY,
+    LOAD_NOISE,
+    MODES,
+    NAMES,
+    NOISE,
+    RIG,
+    circular,
+    response,
+    static,
+    swept,
+)
 
 S = 2j * np.pi * FREQUENCY
 

@@ -9,9 +9,8 @@ from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
 from balance_cli.diagnosis.search.candidates import candidate_at, candidates, smaller_places
 from balance_cli.diagnosis.search.candidates import tested as acting
-from balance_cli.diagnosis.search.empirical import with_extra_modes
 from balance_cli.diagnosis.search.preference import preferred
-from balance_cli.diagnosis.search.score import (
+from balance_cli.diagnosis.search.score_statistics import (
     Score,
     best_gain,
     best_scores,
@@ -21,14 +20,15 @@ from balance_cli.diagnosis.search.score import (
 )
 from balance_cli.diagnosis.search.search import leading
 from balance_cli.diagnosis.search.search_lines import search_lines
+from balance_cli.diagnosis.search.unmodelled_modes import with_extra_modes
 from balance_cli.diagnosis.selection import confirm
+from balance_cli.diagnosis.selection.alternatives import contested
 from balance_cli.diagnosis.selection.confirm import STRONG
+from balance_cli.diagnosis.selection.cross_validation import fold_gain, folds
+from balance_cli.diagnosis.selection.effect_selection import believed, without
+from balance_cli.diagnosis.selection.effect_statistics import blur, effect_wald
 from balance_cli.diagnosis.selection.fit import Fit, excess, fitted
-from balance_cli.diagnosis.selection.folds import fold_gain, folds
 from balance_cli.diagnosis.selection.mains_frequency import at_best_frequency
-from balance_cli.diagnosis.selection.needed import believed, without
-from balance_cli.diagnosis.selection.rivals import contested
-from balance_cli.diagnosis.selection.worth import blur, effect_wald
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.model_error import log_volume, shares_that_explain, with_model_error
@@ -321,8 +321,8 @@ def test_what_a_stiffness_is_worth_does_not_end_at_the_scale_of_the_rig(stiff):
 def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
     """Whatever Wald makes of it: only chi-square without it lets it go."""
     batches, fit = stiff
-    monkeypatch.setattr("balance_cli.diagnosis.selection.needed.effect_wald", lambda fit, one: (1.0, 1))
-    monkeypatch.setattr("balance_cli.diagnosis.selection.needed.excess", lambda fit, batches, alone: 1e5)
+    monkeypatch.setattr("balance_cli.diagnosis.selection.effect_selection.effect_wald", lambda fit, one: (1.0, 1))
+    monkeypatch.setattr("balance_cli.diagnosis.selection.effect_selection.excess", lambda fit, batches, alone: 1e5)
     assert believed(fit, batches, True, (), 3) == (fit, ())
 
 

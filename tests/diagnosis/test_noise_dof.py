@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from balance_cli.diagnosis.search.noise_dof import RunInformation, noise_dof
-from balance_cli.diagnosis.search.score import improbability
+from balance_cli.diagnosis.search.score_statistics import improbability
 from balance_cli.estimation.measurements import stacked
-from balance_cli.signals.lines import Lines, NoisePart
+from balance_cli.signals.run_spectrum import Lines, NoisePart
 
 CHANNELS = ("a", "b", "c")
 FITTED, NONE = np.array([0], np.intp), np.zeros((1, 1))

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.estimation.identifiability import unseen
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
-from balance_cli.estimation.support import unseen
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects.dry_friction import last_slip
 from balance_cli.model.fitted_effects import declare
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
 from balance_cli.reduction.response_sources import model_source
-from balance_cli.signals.lines import OVERSAMPLING
+from balance_cli.signals.run_spectrum import OVERSAMPLING
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
 from balance_cli.simulation import true_rig as true_rig_of
 from balance_cli.simulation.plans import SHAPE

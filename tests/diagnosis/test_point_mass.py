@@ -7,7 +7,7 @@ from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.search import point_mass
 from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, candidates
 from balance_cli.diagnosis.search.point_mass import GRID, POINTS, settled_mass, well_placed
-from balance_cli.diagnosis.search.score import best_scores, scores
+from balance_cli.diagnosis.search.score_statistics import best_scores, scores
 from balance_cli.diagnosis.selection.fit import begun, fitted
 from balance_cli.estimation.maximum_likelihood import penalised_chi2
 from balance_cli.model.balance import balance_model

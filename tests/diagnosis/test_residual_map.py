@@ -11,7 +11,7 @@ from balance_cli.estimation.likelihood import data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked
 from balance_cli.model.balance import balance_model
-from balance_cli.signals.lines import StaticPoints
+from balance_cli.signals.run_spectrum import StaticPoints
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 

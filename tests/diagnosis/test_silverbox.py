@@ -15,7 +15,7 @@ from balance_cli.campaign.rig.geometry_file import geometry_from_dict
 from balance_cli.cli import balance
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING
 from balance_cli.diagnosis.search.candidates import candidate_at
-from balance_cli.diagnosis.search.score import scores
+from balance_cli.diagnosis.search.score_statistics import scores
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked

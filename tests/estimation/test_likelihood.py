@@ -12,7 +12,7 @@ from balance_cli.estimation.measurements import sized_for_slopes, stacked
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import response, solve
-from balance_cli.signals.lines import Lines, StaticPoints
+from balance_cli.signals.run_spectrum import Lines, StaticPoints
 from tests.support.rigs import one_degree_of_freedom, rotor_balance
 
 FREQUENCY = np.linspace(3.0, 120.0, 40)

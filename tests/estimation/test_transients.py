@@ -16,8 +16,8 @@ from balance_cli.model.free_motion import divided_differences, free_motion
 from balance_cli.model.parameters import declared_parameters
 from balance_cli.model.placed_effects import add_effects
 from balance_cli.model.system import solve
-from balance_cli.signals.lines import Window
 from balance_cli.signals.periodic import periodic_record
+from balance_cli.signals.run_spectrum import Window
 from balance_cli.simulation import SweepPlan, draw_rig, simulate_campaign, simulate_run, true_rig
 from balance_cli.simulation.plans import CampaignPlan, short_plan, standard_plan
 from balance_cli.simulation.rig import apply_effects

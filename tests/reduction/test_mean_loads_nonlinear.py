@@ -18,7 +18,7 @@ from balance_cli.reduction.mean_loads import steady_loads, zero_record
 from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS, curved_loads
 from balance_cli.reduction.response_sources import static_source
 from balance_cli.steps.reduce import reduce_run
-from tests.support.curved_rig import AMPLITUDE, NAMES, RIG, calibration, readings, record, spectra, static_runs
+from tests.support.nonlinear_rig import AMPLITUDE, NAMES, RIG, calibration, readings, record, spectra, static_runs
 from tests.support.rigs import CONFIGS
 
 LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])

@@ -8,14 +8,8 @@ import pytest
 
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import solve
-from balance_cli.report.measured import (
-    TORQUE_METER,
-    measured_curve,
-    model_response,
-    relative_error,
-    sensors,
-)
-from balance_cli.report.numbers import percent
+from balance_cli.report.force_responses import TORQUE_METER, measured_curve, model_response, relative_error, sensors
+from balance_cli.report.number_format import percent
 from balance_cli.report.response_figures import unwrapped_gaps
 from balance_cli.report.responses import comparisons, sensor_errors
 from balance_cli.report.sources import sources

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from balance_cli.io.errors import UserError
-from balance_cli.signals.averaged import averaged_response
+from balance_cli.signals.averaged_spectra import averaged_response
 from balance_cli.signals.local_fit import Orders, Windows, fit_windows
-from balance_cli.signals.local_lines import lines_from_local_model, local_lines
 from balance_cli.signals.local_models import local_models, record_spectrum
 from balance_cli.signals.local_response import local_response, response_of
 from balance_cli.signals.local_window import influence, pole_shift, poles, response_rows, slope_rows, split
-from balance_cli.signals.records import samples_of
+from balance_cli.signals.nonperiodic_spectrum import lines_from_local_model, local_lines
+from balance_cli.signals.run_samples import samples_of
 from balance_cli.simulation import Noise, SweepPlan, draw_rig, simulate_run
 from balance_cli.simulation.assembly import equations_of_motion
 from tests.support.rigs import rotor_balance

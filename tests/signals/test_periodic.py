@@ -7,9 +7,9 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.io.errors import UserError
-from balance_cli.signals.noise import inverse_bias_factor, pooled_covariance
+from balance_cli.signals.covariance_pooling import inverse_bias_factor, pooled_covariance
 from balance_cli.signals.periodic import periodic_lines, periodic_record, whole_period
-from balance_cli.signals.steady import steady_start
+from balance_cli.signals.periodic_transient import steady_start
 from tests.support.swept_rig import LOAD_NOISE, NOISE, SweptRig, beside_a_mode, chi2_per_dof
 
 RIG = SweptRig()

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.reduction.kalman.discrete import SampledModel
+from balance_cli.reduction.kalman.discretization import SampledModel
 from balance_cli.reduction.kalman.riccati import accumulated
-from balance_cli.reduction.kalman.steady import SteadyFilter
-from balance_cli.reduction.kalman.stretches import Filters, Stretch
+from balance_cli.reduction.kalman.segments import Filters, Stretch
+from balance_cli.reduction.kalman.steady_filter import SteadyFilter
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.search.candidates import candidate_at
 from balance_cli.diagnosis.search.point_mass import well_placed
-from balance_cli.diagnosis.search.score import extended, with_candidates
+from balance_cli.diagnosis.search.score_statistics import extended, with_candidates
 from balance_cli.diagnosis.selection.fit import fitted
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stacked

@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 
 from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.signals.lines import Lines
+from balance_cli.signals.run_spectrum import Lines
 
 
 @dataclass(frozen=True)

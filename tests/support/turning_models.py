@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.model.state_space import StateSpace
-from balance_cli.reduction.kalman.composite import MeasuredSystem, first_covariance, sampled_system
-from balance_cli.reduction.kalman.discrete import SampledModel
+from balance_cli.reduction.kalman.augmented_model import MeasuredSystem, first_covariance, sampled_system
+from balance_cli.reduction.kalman.discretization import SampledModel
 from balance_cli.reduction.kalman.load_models import Oscillators, Wandering
 from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters
-from balance_cli.reduction.kalman.stretches import Filters, Stretch
+from balance_cli.reduction.kalman.segments import Filters, Stretch
 from balance_cli.signals.azimuth import Azimuth
 from tests.support.kalman_models import Array
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.data_tests.chances import noise_factor, of_several_looks, probability, with_sigma
 from balance_cli.diagnosis.data_tests.channel_ratio import (
     DELAY,
     GAIN,
@@ -21,12 +20,13 @@ from balance_cli.diagnosis.data_tests.channel_ratio import (
     score,
     with_kind,
 )
-from balance_cli.diagnosis.data_tests.ringing import ringing
+from balance_cli.diagnosis.data_tests.high_pass_transient import ringing
 from balance_cli.diagnosis.result import ModelFreeTest
+from balance_cli.diagnosis.significance import noise_factor, of_several_looks, probability, with_sigma
 from balance_cli.model.balance import balance_model
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.signals.lines import Lines
+from balance_cli.signals.run_spectrum import Lines
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

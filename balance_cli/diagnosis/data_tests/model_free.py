@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.data_tests.channel_pairs import channel_tests
-from balance_cli.diagnosis.data_tests.mains_lines import mains_tests
+from balance_cli.diagnosis.data_tests.mains_detection import mains_tests
 from balance_cli.diagnosis.data_tests.run_pairs import level_tests, spin_tests
 from balance_cli.diagnosis.data_tests.static_pairs import static_tests
 from balance_cli.diagnosis.result import ModelFreeTest

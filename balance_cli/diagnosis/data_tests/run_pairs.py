@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.data_tests.chances import invertible, noise_factor, of_several_looks, probability, shared_dof
 from balance_cli.diagnosis.data_tests.channel_pairs import declared_paths
-from balance_cli.diagnosis.data_tests.ringing import ringing, usual_ringing, without_ringing
+from balance_cli.diagnosis.data_tests.high_pass_transient import ringing, usual_ringing, without_ringing
 from balance_cli.diagnosis.result import ModelFreeTest
+from balance_cli.diagnosis.significance import invertible, noise_factor, of_several_looks, probability, shared_dof
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.signals.lines import Lines
+from balance_cli.signals.run_spectrum import Lines
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.data_tests.chances import shared_dof, with_sigma
 from balance_cli.diagnosis.data_tests.channel_pairs import declared_paths
 from balance_cli.diagnosis.result import ModelFreeTest
+from balance_cli.diagnosis.significance import shared_dof, with_sigma
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.signals.lines import Lines, StaticPoints
+from balance_cli.signals.run_spectrum import Lines, StaticPoints
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.search.candidates import Candidate
-from balance_cli.estimation.gauss_newton import prior_curvature, within_bounds
+from balance_cli.estimation.identifiability import covariance_of
+from balance_cli.estimation.levenberg_marquardt import prior_curvature, within_bounds
 from balance_cli.estimation.likelihood import data_curvature
 from balance_cli.estimation.maximum_likelihood import first_steps, penalised_chi2
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.starting_values import NEAR
-from balance_cli.estimation.support import covariance_of
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.effects import EFFECTS, EffectParameter, Where, added_mass
 from balance_cli.model.effects.base import reach

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.search.candidates import Candidate
 from balance_cli.diagnosis.search.point_mass import settled_mass
-from balance_cli.diagnosis.search.score import Score, extended, has_shape, with_begun, with_candidates
+from balance_cli.diagnosis.search.score_statistics import Score, extended, has_shape, with_begun, with_candidates
 from balance_cli.diagnosis.search.search_lines import SearchLines
-from balance_cli.estimation.gauss_newton import prior_curvature
+from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2
 from balance_cli.estimation.maximum_likelihood import first_steps, penalised_chi2
 from balance_cli.estimation.measurements import Batch

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
+from balance_cli.diagnosis.search.initial_candidates import Seed
 from balance_cli.diagnosis.search.point_mass import well_placed
 from balance_cli.diagnosis.search.preference import preferred
 from balance_cli.diagnosis.search.refit import (
@@ -27,9 +28,8 @@ from balance_cli.diagnosis.search.refit import (
     settled,
     with_candidate,
 )
-from balance_cli.diagnosis.search.score import Score, scores
+from balance_cli.diagnosis.search.score_statistics import Score, scores
 from balance_cli.diagnosis.search.search_lines import SearchLines
-from balance_cli.diagnosis.search.seeds import Seed
 from balance_cli.diagnosis.search.trials import trial
 from balance_cli.estimation.measurements import WORKERS
 from balance_cli.estimation.model_error import with_model_error

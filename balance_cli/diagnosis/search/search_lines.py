@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import Batch, stacked
-from balance_cli.signals.lines import Lines
+from balance_cli.signals.run_spectrum import Lines
 
 # Lines of all sweeps together that a fit of the search takes, and at least of each run.
 ENOUGH = 300

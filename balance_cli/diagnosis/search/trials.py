@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from balance_cli.diagnosis.result import Trial
-from balance_cli.diagnosis.search.score import Score
+from balance_cli.diagnosis.search.score_statistics import Score
 
 
 def trial(

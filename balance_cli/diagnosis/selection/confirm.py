@@ -17,7 +17,7 @@ from balance_cli.diagnosis.search.candidates import candidates
 from balance_cli.diagnosis.search.point_mass import settled_mass
 from balance_cli.diagnosis.search.preference import preferred
 from balance_cli.diagnosis.search.refit import PENALTY
-from balance_cli.diagnosis.search.score import (
+from balance_cli.diagnosis.search.score_statistics import (
     Score,
     best_scores,
     extended,
@@ -27,10 +27,10 @@ from balance_cli.diagnosis.search.score import (
     with_candidates,
 )
 from balance_cli.diagnosis.search.trials import trial
+from balance_cli.diagnosis.selection.cross_validation import fold_gain
+from balance_cli.diagnosis.selection.effect_statistics import blur
 from balance_cli.diagnosis.selection.fit import Fit, begun, excess, fitted
-from balance_cli.diagnosis.selection.folds import fold_gain
 from balance_cli.diagnosis.selection.mains_frequency import at_best_frequency
-from balance_cli.diagnosis.selection.worth import blur
 from balance_cli.estimation.maximum_likelihood import penalised_chi2
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.starting_values import by_equations_of_motion

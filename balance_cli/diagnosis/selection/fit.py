@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.gauss_newton import Minimum, prior_curvature
+from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.maximum_likelihood import first_steps, maximum_likelihood
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.balance import BalanceModel

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.selection.fit import Fit, fitted
 from balance_cli.estimation.likelihood import fitted as fitted_lines
+from balance_cli.estimation.mains_interference import tone_sizes
 from balance_cli.estimation.maximum_likelihood import penalised_chi2
 from balance_cli.estimation.measurements import Batch
-from balance_cli.estimation.pickup import tone_sizes
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 from balance_cli.model.system import solve
 

@@ -15,6 +15,7 @@ from balance_cli.estimation.paper.equations import (
     model_response_jacobian,
     modes,
 )
+from balance_cli.estimation.paper.initial_models import best_start
 from balance_cli.estimation.paper.least_squares import equation_error_fit
 from balance_cli.estimation.paper.likelihood import OutputErrorFit, maximum_likelihood
 from balance_cli.estimation.paper.misfit import misfit
@@ -22,9 +23,8 @@ from balance_cli.estimation.paper.output_error import grouped
 from balance_cli.estimation.paper.result import PaperFit, PaperOptions
 from balance_cli.estimation.paper.sensors import SensorRule, sensor_rule
 from balance_cli.estimation.paper.spectra import SensorSpectra, sensor_spectra
-from balance_cli.estimation.paper.starts import best_start
 from balance_cli.io.errors import UserError
-from balance_cli.signals.lines import Lines
+from balance_cli.signals.run_spectrum import Lines
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -13,7 +13,7 @@ from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.estimation.paper.sensors import SensorRule
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import plate_matrices
-from balance_cli.signals.lines import Lines
+from balance_cli.signals.run_spectrum import Lines
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.reduction.kalman.steady import Marks, Outputs, Piece, SteadyFilter
+from balance_cli.reduction.kalman.steady_filter import Marks, Outputs, Piece, SteadyFilter
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

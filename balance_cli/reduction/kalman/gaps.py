@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.reduction.kalman.riccati import symmetric
-from balance_cli.reduction.kalman.steady import Piece
-from balance_cli.reduction.kalman.stretches import Estimates, Filters, Passed, Stretch, variance_of
+from balance_cli.reduction.kalman.segments import Estimates, Filters, Passed, Stretch, variance_of
+from balance_cli.reduction.kalman.steady_filter import Piece
 
 Array = NDArray[np.float64]
 

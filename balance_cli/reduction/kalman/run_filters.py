@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.reduction.kalman.augmented_model import MeasuredSystem, first_covariance, sampled_system
 from balance_cli.reduction.kalman.azimuth_locked import AzimuthLockedFilter, Turning, rotations
-from balance_cli.reduction.kalman.composite import MeasuredSystem, first_covariance, sampled_system
-from balance_cli.reduction.kalman.discrete import SampledModel
+from balance_cli.reduction.kalman.discretization import SampledModel
 from balance_cli.reduction.kalman.load_models import LoadLayer, Oscillators
-from balance_cli.reduction.kalman.steady import Engine, SteadyFilter
-from balance_cli.reduction.kalman.stretches import Filters, Stretch
+from balance_cli.reduction.kalman.segments import Filters, Stretch
+from balance_cli.reduction.kalman.steady_filter import Engine, SteadyFilter
 from balance_cli.signals.azimuth import Azimuth
 
 Array = NDArray[np.float64]

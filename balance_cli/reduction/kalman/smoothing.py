@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.reduction.kalman import stretches as stretching
-from balance_cli.reduction.kalman.edges import beside_the_steady, between_edges, decay, seen_through, told_apart
+from balance_cli.reduction.kalman import segments as stretching
+from balance_cli.reduction.kalman.edge_variance import beside_the_steady, between_edges, decay, seen_through, told_apart
 from balance_cli.reduction.kalman.gaps import GAP_BLOCK, smoothed_gap, through_gap
 from balance_cli.reduction.kalman.riccati import symmetric
-from balance_cli.reduction.kalman.steady import Engine, Outputs, Piece, SteadyFilter
-from balance_cli.reduction.kalman.stretches import (
+from balance_cli.reduction.kalman.segments import (
     Beginning,
     Estimates,
     Filters,
@@ -33,6 +32,7 @@ from balance_cli.reduction.kalman.stretches import (
     told,
     variance_of,
 )
+from balance_cli.reduction.kalman.steady_filter import Engine, Outputs, Piece, SteadyFilter
 
 Array = NDArray[np.float64]
 

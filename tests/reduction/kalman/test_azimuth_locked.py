@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from balance_cli.reduction.kalman.augmented_model import sampled_system
 from balance_cli.reduction.kalman.azimuth_locked import FINER, AzimuthLockedFilter
-from balance_cli.reduction.kalman.causal import filtered, lagged
-from balance_cli.reduction.kalman.composite import sampled_system
+from balance_cli.reduction.kalman.filtering import filtered, lagged
+from balance_cli.reduction.kalman.segments import told
 from balance_cli.reduction.kalman.smoothing import smoothed
-from balance_cli.reduction.kalman.steady import SteadyFilter
-from balance_cli.reduction.kalman.stretches import told
+from balance_cli.reduction.kalman.steady_filter import SteadyFilter
 from tests.support.kalman_models import Array
 from tests.support.turning_models import (
     LAYERS,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from balance_cli.reduction.kalman import stretches as stretching
-from balance_cli.reduction.kalman.causal import filtered, lagged
-from balance_cli.reduction.kalman.discrete import SampledModel
+from balance_cli.reduction.kalman import segments as stretching
+from balance_cli.reduction.kalman.discretization import SampledModel
+from balance_cli.reduction.kalman.filtering import filtered, lagged
+from balance_cli.reduction.kalman.segments import Stretch
 from balance_cli.reduction.kalman.smoothing import smoothed
-from balance_cli.reduction.kalman.stretches import Stretch
 from tests.support.kalman_models import Array, conditioned, drawn, filters_of, small_model
 
 MODEL = small_model()

@@ -1,0 +1,54 @@
+"""What a channel's own declared high-pass still rings in the lines of a periodic record.
+
+The amplifier begins in balance with what it first sees, and not where the steady motion would have its slow state. What
+is missing there decays as exp(-t/T), T the time constant: seconds, and short records are no longer. A line of N samples
+of step h from t_f to t_e holds of it, per volt at t = 0,
+
+    (2/N) (exp(-t_f/T) - exp(-t_e/T)) / (1 - exp(-(1/T + j w) h)).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.model.mechanics.equations import ChannelPath
+from balance_cli.signals.run_spectrum import Lines
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+
+def ringing(run: Lines, path: ChannelPath, at: Index) -> ComplexArray:
+    """Lines `at` (k,) of one volt of it at t = 0; zero where the channel has no high-pass or the record none of it."""
+    window = run.window
+    if window is None or not path.high_pass:
+        return np.zeros(len(at), complex)
+    rate, start = path.high_pass[0].value, window.start[at]
+    decay = np.exp(-rate * start) - np.exp(-rate * window.stop)
+    turn = np.exp(-(rate + 2j * np.pi * run.frequency[at]) * window.step)
+    return np.asarray(2.0 * window.step / (window.stop - start) * decay / (1.0 - turn), complex)
+
+
+def usual_ringing(run: Lines, path: ChannelPath) -> float:
+    """Rms [V] at t = 0: that of the channel, whose motion begins anywhere in its period."""
+    if not path.high_pass:
+        return 0.0
+    volts = run.channels[run.frequency > 0, run.channel_names.index(path.channel)]
+    return float(np.sqrt(0.5 * np.sum(np.abs(volts) ** 2)))
+
+
+def without_ringing(change: ComplexArray, precision: ComplexArray, columns: tuple[ComplexArray, ...]) -> ComplexArray:
+    """A change (k, c) of responses without what each run's channels still ring, weighed by `precision` (k, c, c).
+
+    `columns` (k, c): of each run what the ringing of each channel adds to that channel when it is as large as it may
+    be; how large it is, and of which sign, is one number at all lines, with a standard deviation of one.
+    """
+    c = change.shape[1]
+    R = np.concatenate(columns, axis=1)
+    P = np.tile(precision, (1, len(columns), len(columns)))
+    weighted = np.tile(np.matmul(precision, change[:, :, None])[:, :, 0], (1, len(columns)))
+    normal = 2.0 * np.real(np.sum(R.conj()[:, :, None] * P * R[:, None, :], axis=0)) + np.eye(R.shape[1])
+    size = np.linalg.solve(normal, 2.0 * np.real(np.sum(R.conj() * weighted, axis=0)))
+    return np.asarray(change - np.sum((R * size).reshape(len(R), len(columns), c), axis=1))

@@ -1,0 +1,40 @@
+"""A record without what forces along the cells that are not linear did to its channels.
+
+The cells tell these forces, and the model what becomes of them in the channels. What is left the linear response
+explains. The mean is left as it is: static matrices know what the cells do at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.run import MemorySource, Run, read_channels
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.cell_forces import forces_at
+from balance_cli.model.system import System, solve
+from balance_cli.signals.run_samples import sample_rate
+from balance_cli.signals.waveforms import record_waveform
+
+Array = NDArray[np.float64]
+
+
+def linear_part(run: Run, system: System, geometry: Geometry, live: Sequence[str]) -> Run:
+    """The run with the dynamic part of its forces along cells taken out of its channels; itself where there is none."""
+    if not any(force.values.value[0] != 0.0 for force in system.forces):
+        return run
+    names = geometry.channel_names
+    waveform = record_waveform(read_channels(run, live), sample_rate(run), live, geometry)
+    solution = solve(system, waveform.frequency, run.rotor_speed)
+    volts = forces_at(waveform, system, solution).volts(system)
+    volts[0] = 0.0
+    block = run.read()
+    channels = block.channels.copy()
+    for name in live:
+        spectrum = np.zeros(run.samples // 2 + 1, complex)
+        spectrum[: len(volts)] = volts[:, names.index(name)] * (run.samples / 2.0)
+        channels[:, run.channel_names.index(name)] -= np.fft.irfft(spectrum, run.samples)
+    return replace(run, source=MemorySource(channels, block.loads))

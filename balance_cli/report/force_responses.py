@@ -1,0 +1,178 @@
+"""Measured and modelled responses on one footing: the force that a cell carries, per unit of hub load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
+from balance_cli.estimation.paper.fit import response as paper_response
+from balance_cli.estimation.paper.spectra import channel_response
+from balance_cli.model.system import response, solve
+from balance_cli.signals.run_spectrum import Response
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+Values = TypeVar("Values", Array, ComplexArray)
+
+TORQUE_METER = "torque meter"
+ERROR_BAND = (5.0, 150.0)
+"""Band of relative errors of responses [Hz]."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A cell, the torque meter, or the resultant of two cells: the sum of its channels, taken with their signs."""
+
+    name: str
+    channels: Mapping[str, float]
+
+    def weights(self, geometry: Geometry, frequency: Array) -> ComplexArray:
+        """Force per volt (k, n) of its n channels: declared sensitivity and dynamics divided out."""
+        declared = {channel.name: channel for channel in geometry.channels}
+        gains = [channel_response(declared[name], frequency) for name in self.channels]
+        return np.asarray(np.array(list(self.channels.values())) / np.stack(gains, axis=1), complex)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A response over frequency (k,) [Hz], with the standard deviation (k,) of real and imaginary part together."""
+
+    frequency: Array
+    value: ComplexArray
+    sigma: Array
+
+
+def level(response: Response) -> float:
+    """Highest level of the excitation [N, N m rms] of its components; 0 where none is told."""
+    return max((float(value) for value in response.level if np.isfinite(value)), default=0.0)
+
+
+def error_band(frequency: Array) -> NDArray[np.bool_]:
+    """Lines (k,) over which relative errors are taken: 5 to 150 Hz."""
+    return (frequency >= ERROR_BAND[0]) & (frequency <= ERROR_BAND[1])
+
+
+def best_channel(response: Response) -> tuple[Array, Array]:
+    """Coherence (k,) and relative sigma (k,) of the channel that responds best at each line; one component."""
+    coherence = response.coherence[:, :, 0]
+    best, lines = np.argmax(coherence, axis=1), np.arange(len(coherence))
+    variance = np.real(response.channel_covariance[lines, best, best] * response.load_covariance[:, 0, 0])
+    return coherence[lines, best], quotient(np.sqrt(variance), np.abs(response.response[lines, best, 0]))
+
+
+def force_response(response: Response, geometry: Geometry) -> tuple[ComplexArray, Array]:
+    """Response (k, c) of every channel to one component, over the sensitivity, and its standard deviation (k, c)."""
+    sensitivity = {channel.name: channel.sensitivity for channel in geometry.channels}
+    weights = np.array([1.0 / sensitivity[name] for name in response.channel_names])
+    variance = np.real(np.diagonal(response.channel_covariance, axis1=1, axis2=2))
+    sigma = np.sqrt(variance * np.real(response.load_covariance[:, 0, 0])[:, None]) * np.abs(weights)
+    return response.response[:, :, 0] * weights, sigma
+
+
+def sensors(geometry: Geometry, responses: Sequence[Response], models: Sequence[IdentifiedModel]) -> tuple[Sensor, ...]:
+    """Every cell by its quietest channel (relative to its sensitivity), the torque meter, and the resultants that a
+
+    model in the paper's form works with.
+    """
+    present = {name for response in responses for name in response.channel_names}
+    found = {}
+    for cell in (*geometry.cell_names, None):
+        channels = [channel for channel in geometry.channels if channel.cell == cell and channel.name in present]
+        if channels:
+            best = min(channels, key=lambda channel: force_noise(channel, responses))
+            found[cell or TORQUE_METER] = Sensor(cell or TORQUE_METER, {best.name: 1.0})
+    return (*found.values(), *_resultants(found, models))
+
+
+def _resultants(cells: Mapping[str, Sensor], models: Sequence[IdentifiedModel]) -> tuple[Sensor, ...]:
+    found: dict[str, Sensor] = {}
+    for model in models:
+        rule = None if model.paper is None else model.paper.rule
+        for i, name in enumerate(rule.names if rule else ()):
+            assert rule is not None
+            parts = {cell: sign for cell, sign in zip(rule.cells, rule.matrix[i], strict=True) if sign}
+            if name not in cells and set(parts) <= set(cells):
+                found[name] = Sensor(name, {next(iter(cells[cell].channels)): float(parts[cell]) for cell in parts})
+    return tuple(found.values())
+
+
+def force_noise(channel: Channel, responses: Sequence[Response]) -> float:
+    """Median standard deviation of a channel's response, as a force, over all lines of all responses."""
+    values = [
+        np.sqrt(np.real(response.channel_covariance[:, i, i] * response.load_covariance[:, 0, 0]))
+        for response in responses
+        if channel.name in response.channel_names
+        for i in [response.channel_names.index(channel.name)]
+    ]
+    return float(np.median(np.concatenate(values))) / abs(channel.sensitivity)
+
+
+def measured_curve(response: Response, sensor: Sensor, component: str, geometry: Geometry) -> Curve | None:
+    """The sensor's measured response to a component; None where a channel of it is missing."""
+    if not set(sensor.channels) <= set(response.channel_names):
+        return None
+    j = response.components.index(component)
+    rows = [response.channel_names.index(name) for name in sensor.channels]
+    weights = sensor.weights(geometry, response.frequency)
+    covariance = response.channel_covariance[:, rows][:, :, rows]
+    variance = np.real(np.einsum("ki,kij,kj->k", weights, covariance, weights.conj()))
+    sigma = np.sqrt(np.maximum(variance * np.real(response.load_covariance[:, j, j]), 0.0))
+    return Curve(response.frequency, np.sum(response.response[:, rows, j] * weights, axis=1), sigma)
+
+
+@dataclass(frozen=True)
+class ModelResponse:
+    """What a model says at `frequency` (k,) [Hz]: volts of each channel and force of each sensor, (k, 6) each.
+
+    The paper's form says nothing of channels and knows its own sensors only.
+    """
+
+    frequency: Array
+    channels: dict[str, ComplexArray]
+    sensors: dict[str, ComplexArray]
+
+
+def model_response(
+    model: IdentifiedModel, frequency: Array, spin: float, shown: Sequence[Sensor], geometry: Geometry
+) -> ModelResponse:
+    """All responses of a model of either form."""
+    if model.paper is not None:
+        value = np.zeros((len(frequency), len(model.paper.rule.names), 6), complex)
+        value[:, :, [COMPONENTS.index(name) for name in model.paper.inputs]] = paper_response(model.paper, frequency)
+        return ModelResponse(frequency, {}, {name: value[:, i] for i, name in enumerate(model.paper.rule.names)})
+    system = identified_system(model)
+    T = response(system, solve(system, frequency, spin))
+    channels = {name: T[:, i] for i, name in enumerate(system.channel_names)}
+    forces = {}
+    for sensor in shown:
+        weights = sensor.weights(geometry, frequency)
+        forces[sensor.name] = sum(
+            (weights[:, i, None] * channels[name] for i, name in enumerate(sensor.channels)), np.zeros_like(T[:, 0])
+        )
+    return ModelResponse(frequency, channels, forces)
+
+
+def quotient(a: Values, b: Values) -> Values:
+    """Quotient a / b element by element, NaN where b is zero."""
+    nothing = np.full(np.broadcast_shapes(a.shape, b.shape), np.nan, np.result_type(a, b))
+    return np.divide(a, b, out=nothing, where=b != 0)
+
+
+def relative_error(model: ComplexArray, measured: ComplexArray) -> float:
+    """Rms of model minus measurement over rms of measurement."""
+    size = float(np.sum(np.abs(measured) ** 2))
+    return float(np.sqrt(np.sum(np.abs(model - measured) ** 2) / size)) if size > 0 else float("nan")
+
+
+def relative_noise(sigma: Array, measured: ComplexArray) -> float:
+    """What noise of this standard deviation adds to `relative_error`."""
+    size = float(np.sum(np.abs(measured) ** 2))
+    return float(np.sqrt(np.sum(sigma**2) / size)) if size > 0 else float("nan")

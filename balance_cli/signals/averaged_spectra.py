@@ -1,0 +1,162 @@
+"""Frequency responses from averaged spectra: H1, H2 and Hv, with ordinary and multiple coherence.
+
+Hann windows, overlapping by half (Welch, IEEE Trans. Audio Electroacoust. 15, 1967). Estimators and variances as in
+Bendat and Piersol, Random Data, 4th ed. (2010), chapters 7 and 9; Hv as in Rocklin, Crowley and Vold, IMAC 1985.
+They leak: beside lightly damped modes they are the poorest choice, and stand here for comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.run import Run
+from balance_cli.signals.local_models import LEAST_DISTINCT, distinctness, has_power
+from balance_cli.signals.local_response import coherences
+from balance_cli.signals.periodic import whole_period
+from balance_cli.signals.run_samples import fault, load_places, measured_components, sample_rate, samples_of
+from balance_cli.signals.run_spectrum import Response
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+ESTIMATORS = ("h1", "h2", "hv")
+SEGMENT = 4.0
+FEWEST_AVERAGES = 8
+SHORTEST_SEGMENT = 16
+OVERLAP_CORRELATION = (1.0 / 6.0) ** 2
+
+
+@dataclass(frozen=True)
+class SpectralMatrix:
+    """Averaged products (K, n, n) of [channels, loads], `E[z z*]`, at frequency (K,) [Hz]; c channels come first;
+
+    `averages`: number of independent segments that these are worth.
+    """
+
+    frequency: Array
+    products: ComplexArray
+    channels: int
+    averages: float
+
+    @property
+    def output(self) -> ComplexArray:
+        """S_yy (K, c, c)."""
+        return self.products[:, : self.channels, : self.channels]
+
+    @property
+    def cross(self) -> ComplexArray:
+        """S_yu (K, c, u)."""
+        return self.products[:, : self.channels, self.channels :]
+
+    @property
+    def input(self) -> ComplexArray:
+        """S_uu (K, u, u)."""
+        return self.products[:, self.channels :, self.channels :]
+
+
+def averaged_response(
+    run: Run, channel_names: Sequence[str], estimator: str = "h1", band: tuple[float, float] = (0.0, np.inf)
+) -> Response:
+    """Frequency response by `h1` (noise on the channels), `h2` (on the loads) or `hv` (on both), within `band` [Hz].
+
+    Its covariance is that of H1: what the loads do not explain, over the loads' power and the number of averages.
+    UserError: record too short, loads in proportion to each other, or `h2` with several components.
+    """
+    channels, loads = samples_of(run, channel_names)
+    components = measured_components(run, loads)
+    z = np.hstack([channels, loads[:, load_places(components)]])
+    spectra = spectral_matrix(z, sample_rate(run), _segment(run), len(channel_names))
+    if spectra.averages <= len(components) + 1:
+        raise fault(run, "the record is too short to average over", "Record more")
+    power = np.diagonal(spectra.input, axis1=1, axis2=2).real
+    inside = (spectra.frequency >= band[0]) & (spectra.frequency <= band[1]) & has_power(np.sqrt(power))
+    spectra = SpectralMatrix(spectra.frequency[inside], spectra.products[inside], spectra.channels, spectra.averages)
+    if not np.any(inside) or np.median(distinctness(spectra.input)) < LEAST_DISTINCT:
+        raise fault(
+            run, "the loads excited at once are in proportion to each other", "Excite with other phases", "loads"
+        )
+    return _response(run, tuple(channel_names), components, spectra, estimator)
+
+
+def spectral_matrix(z: Array, rate: float, segment: int, channels: int) -> SpectralMatrix:
+    """Averaged spectral products of signals z (n, signals) over Hann windows of `segment` samples, half overlapping."""
+    step = segment // 2
+    starts = range(0, len(z) - segment + 1, step)
+    window = np.hanning(segment + 1)[:-1, None]
+    products = np.zeros((segment // 2 - 1, z.shape[1], z.shape[1]), complex)
+    for start in starts:
+        piece = z[start : start + segment]
+        Z = np.fft.rfft((piece - piece.mean(axis=0)) * window, axis=0)[1 : segment // 2]
+        products += Z[:, :, None] * Z[:, None, :].conj()
+    K = len(starts)
+    scale = (2.0 / np.sum(window)) ** 2 / max(K, 1)
+    worth = K / (1.0 + 2.0 * OVERLAP_CORRELATION * (K - 1) / K) if K else 0.0
+    frequency = np.arange(1, segment // 2) * rate / segment
+    return SpectralMatrix(frequency, np.asarray(products * scale, complex), channels, worth)
+
+
+def _segment(run: Run) -> int:
+    """Samples of a segment: the period, else SEGMENT seconds, or less where that gives too few averages."""
+    rate = sample_rate(run)
+    if run.period is not None and run.samples >= 2 * run.period * rate:
+        return whole_period(run)
+    segment = int(min(SEGMENT * rate, 2 * run.samples / (FEWEST_AVERAGES + 1))) // 2 * 2
+    if segment < SHORTEST_SEGMENT:
+        raise fault(run, "the record is too short to average over", "Record more")
+    return segment
+
+
+def _response(
+    run: Run, channel_names: tuple[str, ...], components: tuple[str, ...], spectra: SpectralMatrix, estimator: str
+) -> Response:
+    if estimator == "h2" and len(components) > 1:
+        raise fault(run, f"h2 cannot tell {len(components)} components apart", "Choose h1 or hv", "--estimator")
+    H1 = _h1(spectra)
+    response = {"h1": lambda: H1, "h2": lambda: _h2(spectra), "hv": lambda: _hv(spectra)}[estimator]()
+    K, u = spectra.averages, len(components)
+    noise = spectra.output - H1 @ spectra.cross.conj().swapaxes(1, 2)
+    ordinary, multiple = coherences(H1, noise, spectra.input)
+    return Response(
+        run=run.name,
+        channel_names=channel_names,
+        components=components,
+        estimator=estimator,
+        frequency=spectra.frequency,
+        response=response,
+        channel_covariance=noise * (K / (K - u)),
+        load_covariance=np.asarray(np.linalg.inv(spectra.input) / K, complex),
+        coherence=ordinary,
+        multiple_coherence=multiple,
+        rotor_speed=run.rotor_speed,
+        level=run.level,
+    )
+
+
+def _h1(spectra: SpectralMatrix) -> ComplexArray:
+    """S_yu S_uu^-1: unbiased with noise on the channels alone."""
+    return np.asarray(np.linalg.solve(spectra.input, spectra.cross.conj().swapaxes(1, 2)).conj().swapaxes(1, 2))
+
+
+def _h2(spectra: SpectralMatrix) -> ComplexArray:
+    """S_yy / S_uy, channel by channel: unbiased with noise on the one load alone."""
+    own = np.diagonal(spectra.output, axis1=1, axis2=2)[:, :, None]
+    cross = spectra.cross.conj()
+    return np.asarray(own / np.where(np.abs(cross) > 0, cross, np.inf))
+
+
+def _hv(spectra: SpectralMatrix) -> ComplexArray:
+    """Total least squares, channel by channel, signals scaled to equal power: noise on channels and loads alike."""
+    K, c, u = spectra.cross.shape
+    result = np.empty((K, c, u), complex)
+    for i in range(c):
+        kept = [i, *range(c, c + u)]
+        S = spectra.products[:, kept][:, :, kept]
+        size = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2).real, 1e-300))
+        least = np.linalg.eigh(S / (size[:, :, None] * size[:, None, :]))[1][:, :, 0]
+        # v* [y; u] is the least of all combinations: y = -(v_u* / v_y*) u.
+        result[:, i] = -(least[:, 1:] / least[:, :1]).conj() * size[:, :1] / size[:, 1:]
+    return result

@@ -1,0 +1,92 @@
+"""Loads as functions of the readings, without iteration."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+from click.testing import CliRunner
+
+from balance_cli.calibration.fit import gage_fit
+from balance_cli.calibration.noniterative import direct_model
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.cli import balance
+from balance_cli.reduction.mean_loads import zero_record
+from balance_cli.reduction.response_sources import static_source
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.reduce import reduce_run
+from tests.support.calibration_stand import FULL_RANGE, NOISE, stand_points
+from tests.support.nonlinear_rig import NAMES, RIG, calibration, record, static_runs
+from tests.support.rigs import CONFIGS
+
+LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
+
+
+def fitted(points):
+    gage = gage_fit(points).model
+    return gage, direct_model(points, gage, points.weight > 0)
+
+
+def check_errors(noise):
+    """Rms errors of random loads, over full range, by the iteration and by the direct model."""
+    gage, direct = fitted(stand_points(noise=noise))
+    rng = np.random.default_rng(3)
+    applied = rng.uniform(-0.6, 0.6, (300, 6)) * FULL_RANGE
+    read = gage_fit(stand_points(noise=1e-9)).model.readings(applied) + noise * rng.normal(size=(300, 8))
+    pair = gage.loads(read)[0], direct.loads(read)
+    return [np.sqrt(np.mean(((found - applied) / FULL_RANGE) ** 2)) for found in pair]
+
+
+def test_it_is_about_as_good_as_the_iteration_and_far_better_than_a_straight_matrix():
+    iterated, direct = check_errors(NOISE)
+    gage = gage_fit(stand_points(), search=False).model
+    rng = np.random.default_rng(3)
+    applied = rng.uniform(-0.6, 0.6, (300, 6)) * FULL_RANGE
+    read = gage_fit(stand_points(noise=1e-9)).model.readings(applied)
+    straight = np.sqrt(np.mean(((gage.loads(read)[0] - applied) / FULL_RANGE) ** 2))
+    assert direct < 1.5 * iterated
+    assert direct < 0.3 * straight
+
+
+def test_of_a_straight_balance_it_is_the_straight_inverse():
+    points = stand_points()
+    straight = gage_fit(points, search=False).model
+    points = replace(points, channels=straight.readings(points.loads))
+    gage, direct = fitted(points)
+    assert not gage.curved and not direct.model.curved
+    np.testing.assert_allclose(direct.loads(points.channels), points.loads, atol=1e-6 * FULL_RANGE.max())
+
+
+def test_rows_that_took_no_part_have_none_here_either():
+    points = stand_points()
+    out = np.zeros(len(points.loads), bool)
+    out[100:110] = True
+    spoiled = replace(points, channels=points.channels + 0.5 * out[:, None]).without(out)
+    (_, sound), (_, direct) = fitted(points), fitted(spoiled)
+    np.testing.assert_allclose(direct.residual_percent_fs, sound.residual_percent_fs, rtol=0.2)
+
+
+def test_reduce_takes_mean_loads_from_it_where_all_channels_are_there():
+    zero = zero_record(record("zero", np.zeros(6), 0.0, kind="zero", seed=5), NAMES)
+    cal = calibrate(static_runs(np.random.default_rng(1)), RIG, direct=True)
+    assert cal.gage.direct.model.curved
+    found = reduce_run(record("w", LOADS), RIG, cal, static_source(cal), zero).amplitude[0].real
+    iterated = reduce_run(record("w", LOADS), RIG, calibration(), static_source(calibration()), zero).amplitude[0].real
+    error = np.abs(found - LOADS) / np.abs(FULL_RANGE)
+    assert np.all(error < 1e-3) and np.max(np.abs(found - iterated)) > 1e-9
+
+
+def test_command_states_it_and_refuses_it_for_a_matrix(tmp_path):
+    paths = []
+    for run in static_runs(np.random.default_rng(1)):
+        paths.append(str(tmp_path / f"{run.name}.h5"))
+        write_run(tmp_path / f"{run.name}.h5", run)
+    words = ["calibrate", "-g", str(CONFIGS / "rts-6.yaml"), *paths, "-o", str(tmp_path / "c.h5")]
+    result = CliRunner().invoke(balance, [*words, "--direct", "--json", str(tmp_path / "c.json")])
+    assert result.exit_code == 0 and "direct, without iteration" in result.stdout
+    stated = json.loads((tmp_path / "c.json").read_text())["gage"]["direct"]
+    assert set(stated["residual_percent_fs"]) == set(COMPONENTS)
+    refused = CliRunner().invoke(
+        balance, [*words[:3], "--from-matrix", "m.csv", "--direct", "-o", str(tmp_path / "d.h5")]
+    )
+    assert refused.exit_code == 2 and "--direct" in refused.stderr

@@ -1,0 +1,98 @@
+"""The minimiser on problems whose minima are known: bounds, curved valleys, parameters that vanish."""
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from balance_cli.estimation.levenberg_marquardt import minimise
+from balance_cli.estimation.likelihood import Curvature
+from balance_cli.model.parameters import ParameterSet
+
+UNKNOWN = np.inf
+
+
+class Residuals:
+    """r(theta) with its Jacobian as `minimise` takes them; counts how often each was asked for."""
+
+    def __init__(self, residuals, jacobian):
+        self.residuals, self.jacobian, self.curvatures, self.values = residuals, jacobian, 0, 0
+
+    def curvature(self, theta):
+        self.curvatures += 1
+        r, J = self.residuals(theta), self.jacobian(theta)
+        return Curvature(float(r @ r), J.T @ r, J.T @ J)
+
+    def chi2(self, theta):
+        self.values += 1
+        r = self.residuals(theta)
+        return float(r @ r)
+
+    def minimum(self, parameters, start, **options):
+        return minimise(parameters, np.array(start, float), self.curvature, self.chi2, **options)
+
+
+def unknown(*names, unit="1", lower=-np.inf, upper=np.inf, scale=1.0):
+    """Parameters without a prior."""
+    n = len(names)
+    limits = (np.full(n, limit) for limit in (lower, upper))
+    return ParameterSet(names, (unit,) * n, np.ones(n), np.full(n, UNKNOWN), np.full(n, scale), *limits)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_linear_least_squares_within_bounds(seed):
+    """Where a step would leave the bounds the others follow, and the end is that of bounded least squares."""
+    rng = np.random.default_rng(seed)
+    A, b = rng.normal(size=(12, 6)) @ np.diag(10.0 ** rng.uniform(-2, 2, 6)), rng.normal(size=12)
+    problem = Residuals(lambda x: A @ x - b, lambda x: A)
+    names = tuple(f"effect.{i}" for i in range(6))
+    scale = 1e-3 * np.linalg.norm(np.linalg.pinv(A), axis=1).max()
+    found = problem.minimum(unknown(*names, lower=0.0, scale=scale), np.full(6, scale), tolerance=1e-9)
+    expected = lsq_linear(A, b, (0.0, np.inf))
+    assert found.converged
+    assert found.total.chi2 == pytest.approx(2.0 * expected.cost, rel=1e-7)
+    assert found.theta == pytest.approx(expected.x, rel=1e-3, abs=1e-2 * scale)
+
+
+def test_a_narrow_curved_valley_is_followed_in_long_steps():
+    """Rosenbrock's, a thousand times as steep across as along: damped steps creep (four hundred end half way)."""
+    steep = 1e3
+    problem = Residuals(
+        lambda x: np.array([steep * (x[1] - x[0] ** 2), 1.0 - x[0]]),
+        lambda x: np.array([[-2.0 * steep * x[0], steep], [-1.0, 0.0]]),
+    )
+    found = problem.minimum(unknown("a", "b", scale=0.1), (-2.0, 4.0), iterations=400, tolerance=1e-10)
+    assert found.theta == pytest.approx([1.0, 1.0], abs=1e-4)
+    assert found.iterations < 250
+
+
+def test_what_vanishes_does_not_hold_up_the_others():
+    """An inertia that the data would rather have negative goes to zero by its logarithm; the rest is soon fitted."""
+    inertia = unknown("effect.inertia", unit="kg m2", lower=0.0, scale=1.0)
+    problem = Residuals(
+        lambda x: np.array([x[0] + 2.0, 100.0 * np.expm1(x[1]) - 600.0, 100.0 * (x[2] - 3.0 * x[1])]),
+        lambda x: np.array([[1.0, 0.0, 0.0], [0.0, 100.0 * np.exp(x[1]), 0.0], [0.0, -300.0, 100.0]]),
+    )
+    found = problem.minimum(inertia + unknown("a", "b"), (1.0, 0.0, 0.0), tolerance=1e-6)
+    assert found.theta[1:] == pytest.approx([np.log(7.0), 3.0 * np.log(7.0)], rel=1e-4)
+    assert 0.0 <= found.theta[0] < 0.02
+    assert found.converged and found.iterations < 25
+
+
+def test_what_has_all_but_vanished_stays_a_number():
+    """Begun at a billionth of a billionth of its scale: a logarithm never meets its bound."""
+    inertia = unknown("effect.inertia", unit="kg m2", lower=0.0, scale=1.0)
+    problem = Residuals(
+        lambda x: np.array([x[0] + 2.0, x[1] - 1.0]),
+        lambda x: np.eye(2),
+    )
+    found = problem.minimum(inertia + unknown("a"), (1e-18, 0.0), tolerance=1e-9)
+    assert 0.0 < found.theta[0] < 1e-17
+    assert found.theta[1] == pytest.approx(1.0)
+
+
+def test_a_first_step_that_serves_asks_for_no_chi2():
+    """Its curvature brings chi-square with it."""
+    problem = Residuals(lambda x: np.array([x[0] - 3.0, 2.0 * x[1]]), lambda x: np.diag([1.0, 2.0]))
+    found = problem.minimum(unknown("a", "b"), (1.0, 1.0))
+    assert found.theta == pytest.approx([3.0, 0.0], abs=1e-9)
+    assert (problem.curvatures, problem.values) == (found.iterations, 0)

@@ -1,0 +1,316 @@
+"""The gage model on the page: what it shows of terms, zeros, what is wrong, loads that checked it, and residuals."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.report import math_model_figures as gage_figures
+from balance_cli.report.blocks import Details, pictures
+from balance_cli.report.calibration import section
+from balance_cli.report.load_series_rows import channel_ranges, deviation, outliers_of, stretches
+from balance_cli.report.math_model_figures import CHANCE, load_figure, moved_loads, order_figure, trend
+from balance_cli.report.math_model_tables import ALONE, channel_table, check_table, curved_terms, term_table
+from balance_cli.report.number_format import percent, significant, with_sigma
+from balance_cli.report.page import page
+from balance_cli.report.sources import Sources, sources
+from balance_cli.steps.calibrate import calibrate
+from tests.support.page_content import read, row_of, tables, texts
+from tests.support.report_content import artefact, calibration
+from tests.support.rigs import one_degree_of_freedom, rotor_balance
+from tests.support.static_runs import loading, static_run
+
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+FULL_RANGE = np.array([800.0, 800.0, 3725.0, 400.0, 400.0, 450.0])
+OUTLIER_ROW, BAD_ROWS = 70, slice(21, 41)
+
+
+def static(name: str):
+    return open_run(SAMPLES / f"static-{name}.h5")
+
+
+def curved(run, outlier: float = 0.0, gain: float = 1.0):
+    """The run with two curved terms; one row of y1 off by `outlier` [V], y2 `gain` times itself while Fy moves."""
+    block, at = run.read(), run.channel_names.index
+    x, channels = block.loads / FULL_RANGE, block.channels.copy()
+    channels[:, at("z1.strain")] += 4e-3 * x[:, 2] ** 2
+    channels[:, at("x.strain")] += 4e-3 * np.abs(x[:, 0])
+    channels[OUTLIER_ROW, at("y1.strain")] += outlier
+    channels[BAD_ROWS, at("y2.strain")] *= gain
+    return replace(run, source=MemorySource(channels, block.loads))
+
+
+def given(*made, **options) -> Sources:
+    each = [artefact("balance-calibration/1", one, f"{i}" * 64) for i, one in enumerate(made)]
+    named = [replace(one, provenance=replace(one.provenance, options=options)) for one in each]
+    return sources([(Path(f"c{i}.h5"), one) for i, one in enumerate(named)])
+
+
+def table_with(made, head: str):
+    return next(one for one in tables(made) if head in [cell.text for cell in one.head[0]])
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return calibrate(
+        [static("bare"), static("trim")], rotor_balance(), hold_out=[replace(static("bare"), name="again")]
+    )
+
+
+@pytest.fixture(scope="module")
+def spoiled():
+    """Curved terms, an outlier and a sequence that two others contradict."""
+    again = replace(curved(static("bare")), name="static-again")
+    runs = [curved(static("bare"), outlier=5e-3), curved(static("trim"), gain=1.2), again]
+    return calibrate(runs, rotor_balance())
+
+
+@pytest.fixture(scope="module")
+def sound_section(sound):
+    return section(given(sound))
+
+
+@pytest.fixture(scope="module")
+def spoiled_section(spoiled):
+    return section(given(spoiled))
+
+
+def test_a_sound_calibration_is_told_in_a_sentence_and_warns_of_nothing(sound_section):
+    made = sound_section
+    words = texts(made, "text")
+    assert "242 rows of static-bare and static-trim in 12 loading sequences, each with a zero of its own" in words
+    assert "a spurious one in the whole balance 0.01" in words and "no channel has any" in words
+    assert "Loads beyond Fx ±880 N, Fy ±880 N" in words and "Calibrated: Fx −800 to 800 N" in words
+    assert "by iteration" not in words
+    assert texts(made, "warn") == ""
+    assert not any("variance inflation" in [cell.text for cell in one.head[0]] for one in tables(made))
+
+
+def test_the_direct_model_is_told_where_it_was_asked_for(sound_section):
+    made = calibrate([static("bare"), static("trim")], rotor_balance(), direct=True)
+    said = texts(section(given(made)), "text")
+    assert "as functions of the readings, without iteration" in said
+    assert all(
+        f"{name} {significant(float(value), 2)}" in said
+        for name, value in zip(made.gage.model.components, made.gage.direct.residual_percent_fs, strict=True)
+    )
+    assert "without iteration" not in texts(sound_section, "text")
+
+
+def test_the_channels_are_as_the_model_has_them(sound, sound_section):
+    gage = sound.gage
+    ranges = channel_ranges(sound, gage)
+    assert ranges[0] == pytest.approx(10.0) and ranges[-1] == pytest.approx(9.0, rel=1e-3)
+    table = table_with(sound_section, "curved terms")
+    assert [row[0].text for row in table.rows] == list(gage.model.channel_names)
+    for c, row in enumerate(table.rows):
+        errors = (deviation(gage)[c], gage.model.press[c], gage.model.left_out[c])
+        assert row[1].text == ALONE
+        assert [cell.text for cell in row[2:5]] == [significant(1e6 * error) for error in errors]
+        assert [cell.note for cell in row[2:5]] == [f"{percent(error / ranges[c])} %" for error in errors]
+        slope, sigma = 1e6 * gage.drift.slope[c], 1e6 * gage.drift.slope_sigma[c]
+        assert row[5].text == " ± ".join(with_sigma(slope, sigma))
+        assert row[5].mark == ("bad" if abs(slope) > 3 * sigma else "")
+        assert row[6].text == significant(gage.drift.scatter[c], 2)
+
+
+def test_a_drift_beyond_three_sigma_and_a_scatter_beyond_chance_are_marked(sound):
+    drift = sound.gage.drift
+    slope, scatter = drift.slope.copy(), drift.scatter.copy()
+    slope[2], scatter[4] = -3.1 * drift.slope_sigma[2], 3.0
+    slope[3], scatter[5] = 2.9 * drift.slope_sigma[3], 2.0
+    gage = replace(sound.gage, drift=replace(drift, slope=slope, scatter=scatter))
+    table = channel_table(gage, np.ones(8))
+    assert table.rows[2][5].mark == "bad" and table.rows[3][5].mark == ""
+    assert table.rows[4][6].mark == "bad" and table.rows[5][6].mark == ""
+
+
+def test_loads_that_checked_it(sound, sound_section):
+    (check,) = sound.gage.checks
+    row = table_with(sound_section, "left out").rows[0]
+    assert [cell.text for cell in row[1:7]] == [percent(e) for e in check.error / sound.gage.model.full_range]
+    assert [cell.note for cell in row[1:7]] == [f"{100 * share:.0f} %" for share in check.hits]
+    assert [cell.text for cell in (row[0], *row[7:])] == ["again", "121", "0"]
+    assert all(cell.mark == "" for cell in row[1:])
+
+
+def test_check_rows_out_of_reach_and_intervals_that_do_not_hold_are_marked(sound):
+    (check,) = sound.gage.checks
+    solved = check.solved.copy()
+    solved[:5] = False
+    narrow = replace(check, solved=solved, interval=0.5 * check.interval, run="narrow")
+    nothing = replace(check, solved=np.zeros_like(solved), run="nothing")
+    rows = check_table(replace(sound.gage, checks=(narrow, nothing))).rows
+    assert [cell.text for cell in rows[0][7:]] == ["121", "5"] and rows[0][8].mark == "bad"
+    assert {cell.mark for cell in rows[0][1:7]} == {"bad"}
+    assert {cell.text for cell in rows[1][1:7]} == {"–"} and rows[1][8].text == "121"
+
+
+def test_terms_that_the_loads_do_not_support_are_folded_with_their_reasons(sound, sound_section):
+    refused = sound.gage.model.refused
+    folded = next(one for one in sound_section.blocks if isinstance(one, Details) and "support" in one.summary)
+    assert folded.summary.startswith(f"{len(refused)} terms")
+    (table,) = folded.blocks
+    shown = {term: row[0].text for row in table.rows for term in row[1].text.split(", ")}
+    assert shown == refused
+
+
+def test_curved_terms_with_their_evidence(spoiled, spoiled_section):
+    model, made = spoiled.gage.model, spoiled_section
+    c, i = model.channel_names.index("z1.strain"), model.terms.index("Fz^2")
+    value, sigma = model.coefficients[i, c], np.sqrt(model.covariance[c, i, i])
+    assert value == pytest.approx(4e-3, rel=0.1)
+    head = "variance inflation"
+    row = row_of(made, head, "z1.strain")
+    assert row[1:4] == ["Fz^2", " ± ".join(with_sigma(1e6 * value, 1e6 * sigma)), significant(value / sigma)]
+    assert row[5] == significant(model.variance_inflation[i, c], 2)
+    assert row_of(made, head, "x.strain")[1] == "|Fx|"
+    assert row_of(made, head, "torque") == ["torque", ALONE]
+    assert row_of(made, "curved terms", "z1.strain")[1] == str(len(curved_terms(spoiled.gage, c)))
+    words = texts(made, "text")
+    assert "x.strain and z1.strain have some" in words
+    rho = model.contraction().rho
+    assert f"shrinks the error at least {significant(1 / rho, 2)} times" in words
+
+
+def test_inflated_terms_are_marked(spoiled):
+    model = spoiled.gage.model
+    inflation = model.variance_inflation.copy()
+    inflation[model.terms.index("Fz^2"), model.channel_names.index("z1.strain")] = 40.0
+    gage = replace(spoiled.gage, model=replace(model, variance_inflation=inflation))
+    rows = term_table(gage).rows
+    assert [row[1].text for row in rows if row[-1].mark == "bad"] == ["Fz^2"]
+
+
+def test_what_took_no_part_is_warned_of(spoiled, spoiled_section):
+    (bad,), (outlier,) = spoiled.gage.bad_sequences, spoiled.gage.outliers
+    words = texts(spoiled_section, "warn")
+    assert f"static-trim rows 22 to 41 (Fy): y2.strain changes {with_sigma(bad.gain, bad.gain_sigma)[0]} ±" in words
+    size = significant(1e6 * outlier.error)
+    assert f"static-bare row {OUTLIER_ROW + 1}: y1.strain is {size} µV above what all other rows say" in words
+    assert "342 of 363 rows" in texts(spoiled_section, "text")
+
+
+def test_exchanged_and_ambiguous_sequences_are_named(spoiled):
+    bad = replace(spoiled.gage.bad_sequences[0], like="z2.strain", or_else=("s3 rows 1 to 9 (Fx)",))
+    gage = replace(spoiled.gage, bad_sequences=(bad,))
+    words = texts(section(given(replace(spoiled, gage=gage))), "warn")
+    assert ", as z2.strain should." in words and "Or it is s3 rows 1 to 9 (Fx) that is wrong." in words
+
+
+def test_an_iteration_that_is_not_proved_is_warned_of(spoiled):
+    model = spoiled.gage.model
+    coefficients = model.coefficients.copy()
+    coefficients[len(model.components) :] *= 1e4
+    gage = replace(spoiled.gage, model=replace(model, coefficients=coefficients))
+    assert not gage.model.contraction().proved
+    made = section(given(replace(spoiled, gage=gage)))
+    assert "not proved to converge" in texts(made, "warn")
+    assert "Loads beyond" not in texts(made, "text")
+
+
+def test_the_loads_alone_where_they_were_asked_for(sound):
+    words = texts(section(given(sound, terms="linear")), "text")
+    assert "no other terms were sought" in words and "spurious" not in words
+
+
+def test_without_a_model_the_page_says_so(sound):
+    made = section(given(replace(sound, gage=None)))
+    assert "There is no model through all trims" in texts(made, "text")
+    assert not list(pictures(made.blocks))
+
+
+def test_sequences_are_those_of_the_model(spoiled):
+    known = stretches(spoiled.gage)
+    assert tuple(one.words for one in known if one.used) == spoiled.gage.model.sequences
+    (lost,) = (one for one in known if not one.used)
+    assert lost.words == spoiled.gage.bad_sequences[0].sequence
+    assert [name for name, bad in zip(spoiled.gage.model.channel_names, lost.bad, strict=True) if bad] == ["y2.strain"]
+    np.testing.assert_array_equal(np.concatenate([one.rows for one in known]), np.arange(363))
+    assert list(outliers_of(spoiled.gage, 1)) == [(OUTLIER_ROW, spoiled.gage.outliers[0])]
+
+
+def test_residuals_in_the_order_of_loading(spoiled):
+    gage, known = spoiled.gage, stretches(spoiled.gage)
+    figure = order_figure(gage, known, channel_ranges(spoiled, gage))
+    names = gage.model.channel_names
+    assert [axes.get_title(loc="left") for axes in figure.axes] == list(names)
+    for c, axes in enumerate(figure.axes):
+        drawn = next(line for line in axes.get_lines() if len(line.get_xdata()) == 363)
+        np.testing.assert_allclose(drawn.get_ydata(), 1e6 * gage.residuals[:, c])
+        hatched = [patch for patch in axes.patches if patch.get_hatch()]
+        assert [patch.get_x() for patch in hatched] == [121 + 21.5]
+        triangles = [line for line in axes.get_lines() if line.get_marker() == "^"]
+        assert [line.get_xdata()[0] for line in triangles] == ([OUTLIER_ROW + 1] if names[c] == "y1.strain" else [])
+        # The outlier lies beyond the axis and is drawn at its edge, with its number.
+        assert all(line.get_ydata()[0] < axes.get_ylim()[1] for line in triangles)
+    strong = {names[c] for c, axes in enumerate(figure.axes) for patch in axes.patches if _is_strong(patch)}
+    assert strong == {"y2.strain"}
+    assert [tick.get_text() for tick in figure.axes[-1].get_xticklabels()][:6] == list(gage.model.components)
+
+
+def _is_strong(patch) -> bool:
+    return bool(patch.get_hatch()) and patch.get_edgecolor()[2] < 0.1
+
+
+def test_residuals_against_the_loads_that_moved(spoiled):
+    gage, known = spoiled.gage, stretches(spoiled.gage)
+    x = moved_loads(gage, known)
+    at_first = known[0].rows
+    np.testing.assert_allclose(x[at_first, 0], gage.loads[at_first, 0] / gage.model.full_range[0])
+    assert np.isnan(x[at_first, 1:]).all()
+    figure = load_figure(gage, known, channel_ranges(spoiled, gage))
+    assert [axes.get_title(loc="left") for axes in figure.axes] == list(gage.model.channel_names)
+    drawn = next(line for line in figure.axes[3].get_lines() if line.get_marker() == "D")
+    np.testing.assert_allclose(drawn.get_xdata(), 100 * x[:, 2])
+    np.testing.assert_allclose(drawn.get_ydata(), 1e6 * gage.residuals[:, 3])
+
+
+def test_a_line_is_drawn_only_where_more_than_chance_is_left():
+    x = np.tile(np.linspace(-1, 1, 11), 4)
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=(200, len(x)))
+    assert sum(len(trend(x, one)[0]) > 0 for one in noise) <= 200 * CHANCE * 15
+    places, smooth = trend(x, 3 * x**2 - 2 * x + 0.1 * noise[0])
+    np.testing.assert_allclose(smooth, 3 * places**2 - 2 * places, atol=0.3)
+    few = np.where(np.abs(x) > 0.9, x, np.nan)
+    assert len(trend(few, noise[0])[0]) == len(trend(np.full_like(x, np.nan), noise[0])[0]) == 0
+
+
+def test_lines_appear_where_the_loads_alone_do_not_do():
+    straight = calibrate([curved(static("bare")), curved(static("trim"))], rotor_balance(), search=False)
+    figure = load_figure(straight.gage, stretches(straight.gage), channel_ranges(straight, straight.gage))
+    shown = {
+        axes.get_title(loc="left"): [line.get_color() for line in axes.get_lines() if len(line.get_xdata()) == 60]
+        for axes in figure.axes
+    }
+    assert {name for name, colours in shown.items() if colours} == {"x.strain", "z1.strain"}
+    assert len(shown["x.strain"]) == len(shown["z1.strain"]) == 1
+
+
+def test_several_calibrations_share_a_page(spoiled):
+    made = page(given(spoiled, calibration()))
+    assert made.pictures == ("gage-order", "gage-load", "gage-order-2", "gage-load-2")
+    tags = read(made.html)
+    assert not tags.open and max(tags.ids.values()) == 1 and tags.references <= set(tags.ids)
+    words = " ".join(tags.text)
+    assert "c0.h5: one model through all trims" in words and "c1.h5: one model through all trims" in words
+
+
+def test_one_channel_and_one_sequence_make_a_page():
+    geometry = one_degree_of_freedom()
+    loads = loading(components=("Fz",))
+    run = static_run(geometry, np.eye(6)[2:3] * 0.002, loads, np.random.default_rng(1))
+    made = section(given(calibrate([run], geometry)))
+    assert "21 rows of s1 in one loading sequence." in texts(made, "text")
+    assert row_of(made, "curved terms", "z.strain")[4:] == ["–", "–", "–"]
+    assert len(list(pictures(made.blocks))) == 2
+
+
+def test_load_points_are_numbered_where_the_names_of_sequences_have_no_room(spoiled, monkeypatch):
+    monkeypatch.setattr(gage_figures, "PAGE_INCHES", 4.0)
+    figure = order_figure(spoiled.gage, stretches(spoiled.gage), channel_ranges(spoiled, spoiled.gage))
+    assert figure.axes[-1].get_xlabel() == "load point, in the order of loading"

@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.signals.azimuth import azimuth_from_pulses
+from balance_cli.signals.transient_end import settling
+
+SAMPLE_RATE, RATE = 800.0, 17.5
+NOISE = 1e-3
+
+
+def record(duration=20.0, drift=0.0):
+    """Time, azimuth object and azimuth at the samples, with a speed that moves by `drift`."""
+    time = np.arange(int(duration * SAMPLE_RATE)) / SAMPLE_RATE
+    omega = 2 * np.pi / 12.0
+
+    def count(t):
+        return RATE * (t + drift * (1 - np.cos(omega * t)) / omega)
+
+    fine = np.linspace(0, duration, 500_001)
+    azimuth = azimuth_from_pulses(np.interp(np.arange(1, int(count(duration))), count(fine), fine))
+    return time, azimuth, 2 * np.pi * (count(time) - 1)
+
+
+def run_of(channels):
+    names = tuple(f"c{k}" for k in range(channels.shape[1]))
+    source = MemorySource(channels, None)
+    return Run("r", "rig", "wind", names, len(channels), source, False, SAMPLE_RATE, RATE)
+
+
+def noise(time, seed=0, channels=6):
+    return NOISE * np.random.default_rng(seed).normal(size=(len(time), channels))
+
+
+def decay(time, amplitude, rate, frequency):
+    return amplitude * np.exp(-rate * time) * np.cos(2 * np.pi * frequency * time)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_steady_record_keeps_its_beginning(seed):
+    time, azimuth, psi = record(drift=0.01)
+    found = settling(run_of(np.cos(4 * psi)[:, None] + noise(time, seed)), azimuth, 8.0)
+    assert found.first_revolution == 0 and found.reached and found.last_channel == ""
+
+
+@pytest.mark.parametrize("frequency", [26.3, 35.6, 70.4])
+def test_a_mode_that_rings_is_waited_for_until_it_is_in_the_noise(frequency):
+    time, azimuth, psi = record()
+    x = np.cos(psi)[:, None] + noise(time)
+    x[:, 2] += decay(time, 1.0, 1.2, frequency)
+    found = settling(run_of(x), azimuth, 10.0)
+    assert found.reached and found.last_channel == "c2"
+    left = np.exp(-1.2 * found.time)
+    # A mode on a harmonic shows by its decay alone: 1 - exp(-1.2 * 4 / 17.5), a quarter of it.
+    assert 0.2 * NOISE < left < 5 * NOISE
+
+
+def test_the_slow_decay_of_a_high_pass_shows_but_little():
+    time, azimuth, psi = record()
+    x = np.cos(psi)[:, None] + noise(time)
+    x[:, 1] += np.exp(-time / 3.0)
+    found = settling(run_of(x), azimuth, 14.0)
+    assert found.reached and np.exp(-found.time / 3.0) < 20 * NOISE
+
+
+def test_the_limit_is_kept_and_said():
+    time, azimuth, psi = record()
+    found = settling(run_of((np.cos(psi) + decay(time, 1.0, 0.1, 26.3))[:, None] + noise(time)), azimuth, 3.0)
+    assert not found.reached
+    assert 3.0 <= found.time < 3.0 + 1 / RATE
+
+
+def test_a_manoeuvre_with_a_step_late_in_the_record_costs_nothing():
+    time, azimuth, psi = record(30.0, drift=0.03)
+    load = np.where(time < 12.0, 1.0, 0.3)
+    response = (1 + 0.2 * np.cos(2 * np.pi * time / 12.0)) * load * np.cos(4 * psi)
+    x = (load + response)[:, None] + noise(time)
+    x[:, 0] += decay(time, 1.0, 2.0, 26.3)
+    found = settling(run_of(x), azimuth, 15.0)
+    assert found.reached and found.time < 6.0
+
+
+def test_at_least_a_quarter_is_never_discarded():
+    time, azimuth, psi = record(20.0)
+    found = settling(run_of(np.cos(psi)[:, None] * np.exp(-0.05 * time)[:, None] + noise(time)), azimuth, 1e9)
+    assert found.first_revolution <= 0.75 * azimuth.turns
+
+
+def test_a_computed_record_without_noise_settles_too():
+    time, azimuth, psi = record()
+    x = (np.cos(psi) + decay(time, 1.0, 2.0, 26.3))[:, None]
+    found = settling(run_of(x), azimuth, 12.0)
+    assert found.reached and np.exp(-2.0 * found.time) < 1e-3
