@@ -34,6 +34,11 @@ COMPRESS_FROM = 4096
 # ---- dataclass -> tree -----------------------------------------------------------------------------------------------
 
 
+def stored_field_name(item: dataclasses.Field[Any]) -> str:
+    """The name of a field in a file: that of `metadata["stored_as"]`, so that a field can be renamed and files stay."""
+    return str(item.metadata.get("stored_as", item.name))
+
+
 def to_tree(value: Any) -> Any:
     """The value as a tree. TypeError for a type that has no place in an artefact."""
     if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
@@ -51,7 +56,7 @@ def _container_to_tree(value: Any) -> Any:
     if isinstance(value, pd.DataFrame):
         return {str(name): _column(value[name]) for name in value.columns}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {item.name: to_tree(getattr(value, item.name)) for item in dataclasses.fields(value)}
+        return {stored_field_name(item): to_tree(getattr(value, item.name)) for item in dataclasses.fields(value)}
     if isinstance(value, Mapping):
         return {str(key): to_tree(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
@@ -117,7 +122,7 @@ def _may_hold(option: Any, tree: Any) -> bool:
     """Whether a tree can be of this type, by its outer form alone."""
     origin = typing.get_origin(option) or option
     if isinstance(tree, dict):
-        fields = {item.name for item in dataclasses.fields(option)} if dataclasses.is_dataclass(option) else None
+        fields = {stored_field_name(item) for item in dataclasses.fields(option)} if dataclasses.is_dataclass(option) else None
         return fields == set(tree) if fields is not None else origin in (dict, Mapping, tuple, pd.DataFrame)
     return (origin in (np.ndarray, tuple)) if isinstance(tree, np.ndarray) else origin in SCALARS
 
@@ -138,8 +143,8 @@ def _from_class(tree: Any, kind: Any) -> Any:
         return _scalar(tree, kind)
     if dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
-        known = {item.name: hints[item.name] for item in dataclasses.fields(kind)}
-        values = {name: from_tree(value, known[name]) for name, value in _as_tree(tree).items()}
+        names = {stored_field_name(item): item.name for item in dataclasses.fields(kind)}
+        values = {names[name]: from_tree(value, hints[names[name]]) for name, value in _as_tree(tree).items()}
         return typing.cast(Any, kind)(**values)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return kind.model_validate_json(_expect(tree, str))
