@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.measurements import Batch
-from balance_cli.model.free_motion import FreeMotion, divided_differences, free_motion
+from balance_cli.model.transient_modes import FreeMotion, divided_differences, free_motion
 from balance_cli.model.system import System, unless_most
 from balance_cli.signals.run_spectrum import RecordWaveform, Window
 

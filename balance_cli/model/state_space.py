@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 
 from balance_cli.campaign.rig.geometry import Acquisition, AnalogueFilter
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.model.realisation import Descriptor, Realisation, gain, modal_form, parallel, proper_part, series
+from balance_cli.model.realization import Descriptor, Realisation, gain, modal_form, parallel, proper_part, series
 from balance_cli.model.relaxation import relaxation_chain
 from balance_cli.model.system import System, response, solve
 from balance_cli.signals.anti_alias import butterworth_poles

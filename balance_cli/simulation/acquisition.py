@@ -15,7 +15,7 @@ from balance_cli.simulation.extensions.base import Signals
 from balance_cli.simulation.filters import anti_alias
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, RotorPlan, SampledPlan, StaticPlan, SweepPlan
-from balance_cli.simulation.records import Grid, turning
+from balance_cli.simulation.load_signals import Grid, turning
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.simulation.sensors import sensor_volts
 from balance_cli.simulation.truth import RunTruth, stream

@@ -14,7 +14,7 @@ from balance_cli.simulation.assembly import equations_of_motion
 from balance_cli.simulation.motion import Motion, nonlinear_forces
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, CampaignPlan, SampledPlan, StaticPlan, campaign_plan
-from balance_cli.simulation.records import CONTACT_OVERSAMPLING, OVERSAMPLING, Grid, grid_of, planned_loads
+from balance_cli.simulation.load_signals import CONTACT_OVERSAMPLING, OVERSAMPLING, Grid, grid_of, planned_loads
 from balance_cli.simulation.response import state_matrix
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.simulation.statics import loading_sequence, static_forces

@@ -12,7 +12,7 @@ from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.estimation.measurements import stacked
 from balance_cli.estimation.transients import transient_columns
 from balance_cli.model.balance import balance_model
-from balance_cli.model.free_motion import divided_differences, free_motion
+from balance_cli.model.transient_modes import divided_differences, free_motion
 from balance_cli.model.parameters import declared_parameters
 from balance_cli.model.placed_effects import add_effects
 from balance_cli.model.system import solve

@@ -9,7 +9,7 @@ from balance_cli.campaign.rig.geometry import Acquisition, AnalogueFilter, Decla
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS
-from balance_cli.model.realisation import Realisation, modal_form
+from balance_cli.model.realization import Realisation, modal_form
 from balance_cli.model.relaxation import BAND, hysteretic, relaxation_chain
 from balance_cli.model.state_space import realisation_error, state_space, with_anti_alias
 from balance_cli.model.system import REFERENCE, response, solve

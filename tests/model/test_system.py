@@ -7,7 +7,7 @@ from scipy.linalg import eigh
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.model.balance import balance_model
 from balance_cli.model.damping import modal_damping
-from balance_cli.model.free_motion import free_motion
+from balance_cli.model.transient_modes import free_motion
 from balance_cli.model.mechanics.dual_numbers import constant, variables
 from balance_cli.model.modes import eigenvalues, modes
 from balance_cli.model.plate import plate_matrices
