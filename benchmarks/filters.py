@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration
-from balance_cli.campaign.recording.run import Block, Run
+from balance_cli.campaign.recording.run import Run, SampleBlock
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.campaign.rig.geometry_file import load_geometry
@@ -33,10 +33,10 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.reduction.kalman.augmented_model import MeasuredSystem
 from balance_cli.reduction.kalman.azimuth_locked import AzimuthLockedFilter
-from balance_cli.reduction.kalman.load_models import Flat, LoadLayer, Oscillators, Wandering
-from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, still_filters
-from balance_cli.reduction.kalman.segments import Filters, Stretch
-from balance_cli.reduction.kalman.steady_filter import Engine, SteadyFilter
+from balance_cli.reduction.kalman.load_models import BandLimitedNoise, LoadLayer, LowPassDrift, Oscillators
+from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, time_invariant_filters
+from balance_cli.reduction.kalman.segments import RunFilters, Segment
+from balance_cli.reduction.kalman.steady_filter import ChannelFilter, SteadyFilter
 from balance_cli.reduction.response_sources import ModelSource
 from balance_cli.signals.azimuth import Azimuth
 from balance_cli.steps.calibrate import calibrate
@@ -48,9 +48,9 @@ ROOT = Path(__file__).parents[1]
 
 RATE, SPEED = 800.0, 17.5
 """Samples in a second, and revolutions."""
-SAMPLES, THEIRS = 8000, 300
+SAMPLES, FILTERPY_SAMPLES = 8000, 300
 """For the filters here, and for filterpy."""
-TIMES = 3
+REPETITIONS = 3
 SHORT, LONG = 120.0, 600.0
 """Lengths [s] of the records whose peak memory is compared."""
 CHUNK = 8192
@@ -78,9 +78,9 @@ def run() -> str:
         import filterpy
     except ImportError:
         return "filterpy is not installed: pip install '.[bench]'"
-    text = [f"samples {SAMPLES}, of filterpy {filterpy.__version__} {THEIRS}"]
-    text += _side_by_side("random loads", _engine(_still()))
-    text += _side_by_side("locked to the azimuth", _at_one_speed(_engine(_locked())))
+    text = [f"samples {SAMPLES}, of filterpy {filterpy.__version__} {FILTERPY_SAMPLES}"]
+    text += _compare_with_filterpy("random loads", _channel_filter(_time_invariant()))
+    text += _compare_with_filterpy("locked to the azimuth", _constant_speed_engine(_channel_filter(_azimuth_locked())))
     with tempfile.TemporaryDirectory() as folder:
         case = Path(folder) / "case"
         case.write_bytes(pickle.dumps(_campaign()))
@@ -104,69 +104,76 @@ def _balance() -> MeasuredSystem:
     return MeasuredSystem(space, tuple(range(6)), 1.0 / RATE, np.full(channels, 1e-8), np.zeros(channels))
 
 
-def _layers(*bands: float) -> list[LoadLayer]:
-    return [Wandering(SIZES, 0.1, 5.0), *(Flat(0.1 * SIZES, band) for band in bands)]
+def _load_layers(*bands: float) -> list[LoadLayer]:
+    return [LowPassDrift(SIZES, 0.1, 5.0), *(BandLimitedNoise(0.1 * SIZES, band) for band in bands)]
 
 
-def _stretches(system: MeasuredSystem) -> tuple[Stretch, ...]:
-    return (Stretch(0, SAMPLES, tuple(range(len(system.noise)))),)
+def _segments(system: MeasuredSystem) -> tuple[Segment, ...]:
+    return (Segment(0, SAMPLES, tuple(range(len(system.noise)))),)
 
 
-def _still() -> Filters:
+def _time_invariant() -> RunFilters:
     system = _balance()
-    return still_filters(system, _layers(40.0, 150.0), 10.0 * SIZES, _stretches(system))
+    return time_invariant_filters(system, _load_layers(40.0, 150.0), 10.0 * SIZES, _segments(system))
 
 
-def _locked() -> Filters:
+def _azimuth_locked() -> RunFilters:
     system = _balance()
     turns = np.arange(int(SAMPLES / RATE * SPEED) + 4)
     azimuth = Azimuth((turns - 0.5) / SPEED, turns)
     oscillators = Oscillators(0.01 * np.tile(SIZES, (8, 1)), 0.3 * np.tile(SIZES, (8, 1)), tuple(range(1, 9)))
-    return azimuth_locked_filters(system, _layers(100.0), oscillators, 10.0 * SIZES, azimuth, _stretches(system))
+    return azimuth_locked_filters(system, _load_layers(100.0), oscillators, 10.0 * SIZES, azimuth, _segments(system))
 
 
-def _engine(filters: Filters) -> Engine:
-    (engine,) = filters.engines.values()
-    return engine
+def _channel_filter(filters: RunFilters) -> ChannelFilter:
+    (channel_filter,) = filters.channel_filters.values()
+    return channel_filter
 
 
-def _at_one_speed(engine: Engine) -> Engine:
+def _constant_speed_engine(channel_filter: ChannelFilter) -> ChannelFilter:
     """The same with the model of one and the same speed at both ends of its grid: what filterpy is given."""
-    assert isinstance(engine, AzimuthLockedFilter)
-    own = engine.filters[0]
-    turning = replace(engine.turning, azimuth=lambda sample: 2 * np.pi * engine.speeds[0] * sample / RATE)
-    return replace(engine, filters=(own, own), turning=turning)
+    assert isinstance(channel_filter, AzimuthLockedFilter)
+    own = channel_filter.filters[0]
+    oscillator_states = replace(
+        channel_filter.oscillator_states, azimuth=lambda sample: 2 * np.pi * channel_filter.speeds[0] * sample / RATE
+    )
+    return replace(channel_filter, filters=(own, own), oscillator_states=oscillator_states)
 
 
-def _side_by_side(name: str, engine: Engine) -> list[str]:
+def _compare_with_filterpy(name: str, channel_filter: ChannelFilter) -> list[str]:
     """Seconds for each sample of both, filter and smoother, how far apart they are, and the ratios."""
-    steady = engine.at(0)
-    y, start = _drawn(steady, SAMPLES), np.zeros(steady.model.order)
-    piece = engine.forward(0, y, start)
-    engine.backward(piece, start)  # whatever is computed once
-    filtering = min(_seconds(lambda: engine.forward(0, y, start)) for _ in range(TIMES)) / SAMPLES
-    smoothing = min(_seconds(lambda: engine.backward(piece, start)) for _ in range(TIMES)) / SAMPLES
-    theirs = _with_filterpy(steady, y[:THEIRS])
-    own = engine.forward(0, y[:THEIRS], start)
-    apart = _apart(theirs.predicted, own.predicted), _apart(theirs.smoothed, engine.backward(own, start)[0].loads)
+    steady = channel_filter.at(0)
+    y, start = _draw_channels(steady, SAMPLES), np.zeros(steady.model.order)
+    filter_block = channel_filter.forward_pass(0, y, start)
+    channel_filter.backward_pass(filter_block, start)  # whatever is computed once
+    filtering = min(_seconds(lambda: channel_filter.forward_pass(0, y, start)) for _ in range(REPETITIONS)) / SAMPLES
+    smoothing = (
+        min(_seconds(lambda: channel_filter.backward_pass(filter_block, start)) for _ in range(REPETITIONS)) / SAMPLES
+    )
+    theirs = _with_filterpy(steady, y[:FILTERPY_SAMPLES])
+    own = channel_filter.forward_pass(0, y[:FILTERPY_SAMPLES], start)
+    apart = (
+        _largest_difference(theirs.predicted, own.predicted),
+        _largest_difference(theirs.smoothed, channel_filter.backward_pass(own, start)[0].loads),
+    )
     return [
         f"{name}, states {steady.model.order}, channels {y.shape[1]}",
-        _line("filter", filtering, theirs.filtering),
-        _line("filter and smoother", filtering + smoothing, theirs.filtering + theirs.smoothing),
+        _ratio_line("filter", filtering, theirs.filtering),
+        _ratio_line("filter and smoother", filtering + smoothing, theirs.filtering + theirs.smoothing),
         f"  largest difference {apart[0]:.1e} (filter), {apart[1]:.1e} (smoother) of a load's standard deviation",
     ]
 
 
-def _line(what: str, ours: float, theirs: float) -> str:
+def _ratio_line(what: str, ours: float, theirs: float) -> str:
     rates = f"{1 / ours:8.0f} samples a second, {1 / ours / RATE:.0f} times real time; filterpy {1 / theirs:6.0f}"
     return f"  {what:20s}{rates}, ratio {theirs / ours:.0f}"
 
 
-def _apart(one: Array, other: Array) -> float:
+def _largest_difference(one: Array, other: Array) -> float:
     return float(np.max(np.abs(one - other).max(axis=0) / other.std(axis=0)))
 
 
-def _drawn(steady: SteadyFilter, samples: int, seed: int = 0) -> Array:
+def _draw_channels(steady: SteadyFilter, samples: int, seed: int = 0) -> Array:
     """Channels (n, c) of the model itself."""
     model, rng = steady.model, np.random.default_rng(seed)
     value, vector = np.linalg.eigh(model.Q)
@@ -186,7 +193,7 @@ def _seconds(call: Callable[[], object]) -> float:
 
 
 @dataclass(frozen=True)
-class Theirs:
+class FilterpyResult:
     """Loads (n, m), and seconds for each sample."""
 
     predicted: Array
@@ -195,7 +202,7 @@ class Theirs:
     smoothing: float
 
 
-def _with_filterpy(steady: SteadyFilter, y: Array) -> Theirs:
+def _with_filterpy(steady: SteadyFilter, y: Array) -> FilterpyResult:
     from filterpy.kalman import KalmanFilter
 
     model = steady.model
@@ -214,14 +221,14 @@ def _with_filterpy(steady: SteadyFilter, y: Array) -> Theirs:
     smoothed = other.rts_smoother(np.array(states), np.array(covariances), inv=np.linalg.pinv)[0]
     end = time.process_time()
     U, n = model.U, len(y)
-    return Theirs(np.array(before) @ U.T, smoothed @ U.T, (filtered - start) / n, (end - filtered) / n)
+    return FilterpyResult(np.array(before) @ U.T, smoothed @ U.T, (filtered - start) / n, (end - filtered) / n)
 
 
 # ---- whole reductions ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Case:
+class ReductionCase:
     """What a reduction is made with."""
 
     geometry: Geometry
@@ -229,15 +236,17 @@ class Case:
     source: ModelSource
 
 
-def _campaign() -> Case:
+def _campaign() -> ReductionCase:
     geometry = load_geometry(ROOT / "configs" / "rts-6.yaml")
     sweeps = [open_run(path) for path in sorted((ROOT / "sample_data").glob("s*.h5"))]
     model = identify(measured_spectra(sweeps, geometry), geometry)
-    return Case(geometry, calibrate([one for one in sweeps if one.kind == "static"], geometry), ModelSource(model))
+    return ReductionCase(
+        geometry, calibrate([one for one in sweeps if one.kind == "static"], geometry), ModelSource(model)
+    )
 
 
 def _whole_reduction(path: Path) -> list[str]:
-    case: Case = pickle.loads(path.read_bytes())
+    case: ReductionCase = pickle.loads(path.read_bytes())
     record = open_run(ROOT / "sample_data" / "wind-1.h5")
     assert record.sample_rate is not None
     length = record.samples / record.sample_rate
@@ -246,7 +255,7 @@ def _whole_reduction(path: Path) -> list[str]:
 
 
 def _peak_memory(path: Path) -> list[str]:
-    peaks = [_peak_of(path, length) for length in (SHORT, LONG)]
+    peaks = [_peak_memory_of_process(path, length) for length in (SHORT, LONG)]
     text = " and ".join(f"{peak:.0f} MB for {length:.0f} s" for peak, length in zip(peaks, (SHORT, LONG), strict=True))
     held = (LONG - SHORT) * RATE * 15 * 8 / 2**20
     return [
@@ -254,25 +263,25 @@ def _peak_memory(path: Path) -> list[str]:
     ]
 
 
-def _peak_of(path: Path, length: float) -> float:
+def _peak_memory_of_process(path: Path, length: float) -> float:
     """Peak memory [MB] of a process that reduces a record of this length."""
     command = [sys.executable, "-m", "benchmarks.filters", str(path), str(length)]
     return float(subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout)
 
 
 @dataclass(frozen=True)
-class MadeAsRead:
+class GeneratedSource:
     """Harmonics of the rotor and white noise, the same whenever they are read, and held nowhere."""
 
     channels: int
     samples: int
 
-    def read(self, start: int, stop: int) -> Block:
+    def read(self, start: int, stop: int) -> SampleBlock:
         """Samples start to stop."""
         stop = min(stop, self.samples)
         chunks = range(start // CHUNK, (stop - 1) // CHUNK + 1)
         whole = np.concatenate([self._chunk(i) for i in chunks])
-        return Block(start, whole[start - chunks[0] * CHUNK : stop - chunks[0] * CHUNK], None)
+        return SampleBlock(start, whole[start - chunks[0] * CHUNK : stop - chunks[0] * CHUNK], None)
 
     def _chunk(self, index: int) -> Array:
         noise = np.random.default_rng(index).standard_normal((CHUNK, self.channels))
@@ -282,11 +291,11 @@ class MadeAsRead:
         return 1e-3 * noise + 0.05 * (np.cos(angle) @ shape[0] + np.sin(angle) @ shape[1])
 
 
-def _made(case: Case, length: float) -> Run:
+def _generated_run(case: ReductionCase, length: float) -> Run:
     names = case.geometry.channel_names
     samples = round(length * RATE)
     pulses = np.arange(0.02, length - 0.02, 1.0 / SPEED)
-    source = MadeAsRead(len(names), samples)
+    source = GeneratedSource(len(names), samples)
     return Run(
         f"made-{length:.0f}",
         case.geometry.rig,
@@ -301,18 +310,20 @@ def _made(case: Case, length: float) -> Run:
     )
 
 
-def _reduce_and_tell(path: Path, length: float) -> None:
+def _print_peak_memory(path: Path, length: float) -> None:
     """Standard output gets the peak memory [MB] of this process."""
-    case: Case = pickle.loads(path.read_bytes())
-    reduce_run_in_time(_made(case, length), case.geometry, case.calibration, case.source, sink=lambda history: None)
-    sys.stdout.write(f"{_peak()}\n")
+    case: ReductionCase = pickle.loads(path.read_bytes())
+    reduce_run_in_time(
+        _generated_run(case, length), case.geometry, case.calibration, case.source, sink=lambda history: None
+    )
+    sys.stdout.write(f"{_own_peak_memory()}\n")
 
 
-def _peak() -> float:
+def _own_peak_memory() -> float:
     """Peak memory [MB] of this program, from Linux: `ru_maxrss` takes over what the parent had when it began."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
 if __name__ == "__main__":
-    _reduce_and_tell(Path(sys.argv[1]), float(sys.argv[2]))
+    _print_peak_memory(Path(sys.argv[1]), float(sys.argv[2]))

@@ -19,10 +19,10 @@ from scipy.optimize import least_squares
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
-from balance_cli.estimation.likelihood import data_chi2, exciter_response, fitted
+from balance_cli.estimation.likelihood import data_chi2, evaluate_batch, exciter_response
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import Batch, stacked
+from balance_cli.estimation.measurements import Batch, stack_runs
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.system import System, solve
 
@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[1]
 
 
 @dataclass(frozen=True)
-class Timed:
+class TimedFit:
     """Seconds of one call, chi-square of where it ended, and the estimate."""
 
     seconds: float
@@ -43,9 +43,11 @@ def run() -> str:
     """Time both fits, and say the ratio."""
     model, batches = _campaign()
     chi2 = _total(model, batches)
-    ours = min((_timed(lambda: _ours(model, batches), chi2) for _ in range(3)), key=lambda one: one.seconds)
+    ours = min(
+        (_time_fit(lambda: _fit_with_balance_cli(model, batches), chi2) for _ in range(3)), key=lambda one: one.seconds
+    )
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    theirs = _timed(lambda: _with_numerical_jacobian(model, batches), chi2)
+    theirs = _time_fit(lambda: _with_numerical_jacobian(model, batches), chi2)
     apart = np.abs(ours.theta - theirs.theta)[model.parameters.free] / model.parameters.scale[model.parameters.free]
     return "\n".join(
         [
@@ -61,27 +63,27 @@ def _campaign() -> tuple[BalanceModel, tuple[Batch, ...]]:
     geometry = load_geometry(ROOT / "configs" / "rts-6.yaml")
     runs = [open_run(path) for path in sorted((ROOT / "sample_data").glob("sweep-*.h5"))]
     spectra = measured_spectra(runs, geometry)
-    return balance_model(geometry), stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    return balance_model(geometry), stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
 
 
 def _total(model: BalanceModel, batches: Sequence[Batch]) -> Callable[[Array], float]:
     return lambda theta: data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
 
 
-def _timed(fit: Callable[[], Array], chi2: Callable[[Array], float]) -> Timed:
+def _time_fit(fit: Callable[[], Array], chi2: Callable[[Array], float]) -> TimedFit:
     start = time.perf_counter()
     theta = fit()
-    return Timed(time.perf_counter() - start, chi2(theta), theta)
+    return TimedFit(time.perf_counter() - start, chi2(theta), theta)
 
 
-def _ours(model: BalanceModel, batches: Sequence[Batch]) -> Array:
+def _fit_with_balance_cli(model: BalanceModel, batches: Sequence[Batch]) -> Array:
     return maximum_likelihood(model, batches, model.parameters.value).theta
 
 
 def _with_numerical_jacobian(model: BalanceModel, batches: Sequence[Batch]) -> Array:
     parameters = model.parameters
     free, scale = parameters.free, parameters.scale[parameters.free]
-    factors = [np.conj(np.linalg.cholesky(_filled(batch.precision))).swapaxes(1, 2) for batch in batches]
+    factors = [np.conj(np.linalg.cholesky(_fill_zero_precision(batch.precision))).swapaxes(1, 2) for batch in batches]
 
     def theta_of(x: Array) -> Array:
         theta = parameters.value.copy()
@@ -91,7 +93,7 @@ def _with_numerical_jacobian(model: BalanceModel, batches: Sequence[Batch]) -> A
     def residuals(x: Array) -> Array:
         theta = theta_of(x)
         system = model.system(theta)
-        parts = [_whitened(batch, factor, system) for batch, factor in zip(batches, factors, strict=True)]
+        parts = [_whiten_residual(batch, factor, system) for batch, factor in zip(batches, factors, strict=True)]
         prior = (theta - parameters.value)[free] / parameters.sigma[free]
         return np.concatenate([*parts, prior])
 
@@ -99,19 +101,19 @@ def _with_numerical_jacobian(model: BalanceModel, batches: Sequence[Batch]) -> A
     return theta_of(found.x)
 
 
-def _filled(precision: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _fill_zero_precision(precision: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Channels that were left out get a precision of one, so that the factor exists; their residual is zero."""
     dead = np.real(np.diagonal(precision, axis1=1, axis2=2)) == 0
     return precision + np.eye(precision.shape[1]) * dead[:, None, :]
 
 
-def _whitened(batch: Batch, factor: NDArray[np.complex128], system: System) -> Array:
+def _whiten_residual(batch: Batch, factor: NDArray[np.complex128], system: System) -> Array:
     """sqrt(2) L* (z - M U0), real and imaginary parts, with U0 the weighted least-squares loads.
 
     The free motion is taken out of z; the rows that bound it follow.
     """
     solution = solve(system, batch.frequency, batch.spin)
-    T, free = exciter_response(system, solution), fitted(batch, system, solution).transients
+    T, free = exciter_response(system, solution), evaluate_batch(batch, system, solution).transients
     columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
     M = np.concatenate([columns, np.broadcast_to(np.eye(columns.shape[2]), (len(columns), *2 * columns.shape[2:]))], 1)
     channels = batch.channels.copy()

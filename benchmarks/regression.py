@@ -25,11 +25,11 @@ Index = NDArray[np.intp]
 
 POINTS, SEQUENCES, CHANNELS, LOADS = 2000, 40, 8, 6
 NOISE = 1e-3
-TIMES = 7
+REPETITIONS = 7
 
 
 @dataclass(frozen=True)
-class Answers:
+class RegressionResult:
     """Coefficients and standard errors (p, c), errors of rows left out (m, c), variance inflation (p,)."""
 
     coefficients: Array
@@ -45,9 +45,11 @@ def run() -> str:
     except ImportError:
         return "statsmodels is not installed: pip install '.[bench]'"
     X, Y, block = problem()
-    ours, fast = _timed(lambda: _ours(X, Y, block), TIMES)
-    theirs, slow = _timed(lambda: _with_statsmodels(X, Y, block), 1)
-    apart = max(_apart(getattr(fast, name), getattr(slow, name)) for name in Answers.__annotations__)
+    ours, fast = _time_call(lambda: _with_balance_cli(X, Y, block), REPETITIONS)
+    theirs, slow = _time_call(lambda: _with_statsmodels(X, Y, block), 1)
+    apart = max(
+        _relative_difference(getattr(fast, name), getattr(slow, name)) for name in RegressionResult.__annotations__
+    )
     return "\n".join(
         [
             f"points {POINTS} in {SEQUENCES} sequences, terms {X.shape[1]}, channels {CHANNELS}",
@@ -68,7 +70,7 @@ def problem(seed: int = 0) -> tuple[Array, Array, Index]:
     return X, Y + NOISE * rng.standard_normal(Y.shape), block
 
 
-def _timed(call: Callable[[], Answers], times: int) -> tuple[float, Answers]:
+def _time_call(call: Callable[[], RegressionResult], times: int) -> tuple[float, RegressionResult]:
     """The shortest of so many calls, in seconds of this process, and what it gave."""
     found, shortest = call(), np.inf
     for _ in range(times):
@@ -78,16 +80,16 @@ def _timed(call: Callable[[], Answers], times: int) -> tuple[float, Answers]:
     return float(shortest), found
 
 
-def _apart(one: Array, other: Array) -> float:
+def _relative_difference(one: Array, other: Array) -> float:
     return float(np.max(np.abs(one - other)) / np.max(np.abs(other)))
 
 
-def _ours(X: Array, Y: Array, block: Index) -> Answers:
+def _with_balance_cli(X: Array, Y: Array, block: Index) -> RegressionResult:
     fit = regression(X, Y, block)
-    return Answers(fit.coefficients, fit.sigma, fit.press_residuals, fit.variance_inflation)
+    return RegressionResult(fit.coefficients, fit.sigma, fit.press_residuals, fit.variance_inflation)
 
 
-def _with_statsmodels(X: Array, Y: Array, block: Index) -> Answers:
+def _with_statsmodels(X: Array, Y: Array, block: Index) -> RegressionResult:
     from statsmodels.regression.linear_model import OLS
     from statsmodels.stats.outliers_influence import variance_inflation_factor
 
@@ -95,7 +97,7 @@ def _with_statsmodels(X: Array, Y: Array, block: Index) -> Answers:
     whole, first = np.hstack([zeros, X]), zeros.shape[1]
     fits = [OLS(y, whole).fit() for y in Y.T]
     centred = X - np.stack([X[block == name].mean(axis=0) for name in np.unique(block)])[block]
-    return Answers(
+    return RegressionResult(
         np.column_stack([fit.params[first:] for fit in fits]),
         np.column_stack([fit.bse[first:] for fit in fits]),
         np.column_stack([fit.get_influence().resid_press for fit in fits]),

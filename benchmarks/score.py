@@ -9,12 +9,12 @@ import time
 from pathlib import Path
 
 import numpy as np
-from balance_cli.diagnosis.search.search.search import leading, ranked_scores
+from balance_cli.diagnosis.search.search.search import rank_candidates, select_leading
 
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.diagnosis.search.candidates import candidates
-from balance_cli.diagnosis.search.refit import attempt, settled
+from balance_cli.diagnosis.search.refit import fit_partially, fit_until_stable
 from balance_cli.diagnosis.search.search_lines import search_lines
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import balance_model
@@ -30,15 +30,15 @@ def run() -> str:
     spectra = measured_spectra(runs, geometry, means=True)
     lines = search_lines(spectra, geometry.channel_names)
     rigid = np.array(identify(spectra, geometry).parameters.value, float)
-    state = settled(balance_model(geometry), rigid, lines)
+    state = fit_until_stable(balance_model(geometry), rigid, lines)
     start = time.perf_counter()
-    ranked = ranked_scores(state, lines, candidates(state.geometry))
+    ranked = rank_candidates(state, lines, candidates(state.geometry))
     score = (time.perf_counter() - start) / len(ranked)
     text = [f"score  {1e3 * score:9.2f} ms each of {len(ranked)}"]
-    for one in leading(ranked):
+    for one in select_leading(ranked):
         start = time.perf_counter()
-        begun = attempt(state, one, lines)
-        settled(begun.model, begun.theta, lines, state.shares)
+        begun = fit_partially(state, one, lines)
+        fit_until_stable(begun.model, begun.theta, lines, state.shares)
         refit = time.perf_counter() - start
         text.append(f"refit  {1e3 * refit:9.2f} ms, {refit / score:.0f} times that: {one.candidate.label}")
     return "\n".join(text)

@@ -20,7 +20,7 @@ from studies.filters import filters_chunk
 from studies.filters_picture import filters_picture
 from studies.filters_table import filters_table, page_table
 from studies.lacking import lacking_table
-from studies.manoeuvre import manoeuvre_chunk, manoeuvre_table
+from studies.manoeuvre import maneuver_chunk, maneuver_table
 from studies.recovery import recovery_chunk, recovery_table
 
 TABLES = Path(__file__).parent / "tables"
@@ -98,7 +98,7 @@ def calibration(balances: int = 100, jobs: int = 2) -> None:
 @click.option("--jobs", default=2, show_default=True)
 def manoeuvre(seeds: int = 10, jobs: int = 2) -> None:
     """Filters and smoothers on manoeuvres with known loads, beside the best linear smoother."""
-    table = manoeuvre_table(run_chunks("manoeuvre", _manoeuvre, range(seeds), jobs))
+    table = maneuver_table(run_chunks("manoeuvre", _manoeuvre, range(seeds), jobs))
     _write("manoeuvre", table)
     click.echo(table.to_string(index=False))
 
@@ -133,7 +133,7 @@ def _coverage(seed: int) -> pd.DataFrame:
 
 
 def _manoeuvre(seed: int) -> pd.DataFrame:
-    return manoeuvre_chunk(load_geometry(GEOMETRY), seed)
+    return maneuver_chunk(load_geometry(GEOMETRY), seed)
 
 
 def _recovery(seed: int) -> pd.DataFrame:

@@ -24,9 +24,9 @@ from balance_cli.steps.diagnose import diagnose
 from balance_cli.steps.hold_out import hold_out_errors
 from balance_cli.steps.identify import identify
 from studies.cases import Case, plan
-from studies.coverage import NINETY_FIVE
+from studies.coverage import Z_95
 from studies.recovery import LEAST_DAMPING
-from studies.sizing import Hidden, candidate_of, expected_gains, hidden_effect, power, simulated
+from studies.sizing import HiddenEffect, expected_gains, hidden_effect, parse_candidate, power, simulation_effect
 from studies.unknown import unknown_effect
 
 GEOMETRY = str(Path(__file__).parents[1] / "configs" / "rts-6.yaml")
@@ -38,14 +38,16 @@ def attribution_chunk(one: Case) -> pd.DataFrame:
     """What the loop makes of one campaign: one row."""
     geometry = _geometry(one)
     rig = _rig(geometry, one)
-    hidden = _hidden(one, rig)
-    runs, _ = simulate_campaign(_with_hidden(rig, one, hidden), _plan(one), seed=_noise_seed(one))
+    hidden = _hidden_effects(one, rig)
+    runs, _ = simulate_campaign(_add_hidden_effects(rig, one, hidden), _plan(one), seed=_noise_seed(one))
     spectra = measured_spectra(runs, geometry, means=True)
     before = identify(spectra, geometry)
     diagnosis, after = diagnose(before, spectra)
     errors = hold_out_errors(next(run for run in runs if run.kind == "check"), before, after)
     gains = expected_gains(rig, spectra, hidden)
-    powers = [power(gain, len(item.own), diagnosis.candidates) for gain, item in zip(gains, hidden, strict=True)]
+    powers = [
+        power(gain, len(item.tested_parameters), diagnosis.candidates) for gain, item in zip(gains, hidden, strict=True)
+    ]
     row = {
         "kind": one.kind,
         "seed": one.seed,
@@ -58,8 +60,8 @@ def attribution_chunk(one: Case) -> pd.DataFrame:
         "gain": " + ".join(f"{effect.evidence.gain:.4g}" for effect in diagnosis.effects),
         "alike": " | ".join(", ".join(effect.indistinguishable_from) for effect in diagnosis.effects),
         "detected": bool(diagnosis.effects),
-        "right": right(diagnosis, one),
-        "by_set": any(not _named(effect, one.hidden) for effect in diagnosis.effects),
+        "right": is_right(diagnosis, one),
+        "by_set": any(not _is_named(effect, one.hidden) for effect in diagnosis.effects),
         "set_size": np.mean([1 + len(effect.indistinguishable_from) for effect in diagnosis.effects] or [np.nan]),
         "deviations": " ".join(f"{z:.3f}" for z in deviations(after, diagnosis.effects, hidden)),
         "not_testable": ", ".join(item.name for item in diagnosis.not_testable),
@@ -99,7 +101,7 @@ def _rig(geometry: Geometry, one: Case) -> TrueRig:
     )
 
 
-def _hidden(one: Case, rig: TrueRig) -> list[Hidden]:
+def _hidden_effects(one: Case, rig: TrueRig) -> list[HiddenEffect]:
     """The effects of the library that are hidden with a size."""
     rng = np.random.default_rng([_noise_seed(one), 2])
     return [
@@ -108,22 +110,22 @@ def _hidden(one: Case, rig: TrueRig) -> list[Hidden]:
     ]
 
 
-def _with_hidden(rig: TrueRig, one: Case, hidden: Sequence[Hidden]) -> TrueRig:
+def _add_hidden_effects(rig: TrueRig, one: Case, hidden: Sequence[HiddenEffect]) -> TrueRig:
     """The rig with all that is hidden in it."""
     if one.kind == "unknown":
         rng = np.random.default_rng([_noise_seed(one), 2])
         return rig.extended(unknown_effect(one.hidden[0], rig.geometry.channel_names, rng))
     if one.kind == "untestable":
-        candidate = candidate_of(one.hidden[0], load_geometry(GEOMETRY))
+        candidate = parse_candidate(one.hidden[0], load_geometry(GEOMETRY))
         large = {
             item.fitted_name: item.fitted_null + UNTESTABLE_SCALES * item.fitted_scale
             for item in candidate.one.parameters
         }
-        return apply_effects(rig, [simulated(candidate.at_start(large))])
+        return apply_effects(rig, [simulation_effect(candidate.at_start(large))])
     return apply_effects(rig, [item.declared for item in hidden])
 
 
-def right(diagnosis: Diagnosis, one: Case) -> bool:
+def is_right(diagnosis: Diagnosis, one: Case) -> bool:
     """What is hidden was found and nothing else, or, where it cannot be, nothing was said to be it.
 
     What no effect describes must leave the verdict open; of what cannot show it must be said so.
@@ -133,39 +135,39 @@ def right(diagnosis: Diagnosis, one: Case) -> bool:
         return not physical and diagnosis.verdict in (UNEXPLAINED, PARTLY_EXPLAINED)
     if one.kind == "untestable":
         untestable = {item.name for item in diagnosis.not_testable}
-        return not diagnosis.effects and (one.hidden[0].partition("@")[0] in untestable or _elsewhere(one))
-    return attributed(diagnosis.effects, one.hidden)
+        return not diagnosis.effects and (one.hidden[0].partition("@")[0] in untestable or _is_testable_elsewhere(one))
+    return is_attributed(diagnosis.effects, one.hidden)
 
 
-def _elsewhere(one: Case) -> bool:
+def _is_testable_elsewhere(one: Case) -> bool:
     """Whether an effect can show at other places of the rig, though not where it is hidden."""
     return one.hidden[0].startswith("channel-offset")
 
 
-def attributed(effects: Sequence[FoundEffect], hidden: Sequence[str]) -> bool:
+def is_attributed(effects: Sequence[FoundEffect], hidden: Sequence[str]) -> bool:
     """Nothing else was found than what is hidden, each by name and place or within a declared set."""
     left = list(hidden)
     for effect in effects:
         names = (effect.label, *effect.indistinguishable_from)
-        match = next((label for label in left if any(same(name, label) for name in names)), None)
+        match = next((label for label in left if any(matches_effect(name, label) for name in names)), None)
         if match is None:
             return False
         left.remove(match)
     return not left
 
 
-def _named(effect: FoundEffect, hidden: Sequence[str]) -> bool:
-    return any(same(effect.label, label) for label in hidden)
+def _is_named(effect: FoundEffect, hidden: Sequence[str]) -> bool:
+    return any(matches_effect(effect.label, label) for label in hidden)
 
 
-def same(found: str, hidden: str) -> bool:
+def matches_effect(found: str, hidden: str) -> bool:
     """The same effect; at a part of its place where the rest of it is too stiff to be seen."""
     name, _, where = found.partition("@")
     other, _, there = hidden.partition("@")
     return name == other and set(where.split(",")) <= set(there.split(","))
 
 
-def deviations(after: IdentifiedModel, effects: Sequence[FoundEffect], hidden: Sequence[Hidden]) -> list[float]:
+def deviations(after: IdentifiedModel, effects: Sequence[FoundEffect], hidden: Sequence[HiddenEffect]) -> list[float]:
     """(estimate - truth) / sigma of the parameters that act by themselves, of each effect found by its own name.
 
     Where an interval of 95 % is given, sigma is the distance of its end, on the side of the truth, over 1.96.
@@ -174,14 +176,14 @@ def deviations(after: IdentifiedModel, effects: Sequence[FoundEffect], hidden: S
     known = {name: i for i, name in enumerate(table.names)}
     found = []
     for item in hidden:
-        effect = next((effect for effect in effects if same(effect.label, item.label)), None)
+        effect = next((effect for effect in effects if matches_effect(effect.label, item.label)), None)
         bounds = {} if effect is None else {one.name: one.interval for one in effect.parameters if one.interval}
-        for parameter in item.own if effect else ():
+        for parameter in item.tested_parameters if effect else ():
             i = known.get(f"{effect.label}.{parameter.fitted_name}")  # type: ignore[union-attr]
             if i is not None and 0.0 < table.sigma[i] < np.inf:
                 error, sigma = float(table.value[i] - item.values[parameter.fitted_name]), float(table.sigma[i])
                 if parameter.name in bounds:
                     lower, upper = bounds[parameter.name]
-                    sigma = (table.value[i] - lower if error > 0.0 else upper - table.value[i]) / NINETY_FIVE
+                    sigma = (table.value[i] - lower if error > 0.0 else upper - table.value[i]) / Z_95
                 found.append(float(error / max(sigma, 1e-300)))
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-NINETY_FIVE = 1.959963984540054
+Z_95 = 1.959963984540054
 # Of the error that a model's own error makes, less is no change: what the noise of the check run leaves.
 SAME_ERROR = 1.02
 
@@ -48,7 +48,7 @@ def _line(kind: str, effect: str, part: pd.DataFrame) -> dict[str, object]:
         "mean_set_size": part["set_size"].mean(),
         "right_by_set_only": (part["right"] & part["by_set"]).mean(),
         "parameters": len(z),
-        "coverage_95": float(np.mean(np.abs(z) < NINETY_FIVE)) if len(z) else np.nan,
+        "coverage_95": float(np.mean(np.abs(z) < Z_95)) if len(z) else np.nan,
         "chi2_before": part["chi2_before"].median(),
         "chi2_after": part["chi2_after"].median(),
         "load_error_before": part["load_error_before"].median(),

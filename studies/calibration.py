@@ -14,12 +14,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import CheckedLoads, checked, gage_calibration
-from balance_cli.calibration.fit import LoadPoints
+from balance_cli.calibration.all_trims import CheckLoads, calibrate_all_trims, evaluate_check_loads
+from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import regression
-from balance_cli.calibration.math_model import GageModel
-from balance_cli.calibration.noise import NoiseParts
-from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms, term_named
+from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.calibration.noise import CalibrationNoise
+from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms, term_from_name
 from balance_cli.campaign.rig.components import COMPONENTS
 
 Array = NDArray[np.float64]
@@ -32,11 +32,11 @@ LOADS = len(COMPONENTS)
 NOISE = (3e-4, 5e-4)
 SIZE = (4e-3, 2e-2)
 SHIFT = 1e-2
-MOST_CURVED = 4
+MAX_NONLINEAR_TERMS = 4
 # What a torque channel hears of the other loads; the largest condition that balances are built with.
 CROSSTALK = 0.02
 CONDITION = 10.0
-HANGING = 0.6
+CONSTANT_LOAD = 0.6
 CHECKS = 200
 
 
@@ -57,7 +57,7 @@ class TrueBalance:
         return {TERMS[i] for i in np.flatnonzero(self.coefficients[:, channel]) if not TERMS[i].linear}
 
 
-def schedule() -> tuple[Array, NDArray[np.intp]]:
+def stand_schedule() -> tuple[Array, NDArray[np.intp]]:
     """Loads (m, 6) over full range and the loading sequence (m,) of each row."""
     steps = np.arange(1, 6) / 5
     ramp = np.r_[steps, steps[-2::-1], 0.0]
@@ -67,39 +67,41 @@ def schedule() -> tuple[Array, NDArray[np.intp]]:
         for sign in (1.0, -1.0):
             other = sign if moved < hangs else -sign
             x = np.outer(np.r_[0.0, ramp], sign * np.eye(LOADS)[moved])
-            parts.append(x + other * HANGING * np.eye(LOADS)[hangs])
+            parts.append(x + other * CONSTANT_LOAD * np.eye(LOADS)[hangs])
     return np.vstack(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
 
 
-def drawn_balance(rng: np.random.Generator) -> TrueBalance:
+def draw_balance(rng: np.random.Generator) -> TrueBalance:
     """A balance by chance."""
-    straight = _straight(rng)
+    straight = _draw_linear_coefficients(rng)
     while np.linalg.cond(straight) > CONDITION:
-        straight = _straight(rng)
-    largest = np.max(np.abs(schedule()[0] @ straight.T), axis=0)
+        straight = _draw_linear_coefficients(rng)
+    largest = np.max(np.abs(stand_schedule()[0] @ straight.T), axis=0)
     coefficients = np.zeros((len(TERMS), len(CHANNELS)))
     coefficients[:LOADS] = straight.T
     curved = [i for i, term in enumerate(TERMS) if not term.linear]
     for c, size in enumerate(largest):
-        number = int(rng.integers(MOST_CURVED + 1))
+        number = int(rng.integers(MAX_NONLINEAR_TERMS + 1))
         chosen = rng.choice(curved, number, replace=False)
         coefficients[chosen, c] = size * rng.choice([-1.0, 1.0], number) * rng.uniform(*SIZE, number)
     return TrueBalance(coefficients, largest, largest * rng.uniform(*NOISE, len(CHANNELS)))
 
 
-def _straight(rng: np.random.Generator) -> Array:
+def _draw_linear_coefficients(rng: np.random.Generator) -> Array:
     found = rng.standard_normal((len(CHANNELS), LOADS))
     found[-1] = CROSSTALK * found[-1] + np.eye(LOADS)[-1]
     return np.asarray(found)
 
 
-def measured(balance: TrueBalance, rng: np.random.Generator) -> tuple[LoadPoints, tuple[str, Array, Array]]:
+def simulate_calibration(
+    balance: TrueBalance, rng: np.random.Generator
+) -> tuple[CalibrationPoints, tuple[str, Array, Array]]:
     """A calibration and a check run, which begins without load."""
-    x, sequence = schedule()
+    x, sequence = stand_schedule()
     shift = SHIFT * balance.range * rng.standard_normal((int(sequence[-1]) + 1, len(CHANNELS)))
     channels = balance.readings(x, shift[sequence], rng)
     run, weight = np.zeros(len(x), dtype=np.intp), np.ones(len(x))
-    points = LoadPoints(CHANNELS, COMPONENTS, ("stand",), channels, x * FULL_RANGE, run, weight, FULL_RANGE)
+    points = CalibrationPoints(CHANNELS, COMPONENTS, ("stand",), channels, x * FULL_RANGE, run, weight, FULL_RANGE)
     check = np.vstack([np.zeros(LOADS), rng.uniform(-1.0, 1.0, (CHECKS, LOADS))])
     zero = SHIFT * balance.range * rng.standard_normal(len(CHANNELS))
     return points, ("check", balance.readings(check, zero, rng), check * FULL_RANGE)
@@ -108,21 +110,21 @@ def measured(balance: TrueBalance, rng: np.random.Generator) -> tuple[LoadPoints
 def calibration_chunk(seed: int) -> pd.DataFrame:
     """One balance: what was missed and what is spurious, and errors and intervals of the check loads, by component."""
     rng = np.random.default_rng([seed, 1991])
-    balance = drawn_balance(rng)
-    points, run = measured(balance, rng)
-    whole = gage_calibration(points, [run])
+    balance = draw_balance(rng)
+    points, run = simulate_calibration(balance, rng)
+    whole = calibrate_all_trims(points, [run])
     (check,) = whole.checks
-    floor = _by_the_truth(balance, whole.model, run)
+    floor = _check_true_model(balance, whole.model, run)
     true = [balance.curved(c) for c in range(len(CHANNELS))]
-    found = [_found(whole.model, name) for name in CHANNELS]
+    found = [_nonlinear_terms_found(whole.model, name) for name in CHANNELS]
     rows = check.solved & floor.solved
     return pd.DataFrame(
         {
             "seed": seed,
             "component": COMPONENTS,
             "curved": sum(map(len, true)),
-            "missed": _listed([one - other for one, other in zip(true, found, strict=True)]),
-            "spurious": _listed([one - other for one, other in zip(found, true, strict=True)]),
+            "missed": _format_terms([one - other for one, other in zip(true, found, strict=True)]),
+            "spurious": _format_terms([one - other for one, other in zip(found, true, strict=True)]),
             "undecidable": sum(
                 _fits_better(points, c, found[c], true[c]) for c in range(len(CHANNELS)) if found[c] != true[c]
             ),
@@ -138,18 +140,18 @@ def calibration_chunk(seed: int) -> pd.DataFrame:
     )
 
 
-def _found(model: GageModel, channel: str) -> set[Term]:
-    terms = (term_named(name, COMPONENTS) for name in model.of_channel(channel))
+def _nonlinear_terms_found(model: CalibrationModel, channel: str) -> set[Term]:
+    terms = (term_from_name(name, COMPONENTS) for name in model.channel_coefficients(channel))
     return {term for term in terms if not term.linear}
 
 
-def _listed(terms: list[set[Term]]) -> str:
+def _format_terms(terms: list[set[Term]]) -> str:
     """Terms by channel, in words."""
     named = zip(CHANNELS, terms, strict=True)
     return "; ".join(f"{channel}: {term.name(COMPONENTS)}" for channel, one in named for term in one) or "-"
 
 
-def _fits_better(points: LoadPoints, channel: int, found: set[Term], true: set[Term]) -> bool:
+def _fits_better(points: CalibrationPoints, channel: int, found: set[Term], true: set[Term]) -> bool:
     """Whether as many terms as the truth has, or fewer, leave less than the truth: then the readings mislead."""
     left = []
     for terms in (found, true):
@@ -158,11 +160,11 @@ def _fits_better(points: LoadPoints, channel: int, found: set[Term], true: set[T
     return len(found) <= len(true) and left[0] < left[1]
 
 
-def _rms(check: CheckedLoads, rows: NDArray[np.bool_]) -> Array:
+def _rms(check: CheckLoads, rows: NDArray[np.bool_]) -> Array:
     return np.asarray(np.sqrt(np.mean(((check.found - check.applied)[rows] / FULL_RANGE) ** 2, axis=0)))
 
 
-def _by_the_truth(balance: TrueBalance, model: GageModel, run: tuple[str, Array, Array]) -> CheckedLoads:
+def _check_true_model(balance: TrueBalance, model: CalibrationModel, run: tuple[str, Array, Array]) -> CheckLoads:
     """What the true model and the true noise make of the same readings."""
     kept = [i for i, term in enumerate(TERMS) if term.linear or np.any(balance.coefficients[i])]
     noise = np.diag(balance.noise**2)
@@ -173,7 +175,7 @@ def _by_the_truth(balance: TrueBalance, model: GageModel, run: tuple[str, Array,
         covariance=np.zeros((len(CHANNELS), len(kept), len(kept))),
         residual_covariance=noise,
     )
-    return checked(truth, NoiseParts(noise, np.zeros(LOADS)), *run)
+    return evaluate_check_loads(truth, CalibrationNoise(noise, np.zeros(LOADS)), *run)
 
 
 def calibration_table(rows: pd.DataFrame) -> pd.DataFrame:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan
-from balance_cli.simulation.plans import HIGH, blade_loads, statics
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, blade_loads, statics
 
 EXCITATIONS = ("multisine", "random", "stepped")
 SIZES = (25.0, 1e4)
@@ -18,9 +18,9 @@ LARGE_SIZES = (1e5, 1e7)
 SINGLE_TURNS = 10
 PAIR_TURNS = 1
 LARGE_TURNS = 2
-THREES = 18
+TRIPLES = 18
 
-SWEEPS = len(HIGH)
+SWEEPS = len(HIGH_SWEEP_LEVELS)
 KINDS = ("single", "pair", "nothing", "unknown", "untestable", "large", "three")
 
 PLACES: dict[str, tuple[str, ...]] = {
@@ -93,12 +93,12 @@ def count(kind: str) -> int:
     """How many campaigns of a kind make the study."""
     singles, pairs = len(PLACES) * SINGLE_TURNS, len(PAIRS) * PAIR_TURNS
     large = len(PLACES) * LARGE_TURNS
-    return dict(zip(KINDS, (singles, pairs, 300, 12, 9, large, THREES), strict=True))[kind]
+    return dict(zip(KINDS, (singles, pairs, 300, 12, 9, large, TRIPLES), strict=True))[kind]
 
 
 def case(kind: str, seed: int) -> Case:
     """The campaign of this number: effects, places and excitations in turn, sizes in strata."""
-    of_kind = (_single, _pair, _nothing, _unknown, _untestable, _large, _three)
+    of_kind = (_single, _pair, _nothing, _unknown, _untestable, _large, _triple)
     return of_kind[KINDS.index(kind)](seed)
 
 
@@ -128,7 +128,7 @@ def _large(seed: int) -> Case:
     return Case("large", seed, (_label(name, turn),), excitation, (float(np.exp(drawn)),))
 
 
-def _three(seed: int) -> Case:
+def _triple(seed: int) -> Case:
     """Three effects of different kinds, drawn, from small ones to large ones."""
     rng = Case("three", seed, (), "", ()).rng
     names = rng.choice(tuple(PLACES), 3, replace=False)
@@ -171,7 +171,7 @@ def plan(excitation: str, static: bool = True) -> CampaignPlan:
             period=period,
             periods=periods,
         )
-        for name, level in HIGH.items()
+        for name, level in HIGH_SWEEP_LEVELS.items()
     )
     check = RotorPlan(run="check-1", rotor_speed=17.5, duration=10.0, harmonics=blade_loads("Fx", "Fz", "My"))
     return CampaignPlan(runs=(*(statics() if static else ()), *sweeps, check))

@@ -19,7 +19,7 @@ def run_chunks(name: str, work: Callable[[int], pd.DataFrame], seeds: Sequence[i
     """
     folder = CACHE / name
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [seed for seed in seeds if not _file(folder, seed).exists()]
+    missing = [seed for seed in seeds if not _chunk_file(folder, seed).exists()]
     failed: dict[int, BaseException] = {}
     with ProcessPoolExecutor(jobs) as pool:
         futures = {pool.submit(work, seed): seed for seed in missing}
@@ -30,12 +30,12 @@ def run_chunks(name: str, work: Callable[[int], pd.DataFrame], seeds: Sequence[i
                 continue
             part = folder / "part"
             future.result().to_csv(part, index=False)
-            part.replace(_file(folder, futures[future]))
+            part.replace(_chunk_file(folder, futures[future]))
     if failed:
         seed, error = next(iter(failed.items()))
         raise RuntimeError(f"{name}: {len(failed)} seeds failed, the first is {seed}") from error
-    return pd.concat([pd.read_csv(_file(folder, seed)) for seed in seeds], ignore_index=True)
+    return pd.concat([pd.read_csv(_chunk_file(folder, seed)) for seed in seeds], ignore_index=True)
 
 
-def _file(folder: Path, seed: int) -> Path:
+def _chunk_file(folder: Path, seed: int) -> Path:
     return folder / f"{seed:05d}.csv"

@@ -13,12 +13,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.estimation.identifiability import parameter_support
+from balance_cli.estimation.identifiability import parameter_identifiability
 from balance_cli.estimation.maximum_likelihood import maximum_likelihood
-from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.signals.covariance_pooling import pooled_covariance
-from balance_cli.signals.run_spectrum import Lines, StaticPoints
+from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 from balance_cli.simulation import Noise, draw_rig, simulate_run
 from balance_cli.simulation.plans import StaticPlan, SweepPlan, campaign_plan
 from balance_cli.simulation.rig import TrueRig
@@ -28,22 +28,22 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 PERIODS = 3
-NINETY_FIVE = 1.959963984540054
+Z_95 = 1.959963984540054
 
 
-def noise_free(rig: TrueRig, seed: int) -> list[Lines | StaticPoints]:
+def noise_free_measurements(rig: TrueRig, seed: int) -> list[RunSpectrum | StaticPoints]:
     """Steady lines of every sweep and rows of every static run of the standard campaign, without noise."""
     assert rig.geometry.rotor is not None
-    found: list[Lines | StaticPoints] = []
+    found: list[RunSpectrum | StaticPoints] = []
     for plan in campaign_plan("standard", rig.geometry.rotor.speed).runs:
         if isinstance(plan, StaticPlan):
-            found.append(_static(rig, plan, seed))
+            found.append(_noise_free_points(rig, plan, seed))
         elif isinstance(plan, SweepPlan):
             found.append(_steady_lines(rig, plan, seed))
     return found
 
 
-def _static(rig: TrueRig, plan: StaticPlan, seed: int) -> StaticPoints:
+def _noise_free_points(rig: TrueRig, plan: StaticPlan, seed: int) -> StaticPoints:
     run, _ = simulate_run(rig, plan, Noise().scaled(0.0), seed)
     block = run.read()
     assert block.loads is not None
@@ -51,7 +51,7 @@ def _static(rig: TrueRig, plan: StaticPlan, seed: int) -> StaticPoints:
     return StaticPoints(run.name, plan.trim, names, block.channels, block.loads, np.eye(len(names)), np.inf)
 
 
-def _steady_lines(rig: TrueRig, plan: SweepPlan, seed: int) -> Lines:
+def _steady_lines(rig: TrueRig, plan: SweepPlan, seed: int) -> RunSpectrum:
     """The last of many periods: the start transient has gone."""
     run, _ = simulate_run(rig, plan.model_copy(update={"periods": 14}), Noise().scaled(0.0), seed)
     samples = round(plan.period * plan.sample_rate)
@@ -64,46 +64,60 @@ def _steady_lines(rig: TrueRig, plan: SweepPlan, seed: int) -> Lines:
     size = len(run.channel_names) + 1
     covariance = np.zeros((int(excited.sum()), size, size), complex)
     loads = U[excited][:, [column]]
-    return Lines(run.name, run.channel_names, run.excited, frequency[excited], Y[excited], loads, covariance, np.inf)
+    return RunSpectrum(
+        run.name, run.channel_names, run.excited, frequency[excited], Y[excited], loads, covariance, np.inf
+    )
 
 
-def noisy(clean: Lines | StaticPoints, geometry: Geometry, rng: np.random.Generator) -> Lines | StaticPoints:
+def add_noise(
+    noise_free_data: RunSpectrum | StaticPoints, geometry: Geometry, rng: np.random.Generator
+) -> RunSpectrum | StaticPoints:
     """The same with noise as recorded: three periods of a sweep, every row of a static run."""
-    return _noisy_points(clean, rng) if isinstance(clean, StaticPoints) else _noisy_lines(clean, geometry, rng)
+    return (
+        _add_noise_to_points(noise_free_data, rng)
+        if isinstance(noise_free_data, StaticPoints)
+        else _add_noise_to_lines(noise_free_data, geometry, rng)
+    )
 
 
-def _noisy_points(clean: StaticPoints, rng: np.random.Generator) -> StaticPoints:
+def _add_noise_to_points(noise_free_data: StaticPoints, rng: np.random.Generator) -> StaticPoints:
     """Noise on readings and loads; its covariance as the second differences of so many rows tell it."""
     noise = Noise()
-    rows, c = clean.channels.shape
-    channels = clean.channels + noise.static_channel * rng.standard_normal((rows, c))
-    read = clean.loads + noise.static_load * rng.standard_normal((rows, 6))
-    C0 = np.linalg.lstsq(clean.loads - clean.loads.mean(0), clean.channels - clean.channels.mean(0), rcond=None)[0].T
+    rows, c = noise_free_data.channels.shape
+    channels = noise_free_data.channels + noise.static_channel * rng.standard_normal((rows, c))
+    read = noise_free_data.loads + noise.static_load * rng.standard_normal((rows, 6))
+    C0 = np.linalg.lstsq(
+        noise_free_data.loads - noise_free_data.loads.mean(0),
+        noise_free_data.channels - noise_free_data.channels.mean(0),
+        rcond=None,
+    )[0].T
     true = np.eye(c) * noise.static_channel**2 + noise.static_load**2 * C0 @ C0.T
     dof = rows // 2
     deviations = rng.multivariate_normal(np.zeros(c), true, size=dof)
-    return replace(clean, channels=channels, loads=read, covariance=deviations.T @ deviations / dof, dof=dof / 2)
+    return replace(
+        noise_free_data, channels=channels, loads=read, covariance=deviations.T @ deviations / dof, dof=dof / 2
+    )
 
 
-def _noisy_lines(clean: Lines, geometry: Geometry, rng: np.random.Generator) -> Lines:
+def _add_noise_to_lines(noise_free_data: RunSpectrum, geometry: Geometry, rng: np.random.Generator) -> RunSpectrum:
     """Noise of three periods; the covariance of their mean from their scatter, as `periodic_lines` finds it."""
     noise = Noise()
     samples = 3200
     by_name = {channel.name: channel for channel in geometry.channels}
-    sigma = np.array([noise.of(by_name[name]) for name in clean.channel_names] + [noise.load])
+    sigma = np.array([noise.of(by_name[name]) for name in noise_free_data.channel_names] + [noise.load])
     # E|X|^2 of X = 2/N sum x exp(-j w t) is 4 sigma^2 / N.
     per_part = sigma * np.sqrt(2.0 / samples)
-    shape = (PERIODS, len(clean.frequency), len(sigma))
+    shape = (PERIODS, len(noise_free_data.frequency), len(sigma))
     z = per_part * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
     mean = z.mean(axis=0)
     deviation = z - mean
     scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
     covariance, dof = pooled_covariance(scatter, np.full(len(mean), PERIODS - 1.0))
-    c = len(clean.channel_names)
+    c = len(noise_free_data.channel_names)
     return replace(
-        clean,
-        channels=clean.channels + mean[:, :c],
-        loads=clean.loads + mean[:, c:],
+        noise_free_data,
+        channels=noise_free_data.channels + mean[:, :c],
+        loads=noise_free_data.loads + mean[:, c:],
         covariance=covariance / PERIODS,
         dof=dof,
     )
@@ -121,21 +135,21 @@ def coverage_chunk(geometry: Geometry, task: CoverageTask) -> pd.DataFrame:
     """Estimate minus truth in units of sigma for every fitted parameter, one row a fit and parameter."""
     rng = np.random.default_rng([task.seed, 1985])
     rig = draw_rig(geometry, rng)
-    clean = noise_free(rig, task.seed)
+    noise_free_data = noise_free_measurements(rig, task.seed)
     model = balance_model(geometry)
     parameters = model.parameters
     truth = true_parameters(rig, parameters)
     rows = []
     for fit in range(task.fits):
-        measured = [noisy(item, geometry, rng) for item in clean]
-        lines = [item for item in measured if isinstance(item, Lines)]
+        measured = [add_noise(item, geometry, rng) for item in noise_free_data]
+        lines = [item for item in measured if isinstance(item, RunSpectrum)]
         points = [item for item in measured if isinstance(item, StaticPoints)]
         declared = truth + parameters.sigma * rng.standard_normal(len(truth))
         shifted = replace(model, parameters=replace(parameters, value=declared))
-        minimum = maximum_likelihood(shifted, stacked(lines, points, geometry.channel_names), truth)
+        minimum = maximum_likelihood(shifted, stack_runs(lines, points, geometry.channel_names), truth)
         sigma = np.sqrt(np.diag(np.linalg.inv(minimum.total.information)))
         error = (minimum.theta - truth)[parameters.free] / sigma
-        support = parameter_support(parameters, minimum.data.information)
+        support = parameter_identifiability(parameters, minimum.data.information)
         rests = [word for word in support.rests_on if word != "exact"]
         names = [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
         rows += [
@@ -147,7 +161,7 @@ def coverage_chunk(geometry: Geometry, task: CoverageTask) -> pd.DataFrame:
 
 def coverage_table(errors: pd.DataFrame) -> pd.DataFrame:
     """Share of 95 % intervals that hold the truth, by parameter, with three binomial standard errors."""
-    held = errors.assign(held=errors["error"].abs() < NINETY_FIVE)
+    held = errors.assign(held=errors["error"].abs() < Z_95)
     table = held.groupby("parameter", sort=False)["held"].agg(["mean", "size"])
     table.insert(0, "rests_on", held.groupby("parameter")["rests_on"].agg(lambda words: words.mode()[0]))
     table = table.rename(columns={"mean": "coverage", "size": "fits"}).reset_index()

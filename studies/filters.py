@@ -18,7 +18,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.reduction.harmonic_loads import rotor_record
-from balance_cli.reduction.kalman.load_history import History
+from balance_cli.reduction.kalman.load_history import LoadHistory
 from balance_cli.reduction.response_sources import ModelSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.anti_alias import anti_alias
@@ -36,22 +36,22 @@ from studies.filters_rig import (
     FilterCase,
     rotor_plan,
     static_plan,
-    two_freedoms,
+    two_degree_geometry,
 )
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 DURATION = 12.0
-BEGINNING, END = 2.0, 0.2
+START_EXCLUDED, END_EXCLUDED = 2.0, 0.2
 """Time [s] left out after the first and before the last pulse: an end is no matter of the method."""
 BAND = 150.0
 """Frequency [Hz] up to which errors are counted a second time: beyond 8/rev, below the anti-alias filter."""
 HARMONICS = 8
 LAG = 0.05
-WIDTH = 1.959963984540054
+Z_95 = 1.959963984540054
 
-PAPER, HARMONIC = "T at nominal harmonics", "T at actual harmonics"
+NOMINAL_HARMONICS, ACTUAL_HARMONICS = "T at nominal harmonics", "T at actual harmonics"
 IN_TIME = {
     "harmonics, filter": TimeOptions(smooth=False, loads="harmonics", lag=0.0),
     "harmonics, filter 0.05 s behind": TimeOptions(smooth=False, loads="harmonics", lag=LAG),
@@ -62,11 +62,11 @@ IN_TIME = {
     "free, filter 0.05 s behind": TimeOptions(smooth=False, loads="free", lag=LAG),
     "free, smoother": TimeOptions(smooth=True, loads="free"),
 }
-METHODS = (PAPER, HARMONIC, *IN_TIME)
+METHODS = (NOMINAL_HARMONICS, ACTUAL_HARMONICS, *IN_TIME)
 
 
 @dataclass(frozen=True)
-class Record:
+class SimulatedRecord:
     """One run with its truth, and what reduces it."""
 
     run: Run
@@ -77,7 +77,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Reduced:
+class ReducedRecord:
     """Loads (n, 2) at all samples between the pulses with sigma (n, 2) or none, amplitudes (8, 2) over `interval`."""
 
     first: int
@@ -89,35 +89,35 @@ class Reduced:
 
 def filters_chunk(seed: int, duration: float = DURATION) -> pd.DataFrame:
     """All cases by all methods for one seed, one row for each."""
-    rows = [row for case in CASES.values() for row in case_rows(simulated_record(case, seed, duration), case.name)]
+    rows = [row for case in CASES.values() for row in case_rows(simulate_record(case, seed, duration), case.name)]
     return pd.DataFrame(rows).assign(seed=seed)
 
 
-def simulated_record(case: FilterCase, seed: int, duration: float = DURATION) -> Record:
+def simulate_record(case: FilterCase, seed: int, duration: float = DURATION) -> SimulatedRecord:
     """A run of one case, and the static calibration of the same rig; the model is that of the declared rig."""
-    geometry = two_freedoms(case.tolerances)
+    geometry = two_degree_geometry(case.tolerances)
     rig = case.rig(geometry, np.random.default_rng([seed, 11]), duration)
     run, truth = simulate_run(rig, rotor_plan(case, duration), seed=seed)
     static, _ = simulate_run(rig, static_plan(), seed=seed)
     model = identify(Spectra((), (), {}, {}), geometry, IdentifyOptions(method="computed"))
-    return Record(run, truth, geometry, calibrate([static], geometry, search=False), ModelSource(model))
+    return SimulatedRecord(run, truth, geometry, calibrate([static], geometry, search=False), ModelSource(model))
 
 
-def case_rows(record: Record, case: str, methods: tuple[str, ...] = METHODS) -> list[dict[str, object]]:
+def case_rows(record: SimulatedRecord, case: str, methods: tuple[str, ...] = METHODS) -> list[dict[str, object]]:
     """Errors of one record by each method."""
-    return [{"case": case, "method": method, **errors(record, reduced(record, method))} for method in methods]
+    return [{"case": case, "method": method, **errors(record, reduce_by_method(record, method))} for method in methods]
 
 
-def reduced(record: Record, method: str) -> Reduced:
+def reduce_by_method(record: SimulatedRecord, method: str) -> ReducedRecord:
     """The record by one method."""
     if method in IN_TIME:
-        return _in_time(record, IN_TIME[method])
+        return _reduce_record_in_time(record, IN_TIME[method])
     steady = reduce_run(record.run, record.geometry, record.calibration, record.source)
-    amplitude = steady.amplitude[1:] if method == HARMONIC else loads_at_nominal_harmonics(record)
-    return _periodic(record, steady, amplitude)
+    amplitude = steady.amplitude[1:] if method == ACTUAL_HARMONICS else loads_at_nominal_harmonics(record)
+    return _sum_of_harmonics(record, steady, amplitude)
 
 
-def loads_at_nominal_harmonics(record: Record) -> ComplexArray:
+def loads_at_nominal_harmonics(record: SimulatedRecord) -> ComplexArray:
     """Amplitudes (8, 2) as in the paper: harmonic analysis, then T_nu = (C*C)^-1 C* of the nominal harmonics."""
     rotor = rotor_record(record.run, record.geometry, record.source, HARMONICS)
     nominal = NOMINAL_SPEED * np.arange(1, HARMONICS + 1)
@@ -128,34 +128,34 @@ def loads_at_nominal_harmonics(record: Record) -> ComplexArray:
     return np.asarray(np.einsum("hmc,hc->hm", np.linalg.pinv(C), s))
 
 
-def _periodic(record: Record, steady: RunLoads, amplitude: ComplexArray) -> Reduced:
+def _sum_of_harmonics(record: SimulatedRecord, steady: RunLoads, amplitude: ComplexArray) -> ReducedRecord:
     """The sum of the harmonics at the azimuth of every sample."""
     inside = _between_pulses(record)
     assert record.run.pulse_times is not None
     psi = azimuth_from_pulses(record.run.pulse_times).psi(record.truth.time[inside])
     turns = np.exp(1j * psi[:, None] * np.arange(1, HARMONICS + 1))
     loads = steady.amplitude[0].real + np.real(turns @ amplitude)
-    return Reduced(inside.start, loads, None, amplitude, steady.interval)
+    return ReducedRecord(inside.start, loads, None, amplitude, steady.interval)
 
 
-def _in_time(record: Record, options: TimeOptions) -> Reduced:
-    parts: list[History] = []
+def _reduce_record_in_time(record: SimulatedRecord, options: TimeOptions) -> ReducedRecord:
+    parts: list[LoadHistory] = []
     found = reduce_run_in_time(
         record.run, record.geometry, record.calibration, record.source, None, options, parts.append
     )
     loads, sigma = (np.concatenate([getattr(part, name) for part in parts])[:, COLUMNS] for name in ("loads", "sigma"))
     first = round(float(parts[0].time[0]) * SAMPLE_RATE)
-    return Reduced(first, loads, sigma, found.loads.amplitude[1:], found.loads.interval)
+    return ReducedRecord(first, loads, sigma, found.loads.amplitude[1:], found.loads.interval)
 
 
-def _between_pulses(record: Record) -> slice:
+def _between_pulses(record: SimulatedRecord) -> slice:
     """The samples from the first to the last pulse."""
     pulses = record.run.pulse_times
     assert pulses is not None
     return slice(int(np.ceil(pulses[0] * SAMPLE_RATE)), int(np.floor(pulses[-1] * SAMPLE_RATE)) + 1)
 
 
-def errors(record: Record, found: Reduced) -> dict[str, float]:
+def errors(record: SimulatedRecord, found: ReducedRecord) -> dict[str, float]:
     """Errors relative to the true loads, both components together (root mean square of the two relative errors).
 
     `history`: rms of the error, that of the mean load included, over that of what varies in the load; `in_band`: the
@@ -164,17 +164,17 @@ def errors(record: Record, found: Reduced) -> dict[str, float]:
     """
     part = slice(found.first, found.first + len(found.loads))
     true, time = record.truth.loads[part][:, COLUMNS], record.truth.time[part]
-    error, counted = found.loads - true, (time >= BEGINNING) & (time <= time[-1] - END)
+    error, counted = found.loads - true, (time >= START_EXCLUDED) & (time <= time[-1] - END_EXCLUDED)
     size = true[counted].std(axis=0)
     low = scipy.signal.butter(8, BAND, fs=SAMPLE_RATE, output="sos")
     slow = np.asarray(scipy.signal.sosfiltfilt(low, error, axis=0))
     cosine, sine = record.truth.harmonics(*found.interval)
     amplitude = (cosine - 1j * sine)[1 : HARMONICS + 1, COLUMNS]
-    hits = np.nan if found.sigma is None else np.mean(np.abs(error) < WIDTH * found.sigma, where=counted[:, None])
+    hits = np.nan if found.sigma is None else np.mean(np.abs(error) < Z_95 * found.sigma, where=counted[:, None])
     return {
-        "history": _pooled(_rms(error[counted]) / size),
-        "in_band": _pooled(_rms(slow[counted]) / size),
-        "harmonics": _pooled(_rms(found.amplitude - amplitude) / _rms(amplitude)),
+        "history": _pool_errors(_rms(error[counted]) / size),
+        "in_band": _pool_errors(_rms(slow[counted]) / size),
+        "harmonics": _pool_errors(_rms(found.amplitude - amplitude) / _rms(amplitude)),
         "coverage": float(hits),
     }
 
@@ -183,5 +183,5 @@ def _rms(values: Array | ComplexArray) -> Array:
     return np.asarray(np.sqrt(np.mean(np.abs(values) ** 2, axis=0)))
 
 
-def _pooled(relative: Array) -> float:
+def _pool_errors(relative: Array) -> float:
     return float(np.sqrt(np.mean(relative**2)))

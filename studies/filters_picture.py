@@ -9,14 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from balance_cli.report.figure_style import BLACK, BLUE, GREEN, ORANGE, VERMILION, new_figure
-from studies.filters import PAPER, reduced, simulated_record
-from studies.filters_rig import CASES, COLUMNS, MANOEUVRE
+from studies.filters import NOMINAL_HARMONICS, reduce_by_method, simulate_record
+from studies.filters_rig import CASES, COLUMNS, MANEUVER
 
-SHOWN = {PAPER: VERMILION, "harmonics, filter": BLUE, "harmonics, smoother": GREEN}
+SHOWN_METHODS = {NOMINAL_HARMONICS: VERMILION, "harmonics, filter": BLUE, "harmonics, smoother": GREEN}
 """Methods whose histories are drawn."""
 SPAN = (6.3, 7.2)
 """What is shown about the manoeuvre [s]."""
-COLOURS = {"T at": VERMILION, "harmonics": GREEN, "random": BLUE, "free": ORANGE}
+METHOD_COLORS = {"T at": VERMILION, "harmonics": GREEN, "random": BLUE, "free": ORANGE}
 MARKERS = {"in_band": "o", "harmonics": "|"}
 LIMITS = (3e-4, 2e1)
 
@@ -25,19 +25,19 @@ def filters_picture(table: pd.DataFrame, seed: int = 0) -> Figure:
     """Above, load and errors in a manoeuvre; below, errors of all methods in each case."""
     figure = new_figure(11.0, 8.2)
     above = figure.add_gridspec(1, 2, left=0.06, right=0.985, top=0.965, bottom=0.72, wspace=0.12)
-    _manoeuvre(figure.add_subplot(above[0, 0]), figure.add_subplot(above[0, 1]), seed)
+    _draw_maneuver(figure.add_subplot(above[0, 0]), figure.add_subplot(above[0, 1]), seed)
     below = figure.add_gridspec(2, 4, left=0.165, right=0.985, top=0.63, bottom=0.04, hspace=0.24, wspace=0.09)
     for i, case in enumerate(dict.fromkeys(table["case"])):
-        _errors(figure.add_subplot(below[i // 4, i % 4]), table[table["case"] == case], case, labelled=i % 4 == 0)
-    _key(figure.add_subplot(below[1, 3]))
+        _draw_errors(figure.add_subplot(below[i // 4, i % 4]), table[table["case"] == case], case, labelled=i % 4 == 0)
+    _draw_key(figure.add_subplot(below[1, 3]))
     return figure
 
 
-def _manoeuvre(loads: Axes, errors: Axes, seed: int) -> None:
+def _draw_maneuver(loads: Axes, errors: Axes, seed: int) -> None:
     """Fx as it was and as three methods have it; their errors."""
-    record = simulated_record(CASES[MANOEUVRE], seed)
-    for method, colour in SHOWN.items():
-        found = reduced(record, method)
+    record = simulate_record(CASES[MANEUVER], seed)
+    for method, colour in SHOWN_METHODS.items():
+        found = reduce_by_method(record, method)
         part = slice(found.first, found.first + len(found.loads))
         time, true = record.truth.time[part], record.truth.loads[part, COLUMNS[0]]
         loads.plot(time, found.loads[:, 0], color=colour, label=method)
@@ -53,11 +53,11 @@ def _manoeuvre(loads: Axes, errors: Axes, seed: int) -> None:
     loads.legend(loc="upper left", ncols=2)
 
 
-def _errors(axes: Axes, rows: pd.DataFrame, case: str, labelled: bool) -> None:
+def _draw_errors(axes: Axes, rows: pd.DataFrame, case: str, labelled: bool) -> None:
     """Medians and ranges over the seeds, one line a method."""
     methods = list(rows["method"])[::-1]
     for _, row in rows.iterrows():
-        place, colour = methods.index(row["method"]), _colour(row["method"])
+        place, colour = methods.index(row["method"]), _method_color(row["method"])
         for name, marker in MARKERS.items():
             shift = 0.0 if name == "in_band" else -0.28
             axes.plot([row[f"{name}_min"], row[f"{name}_max"]], [place + shift] * 2, color=colour, linewidth=0.9)
@@ -70,11 +70,11 @@ def _errors(axes: Axes, rows: pd.DataFrame, case: str, labelled: bool) -> None:
     axes.set_title(case)
 
 
-def _colour(method: str) -> str:
-    return next(colour for start, colour in COLOURS.items() if method.startswith(start))
+def _method_color(method: str) -> str:
+    return next(colour for start, colour in METHOD_COLORS.items() if method.startswith(start))
 
 
-def _key(axes: Axes) -> None:
+def _draw_key(axes: Axes) -> None:
     """What the marks mean."""
     axes.axis("off")
     lines: Sequence[str] = (

@@ -20,8 +20,8 @@ from balance_cli.campaign.rig.geometry_file import geometry_from_dict
 from balance_cli.simulation import RotorPlan, StaticPlan, TrueRig, true_rig
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.signals import TimeDelay
-from balance_cli.simulation.plans import SHAPE
 from balance_cli.simulation.load_signals import OVERSAMPLING
+from balance_cli.simulation.plans import HARMONIC_SHAPE
 from balance_cli.simulation.rotor import smooth_step
 
 Array = NDArray[np.float64]
@@ -34,22 +34,22 @@ OFF_NOMINAL = 1.02
 DRIFT, DRIFT_PERIOD = 0.02, 9.0
 # One standard deviation, relative, of what is not known.
 STIFFNESS, DAMPING, SENSITIVITY = 0.04, 0.3, 0.03
-LATE = 2.5e-4
+PIEZO_DELAY = 2.5e-4
 """Delay [s] of the piezo channels of which the model knows nothing: 13 degrees at 8/rev."""
-GROWTH, RISE = 0.6, 0.3
+LOAD_GROWTH, RISE_TIME = 0.6, 0.3
 """Relative change of all loads in a manoeuvre, and the time [s] that it takes."""
-FIRST = {"Fx": 33.0, "My": 15.0}
+FIRST_HARMONIC = {"Fx": 33.0, "My": 15.0}
 STEADY = {"Fx": 100.0, "My": -20.0}
 TURBULENCE = {"Fx": 3.0, "My": 1.5}
 """Random loads [N, N m], rms, within 0.5 to 100 Hz."""
-CORNER = 100.0
+TURBULENCE_CORNER = 100.0
 """Corner frequency [Hz] of turbulence that has no band."""
 STEP = 1.0 / (OVERSAMPLING * SAMPLE_RATE)
 """Step [s] of the grid on which loads come."""
 
 
 @dataclass(frozen=True)
-class Manoeuvre(Extension):
+class Maneuver(Extension):
     """The loads of a wind-on run grow by GROWTH at the time `start` [s]."""
 
     name: ClassVar[str] = "manoeuvre"
@@ -60,7 +60,7 @@ class Manoeuvre(Extension):
         if kind != "wind":
             return loads
         time = np.arange(len(loads)) * STEP
-        return np.asarray(loads * (1.0 + GROWTH * smooth_step(time, self.start, RISE))[:, None])
+        return np.asarray(loads * (1.0 + LOAD_GROWTH * smooth_step(time, self.start, RISE_TIME))[:, None])
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class BroadTurbulence(Extension):
         """Loads (n, 6) as they act."""
         if kind != "wind":
             return loads
-        rng, keep = np.random.default_rng(self.seed), np.exp(-2 * np.pi * CORNER * STEP)
+        rng, keep = np.random.default_rng(self.seed), np.exp(-2 * np.pi * TURBULENCE_CORNER * STEP)
         rms = np.array(list(TURBULENCE.values()))
         driven = np.sqrt(1 - keep**2) * rms * rng.standard_normal((len(loads), len(rms)))
         driven[0] /= np.sqrt(1 - keep**2)
@@ -98,7 +98,7 @@ class FilterCase:
     tolerances: Mapping[str, float] = field(default_factory=dict)
 
 
-def two_freedoms(tolerances: Mapping[str, float]) -> Geometry:
+def two_degree_geometry(tolerances: Mapping[str, float]) -> Geometry:
     """The declared rig: modes near 2/rev and 4/rev with one per cent of damping."""
     cells = {"x": ([0.0, 0.0, -0.05], [1, 0, 0], 6.2e6), "z1": ([0.36, 0.0, -0.05], [0, 0, 1], 8.4e6)}
     cells["z2"] = ([-0.36, 0.0, -0.05], [0, 0, 1], 8.4e6)
@@ -127,11 +127,11 @@ def two_freedoms(tolerances: Mapping[str, float]) -> Geometry:
     )
 
 
-def _declared(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+def _declared_rig(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
     return true_rig(geometry)
 
 
-def _other_system(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+def _rig_with_wrong_modes(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
     """Stiffness of each cell and damping of each mode are not as declared."""
     stiffness = np.array([cell.effective_stiffness for cell in geometry.cells])
     return true_rig(
@@ -141,34 +141,34 @@ def _other_system(geometry: Geometry, rng: np.random.Generator, duration: float)
     )
 
 
-def _other_channels(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+def _rig_with_wrong_channels(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
     """Sensitivities are not as declared, and piezo channels are late."""
     sensitivity = np.array([channel.sensitivity for channel in geometry.channels])
     rig = true_rig(geometry, sensitivities=sensitivity * (1 + SENSITIVITY * rng.standard_normal(len(sensitivity))))
     piezo = tuple(channel.name for channel in geometry.channels if not channel.measures_dc)
-    return rig.extended(TimeDelay(where=piezo, delay=LATE))
+    return rig.extended(TimeDelay(where=piezo, delay=PIEZO_DELAY))
 
 
-def _in_manoeuvre(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
-    return true_rig(geometry).extended(Manoeuvre(start=0.55 * duration))
+def _rig_in_maneuver(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+    return true_rig(geometry).extended(Maneuver(start=0.55 * duration))
 
 
-def _in_broad_turbulence(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
+def _rig_in_broad_turbulence(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
     return true_rig(geometry).extended(BroadTurbulence(seed=int(rng.integers(2**31))))
 
 
 EXACT, BROAD, SYSTEM, CHANNELS = "exact model", "exact model, broad turbulence", "system matrix wrong", "T wrong"
-OFF_SPEED, DRIFTING, MANOEUVRE = "speed 2 % off", "speed drifts by 2 %", "manoeuvre"
+OFF_SPEED, DRIFTING, MANEUVER = "speed 2 % off", "speed drifts by 2 %", "manoeuvre"
 CASES = {
     case.name: case
     for case in (
-        FilterCase(EXACT, _declared),
-        FilterCase(BROAD, _in_broad_turbulence, turbulence={}),
-        FilterCase(SYSTEM, _other_system, tolerances={"stiffness": STIFFNESS, "damping_ratio": DAMPING}),
-        FilterCase(CHANNELS, _other_channels, tolerances={"sensitivity": SENSITIVITY}),
-        FilterCase(OFF_SPEED, _declared, speed=OFF_NOMINAL * NOMINAL_SPEED),
-        FilterCase(DRIFTING, _declared, drift=DRIFT),
-        FilterCase(MANOEUVRE, _in_manoeuvre),
+        FilterCase(EXACT, _declared_rig),
+        FilterCase(BROAD, _rig_in_broad_turbulence, turbulence={}),
+        FilterCase(SYSTEM, _rig_with_wrong_modes, tolerances={"stiffness": STIFFNESS, "damping_ratio": DAMPING}),
+        FilterCase(CHANNELS, _rig_with_wrong_channels, tolerances={"sensitivity": SENSITIVITY}),
+        FilterCase(OFF_SPEED, _declared_rig, speed=OFF_NOMINAL * NOMINAL_SPEED),
+        FilterCase(DRIFTING, _declared_rig, drift=DRIFT),
+        FilterCase(MANEUVER, _rig_in_maneuver),
     )
 }
 
@@ -186,7 +186,7 @@ def rotor_plan(case: FilterCase, duration: float) -> RotorPlan:
         sample_rate=SAMPLE_RATE,
         rotor_speed=case.speed,
         duration=duration,
-        harmonics={name: tuple(first * x for x in SHAPE) for name, first in FIRST.items()},
+        harmonics={name: tuple(first * x for x in HARMONIC_SHAPE) for name, first in FIRST_HARMONIC.items()},
         steady=STEADY,
     )
     changes = {"turbulence": case.turbulence, "drift": case.drift, "drift_period": DRIFT_PERIOD}

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.measured_spectra import Spectra
-from balance_cli.reduction.kalman.load_history import History
-from balance_cli.reduction.kalman.load_models import Flat, Oscillators, Wandering
+from balance_cli.reduction.kalman.load_history import LoadHistory
+from balance_cli.reduction.kalman.load_models import BandLimitedNoise, LowPassDrift, Oscillators
 from balance_cli.reduction.response_sources import model_source
 from balance_cli.simulation import simulate_campaign, simulate_run, true_rig
-from balance_cli.simulation.plans import WIND, CampaignPlan, RotorPlan, Step, blade_loads, statics
+from balance_cli.simulation.plans import WIND_ON_LOADS, CampaignPlan, LoadStep, RotorPlan, blade_loads, statics
 from balance_cli.steps import reduce_in_time
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import IdentifyOptions, identify
@@ -34,40 +34,40 @@ DURATION = 12.0
 STEP = {"Fz": 700.0, "Mz": 60.0}
 TURBULENCE = {"Fx": 3.0, "Fy": 3.0, "Fz": 8.0, "Mx": 1.0, "My": 1.0, "Mz": 1.0}
 BAND = 100.0
-NINETY_FIVE = 1.959963984540054
+Z_95 = 1.959963984540054
 # Of the smoothers' error at both ends, where less is known, the coverage is looked at apart.
-ENDS = 1.0
+END_DURATION = 1.0
 
 
-def manoeuvre_plan() -> RotorPlan:
+def maneuver_plan() -> RotorPlan:
     """The run."""
     return RotorPlan(
         run="manoeuvre",
         kind="wind",
         rotor_speed=17.76,
         duration=DURATION,
-        harmonics=blade_loads(*WIND),
-        steady=WIND,
+        harmonics=blade_loads(*WIND_ON_LOADS),
+        steady=WIND_ON_LOADS,
         drift=0.03,
         drift_period=9.0,
-        step=Step(time=6.0, loads=STEP),
+        step=LoadStep(time=6.0, loads=STEP),
         turbulence=TURBULENCE,
         turbulence_band=(0.5, BAND),
     )
 
 
-def manoeuvre_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
+def maneuver_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
     """Figures of one manoeuvre, one row a component and method."""
     rig = true_rig(geometry)
     static_runs, _ = simulate_campaign(rig, CampaignPlan(runs=statics()), seed=seed)
     calibration = calibrate(static_runs, geometry)
     source = model_source(identify(Spectra((), (), {}, {}), geometry, IdentifyOptions(method="computed")))
-    run, truth = simulate_run(rig, manoeuvre_plan(), seed=seed)
+    run, truth = simulate_run(rig, maneuver_plan(), seed=seed)
     size = np.abs(truth.cosine - 1j * truth.sine)[1:] if truth.cosine is not None and truth.sine is not None else None
     assert size is not None
 
     def reduced(options: TimeOptions) -> pd.DataFrame:
-        parts: list[History] = []
+        parts: list[LoadHistory] = []
         found = reduce_run_in_time(run, geometry, calibration, source, None, options, parts.append)
         nis = found.innovations.nis if found.innovations else np.nan
         return _figures(parts, truth.loads, run.sample_rate or np.nan).assign(nis=nis)
@@ -78,31 +78,31 @@ def manoeuvre_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
     ]
     with patch.multiple(
         reduce_in_time,
-        loads_between_harmonics=lambda *_: true_layers(),
-        drifting_harmonics=lambda *_: Oscillators(1e-3 * size, 3.0 * size, tuple(range(1, 9))),
-        BEGINNING=DURATION,
+        fit_loads_between_harmonics=lambda *_: true_load_models(),
+        fit_drifting_harmonics=lambda *_: Oscillators(1e-3 * size, 3.0 * size, tuple(range(1, 9))),
+        INITIAL_STATE_TIME=DURATION,
     ):
         rows.append(reduced(TimeOptions()).assign(method="best linear smoother", loads="true statistics"))
     return pd.concat(rows).assign(seed=seed)
 
 
-def true_layers() -> tuple[Wandering, Flat]:
+def true_load_models() -> tuple[LowPassDrift, BandLimitedNoise]:
     """The step as a load that wanders, by as much in the whole run as the step is; turbulence of its size and band."""
     step = np.array([STEP.get(name, 1e-3) for name in COMPONENTS])
-    slow = Wandering(step, 0.01, 1.0 / 0.8)
+    slow = LowPassDrift(step, 0.01, 1.0 / 0.8)
     # A random walk of intensity step^2 / duration has that of `slow`: 2 a sigma^2.
     size = step / np.sqrt(2 * np.pi * 2 * slow.corner * DURATION)
-    return replace(slow, sigma=size), Flat(np.array([TURBULENCE[name] for name in COMPONENTS]), 0.93 * BAND)
+    return replace(slow, sigma=size), BandLimitedNoise(np.array([TURBULENCE[name] for name in COMPONENTS]), 0.93 * BAND)
 
 
-def _figures(parts: list[History], true: Array, sample_rate: float) -> pd.DataFrame:
+def _figures(parts: list[LoadHistory], true: Array, sample_rate: float) -> pd.DataFrame:
     """Error, stated sigma and coverage of each component; coverage at the ends apart."""
     time, loads, sigma = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("time", "loads", "sigma")
     )
     error = loads - true[np.rint(time * sample_rate).astype(int)]
-    inside = (time > time[0] + ENDS) & (time < time[-1] - ENDS)
-    covered = np.abs(error) < NINETY_FIVE * sigma
+    inside = (time > time[0] + END_DURATION) & (time < time[-1] - END_DURATION)
+    covered = np.abs(error) < Z_95 * sigma
     return pd.DataFrame(
         {
             "component": COMPONENTS,
@@ -115,7 +115,7 @@ def _figures(parts: list[History], true: Array, sample_rate: float) -> pd.DataFr
     )
 
 
-def manoeuvre_table(rows: pd.DataFrame) -> pd.DataFrame:
+def maneuver_table(rows: pd.DataFrame) -> pd.DataFrame:
     """Over all seeds: error of each method and component, over that of the best linear smoother, and coverage."""
     squared = rows.assign(error=rows["error"] ** 2, sigma=rows["sigma"] ** 2)
     grouped = squared.groupby(["method", "loads", "component"], sort=False)

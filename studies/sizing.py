@@ -19,11 +19,11 @@ from scipy.stats import chi2, ncx2
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.campaign.rig.geometry_file import load_geometry
-from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, tested
+from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, parameters_of_interest
 from balance_cli.diagnosis.search.score_statistics import scores
-from balance_cli.diagnosis.selection.confirm import SIGNIFICANT
+from balance_cli.diagnosis.selection.confirm import SIGNIFICANCE_LEVEL
 from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
-from balance_cli.estimation.measurements import Batch, stacked
+from balance_cli.estimation.measurements import Batch, stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS, EffectParameter
 from balance_cli.simulation import TrueRig, simulate_campaign, true_rig
@@ -34,16 +34,16 @@ Array = NDArray[np.float64]
 
 # Scatter of what only shapes an effect about where the library begins to look for it.
 SHAPE = 0.2
-MAINS_HERTZ = 0.02
+MAINS_SCATTER = 0.02
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenEffect:
     """What is hidden: the effect, its fitted values by name, and the gain that was asked of it."""
 
     candidate: Candidate
     values: Mapping[str, float]
-    asked: float
+    target_gain: float
 
     @property
     def label(self) -> str:
@@ -53,52 +53,54 @@ class Hidden:
     @property
     def declared(self) -> DeclaredEffect:
         """As the simulation takes it."""
-        return simulated(self.candidate.at_start(self.values))
+        return simulation_effect(self.candidate.at_start(self.values))
 
     @property
-    def own(self) -> tuple[EffectParameter, ...]:
+    def tested_parameters(self) -> tuple[EffectParameter, ...]:
         """The parameters that do something by themselves."""
-        return tested(self.candidate.one.parameters)
+        return parameters_of_interest(self.candidate.one.parameters)
 
     @property
     def departure(self) -> Array:
         """Their distance from their nulls (q,)."""
-        return np.array([self.values[item.fitted_name] - item.fitted_null for item in self.own])
+        return np.array([self.values[item.fitted_name] - item.fitted_null for item in self.tested_parameters])
 
 
 def hidden_effect(
     label: str, size: float, excitation: str, geometry_file: str, rig: TrueRig, rng: np.random.Generator
-) -> Hidden:
+) -> HiddenEffect:
     """The effect in the size that should gain so much, its signs and what shapes it drawn."""
     geometry = rig.geometry
-    candidate = candidate_of(label, geometry)
-    values = {item.fitted_name: _drawn(item, rng) for item in candidate.one.parameters}
-    d = np.array([values[item.fitted_name] - item.fitted_null for item in tested(candidate.one.parameters)])
+    candidate = parse_candidate(label, geometry)
+    values = {item.fitted_name: _draw_value(item, rng) for item in candidate.one.parameters}
+    d = np.array(
+        [values[item.fitted_name] - item.fitted_null for item in parameters_of_interest(candidate.one.parameters)]
+    )
     # What a tone's power shows rests on what is left of the lines: there it must be the rig that made them.
     whose = true_rig(geometry) if candidate.effect.name == "mains-pickup" else rig
     theta = true_parameters(whose, balance_model(geometry).parameters)
-    batches = _declared_campaign(geometry_file, excitation)
+    batches = _simulate_declared_campaign(geometry_file, excitation)
     V = _information(geometry, theta, batches, Candidate(candidate.one, (values,)))
-    share = share_for(size, _expected(candidate, d, V))
-    for item, departure in zip(tested(candidate.one.parameters), d, strict=True):
+    share = scale_for_gain(size, _expected_gain(candidate, d, V))
+    for item, departure in zip(parameters_of_interest(candidate.one.parameters), d, strict=True):
         values[item.fitted_name] = item.fitted_null + share * departure
-    return Hidden(candidate, values, size)
+    return HiddenEffect(candidate, values, size)
 
 
-def _drawn(item: EffectParameter, rng: np.random.Generator) -> float:
+def _draw_value(item: EffectParameter, rng: np.random.Generator) -> float:
     """A change by the scale, its sign drawn where it has one; of what only shapes the effect a value near the start."""
-    if not item.secondary:
+    if not item.nuisance:
         sign = 1.0 if item.fitted_bounds[0] >= item.fitted_null else float(rng.choice([-1.0, 1.0]))
         return item.fitted_null + sign * item.fitted_scale * float(np.exp(SHAPE * rng.standard_normal()))
     z = float(rng.standard_normal())
     if item.unit == "Hz":
-        return item.fitted_start + MAINS_HERTZ * z
+        return item.fitted_start + MAINS_SCATTER * z
     if item.fitted_bounds[0] >= 0.0:
         return item.fitted_start * float(np.exp(SHAPE * z))
     return item.fitted_start + item.fitted_scale * z
 
 
-def simulated(declared: DeclaredEffect) -> DeclaredEffect:
+def simulation_effect(declared: DeclaredEffect) -> DeclaredEffect:
     """The effect with the word of its place as the parameter that it is."""
     choice = next(effect.choice for effect in EFFECTS if effect.name == declared.name)
     if choice is None:
@@ -107,55 +109,55 @@ def simulated(declared: DeclaredEffect) -> DeclaredEffect:
     return declared.model_copy(update={"where": tuple(where), "parameters": {**declared.parameters, choice.name: word}})
 
 
-def candidate_of(label: str, geometry: Geometry) -> Candidate:
+def parse_candidate(label: str, geometry: Geometry) -> Candidate:
     """The candidate NAME@PLACE,PLACE."""
     name, _, where = label.partition("@")
     return candidate_at(name, tuple(part for part in where.split(",") if part), geometry)
 
 
 @lru_cache(maxsize=4)
-def _declared_campaign(geometry_file: str, excitation: str) -> tuple[Batch, ...]:
+def _simulate_declared_campaign(geometry_file: str, excitation: str) -> tuple[Batch, ...]:
     """Batches of a campaign of the rig as declared."""
     geometry = load_geometry(geometry_file)
     runs, _ = simulate_campaign(true_rig(geometry), plan(excitation), seed=1)
     spectra = measured_spectra(runs, geometry, means=True)
-    return stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    return stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
 
 
 def _information(geometry: Geometry, theta: Array, batches: Sequence[Batch], candidate: Candidate) -> Array:
     return scores(balance_model(geometry), theta, batches, [candidate])[0].information
 
 
-def expected_gains(rig: TrueRig, spectra: Spectra, hidden: Sequence[Hidden]) -> list[float]:
+def expected_gains(rig: TrueRig, spectra: Spectra, hidden: Sequence[HiddenEffect]) -> list[float]:
     """d'V d of each in this campaign, at the truth of the rig without them."""
     if not hidden:
         return []
     geometry = rig.geometry
     theta = true_parameters(rig, balance_model(geometry).parameters)
-    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
     found = []
     for one in hidden:
         V = _information(geometry, theta, batches, Candidate(one.candidate.one, (one.values,)))
-        step = _expected(one.candidate, one.departure, V)
+        step = _expected_gain(one.candidate, one.departure, V)
         # At parameters without the tone its power is in what is left, and V says nothing.
-        found.append(one.asked if step.tones else step.quadratic)
+        found.append(one.target_gain if step.tones else step.quadratic)
     return found
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedGain:
     """d'V d of a step, and the number of runs that hear a tone of unknown phase; zero where it is none."""
 
     quadratic: float
     tones: int = 0
 
 
-def _expected(candidate: Candidate, d: Array, V: Array) -> Expected:
-    tone = any(item.squared for item in tested(candidate.one.parameters))
-    return Expected(float(d @ V @ d), SWEEPS if tone else 0)
+def _expected_gain(candidate: Candidate, d: Array, V: Array) -> ExpectedGain:
+    tone = any(item.squared for item in parameters_of_interest(candidate.one.parameters))
+    return ExpectedGain(float(d @ V @ d), SWEEPS if tone else 0)
 
 
-def _gain(step: Expected) -> float:
+def _tone_gain(step: ExpectedGain) -> float:
     """Expected gain; of a tone that of Rice's likelihood in runs that hear it alike.
 
     With l = a^2 n in each run, V d^2 is the sum of l^2, and 2 ln I0(a |b|) - l is gained at E |b|^2 = a^2 n^2 + 2 n.
@@ -167,16 +169,16 @@ def _gain(step: Expected) -> float:
     return float(step.tones * (2.0 * (np.log(ive(0, x)) + x) - of_run))
 
 
-def share_for(size: float, step: Expected) -> float:
+def scale_for_gain(size: float, step: ExpectedGain) -> float:
     """By how much the step must be multiplied to be expected to gain `size`."""
     if not step.tones:
         return float(np.sqrt(size / max(step.quadratic, 1e-300)))
     # A power grows with the share, and V d^2 with its square.
-    power = brentq(lambda q: _gain(replace(step, quadratic=q)) - size, 1e-3, max(1e10, size**2))
+    power = brentq(lambda q: _tone_gain(replace(step, quadratic=q)) - size, 1e-3, max(1e10, size**2))
     return float(np.sqrt(power / step.quadratic))
 
 
 def power(gain: float, parameters: int, candidates: int) -> float:
     """Probability that an effect of this expected gain is significant beside so many candidates: no test has more."""
-    level = chi2.isf(SIGNIFICANT / candidates, parameters)
+    level = chi2.isf(SIGNIFICANCE_LEVEL / candidates, parameters)
     return float(ncx2.sf(level, parameters, gain))

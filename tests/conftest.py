@@ -38,9 +38,14 @@ def campaign():
     # A mode of a tenth of a per cent would ring through the whole of so short a record.
     rig = replace(rig, damping_ratios=np.maximum(rig.damping_ratios, 0.008))
     plan = short_plan()
-    longer = [one.model_copy(update={"periods": 8}) if one.kind == "sweep" else one for one in plan.runs]
-    longer = [one.model_copy(update={"duration": 16.0}) if one.kind in ("check", "wind") else one for one in longer]
-    steps = [one.model_copy(update={"steps": 5}) if one.kind == "static" else one for one in longer]
+    longer = [
+        run_plan.model_copy(update={"periods": 8}) if run_plan.kind == "sweep" else run_plan for run_plan in plan.runs
+    ]
+    longer = [
+        run_plan.model_copy(update={"duration": 16.0}) if run_plan.kind in ("check", "wind") else run_plan
+        for run_plan in longer
+    ]
+    steps = [run_plan.model_copy(update={"steps": 5}) if run_plan.kind == "static" else run_plan for run_plan in longer]
     runs, truths = simulate_campaign(rig, plan.model_copy(update={"runs": tuple(steps)}), seed=4)
     return SimulatedCampaign(geometry, rig, runs, {truth.name: truth for truth in truths})
 

@@ -15,11 +15,11 @@ from pydantic import BaseModel
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.cli import COMMANDS, balance
-from balance_cli.reduction.result import COLUMNS
+from balance_cli.reduction.result import LOAD_TABLE_COLUMNS
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.simulation.plans import RotorPlan, StaticPlan, SweepPlan, ZeroPlan
 from balance_cli.steps.modes import computed_modes
-from tests.support.diagnosis_content import engine_module
+from tests.support.diagnosis_content import fake_diagnose_module
 from tests.support.rigs import rotor_balance
 from tests.support.tools import tool
 
@@ -152,7 +152,7 @@ def test_every_setting_of_a_plan_is_in_the_manual():
 
 
 def test_every_column_of_the_loads_is_in_the_manual():
-    assert set(COLUMNS) <= section("files.md", "LOADS: `.csv` or `.h5`")
+    assert set(LOAD_TABLE_COLUMNS) <= section("files.md", "LOADS: `.csv` or `.h5`")
 
 
 # ---- summaries -------------------------------------------------------------------------------------------------------
@@ -212,7 +212,7 @@ def summaries(tmp_path_factory):
         path = folder / f"{name}.json"
         # The loop itself takes its time, and finds nothing in so little: one by hand has all keys.
         with pytest.MonkeyPatch.context() as patch:
-            patch.setitem(sys.modules, "balance_cli.steps.diagnose", engine_module())
+            patch.setitem(sys.modules, "balance_cli.steps.diagnose", fake_diagnose_module())
             result = CliRunner().invoke(balance, [name, *words, "--json", str(path)])
         assert result.exit_code == (2 if name == "check" else 0), result.output
         found[name] = json.loads(path.read_text(encoding="utf-8"))

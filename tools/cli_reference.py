@@ -42,12 +42,12 @@ def _command(root: click.Context, name: str) -> str:
     options = [item for item in command.params if isinstance(item, click.Option)]
     required = [f"{item.opts[0]} {_value(item)}".strip() for item in options if item.required]
     usage = " ".join(["balance", name, "[OPTIONS]", *required, *(_place(item) for item in arguments)])
-    rows = [f"| {_names(item)} | {_meaning(item)} |" for item in sorted(options, key=_is_general)]
+    rows = [f"| {_names(item)} | {_meaning(item)} |" for item in sorted(options, key=_is_common_option)]
     table = ["| option | meaning |", "|---|---|", *rows, "| `-h`, `--help` | Show the help and exit. |"]
     return "\n".join([f"## balance {name}", "", "```", usage, "```", "", *_paragraphs(command.help), *table, ""])
 
 
-def _is_general(option: click.Option) -> bool:
+def _is_common_option(option: click.Option) -> bool:
     """The options that every command has go last."""
     return option.name in ("json_path", "verbose")
 
@@ -106,11 +106,11 @@ def _effects() -> str:
     blocks = [EFFECTS_HEAD]
     for name, kind in EXTENSIONS.items():
         parameters = ", ".join(f"`{parameter}`" for parameter in parameter_names(kind))
-        blocks += [f"### {name}\n", *_paragraphs(_unindented(kind.__doc__)), f"Parameters: {parameters}.\n"]
+        blocks += [f"### {name}\n", *_paragraphs(_strip_indentation(kind.__doc__)), f"Parameters: {parameters}.\n"]
     return "\n".join(blocks)
 
 
-def _unindented(doc: str | None) -> str:
+def _strip_indentation(doc: str | None) -> str:
     return "\n".join(line.strip() for line in (doc or "").strip().splitlines())
 
 

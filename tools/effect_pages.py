@@ -18,10 +18,10 @@ FOLDER = ROOT / "docs" / "effects"
 INDEX = ROOT / "docs" / "effects.md"
 EXAMPLE = ROOT / "configs" / "rts-6.yaml"
 
-MARK = "<!-- Written by `make docs` from the effects themselves; changes made here are lost. -->"
+GENERATED_MARK = "<!-- Written by `make docs` from the effects themselves; changes made here are lost. -->"
 INDEX_HEAD = f"""# Effects
 
-{MARK}
+{GENERATED_MARK}
 
 What the rigid balance lacks: each a physical thing, each one file in `balance_cli/effects`. `identify --effect` fits
 them, and the `effects` of a geometry declare them. They act in this order, in whatever order they are named.
@@ -47,13 +47,13 @@ def pages() -> dict[Path, str]:
 
 def page(effect: Effect, geometry: Geometry) -> str:
     """The page of one effect, its parameters shown for a rig."""
-    where = _telling_place(effect, geometry)
+    where = _place_with_most_parameters(effect, geometry)
     call = f"{effect.name}@{','.join(where)}" if where else effect.name
     places = len(effect.places(geometry))
     return "\n".join(
         [
             f"# {effect.name}\n",
-            f"{MARK}\n",
+            f"{GENERATED_MARK}\n",
             _paragraph(effect.summary),
             _paragraph(f"Place: {effect.place}. The rig of `configs/{EXAMPLE.name}` has {_count(places)} for it."),
             "## What it adds\n",
@@ -66,7 +66,7 @@ def page(effect: Effect, geometry: Geometry) -> str:
             "\n## Where it holds\n",
             _paragraph(effect.validity),
             "## What it leaves in a residual\n",
-            _paragraph(effect.trace),
+            _paragraph(effect.signature),
             "## What tells it from others\n",
             _paragraph(effect.separated_by),
             "## Reference\n",
@@ -76,7 +76,7 @@ def page(effect: Effect, geometry: Geometry) -> str:
     )
 
 
-def _telling_place(effect: Effect, geometry: Geometry) -> Where:
+def _place_with_most_parameters(effect: Effect, geometry: Geometry) -> Where:
     """The place with the most parameters, the first of several."""
     return max(effect.places(geometry), key=lambda where: len(effect.parameters(geometry, where)))
 
@@ -95,9 +95,9 @@ def _formulas(effect: Effect) -> str:
 
 
 def _row(parameter: EffectParameter) -> str:
-    null = "-" if parameter.secondary else _number(parameter.null)
+    null = "-" if parameter.nuisance else _number(parameter.null)
     size = f"{parameter.scale:.2g} {parameter.fitted_unit}" if parameter.reciprocal else f"{parameter.scale:.2g}"
-    cells = (f"`{parameter.name}`", parameter.unit, null, size, _bounds(parameter), parameter.sentence)
+    cells = (f"`{parameter.name}`", parameter.unit, null, size, _bounds(parameter), parameter.description)
     return f"| {' | '.join(cells)} |"
 
 

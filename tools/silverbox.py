@@ -26,7 +26,7 @@ from balance_cli.campaign.rig.geometry_file import geometry_from_dict, save_geom
 RATE = 1e7 / 2**14
 MULTISINES = slice(40649, 127400)
 ARROW = slice(99, 40575)
-TRAINED = 0.75
+TRAINING_FRACTION = 0.75
 
 GEOMETRY = {
     "format": "balance-geometry/1",
@@ -68,7 +68,7 @@ def silverbox_runs(csv: Path) -> dict[str, Run]:
     """Training part and test part of the multisines, and the arrow head, by name."""
     rows = np.genfromtxt(csv, delimiter=",", skip_header=1)[:, :2]
     multisines = rows[MULTISINES]
-    cut = round(TRAINED * len(multisines))
+    cut = round(TRAINING_FRACTION * len(multisines))
     parts = {"train": multisines[:cut], "test": multisines[cut:], "arrow": rows[ARROW]}
     return {name: silverbox_run(name, part) for name, part in parts.items()}
 

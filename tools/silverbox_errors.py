@@ -23,19 +23,19 @@ from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import load_artefact
 from balance_cli.simulation import TrueRig, true_rig
 from balance_cli.simulation.assembly import equations_of_motion
-from balance_cli.simulation.motion import Motion, nonlinear_forces
+from balance_cli.simulation.motion import RigDynamics, nonlinear_forces
 from balance_cli.simulation.rig import apply_effects
 
 Array = NDArray[np.float64]
 
 OVERSAMPLING = 4
-SETTLED = 50
-NOT_BEYOND = 32000
+TRANSIENT_SAMPLES = 50
+TRAINED_AMPLITUDE_SAMPLES = 32000
 CELL_FORCES = ("cubic-stiffness", "quadratic-stiffness", "dry-friction")
 CONSTANTS = ("load-offset", "channel-offset", "channel-gain")
 
 
-def rig_of(model: IdentifiedModel) -> tuple[TrueRig, dict[str, float]]:
+def silverbox_rig(model: IdentifiedModel) -> tuple[TrueRig, dict[str, float]]:
     """The rig that a model says it is, with its forces along the cell, and its parameters by name.
 
     ValueError for an effect that is neither such a force nor a gain or offset.
@@ -54,10 +54,10 @@ def rig_of(model: IdentifiedModel) -> tuple[TrueRig, dict[str, float]]:
     return apply_effects(rig, [effect for effect in model.geometry.effects if effect.name in CELL_FORCES]), value
 
 
-def simulated(model: IdentifiedModel, loads: Array, rate: float) -> Array:
+def simulate_output(model: IdentifiedModel, loads: Array, rate: float) -> Array:
     """The channel (n,) [V] under recorded loads (n,) [N], band-limited between samples, integrated from rest."""
-    rig, value = rig_of(model)
-    motion, step, n = Motion.of(equations_of_motion(rig)), 1.0 / (rate * OVERSAMPLING), len(loads)
+    rig, value = silverbox_rig(model)
+    motion, step, n = RigDynamics.of(equations_of_motion(rig)), 1.0 / (rate * OVERSAMPLING), len(loads)
     spectrum = np.zeros(OVERSAMPLING * n // 2 + 1, complex)
     spectrum[: n // 2 + 1] = np.fft.rfft(loads)
     fine = np.zeros((OVERSAMPLING * n, 6))
@@ -71,15 +71,19 @@ def errors(model: IdentifiedModel, runs: Mapping[str, Run]) -> tuple[float, floa
     """RMSE [mV] on the test part, on the arrow head, and on that of it which needs no extrapolation."""
     train, test, arrow = (runs[name].read() for name in ("train", "test", "arrow"))
     rate = runs["train"].sample_rate
-    multisines = simulated(model, np.concatenate([train.loads[:, 2], test.loads[:, 2]]), rate)
-    noise = simulated(model, arrow.loads[:, 2], rate) - arrow.channels[:, 0]
-    wrong = multisines[len(train.loads) :] - test.channels[:, 0]
-    return rmse(wrong[SETTLED:]), rmse(noise[SETTLED:]), rmse(noise[SETTLED:NOT_BEYOND])
+    multisines = simulate_output(model, np.concatenate([train.loads[:, 2], test.loads[:, 2]]), rate)
+    noise = simulate_output(model, arrow.loads[:, 2], rate) - arrow.channels[:, 0]
+    output_error = multisines[len(train.loads) :] - test.channels[:, 0]
+    return (
+        rmse(output_error[TRANSIENT_SAMPLES:]),
+        rmse(noise[TRANSIENT_SAMPLES:]),
+        rmse(noise[TRANSIENT_SAMPLES:TRAINED_AMPLITUDE_SAMPLES]),
+    )
 
 
-def rmse(wrong: Array) -> float:
+def rmse(output_error: Array) -> float:
     """Root mean square [mV] of an error [V]."""
-    return 1e3 * float(np.sqrt(np.mean(wrong**2)))
+    return 1e3 * float(np.sqrt(np.mean(output_error**2)))
 
 
 def main() -> None:

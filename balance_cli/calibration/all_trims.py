@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from balance_cli.calibration.convergence import MARGIN
-from balance_cli.calibration.fit import LoadPoints
-from balance_cli.calibration.math_model import CONFIDENCE, GageModel
-from balance_cli.calibration.noise import APPLIED, NoiseParts, noise_parts
-from balance_cli.calibration.noniterative import DirectModel, direct_model
-from balance_cli.calibration.outliers import BadSequence, Outlier, exchanged
-from balance_cli.calibration.tares import Tares, examined_with_tares
+from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN
+from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
+from balance_cli.calibration.noise import APPLIED_SHARE, CalibrationNoise, estimate_calibration_noise
+from balance_cli.calibration.noniterative import NonIterativeModel, fit_noniterative_model
+from balance_cli.calibration.outliers import Outlier, SuspectLoadSeries, exchanged
+from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.components import COMPONENTS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
-LEVEL = gravity_directions([[0.0, 0.0]])
+LEVEL_GRAVITY = gravity_directions([[0.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Drift:
 
 
 @dataclass(frozen=True)
-class CheckedLoads:
+class CheckLoads:
     """Loads that took no part: applied (m, k) and found (m, k) [N, N m], half the prediction interval (m, k).
 
     `solved` (m,): rows within the range of the calibration, where the iteration holds.
@@ -52,7 +52,7 @@ class CheckedLoads:
     solved: NDArray[np.bool_]
 
     @property
-    def hits(self) -> Array:
+    def interval_coverage(self) -> Array:
         """Share (k,) of the loads within their prediction interval, among rows that were solved; NaN without any."""
         within = np.abs(self.found - self.applied) <= self.interval
         return (
@@ -67,7 +67,7 @@ class CheckedLoads:
 
 
 @dataclass(frozen=True)
-class GageCalibration:
+class AllTrimsCalibration:
     """Gage model of all trims with the rows behind it: loads (m, k), residuals and errors of sequences left out (m, c)
 
     [V], NaN where a row took no part; `run` (m,) counts `runs`. `exchanged`: pairs of channels that read each other's
@@ -78,20 +78,20 @@ class GageCalibration:
     `stretch` (m,) counts the attitudes of all runs, None where no run states them.
     """
 
-    model: GageModel
+    model: CalibrationModel
     runs: tuple[str, ...]
     run: Index
     loads: Array
     residuals: Array
     left_out: Array
     drift: Drift
-    noise: NoiseParts
+    noise: CalibrationNoise
     outliers: tuple[Outlier, ...]
-    bad_sequences: tuple[BadSequence, ...]
+    bad_sequences: tuple[SuspectLoadSeries, ...]
     exchanged: tuple[str, ...] = ()
     limits: tuple[str, ...] = ()
-    direct: DirectModel | None = None
-    checks: tuple[CheckedLoads, ...] = ()
+    direct: NonIterativeModel | None = None
+    checks: tuple[CheckLoads, ...] = ()
     tares: Tares | None = None
     stretch: Index | None = None
 
@@ -99,17 +99,17 @@ class GageCalibration:
     def level(self) -> Array:
         """Loads (k,) [N, N m] of the metric part's weight on the level rig, beyond what a zero record knows; or 0."""
         names = self.model.components
-        return np.zeros(len(names)) if self.tares is None else self.tares.loads(LEVEL, names)[0]
+        return np.zeros(len(names)) if self.tares is None else self.tares.loads(LEVEL_GRAVITY, names)[0]
 
 
-def gage_calibration(
-    points: LoadPoints,
+def calibrate_all_trims(
+    points: CalibrationPoints,
     checks: Sequence[tuple[str, Array, Array]] = (),
     search: bool = True,
     declared: Array | None = None,
     direct: bool = False,
     check_gravity: Mapping[str, Array] | None = None,
-) -> GageCalibration:
+) -> AllTrimsCalibration:
     """Fit all points; `checks` are names, readings (m, c) and loads (m, k) of runs that took no part.
 
     With the `declared` response (c, k) [V per N, N m] channels that are exchanged are named; with `direct` the loads
@@ -118,12 +118,14 @@ def gage_calibration(
 
     Raises least_squares.CollinearError where the loads were never applied by themselves.
     """
-    total, found, tares = examined_with_tares(points, search)
+    total, found, tares = screen_outliers_with_tares(points, search)
     model = found.fit.model
     k, used = len(model.components), np.asarray(np.isfinite(found.fit.residuals).all(axis=1))
-    straight = model.coefficients[:k].T
-    noise = noise_parts(found.fit.residuals[used], points.x[used], straight, model.residual_covariance)
-    return GageCalibration(
+    linear_coefficients = model.coefficients[:k].T
+    noise = estimate_calibration_noise(
+        found.fit.residuals[used], points.x[used], linear_coefficients, model.residual_covariance
+    )
+    return AllTrimsCalibration(
         model=model,
         runs=points.run_names,
         run=points.run,
@@ -135,10 +137,10 @@ def gage_calibration(
         outliers=found.outliers,
         bad_sequences=found.sequences,
         exchanged=() if declared is None else exchanged(points, declared * points.full_range),
-        limits=(*found.limits, *_unstated(points)),
-        direct=direct_model(total, model, used, search) if direct else None,
+        limits=(*found.limits, *_runs_without_attitude(points)),
+        direct=fit_noniterative_model(total, model, used, search) if direct else None,
         checks=tuple(
-            checked(model, noise, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0])))
+            evaluate_check_loads(model, noise, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0])))
             for check in checks
         ),
         tares=tares,
@@ -146,12 +148,12 @@ def gage_calibration(
     )
 
 
-def _tare_loads(tares: Tares | None, model: GageModel, gravity: Array | None) -> Array | None:
+def _tare_loads(tares: Tares | None, model: CalibrationModel, gravity: Array | None) -> Array | None:
     """Loads (m, k) of the metric part's weight; None where they or the attitude are not known."""
     return None if tares is None or gravity is None else tares.loads(gravity, model.components)
 
 
-def _unstated(points: LoadPoints) -> Iterator[str]:
+def _runs_without_attitude(points: CalibrationPoints) -> Iterator[str]:
     """Runs without attitude among others that have one."""
     if points.gravity is None:
         return
@@ -165,7 +167,7 @@ def drift(zeros: Array, covariance: Array) -> Drift:
     NaN for fewer than three sequences.
     """
     s, c = zeros.shape
-    if s < FEWEST_ZEROS:
+    if s < MIN_ZEROS:
         return Drift(*(np.full(c, np.nan) for _ in range(3)))
     line = np.column_stack([np.ones(s), np.arange(s) - 0.5 * (s - 1)])
     slope, sigma, scatter = np.zeros(c), np.zeros(c), np.zeros(c)
@@ -179,40 +181,45 @@ def drift(zeros: Array, covariance: Array) -> Drift:
     return Drift(slope, sigma, scatter)
 
 
-FEWEST_ZEROS = 3
+MIN_ZEROS = 3
 """Sequences through whose zeros a line says anything."""
 
 
-def checked(
-    model: GageModel, noise: NoiseParts, run: str, channels: Array, loads: Array, weight: Array | None = None
-) -> CheckedLoads:
+def evaluate_check_loads(
+    model: CalibrationModel,
+    noise: CalibrationNoise,
+    run: str,
+    channels: Array,
+    loads: Array,
+    weight: Array | None = None,
+) -> CheckLoads:
     """Loads found from the readings of a run that took no part, counted from the load that it begins with.
 
     The rows at that load tell its zero: what they read beyond what the model makes of the load. The interval holds the
     noise of the applied load's own reading, where that load was applied. `weight` (m, k): loads of the metric part
     beside those applied.
     """
-    beside = np.zeros_like(loads) if weight is None else weight
+    weight_loads_in_rows = np.zeros_like(loads) if weight is None else weight
     S = noise.readings
-    tare = np.all(np.abs(loads - loads[0]) <= SAME_LOAD * model.full_range, axis=1)
-    zero = np.mean(channels[tare] - model.readings((loads + beside)[tare]), axis=0)
+    tare = np.all(np.abs(loads - loads[0]) <= SAME_LOAD_TOLERANCE * model.full_range, axis=1)
+    zero = np.mean(channels[tare] - model.readings((loads + weight_loads_in_rows)[tare]), axis=0)
     found, solved = model.loads(channels - zero)
-    beyond = (MARGIN - 1.0) * model.full_range
+    beyond = (EXTRAPOLATION_MARGIN - 1.0) * model.full_range
     solved &= np.all((found <= model.largest + beyond) & (found >= model.smallest - beyond), axis=1)
     interval = np.full(found.shape, np.nan)
     if solved.any():
         of_readings = model.interval(found[solved], S * (1.0 + 1.0 / np.count_nonzero(tare)))
-        applied = np.abs(loads[solved]) > APPLIED * model.full_range
+        applied = np.abs(loads[solved]) > APPLIED_SHARE * model.full_range
         of_load = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE) * applied * noise.loads * model.full_range
         interval[solved] = np.hypot(of_readings, of_load)
-    return CheckedLoads(run, loads, found - beside, interval, solved)
+    return CheckLoads(run, loads, found - weight_loads_in_rows, interval, solved)
 
 
-SAME_LOAD = 1e-3
+SAME_LOAD_TOLERANCE = 1e-3
 """Of full range: loads that count as the same."""
 
 
-def rows_of(run: Run, channel_names: Sequence[str], components: Sequence[str]) -> tuple[Array, Array]:
+def read_load_points(run: Run, channel_names: Sequence[str], components: Sequence[str]) -> tuple[Array, Array]:
     """Readings (m, c) and loads (m, k) of a static run."""
     loads = run.read().loads
     assert loads is not None

@@ -22,15 +22,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.terms import Term, columns, steepest
+from balance_cli.calibration.terms import Term, columns, largest_derivatives
 
 Array = NDArray[np.float64]
 
 # Loads beyond full range that are still taken, flagged: the proof covers them.
-MARGIN = 1.1
-ROUNDS = 50
-ITERATIONS = 200
-TOLERANCE = 1e-12
+EXTRAPOLATION_MARGIN = 1.1
+REACH_ITERATIONS = 50
+LOAD_ITERATIONS = 200
+LOAD_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -49,26 +49,26 @@ class Contraction:
         return self.rho < 1.0
 
 
-def contraction(back: Array, terms: Sequence[Term], size: int) -> Contraction:
+def contraction(nonlinear_matrix: Array, terms: Sequence[Term], size: int) -> Contraction:
     """The proof for `back` = W C2 (n, q), the loads that each of the q curved terms feigns; n is `size`."""
     if not terms:
-        return Contraction(0.0, np.full(size, MARGIN))
-    feigned = np.abs(back)
-    first = feigned @ np.abs(columns(terms, np.full((1, size), MARGIN)))[0]
-    reach = MARGIN + first
-    for _ in range(ROUNDS):
-        M = feigned @ steepest(terms, reach)
-        rho, v = _perron(M)
+        return Contraction(0.0, np.full(size, EXTRAPOLATION_MARGIN))
+    apparent = np.abs(nonlinear_matrix)
+    first = apparent @ np.abs(columns(terms, np.full((1, size), EXTRAPOLATION_MARGIN)))[0]
+    reach = EXTRAPOLATION_MARGIN + first
+    for _ in range(REACH_ITERATIONS):
+        M = apparent @ largest_derivatives(terms, reach)
+        rho, v = _perron_root(M)
         if rho >= 1.0:
             break
-        wider = MARGIN + np.minimum(np.linalg.solve(np.eye(size) - M, first), v * np.max(first / v))
+        wider = EXTRAPOLATION_MARGIN + np.minimum(np.linalg.solve(np.eye(size) - M, first), v * np.max(first / v))
         if np.all(wider <= reach * (1.0 + 1e-9)):
             return Contraction(rho, reach)
         reach = np.maximum(reach, wider)
     return Contraction(float("inf"), reach)
 
 
-def _perron(M: Array) -> tuple[float, Array]:
+def _perron_root(M: Array) -> tuple[float, Array]:
     """A bound of the spectral radius rho of a matrix without negative elements, and v > 0 (n,) with M v <= rho v."""
     # A small positive part everywhere can only make rho larger, and makes v positive.
     values, vectors = np.linalg.eig(M + 1e-9 * max(float(M.max()), 1e-9))
@@ -77,14 +77,18 @@ def _perron(M: Array) -> tuple[float, Array]:
     return float(values[k].real), np.asarray(v / v.max())
 
 
-def iterated(straight: Array, back: Array, terms: Sequence[Term]) -> tuple[Array, NDArray[np.bool_]]:
-    """Loads x (m, n) with x = `straight` - back h(x), and which rows (m,) converged; `straight` (m, n) is W r."""
-    x = straight.copy()
+def iterate_loads(
+    linear_loads: Array, nonlinear_matrix: Array, terms: Sequence[Term]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Loads x (m, n) with x = `linear_loads` - back h(x), and which rows (m,) converged; `linear_loads` (m, n) is W
+    r.
+    """
+    x = linear_loads.copy()
     done = np.zeros(len(x), bool)
-    for _ in range(ITERATIONS):
+    for _ in range(LOAD_ITERATIONS):
         with np.errstate(over="ignore", invalid="ignore"):
-            new = straight - columns(terms, x) @ back.T
-            done = np.max(np.abs(new - x), axis=1, initial=0.0) < TOLERANCE
+            new = linear_loads - columns(terms, x) @ nonlinear_matrix.T
+            done = np.max(np.abs(new - x), axis=1, initial=0.0) < LOAD_TOLERANCE
         x = new
         if done.all():
             break

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Extended = NDArray[np.longdouble]
+ExtendedArray = NDArray[np.longdouble]
 
 # Numbers of half as many digits have exact products.
-HALF = np.longdouble(2.0) ** ((np.finfo(np.longdouble).nmant + 2) // 2) + 1
+SPLIT_FACTOR = np.longdouble(2.0) ** ((np.finfo(np.longdouble).nmant + 2) // 2) + 1
 
 
-def gram_schmidt(A: Extended) -> tuple[Extended, Extended]:
+def gram_schmidt(A: ExtendedArray) -> tuple[ExtendedArray, ExtendedArray]:
     """A = Q R in extended precision (modified, columns in their order)."""
     Q, R = A.copy(), np.zeros((A.shape[1], A.shape[1]), np.longdouble)
     for j in range(A.shape[1]):
@@ -22,7 +22,7 @@ def gram_schmidt(A: Extended) -> tuple[Extended, Extended]:
     return Q, R
 
 
-def triangular_inverse(R: Extended) -> Extended:
+def triangular_inverse(R: ExtendedArray) -> ExtendedArray:
     """Inverse of an upper triangular matrix in extended precision."""
     inverse = np.zeros_like(R)
     for j in reversed(range(len(R))):
@@ -36,18 +36,20 @@ def inner_products(A: NDArray[np.floating], r: NDArray[np.floating]) -> NDArray[
     """A'r, in extended precision with what rounding takes of products and sums (Ogita, Rump and Oishi, 2005)."""
     if A.dtype != np.longdouble:
         return np.asarray(A.T @ r)
-    halves = _halves(A)
-    return np.column_stack([_summed(*_products(A, halves, one[:, None])) for one in r.T])
+    halves = _veltkamp_split(A)
+    return np.column_stack([_compensated_sum(*_two_products(A, halves, one[:, None])) for one in r.T])
 
 
-def _products(A: Extended, halves: tuple[Extended, Extended], b: Extended) -> tuple[Extended, Extended]:
+def _two_products(
+    A: ExtendedArray, halves: tuple[ExtendedArray, ExtendedArray], b: ExtendedArray
+) -> tuple[ExtendedArray, ExtendedArray]:
     """A times b (m, p), and what rounding takes of it."""
-    (a1, a2), (b1, b2) = halves, _halves(b)
+    (a1, a2), (b1, b2) = halves, _veltkamp_split(b)
     products = A * b
     return products, ((a1 * b1 - products) + a1 * b2 + a2 * b1) + a2 * b2
 
 
-def _summed(values: Extended, lost: Extended) -> Extended:
+def _compensated_sum(values: ExtendedArray, lost: ExtendedArray) -> ExtendedArray:
     """Sums (p,) of values (m, p) and of what was lost of them, two by two, each with what rounding takes of it."""
     small = np.sum(lost, axis=0)
     while len(values) > 1:
@@ -60,8 +62,8 @@ def _summed(values: Extended, lost: Extended) -> Extended:
     return np.asarray(values[0] + small)
 
 
-def _halves(x: Extended) -> tuple[Extended, Extended]:
+def _veltkamp_split(x: ExtendedArray) -> tuple[ExtendedArray, ExtendedArray]:
     """Two numbers of half as many digits, the products of which are exact."""
-    far = x * HALF
+    far = x * SPLIT_FACTOR
     first = far - (far - x)
     return first, x - first

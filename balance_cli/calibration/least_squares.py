@@ -25,22 +25,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from balance_cli.calibration.extended_precision import Extended, gram_schmidt, inner_products, triangular_inverse
+from balance_cli.calibration.extended_precision import ExtendedArray, gram_schmidt, inner_products, triangular_inverse
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 # Largest condition of the scaled columns that leaves coefficients a few digits in double precision.
-LARGEST_CONDITION = 1e13
+COLLINEAR_CONDITION = 1e13
 # Condition beyond which double precision would leave fewer than some eleven digits.
 EXTENDED_CONDITION = 1e4
 # Refinements at most; each leaves of the error what the first solution has of it. They end where no more is gained.
-REFINEMENTS = 8
+MAX_REFINEMENTS = 8
 TINY = float(np.finfo(float).tiny)
 # A row that alone determines a coefficient is granted this share of its residual.
-LEAST_SHARE = 1e-8
+PRESS_LEVERAGE_FLOOR = 1e-8
 # Share of what is known of a term that rows of other groups must hold, to predict a group by them.
-LEAST_KNOWN = 1e-4
+MIN_KNOWN_SHARE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class LeastSquares:
     @property
     def press_residuals(self) -> Array:
         """Error (m, c) of each row, predicted by all others."""
-        return np.asarray(self.residuals / np.maximum(1.0 - self.leverage, LEAST_SHARE)[:, None])
+        return np.asarray(self.residuals / np.maximum(1.0 - self.leverage, PRESS_LEVERAGE_FLOOR)[:, None])
 
     @property
     def press(self) -> Array:
@@ -112,7 +112,7 @@ class LeastSquares:
             Q = self.Q[rows]
             # The small one of the two forms: (1 - Q Q')^-1 = 1 + Q (1 - Q'Q)^-1 Q'.
             left = np.eye(Q.shape[1]) - Q.T @ Q
-            if np.linalg.eigvalsh(left)[0] > LEAST_KNOWN:
+            if np.linalg.eigvalsh(left)[0] > MIN_KNOWN_SHARE:
                 e = root[rows] * self.residuals[rows]
                 errors[rows] = (e + Q @ np.linalg.solve(left, Q.T @ e)) / root[rows]
         return errors
@@ -132,14 +132,16 @@ def regression(X: NDArray[np.floating], Y: Array, block: Index, weight: Array | 
     X and Y may come in extended precision, which is kept where it matters. Raises CollinearError.
     """
     w = np.ones(len(X)) if weight is None else np.asarray(weight, float)
-    zeros = _Zeros.of(block, w)
+    zeros = _BlockZeros.from_blocks(block, w)
     # The size of a column with its zeros in it, to a power of two: what the zeros leave of it may be rounding.
     size = np.sqrt(w @ np.asarray(X, float) ** 2)
     scale = np.exp2(np.round(np.log2(np.where(size > 0, size, 1.0))))
-    Q, R = np.linalg.qr(zeros.centred(np.asarray(X, float) / scale))
-    extended = _condition(R) > EXTENDED_CONDITION or X.dtype == np.longdouble or Y.dtype == np.longdouble
-    x, z, r = _refined(*_shifted(X / scale, Y, zeros, extended), zeros, Q, R)
-    Q, R, inverse = _exactly(zeros.centred(X.astype(np.longdouble) / scale)) if extended else (Q, R, _inverse(R))
+    Q, R = np.linalg.qr(zeros.subtract_means(np.asarray(X, float) / scale))
+    extended = _check_condition(R) > EXTENDED_CONDITION or X.dtype == np.longdouble or Y.dtype == np.longdouble
+    x, z, r = _refine_solution(*_shift_columns(X / scale, Y, zeros, extended), zeros, Q, R)
+    Q, R, inverse = (
+        _extended_qr(zeros.subtract_means(X.astype(np.longdouble) / scale)) if extended else (Q, R, _gram_inverse(R))
+    )
     return LeastSquares(
         coefficients=np.asarray(x / scale[:, None], float),
         zeros=np.asarray(z, float),
@@ -155,7 +157,7 @@ def regression(X: NDArray[np.floating], Y: Array, block: Index, weight: Array | 
 
 
 @dataclass(frozen=True)
-class _Zeros:
+class _BlockZeros:
     """Blocks of rows: `place` (m,) among the blocks, `order` (m,) and `starts` (b,) of rows sorted by them; sums
 
     of weights `total` (b,), square roots of weights `root` (m,).
@@ -168,7 +170,7 @@ class _Zeros:
     root: Array
 
     @classmethod
-    def of(cls, block: Index, weight: Array) -> _Zeros:
+    def from_blocks(cls, block: Index, weight: Array) -> _BlockZeros:
         names, place = np.unique(block, return_inverse=True)
         order = np.argsort(place, kind="stable")
         starts = np.searchsorted(place[order], np.arange(len(names)))
@@ -179,7 +181,7 @@ class _Zeros:
         weighted = rows * self.root[:, None]
         return np.asarray(np.add.reduceat(weighted[self.order], self.starts, axis=0))
 
-    def spread(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+    def expand(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """D times values (b, p) of the blocks."""
         return np.asarray(values[self.place] * self.root[:, None])
 
@@ -187,31 +189,31 @@ class _Zeros:
         """Means (b, p) of weighted rows (m, p) in each block."""
         return np.asarray(self.sums(rows) / self.total[:, None])
 
-    def centred(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
+    def subtract_means(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
         """Weighted rows of values (m, p), without what the zeros explain of them."""
         rows = values * self.root[:, None]
-        return np.asarray(rows - self.spread(self.means(rows)))
+        return np.asarray(rows - self.expand(self.means(rows)))
 
 
-def without_zeros(values: Array, block: Index, weight: Array | None = None) -> Array:
+def subtract_block_means(values: Array, block: Index, weight: Array | None = None) -> Array:
     """Weighted rows of values (m, p) less their weighted means in each block (m,)."""
     w = np.ones(len(values)) if weight is None else weight
-    return np.asarray(_Zeros.of(block, w).centred(values), float)
+    return np.asarray(_BlockZeros.from_blocks(block, w).subtract_means(values), float)
 
 
-def _inverse(R: Array) -> Array:
+def _gram_inverse(R: Array) -> Array:
     inverse = solve_triangular(R, np.eye(len(R)))
     return np.asarray(inverse @ inverse.T)
 
 
-def _exactly(A: Extended) -> tuple[Array, Array, Array]:
+def _extended_qr(A: ExtendedArray) -> tuple[Array, Array, Array]:
     """Q, R of A = Q R and (R'R)^-1, to double precision whatever the condition."""
     Q, R = gram_schmidt(A)
     inverse = triangular_inverse(R)
     return np.asarray(Q, float), np.asarray(R, float), np.asarray(inverse @ inverse.T, float)
 
 
-def _condition(R: Array) -> float:
+def _check_condition(R: Array) -> float:
     """Condition of the terms, times what the zeros cancel of them.
 
     Raises CollinearError with the smallest right singular vector where they say the same.
@@ -220,16 +222,16 @@ def _condition(R: Array) -> float:
         return 1.0
     # The columns were scaled with their zeros in them: what these leave of a term is its size in R.
     size = np.linalg.norm(R, axis=0)
-    if np.any(size * LARGEST_CONDITION < 1.0):
-        raise CollinearError((size * LARGEST_CONDITION < 1.0).astype(float))
+    if np.any(size * COLLINEAR_CONDITION < 1.0):
+        raise CollinearError((size * COLLINEAR_CONDITION < 1.0).astype(float))
     s = np.linalg.svd(R / size, compute_uv=False)
-    if s[-1] * LARGEST_CONDITION < s[0]:
+    if s[-1] * COLLINEAR_CONDITION < s[0]:
         raise CollinearError(np.abs(np.linalg.svd(R / size)[2][-1]))
     return float(s[0] / s[-1] / size.min())
 
 
-def _shifted(
-    X: NDArray[np.floating], Y: NDArray[np.floating], zeros: _Zeros, extended: bool
+def _shift_columns(
+    X: NDArray[np.floating], Y: NDArray[np.floating], zeros: _BlockZeros, extended: bool
 ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
     """Weighted rows of X, shifted by some (b, p), and of Y; and the shifts.
 
@@ -242,11 +244,11 @@ def _shifted(
     return (X - means[zeros.place]) * zeros.root[:, None], Y * zeros.root[:, None], means
 
 
-def _refined(
+def _refine_solution(
     A: NDArray[np.floating],
     y: NDArray[np.floating],
     shift: NDArray[np.floating],
-    zeros: _Zeros,
+    zeros: _BlockZeros,
     Q: Array,
     R: Array,
 ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
@@ -258,15 +260,15 @@ def _refined(
     x, z = np.zeros((A.shape[1], y.shape[1]), A.dtype), np.zeros((len(shift), y.shape[1]), A.dtype)
     r, means, last = np.zeros_like(y), np.asarray(zeros.means(A), float), np.inf
     f, g, h = np.asarray(y, float), np.zeros(x.shape), np.zeros(z.shape)
-    for number in range(REFINEMENTS):
+    for number in range(MAX_REFINEMENTS):
         step = Q.T @ f - solve_triangular(R, g - means.T @ h, trans="T")
         dx, dz = solve_triangular(R, step), (zeros.sums(f) - h) / zeros.total[:, None]
-        x, z, r = x + dx, z + dz - means @ dx, r + (f - Q @ step - zeros.spread(dz))
+        x, z, r = x + dx, z + dz - means @ dx, r + (f - Q @ step - zeros.expand(dz))
         size = float(np.max(np.max(np.abs(dx), axis=0) / np.maximum(np.max(np.abs(x), axis=0), TINY), initial=0.0))
         # The next step is as much smaller as this one is than the last.
         if number and (size >= last or size * size <= np.finfo(A.dtype).eps * last):
             break
         last = size
-        f = np.asarray(y - r - zeros.spread(z) - A @ x, float)
+        f = np.asarray(y - r - zeros.expand(z) - A @ x, float)
         g, h = np.asarray(-inner_products(A, r), float), np.asarray(-zeros.sums(r), float)
     return x, z - shift @ x, r

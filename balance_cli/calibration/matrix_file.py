@@ -5,19 +5,21 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from balance_cli.calibration.matrix_reader import StatedMatrix, read_matrix
+from balance_cli.calibration.matrix_reader import ParsedMatrix, read_matrix
 from balance_cli.io.errors import UserError
-from balance_cli.io.sniff import require_file, what_is
+from balance_cli.io.sniff import describe_file, require_file
 
-MOST_BYTES = 10_000_000
+MAX_BYTES = 10_000_000
 
 
-def load_matrix(path: Path) -> tuple[StatedMatrix, str]:
+def read_matrix_file(path: Path) -> tuple[ParsedMatrix, str]:
     """The matrix in a file, and the hex SHA-256 of the file. UserError for its first fault."""
     require_file(path)
     if not path.is_file():
-        raise UserError(f"is {what_is(path)}, where a matrix was expected", str(path), remedy="Give a matrix as .csv")
-    if path.stat().st_size > MOST_BYTES:
+        raise UserError(
+            f"is {describe_file(path)}, where a matrix was expected", str(path), remedy="Give a matrix as .csv"
+        )
+    if path.stat().st_size > MAX_BYTES:
         raise UserError("is too large for a matrix", str(path), remedy="Give a matrix as .csv")
     try:
         content = path.read_bytes()
@@ -27,7 +29,7 @@ def load_matrix(path: Path) -> tuple[StatedMatrix, str]:
         raise UserError(f"cannot be read: {reason}", str(path), remedy="Check its permissions") from error
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        fault = f"is not UTF-8 text ({what_is(path)})"
+        fault = f"is not UTF-8 text ({describe_file(path)})"
         raise UserError(fault, str(path), f"line {line}", "Save it as CSV in UTF-8") from error
     try:
         return read_matrix(text), hashlib.sha256(content).hexdigest()

@@ -10,17 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.matrix_text import FOR_READING, FORMAT
+from balance_cli.calibration.matrix_text import FORMAT, READABLE_FORMAT
 from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 
-MOST_CELLS = 1000
-SEMICOLONS = "Save it with commas between cells and points in numbers"
+MAX_CELLS = 1000
+SEMICOLON_REMEDY = "Save it with commas between cells and points in numbers"
 
 
 @dataclass(frozen=True)
-class MatrixLine:
+class MatrixRow:
     """One line of the file: its number, name, unit and values."""
 
     number: int
@@ -34,20 +34,20 @@ class MatrixLine:
         return UserError(fault, place=place, remedy=remedy)
 
 
-def matrix_lines(text: str) -> list[MatrixLine]:
+def matrix_rows(text: str) -> list[MatrixRow]:
     """The lines that hold something, after the first, which must name the format."""
     numbered = enumerate(text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1)
-    cells = [(number, _cells(number, line)) for number, line in numbered]
+    cells = [(number, _parse_cells(number, line)) for number, line in numbered]
     held = [(number, each) for number, each in cells if any(each) and not each[0].startswith("#")]
     if not held:
         raise UserError("holds nothing", place="line 1", remedy=f"Its first line must be `{FORMAT}`")
     _check_format(*held[0])
     if len(held) > 1 and len(held[1][1]) == 1 and ";" in held[1][1][0]:
-        raise UserError("is separated by semicolons", place=f"line {held[1][0]}", remedy=SEMICOLONS)
-    return [MatrixLine(number, " ".join(each[0].split()), (*each, "")[1], tuple(each[2:])) for number, each in held[1:]]
+        raise UserError("is separated by semicolons", place=f"line {held[1][0]}", remedy=SEMICOLON_REMEDY)
+    return [MatrixRow(number, " ".join(each[0].split()), (*each, "")[1], tuple(each[2:])) for number, each in held[1:]]
 
 
-def _cells(number: int, line: str) -> list[str]:
+def _parse_cells(number: int, line: str) -> list[str]:
     """The cells of a line, without the empty ones that a spreadsheet appends."""
     try:
         cells = [cell.strip() for cell in next(csv.reader([line], strict=True), [])]
@@ -56,8 +56,8 @@ def _cells(number: int, line: str) -> list[str]:
         raise UserError(fault, place=f"line {number}", remedy="Save it as CSV, quotes in pairs") from error
     while cells and not cells[-1]:
         cells.pop()
-    if len(cells) > MOST_CELLS:
-        fault = f"has {len(cells)} cells, where at most {MOST_CELLS} are credible"
+    if len(cells) > MAX_CELLS:
+        fault = f"has {len(cells)} cells, where at most {MAX_CELLS} are credible"
         raise UserError(fault, place=f"line {number}", remedy="Give each line of the matrix a line of the file")
     return cells
 
@@ -68,8 +68,8 @@ def _check_format(number: int, cells: Sequence[str]) -> None:
         return
     place = f"line {number}"
     if found.rstrip(";") == FORMAT:
-        fault, remedy = "is separated by semicolons", SEMICOLONS
-    elif found == FOR_READING:
+        fault, remedy = "is separated by semicolons", SEMICOLON_REMEDY
+    elif found == READABLE_FORMAT:
         fault, remedy = "is the text for reading, which is rounded", "Give the matrix as .csv"
     elif found.startswith("balance-matrix/"):
         fault, remedy = f"is of format `{found[:40]}`, where `{FORMAT}` was expected", "Write it in that layout"
@@ -78,19 +78,19 @@ def _check_format(number: int, cells: Sequence[str]) -> None:
     raise UserError(fault, place=place, remedy=remedy)
 
 
-def numbers(line: MatrixLine, columns: Sequence[str], credible: tuple[float, float] | None = None) -> Array:
+def parse_numbers(line: MatrixRow, columns: Sequence[str], limits: tuple[float, float] | None = None) -> Array:
     """The values of a line, one for each column."""
-    check_count(line, columns)
-    values = np.array([_number(line, text, name) for text, name in zip(line.values, columns, strict=True)])
-    if credible is not None:
+    check_value_count(line, columns)
+    values = np.array([_parse_number(line, text, name) for text, name in zip(line.values, columns, strict=True)])
+    if limits is not None:
         for value, name in zip(values, columns, strict=True):
-            if not credible[0] <= value <= credible[1]:
-                fault = f"{value:g} is not between {credible[0]:g} and {credible[1]:g}"
+            if not limits[0] <= value <= limits[1]:
+                fault = f"{value:g} is not between {limits[0]:g} and {limits[1]:g}"
                 raise line.error(fault, "Correct the number or its unit", name)
     return values
 
 
-def check_count(line: MatrixLine, columns: Sequence[str]) -> None:
+def check_value_count(line: MatrixRow, columns: Sequence[str]) -> None:
     """UserError unless there is one value for each column."""
     if len(line.values) != len(columns):
         missing = f", `{columns[len(line.values)]}` is missing" if len(line.values) < len(columns) else ""
@@ -98,7 +98,7 @@ def check_count(line: MatrixLine, columns: Sequence[str]) -> None:
         raise line.error(fault, f"Give one for each of {', '.join(columns)}")
 
 
-def _number(line: MatrixLine, text: str, column: str) -> float:
+def _parse_number(line: MatrixRow, text: str, column: str) -> float:
     try:
         value = float(text) if "_" not in text else float("nan")
     except ValueError:
@@ -108,7 +108,7 @@ def _number(line: MatrixLine, text: str, column: str) -> float:
     return value
 
 
-def wrong_unit(line: MatrixLine, expected: str) -> UserError:
+def unit_error(line: MatrixRow, expected: str) -> UserError:
     """What to say where another unit, or none, was expected."""
     if not expected:
         return line.error(f"has the unit `{line.unit}`, where none stands", "Leave the second cell empty")
@@ -116,7 +116,7 @@ def wrong_unit(line: MatrixLine, expected: str) -> UserError:
     return line.error(fault, f"Convert the values to {expected}, and write so in the second cell")
 
 
-def nearest(name: str, known: Sequence[str]) -> str:
+def suggest_name(name: str, known: Sequence[str]) -> str:
     """The known name that was perhaps meant, or some of them."""
     near = difflib.get_close_matches(name[:100], known, n=1)
     return f"Did you mean `{near[0]}`?" if near else f"Known are {', '.join(known[:20])}"

@@ -12,12 +12,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from balance_cli.calibration.matrix import Matrix, term_unit
+from balance_cli.calibration.matrix import CalibrationMatrix, term_unit
 from balance_cli.calibration.terms import all_terms
 from balance_cli.campaign.rig.components import UNIT_OF
 
 FORMAT = "balance-matrix/1"
-FOR_READING = f"{FORMAT} for reading"
+READABLE_FORMAT = f"{FORMAT} for reading"
 NOTES = (
     "A channel reads its zero plus the sum over the terms of coefficient times term, loads in N and N m.",
     "Axes and signs are those of the rig; moments count about its hub.",
@@ -30,35 +30,35 @@ CORRELATION = "correlation with "
 TERM = "term"
 VOLT = "V"
 
-Line = tuple[str, str, Sequence[str | float]]
+NamedValues = tuple[str, str, Sequence[str | float]]
 
 
-def matrix_csv(matrix: Matrix) -> str:
+def matrix_csv(matrix: CalibrationMatrix) -> str:
     """The matrix as CSV, every number with all its digits."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([FORMAT])
-    for name, unit, values in _lines(matrix):
+    for name, unit, values in _named_values(matrix):
         writer.writerow([name, unit, *(value if isinstance(value, str) else repr(value) for value in values)])
     return out.getvalue()
 
 
-def matrix_text(matrix: Matrix) -> str:
+def matrix_text(matrix: CalibrationMatrix) -> str:
     """The same in aligned columns, numbers to seven digits."""
-    lines = list(_lines(matrix))
+    lines = list(_named_values(matrix))
     notes = [values[0] for name, _, values in lines if name == NOTE]
-    cells = [[name, unit, *map(_short, values)] for name, unit, values in lines if name != NOTE]
+    cells = [[name, unit, *map(_format_value, values)] for name, unit, values in lines if name != NOTE]
     width = [max(len(line[i]) for line in cells if i < len(line)) for i in range(max(map(len, cells)))]
     left = [width[0], width[1]]
     aligned = ("  ".join([*map(str.ljust, line, left), *map(str.rjust, line[2:], width[2:])]) for line in cells)
-    return "\n".join([FOR_READING, *map(str, notes), "", *(line.rstrip() for line in aligned), ""])
+    return "\n".join([READABLE_FORMAT, *map(str, notes), "", *(line.rstrip() for line in aligned), ""])
 
 
-def _short(value: str | float) -> str:
+def _format_value(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:.7g}"
 
 
-def _lines(matrix: Matrix) -> Iterator[Line]:
+def _named_values(matrix: CalibrationMatrix) -> Iterator[NamedValues]:
     """Name, unit and values of each line, in their order."""
     for note in NOTES:
         yield NOTE, "", (note,)

@@ -18,33 +18,33 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Of full range: a load that hangs.
-APPLIED = 1e-2
-ROUNDS = 4
+APPLIED_SHARE = 1e-2
+REWEIGHTING_ITERATIONS = 4
 # Share of a channel's variance that is its own at least.
-LEAST_OWN = 0.05
+MIN_OWN_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class NoiseParts:
+class CalibrationNoise:
     """Covariance (c, c) [V2] of the readings of a row, and standard deviation (k,) of load readings over full range."""
 
     readings: Array
     loads: Array
 
-    def of_rows(self, x: Array, C: Array) -> Array:
+    def row_sigma(self, x: Array, C: Array) -> Array:
         """Standard deviation (m, c) of the residuals at loads x (m, k) over full range, C (c, k) [V]."""
-        applied = np.abs(x) > APPLIED
+        applied = np.abs(x) > APPLIED_SHARE
         return np.asarray(np.sqrt(np.diag(self.readings) + (applied * self.loads**2) @ (C**2).T))
 
 
-def noise_parts(residuals: Array, x: Array, C: Array, covariance: Array) -> NoiseParts:
+def estimate_calibration_noise(residuals: Array, x: Array, C: Array, covariance: Array) -> CalibrationNoise:
     """Tell them apart in residuals (m, c) at loads x (m, k), C (c, k) [V]; `covariance` (c, c) is that of a row."""
     from scipy.optimize import nnls
 
     m, c = residuals.shape
     k = x.shape[1]
     scale = np.diag(covariance)
-    applied = (np.abs(x) > APPLIED).astype(float)
+    applied = (np.abs(x) > APPLIED_SHARE).astype(float)
     # Residuals are smaller than the noise by what the fit took.
     squares = residuals**2 / scale * (scale * m / np.maximum(np.sum(residuals**2, axis=0), np.finfo(float).tiny))
     own = np.tile(np.eye(c), (m, 1))
@@ -52,21 +52,21 @@ def noise_parts(residuals: Array, x: Array, C: Array, covariance: Array) -> Nois
     size = np.maximum(of_loads.max(axis=0), np.finfo(float).tiny)
     columns = np.hstack([own, of_loads / size])
     weight = np.ones(m * c)
-    found = np.zeros(c + k)
-    for _ in range(ROUNDS):
-        found = nnls(columns * weight[:, None], squares.reshape(-1) * weight)[0]
-        weight = 1.0 / np.maximum(columns @ found, LEAST_OWN)
-    loads = np.sqrt(found[c:] / size)
-    share = np.maximum(found[:c], LEAST_OWN)
+    variance_components = np.zeros(c + k)
+    for _ in range(REWEIGHTING_ITERATIONS):
+        variance_components = nnls(columns * weight[:, None], squares.reshape(-1) * weight)[0]
+        weight = 1.0 / np.maximum(columns @ variance_components, MIN_OWN_SHARE)
+    loads = np.sqrt(variance_components[c:] / size)
+    share = np.maximum(variance_components[:c], MIN_OWN_SHARE)
     correlation = covariance / np.sqrt(scale[:, None] * scale)
-    kept = correlation * np.sqrt(share[:, None] * share)
+    own_correlation = correlation * np.sqrt(share[:, None] * share)
     # What the loads' noise makes alike in all channels is not the readings'.
     common = np.einsum("j,ij,lj->il", applied.mean(axis=0) * loads**2, C, C) / np.sqrt(scale[:, None] * scale)
-    own_part = np.where(np.eye(c, dtype=bool), kept, correlation - common)
-    return NoiseParts(_definite(own_part) * np.sqrt(scale[:, None] * scale), loads)
+    own_part = np.where(np.eye(c, dtype=bool), own_correlation, correlation - common)
+    return CalibrationNoise(_nearest_positive_definite(own_part) * np.sqrt(scale[:, None] * scale), loads)
 
 
-def _definite(matrix: Array) -> Array:
+def _nearest_positive_definite(matrix: Array) -> Array:
     """The nearest matrix whose eigenvalues are all at least a share of the largest."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.maximum(values, 1e-3 * values[-1])) @ vectors.T)

@@ -16,22 +16,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from balance_cli.calibration.fit import LoadPoints, gage_fit
-from balance_cli.calibration.math_model import GageModel
+from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
+from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.terms import columns
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DirectModel:
+class NonIterativeModel:
     """`inverse` W (k, c) [1/V], and the model of the loads over full range as functions of y: its `channels` are loads.
 
     `full_range` (k,) [N, N m].
     """
 
     inverse: Array
-    model: GageModel
+    model: CalibrationModel
     full_range: Array
 
     @property
@@ -42,10 +42,12 @@ class DirectModel:
     def loads(self, change: ArrayLike) -> Array:
         """Loads (m, k) [N, N m] of readings (m, c) [V] beyond the zero."""
         y = np.atleast_2d(np.asarray(change, float)) @ self.inverse.T
-        return np.asarray(columns(self.model.parsed, y) @ self.model.coefficients * self.full_range)
+        return np.asarray(columns(self.model.parsed_terms, y) @ self.model.coefficients * self.full_range)
 
 
-def direct_model(points: LoadPoints, gage: GageModel, used: NDArray[np.bool_], search: bool = True) -> DirectModel:
+def fit_noniterative_model(
+    points: CalibrationPoints, gage: CalibrationModel, used: NDArray[np.bool_], search: bool = True
+) -> NonIterativeModel:
     """Fit it to the rows `used` (m,) of the gage model `gage`, readings counted from the zeros found there."""
     W = gage.inverse()
     sequence = points.sequence
@@ -53,7 +55,7 @@ def direct_model(points: LoadPoints, gage: GageModel, used: NDArray[np.bool_], s
     # Rows of a sequence that took no part have no zero, and no weight.
     place = np.clip(np.searchsorted(kept, sequence), 0, len(kept) - 1)
     y = (points.channels - gage.zeros[place]) @ W.T
-    first = LoadPoints(
+    first = CalibrationPoints(
         channel_names=points.components,
         components=points.components,
         run_names=points.run_names,
@@ -64,4 +66,4 @@ def direct_model(points: LoadPoints, gage: GageModel, used: NDArray[np.bool_], s
         full_range=np.ones(len(points.components)),
         gravity=points.gravity,
     )
-    return DirectModel(W, gage_fit(first, search, points.x).model, points.full_range)
+    return NonIterativeModel(W, fit_calibration_model(first, search, points.x).model, points.full_range)

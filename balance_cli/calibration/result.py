@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from balance_cli.calibration.all_trims import GageCalibration
+from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 
@@ -70,7 +70,7 @@ class TrimCalibration:
     left_out: dict[str, str] = field(default_factory=dict)
 
     @property
-    def lasting(self) -> float:
+    def misfit_share(self) -> float:
         """Share of the residual covariance that is no noise (curvature, hysteresis) and does not average out.
 
         All of it where the noise is not known.
@@ -116,14 +116,14 @@ class Calibration:
 
     geometry: Geometry
     trims: dict[str, TrimCalibration]
-    gage: GageCalibration | None = None
+    gage: AllTrimsCalibration | None = None
 
     @property
     def errors_known(self) -> bool:
         """Whether the standard errors of the coefficients are known."""
         return all(bool(np.isfinite(trim.C0_sigma).all()) for trim in self.trims.values())
 
-    def nearest(self, mean_load: Mapping[str, float]) -> TrimCalibration:
+    def nearest_trim(self, mean_load: Mapping[str, float]) -> TrimCalibration:
         """The trim whose mean load is nearest (name -> N or N m), components in units of their full range."""
 
         def distance(trim: TrimCalibration) -> float:

@@ -11,16 +11,16 @@ from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 
-COLLINEAR = 1e-6
-LEAST_FLOOR = (
+COLLINEARITY_RATIO = 1e-6
+NOISE_FLOOR_SHARE = (
     1e-7  # of a channel's spread: no reading is better than that, and a computed one must not weigh infinitely
 )
-LEAST_SHARE = 0.1  # of its own residual that a row is granted, where it alone determines a coefficient
-MOVED = 0.01  # of a component's spread, by which a row must differ from the one before to count as a movement
+HC3_LEVERAGE_FLOOR = 0.1  # of its own residual that a row is granted, where it alone determines a coefficient
+MIN_MOVEMENT = 0.01  # of a component's spread, by which a row must differ from the one before to count as a movement
 
 
 @dataclass(frozen=True)
-class Rows:
+class TrimRows:
     """Rows of the static runs of one trim, in the order of loading: channels (m, c) [V], loads (m, k) [N, N m].
 
     `others` (m, o): loads that were applied but that the balance does not carry; `run` (m,): which run, or attitude in
@@ -29,13 +29,13 @@ class Rows:
 
     channels: Array
     loads: Array
-    others: Array
+    uncarried_loads: Array
     run: NDArray[np.intp]
     weight: Array
 
 
 @dataclass(frozen=True)
-class Regression:
+class TrimRegression:
     """s = offset of the run + C0 f: offsets (runs, c), C0 (c, k), residuals (m, c) with their covariance (c, c).
 
     `C0_covariance` (c, k, c, k) is that of the coefficients.
@@ -65,12 +65,12 @@ class _Fit:
         Rows are not equally noisy: the noise of a load reading is there only where that load was applied. So each row
         speaks for itself (MacKinnon and White, J. Econometrics 29, 1985, estimator HC3).
         """
-        e = self.residuals / np.maximum(1.0 - self.leverage, LEAST_SHARE)[:, None]
+        e = self.residuals / np.maximum(1.0 - self.leverage, HC3_LEVERAGE_FLOOR)[:, None]
         each = np.einsum("mi,jm->mij", e, self.influence[columns])
         return np.asarray(np.einsum("mij,mkl->ijkl", each, each, optimize=True))
 
 
-def regress(rows: Rows, components: tuple[str, ...]) -> Regression:
+def regress(rows: TrimRows, components: tuple[str, ...]) -> TrimRegression:
     """C0 and offsets by linear regression over all rows.
 
     All channels have the same regressors, so that the weighted regression of all is that of each by itself (Zellner,
@@ -78,15 +78,15 @@ def regress(rows: Rows, components: tuple[str, ...]) -> Regression:
     """
     offsets = _run_columns(rows)
     r, k = offsets.shape[1], rows.loads.shape[1]
-    X = np.hstack([offsets, rows.loads, rows.others])
+    X = np.hstack([offsets, rows.loads, rows.uncarried_loads])
     if len(X) <= X.shape[1]:
         fault = f"{len(X)} load points for {X.shape[1]} coefficients of each channel"
         raise UserError(fault, remedy="Apply more load points")
-    fit = _least_squares(X, rows, (*[""] * r, *components))
+    fit = _fit_columns(X, rows, (*[""] * r, *components))
     covariance = (fit.residuals.T * rows.weight) @ fit.residuals / fit.dof
     inner = slice(r, r + k)
     C0 = fit.coefficients[inner].T
-    return Regression(fit.coefficients[:r], C0, fit.covariance(inner), fit.residuals, covariance, fit.dof)
+    return TrimRegression(fit.coefficients[:r], C0, fit.covariance(inner), fit.residuals, covariance, fit.dof)
 
 
 def standard_errors(covariance: Array) -> Array:
@@ -94,17 +94,17 @@ def standard_errors(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ijij->ij", covariance)))
 
 
-def _run_columns(rows: Rows) -> Array:
+def _run_columns(rows: TrimRows) -> Array:
     """One column (m, runs) of ones for each run: its offset."""
     return np.eye(int(rows.run[-1]) + 1)[rows.run]
 
 
-def _least_squares(X: Array, rows: Rows, names: tuple[str, ...] = ()) -> _Fit:
+def _fit_columns(X: Array, rows: TrimRows, names: tuple[str, ...] = ()) -> _Fit:
     """Weighted regression of the channels on X (m, p); UserError where columns of X are collinear."""
     root = np.sqrt(rows.weight)[:, None]
     scale = np.linalg.norm(root * X, axis=0)
     U, s, Vt = np.linalg.svd(root * X / np.where(scale > 0, scale, 1.0), full_matrices=False)
-    if s[-1] <= COLLINEAR * s[0]:
+    if s[-1] <= COLLINEARITY_RATIO * s[0]:
         involved = [name for name, share in zip(names, np.abs(Vt[-1]), strict=False) if name and share > 0.1]
         fault = f"{' and '.join(f'`{name}`' for name in involved)} never loaded by themselves"
         raise UserError(fault, remedy="Load each component without the others")
@@ -114,7 +114,7 @@ def _least_squares(X: Array, rows: Rows, names: tuple[str, ...] = ()) -> _Fit:
     return _Fit(coefficients, influence, rows.channels - X @ coefficients, leverage, len(X) - X.shape[1])
 
 
-def significance(regression: Regression) -> Array:
+def significance(regression: TrimRegression) -> Array:
     """Mean over the channels of (coefficient / standard error)^2 for each component (k,): about 1 if all is noise."""
     sigma = standard_errors(regression.C0_covariance) + np.finfo(float).tiny
     return np.asarray(np.mean((regression.C0 / sigma) ** 2, axis=0))
@@ -151,13 +151,13 @@ def lack_of_fit(residual: Array, noise: Array, dof: float) -> float:
     return float(np.trace(np.linalg.solve(noise, residual)) / c * unbiased)
 
 
-def with_floor(covariance: Array, channels: Array) -> Array:
+def add_variance_floor(covariance: Array, channels: Array) -> Array:
     """The covariance (c, c) with a floor far below any real noise, so that it has an inverse."""
     spread = np.ptp(channels, axis=0)
-    return covariance + np.diag((LEAST_FLOOR * np.where(spread > 0, spread, 1.0)) ** 2)
+    return covariance + np.diag((NOISE_FLOOR_SHARE * np.where(spread > 0, spread, 1.0)) ** 2)
 
 
-def directions(rows: Rows) -> Array:
+def loading_directions(rows: TrimRows) -> Array:
     """For each row (m, k): +1 where that component was last moved up, -1 down, 0 where another one was moved."""
     spread = np.ptp(rows.loads, axis=0)
     steps = np.diff(rows.loads, axis=0, prepend=rows.loads[:1]) / np.where(spread > 0, spread, 1.0)
@@ -165,25 +165,25 @@ def directions(rows: Rows) -> Array:
     moved = np.argmax(np.abs(steps), axis=1)
     most = steps[np.arange(len(steps)), moved]
     U = np.zeros_like(steps)
-    U[np.arange(len(steps)), moved] = np.where(np.abs(most) > MOVED, np.sign(most), 0.0)
+    U[np.arange(len(steps)), moved] = np.where(np.abs(most) > MIN_MOVEMENT, np.sign(most), 0.0)
     return U
 
 
-def hysteresis(rows: Rows, T0: Array) -> tuple[Array, Array, Array, Array]:
+def hysteresis(rows: TrimRows, T0: Array) -> tuple[Array, Array, Array, Array]:
     """Reading up less reading down, and its standard error, of channels (c, k) and of the components' loads (k,).
 
     The direction of the last movement is one more regressor for each component; its coefficient is half of the mean
     width of the loop. NaN where a component did not go both ways.
     """
-    U = directions(rows)
+    U = loading_directions(rows)
     c, k = rows.channels.shape[1], rows.loads.shape[1]
     both = (np.sum(U > 0, axis=0) >= 2) & (np.sum(U < 0, axis=0) >= 2)
     width, sigma = np.full((c, k), np.nan), np.full((c, k), np.nan)
     loads, loads_sigma = np.full(k, np.nan), np.full(k, np.nan)
-    X = np.hstack([_run_columns(rows), rows.loads, rows.others, U[:, both]])
+    X = np.hstack([_run_columns(rows), rows.loads, rows.uncarried_loads, U[:, both]])
     if len(X) <= X.shape[1] or not np.any(both):
         return width, sigma, loads, loads_sigma
-    fit = _least_squares(X, rows)
+    fit = _fit_columns(X, rows)
     last = slice(X.shape[1] - int(np.sum(both)), X.shape[1])
     covariance = 4.0 * fit.covariance(last)
     width[:, both] = 2.0 * fit.coefficients[last].T

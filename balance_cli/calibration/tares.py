@@ -20,25 +20,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, stats
 
-from balance_cli.calibration.fit import GageFit, LoadPoints
-from balance_cli.calibration.outliers import Examined, examined
-from balance_cli.campaign.rig.attitude import STEADY
+from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints
+from balance_cli.calibration.outliers import ScreenedFit, screen_outliers
+from balance_cli.campaign.rig.attitude import ATTITUDE_TOLERANCE
 from balance_cli.campaign.rig.components import COMPONENTS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-ROUNDS = 3
+TARE_ITERATIONS = 3
 # Of a standard error: a change of w that is none.
-SETTLED = 0.01
+TARE_TOLERANCE = 0.01
 # Distance of the third direction of gravity from the line through two others that tells, some 0.6 deg; unit vectors.
-LEAST_SPREAD = 0.01
+MIN_DIRECTION_SPREAD = 0.01
 # Least over largest singular value of the equations, columns scaled, below which they do not tell w.
-LEAST_TOLD = 1e-8
+MIN_SINGULAR_RATIO = 1e-8
 # Standard errors by which the weight must differ from zero for its place to be told.
-TOLD = 3.0
+MIN_WEIGHT_SIGNIFICANCE = 3.0
 # Probability of a chi-square beyond which the standard errors are widened.
-RARE = 1e-3
+MISFIT_P_VALUE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -67,21 +67,21 @@ class Tares:
         return float(np.sqrt(self.w_covariance[0, 0]))
 
     @property
-    def centre(self) -> Array:
+    def center_of_gravity(self) -> Array:
         """Centre of gravity of the metric part (3,), from the hub in rig axes [m]; NaN where there is no weight."""
-        return self.w[1:] / self.weight if self._weighs else np.full(3, np.nan)
+        return self.w[1:] / self.weight if self._weight_is_significant else np.full(3, np.nan)
 
     @property
-    def centre_sigma(self) -> Array:
+    def center_of_gravity_sigma(self) -> Array:
         """Standard errors (3,) of the centre [m]."""
-        if not self._weighs:
+        if not self._weight_is_significant:
             return np.full(3, np.nan)
-        slope = np.column_stack([-self.centre, np.eye(3)]) / self.weight
+        slope = np.column_stack([-self.center_of_gravity, np.eye(3)]) / self.weight
         return np.asarray(np.sqrt(np.diag(slope @ self.w_covariance @ slope.T)))
 
     @property
-    def _weighs(self) -> bool:
-        return abs(self.weight) > TOLD * self.weight_sigma
+    def _weight_is_significant(self) -> bool:
+        return abs(self.weight) > MIN_WEIGHT_SIGNIFICANCE * self.weight_sigma
 
     def loads(self, gravity: Array, components: tuple[str, ...]) -> Array:
         """Loads (m, k) [N, N m] of the metric part's weight on these components, gravity (m, 3) in rig axes."""
@@ -96,33 +96,36 @@ def weight_loads(gravity: Array, components: tuple[str, ...] = COMPONENTS) -> Ar
     return np.concatenate([force, moment], axis=1)[:, [COMPONENTS.index(name) for name in components]]
 
 
-def examined_with_tares(points: LoadPoints, search: bool = True) -> tuple[LoadPoints, Examined, Tares | None]:
-    """The points with the loads of the metric part added, what `suspects.examined` makes of these, and the tares.
+def screen_outliers_with_tares(
+    points: CalibrationPoints, search: bool = True
+) -> tuple[CalibrationPoints, ScreenedFit, Tares | None]:
+    """The points with the loads of the metric part added, what `suspects.screen_outliers` makes of these, and the
+    tares.
 
     The points as they are, and None, where the attitudes do not tell it.
     """
-    found = examined(points, search)
-    tares, total = tares_of(points, found.fit), points
-    for _ in range(ROUNDS if tares is not None else 0):
+    found = screen_outliers(points, search)
+    tares, total = estimate_tares(points, found.fit), points
+    for _ in range(TARE_ITERATIONS if tares is not None else 0):
         assert tares is not None
-        total = with_weight(points, tares)
-        found = examined(total, search)
-        again = tares_of(total, found.fit, tares.w)
+        total = add_weight_loads(points, tares)
+        found = screen_outliers(total, search)
+        again = estimate_tares(total, found.fit, tares.w)
         if again is None:
             break
         change, tares = np.abs(again.w - tares.w), again
-        if np.all(change <= SETTLED * np.sqrt(np.diag(tares.w_covariance))):
+        if np.all(change <= TARE_TOLERANCE * np.sqrt(np.diag(tares.w_covariance))):
             break
     return total, found, tares
 
 
-def with_weight(points: LoadPoints, tares: Tares) -> LoadPoints:
+def add_weight_loads(points: CalibrationPoints, tares: Tares) -> CalibrationPoints:
     """The points with the loads of the metric part in the attitude of each stretch added to those applied."""
     assert points.gravity is not None
-    return replace(points, loads=points.loads + tares.loads(stretch_means(points), points.components))
+    return replace(points, loads=points.loads + tares.loads(segment_mean_gravity(points), points.components))
 
 
-def stretch_means(points: LoadPoints) -> Array:
+def segment_mean_gravity(points: CalibrationPoints) -> Array:
     """Gravity (m, 3), for each row the mean over its stretch."""
     assert points.gravity is not None
     stretch = points.stretch
@@ -131,45 +134,49 @@ def stretch_means(points: LoadPoints) -> Array:
     return np.asarray((sums / np.bincount(stretch)[:, None])[stretch])
 
 
-def tares_of(points: LoadPoints, fit: GageFit, before: Array | None = None) -> Tares | None:
+def estimate_tares(
+    points: CalibrationPoints, fit: CalibrationModelFit, added_weight: Array | None = None
+) -> Tares | None:
     """What the zeros of a fit tell, of loads to which the weight `before` (4,) was added already (default: none).
 
     None where a run does not state its attitude, there are fewer than three directions of gravity, or they lie in line.
     """
     if points.gravity is None or not np.isfinite(points.gravity).all():
         return None
-    gravity, steady = _of_sequences(points, np.asarray(np.isfinite(fit.residuals).all(axis=1)))
-    if np.count_nonzero(steady) == 0 or not _spread(gravity[steady]):
+    gravity, is_constant = _series_gravity(points, np.asarray(np.isfinite(fit.residuals).all(axis=1)))
+    if np.count_nonzero(is_constant) == 0 or not _directions_suffice(gravity[is_constant]):
         return None
     k = len(points.components)
     slope = fit.model.coefficients[:k].T / fit.model.full_range
-    effect = np.einsum("ck,skw->csw", slope, weight_loads(gravity[steady], points.components))
-    covariance = fit.zero_covariance[:, steady][:, :, steady]
-    solved = _solved(effect, fit.model.zeros[steady].T, covariance, fit.model.residual_covariance)
-    return None if solved is None else _tares(*solved, before)
+    effect = np.einsum("ck,skw->csw", slope, weight_loads(gravity[is_constant], points.components))
+    covariance = fit.zero_covariance[:, is_constant][:, :, is_constant]
+    solved = _solve_tares(effect, fit.model.zeros[is_constant].T, covariance, fit.model.residual_covariance)
+    return None if solved is None else _tares_from_solution(*solved, added_weight)
 
 
-def _of_sequences(points: LoadPoints, used: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+def _series_gravity(points: CalibrationPoints, used: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
     """Gravity (s, 3) of the sequences that have rows which took part (m,), and in which (s,) it was constant."""
     assert points.gravity is not None
-    sequence, means = points.sequence, stretch_means(points)
+    sequence, means = points.sequence, segment_mean_gravity(points)
     names = np.unique(sequence[used])
     away = np.linalg.norm(points.gravity - means, axis=1)
-    steady = np.array([away[(sequence == name) & used].max() <= STEADY for name in names])
-    return np.array([means[np.argmax(sequence == name)] for name in names]), steady
+    is_constant = np.array([away[(sequence == name) & used].max() <= ATTITUDE_TOLERANCE for name in names])
+    return np.array([means[np.argmax(sequence == name)] for name in names]), is_constant
 
 
-def _spread(gravity: Array) -> bool:
+def _directions_suffice(gravity: Array) -> bool:
     """Whether directions (s, 3) are at least three, and not in line."""
     away = gravity - gravity[0]
     along = away[np.argmax(np.linalg.norm(away, axis=1))]
     length = np.linalg.norm(along)
-    if length < LEAST_SPREAD:
+    if length < MIN_DIRECTION_SPREAD:
         return False
-    return bool(np.max(np.linalg.norm(np.cross(away, along / length), axis=1)) >= LEAST_SPREAD)
+    return bool(np.max(np.linalg.norm(np.cross(away, along / length), axis=1)) >= MIN_DIRECTION_SPREAD)
 
 
-def _solved(effect: Array, zeros: Array, covariance: Array, residual: Array) -> tuple[Array, Array, float, int] | None:
+def _solve_tares(
+    effect: Array, zeros: Array, covariance: Array, residual: Array
+) -> tuple[Array, Array, float, int] | None:
     """N and w (c + 4,), their covariance, chi-square and sequences, of effect (c, s, 4), zeros (c, s), covariance
 
     (c, s, s) of each channel's zeros and that of the residuals (c, c): zeros of two channels are as alike as their
@@ -184,28 +191,30 @@ def _solved(effect: Array, zeros: Array, covariance: Array, residual: Array) -> 
     own = [
         linalg.solve_triangular(np.linalg.cholesky(K), of, lower=True) for K, of in zip(covariance, table, strict=True)
     ]
-    alike = np.linalg.cholesky(residual / (size[:, None] * size))
-    white = linalg.solve_triangular(alike, np.reshape(own, (c, -1)), lower=True).reshape(c * s, -1)
+    correlation_root = np.linalg.cholesky(residual / (size[:, None] * size))
+    white = linalg.solve_triangular(correlation_root, np.reshape(own, (c, -1)), lower=True).reshape(c * s, -1)
     X, y = white[:, :-1], white[:, -1]
     scale = np.linalg.norm(X, axis=0)
     if not np.all(scale > 0) or len(y) < len(scale):
         return None
     U, d, Vt = np.linalg.svd(X / scale, full_matrices=False)
-    if d[-1] < LEAST_TOLD * d[0]:
+    if d[-1] < MIN_SINGULAR_RATIO * d[0]:
         return None
     root = Vt.T / d / scale[:, None]
     found = root @ (U.T @ y)
     return found, root @ root.T, float(np.sum((y - X @ found) ** 2)), s
 
 
-def _tares(found: Array, covariance: Array, chi2: float, sequences: int, before: Array | None) -> Tares:
+def _tares_from_solution(
+    found: Array, covariance: Array, chi2: float, sequences: int, added_weight: Array | None
+) -> Tares:
     c = len(found) - 4
     dof = c * sequences - len(found)
     ratio = chi2 / dof if dof else float("nan")
-    if dof and stats.chi2.sf(chi2, dof) < RARE:
+    if dof and stats.chi2.sf(chi2, dof) < MISFIT_P_VALUE:
         covariance = covariance * ratio
     return Tares(
-        w=found[c:] + (0.0 if before is None else before),
+        w=found[c:] + (0.0 if added_weight is None else added_weight),
         w_covariance=covariance[c:, c:],
         natural_zeros=found[:c],
         natural_zeros_sigma=np.sqrt(np.diag(covariance)[:c]),

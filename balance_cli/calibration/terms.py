@@ -18,17 +18,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-ONE, SAME, SIZE, SQUARE, SIGNED, CUBE, CUBE_SIZE = range(7)
+CONSTANT, IDENTITY, ABSOLUTE, SQUARE, SIGNED_SQUARE, CUBE, ABSOLUTE_CUBE = range(7)
 """Functions of one load: 1, F, |F|, F^2, F|F|, F^3, |F^3|."""
 
-_ALONE = {SAME: "{0}", SIZE: "|{0}|", SQUARE: "{0}^2", SIGNED: "{0}|{0}|", CUBE: "{0}^3", CUBE_SIZE: "|{0}^3|"}
-_TOGETHER = {
-    (SAME, SAME): "{0} {1}",
-    (SIZE, SIZE): "|{0} {1}|",
-    (SAME, SIZE): "{0} |{1}|",
-    (SIZE, SAME): "|{0}| {1}",
+_SINGLE_LOAD_NAMES = {
+    IDENTITY: "{0}",
+    ABSOLUTE: "|{0}|",
+    SQUARE: "{0}^2",
+    SIGNED_SQUARE: "{0}|{0}|",
+    CUBE: "{0}^3",
+    ABSOLUTE_CUBE: "|{0}^3|",
 }
-_DEGREE = {ONE: 0, SAME: 1, SIZE: 1, SQUARE: 2, SIGNED: 2, CUBE: 3, CUBE_SIZE: 3}
+_TWO_LOAD_NAMES = {
+    (IDENTITY, IDENTITY): "{0} {1}",
+    (ABSOLUTE, ABSOLUTE): "|{0} {1}|",
+    (IDENTITY, ABSOLUTE): "{0} |{1}|",
+    (ABSOLUTE, IDENTITY): "|{0}| {1}",
+}
+_DEGREE = {CONSTANT: 0, IDENTITY: 1, ABSOLUTE: 1, SQUARE: 2, SIGNED_SQUARE: 2, CUBE: 3, ABSOLUTE_CUBE: 3}
 
 
 @dataclass(frozen=True)
@@ -38,90 +45,92 @@ class Term:
     i: int
     function: int
     j: int
-    other: int = ONE
+    other_function: int = CONSTANT
 
     @property
-    def alone(self) -> bool:
+    def single_load(self) -> bool:
         """Whether one load only is in it."""
-        return self.other == ONE
+        return self.other_function == CONSTANT
 
     @property
     def linear(self) -> bool:
         """Whether it is the load itself."""
-        return self.alone and self.function == SAME
+        return self.single_load and self.function == IDENTITY
 
     @property
     def loads(self) -> tuple[int, ...]:
         """The loads that are in it."""
-        return (self.i,) if self.alone else (self.i, self.j)
+        return (self.i,) if self.single_load else (self.i, self.j)
 
     @property
     def degree(self) -> int:
         """Of what power of the loads it is."""
-        return _DEGREE[self.function] + _DEGREE[self.other]
+        return _DEGREE[self.function] + _DEGREE[self.other_function]
 
     def name(self, loads: Sequence[str]) -> str:
         """As written in tables: `Fx |My|`."""
-        if self.alone:
-            return _ALONE[self.function].format(loads[self.i])
-        return _TOGETHER[self.function, self.other].format(loads[self.i], loads[self.j])
+        if self.single_load:
+            return _SINGLE_LOAD_NAMES[self.function].format(loads[self.i])
+        return _TWO_LOAD_NAMES[self.function, self.other_function].format(loads[self.i], loads[self.j])
 
 
 def linear_terms(count: int) -> tuple[Term, ...]:
     """The loads themselves."""
-    return tuple(Term(i, SAME, i) for i in range(count))
+    return tuple(Term(i, IDENTITY, i) for i in range(count))
 
 
 def all_terms(count: int) -> tuple[Term, ...]:
     """All ten families of so many loads, in the order of AIAA R-091: 2 n (n + 2) terms."""
-    alone = [[Term(i, function, i) for i in range(count)] for function in _ALONE]
+    single_load = [[Term(i, function, i) for i in range(count)] for function in _SINGLE_LOAD_NAMES]
     pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
-    together = [[Term(i, one, j, other) for i, j in pairs] for one, other in _TOGETHER]
-    families = (*alone[:4], *together, *alone[4:])
+    cross_terms = [[Term(i, one, j, other_function) for i, j in pairs] for one, other_function in _TWO_LOAD_NAMES]
+    families = (*single_load[:4], *cross_terms, *single_load[4:])
     return tuple(term for family in families for term in family)
 
 
-def term_named(name: str, loads: Sequence[str]) -> Term:
+def term_from_name(name: str, loads: Sequence[str]) -> Term:
     """The term with this name. KeyError where there is none."""
     return {term.name(loads): term for term in all_terms(len(loads))}[name]
 
 
 def columns(terms: Sequence[Term], x: Array) -> Array:
     """Values (m, p) of the terms at loads x (m, n), in units of their full range."""
-    values = _functions(x)
-    i, a, j, b = _indices(terms)
+    values = _function_values(x)
+    i, a, j, b = _term_indices(terms)
     return np.asarray(values[a, :, i] * values[b, :, j]).T
 
 
-def slopes(terms: Sequence[Term], x: Array) -> Array:
+def term_derivatives(terms: Sequence[Term], x: Array) -> Array:
     """Derivatives (m, p, n) of the terms by the loads x (m, n); at a fold that from above."""
-    values, slope = _functions(x), _slopes(x)
-    i, a, j, b = _indices(terms)
+    values, slope = _function_values(x), _function_derivatives(x)
+    i, a, j, b = _term_indices(terms)
     found = np.zeros((len(terms), *x.shape))
     rows = np.arange(len(terms))
     found[rows, :, i] = slope[a, :, i] * values[b, :, j]
-    found[rows, :, j] += np.where((b == ONE)[:, None], 0.0, values[a, :, i] * slope[b, :, j])
+    found[rows, :, j] += np.where((b == CONSTANT)[:, None], 0.0, values[a, :, i] * slope[b, :, j])
     return np.asarray(found.transpose(1, 0, 2))
 
 
-def steepest(terms: Sequence[Term], reach: Array) -> Array:
+def largest_derivatives(terms: Sequence[Term], reach: Array) -> Array:
     """The largest size (p, n) of each derivative over loads within +-`reach` (n,)."""
     # Every derivative grows, in size, with the size of every load.
-    return np.asarray(np.abs(slopes(terms, np.asarray(reach, float)[None]))[0])
+    return np.asarray(np.abs(term_derivatives(terms, np.asarray(reach, float)[None]))[0])
 
 
-def _indices(terms: Sequence[Term]) -> tuple[NDArray[np.intp], ...]:
-    table = np.array([(term.i, term.function, term.j, term.other) for term in terms], dtype=np.intp).reshape(-1, 4)
+def _term_indices(terms: Sequence[Term]) -> tuple[NDArray[np.intp], ...]:
+    table = np.array([(term.i, term.function, term.j, term.other_function) for term in terms], dtype=np.intp).reshape(
+        -1, 4
+    )
     return tuple(table.T)
 
 
-def _functions(x: Array) -> Array:
+def _function_values(x: Array) -> Array:
     """Functions (7, m, n) of each load."""
     size = np.abs(x)
     return np.stack([np.ones_like(x), x, size, x**2, x * size, x**3, size**3])
 
 
-def _slopes(x: Array) -> Array:
+def _function_derivatives(x: Array) -> Array:
     """Their derivatives (7, m, n)."""
     size, sign = np.abs(x), np.where(x < 0, -1.0, 1.0)
     return np.stack([np.zeros_like(x), np.ones_like(x), sign, 2 * x, 2 * size, 3 * x**2, 3 * x * size])

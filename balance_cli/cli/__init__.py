@@ -13,7 +13,7 @@ from balance_cli.cli.errors import BalanceCommand
 COMMANDS = ("calibrate", "sweep-tf", "identify", "diagnose", "reduce", "modes", "simulate", "check", "report")
 
 
-def _module(name: str) -> str:
+def _module_name(name: str) -> str:
     return f"{__name__}.{name.replace('-', '_')}"
 
 
@@ -22,13 +22,13 @@ class LazyGroup(BalanceCommand, click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The commands there are, in the order in which a campaign uses them."""
-        return [name for name in COMMANDS if importlib.util.find_spec(_module(name))]
+        return [name for name in COMMANDS if importlib.util.find_spec(_module_name(name))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of this name, imported now."""
         if cmd_name not in self.list_commands(ctx):
             return None
-        command = importlib.import_module(_module(cmd_name)).command
+        command = importlib.import_module(_module_name(cmd_name)).command
         assert isinstance(command, click.Command)
         return command
 

@@ -76,26 +76,26 @@ def command(
 
     With --from-matrix the model is that of a matrix that somebody else made, and no run is needed.
     """
-    from balance_cli.cli.calibration_text import gage_warnings
+    from balance_cli.cli.calibration_text import math_model_warnings
 
-    _check_call(runs, terms, direct, matrix, from_matrix)
+    _check_options(runs, terms, direct, matrix, from_matrix)
     rig = session.geometry(geometry)
     if from_matrix is None:
-        result = _from_runs(session, rig, runs, hold_out, (terms, direct), skip_bad)
+        result = _calibrate_from_runs(session, rig, runs, hold_out, (terms, direct), skip_bad)
     else:
-        result = _from_matrix(session, rig, from_matrix, hold_out, skip_bad)
+        result = _read_matrix_calibration(session, rig, from_matrix, hold_out, skip_bad)
     for trim in result.trims.values():
         for name, reason in trim.left_out.items():
             session.warn(f"trim {trim.trim}: channel {name} left out: {reason}")
-    for words in gage_warnings(result.gage) if result.gage else ():
+    for words in math_model_warnings(result.gage) if result.gage else ():
         session.warn(words)
     session.save(output, FORMAT, result)
     if matrix is not None:
-        session.write_text(matrix, _matrix_file(result, matrix))
+        session.write_text(matrix, _matrix_file_text(result, matrix))
     session.finish(_summary(result), _text(result))
 
 
-def _check_call(
+def _check_options(
     runs: tuple[Path, ...], terms: str, direct: bool, matrix: Path | None, from_matrix: Path | None
 ) -> None:
     """UserError for a call that asks for both sources or for none, or for a matrix of no known kind."""
@@ -112,7 +112,7 @@ def _check_call(
         raise UserError("a matrix is written as .csv or .txt", str(matrix), remedy="Let its name end so")
 
 
-def _from_runs(
+def _calibrate_from_runs(
     session: Session,
     rig: Geometry,
     runs: tuple[Path, ...],
@@ -123,61 +123,61 @@ def _from_runs(
     """The calibration of runs; `model`: how terms are chosen, and whether the direct model is wanted."""
     from balance_cli.steps.calibrate import calibrate
 
-    opened = session.runs(runs, rig, skip_bad)
-    held = session.runs(hold_out, rig, skip_bad, role="hold-out", apart_from=opened)
-    for run in opened:
+    calibration_runs = session.runs(runs, rig, skip_bad)
+    hold_out_runs = session.runs(hold_out, rig, skip_bad, role="hold-out", disjoint_from=calibration_runs)
+    for run in calibration_runs:
         if run.kind != "static":
             session.left_out(run.name, f"a {run.kind} run; only static runs are used")
     terms, direct = model
-    return calibrate(opened, rig, terms == "search", _static(session, held), direct)
+    return calibrate(calibration_runs, rig, terms == "search", _select_static_hold_out(session, hold_out_runs), direct)
 
 
-def _from_matrix(
+def _read_matrix_calibration(
     session: Session, rig: Geometry, path: Path, hold_out: tuple[Path, ...], skip_bad: bool
 ) -> Calibration:
-    from balance_cli.steps.calibration_from_matrix import stated_calibration
+    from balance_cli.steps.calibration_from_matrix import calibration_from_matrix
 
     stated = session.matrix(path)
-    held = session.runs(hold_out, rig, skip_bad, role="hold-out")
+    hold_out_runs = session.runs(hold_out, rig, skip_bad, role="hold-out")
     try:
-        result = stated_calibration(stated, rig, _static(session, held))
+        result = calibration_from_matrix(stated, rig, _select_static_hold_out(session, hold_out_runs))
     except UserError as error:
         raise error.at(file=str(path)) from error
     session.warn("the matrix states no errors of its own: sigma of mean loads will not hold them")
     return result
 
 
-def _matrix_file(result: Calibration, path: Path) -> str:
+def _matrix_file_text(result: Calibration, path: Path) -> str:
     """The text of the matrix, of the kind that the suffix asks for. UserError where there is no model."""
-    from balance_cli.calibration.matrix import matrix_of
+    from balance_cli.calibration.matrix import matrix_from_model
     from balance_cli.calibration.matrix_text import matrix_csv, matrix_text
 
     if result.gage is None:
         fault = "there is no matrix: the trims have too few channels in common, or other loads were applied"
         raise UserError(fault, str(path), remedy="Mend the channels, apply the carried loads, or leave --matrix out")
-    stated = matrix_of(result.gage.model, result.geometry.rig)
+    stated = matrix_from_model(result.gage.model, result.geometry.rig)
     return matrix_csv(stated) if path.suffix == ".csv" else matrix_text(stated)
 
 
-def _static(session: Session, held: tuple[Run, ...]) -> list[Run]:
+def _select_static_hold_out(session: Session, hold_out_runs: tuple[Run, ...]) -> list[Run]:
     """The hold-out runs that can check a calibration."""
-    for run in held:
+    for run in hold_out_runs:
         if run.kind != "static" or not run.has_loads:
             session.left_out(run.name, f"a {run.kind} run without static loads to compare with")
-    return [run for run in held if run.kind == "static" and run.has_loads]
+    return [run for run in hold_out_runs if run.kind == "static" and run.has_loads]
 
 
 def _summary(result: Calibration) -> dict[str, Any]:
-    from balance_cli.cli.calibration_text import gage_summary
+    from balance_cli.cli.calibration_text import math_model_summary
 
     return {
         "geometry": result.geometry.name,
-        "trims": {name: _of_trim(trim) for name, trim in result.trims.items()},
-        "gage": gage_summary(result.gage) if result.gage else None,
+        "trims": {name: _trim_summary(trim) for name, trim in result.trims.items()},
+        "gage": math_model_summary(result.gage) if result.gage else None,
     }
 
 
-def _of_trim(trim: TrimCalibration) -> dict[str, Any]:
+def _trim_summary(trim: TrimCalibration) -> dict[str, Any]:
     components, channels = trim.components, trim.channel_names
     return {
         "residual_percent_fs": trim.residual_percent_fs,
@@ -195,14 +195,16 @@ def _of_trim(trim: TrimCalibration) -> dict[str, Any]:
                 components, trim.hysteresis.loads, trim.hysteresis.loads_sigma, trim.full_range, strict=True
             )
         },
-        "channel_hysteresis": _matrix(channels, components, trim.hysteresis.channels, trim.hysteresis.channels_sigma),
-        "C0": _matrix(channels, components, trim.C0, trim.C0_sigma),
-        "T0": _matrix(components, channels, trim.T0, trim.T0_sigma),
+        "channel_hysteresis": _matrix_summary(
+            channels, components, trim.hysteresis.channels, trim.hysteresis.channels_sigma
+        ),
+        "C0": _matrix_summary(channels, components, trim.C0, trim.C0_sigma),
+        "T0": _matrix_summary(components, channels, trim.T0, trim.T0_sigma),
         "channels_left_out": trim.left_out,
     }
 
 
-def _matrix(rows: tuple[str, ...], columns: tuple[str, ...], value: Any, sigma: Any) -> dict[str, Any]:
+def _matrix_summary(rows: tuple[str, ...], columns: tuple[str, ...], value: Any, sigma: Any) -> dict[str, Any]:
     """{row: {column: {value, sigma}}}."""
     return {
         row: {column: {"value": value[i, j], "sigma": sigma[i, j]} for j, column in enumerate(columns)}
@@ -211,7 +213,7 @@ def _matrix(rows: tuple[str, ...], columns: tuple[str, ...], value: Any, sigma: 
 
 
 def _text(result: Calibration) -> Iterator[str]:
-    from balance_cli.cli.calibration_text import gage_text
+    from balance_cli.cli.calibration_text import math_model_text
 
     for trim in result.trims.values():
         if not trim.runs:
@@ -225,4 +227,4 @@ def _text(result: Calibration) -> Iterator[str]:
             loop, sigma = 100 * trim.hysteresis.loads[j] / full, 100 * trim.hysteresis.loads_sigma[j] / full
             yield f"  {name:9s} {full:11.1f} {trim.residual_percent_fs[name]:15.4f}   {loop:9.4f} +- {sigma:.4f}"
     if result.gage:
-        yield from gage_text(result.gage)
+        yield from math_model_text(result.gage)

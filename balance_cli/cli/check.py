@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from balance_cli.cli.common import InputFile, Session, balance_command
-from balance_cli.cli.errors import USER_FAULT
+from balance_cli.cli.errors import EXIT_USER_ERROR
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.cli.file_check import Finding
+    from balance_cli.cli.file_check import FileFinding
 
 
 @balance_command("check")
@@ -32,33 +32,33 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     rig = None if geometry is None else session.geometry(geometry)
     if rig is not None:
         check_effects(rig, str(geometry))
-    found = {path: examine(path, rig) for path in session.progress(files, "files")}
-    faults = {path: [*finding.faults, *_shared_name(path, found)] for path, finding in found.items()}
+    findings = {path: examine(path, rig) for path in session.progress(files, "files")}
+    faults = {path: [*finding.faults, *_duplicate_name_faults(path, findings)] for path, finding in findings.items()}
     faulty = sum(bool(own) for own in faults.values())
-    session.status = USER_FAULT if faulty else 0
-    lines = [line for path in found for line in (f"{path}: {found[path].about}", *_indented(faults[path]))]
+    session.status = EXIT_USER_ERROR if faulty else 0
+    lines = [line for path in findings for line in (f"{path}: {findings[path].about}", *_fault_lines(faults[path]))]
     session.finish(
-        {"files": {str(path): _summary(found[path], faults[path]) for path in found}, "faulty": faulty},
-        [*lines, f"{len(found)} files, {faulty} with faults"],
+        {"files": {str(path): _summary(findings[path], faults[path]) for path in findings}, "faulty": faulty},
+        [*lines, f"{len(findings)} files, {faulty} with faults"],
     )
 
 
-def _shared_name(path: Path, found: Mapping[Path, Finding]) -> list[UserError]:
+def _duplicate_name_faults(path: Path, findings: Mapping[Path, FileFinding]) -> list[UserError]:
     """A fault where an earlier one of the files has the same run name."""
-    finding = found[path]
+    finding = findings[path]
     if finding.kind != "run" or not finding.name:
         return []
-    first = next(earlier for earlier, other in found.items() if (other.kind, other.name) == ("run", finding.name))
+    first = next(earlier for earlier, other in findings.items() if (other.kind, other.name) == ("run", finding.name))
     if first == path:
         return []
     return [UserError(f"run name `{finding.name}` is also that of {first}", str(path), "run", "Rename one of them")]
 
 
-def _indented(faults: list[UserError]) -> list[str]:
+def _fault_lines(faults: list[UserError]) -> list[str]:
     return [f"  fault: {replace(fault, file='')}" for fault in faults]
 
 
-def _summary(finding: Finding, faults: list[UserError]) -> dict[str, Any]:
+def _summary(finding: FileFinding, faults: list[UserError]) -> dict[str, Any]:
     about = {"kind": finding.kind, "about": finding.about, "name": finding.name, "rig": finding.rig}
     listed = [{"place": fault.place, "fault": fault.fault, "remedy": fault.remedy} for fault in faults]
     run_kind = {"run_kind": finding.run_kind} if finding.run_kind else {}

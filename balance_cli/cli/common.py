@@ -44,17 +44,17 @@ from balance_cli.cli.options import (
     check_outputs,
     geometry_option,
     json_option,
+    non_default_options,
     output_option,
     runs_argument,
-    settings_of,
     skip_bad_option,
     verbose_option,
 )
-from balance_cli.io.atomic import Staged, writing
+from balance_cli.io.atomic import StagedOutputs, os_errors_as_user_error
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
-    from balance_cli.calibration.matrix_reader import StatedMatrix
+    from balance_cli.calibration.matrix_reader import ParsedMatrix
     from balance_cli.campaign.recording.run import Run
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.io.artefacts import Artefact, Provenance
@@ -81,7 +81,7 @@ class Session:
         self.status = 0
         self._context = context
         self._json_path = json_path
-        self._staged = Staged()
+        self._staged = StagedOutputs()
         self._inputs: list[tuple[str, str, str]] = []
         self._outputs: list[Path] = []
         self._warnings: list[str] = []
@@ -104,16 +104,18 @@ class Session:
         geometry: Geometry,
         skip_bad: bool = False,
         role: str = "run",
-        apart_from: Iterable[Run] = (),
+        disjoint_from: Iterable[Run] = (),
     ) -> tuple[Run, ...]:
-        """Open run files of this rig, and remember them as inputs in this role; UserError if one is in `apart_from`."""
+        """Open run files of this rig, and remember them as inputs in this role; UserError if one is in
+        `disjoint_from`.
+        """
         from balance_cli.campaign.recording.run_file import open_runs
 
         runs, skipped = open_runs(tuple(paths), geometry, skip_bad)
         for path, reason in skipped.items():
             self._skipped[str(path)] = reason
-            self._say_warning(f"skipped: {reason}")
-        taken = {run.name for run in apart_from}
+            self._echo_warning(f"skipped: {reason}")
+        taken = {run.name for run in disjoint_from}
         for run in runs:
             if run.name in taken:
                 raise UserError(f"run `{run.name}` is in both lists", str(run.path), remedy="Give it in one of them")
@@ -128,11 +130,11 @@ class Session:
         self._inputs.append((path.name, role, artefact.digest))
         return artefact
 
-    def matrix(self, path: Path) -> StatedMatrix:
+    def matrix(self, path: Path) -> ParsedMatrix:
         """Read a matrix, and remember it as an input."""
-        from balance_cli.calibration.matrix_file import load_matrix
+        from balance_cli.calibration.matrix_file import read_matrix_file
 
-        stated, digest = load_matrix(path)
+        stated, digest = read_matrix_file(path)
         self._inputs.append((path.name, "matrix", digest))
         return stated
 
@@ -147,10 +149,10 @@ class Session:
 
     def provenance(self) -> Provenance:
         """Command, options that differ from their defaults, inputs read so far, versions, time."""
-        from balance_cli.io.artefacts import Input, provenance_now
+        from balance_cli.io.artefacts import Input, make_provenance
 
         inputs = tuple(Input(*entry) for entry in self._inputs)
-        return provenance_now(self._context.info_name or "", settings_of(self._context), inputs)
+        return make_provenance(self._context.info_name or "", non_default_options(self._context), inputs)
 
     def save(self, path: Path, format: str, content: Any) -> None:
         """Prepare an artefact of this format at `path`, with the provenance of all that was read so far."""
@@ -161,7 +163,7 @@ class Session:
     def write_text(self, path: Path, text: str) -> None:
         """Prepare a text file at `path`."""
         part = self.stage(path)
-        with writing(path):
+        with os_errors_as_user_error(path):
             part.write_text(text, encoding="utf-8", newline="\n")
 
     def stage(self, path: Path) -> Path:
@@ -177,15 +179,15 @@ class Session:
     def warn(self, text: str) -> None:
         """A warning, on stderr and in the summary."""
         self._warnings.append(text)
-        self._say_warning(text)
+        self._echo_warning(text)
 
     def left_out(self, name: str, reason: str) -> None:
         """Say that a run (or channel) was read but not used, and why."""
         self._left_out[name] = reason
-        self._say_warning(f"{name} left out: {reason}")
+        self._echo_warning(f"{name} left out: {reason}")
 
     @contextmanager
-    def skipping(self, run: Run, skip_bad: bool) -> Iterator[None]:
+    def skip_if_unusable(self, run: Run, skip_bad: bool) -> Iterator[None]:
         """With `skip_bad`, go on without a run that turns out to be unusable, list it, withdraw its outputs."""
         before = len(self._outputs)
         try:
@@ -194,10 +196,10 @@ class Session:
             if not skip_bad:
                 raise error.at(str(run.path or run.name)) from error
             for path in self._outputs[before:]:
-                self._staged.withdraw(path)
+                self._staged.unstage(path)
             del self._outputs[before:]
             self._skipped[str(run.path or run.name)] = str(error)
-            self._say_warning(f"skipped: {error}")
+            self._echo_warning(f"skipped: {error}")
 
     def finish(self, summary: Mapping[str, Any], text: Iterable[str] = ()) -> None:
         """The summary (one JSON object) and what to tell the user, shown once all outputs are in place."""
@@ -209,7 +211,7 @@ class Session:
             if not failed:
                 self._stage_json()
                 self._staged.commit()
-                self._say_done()
+                self._echo_result()
         finally:
             self._staged.discard()
 
@@ -228,10 +230,10 @@ class Session:
 
         if self._json_path is not None and not self._json_to_stdout:
             part = self._staged.file(self._json_path)
-            with writing(self._json_path):
+            with os_errors_as_user_error(self._json_path):
                 part.write_text(json_text(self._full_summary()) + "\n", encoding="utf-8")
 
-    def _say_done(self) -> None:
+    def _echo_result(self) -> None:
         from balance_cli.cli.summary import json_text
 
         for line in self._text:
@@ -245,7 +247,7 @@ class Session:
     def _json_to_stdout(self) -> bool:
         return self._json_path is not None and str(self._json_path) == "-"
 
-    def _say_warning(self, text: str) -> None:
+    def _echo_warning(self, text: str) -> None:
         click.echo(f"balance: warning: {text}", err=True)
 
 

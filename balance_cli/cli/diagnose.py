@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 FORMAT = "balance-diagnosis/1"
 MODEL_FORMAT = "balance-model/1"
-DISCREPANCY = 3
+EXIT_DISCREPANCY = 3
 """Exit status of --fail-on-discrepancy where something is missing."""
 
 
@@ -62,23 +62,25 @@ def command(
     from balance_cli.diagnosis.result import NOTHING_MISSING
     from balance_cli.estimation.measured_spectra import measured_spectra
 
-    before = _model(session, model)
+    before = _load_start_model(session, model)
     records = session.runs(runs, before.geometry, skip_bad)
-    held = session.runs(hold_out, before.geometry, skip_bad, role="hold-out", apart_from=records)
-    held = _that_serve(session, held, skip_bad)
+    hold_out_runs = session.runs(hold_out, before.geometry, skip_bad, role="hold-out", disjoint_from=records)
+    hold_out_runs = _select_usable_hold_out(session, hold_out_runs, skip_bad)
     spectra = measured_spectra(session.progress(records, "spectra", len(records)), before.geometry, means=True)
     _check_spectra(session, spectra)
-    _warn_of_hold_out(session, before, held)
-    diagnosis, closed = _closed(before, spectra)
-    diagnosis = replace(diagnosis, hold_out=_errors(session, held, before, closed, skip_bad))
+    _warn_about_hold_out(session, before, hold_out_runs)
+    diagnosis, updated_model = _run_diagnosis(before, spectra)
+    diagnosis = replace(
+        diagnosis, hold_out=_hold_out_run_errors(session, hold_out_runs, before, updated_model, skip_bad)
+    )
     session.save(output, FORMAT, diagnosis)
-    session.save(model_out, MODEL_FORMAT, closed)
+    session.save(model_out, MODEL_FORMAT, updated_model)
     if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING:
-        session.status = DISCREPANCY
-    session.finish(diagnosis_summary(diagnosis, closed), diagnosis_text(diagnosis))
+        session.status = EXIT_DISCREPANCY
+    session.finish(diagnosis_summary(diagnosis, updated_model), diagnosis_text(diagnosis))
 
 
-def _model(session: Session, path: Path) -> IdentifiedModel:
+def _load_start_model(session: Session, path: Path) -> IdentifiedModel:
     """The model to begin with; UserError for the paper's form, which has no place for an effect."""
     from balance_cli.estimation.identified_model import IdentifiedModel
 
@@ -89,16 +91,16 @@ def _model(session: Session, path: Path) -> IdentifiedModel:
     return model
 
 
-def _that_serve(session: Session, held: tuple[Run, ...], skip_bad: bool) -> tuple[Run, ...]:
+def _select_usable_hold_out(session: Session, hold_out_runs: tuple[Run, ...], skip_bad: bool) -> tuple[Run, ...]:
     """The hold-out runs that have something to compare with: said before the long fit, not after it."""
-    from balance_cli.steps.hold_out import check_serves
+    from balance_cli.steps.hold_out import require_known_loads
 
-    serving = []
-    for run in held:
-        with session.skipping(run, skip_bad):
-            check_serves(run)
-            serving.append(run)
-    return tuple(serving)
+    usable_runs = []
+    for run in hold_out_runs:
+        with session.skip_if_unusable(run, skip_bad):
+            require_known_loads(run)
+            usable_runs.append(run)
+    return tuple(usable_runs)
 
 
 def _check_spectra(session: Session, spectra: Spectra) -> None:
@@ -111,29 +113,29 @@ def _check_spectra(session: Session, spectra: Spectra) -> None:
         raise UserError("no sweep run among the runs", "RUN...", remedy="Give at least one sweep run")
 
 
-def _warn_of_hold_out(session: Session, before: IdentifiedModel, held: tuple[Run, ...]) -> None:
-    if not held:
+def _warn_about_hold_out(session: Session, before: IdentifiedModel, hold_out_runs: tuple[Run, ...]) -> None:
+    if not hold_out_runs:
         session.warn("no hold-out run: nothing tells what closing is worth; keep check runs for --hold-out")
-    for run in held:
+    for run in hold_out_runs:
         if before.method != "computed" and run.name in before.quality.runs:
             session.warn(f"{run.name} is held out here, but the model was fitted to it: its error before is no test")
 
 
-def _closed(before: IdentifiedModel, spectra: Spectra) -> tuple[Diagnosis, IdentifiedModel]:
-    from balance_cli.cli.progress import share_bar
+def _run_diagnosis(before: IdentifiedModel, spectra: Spectra) -> tuple[Diagnosis, IdentifiedModel]:
+    from balance_cli.cli.progress import progress_bar
     from balance_cli.steps.diagnose import diagnose
 
-    with share_bar() as progress:
+    with progress_bar() as progress:
         return diagnose(before, spectra, progress)
 
 
-def _errors(
-    session: Session, held: tuple[Run, ...], before: IdentifiedModel, after: IdentifiedModel, skip_bad: bool
+def _hold_out_run_errors(
+    session: Session, hold_out_runs: tuple[Run, ...], before: IdentifiedModel, after: IdentifiedModel, skip_bad: bool
 ) -> dict[str, HoldOut]:
     from balance_cli.steps.hold_out import hold_out_errors
 
     errors = {}
-    for run in session.progress(held, "hold-out runs", len(held)):
-        with session.skipping(run, skip_bad):
+    for run in session.progress(hold_out_runs, "hold-out runs", len(hold_out_runs)):
+        with session.skip_if_unusable(run, skip_bad):
             errors[run.name] = hold_out_errors(run, before, after)
     return errors

@@ -11,13 +11,13 @@ import click
 
 from balance_cli.io.errors import UserError
 
-USER_FAULT = 2
-OUR_FAULT = 1
-INTERRUPTED = 130
+EXIT_USER_ERROR = 2
+EXIT_INTERNAL_ERROR = 1
+EXIT_INTERRUPTED = 130
 """Exit statuses; 130 is what shells report of a process that was interrupted from the keyboard."""
 
 
-class _Reporting(click.Command):
+class _ErrorReportingCommand(click.Command):
     """A command whose errors are one message on stderr and an exit status: 2 the user's fault, 1 ours."""
 
     def main(
@@ -35,28 +35,28 @@ class _Reporting(click.Command):
         try:
             status = super().main(words, prog_name, complete_var, standalone_mode=False, **extra)
         except BaseException as error:
-            sys.exit(report(error, verbose=bool({"-v", "--verbose"} & set(words))))
+            sys.exit(report_error(error, verbose=bool({"-v", "--verbose"} & set(words))))
         sys.exit(status if isinstance(status, int) else 0)
 
 
-class BalanceCommand(_Reporting):
+class BalanceCommand(_ErrorReportingCommand):
     """One command of `balance`."""
 
 
-def report(error: BaseException, verbose: bool) -> int:
+def report_error(error: BaseException, verbose: bool) -> int:
     """Say on stderr what went wrong; returns the exit status. Re-raises SystemExit."""
     if isinstance(error, SystemExit):
         raise error
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         error.show()
-        return USER_FAULT
+        return EXIT_USER_ERROR
     if isinstance(error, UserError | click.ClickException):
-        _say(str(error) if isinstance(error, UserError) else _usage_message(error))
-        return USER_FAULT
+        _echo_error(str(error) if isinstance(error, UserError) else _usage_message(error))
+        return EXIT_USER_ERROR
     if isinstance(error, click.Abort | KeyboardInterrupt):
-        _say("interrupted, nothing written")
-        return INTERRUPTED
-    return _our_fault(error, verbose)
+        _echo_error("interrupted, nothing written")
+        return EXIT_INTERRUPTED
+    return _report_internal_error(error, verbose)
 
 
 def _usage_message(error: click.ClickException) -> str:
@@ -65,14 +65,14 @@ def _usage_message(error: click.ClickException) -> str:
     return f"{message}. Try `{context.command_path} --help`" if context else message
 
 
-def _our_fault(error: BaseException, verbose: bool) -> int:
+def _report_internal_error(error: BaseException, verbose: bool) -> int:
     if verbose:
         click.echo("".join(traceback.format_exception(error)), err=True)
     text = " ".join(str(error).split())
     hint = "" if verbose else ", with what `--verbose` adds"
-    _say(f"internal fault, {type(error).__name__}: {text}. Please report it with the call and its inputs{hint}")
-    return OUR_FAULT
+    _echo_error(f"internal fault, {type(error).__name__}: {text}. Please report it with the call and its inputs{hint}")
+    return EXIT_INTERNAL_ERROR
 
 
-def _say(message: str) -> None:
+def _echo_error(message: str) -> None:
     click.echo(f"balance: error: {message}", err=True)

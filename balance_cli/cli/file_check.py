@@ -9,25 +9,25 @@ from pathlib import Path
 from balance_cli.calibration.matrix_text import FORMAT as MATRIX_FORMAT
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
 from balance_cli.campaign.recording.run import Run
-from balance_cli.campaign.recording.run_file import mismatches, read_run
+from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
 from balance_cli.campaign.recording.run_schema import FORMAT as RUN_FORMAT
 from balance_cli.campaign.rig.geometry import FORMAT as GEOMETRY_FORMAT
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import geometry_digest, read_geometry
-from balance_cli.io.artefacts import FORMATS, Stored, read_stored
+from balance_cli.io.artefacts import FORMATS, StoredArtefact, read_stored
 from balance_cli.io.errors import UserError
-from balance_cli.io.sniff import require_file, stored_format, what_is
+from balance_cli.io.sniff import describe_file, require_file, sniff_format
 
 LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
 
 MATRIX_FAMILY = MATRIX_FORMAT.partition("/")[0] + "/"
 
-OTHER_FORMATS = {"balance-history/1": "history of hub loads", "balance-truth/1": "truth behind simulated runs"}
+FORMATS_NOT_READ = {"balance-history/1": "history of hub loads", "balance-truth/1": "truth behind simulated runs"}
 """Formats that no command reads."""
 
 
 @dataclass(frozen=True)
-class Finding:
+class FileFinding:
     """One file: its kind (`geometry`, `run`, a format, `unknown`), what to say of it, its faults; a run's own kind."""
 
     kind: str
@@ -39,48 +39,48 @@ class Finding:
     run_kind: str = ""
 
 
-def examine(path: Path, geometry: Geometry | None) -> Finding:
+def examine(path: Path, geometry: Geometry | None) -> FileFinding:
     """Recognise a file and check it, against a geometry where one is given."""
-    declared = stored_format(path)
-    readers: dict[str, Callable[[Path, Geometry | None], Finding]] = {
-        GEOMETRY_FORMAT: _geometry,
-        RUN_FORMAT: _run,
-        **dict.fromkeys(FORMATS, _artefact),
+    declared = sniff_format(path)
+    readers: dict[str, Callable[[Path, Geometry | None], FileFinding]] = {
+        GEOMETRY_FORMAT: _check_geometry_file,
+        RUN_FORMAT: _check_run_file,
+        **dict.fromkeys(FORMATS, _check_artefact_file),
     }
     if declared in readers:
         return readers[declared](path, geometry)
-    if declared in OTHER_FORMATS:
-        return Finding(str(declared), OTHER_FORMATS[str(declared)])
+    if declared in FORMATS_NOT_READ:
+        return FileFinding(str(declared), FORMATS_NOT_READ[str(declared)])
     if declared is None and path.is_file() and path.suffix in (".yaml", ".yml"):
-        return _geometry(path, geometry)
+        return _check_geometry_file(path, geometry)
     if declared is None and _first_line(path).startswith(MATRIX_FAMILY):
-        return _matrix(path, geometry)
+        return _check_matrix_file(path, geometry)
     if declared is None and _first_line(path) == LOADS_HEADER:
-        return Finding("loads", "table of harmonic loads")
-    return Finding("unknown", "not recognised", faults=(_unknown(path),))
+        return FileFinding("loads", "table of harmonic loads")
+    return FileFinding("unknown", "not recognised", faults=(_unrecognized_fault(path),))
 
 
-def _unknown(path: Path) -> UserError:
+def _unrecognized_fault(path: Path) -> UserError:
     try:
         require_file(path)
     except UserError as error:
         return error
     remedy = "Known are geometries, run files and the results of the other commands"
-    return UserError(f"is {what_is(path)}", str(path), remedy=remedy)
+    return UserError(f"is {describe_file(path)}", str(path), remedy=remedy)
 
 
-def _geometry(path: Path, other: Geometry | None) -> Finding:
+def _check_geometry_file(path: Path, expected: Geometry | None) -> FileFinding:
     geometry, faults = read_geometry(path)
     if geometry is None:
-        return Finding("geometry", "geometry", faults=faults)
+        return FileFinding("geometry", "geometry", faults=faults)
     faults += _effect_faults(geometry, path)
     about = f"geometry `{geometry.name}` of rig `{geometry.rig}`: {len(geometry.cells)} cells, "
     about += f"{len(geometry.channels)} channels, free in {' '.join(geometry.freedom)}"
     digest = geometry_digest(geometry)
-    if other is not None and digest != geometry_digest(other):
-        fault = f"declares something else than the geometry `{other.name}` given with -g"
+    if expected is not None and digest != geometry_digest(expected):
+        fault = f"declares something else than the geometry `{expected.name}` given with -g"
         faults += (UserError(fault, str(path), remedy="Give one of the two"),)
-    return Finding("geometry", about, geometry.name, geometry.rig, digest, faults)
+    return FileFinding("geometry", about, geometry.name, geometry.rig, digest, faults)
 
 
 def _effect_faults(geometry: Geometry, path: Path) -> tuple[UserError, ...]:
@@ -93,21 +93,21 @@ def _effect_faults(geometry: Geometry, path: Path) -> tuple[UserError, ...]:
     return ()
 
 
-def _run(path: Path, geometry: Geometry | None) -> Finding:
+def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
     run, faults = read_run(path)
     if run is None:
-        return Finding("run", "run file", faults=faults)
+        return FileFinding("run", "run file", faults=faults)
     if geometry is None:
         channels = channel_faults(run, dict.fromkeys(run.channel_names))
     else:
         channels = live_channels(run, geometry).left_out
-        faults += tuple(mismatches(run, geometry))
+        faults += tuple(geometry_mismatches(run, geometry))
     remedy = "It will be left out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
-    return Finding("run", _about_run(run), run.name, run.rig, run.digest, faults, run.kind)
+    return FileFinding("run", _describe_run(run), run.name, run.rig, run.digest, faults, run.kind)
 
 
-def _about_run(run: Run) -> str:
+def _describe_run(run: Run) -> str:
     about = f"{run.kind} run `{run.name}` of rig `{run.rig}`: {len(run.channel_names)} channels, "
     if run.sample_rate is None:
         return about + f"{run.samples} load points, trim `{run.trim}`"
@@ -118,13 +118,13 @@ def _about_run(run: Run) -> str:
     return about
 
 
-def _artefact(path: Path, geometry: Geometry | None) -> Finding:
-    format = str(stored_format(path))
+def _check_artefact_file(path: Path, geometry: Geometry | None) -> FileFinding:
+    format = str(sniff_format(path))
     try:
         stored = read_stored(path)
-        made_from = _geometry_within(stored)
+        made_from = _stored_geometry(stored)
     except UserError as error:
-        return Finding(format, "artefact", faults=(error.at(file=str(path)),))
+        return FileFinding(format, "artefact", faults=(error.at(file=str(path)),))
     about = f"{format} made by `balance {stored.provenance.command}` at {stored.provenance.created}"
     about += f" from {len(stored.provenance.inputs)} inputs"
     faults: tuple[UserError, ...] = ()
@@ -132,27 +132,27 @@ def _artefact(path: Path, geometry: Geometry | None) -> Finding:
         fault = f"was made from another geometry (`{made_from.name}`) than `{geometry.name}`, given with -g"
         faults = (UserError(fault, str(path), "geometry", "Make it again with this geometry"),)
     rig = made_from.rig if made_from else ""
-    return Finding(format, about, path.name, rig, stored.digest, faults)
+    return FileFinding(format, about, path.name, rig, stored.digest, faults)
 
 
-def _geometry_within(stored: Stored) -> Geometry | None:
+def _stored_geometry(stored: StoredArtefact) -> Geometry | None:
     text = stored.tree.get("geometry")
     return Geometry.model_validate_json(text) if isinstance(text, str) else None
 
 
-def _matrix(path: Path, geometry: Geometry | None) -> Finding:
-    from balance_cli.calibration.matrix_file import load_matrix
-    from balance_cli.steps.calibration_from_matrix import stated_calibration
+def _check_matrix_file(path: Path, geometry: Geometry | None) -> FileFinding:
+    from balance_cli.calibration.matrix_file import read_matrix_file
+    from balance_cli.steps.calibration_from_matrix import calibration_from_matrix
 
     try:
-        stated, digest = load_matrix(path)
+        stated, digest = read_matrix_file(path)
         if geometry is not None:
-            stated_calibration(stated, geometry)
+            calibration_from_matrix(stated, geometry)
     except UserError as error:
-        return Finding(MATRIX_FORMAT, "calibration matrix", faults=(error.at(file=str(path)),))
+        return FileFinding(MATRIX_FORMAT, "calibration matrix", faults=(error.at(file=str(path)),))
     matrix = stated.matrix
     about = f"calibration matrix of {len(matrix.channel_names)} channels for {', '.join(matrix.components)}"
-    return Finding(MATRIX_FORMAT, about, path.name, matrix.rig, digest)
+    return FileFinding(MATRIX_FORMAT, about, path.name, matrix.rig, digest)
 
 
 def _first_line(path: Path) -> str:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import click
 
 
-class _Stderr(logging.Handler):
+class _StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         click.echo(f"balance: {record.levelname.lower()}: {self.format(record)}", err=True)
 
@@ -18,7 +18,7 @@ class _Stderr(logging.Handler):
 def messages(verbose: bool) -> Iterator[None]:
     """Show the package's log: warnings, and with `verbose` everything, Python's own warnings included."""
     loggers = [logging.getLogger("balance_cli"), *([logging.getLogger("py.warnings")] if verbose else [])]
-    handler = _Stderr()
+    handler = _StderrHandler()
     logging.captureWarnings(verbose)
     for logger in loggers:
         logger.addHandler(handler)

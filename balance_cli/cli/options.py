@@ -72,7 +72,7 @@ def verbose_option(function: F) -> F:
     return click.option("-v", "--verbose", is_flag=True, help=text)(function)
 
 
-def paths_of(context: click.Context, *types: type[click.Path]) -> Iterator[Path]:
+def paths_of_type(context: click.Context, *types: type[click.Path]) -> Iterator[Path]:
     """All paths given in the call whose parameter has one of these types (`-` is none)."""
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
@@ -82,7 +82,7 @@ def paths_of(context: click.Context, *types: type[click.Path]) -> Iterator[Path]
         yield from (path for path in values if isinstance(path, Path) and str(path) != "-")
 
 
-def settings_of(context: click.Context) -> dict[str, Any]:
+def non_default_options(context: click.Context) -> dict[str, Any]:
     """The options of the call that differ from their defaults: no paths, no `--json`, no `--verbose`."""
     settings = {}
     for parameter in context.command.params:
@@ -97,14 +97,14 @@ def settings_of(context: click.Context) -> dict[str, Any]:
 
 def check_outputs(context: click.Context) -> None:
     """Refuse outputs that cannot be written, or would overwrite an input or each other, before anything is computed."""
-    inputs = {path.resolve() for path in paths_of(context, InputFile)}
+    inputs = {path.resolve() for path in paths_of_type(context, InputFile)}
     outputs: set[Path] = set()
-    for path in paths_of(context, OutputFile):
+    for path in paths_of_type(context, OutputFile):
         check_output(path)
         if path.resolve() in inputs:
             raise UserError("is an input of this very command", str(path), remedy="Give the output another name")
         if path.resolve() in outputs:
             raise UserError("two outputs have this name", str(path), remedy="Give each output a name of its own")
         outputs.add(path.resolve())
-    for folder in paths_of(context, OutputFolder):
+    for folder in paths_of_type(context, OutputFolder):
         check_output_folder(folder)

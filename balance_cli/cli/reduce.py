@@ -9,7 +9,7 @@ import click
 
 from balance_cli.cli.common import Session, balance_command, output_option, skip_bad_option
 from balance_cli.cli.options import InputFile, OutputFolder
-from balance_cli.cli.reduce_runs import LOADS_AS, METHODS, Method, Reduction, no_state_space
+from balance_cli.cli.reduce_runs import LOAD_MODEL_CHOICES, METHODS, MethodOptions, Reduction, no_state_space_error
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
     from balance_cli.reduction.mean_loads import ZeroRecord
     from balance_cli.reduction.response_sources import ResponseSource
-    from balance_cli.reduction.result import Loads, RunLoads
+    from balance_cli.reduction.result import HubLoads, RunLoads
 
 FORMAT = "balance-loads/1"
 INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
@@ -45,8 +45,8 @@ INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
 )
 @click.option(
     "--loads-as",
-    type=click.Choice(LOADS_AS),
-    default=LOADS_AS[0],
+    type=click.Choice(LOAD_MODEL_CHOICES),
+    default=LOAD_MODEL_CHOICES[0],
     show_default=True,
     help="What is known of the loads in time: harmonics locked to the azimuth beside random loads; random loads alone; "
     "nothing within a band.",
@@ -89,38 +89,38 @@ def command(
     channels through a model of the physical form; --history writes them, the table holds their harmonics.
     """
     from balance_cli.calibration.result import Calibration
-    from balance_cli.cli.reduce_text import summary, text
-    from balance_cli.reduction.result import Loads
+    from balance_cli.cli.reduce_text import reduction_text, summary
+    from balance_cli.reduction.result import HubLoads
 
-    _check_call(model, transfer, static, output)
-    how = Method(method, loads_as if _asked("loads_as") else None, lag, harmonics)
+    _check_options(model, transfer, static, output)
+    how = MethodOptions(method, loads_as if _is_given("loads_as") else None, lag, harmonics)
     how.check(model is not None)
     cal: Calibration = session.artefact(calibration, {"balance-calibration/1": Calibration}, "calibration").content
-    source = _source(session, cal, model, transfer, interpolation)
+    source = _response_source(session, cal, model, transfer, interpolation)
     _check_source(how, source, model)
     records = session.runs(runs, cal.geometry, skip_bad)
-    reduction = Reduction(how, cal, source, _zero(session, cal, zero, records), history)
+    reduction = Reduction(how, cal, source, _load_zero_record(session, cal, zero, records), history)
     reduced: dict[str, RunLoads] = {}
-    used = [run for run in records if _is_used(session, run)]
+    used = [run for run in records if _accept_run(session, run)]
     if not used:
         raise UserError("no check or wind run among the runs", "RUN...", remedy="Give the runs that are to be reduced")
     for run in session.progress(used, "runs", len(used)):
-        with session.skipping(run, skip_bad):
+        with session.skip_if_unusable(run, skip_bad):
             reduced[run.name] = reduction.reduced(session, run)
             for channel, reason in reduced[run.name].left_out.items():
                 session.warn(f"{run.name}: channel {channel} left out: {reason}")
-    loads = Loads(method, source.description, cal.geometry, reduced)
-    _write(session, output, loads)
-    session.finish(summary(loads), text(loads))
+    loads = HubLoads(method, source.description, cal.geometry, reduced)
+    _write_load_table(session, output, loads)
+    session.finish(summary(loads), reduction_text(loads))
 
 
-def _asked(option: str) -> bool:
+def _is_given(option: str) -> bool:
     """Whether the user gave this option."""
     source = click.get_current_context().get_parameter_source(option)
     return source is not click.core.ParameterSource.DEFAULT
 
 
-def _check_call(model: Path | None, transfer: Path | None, static: bool, output: Path) -> None:
+def _check_options(model: Path | None, transfer: Path | None, static: bool, output: Path) -> None:
     if (model is not None) + (transfer is not None) + static != 1:
         raise UserError(
             "exactly one response is needed", "--model, --transfer, --static", remedy="Give one of the three"
@@ -129,7 +129,7 @@ def _check_call(model: Path | None, transfer: Path | None, static: bool, output:
         raise UserError("the table is written as .csv or .h5", str(output), remedy="Let its name end so")
 
 
-def _source(
+def _response_source(
     session: Session, calibration: Calibration, model: Path | None, transfer: Path | None, interpolation: str
 ) -> ResponseSource:
     """The response that was asked for. UserError where its geometry is not that of the calibration."""
@@ -150,11 +150,11 @@ def _source(
     return responses.static_source(calibration)
 
 
-def _check_source(method: Method, source: ResponseSource, model: Path | None) -> None:
+def _check_source(method: MethodOptions, source: ResponseSource, model: Path | None) -> None:
     from balance_cli.reduction.response_sources import ModelSource
 
     if method.in_time and not isinstance(source, ModelSource):
-        raise no_state_space(method.name, str(model))
+        raise no_state_space_error(method.name, str(model))
 
 
 def _check_geometry(geometry: Any, calibration: Calibration, path: Path) -> None:
@@ -170,7 +170,9 @@ def _check_geometry(geometry: Any, calibration: Calibration, path: Path) -> None
         )
 
 
-def _zero(session: Session, calibration: Calibration, path: Path | None, records: tuple[Run, ...]) -> ZeroRecord | None:
+def _load_zero_record(
+    session: Session, calibration: Calibration, path: Path | None, records: tuple[Run, ...]
+) -> ZeroRecord | None:
     from balance_cli.campaign.recording.channel_health import live_channels
     from balance_cli.reduction.mean_loads import zero_record
 
@@ -192,7 +194,7 @@ def _zero(session: Session, calibration: Calibration, path: Path | None, records
     return zero_record(zeros[0], [name for name in wanted if name in live])
 
 
-def _is_used(session: Session, run: Run) -> bool:
+def _accept_run(session: Session, run: Run) -> bool:
     if run.kind in ("check", "wind"):
         return True
     if run.kind != "zero":
@@ -200,7 +202,7 @@ def _is_used(session: Session, run: Run) -> bool:
     return False
 
 
-def _write(session: Session, output: Path, loads: Loads) -> None:
+def _write_load_table(session: Session, output: Path, loads: HubLoads) -> None:
     if output.suffix == ".h5":
         session.save(output, FORMAT, loads)
         return

@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from balance_cli.calibration.result import Calibration
     from balance_cli.campaign.recording.run import Run
     from balance_cli.reduction.history_file import HistoryFile
-    from balance_cli.reduction.kalman.load_history import History
+    from balance_cli.reduction.kalman.load_history import LoadHistory
     from balance_cli.reduction.mean_loads import ZeroRecord
     from balance_cli.reduction.response_sources import ModelSource, ResponseSource
     from balance_cli.reduction.result import RunLoads
     from balance_cli.steps.reduce_in_time import TimeOptions, TimeReduction
 
 METHODS = ("harmonic", "kalman", "smoother")
-LOADS_AS = ("harmonics", "random", "free")
+LOAD_MODEL_CHOICES = ("harmonics", "random", "free")
 
 
 @dataclass(frozen=True)
-class Method:
+class MethodOptions:
     """What was asked for: `name` one of METHODS, `loads_as` one of LOADS_AS (None: not asked), `lag` [s], harmonics."""
 
     name: str
@@ -52,17 +52,17 @@ class Method:
         if self.lag is not None and not (math.isfinite(self.lag) and self.lag >= 0):
             raise UserError(f"a lag of {self.lag:g} s is none", "--lag", remedy="Give seconds, 0 for none")
         if self.in_time and not has_model:
-            raise no_state_space(self.name)
+            raise no_state_space_error(self.name)
 
     def options(self) -> TimeOptions:
         """Those of the step."""
         from balance_cli.steps.reduce_in_time import TimeOptions
 
-        known = TimeOptions(self.name == "smoother", self.loads_as or LOADS_AS[0], harmonics=self.harmonics)
+        known = TimeOptions(self.name == "smoother", self.loads_as or LOAD_MODEL_CHOICES[0], harmonics=self.harmonics)
         return known if self.lag is None else replace(known, lag=self.lag)
 
 
-def no_state_space(method: str, path: str = "") -> UserError:
+def no_state_space_error(method: str, path: str = "") -> UserError:
     """The response that was given cannot be taken sample by sample."""
     return UserError(
         "the response has no state space, which reduction in time needs",
@@ -77,7 +77,7 @@ def no_state_space(method: str, path: str = "") -> UserError:
 class Reduction:
     """One call: how, by what response and calibration, and where histories go (None: nowhere)."""
 
-    method: Method
+    method: MethodOptions
     calibration: Calibration
     source: ResponseSource
     zero: ZeroRecord | None
@@ -87,30 +87,30 @@ class Reduction:
         """Loads of one run, its history prepared. UserError where it cannot be reduced."""
         _check_name(run, self.histories)
         with ExitStack() as stack:
-            history = _History(session, stack, self.histories, run.name)
-            return self._in_time(run, history) if self.method.in_time else self._by_harmonics(run, history)
+            history = _HistoryWriter(session, stack, self.histories, run.name)
+            return self._reduce_in_time(run, history) if self.method.in_time else self._reduce_harmonics(run, history)
 
-    def _by_harmonics(self, run: Run, history: _History) -> RunLoads:
-        from balance_cli.reduction.history_file import harmonic_blocks
+    def _reduce_harmonics(self, run: Run, history: _HistoryWriter) -> RunLoads:
+        from balance_cli.reduction.history_file import harmonic_history
         from balance_cli.steps.reduce import ReduceOptions, reduce_run
 
         options = ReduceOptions(self.method.harmonics)
         loads = reduce_run(run, self.calibration.geometry, self.calibration, self.source, self.zero, options)
-        if history.wanted:
-            for block in harmonic_blocks(run, loads):
+        if history.is_enabled:
+            for block in harmonic_history(run, loads):
                 history.file.add(block)
         return loads
 
-    def _in_time(self, run: Run, history: _History) -> RunLoads:
+    def _reduce_in_time(self, run: Run, history: _HistoryWriter) -> RunLoads:
         from balance_cli.steps.reduce_in_time import reduce_run_in_time
 
         options = self.method.options()
-        found = reduce_run_in_time(
+        time_reduction = reduce_run_in_time(
             run, self.calibration.geometry, self.calibration, self._model(), self.zero, options, history.sink
         )
-        if found.track is not None and history.wanted:
-            history.file.add_harmonics(found.track, found.loads.components)
-        return _with_tests(found, options)
+        if time_reduction.track is not None and history.is_enabled:
+            history.file.add_harmonics(time_reduction.track, time_reduction.loads.components)
+        return _add_filter_tests(time_reduction, options)
 
     def _model(self) -> ModelSource:
         from balance_cli.reduction.response_sources import ModelSource
@@ -120,14 +120,23 @@ class Reduction:
         return self.source
 
 
-def _with_tests(found: TimeReduction, options: TimeOptions) -> RunLoads:
+def _add_filter_tests(time_reduction: TimeReduction, options: TimeOptions) -> RunLoads:
     """The loads, and beside them how they were found; a channel that was lost for a while only is not left out."""
-    from balance_cli.reduction.result import InTime
+    from balance_cli.reduction.result import TimeDomainResult
 
     lag = None if options.smooth else options.lag
-    how = InTime(options.loads, lag, found.innovations, found.track, found.noise, found.bridged)
-    left_out = {name: reason for name, reason in found.loads.left_out.items() if name not in found.noise}
-    return replace(found.loads, in_time=how, left_out=left_out)
+    how = TimeDomainResult(
+        options.loads,
+        lag,
+        time_reduction.innovations,
+        time_reduction.track,
+        time_reduction.noise,
+        time_reduction.bridged,
+    )
+    left_out = {
+        name: reason for name, reason in time_reduction.loads.left_out.items() if name not in time_reduction.noise
+    }
+    return replace(time_reduction.loads, in_time=how, left_out=left_out)
 
 
 def _check_name(run: Run, folder: Path | None) -> None:
@@ -135,7 +144,7 @@ def _check_name(run: Run, folder: Path | None) -> None:
         raise UserError(f"run name `{run.name}` is no file name", str(run.path), "attribute `run`", "Rename the run")
 
 
-class _History:
+class _HistoryWriter:
     """The history file of a run, which is there from the first block on: before that a run may still be refused."""
 
     def __init__(self, session: Session, stack: ExitStack, folder: Path | None, run: str) -> None:
@@ -143,14 +152,14 @@ class _History:
         self._file: HistoryFile | None = None
 
     @property
-    def wanted(self) -> bool:
+    def is_enabled(self) -> bool:
         """Whether there is to be one."""
         return self._folder is not None
 
     @property
-    def sink(self) -> Callable[[History], None] | None:
+    def sink(self) -> Callable[[LoadHistory], None] | None:
         """Takes the blocks; None where nobody wants them."""
-        return (lambda block: self.file.add(block)) if self.wanted else None
+        return (lambda block: self.file.add(block)) if self.is_enabled else None
 
     @property
     def file(self) -> HistoryFile:

@@ -8,10 +8,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from balance_cli.reduction.result import InTime, Loads, RunLoads
+    from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
 
 
-def summary(loads: Loads) -> dict[str, Any]:
+def summary(loads: HubLoads) -> dict[str, Any]:
     """The summary of all runs (docs/json.md)."""
     return {
         "method": loads.method,
@@ -33,33 +33,33 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
     if run.check is not None:
         summary |= {key: value for key, value in asdict(run.check).items() if key != "applied"}
     if run.in_time is not None:
-        summary |= _filter_summary(run.in_time)
+        summary |= _in_time_summary(run.in_time)
     return summary
 
 
-def _filter_summary(found: InTime) -> dict[str, Any]:
+def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
     """Of a run reduced in time; without tests of the innovations these are null."""
-    tests = found.innovations
+    tests = filter_result.innovations
     return {
-        "loads_as": found.loads_as,
-        "lag_s": found.lag,
+        "loads_as": filter_result.loads_as,
+        "lag_s": filter_result.lag,
         "nis": tests.nis if tests else None,
         "nis_sigma": tests.nis_sigma if tests else None,
         "whiteness": tests.whiteness if tests else None,
         "whiteness_sigma": tests.whiteness_sigma if tests else None,
         "channels": tests.channels if tests else {},
-        "noise_v": found.noise,
-        "bridged": found.bridged,
+        "noise_v": filter_result.noise,
+        "bridged": filter_result.bridged,
     }
 
 
-def text(loads: Loads) -> Iterator[str]:
+def reduction_text(loads: HubLoads) -> Iterator[str]:
     """One line a run, errors of check runs, tests of the filter and notes below it."""
     yield f"{len(loads.runs)} runs reduced, {loads.response}"
     for name, run in loads.runs.items():
-        yield f"{name}, {run.interval[0]:.2f} to {run.interval[1]:.2f} s: {_surplus(run)}"
+        yield f"{name}, {run.interval[0]:.2f} to {run.interval[1]:.2f} s: {_residual_test_text(run)}"
         if run.in_time is not None:
-            yield f"   {_innovations(run.in_time)}"
+            yield f"   {_innovation_tests_text(run.in_time)}"
         if run.check is not None:
             yield f"   error of the loads applied: {_percent(run.check.load_error)}"
             yield f"   interaction in the others: {_percent(run.check.interaction)}"
@@ -67,15 +67,15 @@ def text(loads: Loads) -> Iterator[str]:
             yield f"   {note}"
 
 
-def _surplus(run: RunLoads) -> str:
+def _residual_test_text(run: RunLoads) -> str:
     worst = max(range(1, len(run.redundancy)), key=lambda n: run.redundancy[n])
     if math.isnan(run.redundancy[worst]):
         return "no more channels than loads, so that nothing tests the response"
     return f"redundancy up to {run.redundancy[worst]:.3g} (harmonic {worst}, limit {run.redundancy_limit[worst]:.2f})"
 
 
-def _innovations(found: InTime) -> str:
-    tests = found.innovations
+def _innovation_tests_text(filter_result: TimeDomainResult) -> str:
+    tests = filter_result.innovations
     if tests is None:
         return "innovations not tested: no stretch of the record has all channels"
     return (

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from balance_cli.report.page import Page
     from balance_cli.report.sources import Sources
 
-PICTURE_FORMATS = (".png", ".svg", ".pdf")
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 @balance_command("report")
@@ -38,40 +38,44 @@ def command(session: Session, artefacts: tuple[Path, ...], picture: Path | None,
 
     _check_names(output, picture)
     paths = session.progress(artefacts, "artefacts", len(artefacts))
-    found = sources([(path, session.artefact(path, FORMATS)) for path in paths])
-    made = page(found)
-    session.stage(output).write_text(made.html, encoding="utf-8")
+    report_sources = sources([(path, session.artefact(path, FORMATS)) for path in paths])
+    html_page = page(report_sources)
+    session.stage(output).write_text(html_page.html, encoding="utf-8")
     if picture is not None:
-        _draw(session, picture, found)
+        _draw_comparison(session, picture, report_sources)
     session.finish(
-        {"sections": made.sections, "figures": made.pictures, "artefacts": _labels(found)}, _text(made, found)
+        {"sections": html_page.sections, "figures": html_page.pictures, "artefacts": _source_labels(report_sources)},
+        _text(html_page, report_sources),
     )
 
 
 def _check_names(output: Path, picture: Path | None) -> None:
     if output.suffix.lower() not in (".html", ".htm"):
         raise UserError("the page is written as .html", str(output), remedy="Let its name end so")
-    if picture is not None and picture.suffix.lower() not in PICTURE_FORMATS:
+    if picture is not None and picture.suffix.lower() not in PICTURE_SUFFIXES:
         raise UserError("a picture is written as .png, .svg or .pdf", str(picture), remedy="Let its name end so")
 
 
-def _draw(session: Session, picture: Path, found: Sources) -> None:
-    from balance_cli.report.check_errors import checked
+def _draw_comparison(session: Session, picture: Path, report_sources: Sources) -> None:
+    from balance_cli.report.check_errors import loads_with_check_runs
     from balance_cli.report.check_figures import comparison_figure
     from balance_cli.report.figure_style import save_picture
 
-    methods = checked(found)
+    methods = loads_with_check_runs(report_sources)
     if not methods:
         raise UserError("no loads of check runs to draw", "--picture", remedy="Give loads reduced from check runs")
     file_format = picture.suffix.lower().lstrip(".")
     save_picture(session.stage(picture), "picture", lambda: comparison_figure(methods), file_format)
 
 
-def _labels(found: Sources) -> dict[str, str]:
-    return {source.file: source.label for source in found.everything}
+def _source_labels(report_sources: Sources) -> dict[str, str]:
+    return {source.file: source.label for source in report_sources.all_sources}
 
 
-def _text(made: Page, found: Sources) -> Iterator[str]:
-    yield f"{len(found.everything)} artefacts, {len(made.sections)} sections, {len(made.pictures)} pictures"
-    for source in found.everything:
+def _text(html_page: Page, report_sources: Sources) -> Iterator[str]:
+    yield (
+        f"{len(report_sources.all_sources)} artefacts, {len(html_page.sections)} sections, {len(html_page.pictures)} "
+        "pictures"
+    )
+    for source in report_sources.all_sources:
         yield f"   {source.file}: {source.label}"

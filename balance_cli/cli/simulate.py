@@ -69,26 +69,28 @@ def command(
     """Simulate run files with known truth and chosen effects."""
     from dataclasses import replace
 
-    from balance_cli.simulation import Noise, simulated
+    from balance_cli.simulation import Noise, iterate_simulated_runs
     from balance_cli.simulation.rig import apply_effects
 
     if output.exists() and any(output.iterdir()):
         raise UserError("is not empty", str(output), remedy="Give a new or an empty folder")
     declared = session.geometry(geometry)
-    runs = _planned(plan, only, declared)
-    rig = apply_effects(_rig(declared, draw, seed), (*declared.effects, *_chosen(effects, parameters)))
+    runs = _load_plan(plan, only, declared)
+    rig = apply_effects(_make_true_rig(declared, draw, seed), (*declared.effects, *_parse_effects(effects, parameters)))
     level = replace(Noise(), single_precision=not double).scaled(noise)
-    pairs = session.progress(simulated(rig, runs, level, seed), "runs", total=len(runs.runs))
-    summary = _written(session, output, rig, runs, pairs, {"geometry": declared.name, "seed": seed, "noise": noise})
+    pairs = session.progress(iterate_simulated_runs(rig, runs, level, seed), "runs", total=len(runs.runs))
+    summary = _write_campaign(
+        session, output, rig, runs, pairs, {"geometry": declared.name, "seed": seed, "noise": noise}
+    )
     session.finish(summary, [f"{len(runs.runs)} runs of {declared.rig}, their truth in truth.yaml and truth.hdf5"])
 
 
-def _written(
+def _write_campaign(
     session: Session, output: Path, rig: TrueRig, plan: CampaignPlan, pairs: Iterable[Any], about: dict[str, Any]
 ) -> dict[str, Any]:
     """Prepare all files; returns the summary."""
     from balance_cli.campaign.recording.run_file import write_run
-    from balance_cli.simulation.files import described_rig, write_truth_arrays, write_truth_text
+    from balance_cli.simulation.files import rig_to_dict, write_truth_arrays, write_truth_text
 
     truths, described = [], {}
     for run, truth in pairs:
@@ -97,10 +99,10 @@ def _written(
         described[run.name] = {"kind": run.kind, "samples": run.samples, "digest": run.digest}
     write_truth_arrays(session.stage_in(output, "truth.hdf5"), truths)
     write_truth_text(session.stage_in(output, "truth.yaml"), rig, about, plan)
-    return {**about, "runs": described, "rig": described_rig(rig)}
+    return {**about, "runs": described, "rig": rig_to_dict(rig)}
 
 
-def _planned(plan: str, only: tuple[str, ...], geometry: Geometry) -> CampaignPlan:
+def _load_plan(plan: str, only: tuple[str, ...], geometry: Geometry) -> CampaignPlan:
     from balance_cli.simulation import campaign_plan
     from balance_cli.simulation.files import read_plan
     from balance_cli.simulation.plans import PRESETS
@@ -114,21 +116,21 @@ def _planned(plan: str, only: tuple[str, ...], geometry: Geometry) -> CampaignPl
     return whole.only(only) if only else whole
 
 
-def _rig(geometry: Geometry, draw: bool, seed: int) -> TrueRig:
+def _make_true_rig(geometry: Geometry, draw: bool, seed: int) -> TrueRig:
     from balance_cli.simulation import draw_rig, true_rig
-    from balance_cli.simulation.truth import stream
+    from balance_cli.simulation.truth import random_stream
 
-    return draw_rig(geometry, stream(seed, "", "rig")) if draw else true_rig(geometry)
+    return draw_rig(geometry, random_stream(seed, "", "rig")) if draw else true_rig(geometry)
 
 
-def _chosen(effects: tuple[str, ...], parameters: tuple[str, ...]) -> list[Extension]:
+def _parse_effects(effects: tuple[str, ...], parameters: tuple[str, ...]) -> list[Extension]:
     """The effects of the command line with their parameters."""
     from balance_cli.simulation.extensions.library import extension
 
     values: dict[str, dict[str, str]] = {effect: {} for effect in effects}
     for text in parameters:
         place, name, value = _split_parameter(text)
-        values[_effect_meant(text, place, name, effects)][name] = value
+        values[_effect_of_parameter(text, place, name, effects)][name] = value
     chosen = []
     for effect, given in values.items():
         name, _, places = effect.partition("@")
@@ -146,15 +148,15 @@ def _split_parameter(text: str) -> tuple[str, str, str]:
     return effect, name, value
 
 
-def _effect_meant(text: str, place: str, name: str, effects: tuple[str, ...]) -> str:
+def _effect_of_parameter(text: str, place: str, name: str, effects: tuple[str, ...]) -> str:
     """The effect that a parameter belongs to: the one named, or the only one that has such a parameter."""
     from balance_cli.simulation.extensions.library import EXTENSIONS, parameter_names
 
     def has(effect: str) -> bool:
-        kind = EXTENSIONS.get(_name_of(effect))
+        kind = EXTENSIONS.get(_effect_name(effect))
         return kind is not None and name in parameter_names(kind)
 
-    meant = [effect for effect in effects if place in (effect, _name_of(effect))] if place else list(effects)
+    meant = [effect for effect in effects if place in (effect, _effect_name(effect))] if place else list(effects)
     meant = meant if len(meant) == 1 else [effect for effect in meant if has(effect)]
     if len(meant) == 1:
         return meant[0]
@@ -163,5 +165,5 @@ def _effect_meant(text: str, place: str, name: str, effects: tuple[str, ...]) ->
     raise UserError(fault, "--parameter", remedy=known)
 
 
-def _name_of(effect: str) -> str:
+def _effect_name(effect: str) -> str:
     return effect.partition("@")[0]

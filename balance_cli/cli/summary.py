@@ -12,10 +12,10 @@ from typing import Any
 
 def json_text(summary: Mapping[str, Any]) -> str:
     """The summary as one JSON object, keys in their given order."""
-    return json.dumps(plain(summary), indent=2, ensure_ascii=False, allow_nan=False)
+    return json.dumps(to_json_value(summary), indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def plain(value: Any) -> Any:
+def to_json_value(value: Any) -> Any:
     """`value` with only dict, list, str, int, float, bool and None in it; NaN and infinities become None.
 
     A complex number becomes {"real", "imag"}. TypeError for anything that has no plain form.
@@ -25,19 +25,19 @@ def plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, complex):
-        return {"real": plain(value.real), "imag": plain(value.imag)}
+        return {"real": to_json_value(value.real), "imag": to_json_value(value.imag)}
     return _plain_container(value)
 
 
 def _plain_container(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in value]
+        return [to_json_value(item) for item in value]
     if isinstance(value, Path):
         return str(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {field.name: to_json_value(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if hasattr(value, "tolist"):
-        return plain(value.tolist())
+        return to_json_value(value.tolist())
     raise TypeError(f"{type(value).__name__} has no JSON form")

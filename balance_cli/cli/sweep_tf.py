@@ -18,7 +18,7 @@ from balance_cli.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from balance_cli.signals.run_spectrum import Response
+    from balance_cli.signals.run_spectrum import FrequencyResponse
     from balance_cli.signals.transfer import Transfer
 
 FORMAT = "balance-transfer/1"
@@ -69,20 +69,20 @@ def command(
 
 
 def _summary(transfer: Transfer) -> dict[str, Any]:
-    from balance_cli.signals.transfer import components_of, least_coherence
+    from balance_cli.signals.transfer import least_coherence, response_components
 
     return {
         "geometry": transfer.geometry.name,
         "estimator": transfer.estimator,
-        "runs": {response.run: _of_response(response) for response in transfer.responses},
+        "runs": {response.run: _response_summary(response) for response in transfer.responses},
         "steady": transfer.steady,
         "channels_left_out": transfer.channels_left_out,
         "coherence_min": least_coherence(transfer),
-        "relative_sigma": {name: _median_sigma(transfer, name) for name in components_of(transfer)},
+        "relative_sigma": {name: _median_relative_sigma(transfer, name) for name in response_components(transfer)},
     }
 
 
-def _of_response(response: Response) -> dict[str, Any]:
+def _response_summary(response: FrequencyResponse) -> dict[str, Any]:
     return {
         "components": response.components,
         "level": response.level,
@@ -94,17 +94,17 @@ def _of_response(response: Response) -> dict[str, Any]:
     }
 
 
-def _median_sigma(transfer: Transfer, component: str) -> float:
+def _median_relative_sigma(transfer: Transfer, component: str) -> float:
     """Median over the lines of sigma over amplitude, in the best channel, at the highest level."""
     import numpy as np
 
-    from balance_cli.signals.transfer import combined, relative_sigma
+    from balance_cli.signals.transfer import relative_sigma, response_to_component
 
-    return float(np.median(relative_sigma(combined(transfer, component))))
+    return float(np.median(relative_sigma(response_to_component(transfer, component))))
 
 
 def _text(transfer: Transfer) -> Iterator[str]:
-    from balance_cli.signals.transfer import components_of, least_coherence
+    from balance_cli.signals.transfer import least_coherence, response_components
 
     for response in transfer.responses:
         low, high = response.frequency[0], response.frequency[-1]
@@ -116,5 +116,5 @@ def _text(transfer: Transfer) -> Iterator[str]:
         )
     coherence = least_coherence(transfer)
     yield "component  least coherence  relative sigma"
-    for name in components_of(transfer):
-        yield f"{name:9s} {coherence[name]:16.4f}  {_median_sigma(transfer, name):.2e}"
+    for name in response_components(transfer):
+        yield f"{name:9s} {coherence[name]:16.4f}  {_median_relative_sigma(transfer, name):.2e}"

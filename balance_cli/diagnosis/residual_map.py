@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import ResidualMap
 from balance_cli.estimation.fit_quality import residual_variance
-from balance_cli.estimation.likelihood import exciter_response, fitted
+from balance_cli.estimation.likelihood import evaluate_batch, exciter_response
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.system import System, solve
@@ -18,10 +18,10 @@ from balance_cli.model.system import System, solve
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-BANDS = 30
+MAP_BANDS = 30
 # Rms of a run, band or channel that is more than noise, and that of a single field of the map; real values that a field
 # holds at least, and sigma by which chance may lift their mean square.
-CLEAR = 1.1
+CLEAR_RMS = 1.1
 CLEAR_FIELD = 2.5
 FEWEST_VALUES = 2
 SIGMA = 4.0
@@ -51,7 +51,7 @@ def _edges(batches: Sequence[Batch]) -> Array:
     moving = frequency[frequency > 0]
     edges = np.empty(0)
     if len(moving):
-        groups = np.array_split(moving, min(BANDS, len(moving)))
+        groups = np.array_split(moving, min(MAP_BANDS, len(moving)))
         inner = [0.5 * (one[-1] + other[0]) for one, other in pairwise(groups)]
         edges = np.array([moving[0], *inner, np.nextafter(moving[-1], np.inf)])
     at_rest = [0.0] if len(edges) else [0.0, np.finfo(float).tiny]
@@ -65,7 +65,7 @@ def _rms(batches: Sequence[Batch], system: System, edges: Array) -> Array:
     total, count = np.zeros((runs * bands, c)), np.zeros((runs * bands, c))
     first = 0
     for batch in batches:
-        power, heard = _whitened(batch, system)
+        power, heard = _whitened_power(batch, system)
         band = np.searchsorted(edges, batch.frequency[batch.index], side="right") - 1
         place = (first + batch.run) * bands + band
         np.add.at(total, place, power)
@@ -76,10 +76,10 @@ def _rms(batches: Sequence[Batch], system: System, edges: Array) -> Array:
     return np.asarray(np.sqrt(mean).reshape(runs, bands, c))
 
 
-def _whitened(batch: Batch, system: System) -> tuple[Array, Array]:
+def _whitened_power(batch: Batch, system: System) -> tuple[Array, Array]:
     """|residual|^2 over its variance (K, c), and which (K, c) channels tell something."""
     solution = solve(system, batch.frequency, batch.spin)
-    fit = fitted(batch, system, solution)
+    fit = evaluate_batch(batch, system, solution)
     heard = np.real(np.diagonal(batch.precision, axis1=1, axis2=2)[:, : batch.channels.shape[1]]) > 0
     columns = exciter_response(system, solution)[batch.index[:, None], :, batch.components].swapaxes(1, 2)
     variance = residual_variance(batch, columns, heard)
@@ -98,13 +98,17 @@ def location(found: ResidualMap) -> str:
     by = [_marginal(power, axis) for axis in range(3)]
     if not any(_is_clear(power, axis, one) for axis, one in enumerate(by)) and np.nanmax(found.after) < CLEAR_FIELD:
         return f"Nothing beyond the noise (rms {whole:.2f} of it)."
-    runs = [found.runs[i] for i in _largest(by[0])]
-    channels = [found.channels[i] for i in _largest(by[2])]
-    chosen = _largest(by[1])
-    bands = "all bands" if len(chosen) == len(found.edges) - 1 else ", ".join(_bands(found.edges, chosen)[:MOST_NAMED])
+    runs = [found.runs[i] for i in _largest_excess(by[0])]
+    channels = [found.channels[i] for i in _largest_excess(by[2])]
+    chosen = _largest_excess(by[1])
+    bands = (
+        "all bands"
+        if len(chosen) == len(found.edges) - 1
+        else ", ".join(_describe_bands(found.edges, chosen)[:MOST_NAMED])
+    )
     return (
-        f"Rms {whole:.2f} of the noise; most in {_listed(runs, len(found.runs), 'runs')}, "
-        f"{bands}, {_listed(channels, len(found.channels), 'channels')}."
+        f"Rms {whole:.2f} of the noise; most in {_list_names(runs, len(found.runs), 'runs')}, "
+        f"{bands}, {_list_names(channels, len(found.channels), 'channels')}."
     )
 
 
@@ -112,7 +116,7 @@ def _is_clear(power: Array, axis: int, marginal: Array) -> bool:
     """Whether any of the marginal rms is more than chance, too, would have it."""
     others = tuple(i for i in range(3) if i != axis)
     values = FEWEST_VALUES * np.maximum(np.isfinite(power).sum(axis=others), 1)
-    bound = np.maximum(CLEAR, np.sqrt(1.0 + SIGMA * np.sqrt(2.0 / values)))
+    bound = np.maximum(CLEAR_RMS, np.sqrt(1.0 + SIGMA * np.sqrt(2.0 / values)))
     return bool(np.any(np.nan_to_num(marginal) > bound))
 
 
@@ -123,14 +127,14 @@ def _marginal(power: Array, axis: int) -> Array:
     return np.asarray(np.sqrt(np.where(count > 0, np.nansum(power, axis=others) / np.maximum(count, 1), np.nan)))
 
 
-def _largest(marginal: Array) -> list[int]:
+def _largest_excess(marginal: Array) -> list[int]:
     """Those that hold the excess over the noise, the largest first."""
     excess = np.nan_to_num(marginal**2 - 1.0, nan=-1.0)
     order = np.argsort(-excess)
     return [int(i) for i in order if excess[i] >= NAMED_SHARE * max(excess[order[0]], 0.0) and excess[i] > 0]
 
 
-def _bands(edges: Array, chosen: Sequence[int]) -> list[str]:
+def _describe_bands(edges: Array, chosen: Sequence[int]) -> list[str]:
     """Bands in words, those of the largest excess first, neighbours as one."""
     groups: list[list[int]] = []
     for i in sorted(chosen):
@@ -144,7 +148,7 @@ def _bands(edges: Array, chosen: Sequence[int]) -> list[str]:
     ]
 
 
-def _listed(names: Sequence[str], count: int, what: str) -> str:
+def _list_names(names: Sequence[str], count: int, what: str) -> str:
     """Some names; `all runs`, `most runs` where there are many of them."""
     if len(names) in (0, count) and count > 1:
         return f"all {what}"

@@ -18,7 +18,7 @@ EXPLAINED = "explained"
 PARTLY_EXPLAINED = "partly explained"
 UNEXPLAINED = "unexplained"
 
-MEANING = {
+VERDICT_MEANING = {
     NOTHING_MISSING: "no candidate says anything that chance would not",
     EXPLAINED: "with the effects found the model describes the data within their noise",
     PARTLY_EXPLAINED: "the effects found are there, and something else is left",
@@ -99,7 +99,7 @@ class ModelFreeTest:
 
 
 @dataclass(frozen=True)
-class Untestable:
+class UntestableEffect:
     """An effect of which these runs say nothing, and why."""
 
     name: str
@@ -152,7 +152,7 @@ class Diagnosis:
     effects: tuple[FoundEffect, ...]
     trials: tuple[Trial, ...]
     tests: tuple[ModelFreeTest, ...]
-    not_testable: tuple[Untestable, ...]
+    not_testable: tuple[UntestableEffect, ...]
     chi2_per_dof_before: float
     chi2_per_dof_after: float
     frf_error_before: float

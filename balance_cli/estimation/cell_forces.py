@@ -17,53 +17,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.measurements import Batch
-from balance_cli.model.channel_gains import channel_gains, log_gain_slope
-from balance_cli.model.mechanics.dual_numbers import Jet, constant
+from balance_cli.model.channel_gains import channel_gains, log_gain_derivative
+from balance_cli.model.mechanics.dual_numbers import Dual, constant
 from balance_cli.model.mechanics.equations import CellForce
 from balance_cli.model.system import (
     Solution,
     SpringInputs,
     System,
     extra_forces,
-    output_slopes,
-    rise,
+    log_frequency_ratio,
+    output_jacobian,
     solve,
     volts_of_forces,
 )
-from balance_cli.signals.run_spectrum import LoadPoints, RecordWaveform, Waveform
+from balance_cli.signals.run_spectrum import RecordWaveform, StaticWaveform, Waveform
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-ITERATIONS = 50
+MAX_NEWTON_ITERATIONS = 50
 # Of the largest elongation: where Newton's method ends.
-EXACT = 1e-12
+NEWTON_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
-class ForceSlopes:
+class ForceDerivatives:
     """Derivatives (k, q) of one force by the parameters `columns` (q,)."""
 
     spring: int
     read: bool
     columns: Index
-    slope: ComplexArray
+    derivative: ComplexArray
 
 
 @dataclass(frozen=True)
-class CellForces:
+class RunCellForces:
     """The forces in one run, at lines `index` of a solution: all together where there are any, derivatives one by one.
 
     `lines` are those of the run in its batch, `waveform` makes them from those at which the forces are.
     """
 
     lines: slice
-    waveform: Waveform | LoadPoints
+    waveform: Waveform | StaticWaveform
     solution: Solution
     index: Index
     inputs: SpringInputs | None
-    slopes: tuple[ForceSlopes, ...]
+    derivatives: tuple[ForceDerivatives, ...]
 
     def volts(self, system: System) -> ComplexArray:
         """What the channels (k, c) read of the forces, through the balance and at once."""
@@ -72,22 +72,22 @@ class CellForces:
         read = extra_forces(system, self.solution, self.index, self.inputs)[:, [path.spring for path in system.paths]]
         return self._at_lines((self.solution.gains[self.index] * read) @ system.mixing.value.T)
 
-    def add_slopes(self, system: System, total: ComplexArray) -> None:
+    def add_derivatives(self, system: System, total: ComplexArray) -> None:
         """Add to `total` (k, c, p) the derivatives of the volts."""
         loads = np.zeros((len(self.index), 6), complex)
         if self.inputs is not None:
-            total += self._at_lines(output_slopes(system, self.solution, self.index, loads, self.inputs))
+            total += self._at_lines(output_jacobian(system, self.solution, self.index, loads, self.inputs))
         acting, read = volts_of_forces(system, self.solution)
-        for one in self.slopes:
+        for one in self.derivatives:
             volts = acting[:, :, one.spring] + (read[:, :, one.spring] if one.read else 0.0)
             for place, column in enumerate(one.columns):
-                total[:, :, column] += self._at_lines(volts[self.index] * one.slope[:, place, None])
+                total[:, :, column] += self._at_lines(volts[self.index] * one.derivative[:, place, None])
 
     def _at_lines(self, values: ComplexArray) -> ComplexArray:
-        return self.waveform.mixed(values) if isinstance(self.waveform, RecordWaveform) else values
+        return self.waveform.combine_neighbors(values) if isinstance(self.waveform, RecordWaveform) else values
 
 
-def cell_forces(batch: Batch, system: System, solution: Solution, slopes: bool) -> tuple[CellForces, ...]:
+def cell_forces(batch: Batch, system: System, solution: Solution, derivatives: bool) -> tuple[RunCellForces, ...]:
     """The forces in every run of a batch, at its lines or (record by record) at their neighbours.
 
     LinAlgError where a cell would give way.
@@ -97,64 +97,71 @@ def cell_forces(batch: Batch, system: System, solution: Solution, slopes: bool) 
         if waveform is None or not system.forces:
             continue
         if isinstance(waveform, RecordWaveform):
-            own = solve(system, waveform.frequency[waveform.number], batch.spin)
-            found.append(_forces_in(lines, waveform, system, own, np.arange(len(own.frequency)), slopes))
+            own = solve(system, waveform.frequency[waveform.bin_index], batch.spin)
+            found.append(_run_cell_forces(lines, waveform, system, own, np.arange(len(own.frequency)), derivatives))
         else:
-            found.append(_forces_in(lines, waveform, system, solution, batch.index[lines], slopes))
+            found.append(_run_cell_forces(lines, waveform, system, solution, batch.index[lines], derivatives))
     return tuple(found)
 
 
-def forces_at(waveform: Waveform, system: System, solution: Solution) -> CellForces:
+def record_cell_forces(waveform: Waveform, system: System, solution: Solution) -> RunCellForces:
     """The forces of one record at all lines of its waveform, without derivatives."""
     everything = np.arange(len(waveform.frequency))
-    return _forces_in(slice(None), waveform, system, solution, everything, slopes=False)
+    return _run_cell_forces(slice(None), waveform, system, solution, everything, derivatives=False)
 
 
-def _forces_in(
-    lines: slice, waveform: Waveform | LoadPoints, system: System, solution: Solution, index: Index, slopes: bool
-) -> CellForces:
+def _run_cell_forces(
+    lines: slice,
+    waveform: Waveform | StaticWaveform,
+    system: System,
+    solution: Solution,
+    index: Index,
+    derivatives: bool,
+) -> RunCellForces:
     shape = (len(index), len(system.stiffness.value))
     inputs = SpringInputs(np.zeros(shape, complex), np.zeros(shape, complex))
-    found: list[ForceSlopes] = []
-    for force, through_time, columns in _in_time(waveform, system, slopes):
+    found: list[ForceDerivatives] = []
+    for force, through_time, columns in _force_histories(waveform, system, derivatives):
         if force.values.value[0] != 0.0:
-            at_lines = waveform.at_lines(through_time.value)
-            inputs.acting[:, force.spring] += at_lines
+            to_spectral_lines = waveform.to_spectral_lines(through_time.value)
+            inputs.acting[:, force.spring] += to_spectral_lines
             if force.read:
-                inputs.read[:, force.spring] += at_lines
-        if slopes and len(columns):
-            slope = waveform.at_lines(through_time.slope.T)
-            found.append(ForceSlopes(force.spring, force.read, columns, slope))
+                inputs.read[:, force.spring] += to_spectral_lines
+        if derivatives and len(columns):
+            derivative = waveform.to_spectral_lines(through_time.derivative.T)
+            found.append(ForceDerivatives(force.spring, force.read, columns, derivative))
     present = any(force.values.value[0] != 0.0 for force in system.forces)
-    return CellForces(lines, waveform, solution, index, inputs if present else None, tuple(found))
+    return RunCellForces(lines, waveform, solution, index, inputs if present else None, tuple(found))
 
 
-def _in_time(waveform: Waveform | LoadPoints, system: System, slopes: bool) -> Iterator[tuple[CellForce, Jet, Index]]:
+def _force_histories(
+    waveform: Waveform | StaticWaveform, system: System, derivatives: bool
+) -> Iterator[tuple[CellForce, Dual, Index]]:
     """Each force as a function of time, with slopes for the parameters `columns`."""
     for spring in dict.fromkeys(force.spring for force in system.forces):
         forces = [force for force in system.forces if force.spring == spring]
         present = [force for force in forces if force.values.value[0] != 0.0]
-        columns = _columns(system, spring, present) if slopes else np.zeros(0, np.intp)
+        columns = _influencing_parameters(system, spring, present) if derivatives else np.zeros(0, np.intp)
         d = _elongation(waveform, system, spring, present, columns)
         for force in forces:
             if force.values.value[0] != 0.0:
-                yield force, _force(force, d, columns, waveform.recurs), columns
-            elif slopes:
-                own = np.flatnonzero(force.values.slope[:, 0])
-                yield force, _force(force, constant(d.value, len(own)), own, waveform.recurs), own
+                yield force, _force_history(force, d, columns, waveform.recurs), columns
+            elif derivatives:
+                own = np.flatnonzero(force.values.derivative[:, 0])
+                yield force, _force_history(force, constant(d.value, len(own)), own, waveform.recurs), own
 
 
-def _force(force: CellForce, d: Jet, columns: Index, recurs: bool) -> Jet:
-    values = _narrowed(force.values, columns)
+def _force_history(force: CellForce, d: Dual, columns: Index, recurs: bool) -> Dual:
+    values = _select_parameters(force.values, columns)
     return values[0] * force.shape(d, values, recurs)
 
 
-def _narrowed(jet: Jet, columns: Index) -> Jet:
+def _select_parameters(dual: Dual, columns: Index) -> Dual:
     """The jet with slopes for some of the parameters only."""
-    return Jet(jet.value, jet.slope[columns])
+    return Dual(dual.value, dual.derivative[columns])
 
 
-def _columns(system: System, spring: int, forces: Sequence[CellForce]) -> Index:
+def _influencing_parameters(system: System, spring: int, forces: Sequence[CellForce]) -> Index:
     """The parameters on which the forces at one spring depend; none where there are no forces."""
     if not forces:
         return np.zeros(0, np.intp)
@@ -162,87 +169,90 @@ def _columns(system: System, spring: int, forces: Sequence[CellForce]) -> Index:
     jets = [force.values for force in forces] + [
         system.stiffness[spring],
         system.loss[spring],
-        system.stiffening[spring],
+        system.frequency_stiffness[spring],
     ]
     jets += [system.mixing, system.channel_offset]
     for path in system.paths:
         if path.spring == spring:
             jets += [path.gain, *path.low_pass, *path.high_pass, *([] if path.delay is None else [path.delay])]
-    return np.flatnonzero(np.any([np.any(jet.slope.reshape(p, -1), axis=1) for jet in jets], axis=0))
+    return np.flatnonzero(np.any([np.any(dual.derivative.reshape(p, -1), axis=1) for dual in jets], axis=0))
 
 
 # ---- elongation ------------------------------------------------------------------------------------------------------
 
 
 def _elongation(
-    waveform: Waveform | LoadPoints, system: System, spring: int, forces: Sequence[CellForce], columns: Index
-) -> Jet:
+    waveform: Waveform | StaticWaveform, system: System, spring: int, forces: Sequence[CellForce], columns: Index
+) -> Dual:
     """The elongation d (n,) of a spring through time, from k d + (forces inside) = what the channels read."""
-    reading, slope = _reading(waveform, system, spring, columns)
+    reading, derivative = _measured_spring_force(waveform, system, spring, columns)
     # With structural damping k (1 + j eta), stiffening with frequency, where there is motion.
-    moving, rising = 1j * (waveform.frequency > 0), rise(waveform.frequency)
-    factor = 1.0 + moving * system.loss.value[spring] + rising * system.stiffening.value[spring]
-    of_loss, of_stiffening = system.loss.slope[columns, spring], system.stiffening.slope[columns, spring]
+    moving, rising = 1j * (waveform.frequency > 0), log_frequency_ratio(waveform.frequency)
+    factor = 1.0 + moving * system.loss.value[spring] + rising * system.frequency_stiffness.value[spring]
+    of_loss, of_stiffening = (
+        system.loss.derivative[columns, spring],
+        system.frequency_stiffness.derivative[columns, spring],
+    )
     change = moving[:, None] * of_loss + rising[:, None] * of_stiffening
-    slope = (slope - (reading / factor)[:, None] * change) / factor[:, None]
-    both = waveform.in_time(np.concatenate([(reading / factor)[:, None], slope], axis=1))
-    force = Jet(both[:, 0], both[:, 1:].T)
-    k = _narrowed(system.stiffness[spring], columns)
-    inside = [one for one in forces if one.read]
-    if not inside:
+    derivative = (derivative - (reading / factor)[:, None] * change) / factor[:, None]
+    both = waveform.to_time_domain(np.concatenate([(reading / factor)[:, None], derivative], axis=1))
+    force = Dual(both[:, 0], both[:, 1:].T)
+    k = _select_parameters(system.stiffness[spring], columns)
+    internal_forces = [one for one in forces if one.read]
+    if not internal_forces:
         return force * k.reciprocal()
-    value = _solved(force.value, float(k.value), inside, waveform.recurs)
+    value = _solve_elongation(force.value, float(k.value), internal_forces, waveform.recurs)
     at = constant(value, len(columns))
     error = k * at - force
-    for one in inside:
-        error = error + _force(one, at, columns, waveform.recurs)
-    return Jet(value, -error.slope / (k.value + _stiffness(inside, value, waveform.recurs)[1]))
+    for one in internal_forces:
+        error = error + _force_history(one, at, columns, waveform.recurs)
+    return Dual(value, -error.derivative / (k.value + _force_and_stiffness(internal_forces, value, waveform.recurs)[1]))
 
 
-def _solved(reading: Array, k: float, inside: Sequence[CellForce], recurs: bool) -> Array:
+def _solve_elongation(reading: Array, k: float, internal_forces: Sequence[CellForce], recurs: bool) -> Array:
     """Elongation (n,) by Newton's method. LinAlgError where no elongation gives the reading."""
     d = reading / k
-    for _ in range(ITERATIONS):
-        force, slope = _stiffness(inside, d, recurs)
-        if np.any(k + slope <= 0.0):
+    for _ in range(MAX_NEWTON_ITERATIONS):
+        force, derivative = _force_and_stiffness(internal_forces, d, recurs)
+        if np.any(k + derivative <= 0.0):
             break
-        step = (k * d + force - reading) / (k + slope)
+        step = (k * d + force - reading) / (k + derivative)
         d = d - step
-        if np.abs(step).max() <= EXACT * np.abs(d).max():
+        if np.abs(step).max() <= NEWTON_TOLERANCE * np.abs(d).max():
             return d
     raise np.linalg.LinAlgError("a cell gives way under its load")
 
 
-def _stiffness(forces: Sequence[CellForce], d: Array, recurs: bool) -> tuple[Array, Array]:
+def _force_and_stiffness(forces: Sequence[CellForce], d: Array, recurs: bool) -> tuple[Array, Array]:
     """Sum of forces (n,) that depend on the elongation d (n,) of the instant alone, and its derivative by d."""
     total = constant(np.zeros_like(d), 1)
     for force in forces:
         values = constant(force.values.value, 1)
-        total = total + values[0] * force.shape(Jet(d, np.ones((1, len(d)))), values, recurs)
-    return total.value, total.slope[0]
+        total = total + values[0] * force.shape(Dual(d, np.ones((1, len(d)))), values, recurs)
+    return total.value, total.derivative[0]
 
 
-def _reading(
-    waveform: Waveform | LoadPoints, system: System, spring: int, columns: Index
+def _measured_spring_force(
+    waveform: Waveform | StaticWaveform, system: System, spring: int, columns: Index
 ) -> tuple[ComplexArray, ComplexArray]:
     """The spring's force (F,) as its channels read it, amplitudes at the waveform's lines, and slopes (F, q)."""
     mine = [i for i, path in enumerate(system.paths) if path.spring == spring]
     paths = [system.paths[i] for i in mine]
     gains = channel_gains(paths, waveform.frequency)
     weight = np.where(gains != 0.0, waveform.share[:, mine] / np.where(gains != 0.0, gains, 1.0), 0.0)
-    constants = 1.0 if isinstance(waveform, LoadPoints) else 2.0
+    constants = 1.0 if isinstance(waveform, StaticWaveform) else 2.0
     still = np.where(waveform.frequency == 0, constants, 0.0)[:, None]
     unmixing = np.linalg.inv(system.mixing.value)
     volts = (waveform.volts - still * system.channel_offset.value) @ unmixing.T
     parts = weight * volts[:, mine]
-    slope = np.zeros((len(parts), len(columns)), complex)
+    derivative = np.zeros((len(parts), len(columns)), complex)
     s = np.asarray(2j * np.pi * waveform.frequency[:, None], complex)
     for i, path in enumerate(paths if len(columns) else []):
-        slope -= parts[:, i, None] * log_gain_slope(path, s)[:, columns]
-    offset = system.channel_offset.slope[columns]
+        derivative -= parts[:, i, None] * log_gain_derivative(path, s)[:, columns]
+    offset = system.channel_offset.derivative[columns]
     if offset.any():
-        slope -= still * (weight @ (unmixing @ offset.T)[mine])
-    mixing = system.mixing.slope[columns]
+        derivative -= still * (weight @ (unmixing @ offset.T)[mine])
+    mixing = system.mixing.derivative[columns]
     if mixing.any():
-        slope -= np.einsum("fi,qij,fj->fq", weight, (unmixing @ mixing)[:, mine], volts)
-    return np.asarray(parts.sum(axis=1)), slope
+        derivative -= np.einsum("fi,qij,fj->fq", weight, (unmixing @ mixing)[:, mine], volts)
+    return np.asarray(parts.sum(axis=1)), derivative

@@ -8,36 +8,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.measurements import Batch
-from balance_cli.estimation.regression_residual import Residual, every, precision, solved
-from balance_cli.model.channel_gains import channel_gains, log_gain_slopes
+from balance_cli.estimation.regression_residual import (
+    RegressionResidual,
+    batched_least_squares,
+    every_nth_line,
+    precision,
+)
+from balance_cli.model.channel_gains import channel_gains, log_gain_derivatives
 from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-def alignment(batch: Batch, stride: int) -> Callable[[System], Residual]:
+def alignment(batch: Batch, stride: int) -> Callable[[System], RegressionResidual]:
     """What is left of the channels of each spring once its force has been fitted to them, over their noise."""
-    lines = every(batch, stride)
+    lines = every_nth_line(batch, stride)
     weight = np.sqrt(precision(batch)[lines])
     index, measured = batch.index[lines], batch.channels[lines] * weight
 
-    def residual(system: System) -> Residual:
+    def residual(system: System) -> RegressionResidual:
         gains = channel_gains(system.paths, batch.frequency)[index]
         groups = _channels_of_springs(system)
         matrices = [weight[:, mine, None] * gains[:, mine, None] for mine in groups]
-        forces = [solved(M, measured[:, mine, None]) for M, mine in zip(matrices, groups, strict=True)]
+        forces = [batched_least_squares(M, measured[:, mine, None]) for M, mine in zip(matrices, groups, strict=True)]
         errors = [measured[:, mine] - (M @ f)[:, :, 0] for M, f, mine in zip(matrices, forces, groups, strict=True)]
 
-        def slopes() -> ComplexArray:
-            changes = gains[:, :, None] * log_gain_slopes(system.paths, batch.frequency)[index]
+        def derivatives() -> ComplexArray:
+            changes = gains[:, :, None] * log_gain_derivatives(system.paths, batch.frequency)[index]
             parts = [
-                _projected(M, -weight[:, mine, None] * changes[:, mine] * f)
+                _project_out(M, -weight[:, mine, None] * changes[:, mine] * f)
                 for M, f, mine in zip(matrices, forces, groups, strict=True)
             ]
-            return _joined([np.zeros((len(lines), 0, system.parameters), complex), *parts])
+            return _concatenate_columns([np.zeros((len(lines), 0, system.parameters), complex), *parts])
 
-        return Residual(_joined([np.zeros((len(lines), 0), complex), *errors]), slopes)
+        return RegressionResidual(_concatenate_columns([np.zeros((len(lines), 0), complex), *errors]), derivatives)
 
     return residual
 
@@ -48,10 +53,10 @@ def _channels_of_springs(system: System) -> list[list[int]]:
     return [group for group in groups if len(group) > 1]
 
 
-def _projected(matrix: ComplexArray, change: ComplexArray) -> ComplexArray:
+def _project_out(matrix: ComplexArray, change: ComplexArray) -> ComplexArray:
     """Slopes (K, m, p) of what no force explains: the part of the change that is none of the force's."""
-    return np.asarray(change - np.matmul(matrix, solved(matrix, change)))
+    return np.asarray(change - np.matmul(matrix, batched_least_squares(matrix, change)))
 
 
-def _joined(parts: Sequence[ComplexArray]) -> ComplexArray:
+def _concatenate_columns(parts: Sequence[ComplexArray]) -> ComplexArray:
     return np.concatenate(parts, axis=1)

@@ -17,7 +17,7 @@ from balance_cli.model.parameters import ParameterSet
 
 Array = NDArray[np.float64]
 
-POSITIVE = (
+POSITIVE_PARAMETERS = (
     "stiffness.",
     "mass",
     "inertia.xx",
@@ -27,7 +27,7 @@ POSITIVE = (
     "torque_meter.stiffness",
 )
 
-POWER = {
+SCALE_EXPONENT = {
     "kg": 1.0,
     "kg m2": 1.0,
     "N/m": 1.0,
@@ -41,7 +41,7 @@ POWER = {
 """How a parameter grows with the scale of the rig, by its unit: the loads stay, so that deflections shrink."""
 
 
-INERTIA = ("kg", "kg m2")
+INERTIA_UNITS = ("kg", "kg m2")
 
 
 @dataclass(frozen=True)
@@ -60,28 +60,28 @@ class Coordinates:
     mass: int
     m0: float
 
-    def _growth(self, theta: Array) -> Array:
+    def _scale_factor(self, theta: Array) -> Array:
         return np.asarray((theta[self.mass] / self.m0) ** self.power)
 
-    def inward(self, theta: Array) -> Array:
+    def to_coordinates(self, theta: Array) -> Array:
         """Coordinates of a parameter vector."""
-        z = np.asarray(theta, float) / self._growth(theta)
+        z = np.asarray(theta, float) / self._scale_factor(theta)
         for product, i, j in self.products:
             z[product] = theta[product] / np.sqrt(theta[i] * theta[j])
         z[self.logarithmic] = np.log(theta[self.logarithmic])
         return z
 
-    def outward(self, z: Array) -> Array:
+    def to_parameters(self, z: Array) -> Array:
         """Parameters at coordinates z."""
         theta = np.array(z, float)
         theta[self.logarithmic] = np.exp(z[self.logarithmic])
         for product, i, j in self.products:
             theta[product] = z[product] * np.sqrt(theta[i] * theta[j])
-        return np.asarray(theta * self._growth(theta))
+        return np.asarray(theta * self._scale_factor(theta))
 
     def jacobian(self, theta: Array) -> Array:
         """The derivative d theta / d z (p, p) at theta."""
-        J = np.diag(np.where(self.logarithmic, theta, self._growth(theta)))
+        J = np.diag(np.where(self.logarithmic, theta, self._scale_factor(theta)))
         for product, i, j in self.products:
             J[product, product] = np.sqrt(theta[i] * theta[j])
             J[product, i] = J[product, j] = 0.5 * theta[product]
@@ -96,17 +96,17 @@ def coordinates(parameters: ParameterSet, start: Array) -> Coordinates:
     a factor only, with a compliance that follows a power of it.
     """
     names = parameters.names
-    plate = np.array([name.startswith(POSITIVE) for name in names])
+    plate = np.array([name.startswith(POSITIVE_PARAMETERS) for name in names])
     products = []
     for pair in ("xy", "xz", "yz"):
         if f"inertia.{pair}" in names:
             products.append([names.index(f"inertia.{part}") for part in (pair, pair[0] * 2, pair[1] * 2)])
-    chosen = np.array(products, dtype=np.intp).reshape(-1, 3)
-    plate[chosen[:, 0]] = True
-    inertia = ~plate & np.isin(parameters.units, INERTIA) & (parameters.lower == 0) & (start > 0)
+    product_indices = np.array(products, dtype=np.intp).reshape(-1, 3)
+    plate[product_indices[:, 0]] = True
+    inertia = ~plate & np.isin(parameters.units, INERTIA_UNITS) & (parameters.lower == 0) & (start > 0)
     logarithmic = (plate & (parameters.value > 0) | inertia) & parameters.free
-    logarithmic[chosen[:, 0]] = False
+    logarithmic[product_indices[:, 0]] = False
     mass = names.index("mass") if "mass" in names else 0
     relative = ~plate & ~logarithmic if logarithmic[mass] else np.zeros(len(names), bool)
-    power = np.where(relative, [POWER.get(unit, 0.0) for unit in parameters.units], 0.0)
-    return Coordinates(logarithmic, logarithmic & inertia, chosen, power, mass, float(parameters.value[mass]))
+    power = np.where(relative, [SCALE_EXPONENT.get(unit, 0.0) for unit in parameters.units], 0.0)
+    return Coordinates(logarithmic, logarithmic & inertia, product_indices, power, mass, float(parameters.value[mass]))

@@ -13,18 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.levenberg_marquardt import Minimum, minimise
+from balance_cli.estimation.levenberg_marquardt import Minimum, minimize
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.parameters import ParameterSet
-from balance_cli.model.system import System, dynamic_stiffness, slopes_times
+from balance_cli.model.system import System, dynamic_stiffness, multiply_derivatives
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # A biased estimate gains nothing from more lines; beyond this number every second, third .. line serves.
-ENOUGH_LINES = 2000
+MAX_REGRESSION_LINES = 2000
 
 
 @dataclass(frozen=True)
@@ -66,24 +66,24 @@ def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArr
     R = system.readings
     inverse = (R.T @ R).inverse() @ R.T
     q = measured.forces @ inverse.value.T
-    dq = slopes_times(inverse.slope, measured.forces)
+    dq = multiply_derivatives(inverse.derivative, measured.forces)
     A = dynamic_stiffness(system.pencil, measured.frequency, measured.spin)
     balance = np.matmul(A, q[:, :, None])[:, :, 0] - measured.loads @ system.inputs.value.T
-    slopes = np.matmul(A, dq) + _pencil_times(system, measured, q)
-    slopes -= slopes_times(system.inputs.slope, measured.loads)
-    surplus = measured.forces - q @ R.value.T
-    d_surplus = -slopes_times(R.slope, q) - np.matmul(R.value, dq)
-    error = np.concatenate([balance, surplus], axis=1) * measured.weight
-    error_slopes = np.concatenate([slopes, d_surplus], axis=1) * measured.weight[:, :, None]
+    derivatives = np.matmul(A, dq) + _pencil_derivatives_times(system, measured, q)
+    derivatives -= multiply_derivatives(system.inputs.derivative, measured.loads)
+    redundancy = measured.forces - q @ R.value.T
+    d_redundancy = -multiply_derivatives(R.derivative, q) - np.matmul(R.value, dq)
+    error = np.concatenate([balance, redundancy], axis=1) * measured.weight
+    error_slopes = np.concatenate([derivatives, d_redundancy], axis=1) * measured.weight[:, :, None]
     return np.asarray(error, complex), np.asarray(error_slopes, complex)
 
 
-def _pencil_times(system: System, measured: MeasuredForces, q: ComplexArray) -> ComplexArray:
+def _pencil_derivatives_times(system: System, measured: MeasuredForces, q: ComplexArray) -> ComplexArray:
     """DA q (K, n, p)."""
     pencil, w = system.pencil, 2 * np.pi * measured.frequency[:, None]
-    damping = pencil.damping.slope + 2 * np.pi * measured.spin * pencil.gyroscopic.slope
-    stiffness, viscous = slopes_times(pencil.stiffness.slope, q), slopes_times(damping, 1j * w * q)
-    return stiffness + viscous - slopes_times(pencil.mass.slope, w**2 * q)
+    damping = pencil.damping.derivative + 2 * np.pi * measured.spin * pencil.gyroscopic.derivative
+    stiffness, viscous = multiply_derivatives(pencil.stiffness.derivative, q), multiply_derivatives(damping, 1j * w * q)
+    return stiffness + viscous - multiply_derivatives(pencil.mass.derivative, w**2 * q)
 
 
 def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
@@ -98,11 +98,11 @@ def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
     level = np.where(level > 0, level, np.inf)
     ratio = np.diag(system.pencil.mass.value) / np.diag(system.pencil.stiffness.value)
     growth = 1.0 + (2 * np.pi * frequency[:, None]) ** 2 * ratio
-    surplus = np.repeat(level, system.readings.value.shape[0], axis=1)
-    return np.asarray(1.0 / np.concatenate([level * arms * growth, surplus], axis=1))
+    redundancy = np.repeat(level, system.readings.value.shape[0], axis=1)
+    return np.asarray(1.0 / np.concatenate([level * arms * growth, redundancy], axis=1))
 
 
-def least_squares(
+def fit_equation_error(
     parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], band: tuple[float, float]
 ) -> Minimum:
     """Equation-error estimate from the declared values, with the priors; its noise is taken from its own residual.
@@ -110,8 +110,8 @@ def least_squares(
     Lines outside `band` [Hz] are left out. Every spring that holds the plate needs a live channel.
     """
     start = parameters.value
-    stride = 1 + sum(len(batch.index) for batch in batches) // ENOUGH_LINES
-    data = [_selected(measured_forces(batch, system(start)), band, stride) for batch in batches]
+    stride = 1 + sum(len(batch.index) for batch in batches) // MAX_REGRESSION_LINES
+    data = [_select_band(measured_forces(batch, system(start)), band, stride) for batch in batches]
 
     def error(theta: Array) -> float:
         return float(sum(np.sum(np.abs(equation_error(system(theta), item)[0]) ** 2) for item in data))
@@ -120,7 +120,7 @@ def least_squares(
     minimum = None
     for _ in range(3):
         variance = 2.0 * error(start) / max(count, 1)
-        minimum = minimise(
+        minimum = minimize(
             parameters,
             start,
             lambda theta, v=variance: _curvature(system(theta), data, v),  # type: ignore[misc]
@@ -133,7 +133,7 @@ def least_squares(
     return minimum
 
 
-def _selected(measured: MeasuredForces, band: tuple[float, float], stride: int) -> MeasuredForces:
+def _select_band(measured: MeasuredForces, band: tuple[float, float], stride: int) -> MeasuredForces:
     keep = (measured.frequency >= band[0]) & (measured.frequency <= band[1])
     keep &= np.arange(len(keep)) % stride == 0
     return replace(
@@ -149,8 +149,8 @@ def _curvature(system: System, data: Sequence[MeasuredForces], variance: float) 
     p = system.parameters
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     for measured in data:
-        error, slopes = equation_error(system, measured)
-        flat = slopes.reshape(-1, p)
+        error, derivatives = equation_error(system, measured)
+        flat = derivatives.reshape(-1, p)
         gradient = np.real(flat.conj().T @ error.reshape(-1))
         information = np.real(flat.conj().T @ flat)
         chi2 = 2.0 * float(np.sum(np.abs(error) ** 2)) / variance

@@ -10,18 +10,24 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.equation_error import measured_forces
 from balance_cli.estimation.measurements import Batch
-from balance_cli.estimation.regression_residual import ENOUGH_LINES, Residual, every, solved, sparsity
-from balance_cli.model.system import System, dynamic_stiffness, rise, slopes_times
+from balance_cli.estimation.regression_residual import (
+    MAX_START_LINES,
+    RegressionResidual,
+    batched_least_squares,
+    every_nth_line,
+    line_stride,
+)
+from balance_cli.model.system import System, dynamic_stiffness, log_frequency_ratio, multiply_derivatives
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # Of the usual load of a run, the least that a line must have.
-LEAST_LEVEL = 0.05
+MIN_LOAD_RATIO = 0.05
 
 
 @dataclass(frozen=True)
-class _Lines:
+class _MotionLines:
     """Lines of one rotor speed: frequency (K,) [Hz], spring forces (K, e), loads (K, 6), weights (K, n + e)."""
 
     spin: float
@@ -31,79 +37,94 @@ class _Lines:
     weight: Array
 
     @property
-    def lag(self) -> ComplexArray:
+    def quadrature(self) -> ComplexArray:
         """1j where there is motion, (K, 1)."""
         return 1j * np.sign(self.frequency)[:, None]
 
     @property
-    def rise(self) -> Array:
+    def log_frequency_ratio(self) -> Array:
         """The logarithm of frequency by which springs stiffen, (K, 1)."""
-        return rise(self.frequency)[:, None]
+        return log_frequency_ratio(self.frequency)[:, None]
 
 
-def motions(
-    batches: Sequence[Batch], start: System, highest: float = np.inf, enough: int = ENOUGH_LINES
-) -> list[Callable[[System], Residual]]:
+def motion_residuals(
+    batches: Sequence[Batch], start: System, max_frequency: float = np.inf, max_lines: int = MAX_START_LINES
+) -> list[Callable[[System], RegressionResidual]]:
     """The equations of motion of the lines up to `highest` [Hz], at least `enough` of them where there are so many."""
-    stride = sparsity(batches, highest, enough)
-    return [_motion(batch, start, stride, highest) for batch in batches if batch.frequency[0] <= highest]
+    stride = line_stride(batches, max_frequency, max_lines)
+    return [
+        _build_motion_residual(batch, start, stride, max_frequency)
+        for batch in batches
+        if batch.frequency[0] <= max_frequency
+    ]
 
 
-def _motion(batch: Batch, start: System, stride: int, highest: float) -> Callable[[System], Residual]:
+def _build_motion_residual(
+    batch: Batch, start: System, stride: int, max_frequency: float
+) -> Callable[[System], RegressionResidual]:
     """What is left of the equations of motion and the readings once the motion of each line has been fitted to both."""
-    chosen = every(batch, stride, highest)
-    chosen = chosen[_driven(batch)[chosen]]
+    chosen = every_nth_line(batch, stride, max_frequency)
+    chosen = chosen[_loaded_lines(batch)[chosen]]
     measured = measured_forces(batch, start)
     frequency, loads = measured.frequency[chosen], measured.loads[chosen]
-    weight = _row_weight(start, frequency, loads)
-    lines = _Lines(measured.spin, frequency, measured.forces[chosen], loads, weight)
+    weight = _motion_row_weight(start, frequency, loads)
+    lines = _MotionLines(measured.spin, frequency, measured.forces[chosen], loads, weight)
     return lambda system: _motion_residual(system, lines)
 
 
-def _driven(batch: Batch) -> NDArray[np.bool_]:
+def _loaded_lines(batch: Batch) -> NDArray[np.bool_]:
     """Lines (K,) with a load to speak of: not the mean of a swept record, whose weight would be that of noise alone."""
     level = np.sqrt(np.sum(np.abs(batch.loads) ** 2, axis=1))
     usual = np.array([np.median(level[part]) if part.stop > part.start else 0.0 for part in batch.parts])
-    return np.asarray(level > LEAST_LEVEL * usual[batch.run])
+    return np.asarray(level > MIN_LOAD_RATIO * usual[batch.run])
 
 
-def _motion_residual(system: System, lines: _Lines) -> Residual:
+def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     A = dynamic_stiffness(system.pencil, lines.frequency, lines.spin)
-    R = system.readings.value + lines.lag[:, :, None] * system.readings_loss.value
-    R = R + lines.rise[:, :, None] * system.readings_stiffening.value
+    R = system.readings.value + lines.quadrature[:, :, None] * system.readings_loss.value
+    R = R + lines.log_frequency_ratio[:, :, None] * system.readings_frequency_stiffness.value
     matrix = np.concatenate([A, R], axis=1) * lines.weight[:, :, None]
-    true_loads = lines.loads @ system.spill.value.T
+    true_loads = lines.loads @ system.exciter_cross_axis.value.T
     known = np.concatenate([true_loads @ system.inputs.value.T, lines.forces], axis=1) * lines.weight
-    x = solved(matrix, known[:, :, None])[:, :, 0]
+    x = batched_least_squares(matrix, known[:, :, None])[:, :, 0]
     error = known - np.matmul(matrix, x[:, :, None])[:, :, 0]
 
-    def slopes() -> ComplexArray:
-        driven = slopes_times(system.inputs.slope, true_loads)
-        driven = driven + np.matmul(system.inputs.value, slopes_times(system.spill.slope, lines.loads))
-        read = slopes_times(system.readings.slope, x) + slopes_times(system.readings_loss.slope, lines.lag * x)
-        read = read + slopes_times(system.readings_stiffening.slope, lines.rise * x)
-        change = np.concatenate([driven - _pencil_slopes(system, lines, x), -read], axis=1) * lines.weight[:, :, None]
-        return np.asarray(change - np.matmul(matrix, solved(matrix, change)))
+    def derivatives() -> ComplexArray:
+        driven = multiply_derivatives(system.inputs.derivative, true_loads)
+        driven = driven + np.matmul(
+            system.inputs.value, multiply_derivatives(system.exciter_cross_axis.derivative, lines.loads)
+        )
+        read = multiply_derivatives(system.readings.derivative, x) + multiply_derivatives(
+            system.readings_loss.derivative, lines.quadrature * x
+        )
+        read = read + multiply_derivatives(
+            system.readings_frequency_stiffness.derivative, lines.log_frequency_ratio * x
+        )
+        change = (
+            np.concatenate([driven - _pencil_derivative_product(system, lines, x), -read], axis=1)
+            * lines.weight[:, :, None]
+        )
+        return np.asarray(change - np.matmul(matrix, batched_least_squares(matrix, change)))
 
-    return Residual(error, slopes)
+    return RegressionResidual(error, derivatives)
 
 
-def _pencil_slopes(system: System, lines: _Lines, x: ComplexArray) -> ComplexArray:
+def _pencil_derivative_product(system: System, lines: _MotionLines, x: ComplexArray) -> ComplexArray:
     """DA x (K, n, p)."""
     pencil, w = system.pencil, 2 * np.pi * lines.frequency[:, None]
-    damping = pencil.damping.slope + 2 * np.pi * lines.spin * pencil.gyroscopic.slope
+    damping = pencil.damping.derivative + 2 * np.pi * lines.spin * pencil.gyroscopic.derivative
     matrices = (
-        pencil.stiffness.slope,
+        pencil.stiffness.derivative,
         damping,
-        -pencil.mass.slope,
-        pencil.hysteresis.slope,
-        pencil.stiffening.slope,
+        -pencil.mass.derivative,
+        pencil.hysteresis.derivative,
+        pencil.frequency_stiffness.derivative,
     )
-    vectors = (x, 1j * w * x, w**2 * x, lines.lag * x, lines.rise * x)
-    return slopes_times(np.concatenate(matrices, axis=2), np.concatenate(vectors, axis=1))
+    vectors = (x, 1j * w * x, w**2 * x, lines.quadrature * x, lines.log_frequency_ratio * x)
+    return multiply_derivatives(np.concatenate(matrices, axis=2), np.concatenate(vectors, axis=1))
 
 
-def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
+def _motion_row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
     """One over the size (K, n + e) of an error that matters.
 
     For the plate it is the load of the line, times the arm of each coordinate, growing as k + w^2 m does (or else the

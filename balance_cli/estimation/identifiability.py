@@ -13,14 +13,16 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Support:
-    """`rests_on` for every parameter; `determined`: number of directions that the data decide (effective number)."""
+class Identifiability:
+    """`rests_on` for every parameter; `effective_parameters`: number of directions that the data decide (effective
+    number).
+    """
 
     rests_on: tuple[str, ...]
-    determined: float
+    effective_parameters: float
 
 
-def parameter_support(parameters: ParameterSet, information: Array) -> Support:
+def parameter_identifiability(parameters: ParameterSet, information: Array) -> Identifiability:
     """Split the variance of the estimate by its source; `information` (free, free) is that of the data alone.
 
     With precision P of the priors and covariance C = (information + P)^-1, C = C information C + C P C: the first
@@ -28,15 +30,15 @@ def parameter_support(parameters: ParameterSet, information: Array) -> Support:
     """
     free = parameters.free
     precision = np.diag(1.0 / parameters.sigma[free] ** 2)
-    covariance = covariance_of(information + precision)
+    covariance = covariance_from_information(information + precision)
     variance = np.diag(covariance)
     share = np.diag(covariance @ precision @ covariance) / np.where(variance > 0, variance, 1.0)
     words = iter(["prior" if part > 0.5 else "data" for part in share])
     rests_on = tuple(next(words) if is_free else "exact" for is_free in free)
-    return Support(rests_on, float(np.trace(covariance @ information)))
+    return Identifiability(rests_on, float(np.trace(covariance @ information)))
 
 
-def covariance_of(information: Array) -> Array:
+def covariance_from_information(information: Array) -> Array:
     """Inverse (p, p) of an information matrix; zero for a parameter of which it holds nothing.
 
     Units are taken out first. Along a direction of which nothing is left but rounding the variance is large, not
@@ -63,16 +65,16 @@ def undetermined(parameters: ParameterSet, information: Array, limit: float = 1.
     values, vectors = np.linalg.eigh(information * np.outer(sigma, sigma))
     names = [name for name, is_free in zip(parameters.names, free, strict=True) if is_free]
     size = np.maximum(np.abs(parameters.value[free]), sigma)
-    return tuple(_in_words(names, vectors[:, i] * sigma / size) for i in np.flatnonzero(values < limit))
+    return tuple(_format_direction(names, vectors[:, i] * sigma / size) for i in np.flatnonzero(values < limit))
 
 
-def unseen(parameters: ParameterSet, information: Array) -> tuple[str, ...]:
+def unidentifiable_parameters(parameters: ParameterSet, information: Array) -> tuple[str, ...]:
     """Free parameters of which the data, at these values, say nothing whatever: an offset that no mean can show."""
     names = [name for name, is_free in zip(parameters.names, parameters.free, strict=True) if is_free]
     return tuple(name for name, known in zip(names, np.diag(information), strict=True) if known == 0.0)
 
 
-def _in_words(names: list[str], change: Array) -> str:
+def _format_direction(names: list[str], change: Array) -> str:
     relative = change / change[np.argmax(np.abs(change))]
     large = [i for i in np.argsort(-np.abs(relative)) if abs(relative[i]) > 0.05]
     return " ".join(f"{relative[i]:+.2f} {names[i]}" for i in large)

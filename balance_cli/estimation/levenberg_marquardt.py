@@ -16,15 +16,15 @@ Array = NDArray[np.float64]
 
 # Damping starts at none: what the priors alone hold has an information of 1e-10 of what the data hold, and any damping
 # would keep such directions from moving.
-LEAST_DAMPING = 1e-8
+MIN_DAMPING = 1e-8
 # Factors of the damping where a step does not serve and where one does; that by which one that serves is lengthened.
-HARDER, EASIER, LONGER = 10.0, 10.0, 3.0
-TRIALS = 24
+DAMPING_INCREASE, DAMPING_DECREASE, STEP_EXTENSION = 10.0, 10.0, 3.0
+MAX_TRIALS = 24
 # Scales from a bound at which it is reached, and by which rounding may miss it.
-AT_BOUND = 1e-2
-ROUNDING = 1e-9
+BOUND_TOLERANCE = 1e-2
+ROUNDING_TOLERANCE = 1e-9
 # Scales that a parameter without a prior may go in one step, where it is not as large itself.
-FAR = 10.0
+MAX_STEP_SCALES = 10.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def prior_curvature(parameters: ParameterSet, theta: Array) -> Curvature:
     return Curvature(float(departure**2 @ precision), departure * precision, np.diag(precision))
 
 
-def minimise(
+def minimize(
     parameters: ParameterSet,
     start: Array,
     curvature: Callable[[Array], Curvature],
@@ -61,23 +61,23 @@ def minimise(
     Marquardt. Ends when the step promises to lower chi2 by less than `tolerance`, or by less than 1e-9 of it.
     """
     theta, damping = np.array(start, float), 0.0
-    problem = _Problem(parameters, coordinates(parameters, theta), curvature, chi2)
+    problem = _BoundedProblem(parameters, coordinates(parameters, theta), curvature, chi2)
     data = curvature(theta)
     for iteration in range(1, iterations + 1):
         whole = data + prior_curvature(parameters, theta)
-        total = problem.held_at_bounds(theta, problem.in_coordinates(theta, whole))
-        promised = _promised(total)
-        if promised < max(tolerance, 1e-9 * total.chi2):
+        total = problem.fix_at_bounds(theta, problem.transform_curvature(theta, whole))
+        predicted_decrease = _predicted_decrease(total)
+        if predicted_decrease < max(tolerance, 1e-9 * total.chi2):
             return Minimum(theta, data, whole, iteration, True)
-        step = _descend(problem, theta, total, damping)
+        step = _damped_step(problem, theta, total, damping)
         if step is None:
-            return Minimum(theta, data, whole, iteration, promised < 1e-6 * total.chi2)
+            return Minimum(theta, data, whole, iteration, predicted_decrease < 1e-6 * total.chi2)
         theta, data, damping = step
     return Minimum(theta, data, data + prior_curvature(parameters, theta), iterations, False)
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _TrialStep:
     """Where a step led, chi-square of data and priors there, and the data's curvature where it is known.
 
     Chi-square is infinite where no rig is like this (an inertia that is not positive, say).
@@ -89,7 +89,7 @@ class _Trial:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _BoundedProblem:
     """Chi-square and curvature of the data, the parameters with their priors, and the coordinates of the steps."""
 
     parameters: ParameterSet
@@ -97,22 +97,22 @@ class _Problem:
     curvature: Callable[[Array], Curvature]
     chi2: Callable[[Array], float]
 
-    def trial(self, theta: Array, with_curvature: bool) -> _Trial:
+    def trial(self, theta: Array, with_curvature: bool) -> _TrialStep:
         """What is there."""
         try:
             data = self.curvature(theta) if with_curvature else None
             chi2 = self.chi2(theta) if data is None else data.chi2
-            return _Trial(theta, chi2 + prior_curvature(self.parameters, theta).chi2, data)
+            return _TrialStep(theta, chi2 + prior_curvature(self.parameters, theta).chi2, data)
         except np.linalg.LinAlgError:
-            return _Trial(theta, np.inf, None)
+            return _TrialStep(theta, np.inf, None)
 
-    def in_coordinates(self, theta: Array, total: Curvature) -> Curvature:
+    def transform_curvature(self, theta: Array, total: Curvature) -> Curvature:
         """The curvature with respect to the coordinates of the free parameters."""
         free = self.parameters.free
         J = self.space.jacobian(theta)[np.ix_(free, free)]
         return Curvature(total.chi2, J.T @ total.gradient, J.T @ total.information @ J)
 
-    def held_at_bounds(self, theta: Array, total: Curvature) -> Curvature:
+    def fix_at_bounds(self, theta: Array, total: Curvature) -> Curvature:
         """The same curvature with the parameters held that rest on a bound and would cross it.
 
         Those without a prior rest there exactly; the others, whose bounds are no place to be, at a hundredth of a
@@ -120,30 +120,30 @@ class _Problem:
         """
         parameters, free = self.parameters, self.parameters.free
         exactly = np.isinf(parameters.sigma) & ~self.space.vanishing
-        near = np.where(exactly, 0.0, AT_BOUND * parameters.scale)[free]
+        near = np.where(exactly, 0.0, BOUND_TOLERANCE * parameters.scale)[free]
         position = theta[free]
         below = (position - parameters.lower[free] <= near) & (total.gradient > 0)
         above = (parameters.upper[free] - position <= near) & (total.gradient < 0)
-        held = below | above
-        if not held.any():
+        at_bound = below | above
+        if not at_bound.any():
             return total
         information = total.information.copy()
-        information[held, :] = information[:, held] = 0.0
-        information[held, held] = 1.0
-        return Curvature(total.chi2, np.where(held, 0.0, total.gradient), information)
+        information[at_bound, :] = information[:, at_bound] = 0.0
+        information[at_bound, at_bound] = 1.0
+        return Curvature(total.chi2, np.where(at_bound, 0.0, total.gradient), information)
 
-    def stepped(self, theta: Array, step: Array) -> Array:
+    def apply_step(self, theta: Array, step: Array) -> Array:
         """The step taken; a factor of three is the most that it may change a positive parameter."""
         free, space = self.parameters.free, self.space
         together = (space.logarithmic & ~space.vanishing)[free]
-        z = space.inward(theta)
+        z = space.to_coordinates(theta)
         z[free] += step / max(np.abs(step[together]).max(initial=0.0), 1.0)
-        trial = space.outward(z)
+        trial = space.to_parameters(z)
         # A logarithm has no zero to be put at.
-        return np.where(space.vanishing, trial, within_bounds(self.parameters, theta, trial))
+        return np.where(space.vanishing, trial, limit_to_bounds(self.parameters, theta, trial))
 
 
-def _normalised(total: Curvature) -> tuple[Array, Array, Array]:
+def _scale_to_unit_diagonal(total: Curvature) -> tuple[Array, Array, Array]:
     """Information and gradient with unit diagonal, and the factors that give steps back their size.
 
     A parameter of which nothing is known (an effect's, where another of its parameters is null) keeps its value.
@@ -156,14 +156,14 @@ def _normalised(total: Curvature) -> tuple[Array, Array, Array]:
     return information, total.gradient * size, size
 
 
-def _promised(total: Curvature) -> float:
+def _predicted_decrease(total: Curvature) -> float:
     """How much a full Gauss-Newton step would lower chi2."""
-    information, gradient, _ = _normalised(total)
+    information, gradient, _ = _scale_to_unit_diagonal(total)
     return float(gradient @ np.linalg.lstsq(information, gradient, rcond=1e-15)[0])
 
 
-def _descend(
-    problem: _Problem, theta: Array, total: Curvature, damping: float
+def _damped_step(
+    problem: _BoundedProblem, theta: Array, total: Curvature, damping: float
 ) -> tuple[Array, Curvature, float] | None:
     """One accepted step, with the data's curvature there and the damping to begin the next with; None without one.
 
@@ -171,31 +171,31 @@ def _descend(
     lengthened as long as that serves: along a narrow, curved valley the damping keeps steps short, and the next ones
     would go the same way.
     """
-    information, gradient, size = _normalised(total)
-    box = _box(problem.parameters, problem.space, theta)
-    for _ in range(TRIALS):
-        step = _step_within(information + damping * np.eye(len(size)), gradient, size, box)
-        trial = problem.trial(problem.stepped(theta, step), with_curvature=damping == 0.0)
+    information, gradient, size = _scale_to_unit_diagonal(total)
+    bounds = _step_bounds(problem.parameters, problem.space, theta)
+    for _ in range(MAX_TRIALS):
+        step = _bounded_step(information + damping * np.eye(len(size)), gradient, size, bounds)
+        trial = problem.trial(problem.apply_step(theta, step), with_curvature=damping == 0.0)
         if trial.chi2 < total.chi2:
-            end = trial if damping == 0.0 else _lengthened(problem, theta, step, trial)
+            end = trial if damping == 0.0 else _extend_step(problem, theta, step, trial)
             data = problem.curvature(end.theta) if end.data is None else end.data
-            return end.theta, data, damping / EASIER if damping > LEAST_DAMPING else 0.0
-        damping = max(HARDER * damping, LEAST_DAMPING)
+            return end.theta, data, damping / DAMPING_DECREASE if damping > MIN_DAMPING else 0.0
+        damping = max(DAMPING_INCREASE * damping, MIN_DAMPING)
     return None
 
 
-def _lengthened(problem: _Problem, theta: Array, step: Array, trial: _Trial) -> _Trial:
+def _extend_step(problem: _BoundedProblem, theta: Array, step: Array, trial: _TrialStep) -> _TrialStep:
     """The same step threefold, and threefold again, as long as chi2 falls."""
-    for _ in range(TRIALS):
-        step = LONGER * step
-        further = problem.trial(problem.stepped(theta, step), with_curvature=False)
+    for _ in range(MAX_TRIALS):
+        step = STEP_EXTENSION * step
+        further = problem.trial(problem.apply_step(theta, step), with_curvature=False)
         if not further.chi2 < trial.chi2:
             break
         trial = further
     return trial
 
 
-def _solved(information: Array, gradient: Array) -> Array:
+def _solve_normal_equations(information: Array, gradient: Array) -> Array:
     """The Gauss-Newton step; the shortest one where two parameters do the same."""
     try:
         return np.asarray(np.linalg.solve(information, gradient))
@@ -204,56 +204,60 @@ def _solved(information: Array, gradient: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Box:
+class _StepBounds:
     """How far each coordinate of the free parameters may go in one step: down to `least`, up to `most`, (f,)."""
 
-    least: Array
-    most: Array
+    min_step: Array
+    max_step: Array
 
 
-def _box(parameters: ParameterSet, space: Coordinates, theta: Array) -> _Box:
+def _step_bounds(parameters: ParameterSet, space: Coordinates, theta: Array) -> _StepBounds:
     """Nine tenths of the way to any bound, or onto it for a parameter without a prior that is near.
 
     A parameter of which nothing is known beforehand may not leave its surroundings in one step: where it has little to
     do yet, the straight line of a step says nothing of far away. What may vanish changes by a factor of e at most.
     """
-    far = np.where(np.isfinite(parameters.sigma), np.inf, np.maximum(np.abs(theta), FAR * parameters.scale))
-    least = np.maximum(-far, _toward(parameters.lower, theta, parameters) - theta)
-    most = np.minimum(far, _toward(parameters.upper, theta, parameters) - theta)
+    far = np.where(np.isfinite(parameters.sigma), np.inf, np.maximum(np.abs(theta), MAX_STEP_SCALES * parameters.scale))
+    min_step = np.maximum(-far, _move_toward_bound(parameters.lower, theta, parameters) - theta)
+    max_step = np.minimum(far, _move_toward_bound(parameters.upper, theta, parameters) - theta)
     growth = np.diag(space.jacobian(theta))
-    least, most = least / growth, most / growth
+    min_step, max_step = min_step / growth, max_step / growth
     # The logarithms of what has a prior are limited together.
-    least, most = (np.where(space.logarithmic, limit, x) for limit, x in ((-np.inf, least), (np.inf, most)))
-    least, most = (np.where(space.vanishing, limit, x) for limit, x in ((-1.0, least), (1.0, most)))
-    return _Box(least[parameters.free], most[parameters.free])
+    min_step, max_step = (
+        np.where(space.logarithmic, limit, x) for limit, x in ((-np.inf, min_step), (np.inf, max_step))
+    )
+    min_step, max_step = (np.where(space.vanishing, limit, x) for limit, x in ((-1.0, min_step), (1.0, max_step)))
+    return _StepBounds(min_step[parameters.free], max_step[parameters.free])
 
 
-def _step_within(information: Array, gradient: Array, size: Array, box: _Box) -> Array:
+def _bounded_step(information: Array, gradient: Array, size: Array, bounds: _StepBounds) -> Array:
     """The Gauss-Newton step; coordinates that would leave the box go to its side, and the others as then suits best.
 
     `information` and `gradient` have a unit diagonal, and `size` gives steps back their units.
     """
-    least, most = (limit / np.where(size > 0, size, 1.0) for limit in (box.least, box.most))
-    step = -_solved(information, gradient)
+    min_step, max_step = (limit / np.where(size > 0, size, 1.0) for limit in (bounds.min_step, bounds.max_step))
+    step = -_solve_normal_equations(information, gradient)
     inside = np.ones(len(step), bool)
     while True:
-        out = inside & ((step < least) | (step > most))
+        out = inside & ((step < min_step) | (step > max_step))
         if not out.any():
             return np.asarray(step * size)
-        step, inside = np.clip(step, least, most), inside & ~out
+        step, inside = np.clip(step, min_step, max_step), inside & ~out
         given = gradient[inside] + information[np.ix_(inside, ~inside)] @ step[~inside]
-        step[inside] = -_solved(information[np.ix_(inside, inside)], given)
+        step[inside] = -_solve_normal_equations(information[np.ix_(inside, inside)], given)
 
 
-def within_bounds(parameters: ParameterSet, theta: Array, trial: Array) -> Array:
+def limit_to_bounds(parameters: ParameterSet, theta: Array, trial: Array) -> Array:
     """A step from `theta` to `trial`, at most nine tenths of the way to any bound, or onto it where that is near."""
-    rounding = ROUNDING * parameters.scale
-    trial = np.where(trial <= parameters.lower + rounding, _toward(parameters.lower, theta, parameters), trial)
+    rounding = ROUNDING_TOLERANCE * parameters.scale
+    trial = np.where(
+        trial <= parameters.lower + rounding, _move_toward_bound(parameters.lower, theta, parameters), trial
+    )
     return np.asarray(
-        np.where(trial >= parameters.upper - rounding, _toward(parameters.upper, theta, parameters), trial)
+        np.where(trial >= parameters.upper - rounding, _move_toward_bound(parameters.upper, theta, parameters), trial)
     )
 
 
-def _toward(bound: Array, theta: Array, parameters: ParameterSet) -> Array:
-    close = np.isinf(parameters.sigma) & (np.abs(theta - bound) <= AT_BOUND * parameters.scale)
+def _move_toward_bound(bound: Array, theta: Array, parameters: ParameterSet) -> Array:
+    close = np.isinf(parameters.sigma) & (np.abs(theta - bound) <= BOUND_TOLERANCE * parameters.scale)
     return np.where(close, bound, theta + 0.9 * (bound - theta))

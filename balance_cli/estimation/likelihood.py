@@ -20,11 +20,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.cell_forces import CellForces, cell_forces
-from balance_cli.estimation.mains_interference import Tone, tones
-from balance_cli.estimation.measurements import WORKERS, Batch, sized_for_slopes
-from balance_cli.estimation.transients import Taken, Transient, eliminated, transient_slopes, transients
-from balance_cli.model.system import Solution, System, output_slopes, response, solve
+from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
+from balance_cli.estimation.mains_interference import MainsTone, mains_tones
+from balance_cli.estimation.measurements import WORKERS, Batch, split_large_batches
+from balance_cli.estimation.transients import (
+    RunTransient,
+    TransientTerms,
+    eliminate_transient,
+    transient_derivatives,
+    transients,
+)
+from balance_cli.model.system import Solution, System, output_jacobian, response, solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -32,7 +38,7 @@ Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Fitted:
+class BatchEvaluation:
     """One batch at one parameter vector: estimated loads (K, 6), weighted residual S r of the channels (K, c),
 
     residual of the channels (K, c) about the measured loads, and chi2 (K,) of each line, the free motion of the
@@ -45,15 +51,15 @@ class Fitted:
     residual: ComplexArray
     chi2: Array
     downdate: tuple[ComplexArray, ComplexArray] | None
-    transients: tuple[Transient, ...]
-    forces: tuple[CellForces, ...]
-    tones: tuple[Tone, ...]
+    transients: tuple[RunTransient, ...]
+    forces: tuple[RunCellForces, ...]
+    mains_tones: tuple[MainsTone, ...]
 
     @property
     def total(self) -> float:
         """Chi-square of all lines, and of the bounds of the free motion; averaged over the phases of pick-up."""
         held = sum(one.chi2 for one in self.transients)
-        return float(self.chi2.sum() + held + sum(one.chi2 for one in self.tones))
+        return float(self.chi2.sum() + held + sum(one.chi2 for one in self.mains_tones))
 
 
 @dataclass(frozen=True)
@@ -70,18 +76,18 @@ class Curvature:
 
 def exciter_response(system: System, solution: Solution) -> ComplexArray:
     """T (f, c, 6) from the loads that the exciter's force cell measures; its spill is part of the path."""
-    return np.asarray(response(system, solution) @ system.spill.value)
+    return np.asarray(response(system, solution) @ system.exciter_cross_axis.value)
 
 
-def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = False) -> Fitted:
+def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives: bool = False) -> BatchEvaluation:
     """Eliminate the true loads of every line and the free motion of every run, and weigh what is left.
 
     With `slopes` the free motion comes with its derivatives.
     """
     T = exciter_response(system, solution)
     columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
-    forces = cell_forces(batch, system, solution, slopes)
-    loads = _without_offset(batch, system)
+    forces = cell_forces(batch, system, solution, derivatives)
+    loads = _subtract_load_offset(batch, system)
     residual = batch.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
     if np.any(system.channel_offset.value):
         residual -= batch.constant_volts[:, None] * system.channel_offset.value
@@ -89,24 +95,26 @@ def fitted(batch: Batch, system: System, solution: Solution, slopes: bool = Fals
         residual[run.lines] -= run.volts(system)
     downdate = None if batch.exact else _downdate(batch, columns)
 
-    def weigh(lines: slice, values: ComplexArray) -> ComplexArray:
-        return _weighted(batch, downdate, lines, values)
+    def apply_weight(lines: slice, values: ComplexArray) -> ComplexArray:
+        return _apply_weight(batch, downdate, lines, values)
 
-    free = transients(batch, system, residual, weigh, slopes)
-    heard, free = tones(batch, system, residual, weigh, free) if system.pickups else ((), free)
+    free = transients(batch, system, residual, apply_weight, derivatives)
+    heard, free = mains_tones(batch, system, residual, apply_weight, free) if system.interference_tones else ((), free)
     for one in free:
         residual[one.lines] -= one.columns @ one.x
-    weighted = weigh(slice(None), residual[:, :, None])[:, :, 0]
+    weighted = apply_weight(slice(None), residual[:, :, None])[:, :, 0]
     chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted, axis=1))
     if downdate is not None:
         SM, normal = downdate
         # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
         right = np.matmul(SM.conj().swapaxes(1, 2), residual[:, :, None])
         loads = loads + np.linalg.solve(normal, right)[:, :, 0]
-    return Fitted(_six(batch, loads), weighted, residual, chi2, downdate, free, forces, heard)
+    return BatchEvaluation(
+        _expand_to_six_components(batch, loads), weighted, residual, chi2, downdate, free, forces, heard
+    )
 
 
-def _without_offset(batch: Batch, system: System) -> ComplexArray:
+def _subtract_load_offset(batch: Batch, system: System) -> ComplexArray:
     """The measured loads (K, u) less what the force cells read too much."""
     if not np.any(system.load_offset.value):
         return batch.loads
@@ -122,7 +130,7 @@ def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, Comple
     return SM[:, :c], np.asarray(normal, complex)
 
 
-def _weighted(
+def _apply_weight(
     batch: Batch, downdate: tuple[ComplexArray, ComplexArray] | None, lines: slice, values: ComplexArray
 ) -> ComplexArray:
     """P times columns (k, c, q) at these lines; the eliminated loads as a second, small product."""
@@ -135,105 +143,105 @@ def _weighted(
     return np.asarray(weighted - np.matmul(SM, correction))
 
 
-def _six(batch: Batch, loads: ComplexArray) -> ComplexArray:
+def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray:
     """Loads (K, u) as six columns (K, 6)."""
     six = np.zeros((len(loads), 6), complex)
     np.put_along_axis(six, batch.components, loads, axis=1)
     return six
 
 
-def channel_slopes(batch: Batch, system: System, solution: Solution, fit: Fitted) -> ComplexArray:
+def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: BatchEvaluation) -> ComplexArray:
     """DY (K, c, p) at the estimated exciter loads, spill, offsets and forces along the springs included."""
     loads = fit.loads
-    true_loads = loads @ system.spill.value.T
-    slopes = output_slopes(system, solution, batch.index, true_loads)
-    if np.any(system.spill.slope):
-        spilt = np.einsum("pij,kj->kip", system.spill.slope, loads)
-        slopes = slopes + np.matmul(response(system, solution)[batch.index], spilt)
+    true_loads = loads @ system.exciter_cross_axis.value.T
+    derivatives = output_jacobian(system, solution, batch.index, true_loads)
+    if np.any(system.exciter_cross_axis.derivative):
+        spilt = np.einsum("pij,kj->kip", system.exciter_cross_axis.derivative, loads)
+        derivatives = derivatives + np.matmul(response(system, solution)[batch.index], spilt)
     for run in fit.forces:
-        run.add_slopes(system, slopes[run.lines])
-    _add_offset_slopes(slopes, batch, system, solution)
-    return slopes
+        run.add_derivatives(system, derivatives[run.lines])
+    _add_offset_derivatives(derivatives, batch, system, solution)
+    return derivatives
 
 
-def _add_offset_slopes(slopes: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:
+def _add_offset_derivatives(derivatives: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:
     """Offsets of the channels add to what they read; those of the loads lower what is taken to act."""
-    if np.any(system.channel_offset.slope):
+    if np.any(system.channel_offset.derivative):
         lines = np.flatnonzero(batch.constant_volts)
-        slopes[lines] += batch.constant_volts[lines, None, None] * system.channel_offset.slope.T
-    if np.any(system.load_offset.slope):
+        derivatives[lines] += batch.constant_volts[lines, None, None] * system.channel_offset.derivative.T
+    if np.any(system.load_offset.derivative):
         lines = np.flatnonzero(np.any(batch.constant_loads, axis=1))
         components = batch.components[lines]
         held = exciter_response(system, solution)[batch.index[lines, None], :, components].swapaxes(1, 2)
-        offset = system.load_offset.slope.T[components] * batch.constant_loads[lines, :, None]
-        slopes[lines] -= np.matmul(held, offset)
+        offset = system.load_offset.derivative.T[components] * batch.constant_loads[lines, :, None]
+        derivatives[lines] -= np.matmul(held, offset)
 
 
 @dataclass(frozen=True)
-class Slopes:
+class BatchDerivatives:
     """One batch with its slopes (K, c, p), those of the free motion included, and what eliminating that takes;
 
     `lacking`: of each tone of the mains, what gradient (p,) and information (p, p) lack besides.
     """
 
     batch: Batch
-    fit: Fitted
-    slopes: ComplexArray
-    taken: tuple[Taken, ...]
-    lacking: tuple[tuple[Array, Array], ...]
+    fit: BatchEvaluation
+    derivatives: ComplexArray
+    transient_terms: tuple[TransientTerms, ...]
+    tone_terms: tuple[tuple[Array, Array], ...]
 
     def gradient(self) -> Array:
         """Half the gradient (p,) of chi-square."""
-        p = self.slopes.shape[2]
-        gradient = -2.0 * np.real(self.slopes.reshape(-1, p).conj().T @ self.fit.weighted.reshape(-1))
-        gradient = gradient + sum(one.gradient for one in self.taken)
-        return np.asarray(gradient + sum(part for part, _ in self.lacking))
+        p = self.derivatives.shape[2]
+        gradient = -2.0 * np.real(self.derivatives.reshape(-1, p).conj().T @ self.fit.weighted.reshape(-1))
+        gradient = gradient + sum(one.gradient for one in self.transient_terms)
+        return np.asarray(gradient + sum(part for part, _ in self.tone_terms))
 
     def weighted(self) -> ComplexArray:
         """P dY (K, c, p), the true loads eliminated; a second, small product."""
-        return _weighted(self.batch, self.fit.downdate, slice(None), self.slopes)
+        return _apply_weight(self.batch, self.fit.downdate, slice(None), self.derivatives)
 
     def information(self, weighted: ComplexArray, rows: Index | slice, columns: Index | slice) -> Array:
         """The part (rows, columns) of 2 Re sum dY* P dY."""
-        information = 2.0 * _product(self.slopes[:, :, rows], weighted[:, :, columns])
-        for one in self.taken:
+        information = 2.0 * _real_inner_product(self.derivatives[:, :, rows], weighted[:, :, columns])
+        for one in self.transient_terms:
             information = information + one.information(rows, columns)
-        for _, whole in self.lacking:
+        for _, whole in self.tone_terms:
             information = information + whole[rows][:, columns]
         return np.asarray(information)
 
     def diagonal_blocks(self, weighted: ComplexArray, blocks: Sequence[Index]) -> list[Array]:
         """The information of each block of parameters by itself; single ones, which are many, all at once."""
-        alone = 2.0 * np.sum(self.slopes.real * weighted.real + self.slopes.imag * weighted.imag, axis=(0, 1))
-        for one in self.taken:
+        alone = 2.0 * np.sum(self.derivatives.real * weighted.real + self.derivatives.imag * weighted.imag, axis=(0, 1))
+        for one in self.transient_terms:
             alone = alone + one.diagonal()
-        for _, whole in self.lacking:
+        for _, whole in self.tone_terms:
             alone = alone + np.diag(whole)
         several = {i: self.information(weighted, block, block) for i, block in enumerate(blocks) if len(block) > 1}
         return [several[i] if i in several else alone[block][:, None] for i, block in enumerate(blocks)]
 
 
-def _product(left: ComplexArray, right: ComplexArray) -> Array:
+def _real_inner_product(left: ComplexArray, right: ComplexArray) -> Array:
     """Re sum over lines and channels of left* right, (K, n, a) and (K, n, b): (a, b)."""
     a, b = left.shape[2], right.shape[2]
     return np.asarray(np.real(left.reshape(-1, a).conj().T @ right.reshape(-1, b)))
 
 
-def batch_slopes(batch: Batch, system: System) -> Slopes:
+def batch_derivatives(batch: Batch, system: System) -> BatchDerivatives:
     """The batch at one parameter vector, with the derivatives of all its lines."""
     solution = solve(system, batch.frequency, batch.spin)
-    fit = fitted(batch, system, solution, slopes=True)
-    slopes = channel_slopes(batch, system, solution, fit)
+    fit = evaluate_batch(batch, system, solution, derivatives=True)
+    derivatives = channel_derivatives(batch, system, solution, fit)
     for one in fit.transients:
-        slopes[one.lines] += transient_slopes(one)
-    lacking = tuple(tone.curvature(slopes[tone.form.lines]) for tone in fit.tones)
-    taken = tuple(eliminated(one, slopes[one.lines]) for one in fit.transients)
-    return Slopes(batch, fit, slopes, taken, lacking)
+        derivatives[one.lines] += transient_derivatives(one)
+    tone_terms = tuple(tone.curvature(derivatives[tone.form.lines]) for tone in fit.mains_tones)
+    transient_terms = tuple(eliminate_transient(one, derivatives[one.lines]) for one in fit.transients)
+    return BatchDerivatives(batch, fit, derivatives, transient_terms, tone_terms)
 
 
 def batch_curvature(batch: Batch, system: System) -> Curvature:
     """Chi-square, gradient and information of one batch."""
-    found = batch_slopes(batch, system)
+    found = batch_derivatives(batch, system)
     whole = slice(None)
     return Curvature(found.fit.total, found.gradient(), found.information(found.weighted(), whole, whole))
 
@@ -244,7 +252,7 @@ def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     with ThreadPoolExecutor(WORKERS) as workers:
         # Threads, because numpy lets go of the interpreter; summed in order, so that the result is always the same.
-        for part in workers.map(lambda batch: batch_curvature(batch, system), sized_for_slopes(batches, p)):
+        for part in workers.map(lambda batch: batch_curvature(batch, system), split_large_batches(batches, p)):
             total = total + part
     return total
 
@@ -253,12 +261,12 @@ def data_chi2(batches: Sequence[Batch], system: System) -> float:
     """Chi-square of all measured lines, without derivatives."""
 
     def chi2(batch: Batch) -> float:
-        return fitted(batch, system, solve(system, batch.frequency, batch.spin)).total
+        return evaluate_batch(batch, system, solve(system, batch.frequency, batch.spin)).total
 
     with ThreadPoolExecutor(WORKERS) as workers:
         return float(sum(workers.map(chi2, batches)))
 
 
-def degrees_of_freedom(batches: Sequence[Batch]) -> int:
+def count_measured_values(batches: Sequence[Batch]) -> int:
     """Number of real measured values."""
     return int(sum(batch.count.sum() for batch in batches))

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.levenberg_marquardt import Minimum, minimise, prior_curvature
+from balance_cli.estimation.levenberg_marquardt import Minimum, minimize, prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measurements import Batch
-from balance_cli.estimation.starting_values import parameters_within
+from balance_cli.estimation.starting_values import add_weak_priors
 from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 ITERATIONS = 60
 TOLERANCE = 1e-4
 # After so many the starts of a fit are compared, and the best goes on alone.
-TRIAL = 12
+TRIAL_ITERATIONS = 12
 
 
 def maximum_likelihood(
@@ -34,7 +34,7 @@ def maximum_likelihood(
 
     The last step is one that promises to lower chi-square by less than `tolerance`.
     """
-    return minimise(
+    return minimize(
         model.parameters,
         start,
         lambda theta: data_curvature(batches, model.system(theta)),
@@ -44,25 +44,25 @@ def maximum_likelihood(
     )
 
 
-def first_steps(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int, within: float, promised: float
+def take_first_steps(
+    model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int, prior_scales: float, min_decrease: float
 ) -> Minimum:
     """At most `count` steps from `theta`, near which parameters without a prior are held: `within` so many scales.
 
     Where an effect is small, the data say nothing of what shapes it, and steps along that would hold up all others.
-    The last step is one that promises to lower chi-square by less than `promised`; what holds counts in `total`.
+    The last step is one that promises to lower chi-square by less than `min_decrease`; what holds counts in `total`.
     """
-    return minimise(
-        parameters_within(model.parameters, theta, within),
+    return minimize(
+        add_weak_priors(model.parameters, theta, prior_scales),
         theta,
         lambda at: data_curvature(batches, model.system(at)),
         lambda at: data_chi2(batches, model.system(at)),
         iterations=count,
-        tolerance=promised,
+        tolerance=min_decrease,
     )
 
 
-def penalised_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
+def penalized_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
     """Chi-square of data and priors; infinite where no rig is like that."""
     try:
         return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
@@ -70,13 +70,13 @@ def penalised_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) 
         return float("inf")
 
 
-def best_of_starts(model: BalanceModel, batches: Sequence[Batch], starts: Mapping[str, Array]) -> tuple[Minimum, str]:
+def fit_best_start(model: BalanceModel, batches: Sequence[Batch], starts: Mapping[str, Array]) -> tuple[Minimum, str]:
     """The best maximum that is reached from any of the starts, and the name of that start.
 
     Which start is nearer in chi-square says little: one that is far in many parameters may lead to the better end.
     Raises LinAlgError where no rig is like any of them.
     """
-    trials = {name: _trial(model, batches, start) for name, start in starts.items()}
+    trials = {name: _try_start(model, batches, start) for name, start in starts.items()}
     found = {name: trial for name, trial in trials.items() if trial is not None}
     if not found:
         raise np.linalg.LinAlgError("no rig is like any of the starts")
@@ -84,12 +84,12 @@ def best_of_starts(model: BalanceModel, batches: Sequence[Batch], starts: Mappin
     first = found[best]
     if first.converged:
         return first, best
-    rest = maximum_likelihood(model, batches, first.theta, ITERATIONS - TRIAL)
+    rest = maximum_likelihood(model, batches, first.theta, ITERATIONS - TRIAL_ITERATIONS)
     return replace(rest, iterations=first.iterations + rest.iterations), best
 
 
-def _trial(model: BalanceModel, batches: Sequence[Batch], start: Array) -> Minimum | None:
+def _try_start(model: BalanceModel, batches: Sequence[Batch], start: Array) -> Minimum | None:
     try:
-        return maximum_likelihood(model, batches, start, TRIAL)
+        return maximum_likelihood(model, batches, start, TRIAL_ITERATIONS)
     except np.linalg.LinAlgError:
         return None

@@ -10,14 +10,14 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.placed_effects import needs_mean
-from balance_cli.signals.nonperiodic_spectrum import lines_from_local_model
-from balance_cli.signals.periodic import periodic_lines, repeats
-from balance_cli.signals.run_spectrum import Lines, StaticPoints
+from balance_cli.signals.nonperiodic_spectrum import nonperiodic_spectrum
+from balance_cli.signals.periodic import has_whole_periods, periodic_spectrum
+from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 from balance_cli.signals.static_noise import static_points
 from balance_cli.signals.waveforms import (
-    local_lines_with_mean_and_waveform,
-    with_mean_and_waveform,
-    with_shares,
+    add_channel_shares,
+    append_mean_and_waveform,
+    nonperiodic_spectrum_with_waveform,
 )
 
 
@@ -29,7 +29,7 @@ class Spectra:
     {run: {channel: why}}: channels that were dead, clipped, absent or not finite.
     """
 
-    lines: tuple[Lines, ...]
+    lines: tuple[RunSpectrum, ...]
     statics: tuple[StaticPoints, ...]
     unused: dict[str, str]
     channels_left_out: dict[str, dict[str, str]]
@@ -44,7 +44,7 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
     too, static runs all that is in their rows. UserError where no channel of a run is left.
     """
     means = needs_mean(geometry) if means is None else means
-    lines: list[Lines] = []
+    lines: list[RunSpectrum] = []
     statics: list[StaticPoints] = []
     unused: dict[str, str] = {}
     left_out: dict[str, dict[str, str]] = {}
@@ -60,7 +60,7 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
         if run.kind == "static":
             try:
                 points = static_points(run, health.live)
-                statics.append(with_shares(points, geometry) if means else points)
+                statics.append(add_channel_shares(points, geometry) if means else points)
             except UserError as error:
                 unused[run.name] = error.fault
         else:
@@ -68,10 +68,10 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
     return Spectra(tuple(lines), tuple(statics), unused, left_out)
 
 
-def _sweep_lines(run: Run, channel_names: tuple[str, ...], geometry: Geometry, means: bool) -> Lines:
-    if repeats(run):
-        lines = periodic_lines(run, channel_names)
-        return with_mean_and_waveform(run, lines, geometry) if means else lines
+def _sweep_lines(run: Run, channel_names: tuple[str, ...], geometry: Geometry, means: bool) -> RunSpectrum:
+    if has_whole_periods(run):
+        lines = periodic_spectrum(run, channel_names)
+        return append_mean_and_waveform(run, lines, geometry) if means else lines
     if means:
-        return local_lines_with_mean_and_waveform(run, channel_names, geometry)
-    return lines_from_local_model(run, channel_names)
+        return nonperiodic_spectrum_with_waveform(run, channel_names, geometry)
+    return nonperiodic_spectrum(run, channel_names)

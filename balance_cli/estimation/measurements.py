@@ -12,18 +12,25 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.signals.covariance_pooling import inverse_bias_factor
-from balance_cli.signals.run_spectrum import Lines, LoadPoints, NoisePart, StaticPoints, Waveform, Window
+from balance_cli.signals.run_spectrum import (
+    AnalysisWindow,
+    NoisePart,
+    RunSpectrum,
+    StaticPoints,
+    StaticWaveform,
+    Waveform,
+)
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 # Degrees of freedom per signal that make the inverse of an estimated covariance worth having.
-ENOUGH_DOF = 2.0
+MIN_DOF_PER_SIGNAL = 2.0
 # Batches that are worked on at once.
 WORKERS = 2
 # Bytes above which memory is taken from the system, and its pages filled with zeros, for every array anew.
-LARGEST_SLOPES = 2**25
+MAX_DERIVATIVE_BYTES = 2**25
 
 
 @dataclass(frozen=True)
@@ -42,7 +49,7 @@ class Batch:
     `noise_dof`: of each run, real degrees of freedom with which its noise is known. `noise_parts`: of each run, what
     that is made up of where its parts are not known alike, all channels in their order.
     `windows`: of each run, where a periodic record's lines come from; None where no free motion can be in them.
-    constant_volts (K,), constant_loads (K, u) and `waveforms` as in `Lines`, all channels in their order.
+    constant_volts (K,), constant_loads (K, u) and `waveforms` as in `RunSpectrum`, all channels in their order.
     """
 
     runs: tuple[str, ...]
@@ -57,10 +64,10 @@ class Batch:
     count: Array
     run: Index
     efficiency: Array
-    windows: tuple[Window | None, ...]
+    windows: tuple[AnalysisWindow | None, ...]
     constant_volts: Array
     constant_loads: Array
-    waveforms: tuple[Waveform | LoadPoints | None, ...]
+    waveforms: tuple[Waveform | StaticWaveform | None, ...]
     noise_dof: tuple[float, ...]
     noise_parts: tuple[tuple[NoisePart, ...], ...]
 
@@ -71,55 +78,55 @@ class Batch:
         return tuple(slice(int(a), int(b)) for a, b in zip([0, *ends[:-1]], ends, strict=True))
 
 
-def selected_lines(batch: Batch, chosen: NDArray[np.bool_]) -> Batch:
+def select_lines(batch: Batch, mask: NDArray[np.bool_]) -> Batch:
     """The batch with the `chosen` lines (K,) alone; every run keeps at least its name."""
-    windows: list[Window | None] = []
-    waveforms: list[Waveform | LoadPoints | None] = []
+    windows: list[AnalysisWindow | None] = []
+    waveforms: list[Waveform | StaticWaveform | None] = []
     for part, window, waveform in zip(batch.parts, batch.windows, batch.waveforms, strict=True):
-        kept = chosen[part]
+        kept = mask[part]
         narrowed = window and replace(window, start=window.start[kept], covariance=window.covariance[kept])
         windows.append(narrowed if kept.any() else None)
-        waveforms.append(waveform.at(kept) if waveform is not None and kept.any() else None)
+        waveforms.append(waveform.select(kept) if waveform is not None and kept.any() else None)
     noise_parts = zip(batch.parts, batch.noise_parts, strict=True)
     return replace(
         batch,
-        **_of_each_line(batch, chosen),
-        index=batch.index[chosen],
-        run=batch.run[chosen],
+        **_per_line_fields(batch, mask),
+        index=batch.index[mask],
+        run=batch.run[mask],
         windows=tuple(windows),
         waveforms=tuple(waveforms),
-        noise_parts=tuple(tuple(one.at(chosen[part]) for one in several) for part, several in noise_parts),
+        noise_parts=tuple(tuple(one.select(mask[part]) for one in several) for part, several in noise_parts),
     )
 
 
-def _of_each_line(batch: Batch, chosen: NDArray[np.bool_] | slice) -> dict[str, Any]:
+def _per_line_fields(batch: Batch, mask: NDArray[np.bool_] | slice) -> dict[str, Any]:
     """What the chosen lines hold; of a slice no copy is made."""
     values = ("channels", "loads", "constant_volts", "constant_loads")
     weights = ("components", "precision", "count", "efficiency")
-    return {name: getattr(batch, name)[chosen] for name in (*values, *weights)}
+    return {name: getattr(batch, name)[mask] for name in (*values, *weights)}
 
 
-def by_run(batches: Sequence[Batch]) -> tuple[Batch, ...]:
+def split_by_run(batches: Sequence[Batch]) -> tuple[Batch, ...]:
     """Each run a batch of its own: smaller arrays where there are many derivatives."""
-    return tuple(_one_run(batch, i) for batch in batches for i in range(len(batch.runs)))
+    return tuple(_batch_of_run(batch, i) for batch in batches for i in range(len(batch.runs)))
 
 
-def sized_for_slopes(batches: Sequence[Batch], parameters: int) -> tuple[Batch, ...]:
+def split_large_batches(batches: Sequence[Batch], parameters: int) -> tuple[Batch, ...]:
     """The batches, run by run where the derivatives of one by so many parameters are too large to be kept at hand."""
     sizes = [batch.channels.nbytes * parameters for batch in batches]
     return tuple(
         part
         for batch, size in zip(batches, sizes, strict=True)
-        for part in ([batch] if size <= LARGEST_SLOPES else by_run([batch]))
+        for part in ([batch] if size <= MAX_DERIVATIVE_BYTES else split_by_run([batch]))
     )
 
 
-def _one_run(batch: Batch, i: int) -> Batch:
+def _batch_of_run(batch: Batch, i: int) -> Batch:
     lines = batch.parts[i]
     frequency, index = np.unique(batch.frequency[batch.index[lines]], return_inverse=True)
     return replace(
         batch,
-        **_of_each_line(batch, lines),
+        **_per_line_fields(batch, lines),
         runs=(batch.runs[i],),
         frequency=frequency,
         index=index.reshape(-1),
@@ -131,47 +138,47 @@ def _one_run(batch: Batch, i: int) -> Batch:
     )
 
 
-def stacked(
-    lines: Sequence[Lines], statics: Sequence[StaticPoints], channel_names: tuple[str, ...]
+def stack_runs(
+    lines: Sequence[RunSpectrum], statics: Sequence[StaticPoints], channel_names: tuple[str, ...]
 ) -> tuple[Batch, ...]:
     """All runs as few batches: lines of alike runs share their frequencies and so the model's inversions.
 
     Of the static runs it is the straight part of the rows, or all of them where the points come with `share`.
     """
     everything = [*lines, *(static_lines(points) for points in statics)]
-    groups: dict[tuple[float, int, bool], list[Lines]] = {}
+    groups: dict[tuple[float, int, bool], list[RunSpectrum]] = {}
     for run in everything:
-        key = (run.rotor_speed, len(run.components), _exact(run))
+        key = (run.rotor_speed, len(run.components), _has_exact_loads(run))
         groups.setdefault(key, []).append(run)
-    parts = [(key, part) for key, group in groups.items() for part in _shared_out(group)]
-    return tuple(_batch(part, key, channel_names) for key, part in parts)
+    parts = [(key, part) for key, group in groups.items() for part in _split_among_workers(group)]
+    return tuple(_build_batch(part, key, channel_names) for key, part in parts)
 
 
-def _shared_out(group: list[Lines]) -> list[list[Lines]]:
+def _split_among_workers(group: list[RunSpectrum]) -> list[list[RunSpectrum]]:
     """The runs in as many parts as there are workers, so that each has its own batch."""
     size = -(-len(group) // WORKERS)
     return [group[start : start + size] for start in range(0, len(group), size)]
 
 
-def _exact(lines: Lines) -> bool:
+def _has_exact_loads(lines: RunSpectrum) -> bool:
     c = len(lines.channel_names)
     return not np.any(lines.covariance[:, c:, c:])
 
 
-def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: tuple[str, ...]) -> Batch:
+def _build_batch(group: Sequence[RunSpectrum], key: tuple[float, int, bool], channel_names: tuple[str, ...]) -> Batch:
     spin, _, exact = key
     frequency, index = np.unique(np.concatenate([run.frequency for run in group]), return_inverse=True)
     run = np.repeat(np.arange(len(group)), [len(item.frequency) for item in group])
-    counts = [_count(item) for item in group]
+    counts = [_count_values(item) for item in group]
     efficiency = [np.full(len(item.frequency), _efficiency(item)) for item in group]
     return Batch(
         runs=tuple(item.run for item in group),
         spin=spin,
         frequency=frequency,
         index=index.reshape(-1),
-        channels=np.concatenate([_all_channels(item, channel_names) for item in group]),
+        channels=np.concatenate([_expand_channels(item, channel_names) for item in group]),
         loads=np.concatenate([item.loads for item in group]),
-        components=np.concatenate([_component_index(item) for item in group]),
+        components=np.concatenate([_component_indices(item) for item in group]),
         precision=np.concatenate([_precision(item, channel_names, exact) for item in group]),
         exact=exact,
         count=np.concatenate(counts),
@@ -180,15 +187,15 @@ def _batch(group: Sequence[Lines], key: tuple[float, int, bool], channel_names: 
         windows=tuple(item.window for item in group),
         constant_volts=np.concatenate([_constant_volts(item) for item in group]),
         constant_loads=np.concatenate([_constant_loads(item) for item in group]),
-        waveforms=tuple(_all_waveforms(item, channel_names) for item in group),
+        waveforms=tuple(_expand_waveform(item, channel_names) for item in group),
         noise_dof=tuple(_noise_dof(item) for item in group),
-        noise_parts=tuple(_noise_parts(item, channel_names) for item in group),
+        noise_parts=tuple(_expand_noise_parts(item, channel_names) for item in group),
     )
 
 
-def _noise_parts(lines: Lines, channel_names: tuple[str, ...]) -> tuple[NoisePart, ...]:
+def _expand_noise_parts(lines: RunSpectrum, channel_names: tuple[str, ...]) -> tuple[NoisePart, ...]:
     """The parts of a run's noise, spread over all channels."""
-    places, c = np.array(_places(lines, channel_names), np.intp), len(channel_names)
+    places, c = np.array(_channel_indices(lines, channel_names), np.intp), len(channel_names)
     found = []
     for part in lines.noise_parts:
         wide = np.zeros((c, c))
@@ -197,71 +204,75 @@ def _noise_parts(lines: Lines, channel_names: tuple[str, ...]) -> tuple[NoisePar
     return tuple(found)
 
 
-def _noise_dof(lines: Lines) -> float:
+def _noise_dof(lines: RunSpectrum) -> float:
     """Real degrees of freedom of all that a run tells of its noise: at rest those of its rows, else of every line."""
     return lines.dof if not lines.frequency.any() else 2.0 * max(lines.dof, len(lines.frequency))
 
 
-def _count(lines: Lines) -> Array:
+def _count_values(lines: RunSpectrum) -> Array:
     per_channel = np.where(lines.frequency > 0, 2.0, 1.0)
-    return np.asarray(per_channel * np.sum(_heard(lines.covariance)[:, : len(lines.channel_names)], axis=1))
+    return np.asarray(
+        per_channel * np.sum(_has_finite_variance(lines.covariance)[:, : len(lines.channel_names)], axis=1)
+    )
 
 
-def _heard(covariance: ComplexArray) -> NDArray[np.bool_]:
+def _has_finite_variance(covariance: ComplexArray) -> NDArray[np.bool_]:
     """Which signals (K, n) tell something at a line: their variance is finite."""
     return np.isfinite(np.diagonal(covariance, axis1=1, axis2=2))
 
 
-def _constant_volts(lines: Lines) -> Array:
+def _constant_volts(lines: RunSpectrum) -> Array:
     return np.zeros(len(lines.frequency)) if lines.constant_volts is None else lines.constant_volts
 
 
-def _constant_loads(lines: Lines) -> Array:
+def _constant_loads(lines: RunSpectrum) -> Array:
     return np.zeros(lines.loads.shape) if lines.constant_loads is None else lines.constant_loads
 
 
-def _all_waveforms(lines: Lines, channel_names: tuple[str, ...]) -> Waveform | LoadPoints | None:
+def _expand_waveform(lines: RunSpectrum, channel_names: tuple[str, ...]) -> Waveform | StaticWaveform | None:
     waveform = lines.waveform
     if waveform is None:
         return None
     volts = np.zeros((len(waveform.volts), len(channel_names)), complex)
     share = np.zeros(volts.shape)
-    places = _places(lines, channel_names)
+    places = _channel_indices(lines, channel_names)
     volts[:, places], share[:, places] = waveform.volts, waveform.share
     return replace(waveform, volts=volts, share=share)
 
 
-def _component_index(lines: Lines) -> Index:
+def _component_indices(lines: RunSpectrum) -> Index:
     index = np.array([COMPONENTS.index(name) for name in lines.components], dtype=np.intp)
     return np.broadcast_to(index, (len(lines.frequency), len(index)))
 
 
-def _places(lines: Lines, channel_names: tuple[str, ...]) -> list[int]:
+def _channel_indices(lines: RunSpectrum, channel_names: tuple[str, ...]) -> list[int]:
     return [channel_names.index(name) for name in lines.channel_names]
 
 
-def _all_channels(lines: Lines, channel_names: tuple[str, ...]) -> ComplexArray:
+def _expand_channels(lines: RunSpectrum, channel_names: tuple[str, ...]) -> ComplexArray:
     wide = np.zeros((len(lines.frequency), len(channel_names)), complex)
-    wide[:, _places(lines, channel_names)] = lines.channels
+    wide[:, _channel_indices(lines, channel_names)] = lines.channels
     return wide
 
 
-def _precision(lines: Lines, channel_names: tuple[str, ...], exact: bool) -> ComplexArray:
+def _precision(lines: RunSpectrum, channel_names: tuple[str, ...], exact: bool) -> ComplexArray:
     """Inverse covariance, spread over all channels and the u loads."""
     live, c, u = len(lines.channel_names), len(channel_names), len(lines.components)
     used = slice(0, live) if exact else slice(0, live + u)
     noise = lines.window or lines
-    inverse = _inverse(_finite(noise.covariance[:, used, used]), noise.dof, live) * _efficiency(lines)
-    inverse = np.where(_heard(noise.covariance)[:, used, None], inverse, 0.0)
+    inverse = _invert_covariance(
+        _replace_infinite_variances(noise.covariance[:, used, used]), noise.dof, live
+    ) * _efficiency(lines)
+    inverse = np.where(_has_finite_variance(noise.covariance)[:, used, None], inverse, 0.0)
     wide = np.zeros((len(inverse), c + u, c + u), complex)
-    places = np.array(_places(lines, channel_names) + ([] if exact else list(range(c, c + u))))
+    places = np.array(_channel_indices(lines, channel_names) + ([] if exact else list(range(c, c + u))))
     wide[:, places[:, None], places[None, :]] = inverse
     return wide
 
 
-def _finite(covariance: ComplexArray) -> ComplexArray:
+def _replace_infinite_variances(covariance: ComplexArray) -> ComplexArray:
     """Covariances (K, n, n) with one in the place of an infinite variance."""
-    heard = _heard(covariance)
+    heard = _has_finite_variance(covariance)
     if heard.all():
         return covariance
     finite = covariance.copy()
@@ -270,7 +281,7 @@ def _finite(covariance: ComplexArray) -> ComplexArray:
     return finite
 
 
-def _efficiency(lines: Lines) -> float:
+def _efficiency(lines: RunSpectrum) -> float:
     """The share of the information that is left when a sample covariance takes the place of the true one.
 
     With P = (dof - n) W^-1, W complex Wishart, E[P] = C^-1 and E[P C P] = dof / (dof - n) C^-1 (Maiwald and Kraus,
@@ -278,15 +289,15 @@ def _efficiency(lines: Lines) -> float:
     """
     size = len(lines.channel_names)
     dof = (lines.window or lines).dof
-    return inverse_bias_factor(dof, size) if dof > ENOUGH_DOF * size else 1.0
+    return inverse_bias_factor(dof, size) if dof > MIN_DOF_PER_SIGNAL * size else 1.0
 
 
-def _inverse(covariance: ComplexArray, dof: float, size: int) -> ComplexArray:
+def _invert_covariance(covariance: ComplexArray, dof: float, size: int) -> ComplexArray:
     """Unbiased inverse of covariances (K, n, n) that were estimated with `dof` degrees of freedom.
 
     With too few of them only the variances are known well enough to be inverted.
     """
-    if dof > ENOUGH_DOF * size:
+    if dof > MIN_DOF_PER_SIGNAL * size:
         return np.asarray(np.linalg.inv(covariance) * inverse_bias_factor(dof, size), complex)
     variances = np.real(np.diagonal(covariance, axis1=1, axis2=2))
     factor = inverse_bias_factor(dof, 1) if dof > 1 else 1.0

@@ -19,37 +19,37 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.likelihood import fitted
+from balance_cli.estimation.likelihood import evaluate_batch
 from balance_cli.estimation.measurements import WORKERS, Batch
 from balance_cli.model.system import Solution, System, solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Shares = Mapping[str, float]
+ModelErrors = Mapping[str, float]
 
 # Half the band around a line over which the response is averaged, as a share of its frequency, and at least [Hz].
-SHARE_OF_FREQUENCY = 0.04
-LEAST_BAND = 0.5
+RELATIVE_HALF_BAND = 0.04
+MIN_HALF_BAND = 0.5
 # Of the strongest line of a run, below which no response counts as known to a share of itself.
-LEAST_SHARE = 1e-3
-LARGEST_ERROR = 1.0
-SMALLEST_ERROR = 1e-6
-FIRST_ERROR = 0.1
+MIN_RESPONSE_RATIO = 1e-3
+MAX_RELATIVE_ERROR = 1.0
+MIN_RELATIVE_ERROR = 1e-6
+INITIAL_RELATIVE_ERROR = 0.1
 ITERATIONS = 8
-EXACT = 0.01
+CONVERGENCE_TOLERANCE = 0.01
 
 
-def with_model_error(batches: Sequence[Batch], shares: Shares) -> tuple[Batch, ...]:
+def add_model_error(batches: Sequence[Batch], relative_errors: ModelErrors) -> tuple[Batch, ...]:
     """The same lines with a model error, a share of the response by run, in the covariance of the channels."""
-    return tuple(_with_error(batch, np.array([shares[name] for name in batch.runs])) for batch in batches)
+    return tuple(_add_batch_error(batch, np.array([relative_errors[name] for name in batch.runs])) for batch in batches)
 
 
-def _with_error(batch: Batch, shares: Array) -> Batch:
+def _add_batch_error(batch: Batch, relative_errors: Array) -> Batch:
     """P = (C + E)^-1 = S - S_Y (E_live^-1 + S_YY)^-1 S_Y', with E the error's variance and S the noise's precision."""
-    if not shares.any():
+    if not relative_errors.any():
         return batch
     c = batch.channels.shape[1]
-    variance = shares[batch.run, None] ** 2 * response_size(batch)
+    variance = relative_errors[batch.run, None] ** 2 * local_response_power(batch)
     S = batch.precision
     live = np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c] > 0
     # Where nothing is added its inverse is a large number beside the noise's precision, not infinite.
@@ -60,7 +60,7 @@ def _with_error(batch: Batch, shares: Array) -> Batch:
     return replace(batch, precision=np.asarray(S - removed, complex))
 
 
-def response_size(batch: Batch) -> Array:
+def local_response_power(batch: Batch) -> Array:
     """Mean |y|^2 (K, c) [V^2] of each channel around each line of its run."""
     power = np.abs(batch.channels) ** 2
     usual = np.maximum(power.mean(axis=0), np.finfo(float).tiny)
@@ -68,63 +68,65 @@ def response_size(batch: Batch) -> Array:
     size = np.empty(power.shape)
     frequency = batch.frequency[batch.index]
     for lines in batch.parts:
-        size[lines] = _smoothed(frequency[lines], 0.5 * (power[lines] + whole[lines]))
+        size[lines] = _running_mean(frequency[lines], 0.5 * (power[lines] + whole[lines]))
     return size
 
 
-def _smoothed(frequency: Array, power: Array) -> Array:
+def _running_mean(frequency: Array, power: Array) -> Array:
     """Mean of power (k, c) over the lines within the band around each, by running sums; lines in rising frequency."""
     order = np.argsort(frequency, kind="stable")
     rising = frequency[order]
-    half = np.maximum(SHARE_OF_FREQUENCY * rising, LEAST_BAND)
+    half = np.maximum(RELATIVE_HALF_BAND * rising, MIN_HALF_BAND)
     first, last = np.searchsorted(rising, rising - half), np.searchsorted(rising, rising + half, side="right")
     sums = np.concatenate([np.zeros((1, power.shape[1])), np.cumsum(power[order], axis=0)])
     mean = np.empty_like(power)
     mean[order] = (sums[last] - sums[first]) / (last - first)[:, None]
-    return np.asarray(np.maximum(mean, LEAST_SHARE**2 * power.max(axis=0)))
+    return np.asarray(np.maximum(mean, MIN_RESPONSE_RATIO**2 * power.max(axis=0)))
 
 
-def log_volume(batches: Sequence[Batch], shares: Shares) -> float:
+def log_determinant_inflation(batches: Sequence[Batch], relative_errors: ModelErrors) -> float:
     """2 ln det(cov + E) - 2 ln det(cov) of all lines (once for real ones): what a model error adds to -2 ln likelihood.
 
     With it, fits of different model error can be compared.
     """
     total = 0.0
     for batch in batches:
-        by_run = np.array([shares[name] for name in batch.runs])
+        by_run = np.array([relative_errors[name] for name in batch.runs])
         if not by_run.any():
             continue
         c = batch.channels.shape[1]
-        root = by_run[batch.run, None] * np.sqrt(response_size(batch))
+        root = by_run[batch.run, None] * np.sqrt(local_response_power(batch))
         inner = np.eye(c) + root[:, :, None] * batch.precision[:, :c, :c] * root[:, None, :]
         total += float(np.sum(batch.count / c * np.linalg.slogdet(inner)[1]))
     return total
 
 
-def shares_that_explain(
-    batches: Sequence[Batch], system: System, near: Shares | None = None, by_chance: float = 0.0
-) -> Shares:
+def estimate_model_error(
+    batches: Sequence[Batch], system: System, initial: ModelErrors | None = None, sigma_limit: float = 0.0
+) -> ModelErrors:
     """The share e of each run at which its chi-square is its degrees of freedom; 0 where it is no more without any,
 
-    or by so many of its standard deviations (`by_chance`) only.
+    or by so many of its standard deviations (`sigma_limit`) only.
 
     Where the error outweighs the noise chi-square goes as 1/e^2: e <- e sqrt(chi2 / dof), all runs at once.
     """
     names = [name for batch in batches for name in batch.runs]
     dof = np.concatenate([np.bincount(batch.run, batch.count, len(batch.runs)) for batch in batches])
     solutions = [solve(system, batch.frequency, batch.spin) for batch in batches]
-    wrong = _run_chi2(batches, system, solutions) > dof + by_chance * _chance(batches, dof)
-    shares = np.array([(near or {}).get(name, 0.0) or FIRST_ERROR for name in names])
+    wrong = _run_chi2(batches, system, solutions) > dof + sigma_limit * _chi2_sigma(batches, dof)
+    relative_errors = np.array([(initial or {}).get(name, 0.0) or INITIAL_RELATIVE_ERROR for name in names])
     for _ in range(ITERATIONS if wrong.any() else 0):
-        trial = dict(zip(names, np.where(wrong, shares, 0.0).tolist(), strict=True))
-        ratio = np.sqrt(_run_chi2(with_model_error(batches, trial), system, solutions) / dof)
-        shares = np.clip(shares * ratio, SMALLEST_ERROR, LARGEST_ERROR)
-        if np.all(np.abs(ratio[wrong] - 1.0) < EXACT):
+        trial = dict(zip(names, np.where(wrong, relative_errors, 0.0).tolist(), strict=True))
+        ratio = np.sqrt(_run_chi2(add_model_error(batches, trial), system, solutions) / dof)
+        relative_errors = np.clip(relative_errors * ratio, MIN_RELATIVE_ERROR, MAX_RELATIVE_ERROR)
+        if np.all(np.abs(ratio[wrong] - 1.0) < CONVERGENCE_TOLERANCE):
             break
-    return dict(zip(names, np.where(wrong & (shares > SMALLEST_ERROR), shares, 0.0).tolist(), strict=True))
+    return dict(
+        zip(names, np.where(wrong & (relative_errors > MIN_RELATIVE_ERROR), relative_errors, 0.0).tolist(), strict=True)
+    )
 
 
-def _chance(batches: Sequence[Batch], count: Array) -> Array:
+def _chi2_sigma(batches: Sequence[Batch], count: Array) -> Array:
     """Standard deviation of the chi-square of each run, of so many values; each channel's noise is an estimate too."""
     known = []
     for batch in batches:
@@ -137,9 +139,9 @@ def _chance(batches: Sequence[Batch], count: Array) -> Array:
 def _run_chi2(batches: Sequence[Batch], system: System, solutions: Sequence[Solution]) -> Array:
     """Chi-square of every run, in the order of the batches."""
 
-    def of_batch(batch: Batch, solution: Solution) -> Array:
-        fit = fitted(batch, system, solution)
+    def batch_chi2(batch: Batch, solution: Solution) -> Array:
+        fit = evaluate_batch(batch, system, solution)
         return np.asarray(np.bincount(batch.run, fit.chi2 / batch.efficiency, len(batch.runs)), float)
 
     with ThreadPoolExecutor(WORKERS) as workers:
-        return np.concatenate(list(workers.map(of_batch, batches, solutions)))
+        return np.concatenate(list(workers.map(batch_chi2, batches, solutions)))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import MemorySource, Run, read_channels
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.estimation.cell_forces import forces_at
+from balance_cli.estimation.cell_forces import record_cell_forces
 from balance_cli.model.system import System, solve
 from balance_cli.signals.run_samples import sample_rate
 from balance_cli.signals.waveforms import record_waveform
@@ -22,14 +22,14 @@ from balance_cli.signals.waveforms import record_waveform
 Array = NDArray[np.float64]
 
 
-def linear_part(run: Run, system: System, geometry: Geometry, live: Sequence[str]) -> Run:
+def remove_nonlinear_contribution(run: Run, system: System, geometry: Geometry, live: Sequence[str]) -> Run:
     """The run with the dynamic part of its forces along cells taken out of its channels; itself where there is none."""
     if not any(force.values.value[0] != 0.0 for force in system.forces):
         return run
     names = geometry.channel_names
     waveform = record_waveform(read_channels(run, live), sample_rate(run), live, geometry)
     solution = solve(system, waveform.frequency, run.rotor_speed)
-    volts = forces_at(waveform, system, solution).volts(system)
+    volts = record_cell_forces(waveform, system, solution).volts(system)
     volts[0] = 0.0
     block = run.read()
     channels = block.channels.copy()

@@ -14,27 +14,27 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # A start needs no more lines; beyond this number every second, third .. line serves.
-ENOUGH_LINES = 600
+MAX_START_LINES = 600
 
 
 @dataclass(frozen=True)
-class Residual:
+class RegressionResidual:
     """Errors (K, m) of K lines, and how to get their slopes (K, m, p), which are not always asked for."""
 
     error: ComplexArray
     slope: Callable[[], ComplexArray]
 
 
-def sparsity(batches: Sequence[Batch], highest: float = np.inf, enough: int = ENOUGH_LINES) -> int:
+def line_stride(batches: Sequence[Batch], max_frequency: float = np.inf, max_lines: int = MAX_START_LINES) -> int:
     """Which lines up to `highest` [Hz] are enough: every one, every second ..."""
-    lines = sum(int(np.sum(batch.frequency[batch.index] <= highest)) for batch in batches)
-    return 1 + lines // enough
+    lines = sum(int(np.sum(batch.frequency[batch.index] <= max_frequency)) for batch in batches)
+    return 1 + lines // max_lines
 
 
-def every(batch: Batch, stride: int, highest: float = np.inf) -> NDArray[np.intp]:
+def every_nth_line(batch: Batch, stride: int, max_frequency: float = np.inf) -> NDArray[np.intp]:
     """Every `stride`-th line up to `highest` [Hz]; all at frequency zero, which are few."""
     frequency = batch.frequency[batch.index]
-    below = np.flatnonzero(frequency <= highest)
+    below = np.flatnonzero(frequency <= max_frequency)
     return np.asarray(below[(frequency[below] == 0) | (np.arange(len(below)) % stride == 0)])
 
 
@@ -44,7 +44,7 @@ def precision(batch: Batch) -> Array:
     return np.real(np.diagonal(batch.precision[:, :c, :c], axis1=1, axis2=2))
 
 
-def solved(matrix: ComplexArray | Array, right: ComplexArray | Array) -> ComplexArray:
+def batched_least_squares(matrix: ComplexArray | Array, right: ComplexArray | Array) -> ComplexArray:
     """Least squares (K, n, r) of matrices (K, m, n), columns scaled; by the normal equations, as a start allows."""
     size = np.sqrt(np.sum(np.abs(matrix) ** 2, axis=1))
     scaled = matrix / np.where(size > 0, size, 1.0)[:, None, :]

@@ -31,52 +31,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.channel_alignment import alignment
-from balance_cli.estimation.equations_of_motion import motions
-from balance_cli.estimation.levenberg_marquardt import minimise
+from balance_cli.estimation.equations_of_motion import motion_residuals
+from balance_cli.estimation.levenberg_marquardt import minimize
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.estimation.measurements import Batch
-from balance_cli.estimation.regression_residual import Residual, sparsity
+from balance_cli.estimation.regression_residual import RegressionResidual, line_stride
 from balance_cli.model.parameters import ParameterSet
 from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 
 # Scales within which effects are sought: what two channels share cannot be seen in their ratio, for one.
-WITHIN = 100.0
+EFFECT_PRIOR_SCALES = 100.0
 # The same where a fit goes on at once: what the regression hardly sees should stay where it is.
-NEAR = 10.0
+REGRESSION_PRIOR_SCALES = 10.0
 # Scales within which an effect stays where it stands.
-HELD = 1e-3
+FIXED_EFFECT_SCALES = 1e-3
 # Highest frequencies [Hz] of the bands that are taken in one after another where parts are flexible.
-BANDS = (20.0, 40.0, 80.0, np.inf)
+BAND_EDGES = (20.0, 40.0, 80.0, np.inf)
 ROUNDS = 2
 # Lines that are enough for a start from which a fit goes on at once.
-FEW = 150
+QUICK_START_LINES = 150
 
 
 @dataclass(frozen=True)
-class Starts:
+class StartingPoints:
     """Two full parameter vectors: effects where they stand with the rest fitted round them, and everything fitted."""
 
-    held: Array
-    freed: Array
+    effects_fixed: Array
+    effects_free: Array
 
 
 def starting_values(
     parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], start: Array
-) -> Starts:
+) -> StartingPoints:
     """Where to begin, from `start`; priors hold what the data leave open."""
-    near = parameters_within(parameters, start, WITHIN)
-    aligned = _minimum(near, [alignment(batch, sparsity(batches)) for batch in batches], system, start)
+    weakly_constrained = add_weak_priors(parameters, start, EFFECT_PRIOR_SCALES)
+    aligned = _fit_regression(
+        weakly_constrained, [alignment(batch, line_stride(batches)) for batch in batches], system, start
+    )
     known = system(aligned)
-    held = _minimum(parameters_within(parameters, aligned, HELD), motions(batches, known), system, aligned)
-    freed = held
-    for highest in BANDS if np.any(known.own_stiffness) else (np.inf,):
-        freed = _minimum(near, motions(batches, known, highest), system, freed)
-    return Starts(held, freed)
+    effects_fixed = _fit_regression(
+        add_weak_priors(parameters, aligned, FIXED_EFFECT_SCALES), motion_residuals(batches, known), system, aligned
+    )
+    effects_free = effects_fixed
+    for max_frequency in BAND_EDGES if np.any(known.own_stiffness) else (np.inf,):
+        effects_free = _fit_regression(
+            weakly_constrained, motion_residuals(batches, known, max_frequency), system, effects_free
+        )
+    return StartingPoints(effects_fixed, effects_free)
 
 
-def by_equations_of_motion(
+def start_from_equations_of_motion(
     parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], start: Array
 ) -> Array:
     """The full parameter vector that leaves least of the equations of motion, with the channels as they are at `start`.
@@ -84,31 +90,33 @@ def by_equations_of_motion(
     From nearly anywhere it comes near the truth where nothing that matters is missing. `start` itself where the
     regression leads to no rig at all.
     """
-    near = parameters_within(parameters, start, NEAR)
+    weakly_constrained = add_weak_priors(parameters, start, REGRESSION_PRIOR_SCALES)
     try:
         with np.errstate(all="ignore"):
-            found = _minimum(near, motions(batches, system(start), enough=FEW), system, start)
+            found = _fit_regression(
+                weakly_constrained, motion_residuals(batches, system(start), max_lines=QUICK_START_LINES), system, start
+            )
     except np.linalg.LinAlgError:
         return start
     return found if np.all(np.isfinite(found)) else start
 
 
-def parameters_within(parameters: ParameterSet, start: Array, scales: float) -> ParameterSet:
+def add_weak_priors(parameters: ParameterSet, start: Array, scales: float) -> ParameterSet:
     """The same parameters, none without a prior: those that had none are held within so many scales of `start`."""
     unknown = np.isinf(parameters.sigma)
     sigma = np.where(unknown, scales * parameters.scale, parameters.sigma)
     return replace(parameters, value=np.where(unknown, start, parameters.value), sigma=sigma)
 
 
-def _minimum(
+def _fit_regression(
     parameters: ParameterSet,
-    residuals: Sequence[Callable[[System], Residual]],
+    residuals: Sequence[Callable[[System], RegressionResidual]],
     system: Callable[[Array], System],
     start: Array,
 ) -> Array:
     """Least squares with the priors; the variance is that of the residual itself, taken anew in each round."""
 
-    def found(theta: Array) -> list[Residual]:
+    def found(theta: Array) -> list[RegressionResidual]:
         at = system(theta)
         return [residual(at) for residual in residuals]
 
@@ -116,13 +124,13 @@ def _minimum(
         return float(sum(np.sum(np.abs(item.error) ** 2) for item in found(theta)))
 
     p = int(parameters.free.sum())
-    begun = found(start)
-    count = sum(item.error.size for item in begun)
-    if not all(np.all(np.isfinite(item.error)) for item in begun):
+    initial_residuals = found(start)
+    count = sum(item.error.size for item in initial_residuals)
+    if not all(np.all(np.isfinite(item.error)) for item in initial_residuals):
         return start  # a part that is as stiff as can be has no equation of motion
     for _ in range(ROUNDS if count else 0):
         variance = max(squares(start) / count, np.finfo(float).tiny)
-        start = minimise(
+        start = minimize(
             parameters,
             start,
             lambda theta, v=variance: _curvature(found(theta), v, p),  # type: ignore[misc]
@@ -133,7 +141,7 @@ def _minimum(
     return start
 
 
-def _curvature(residuals: Sequence[Residual], variance: float, p: int) -> Curvature:
+def _curvature(residuals: Sequence[RegressionResidual], variance: float, p: int) -> Curvature:
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     for item in residuals:
         slope, error = item.slope().reshape(-1, p), item.error.reshape(-1)

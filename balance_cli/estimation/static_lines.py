@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.signals.run_spectrum import Lines, LoadPoints, StaticPoints
+from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints, StaticWaveform
 
 Array = NDArray[np.float64]
 
 
-def static_lines(points: StaticPoints) -> Lines:
+def static_lines(points: StaticPoints) -> RunSpectrum:
     """A static run as lines at frequency zero: its regression slopes, scaled to independent experiments.
 
     With the centred loads U = Q R the rows carry C0 R' with noise `covariance` in each of the six columns, so that
@@ -26,9 +26,9 @@ def static_lines(points: StaticPoints) -> Lines:
     components = tuple(name for name, used in zip(COMPONENTS, varied, strict=True) if used)
     count, c = len(R), len(points.channel_names)
     padded = np.zeros((count, c + count, c + count), complex)
-    parts = tuple(part.through(Q) for part in points.noise_parts)
+    parts = tuple(part.project(Q) for part in points.noise_parts)
     padded[:, :c, :c] = 2.0 * (sum(part.covariance for part in parts) if parts else points.covariance)
-    return Lines(
+    return RunSpectrum(
         run=points.run,
         channel_names=points.channel_names,
         components=components,
@@ -50,6 +50,6 @@ def _complete_qr(loads: Array) -> tuple[Array, Array]:
     return np.asarray(Q[:, 1:]), np.asarray(R[1:, 1:])
 
 
-def _load_points(points: StaticPoints, projection: Array) -> LoadPoints:
+def _load_points(points: StaticPoints, projection: Array) -> StaticWaveform:
     share = np.broadcast_to(np.asarray(points.share), points.channels.shape)
-    return LoadPoints(points.channels.astype(complex), share, projection)
+    return StaticWaveform(points.channels.astype(complex), share, projection)

@@ -19,27 +19,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.measurements import Batch
-from balance_cli.model.transient_modes import FreeMotion, divided_differences, free_motion
-from balance_cli.model.system import System, unless_most
-from balance_cli.signals.run_spectrum import RecordWaveform, Window
+from balance_cli.model.system import System, mask_or_full_slice
+from balance_cli.model.transient_modes import TransientModes, divided_differences, transient_modes
+from balance_cli.signals.run_spectrum import AnalysisWindow, RecordWaveform
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
-Weigh = Callable[[slice, ComplexArray], ComplexArray]
+WeightFunction = Callable[[slice, ComplexArray], ComplexArray]
 
 # At rest the free motion is minus the forced one; its modes by themselves may be somewhat larger.
-LARGEST = 10.0
+MAX_AMPLITUDE_RATIO = 10.0
 # Decay, as a logarithm, that leaves nothing of a mode in any line.
-DECAYED = 18.4
+MAX_DECAY = 18.4
 # Growth, as a logarithm, that no record shows.
-GROWN = 50.0
+MAX_GROWTH = 50.0
 # Of the largest signal, where a computed one is zero.
-LEAST_SIGNAL = 1e-9
+MIN_SIGNAL_RATIO = 1e-9
 
 
 @dataclass(frozen=True)
-class Transient:
+class RunTransient:
     """The free motion of one run: its `lines`, window and modes; columns C (K, c, 2m) and weighted P C.
 
     held (c,) [1/V]: one over the largest free motion of a channel, and Q (c, 2m) that times the motion at t = 0;
@@ -47,12 +47,12 @@ class Transient:
     """
 
     lines: slice
-    window: Window
+    window: AnalysisWindow
     frequency: Array
-    free: FreeMotion
+    free: TransientModes
     columns: ComplexArray
     weighted: ComplexArray
-    held: Array
+    prior_weight: Array
     bound: ComplexArray
     normal: Array
     x: Array
@@ -62,45 +62,45 @@ class Transient:
         """|Q x|^2."""
         return float(np.sum(np.abs(self.bound @ self.x) ** 2))
 
-    def solved(self, right: Array) -> Array:
+    def amplitudes(self, right: Array) -> Array:
         """Amplitudes (2m, ...) from what columns have to do with them."""
-        return _solve(self.normal, right)
+        return _solve_scaled(self.normal, right)
 
     @property
-    def determined(self) -> float:
+    def effective_parameters(self) -> float:
         """Number of amplitudes that the lines determine; none of what no live channel reads."""
-        held = np.real(self.bound.conj().T @ self.bound)
+        prior_weight = np.real(self.bound.conj().T @ self.bound)
         read = np.count_nonzero(np.diag(self.normal) > 0)
-        return float(read - np.trace(_solve(self.normal, held)))
+        return float(read - np.trace(_solve_scaled(self.normal, prior_weight)))
 
 
 def transients(
-    batch: Batch, system: System, residual: ComplexArray, weigh: Weigh, slopes: bool
-) -> tuple[Transient, ...]:
+    batch: Batch, system: System, residual: ComplexArray, apply_weight: WeightFunction, derivatives: bool
+) -> tuple[RunTransient, ...]:
     """The free motion of every run of the batch that has any, fitted to the residual Y - T U (K, c).
 
     `weigh` multiplies columns (k, c, q) at the given lines by P, the precision with the true loads eliminated.
     """
-    found: list[Transient] = []
-    known: dict[tuple[float, float], FreeMotion] = {}
+    found: list[RunTransient] = []
+    known: dict[tuple[float, float], TransientModes] = {}
     for run, of_run in enumerate(batch.parts):
-        part = _part(batch, run)
+        part = _lines_with_transient(batch, run)
         if part is None:
             continue
-        lines, window, highest = part
-        key = (highest, DECAYED / max(float(window.start.min()), window.step))
+        lines, window, max_frequency = part
+        key = (max_frequency, MAX_DECAY / max(float(window.start.min()), window.step))
         if key not in known:
-            known[key] = free_motion(system, batch.spin, *key, slopes)
+            known[key] = transient_modes(system, batch.spin, *key, derivatives)
         free, frequency = known[key], batch.frequency[batch.index[lines]]
         if not len(free.s):
             continue
-        columns, held = transient_columns(free, window, frequency), _held(batch, of_run)
-        weighted = weigh(lines, columns)
-        found.append(_fitted(lines, window, frequency, free, columns, weighted, held, residual[lines]))
+        columns, prior_weight = transient_columns(free, window, frequency), _prior_weight(batch, of_run)
+        weighted = apply_weight(lines, columns)
+        found.append(_fit_transient(lines, window, frequency, free, columns, weighted, prior_weight, residual[lines]))
     return tuple(found)
 
 
-def _part(batch: Batch, run: int) -> tuple[slice, Window, float] | None:
+def _lines_with_transient(batch: Batch, run: int) -> tuple[slice, AnalysisWindow, float] | None:
     """The lines of a run that hold free motion, where they come from, and the highest of its modes [Hz].
 
     Local models have taken it out of the lines of a record that does not repeat, but not out of its mean: there the
@@ -111,37 +111,39 @@ def _part(batch: Batch, run: int) -> tuple[slice, Window, float] | None:
         return lines, window, 0.5 / window.step
     if not isinstance(waveform, RecordWaveform) or batch.frequency[batch.index[lines.stop - 1]] > 0:
         return None
-    whole = Window(np.zeros(1), waveform.samples * waveform.step, waveform.step, np.zeros((1, 0, 0), complex), np.inf)
+    whole = AnalysisWindow(
+        np.zeros(1), waveform.samples * waveform.step, waveform.step, np.zeros((1, 0, 0), complex), np.inf
+    )
     return slice(lines.stop - 1, lines.stop), whole, 0.0
 
 
-def _fitted(
+def _fit_transient(
     lines: slice,
-    window: Window,
+    window: AnalysisWindow,
     frequency: Array,
-    free: FreeMotion,
+    free: TransientModes,
     columns: ComplexArray,
     weighted: ComplexArray,
-    held: Array,
+    prior_weight: Array,
     residual: ComplexArray,
-) -> Transient:
+) -> RunTransient:
     m2 = columns.shape[2]
-    bound = held[:, None] * np.concatenate([free.volts, 1j * free.volts], axis=1)
+    bound = prior_weight[:, None] * np.concatenate([free.volts, 1j * free.volts], axis=1)
     flat = weighted.reshape(-1, m2).conj().T
     normal = 2.0 * np.real(flat @ columns.reshape(-1, m2)) + np.real(bound.conj().T @ bound)
-    x = _solve(normal, 2.0 * np.real(flat @ residual.reshape(-1)))
-    return Transient(lines, window, frequency, free, columns, weighted, held, bound, normal, x)
+    x = _solve_scaled(normal, 2.0 * np.real(flat @ residual.reshape(-1)))
+    return RunTransient(lines, window, frequency, free, columns, weighted, prior_weight, bound, normal, x)
 
 
-def _held(batch: Batch, lines: slice) -> Array:
+def _prior_weight(batch: Batch, lines: slice) -> Array:
     """One over the largest free motion (c,) [1/V] that is expected of each live channel."""
     rms = np.sqrt(0.5 * np.sum(np.abs(batch.channels[lines]) ** 2, axis=0))
     c = len(rms)
     live = np.real(np.diagonal(batch.precision[lines.start]))[:c] > 0
-    return np.where(live, 1.0 / (LARGEST * np.maximum(rms, LEAST_SIGNAL * rms.max())), 0.0)
+    return np.where(live, 1.0 / (MAX_AMPLITUDE_RATIO * np.maximum(rms, MIN_SIGNAL_RATIO * rms.max())), 0.0)
 
 
-def _solve(normal: Array, right: Array) -> Array:
+def _solve_scaled(normal: Array, right: Array) -> Array:
     """Solution with a symmetric matrix of columns of very different size, some perhaps alike, or zero: unread modes."""
     diagonal = np.diag(normal)
     size = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
@@ -150,39 +152,41 @@ def _solve(normal: Array, right: Array) -> Array:
     return np.asarray(factor * np.linalg.solve(scaled, factor * right))
 
 
-def transient_columns(free: FreeMotion, window: Window, frequency: Array) -> ComplexArray:
+def transient_columns(free: TransientModes, window: AnalysisWindow, frequency: Array) -> ComplexArray:
     """C (K, c, 2m): the lines of the free motion per unit of the real, then of the imaginary parts of a."""
     starts, index = np.unique(window.start, return_inverse=True)
-    decay = _decay(free.s, starts, window)[0][index]
-    each = [(decay * _comb(free.s, w, window))[:, None, :] * free.volts for w in _both(frequency)]
+    decay = _window_decay(free.s, starts, window)[0][index]
+    each = [(decay * _resolvent(free.s, w, window))[:, None, :] * free.volts for w in _both_signs(frequency)]
     return _real_columns(each[0], each[1].conj())
 
 
-def transient_slopes(fit: Transient) -> ComplexArray:
+def transient_derivatives(fit: RunTransient) -> ComplexArray:
     """Derivatives (K, c, p) of C x by the parameters."""
     free = fit.free
-    p, c, m = free.volts_slope.shape
-    parts = [_summed(free, fit.window, w, _complex(fit.x)) for w in _both(fit.frequency)]
+    p, c, m = free.volts_derivative.shape
+    parts = [_transient_with_change(free, fit.window, w, _to_complex(fit.x)) for w in _both_signs(fit.frequency)]
     motion, change = (np.concatenate([one, other.conj()], axis=1) for one, other in zip(*parts, strict=True))
-    read = np.concatenate([free.volts_slope, free.volts_slope.conj()], axis=2)
-    slopes = np.asarray((motion @ read.transpose(2, 1, 0).reshape(2 * m, c * p)).reshape(-1, c, p), complex)
+    read = np.concatenate([free.volts_derivative, free.volts_derivative.conj()], axis=2)
+    derivatives = np.asarray((motion @ read.transpose(2, 1, 0).reshape(2 * m, c * p)).reshape(-1, c, p), complex)
     # Most parameters of a score test change how the motion is read and not how it goes on.
-    moving = unless_most(np.any(free.s_slope, axis=(1, 2)))
-    moved = np.concatenate([free.s_slope[moving], free.s_slope[moving].conj()], axis=1)
+    moving = mask_or_full_slice(np.any(free.s_derivative, axis=(1, 2)))
+    moved = np.concatenate([free.s_derivative[moving], free.s_derivative[moving].conj()], axis=1)
     inner = np.matmul(change.swapaxes(0, 1), moved.transpose(1, 2, 0)).swapaxes(0, 1)
-    slopes[:, :, moving] += np.concatenate([free.volts, free.volts.conj()], axis=1) @ inner
-    return slopes
+    derivatives[:, :, moving] += np.concatenate([free.volts, free.volts.conj()], axis=1) @ inner
+    return derivatives
 
 
-def _summed(free: FreeMotion, window: Window, w: Array, a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+def _transient_with_change(
+    free: TransientModes, window: AnalysisWindow, w: Array, a: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
     """R(S) E(S) a (K, m), and what makes its change: sum over j of `change` (K, m, m) times dS_ij.
 
     R is a resolvent, (1 - Z)^-1 of Z = exp((S - jw) h), so that dR = R dZ R: no differences at every line.
     """
     s, h = free.s, window.step
     starts, index = np.unique(window.start, return_inverse=True)
-    E, dE = _decay(s, starts, window)
-    R, stepped = _comb(s, w, window), np.asarray(np.exp(s * h), complex)
+    E, dE = _window_decay(s, starts, window)
+    R, stepped = _resolvent(s, w, window), np.asarray(np.exp(s * h), complex)
     motion = R * (E * a)[index]
     dZ = np.exp(-1j * w * h)[:, None, None] * divided_differences(stepped, np.asarray(h * stepped, complex), s)
     change = R[:, :, None] * (dZ * motion[:, None, :] + (divided_differences(E, dE, s) * a)[index])
@@ -190,7 +194,7 @@ def _summed(free: FreeMotion, window: Window, w: Array, a: ComplexArray) -> tupl
 
 
 @dataclass(frozen=True)
-class Taken:
+class TransientTerms:
     """What a run's eliminated free motion does to slopes (K, c, p): `gradient` (p,) is added to half the gradient, and
 
     with B (c, p) `bound` and X (2m, p) `cross` the information gains Re B* B - X' N^-1 X, N (2m, 2m) `normal`.
@@ -204,30 +208,30 @@ class Taken:
     def information(self, rows: Index | slice, columns: Index | slice) -> Array:
         """The part (rows, columns) of what is added to the information."""
         own = np.real(self.bound[:, rows].conj().T @ self.bound[:, columns])
-        return np.asarray(own - self.cross[:, rows].T @ _solve(self.normal, self.cross[:, columns]))
+        return np.asarray(own - self.cross[:, rows].T @ _solve_scaled(self.normal, self.cross[:, columns]))
 
     def diagonal(self) -> Array:
         """The diagonal (p,) of what is added to the information."""
-        solved = _solve(self.normal, self.cross)
-        return np.asarray(np.sum(np.abs(self.bound) ** 2, axis=0) - np.sum(self.cross * solved, axis=0))
+        amplitudes = _solve_scaled(self.normal, self.cross)
+        return np.asarray(np.sum(np.abs(self.bound) ** 2, axis=0) - np.sum(self.cross * amplitudes, axis=0))
 
 
-def eliminated(fit: Transient, slopes: ComplexArray) -> Taken:
+def eliminate_transient(fit: RunTransient, derivatives: ComplexArray) -> TransientTerms:
     """The part of the run's free motion in gradient and information of slopes (K, c, p)."""
-    p = slopes.shape[2]
-    of_bound = fit.held[:, None] * (fit.free.volts_slope @ _complex(fit.x)).T
+    p = derivatives.shape[2]
+    of_bound = fit.prior_weight[:, None] * (fit.free.volts_derivative @ _to_complex(fit.x)).T
     gradient = np.real(of_bound.conj().T @ (fit.bound @ fit.x))
     weighted = fit.weighted.reshape(-1, len(fit.x)).conj().T
-    cross = 2.0 * np.real(weighted @ slopes.reshape(-1, p)) + np.real(fit.bound.conj().T @ of_bound)
-    return Taken(gradient, of_bound, cross, fit.normal)
+    cross = 2.0 * np.real(weighted @ derivatives.reshape(-1, p)) + np.real(fit.bound.conj().T @ of_bound)
+    return TransientTerms(gradient, of_bound, cross, fit.normal)
 
 
-def _both(frequency: Array) -> Sequence[Array]:
+def _both_signs(frequency: Array) -> Sequence[Array]:
     w = 2 * np.pi * frequency
     return w, -w
 
 
-def _complex(x: Array) -> ComplexArray:
+def _to_complex(x: Array) -> ComplexArray:
     m = len(x) // 2
     return np.asarray(x[:m] + 1j * x[m:])
 
@@ -237,13 +241,13 @@ def _real_columns(positive: ComplexArray, negative: ComplexArray) -> ComplexArra
     return np.concatenate([positive + negative, 1j * (positive - negative)], axis=-1)
 
 
-def _decay(s: ComplexArray, starts: Array, window: Window) -> tuple[ComplexArray, ComplexArray]:
+def _window_decay(s: ComplexArray, starts: Array, window: AnalysisWindow) -> tuple[ComplexArray, ComplexArray]:
     """E (f, m) = (exp(s t_f) - exp(s t_e)) / N for each start, and dE/ds.
 
     LinAlgError for a motion that grows beyond measure: no rig that was recorded does.
     """
     t_f, t_e = starts[:, None], window.stop
-    if np.any(s.real * t_e > GROWN):
+    if np.any(s.real * t_e > MAX_GROWTH):
         raise np.linalg.LinAlgError("the free motion grows without bound")
     share = window.step / (t_e - t_f)
     first, last = np.exp(s * t_f), np.exp(s * t_e)
@@ -251,6 +255,6 @@ def _decay(s: ComplexArray, starts: Array, window: Window) -> tuple[ComplexArray
     return np.asarray(E, complex), np.asarray(slope, complex)
 
 
-def _comb(s: ComplexArray, w: Array, window: Window) -> ComplexArray:
+def _resolvent(s: ComplexArray, w: Array, window: AnalysisWindow) -> ComplexArray:
     """R (K, m) = 1 / (1 - exp((s - jw) h))."""
     return np.asarray(1.0 / (1.0 - np.exp((s - 1j * w[:, None]) * window.step)), complex)

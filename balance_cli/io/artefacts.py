@@ -21,10 +21,10 @@ from typing import Any
 import h5py
 
 from balance_cli import __version__
-from balance_cli.io.atomic import written_whole
+from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
 from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
-from balance_cli.io.sniff import is_hdf5, require_file, stored_format, what_is
+from balance_cli.io.sniff import describe_file, is_hdf5, require_file, sniff_format
 
 FORMATS = (
     "balance-calibration/1",
@@ -67,7 +67,7 @@ class Artefact:
 
 
 @dataclass(frozen=True)
-class Stored:
+class StoredArtefact:
     """An artefact as stored, whatever its type: the tree of its content, and the digest that the file states."""
 
     format: str
@@ -76,7 +76,7 @@ class Stored:
     digest: str
 
 
-def provenance_now(command: str, options: Mapping[str, Any], inputs: tuple[Input, ...]) -> Provenance:
+def make_provenance(command: str, options: Mapping[str, Any], inputs: tuple[Input, ...]) -> Provenance:
     """The provenance of a result that is made now, by this installation."""
     plain_options = json.loads(json.dumps(dict(options), default=str))
     versions = {"balance-cli": __version__, "python": platform.python_version()}
@@ -86,10 +86,10 @@ def provenance_now(command: str, options: Mapping[str, Any], inputs: tuple[Input
 
 def content_digest(format: str, content: Any, provenance: Provenance) -> str:
     """Hex SHA-256 of schema, data, options and input digests; not of command, names, paths, versions and time."""
-    return _digest(format, to_tree(content), provenance)
+    return _artefact_digest(format, to_tree(content), provenance)
 
 
-def _digest(format: str, tree: Tree, provenance: Provenance) -> str:
+def _artefact_digest(format: str, tree: Tree, provenance: Provenance) -> str:
     inputs = sorted((item.role, item.digest) for item in provenance.inputs)
     parts = (format, tree_digest(tree), json.dumps(provenance.options, sort_keys=True), json.dumps(inputs))
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
@@ -103,8 +103,8 @@ def save_artefact(path: Path, format: str, content: Any, provenance: Provenance)
     if format not in FORMATS:
         raise ValueError(f"unknown format {format}")
     tree = to_tree(content)
-    digest = _digest(format, tree, provenance)
-    with written_whole(Path(path)) as part, h5py.File(part, "w") as file:
+    digest = _artefact_digest(format, tree, provenance)
+    with atomic_write(Path(path)) as part, h5py.File(part, "w") as file:
         for name, text in _root_attributes(format, digest, provenance).items():
             file.attrs[name] = text
         write_tree(file.create_group("content", track_order=True), tree)
@@ -131,17 +131,19 @@ def load_artefact(path: Path, types: Mapping[str, type[Any]]) -> Artefact:
     path = Path(path)
     require_file(path)
     expected = " or ".join(f"`{format}`" for format in types)
-    if stored_format(path) not in types or not is_hdf5(path):
-        raise UserError(f"is {what_is(path)}, where {expected} was expected", str(path), remedy="Give another file")
+    if sniff_format(path) not in types or not is_hdf5(path):
+        raise UserError(
+            f"is {describe_file(path)}, where {expected} was expected", str(path), remedy="Give another file"
+        )
     stored = read_stored(path)
-    with _damage(path):
+    with _damage_as_user_error(path):
         content = from_tree(stored.tree, types[stored.format])
     return Artefact(stored.format, content, stored.provenance, stored.digest)
 
 
-def read_stored(path: Path) -> Stored:
+def read_stored(path: Path) -> StoredArtefact:
     """Read an artefact without knowing its type, and check its digest. UserError as for `load_artefact`."""
-    with _damage(path), h5py.File(path, "r") as file:
+    with _damage_as_user_error(path), h5py.File(path, "r") as file:
         attributes = {name: str(value) for name, value in file.attrs.items()}
         provenance = Provenance(
             attributes["command"],
@@ -150,8 +152,8 @@ def read_stored(path: Path) -> Stored:
             json.loads(attributes["versions"]),
             attributes["created"],
         )
-        stored = Stored(attributes["format"], read_tree(file["content"]), provenance, attributes["digest"])
-        computed = _digest(stored.format, stored.tree, provenance)
+        stored = StoredArtefact(attributes["format"], read_tree(file["content"]), provenance, attributes["digest"])
+        computed = _artefact_digest(stored.format, stored.tree, provenance)
     if computed != stored.digest:
         fault = "its content does not match its digest: it was changed after it was written"
         raise UserError(fault, str(path), "digest", f"Make it again with `balance {provenance.command}`")
@@ -159,7 +161,7 @@ def read_stored(path: Path) -> Stored:
 
 
 @contextmanager
-def _damage(path: Path) -> Iterator[None]:
+def _damage_as_user_error(path: Path) -> Iterator[None]:
     """Whatever a damaged file makes the reader say, as a UserError."""
     try:
         yield

@@ -10,7 +10,7 @@ from pathlib import Path
 from balance_cli.io.errors import UserError
 
 
-class Staged:
+class StagedOutputs:
     """Output files prepared beside their places and put there together by `commit`, or removed by `discard`."""
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class Staged:
         self._parts[target] = part
         return part
 
-    def withdraw(self, path: Path) -> None:
+    def unstage(self, path: Path) -> None:
         """Prepare no file at `path` after all; what was written for it is removed."""
         part = self._parts.pop(path.resolve())
         with suppress(OSError):
@@ -37,7 +37,7 @@ class Staged:
         """A folder for outputs, made where there is none (and removed again by `discard`)."""
         check_output_folder(path)
         if not path.exists():
-            with writing(path):
+            with os_errors_as_user_error(path):
                 path.mkdir()
             self._folders.append(path)
         return path
@@ -45,7 +45,7 @@ class Staged:
     def commit(self) -> tuple[Path, ...]:
         """Move all prepared files to their places; returns these."""
         for target, part in self._parts.items():
-            with writing(target):
+            with os_errors_as_user_error(target):
                 part.replace(target)
         done = tuple(self._parts)
         self._parts, self._folders = {}, []
@@ -62,11 +62,11 @@ class Staged:
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """The path to write to; moved to `path` when the block ends well, removed when it does not."""
-    staged = Staged()
+    staged = StagedOutputs()
     try:
-        with writing(path):
+        with os_errors_as_user_error(path):
             yield staged.file(path)
         staged.commit()
     finally:
@@ -74,7 +74,7 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
+def os_errors_as_user_error(path: Path) -> Iterator[None]:
     """Turn an operating-system fault (disk full, no permission) into a UserError that names the file."""
     try:
         yield

@@ -27,7 +27,7 @@ from pydantic import BaseModel
 
 Tree = dict[str, Any]
 SCALARS = (bool, int, float, complex, str)
-COMPRESS_FROM = 4096
+COMPRESSION_THRESHOLD = 4096
 """Bytes above which a dataset is compressed."""
 
 
@@ -46,7 +46,7 @@ def to_tree(value: Any) -> Any:
     if value is None or isinstance(value, SCALARS):
         return value
     if isinstance(value, np.ndarray):
-        return _plain_array(value)
+        return _require_storable_array(value)
     return _container_to_tree(value)
 
 
@@ -67,11 +67,11 @@ def _container_to_tree(value: Any) -> Any:
 def _sequence_to_tree(items: tuple[Any, ...] | list[Any]) -> Any:
     kinds = {type(item.item() if isinstance(item, np.generic) else item) for item in items}
     if items and (kinds == {int, float} or (len(kinds) == 1 and kinds <= set(SCALARS))):
-        return _plain_array(np.array(items, dtype=object if kinds == {str} else None))
+        return _require_storable_array(np.array(items, dtype=object if kinds == {str} else None))
     return {str(index): to_tree(item) for index, item in enumerate(items)}
 
 
-def _plain_array(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def _require_storable_array(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     if array.dtype.kind in "biufc":
         return array
     if array.dtype.kind in "OU" and all(isinstance(item, str) for item in array.flat):
@@ -81,7 +81,7 @@ def _plain_array(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 def _column(column: pd.Series[Any]) -> np.ndarray[Any, Any]:
     values = column.to_numpy()
-    return _plain_array(values if values.dtype.kind in "biufc" else values.astype(object))
+    return _require_storable_array(values if values.dtype.kind in "biufc" else values.astype(object))
 
 
 # ---- tree -> dataclass -----------------------------------------------------------------------------------------------
@@ -115,14 +115,18 @@ def _from_union(tree: Any, options: tuple[Any, ...]) -> Any:
         return from_tree(tree, rest[0])
     if isinstance(tree, SCALARS) and type(tree) in rest:
         return tree
-    return from_tree(tree, next(option for option in rest if _may_hold(option, tree)))
+    return from_tree(tree, next(option for option in rest if _fits_outer_form(option, tree)))
 
 
-def _may_hold(option: Any, tree: Any) -> bool:
+def _fits_outer_form(option: Any, tree: Any) -> bool:
     """Whether a tree can be of this type, by its outer form alone."""
     origin = typing.get_origin(option) or option
     if isinstance(tree, dict):
-        fields = {stored_field_name(item) for item in dataclasses.fields(option)} if dataclasses.is_dataclass(option) else None
+        fields = (
+            {stored_field_name(item) for item in dataclasses.fields(option)}
+            if dataclasses.is_dataclass(option)
+            else None
+        )
         return fields == set(tree) if fields is not None else origin in (dict, Mapping, tuple, pd.DataFrame)
     return (origin in (np.ndarray, tuple)) if isinstance(tree, np.ndarray) else origin in SCALARS
 
@@ -136,7 +140,7 @@ def _to_tuple(tree: Any, hints: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _from_class(tree: Any, kind: Any) -> Any:
     if kind is np.ndarray:
-        return np.asarray(tree) if isinstance(tree, SCALARS) else _expect(tree, np.ndarray)
+        return np.asarray(tree) if isinstance(tree, SCALARS) else _require_type(tree, np.ndarray)
     if kind is pd.DataFrame:
         return pd.DataFrame({name: _text_column(column) for name, column in _as_tree(tree).items()})
     if kind in SCALARS:
@@ -147,7 +151,7 @@ def _from_class(tree: Any, kind: Any) -> Any:
         values = {names[name]: from_tree(value, hints[names[name]]) for name, value in _as_tree(tree).items()}
         return typing.cast(Any, kind)(**values)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        return kind.model_validate_json(_expect(tree, str))
+        return kind.model_validate_json(_require_type(tree, str))
     raise TypeError(f"{kind} has no place in an artefact")
 
 
@@ -158,17 +162,17 @@ def _text_column(column: Any) -> Any:
 def _scalar(tree: Any, kind: Any) -> Any:
     if kind is float and type(tree) is int:
         return float(tree)
-    return _expect(tree, kind)
+    return _require_type(tree, kind)
 
 
-def _expect(tree: Any, kind: type) -> Any:
+def _require_type(tree: Any, kind: type) -> Any:
     if not isinstance(tree, kind) or (isinstance(tree, bool) and kind is not bool):
         raise ValueError(f"{type(tree).__name__} where {kind.__name__} was expected")
     return tree
 
 
 def _as_tree(tree: Any) -> Tree:
-    result: Tree = _expect(tree, dict)
+    result: Tree = _require_type(tree, dict)
     return result
 
 
@@ -178,14 +182,16 @@ def _as_tree(tree: Any) -> Tree:
 def write_tree(group: h5py.Group, tree: Tree) -> None:
     """Write a tree into an empty group."""
     for key, value in tree.items():
-        name = _stored_name(key)
+        name = _link_name(key)
         if isinstance(value, dict):
             write_tree(group.create_group(name, track_order=True), value)
         elif value is None:
             group.create_dataset(name, data=h5py.Empty("f8"))
         elif isinstance(value, np.ndarray):
             text = h5py.string_dtype() if value.dtype == object else None
-            large = {"compression": "gzip", "shuffle": True} if value.nbytes >= COMPRESS_FROM and value.ndim else {}
+            large = (
+                {"compression": "gzip", "shuffle": True} if value.nbytes >= COMPRESSION_THRESHOLD and value.ndim else {}
+            )
             group.create_dataset(name, data=value, dtype=text, **large)
         else:
             group.create_dataset(name, data=value, dtype=h5py.string_dtype() if isinstance(value, str) else None)
@@ -193,7 +199,7 @@ def write_tree(group: h5py.Group, tree: Tree) -> None:
 
 def read_tree(group: h5py.Group) -> Tree:
     """The inverse of `write_tree`, everything read into memory."""
-    return {_key(name): _read(item) for name, item in group.items()}
+    return {_key_of_link(name): _read(item) for name, item in group.items()}
 
 
 def _read(item: h5py.Group | h5py.Dataset) -> Any:
@@ -210,14 +216,14 @@ def _value(dataset: h5py.Dataset) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _stored_name(key: str) -> str:
+def _link_name(key: str) -> str:
     """A key as the name of an HDF5 link, which must not be empty, hold `/` or be `.`."""
     if key in ("", "."):
         return {"": "%", ".": "%2E"}[key]
     return key.replace("%", "%25").replace("/", "%2F")
 
 
-def _key(name: str) -> str:
+def _key_of_link(name: str) -> str:
     return "" if name == "%" else unquote(name)
 
 
@@ -227,25 +233,25 @@ def _key(name: str) -> str:
 def tree_digest(tree: Tree) -> str:
     """Hex SHA-256 of a tree, independent of the order of keys and of how the tree was stored."""
     hashed = hashlib.sha256()
-    for part in _leaves(tree, ""):
+    for part in _digest_parts(tree, ""):
         hashed.update(len(part).to_bytes(8, "little"))
         hashed.update(part)
     return hashed.hexdigest()
 
 
-def _leaves(value: Any, place: str) -> Iterator[bytes]:
+def _digest_parts(value: Any, place: str) -> Iterator[bytes]:
     yield place.encode()
     if isinstance(value, dict):
         yield b"tree"
         for key in sorted(value):
-            yield from _leaves(value[key], f"{place}/{_stored_name(key)}")
+            yield from _digest_parts(value[key], f"{place}/{_link_name(key)}")
     elif isinstance(value, np.ndarray):
-        yield from _array_parts(value)
+        yield from _array_digest_parts(value)
     else:
         yield f"{type(value).__name__}:{value!r}".encode()
 
 
-def _array_parts(array: np.ndarray[Any, Any]) -> Iterator[bytes]:
+def _array_digest_parts(array: np.ndarray[Any, Any]) -> Iterator[bytes]:
     yield repr((array.dtype.kind, array.shape)).encode()
     if array.dtype == object:
         yield from (str(item).encode() for item in array.flat)

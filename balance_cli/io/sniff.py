@@ -7,11 +7,11 @@ from pathlib import Path
 from balance_cli.io.errors import UserError
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-FIRST_BYTES = 65536
+SNIFF_BYTES = 65536
 """Where the `format` key of a YAML file is looked for."""
 
 
-def stored_format(path: Path) -> str | None:
+def sniff_format(path: Path) -> str | None:
     """The `format` that a file declares of itself (HDF5 root attribute, or key of a YAML file), else None."""
     if not path.is_file():
         return None
@@ -29,7 +29,7 @@ def is_hdf5(path: Path) -> bool:
         return False
 
 
-def what_is(path: Path) -> str:
+def describe_file(path: Path) -> str:
     """A noun phrase for a message: what the file at `path` is."""
     if path.is_dir():
         return "a folder"
@@ -37,7 +37,7 @@ def what_is(path: Path) -> str:
         return "not an ordinary file"
     if path.stat().st_size == 0:
         return "an empty file"
-    declared = stored_format(path)
+    declared = sniff_format(path)
     if declared is not None:
         return f"a file of format `{declared}`"
     return "an HDF5 file without a readable `format`" if is_hdf5(path) else "not an HDF5 file"
@@ -54,7 +54,7 @@ def _hdf5_format(path: Path) -> str | None:
 
     try:
         with h5py.File(path, "r") as file:
-            return text_of(file.attrs.get("format"))
+            return attribute_text(file.attrs.get("format"))
     except (OSError, RuntimeError, ValueError, KeyError, TypeError):
         return None
 
@@ -62,7 +62,7 @@ def _hdf5_format(path: Path) -> str | None:
 def _yaml_format(path: Path) -> str | None:
     try:
         with path.open("rb") as file:
-            text = file.read(FIRST_BYTES).decode("utf-8", "replace")
+            text = file.read(SNIFF_BYTES).decode("utf-8", "replace")
     except OSError:
         return None
     for line in text.splitlines():
@@ -72,7 +72,7 @@ def _yaml_format(path: Path) -> str | None:
     return None
 
 
-def text_of(value: object) -> str | None:
+def attribute_text(value: object) -> str | None:
     """An HDF5 attribute as text (what is not UTF-8 replaced), or None where it is none."""
     if isinstance(value, str):
         value = value.encode("utf-8", "surrogateescape")

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.parameters import ParameterSet, declared_parameters
-from balance_cli.model.placed_effects import PlacedEffect, declared_effects, effect_parameters, with_effects
+from balance_cli.model.placed_effects import PlacedEffect, apply_placed_effects, declared_effects, effect_parameters
 from balance_cli.model.rigid import rigid_equations
-from balance_cli.model.system import System, assembled
+from balance_cli.model.system import System, assemble_system
 
 Array = NDArray[np.float64]
 
@@ -31,12 +31,12 @@ class BalanceModel:
         Its slopes refer to the free parameters only, in their order.
         """
         vector = self.parameters.value if theta is None else np.asarray(theta, float)
-        jet = Jet(vector, np.eye(len(vector))[self.parameters.free])
-        value = {name: jet[i] for i, name in enumerate(self.parameters.names)}
-        rigid = rigid_equations(self.geometry, value, jet.parameters)
-        return assembled(with_effects(rigid, self.geometry, self.effects, value))
+        dual = Dual(vector, np.eye(len(vector))[self.parameters.free])
+        value = {name: dual[i] for i, name in enumerate(self.parameters.names)}
+        rigid = rigid_equations(self.geometry, value, dual.parameters)
+        return assemble_system(apply_placed_effects(rigid, self.geometry, self.effects, value))
 
-    def all_free(self) -> BalanceModel:
+    def free_all_parameters(self) -> BalanceModel:
         """The same model with slopes for every parameter, exact ones included."""
         sigma = np.where(self.parameters.sigma > 0, self.parameters.sigma, self.parameters.scale)
         return self.with_sigma(sigma)

@@ -30,23 +30,23 @@ def channel_dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:
     return value if path.delay is None else value * np.exp(-s * path.delay.value)
 
 
-def log_gain_slopes(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
+def log_gain_derivatives(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
     """Derivatives (k, c, p) of ln g: of gain, time constants, rates and delay of each channel."""
     s = 2j * np.pi * np.asarray(frequency, float)[:, None]
-    return np.stack([log_gain_slope(path, s) for path in paths], axis=1)
+    return np.stack([log_gain_derivative(path, s) for path in paths], axis=1)
 
 
-def log_gain_slope(path: ChannelPath, s: ComplexArray) -> ComplexArray:
+def log_gain_derivative(path: ChannelPath, s: ComplexArray) -> ComplexArray:
     """Derivatives (k, p) of ln g of one channel at s (k, 1)."""
-    slope = np.broadcast_to(path.gain.slope / path.gain.value, (len(s), path.gain.parameters)).astype(complex)
+    derivative = np.broadcast_to(path.gain.derivative / path.gain.value, (len(s), path.gain.parameters)).astype(complex)
     for tau in path.low_pass:
-        slope = slope - s / (1 + s * tau.value) * tau.slope
+        derivative = derivative - s / (1 + s * tau.value) * tau.derivative
     for rate in path.high_pass:
-        slope = slope - rate.slope / np.where(s + rate.value == 0, np.inf, s + rate.value)
-    return slope if path.delay is None else slope - s * path.delay.slope
+        derivative = derivative - rate.derivative / np.where(s + rate.value == 0, np.inf, s + rate.value)
+    return derivative if path.delay is None else derivative - s * path.delay.derivative
 
 
 def path_parameters(path: ChannelPath) -> NDArray[np.bool_]:
     """Which parameters (p,) change the gain of a channel."""
     every = (path.gain, *path.low_pass, *path.high_pass, *(() if path.delay is None else (path.delay,)))
-    return np.asarray(np.any([part.slope != 0 for part in every], axis=0))
+    return np.asarray(np.any([part.derivative != 0 for part in every], axis=0))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import eigh
 
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 
 # Two eigenvalues closer than this (relative) are one: their vectors may be chosen freely in the common plane.
-DEGENERATE = 1e-9
+DEGENERACY_TOLERANCE = 1e-9
 
 
-def modal_damping(M: Jet, K: Jet, zeta: Jet) -> Jet:
+def modal_damping(M: Dual, K: Dual, zeta: Dual) -> Dual:
     """D = M Phi diag(2 zeta omega) Phi' M, with K Phi = M Phi diag(omega^2) and Phi' M Phi = I.
 
     M, K (n, n) and zeta (n,), in order of rising eigenfrequency. With dPhi = Phi A and Psi = Phi^-T = M Phi,
@@ -22,21 +22,21 @@ def modal_damping(M: Jet, K: Jet, zeta: Jet) -> Jet:
     omega = np.sqrt(np.maximum(eigenvalues, 0.0))
     g = 2.0 * zeta.value * omega
     Psi = M.value @ Phi
-    dK, dM = Phi.T @ K.slope @ Phi, Phi.T @ M.slope @ Phi
+    dK, dM = Phi.T @ K.derivative @ Phi, Phi.T @ M.derivative @ Phi
     d_eigenvalues = np.diagonal(dK, axis1=1, axis2=2) - eigenvalues * np.diagonal(dM, axis1=1, axis2=2)
     d_omega = d_eigenvalues / np.where(omega > 0, 2.0 * omega, np.inf)
-    dg = 2.0 * (zeta.slope * omega + zeta.value * d_omega)
+    dg = 2.0 * (zeta.derivative * omega + zeta.value * d_omega)
     inner = _rotation_terms(dK, dM, eigenvalues, g)
     index = np.arange(len(g))
     inner[:, index, index] += dg
-    return Jet((Psi * g) @ Psi.T, Psi @ inner @ Psi.T)
+    return Dual((Psi * g) @ Psi.T, Psi @ inner @ Psi.T)
 
 
 def _rotation_terms(dK: np.ndarray, dM: np.ndarray, eigenvalues: np.ndarray, g: np.ndarray) -> np.ndarray:
     """-(A'g + gA) in closed form: off the diagonal a divided difference of g over the eigenvalues."""
     gap = eigenvalues[None, :] - eigenvalues[:, None]
     same = np.eye(len(g), dtype=bool)
-    close = (np.abs(gap) <= DEGENERATE * np.max(np.abs(eigenvalues))) & ~same
+    close = (np.abs(gap) <= DEGENERACY_TOLERANCE * np.max(np.abs(eigenvalues))) & ~same
     safe = np.where(close | same, 1.0, gap)
     difference = np.where(same, 0.0, (g[None, :] - g[:, None]) / safe)
     cross = np.where(same, g, (eigenvalues[None, :] * g[:, None] - eigenvalues[:, None] * g[None, :]) / safe)

@@ -47,36 +47,36 @@ def fitted_effects(
     """The effects of a geometry with values and sigmas from the parameters of a model, by their names."""
     found = dict(zip(names, zip(values, sigma, strict=True), strict=True))
 
-    def described(one: PlacedEffect, parameter: EffectParameter) -> FittedParameter:
-        value, spread = (float(number) for number in found[one.full_name(parameter)])
-        sigma = parameter.natural_sigma(value, spread)
-        return FittedParameter(parameter.name, parameter.natural(value), sigma, parameter.unit)
+    def describe_parameter(entry: PlacedEffect, parameter: EffectParameter) -> FittedParameter:
+        value, spread = (float(number) for number in found[entry.full_name(parameter)])
+        sigma = parameter.physical_sigma(value, spread)
+        return FittedParameter(parameter.name, parameter.physical_value(value), sigma, parameter.unit)
 
-    def described_effect(one: PlacedEffect) -> FittedEffect:
-        where, choice = _apart(one)
-        parameters = tuple(described(one, parameter) for parameter in one.parameters)
-        return FittedEffect(one.effect.name, where, parameters, choice)
+    def describe_effect(entry: PlacedEffect) -> FittedEffect:
+        where, choice = _split_choice(entry)
+        parameters = tuple(describe_parameter(entry, parameter) for parameter in entry.parameters)
+        return FittedEffect(entry.effect.name, where, parameters, choice)
 
-    return tuple(described_effect(one) for one in declared_effects(geometry))
+    return tuple(describe_effect(entry) for entry in declared_effects(geometry))
 
 
-def _apart(one: PlacedEffect) -> tuple[Where, tuple[str, str] | None]:
+def _split_choice(entry: PlacedEffect) -> tuple[Where, tuple[str, str] | None]:
     """Where an effect is, and its choice."""
-    choice = one.effect.choice
-    return (one.where, None) if choice is None else (one.where[:-1], (choice.name, one.where[-1]))
+    choice = entry.effect.choice
+    return (entry.where, None) if choice is None else (entry.where[:-1], (choice.name, entry.where[-1]))
 
 
-def declare(geometry: Geometry, names: Sequence[str], values: Sequence[float]) -> Geometry:
+def declare_fitted_effects(geometry: Geometry, names: Sequence[str], values: Sequence[float]) -> Geometry:
     """The geometry with its effects declared at these parameter values; an infinite one is its null, and left out."""
     effects = tuple(
         DeclaredEffect(
-            name=one.name,
-            where=one.where,
+            name=entry.name,
+            where=entry.where,
             parameters={
-                **{item.name: item.value for item in one.parameters if np.isfinite(item.value)},
-                **dict([one.choice] if one.choice else []),
+                **{item.name: item.value for item in entry.parameters if np.isfinite(item.value)},
+                **dict([entry.choice] if entry.choice else []),
             },
         )
-        for one in fitted_effects(geometry, names, values, np.zeros(len(values)))
+        for entry in fitted_effects(geometry, names, values, np.zeros(len(values)))
     )
     return geometry.model_copy(update={"effects": effects})

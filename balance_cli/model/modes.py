@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig
 
-from balance_cli.model.system import REFERENCE, System
+from balance_cli.model.system import REFERENCE_FREQUENCY, System
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -26,8 +26,8 @@ class Modes:
     frequency: Array
     damping_ratio: Array
     shape: ComplexArray
-    frequency_slope: Array
-    damping_slope: Array
+    frequency_derivative: Array
+    damping_derivative: Array
 
 
 def modes(system: System, spin: float = 0.0) -> Modes:
@@ -36,11 +36,11 @@ def modes(system: System, spin: float = 0.0) -> Modes:
     Slopes are ds = -y (s^2 dM + s dD + dK + j dH) x / y (2 s M + D) x, with y the left eigenvector. What springs
     stiffen with frequency comes in by the same formula.
     """
-    M, D, K = _matrices(system, spin)
+    M, D, K = _pencil_matrices(system, spin)
     s, left, right = eigenvalues(M, D, K)
     norm = np.einsum("mi,mij,mj->m", left, 2 * s[:, None, None] * M + D, right)
-    ds = -_pencil_slopes(system, spin, s, left, right) / norm[:, None]
-    shift, d_shift = stiffened(system, s, left, right, norm)
+    ds = -_pencil_derivative_products(system, spin, s, left, right) / norm[:, None]
+    shift, d_shift = frequency_stiffness_shift(system, s, left, right, norm)
     s, ds = s + shift, ds + d_shift
     size = np.abs(s)
     d_size = np.real(s.conj()[:, None] * ds) / size[:, None]
@@ -50,23 +50,25 @@ def modes(system: System, spin: float = 0.0) -> Modes:
     return Modes(system.coordinates, size / (2 * np.pi), zeta, right / largest, d_size / (2 * np.pi), d_zeta)
 
 
-def stiffened(
+def frequency_stiffness_shift(
     system: System, s: ComplexArray, left: ComplexArray, right: ComplexArray, norm: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """First-order change (m,) of eigenvalues because springs stiffen with frequency, and its slopes (m, p).
 
     Of the vectors left, right (m, n), with norm (m,) = y (2 s M + D) x.
     """
-    stiffening = system.pencil.stiffening
-    each = -np.log(np.abs(s) / (2 * np.pi * REFERENCE)) / norm
-    shift = each * np.einsum("mi,ij,mj->m", left, stiffening.value, right)
-    slopes = np.zeros((len(s), system.parameters), complex)
-    if stiffening.slope.any():
-        slopes += each[:, None] * np.einsum("mi,pij,mj->mp", left, stiffening.slope, right, optimize=True)
-    return shift, slopes
+    frequency_stiffness = system.pencil.frequency_stiffness
+    each = -np.log(np.abs(s) / (2 * np.pi * REFERENCE_FREQUENCY)) / norm
+    shift = each * np.einsum("mi,ij,mj->m", left, frequency_stiffness.value, right)
+    derivatives = np.zeros((len(s), system.parameters), complex)
+    if frequency_stiffness.derivative.any():
+        derivatives += each[:, None] * np.einsum(
+            "mi,pij,mj->mp", left, frequency_stiffness.derivative, right, optimize=True
+        )
+    return shift, derivatives
 
 
-def _matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
+def _pencil_matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
     pencil = system.pencil
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
     return pencil.mass.value, damping, pencil.stiffness.value + 1j * pencil.hysteresis.value
@@ -94,16 +96,16 @@ def eigenvalues(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, Comp
     return values[order] * scale, left[n:, order].conj().T, right[:n, order].T
 
 
-def _pencil_slopes(
+def _pencil_derivative_products(
     system: System, spin: float, s: ComplexArray, left: ComplexArray, right: ComplexArray
 ) -> ComplexArray:
     """The products y (s^2 dM + s dD + dK + j dH) x (m, p)."""
     pencil = system.pencil
 
-    def between(slope: Array) -> ComplexArray:
-        return np.asarray(np.einsum("mi,pij,mj->mp", left, slope, right, optimize=True))
+    def between(derivative: Array) -> ComplexArray:
+        return np.asarray(np.einsum("mi,pij,mj->mp", left, derivative, right, optimize=True))
 
-    damping = pencil.damping.slope + 2 * np.pi * spin * pencil.gyroscopic.slope
-    inertia, viscous = between(pencil.mass.slope), between(damping)
-    elastic = between(pencil.stiffness.slope) + 1j * between(pencil.hysteresis.slope)
+    damping = pencil.damping.derivative + 2 * np.pi * spin * pencil.gyroscopic.derivative
+    inertia, viscous = between(pencil.mass.derivative), between(damping)
+    elastic = between(pencil.stiffness.derivative) + 1j * between(pencil.hysteresis.derivative)
     return np.asarray(s[:, None] ** 2 * inertia + s[:, None] * viscous + elastic)

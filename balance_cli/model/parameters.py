@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.campaign.rig.mass_properties import moving_part
+from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.model.plate import cell_stiffness, free_index
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class ParameterSet:
 
 
 @dataclass(frozen=True)
-class _Row:
+class _ParameterRow:
     name: str
     unit: str
     value: float
@@ -62,7 +62,7 @@ class _Row:
 INERTIA_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
-def parameter_set(rows: list[_Row]) -> ParameterSet:
+def parameter_set(rows: list[_ParameterRow]) -> ParameterSet:
     """Rows as arrays; the scale of a parameter is its sigma, or its size where it has none."""
     value, sigma, lower = (np.array([getattr(row, key) for row in rows]) for key in ("value", "sigma", "lower"))
     size = np.where(value == 0, 1.0, np.abs(value))
@@ -77,23 +77,23 @@ def declared_parameters(geometry: Geometry) -> ParameterSet:
     return parameter_set(rows)
 
 
-def _stiffness_rows(geometry: Geometry) -> list[_Row]:
+def _stiffness_rows(geometry: Geometry) -> list[_ParameterRow]:
     tolerance = geometry.tolerances.stiffness
     rows = [
-        _Row(f"stiffness.{cell.name}", "N/m", k, tolerance * k, 0.0)
+        _ParameterRow(f"stiffness.{cell.name}", "N/m", k, tolerance * k, 0.0)
         for cell, k in zip(geometry.cells, cell_stiffness(geometry), strict=True)
     ]
     if geometry.torque_meter:
         k = geometry.torque_meter.stiffness
-        rows.append(_Row("torque_meter.stiffness", "N m/rad", k, tolerance * k, 0.0))
+        rows.append(_ParameterRow("torque_meter.stiffness", "N m/rad", k, tolerance * k, 0.0))
     return rows
 
 
-def _inertia_rows(geometry: Geometry) -> list[_Row]:
-    part, tolerances = moving_part(geometry), geometry.tolerances
-    rows = [_Row("mass", "kg", part.mass, tolerances.mass * part.mass, 0.0)]
+def _inertia_rows(geometry: Geometry) -> list[_ParameterRow]:
+    part, tolerances = metric_side(geometry), geometry.tolerances
+    rows = [_ParameterRow("mass", "kg", part.mass, tolerances.mass * part.mass, 0.0)]
     rows += [
-        _Row(f"centre_of_gravity.{axis}", "m", float(value), tolerances.centre_of_gravity)
+        _ParameterRow(f"centre_of_gravity.{axis}", "m", float(value), tolerances.centre_of_gravity)
         for axis, value in zip("xyz", part.centre_of_gravity, strict=True)
     ]
     tensor, axes = part.inertia, "xyz"
@@ -101,27 +101,27 @@ def _inertia_rows(geometry: Geometry) -> list[_Row]:
         i, j = axes.index(name[0]), axes.index(name[1])
         value = tensor[i, j] if i == j else -tensor[i, j]
         sigma = tolerances.inertia * float(np.sqrt(tensor[i, i] * tensor[j, j]))
-        rows.append(_Row(f"inertia.{name}", "kg m2", float(value), sigma, 0.0 if i == j else -np.inf))
+        rows.append(_ParameterRow(f"inertia.{name}", "kg m2", float(value), sigma, 0.0 if i == j else -np.inf))
     if geometry.torque_meter:
         inertia = geometry.torque_meter.inertia
-        rows.append(_Row("torque_meter.inertia", "kg m2", inertia, tolerances.inertia * inertia, 0.0))
+        rows.append(_ParameterRow("torque_meter.inertia", "kg m2", inertia, tolerances.inertia * inertia, 0.0))
     return rows
 
 
-def _damping_rows(geometry: Geometry) -> list[_Row]:
+def _damping_rows(geometry: Geometry) -> list[_ParameterRow]:
     zeta = geometry.damping_ratio
     sigma = geometry.tolerances.damping_ratio * zeta
-    rows = [_Row(f"damping_ratio.{i + 1}", "1", zeta, sigma, 0.0) for i in range(len(free_index(geometry)))]
+    rows = [_ParameterRow(f"damping_ratio.{i + 1}", "1", zeta, sigma, 0.0) for i in range(len(free_index(geometry)))]
     if geometry.torque_meter:
-        rows.append(_Row("torque_meter.damping_ratio", "1", zeta, sigma, 0.0))
+        rows.append(_ParameterRow("torque_meter.damping_ratio", "1", zeta, sigma, 0.0))
     return rows
 
 
-def _sensitivity_rows(geometry: Geometry) -> list[_Row]:
+def _sensitivity_rows(geometry: Geometry) -> list[_ParameterRow]:
     tolerance = geometry.tolerances.sensitivity
     rows = []
     for channel in geometry.channels:
         unit = "V/(N m)" if channel.torque_meter else "V/N"
         sigma = tolerance * abs(channel.sensitivity)
-        rows.append(_Row(f"sensitivity.{channel.name}", unit, channel.sensitivity, sigma))
+        rows.append(_ParameterRow(f"sensitivity.{channel.name}", unit, channel.sensitivity, sigma))
     return rows

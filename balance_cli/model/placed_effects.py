@@ -12,12 +12,12 @@ from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model import effects as library
 from balance_cli.model.effects import Effect, EffectParameter, Where
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 from balance_cli.model.parameters import ParameterSet
 
 # More places than this are described in words.
-FEW = 20
+MOST_LISTED_PLACES = 20
 
 
 def effect_label(name: str, where: Where) -> str:
@@ -50,20 +50,20 @@ class PlacedEffect:
         """Where a fit begins: at what is declared, if anything is."""
         if parameter.name not in self.declared:
             return parameter.fitted_start
-        return parameter.fitted(float(self.declared[parameter.name]))
+        return parameter.fitted_value(float(self.declared[parameter.name]))
 
 
-def placed(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
+def place_effect(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
     """The effect of this name at this place. UserError where there is no such effect, or not there."""
     by_name = {effect.name: effect for effect in library.EFFECTS}
     if name not in by_name:
         raise UserError(f"there is no effect `{name}`", place="effects", remedy=_nearest(name, tuple(by_name)))
     effect = by_name[name]
-    at = _place(effect, tuple(where), geometry)
+    at = _resolve_place(effect, tuple(where), geometry)
     return PlacedEffect(effect, at, effect.parameters(geometry, at), {})
 
 
-def _place(effect: Effect, where: Where, geometry: Geometry) -> Where:
+def _resolve_place(effect: Effect, where: Where, geometry: Geometry) -> Where:
     """The place as the effect knows it; where it knows one order of the names only, any order will do."""
     places = effect.places(geometry)
     if where in places:
@@ -75,7 +75,9 @@ def _place(effect: Effect, where: Where, geometry: Geometry) -> Where:
         return same[0]
     words = tuple(",".join(place) or "no place" for place in places)
     fault = f"`{effect.name}` has no place `{','.join(where)}`" if where else f"`{effect.name}` needs a place"
-    remedy = _nearest(",".join(where), words) if len(words) <= FEW else _nearest_of_many(effect, where, words)
+    remedy = (
+        _nearest(",".join(where), words) if len(words) <= MOST_LISTED_PLACES else _nearest_of_many(effect, where, words)
+    )
     raise UserError(fault, place="effects", remedy=remedy if places else "It has no place in this rig")
 
 
@@ -104,8 +106,8 @@ def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
 
     UserError for one that is unknown, has no such place or parameter, or stands twice.
     """
-    found = [_declared(item, geometry, i) for i, item in enumerate(geometry.effects)]
-    labels = [one.label for one in found]
+    found = [_place_declared_effect(item, geometry, i) for i, item in enumerate(geometry.effects)]
+    labels = [placed_effect.label for placed_effect in found]
     for i, label in enumerate(labels):
         if label in labels[:i]:
             raise UserError(f"`{label}` stands twice", place=f"effects[{i}]", remedy="Remove one of them")
@@ -113,26 +115,26 @@ def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
     return tuple(sorted(found, key=lambda item: (order.index(item.effect.name), item.where)))
 
 
-def _declared(item: DeclaredEffect, geometry: Geometry, index: int) -> PlacedEffect:
+def _place_declared_effect(item: DeclaredEffect, geometry: Geometry, index: int) -> PlacedEffect:
     place = f"effects[{index}]"
     try:
-        one = placed(item.name, _with_choice(item), geometry)
+        placed_effect = place_effect(item.name, _where_with_choice(item), geometry)
     except UserError as error:
         raise UserError(error.fault, error.file, place, error.remedy) from error
-    names = tuple(parameter.name for parameter in one.parameters)
-    choice = one.effect.choice
+    names = tuple(parameter.name for parameter in placed_effect.parameters)
+    choice = placed_effect.effect.choice
     numbers = {name: value for name, value in item.parameters.items() if choice is None or name != choice.name}
     for name, value in numbers.items():
         if name not in names:
-            fault = f"`{one.label}` has no parameter `{name}`"
+            fault = f"`{placed_effect.label}` has no parameter `{name}`"
             raise UserError(fault, place=place, remedy=_nearest(name, (*names, *([choice.name] if choice else []))))
         if isinstance(value, str):
-            fault = f"`{name}` of `{one.label}` is `{value}`, not a number"
+            fault = f"`{name}` of `{placed_effect.label}` is `{value}`, not a number"
             raise UserError(fault, place=place, remedy="Give a number in SI units")
-    return PlacedEffect(one.effect, one.where, one.parameters, numbers)
+    return PlacedEffect(placed_effect.effect, placed_effect.where, placed_effect.parameters, numbers)
 
 
-def _with_choice(item: DeclaredEffect) -> Where:
+def _where_with_choice(item: DeclaredEffect) -> Where:
     """The names of the place, the word that is declared for the effect's choice among them."""
     choice = next((effect.choice for effect in library.EFFECTS if effect.name == item.name), None)
     if choice is None or choice.name not in item.parameters:
@@ -146,17 +148,17 @@ def _with_choice(item: DeclaredEffect) -> Where:
 
 def needs_mean(geometry: Geometry) -> bool:
     """Whether an effect of the geometry shows in means and waveforms, which are not needed otherwise."""
-    return any(one.effect.needs_mean for one in declared_effects(geometry))
+    return any(placed_effect.effect.needs_mean for placed_effect in declared_effects(geometry))
 
 
 def effect_parameters(effects: Sequence[PlacedEffect]) -> ParameterSet:
     """Parameters of the effects: they start as declared and nothing more is known of them."""
-    rows = [(one, parameter) for one in effects for parameter in one.parameters]
+    rows = [(placed_effect, parameter) for placed_effect in effects for parameter in placed_effect.parameters]
     bounds = np.array([parameter.fitted_bounds for _, parameter in rows]).reshape(-1, 2)
     return ParameterSet(
-        names=tuple(one.full_name(parameter) for one, parameter in rows),
+        names=tuple(placed_effect.full_name(parameter) for placed_effect, parameter in rows),
         units=tuple(parameter.fitted_unit for _, parameter in rows),
-        value=np.array([one.start(parameter) for one, parameter in rows], float),
+        value=np.array([placed_effect.start(parameter) for placed_effect, parameter in rows], float),
         sigma=np.full(len(rows), np.inf),
         scale=np.array([parameter.fitted_scale for _, parameter in rows], float),
         lower=bounds[:, 0],
@@ -164,13 +166,15 @@ def effect_parameters(effects: Sequence[PlacedEffect]) -> ParameterSet:
     )
 
 
-def with_effects(
-    equations: Equations, geometry: Geometry, effects: Sequence[PlacedEffect], value: Mapping[str, Jet]
+def apply_placed_effects(
+    equations: Equations, geometry: Geometry, effects: Sequence[PlacedEffect], value: Mapping[str, Dual]
 ) -> Equations:
     """The equations with these effects added in turn, `value` holding all parameters of the model by name."""
-    for one in effects:
-        values = {parameter.fitted_name: value[one.full_name(parameter)] for parameter in one.parameters}
-        equations = one.effect.apply(equations, geometry, one.where, values)
+    for placed_effect in effects:
+        values = {
+            parameter.fitted_name: value[placed_effect.full_name(parameter)] for parameter in placed_effect.parameters
+        }
+        equations = placed_effect.effect.apply(equations, geometry, placed_effect.where, values)
     return equations
 
 
@@ -179,8 +183,10 @@ def add_effects(geometry: Geometry, words: Sequence[str]) -> Geometry:
     added = []
     for word in words:
         name, _, where = word.partition("@")
-        one = placed(name.strip(), tuple(part.strip() for part in where.split(",") if part.strip()), geometry)
-        added.append(DeclaredEffect(name=one.effect.name, where=one.where))
+        placed_effect = place_effect(
+            name.strip(), tuple(part.strip() for part in where.split(",") if part.strip()), geometry
+        )
+        added.append(DeclaredEffect(name=placed_effect.effect.name, where=placed_effect.where))
     extended = geometry.model_copy(update={"effects": (*geometry.effects, *added)})
     declared_effects(extended)
     return extended

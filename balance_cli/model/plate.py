@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix, motion_at
-from balance_cli.campaign.rig.mass_properties import moving_part
+from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import constant
 
@@ -30,12 +30,12 @@ def mass_matrix(mass: float, inertia: Array) -> Array:
     return matrix
 
 
-def load_matrix(geometry: Geometry, centre: Array) -> Array:
+def load_matrix(geometry: Geometry, center: Array) -> Array:
     """F (6, 6): generalised forces per unit hub load (Fx .. Mz), by virtual work.
 
     With a torque meter Mz goes through the shaft and leaves the plate alone.
     """
-    at_hub = motion_at(np.asarray(geometry.hub, float) - centre)
+    at_hub = motion_at(np.asarray(geometry.hub, float) - center)
     forces = at_hub.T
     moments = np.vstack([np.zeros((3, 3)), ROTATION_ORDER])
     if geometry.torque_meter:
@@ -68,7 +68,7 @@ class PlateMatrices:
 
 def plate_matrices(geometry: Geometry) -> PlateMatrices:
     """M, D, K = B'CB, B, C and F of the declared plate (reading notes 1 and 2); D is the declared modal damping."""
-    part, free = moving_part(geometry), free_index(geometry)
+    part, free = metric_side(geometry), free_index(geometry)
     M = mass_matrix(part.mass, part.inertia)[np.ix_(free, free)]
     B = elongation_matrix(geometry, part.centre_of_gravity)[:, free]
     C = cell_stiffness(geometry)
@@ -79,7 +79,7 @@ def plate_matrices(geometry: Geometry) -> PlateMatrices:
     return PlateMatrices(geometry.freedom, M, D, K, B, C, F)
 
 
-def hub_arm(hub: Sequence[float]) -> float:
+def moment_reference_length(hub: Sequence[float]) -> float:
     """Length [m] by which moments are made comparable with forces: the height of the hub over the plate."""
     height = abs(float(hub[2]))
     return height if height > 0 else 1.0

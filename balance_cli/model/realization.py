@@ -27,31 +27,31 @@ ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 # Units of s [rad/s], the first that will do: the middle of what a balance is used for, and to either side of it.
-RATES = 2 * np.pi * np.array([100.0, 250.0, 40.0])
+TIME_SCALE_RATES = 2 * np.pi * np.array([100.0, 250.0, 40.0])
 # Where the response is held against the exact one [rad/s], on the real axis.
-CHECKED = 2 * np.pi * np.array([10.0, 1000.0])
+CHECK_FREQUENCIES = 2 * np.pi * np.array([10.0, 1000.0])
 # Faster poles [rad/s] count as infinite: in the band of a balance what they do is constant. Rounding leaves those that
 # are infinite beyond 1e7 rad/s.
-FASTEST = 2 * np.pi * 1e6
+FASTEST_FINITE_POLE = 2 * np.pi * 1e6
 # Factor by which finite and infinite poles are to be apart, or the two parts are not well told from each other.
-GAP = 3.0
+POLE_GAP = 3.0
 # Sweeps that equalise rows and columns; each halves what is left, in the logarithm.
-SWEEPS = 12
+EQUILIBRATION_SWEEPS = 12
 # Of the largest state, what one is taken for that is hardly driven or read.
-FAINT = 1e-5
+LEAST_STATE_SHARE = 1e-5
 # Of the largest response of an input or an output, what is rounding in the direct term.
-ROUNDING = 1e-11
+DIRECT_TERM_ROUNDING = 1e-11
 # Agreement there that a proper system reaches with much to spare.
-AGREEMENT = 1e-7
+RESPONSE_TOLERANCE = 1e-7
 # Condition of the eigenvectors beyond which the states are left coupled: two poles that meet have 1e8, and residues
 # that cancel to as many digits.
-WORST = 1e6
+WORST_EIGENVECTOR_CONDITION = 1e6
 # Of the largest residue of an input or an output, what counts as none.
-UNSEEN = 1e-13
+NEGLIGIBLE_RESIDUE = 1e-13
 
 
 @dataclass(frozen=True)
-class Realisation:
+class Realization:
     """x' = A x + B u, y = C x + D u: A (n, n), B (n, i), C (o, n), D (o, i)."""
 
     A: Array
@@ -59,7 +59,7 @@ class Realisation:
     C: Array
     D: Array
 
-    def at(self, s: ArrayLike) -> ComplexArray:
+    def transfer_function(self, s: ArrayLike) -> ComplexArray:
         """C (s I - A)^-1 B + D (k, o, i) at s (k,) [rad/s], k solutions of n equations."""
         identity = np.eye(len(self.A))
         each = [self.C @ np.linalg.solve(value * identity - self.A, self.B) for value in np.atleast_1d(s)]
@@ -79,7 +79,7 @@ class Descriptor:
     C: Array
     coordinates: int
 
-    def at(self, s: float) -> Array:
+    def transfer_function(self, s: float) -> Array:
         """C (s E - A)^-1 B (o, i) at one real s [rad/s]."""
         return np.asarray(self.C @ np.linalg.solve(s * self.E - self.A, self.B))
 
@@ -87,10 +87,10 @@ class Descriptor:
 # ---- put together ----------------------------------------------------------------------------------------------------
 
 
-def series(first: Realisation, second: Realisation) -> Realisation:
+def series(first: Realization, second: Realization) -> Realization:
     """The second system driven by the outputs of the first; their states one after the other."""
     nothing = np.zeros((len(first.A), len(second.A)))
-    return Realisation(
+    return Realization(
         A=np.block([[first.A, nothing], [second.B @ first.C, second.A]]),
         B=np.concatenate([first.B, second.B @ first.D]),
         C=np.concatenate([second.D @ first.C, second.C], axis=1),
@@ -98,34 +98,37 @@ def series(first: Realisation, second: Realisation) -> Realisation:
     )
 
 
-def parallel(parts: Sequence[Realisation]) -> Realisation:
+def parallel(parts: Sequence[Realization]) -> Realization:
     """Systems side by side, each with inputs and outputs of its own."""
-    return Realisation(*(_diagonal([getattr(part, name) for part in parts]) for name in "ABCD"))
+    return Realization(*(_block_diagonal_array([getattr(part, name) for part in parts]) for name in "ABCD"))
 
 
-def _diagonal(blocks: Sequence[Array]) -> Array:
+def _block_diagonal_array(blocks: Sequence[Array]) -> Array:
     return np.asarray(block_diag(*blocks), float)
 
 
-def gain(value: ArrayLike) -> Realisation:
+def gain(value: ArrayLike) -> Realization:
     """A system without states, y = D u; D (o, i), or a number."""
     D = np.atleast_2d(np.asarray(value, float))
-    return Realisation(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((len(D), 0)), D)
+    return Realization(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((len(D), 0)), D)
 
 
 # ---- from a descriptor system ----------------------------------------------------------------------------------------
 
 
-def proper_part(system: Descriptor) -> Realisation:
-    """State space of a proper descriptor system, its poles beyond `FASTEST` in the direct term.
+def proper_part(system: Descriptor) -> Realization:
+    """State space of a proper descriptor system, its poles beyond `FASTEST_FINITE_POLE` in the direct term.
 
     UserError where the response is not that of finite poles and a direct term.
     """
-    for rate in RATES:
+    for rate in TIME_SCALE_RATES:
         # The QZ iteration may fail to converge; in another unit of time it does.
         with suppress(np.linalg.LinAlgError, ValueError):
-            whole = _with_direct_term(_finite_part(system, rate), system)
-            if all(_agree(whole.at(s)[0].real, system.at(s)) for s in CHECKED):
+            whole = _add_direct_term(_finite_part(system, rate), system)
+            if all(
+                _responses_agree(whole.transfer_function(s)[0].real, system.transfer_function(s))
+                for s in CHECK_FREQUENCIES
+            ):
                 return whole
     raise UserError(
         "the balance has no state space: its response is not that of finite poles and a direct term",
@@ -133,75 +136,75 @@ def proper_part(system: Descriptor) -> Realisation:
     )
 
 
-def _with_direct_term(finite: Realisation, system: Descriptor) -> Realisation:
+def _add_direct_term(finite: Realization, system: Descriptor) -> Realization:
     """D by the difference at one point; what is rounding there is left out."""
-    exact = system.at(RATES[0])
-    D = exact - finite.at(RATES[0])[0].real
-    return replace(finite, D=np.where(np.abs(D) > ROUNDING * _larger(np.abs(exact)), D, 0.0))
+    exact = system.transfer_function(TIME_SCALE_RATES[0])
+    D = exact - finite.transfer_function(TIME_SCALE_RATES[0])[0].real
+    return replace(finite, D=np.where(np.abs(D) > DIRECT_TERM_ROUNDING * _reference_size(np.abs(exact)), D, 0.0))
 
 
-def _agree(response: Array, exact: Array) -> bool:
-    return bool(np.all(np.abs(response - exact) <= AGREEMENT * _larger(np.abs(exact))))
+def _responses_agree(response: Array, exact: Array) -> bool:
+    return bool(np.all(np.abs(response - exact) <= RESPONSE_TOLERANCE * _reference_size(np.abs(exact))))
 
 
-def _larger(size: Array) -> Array:
+def _reference_size(size: Array) -> Array:
     """Of every output (rows) and input (columns) of `size` (..., o, i), the largest; the larger of the two (o, i)."""
     largest = size.reshape(-1, *size.shape[-2:]).max(axis=0)
     return np.asarray(np.maximum(largest.max(axis=1)[:, None], largest.max(axis=0)), float)
 
 
-def _equalised(system: Descriptor, rate: float) -> Descriptor:
+def _equilibrate(system: Descriptor, rate: float) -> Descriptor:
     """Rows and columns scaled until the largest element of each is one, time in units of 1 / `rate`.
 
     The sweeps are those of Ruiz (Rutherford Appleton Laboratory RAL-TR-2001-034); the response stays as it is.
     """
     size = rate * np.abs(system.E) + np.abs(system.A)
     row, column = np.ones((len(size), 1)), np.ones(len(size))
-    for _ in range(SWEEPS):
+    for _ in range(EQUILIBRATION_SWEEPS):
         scaled = row * size * column
         row = row / np.sqrt(scaled.max(axis=1))[:, None]
         column = column / np.sqrt(scaled.max(axis=0))
-    return _scaled(replace(system, E=rate * system.E), row[:, 0], column)
+    return _scale_rows_and_columns(replace(system, E=rate * system.E), row[:, 0], column)
 
 
-def _scaled(system: Descriptor, row: Array, column: Array) -> Descriptor:
+def _scale_rows_and_columns(system: Descriptor, row: Array, column: Array) -> Descriptor:
     by_row = row[:, None]
     E, A = by_row * system.E * column, by_row * system.A * column
     return replace(system, E=E, A=A, B=by_row * system.B, C=system.C * column)
 
 
-def _balanced(system: Descriptor) -> Descriptor:
+def _balance_states(system: Descriptor) -> Descriptor:
     """States scaled so that each is driven by the inputs, at s = 1, as much as it is read by the outputs.
 
     A coordinate in other units than the rest, a load itself, would else bring its own rounding into all responses. A
     coordinate and its rate, of which a fast mode makes a large one, keep their ratio.
     """
     pencil = system.E - system.A
-    driven = _not_faint(np.linalg.norm(np.linalg.solve(pencil, system.B), axis=1))
-    read = _not_faint(np.linalg.norm(np.linalg.solve(pencil.T, system.C.T), axis=1))
+    driven = _raise_to_least(np.linalg.norm(np.linalg.solve(pencil, system.B), axis=1))
+    read = _raise_to_least(np.linalg.norm(np.linalg.solve(pencil.T, system.C.T), axis=1))
     size, pairs = np.sqrt(driven / read), 2 * system.coordinates
     q, rate = np.split(size[:pairs], 2)
     size[:pairs] = np.tile(np.sqrt(q * rate), 2)
-    return _scaled(system, 1 / size, size)
+    return _scale_rows_and_columns(system, 1 / size, size)
 
 
-def _not_faint(size: Array) -> Array:
-    return np.asarray(np.maximum(size, FAINT * size.max()), float)
+def _raise_to_least(size: Array) -> Array:
+    return np.asarray(np.maximum(size, LEAST_STATE_SHARE * size.max()), float)
 
 
-def _finite_part(system: Descriptor, rate: float) -> Realisation:
+def _finite_part(system: Descriptor, rate: float) -> Realization:
     """C V (s W' E V - W' A V)^-1 W' B, by a pencil in units of time of 1 / `rate`."""
-    scaled = _balanced(_equalised(system, rate))
-    V, W = _subspaces(scaled, FASTEST / rate)
+    scaled = _balance_states(_equilibrate(system, rate))
+    V, W = _subspaces(scaled, FASTEST_FINITE_POLE / rate)
     E, C = W.T @ scaled.E @ V, scaled.C @ V
     A = np.asarray(rate * np.linalg.solve(E, W.T @ scaled.A @ V), float)
     B = np.asarray(rate * np.linalg.solve(E, W.T @ scaled.B), float)
-    return Realisation(A, B, C, np.zeros((len(C), B.shape[1])))
+    return Realization(A, B, C, np.zeros((len(C), B.shape[1])))
 
 
 def _subspaces(system: Descriptor, limit: float) -> tuple[Array, Array]:
     """V (n, f) of the f poles that are finite, up to `limit`, and W (n, f) across the image of the others."""
-    fastest = _in_a_gap(system, limit)
+    fastest = _limit_in_pole_gap(system, limit)
 
     def finite(alpha: NDArray[Any], beta: NDArray[Any]) -> Mask:
         return np.asarray(np.abs(alpha) < fastest * np.abs(beta))
@@ -218,42 +221,43 @@ def _subspaces(system: Descriptor, limit: float) -> tuple[Array, Array]:
     return np.asarray(V, float)[:, :count], np.asarray(W, float)[:, len(system.A) - count :]
 
 
-def _in_a_gap(system: Descriptor, limit: float) -> float:
-    """The first speed from `limit` on from which the nearest poles are a factor `GAP` away."""
+def _limit_in_pole_gap(system: Descriptor, limit: float) -> float:
+    """The first speed from `limit` on from which the nearest poles are a factor `POLE_GAP` away."""
     alpha, beta = np.abs(eigvals(system.A, system.E, homogeneous_eigvals=True))
-    while np.any((alpha > limit / GAP * beta) & (alpha < limit * GAP * beta)):
-        limit *= GAP
+    while np.any((alpha > limit / POLE_GAP * beta) & (alpha < limit * POLE_GAP * beta)):
+        limit *= POLE_GAP
     return limit
 
 
 # ---- to modes --------------------------------------------------------------------------------------------------------
 
 
-def modal_form(system: Realisation) -> Realisation:
+def modal_form(system: Realization) -> Realization:
     """The same system in its modes, of rising |s|: a block [[a, -b], [b, a]] for each pair a +- jb, else one state.
 
     Input and output norm of each are equal. Modes that no output reads or no input drives are left out. Where the
-    condition of the eigenvectors is worse than `WORST` (poles that meet) the system is returned as it is.
+    condition of the eigenvectors is worse than `WORST_EIGENVECTOR_CONDITION` (poles that meet) the system is returned
+    as it is.
     """
     s, vectors = np.linalg.eig(system.A)
-    if not len(s) or np.linalg.cond(vectors) > WORST:
+    if not len(s) or np.linalg.cond(vectors) > WORST_EIGENVECTOR_CONDITION:
         return system
     c, b = np.asarray(system.C @ vectors, complex), np.asarray(np.linalg.solve(vectors, system.B), complex)
-    kept = np.flatnonzero(_seen(s, b, c) & (s.imag >= 0))
+    kept = np.flatnonzero(_significant_residues(s, b, c) & (s.imag >= 0))
     blocks = [_mode(complex(s[m]), b[m], c[:, m]) for m in kept[np.argsort(np.abs(s[kept]))]]
     outputs, inputs = system.D.shape
-    return Realisation(
-        A=_diagonal([A for A, _, _ in blocks] or [np.zeros((0, 0))]),
+    return Realization(
+        A=_block_diagonal_array([A for A, _, _ in blocks] or [np.zeros((0, 0))]),
         B=np.concatenate([np.zeros((0, inputs)), *(B for _, B, _ in blocks)]),
         C=np.concatenate([np.zeros((outputs, 0)), *(C for _, _, C in blocks)], axis=1),
         D=system.D,
     )
 
 
-def _seen(s: ComplexArray, b: ComplexArray, c: ComplexArray) -> Mask:
+def _significant_residues(s: ComplexArray, b: ComplexArray, c: ComplexArray) -> Mask:
     """Poles (m,) with a residue c b' / |s|, of b (m, i) and c (o, m), that is not rounding."""
     size = np.abs(c.T[:, :, None] * b[:, None, :] / s[:, None, None])
-    return np.asarray((size > UNSEEN * _larger(size)).any(axis=(1, 2)))
+    return np.asarray((size > NEGLIGIBLE_RESIDUE * _reference_size(size)).any(axis=(1, 2)))
 
 
 def _mode(s: complex, b: ComplexArray, c: ComplexArray) -> tuple[Array, Array, Array]:

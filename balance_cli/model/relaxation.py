@@ -2,7 +2,8 @@
 
     h(s) = sum_i g_i s / (s + a_i) - g_0,        g_i >= 0,
 
-follows j + (2 / pi) ln(f / f0), f0 = `REFERENCE`, over a band: what a causal spring of unit loss factor has besides its
+follows j + (2 / pi) ln(f / f0), f0 = `REFERENCE_FREQUENCY`, over a band: what a causal spring of unit loss factor has
+besides its
 stiffness (Makris, J. Eng. Mech. 123, 1997, 1209-1214). Each term is a spring in series with a dashpot, so the chain
 is passive whatever the g_i are. Below the band it relaxes to -g_0, beyond it it stiffens no more.
 """
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
-from balance_cli.model.system import REFERENCE
+from balance_cli.model.system import REFERENCE_FREQUENCY
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -24,53 +25,53 @@ ComplexArray = NDArray[np.complex128]
 BAND = (0.5, 1000.0)
 """Frequencies [Hz] between which the chain follows the law."""
 
-PER_DECADE = 2
+RATES_PER_DECADE = 2
 # The rates reach beyond the band by this factor: relaxations outside make the law at its ends.
-BEYOND = 6.0
+BAND_MARGIN = 6.0
 
 
 @dataclass(frozen=True)
-class Chain:
+class RelaxationChain:
     """rates a (r,) [1/s], strengths g (r,) and relaxed = g_0, all per unit loss factor."""
 
     rates: Array
     strengths: Array
-    relaxed: float
+    relaxed_decrement: float
 
     @property
-    def instant(self) -> float:
+    def instantaneous_increment(self) -> float:
         """What is added to the stiffness at infinite frequency, sum_i g_i - g_0."""
-        return float(self.strengths.sum() - self.relaxed)
+        return float(self.strengths.sum() - self.relaxed_decrement)
 
-    def at(self, s: ArrayLike) -> ComplexArray:
+    def transfer_function(self, s: ArrayLike) -> ComplexArray:
         """h(s) (k,) at s (k,) [rad/s]."""
         value = np.asarray(s, complex)[..., None]
-        return np.asarray((value / (value + self.rates)) @ self.strengths - self.relaxed)
+        return np.asarray((value / (value + self.rates)) @ self.strengths - self.relaxed_decrement)
 
 
-def hysteretic(frequency: ArrayLike) -> ComplexArray:
+def hysteretic_law(frequency: ArrayLike) -> ComplexArray:
     """The law j + (2 / pi) ln(f / f0) (k,) at `frequency` (k,) [Hz], all above zero."""
-    return np.asarray(1j + 2 / np.pi * np.log(np.asarray(frequency, float) / REFERENCE))
+    return np.asarray(1j + 2 / np.pi * np.log(np.asarray(frequency, float) / REFERENCE_FREQUENCY))
 
 
 @cache
-def relaxation_chain() -> Chain:
-    """The chain nearest to the law, by nonnegative least squares over the band, with Re h = 0 at `REFERENCE`.
+def relaxation_chain() -> RelaxationChain:
+    """The chain nearest to the law, by nonnegative least squares over the band, with Re h = 0 at `REFERENCE_FREQUENCY`.
 
     Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23.
     """
-    lowest, highest = BAND[0] / BEYOND, BAND[1] * BEYOND
-    rates = 2 * np.pi * np.geomspace(lowest, highest, round(PER_DECADE * np.log10(highest / lowest)) + 1)
+    lowest, highest = BAND[0] / BAND_MARGIN, BAND[1] * BAND_MARGIN
+    rates = 2 * np.pi * np.geomspace(lowest, highest, round(RATES_PER_DECADE * np.log10(highest / lowest)) + 1)
     frequency = np.geomspace(*BAND, 40 * len(rates))
-    terms = _relaxing(frequency, rates)
-    at_reference = _relaxing(np.array([REFERENCE]), rates)[0].real
-    centred, law = terms - at_reference, hysteretic(frequency)
+    terms = _relaxation_terms(frequency, rates)
+    at_reference = _relaxation_terms(np.array([REFERENCE_FREQUENCY]), rates)[0].real
+    centred, law = terms - at_reference, hysteretic_law(frequency)
     strengths, _ = nnls(np.concatenate([centred.real, centred.imag]), np.concatenate([law.real, law.imag]))
     used = strengths > 0
-    return Chain(rates[used], strengths[used], float(at_reference @ strengths))
+    return RelaxationChain(rates[used], strengths[used], float(at_reference @ strengths))
 
 
-def _relaxing(frequency: Array, rates: Array) -> ComplexArray:
+def _relaxation_terms(frequency: Array, rates: Array) -> ComplexArray:
     """Terms s / (s + a) (k, r) at s = j omega of `frequency` (k,) [Hz]."""
     s = 2j * np.pi * frequency[:, None]
     return np.asarray(s / (s + rates))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix
 from balance_cli.model.damping import modal_damping
-from balance_cli.model.mechanics.dual_numbers import Jet, block_diagonal, concatenate, constant, stack
+from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import SHAFT, TORQUE, ChannelPath, Equations
 from balance_cli.model.parameters import INERTIA_NAMES
 from balance_cli.model.plate import free_index, load_matrix
@@ -18,11 +18,11 @@ from balance_cli.model.plate import free_index, load_matrix
 Array = NDArray[np.float64]
 
 
-def rigid_equations(geometry: Geometry, value: Mapping[str, Jet], p: int) -> Equations:
+def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Equations:
     """Plate and shaft at the parameters `value` by name, whose slopes refer to `p` free ones."""
     mass, B, F = _plate(geometry, value)
     k = stack([value[f"stiffness.{cell.name}"] for cell in geometry.cells])
-    stiffness = B.T @ (k.expanded(-1) * B)
+    stiffness = B.T @ (k.insert_axis(-1) * B)
     zeta = stack([value[f"damping_ratio.{i + 1}"] for i in range(len(geometry.freedom))])
     damping = modal_damping(mass, stiffness, zeta)
     springs: tuple[str, ...] = geometry.cell_names
@@ -42,13 +42,13 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Jet], p: int) -> Equ
         elongation=B,
         stiffness=k,
         loss=constant(np.zeros(len(springs)), p),
-        stiffening=constant(np.zeros(len(springs)), p),
+        frequency_stiffness=constant(np.zeros(len(springs)), p),
         extra_readings=constant(np.zeros((len(springs), n)), p),
         inputs=F,
-        paths=tuple(_path(channel, springs, value, p) for channel in geometry.channels),
-        spill=constant(np.eye(6), p),
+        paths=tuple(_channel_path(channel, springs, value, p) for channel in geometry.channels),
+        exciter_cross_axis=constant(np.eye(6), p),
         mixing=constant(np.eye(len(geometry.channels)), p),
-        centre=stack([value[f"centre_of_gravity.{axis}"] for axis in "xyz"]),
+        center=stack([value[f"centre_of_gravity.{axis}"] for axis in "xyz"]),
         freedom=tuple(free_index(geometry)),
         base=constant(np.zeros((6, n)), p),
         row_factor=constant(np.ones(n), p),
@@ -58,16 +58,16 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Jet], p: int) -> Equ
     )
 
 
-def _plate(geometry: Geometry, value: Mapping[str, Jet]) -> tuple[Jet, Jet, Jet]:
+def _plate(geometry: Geometry, value: Mapping[str, Dual]) -> tuple[Dual, Dual, Dual]:
     """M (n, n), B (cells, n) and F (n, 6) of the plate; B and F are linear in the centre of gravity."""
     free = free_index(geometry)
     mass = value["mass"] * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     for name in INERTIA_NAMES:
         mass = mass + value[f"inertia.{name}"] * _inertia_pattern(name)
-    centre = [value[f"centre_of_gravity.{axis}"] for axis in "xyz"]
+    center = [value[f"centre_of_gravity.{axis}"] for axis in "xyz"]
     B, F = elongation_matrix(geometry, np.zeros(3)), load_matrix(geometry, np.zeros(3))
     elongation, inputs = constant(B, mass.parameters), constant(F, mass.parameters)
-    for coordinate, unit in zip(centre, np.eye(3), strict=True):
+    for coordinate, unit in zip(center, np.eye(3), strict=True):
         elongation = elongation + coordinate * (elongation_matrix(geometry, unit) - B)
         inputs = inputs + coordinate * (load_matrix(geometry, unit) - F)
     return mass[np.ix_(free, free)], elongation[:, free], inputs[free]
@@ -84,8 +84,8 @@ def _inertia_pattern(name: str) -> Array:
 
 
 def _with_shaft(
-    value: Mapping[str, Jet], mass: Jet, damping: Jet, B: Jet, k: Jet, F: Jet
-) -> tuple[Jet, Jet, Jet, Jet, Jet]:
+    value: Mapping[str, Dual], mass: Dual, damping: Dual, B: Dual, k: Dual, F: Dual
+) -> tuple[Dual, Dual, Dual, Dual, Dual]:
     """The shaft beside the plate: J phi'' + d phi' + k phi = Mz, d = 2 zeta sqrt(k J)."""
     J, stiffness = value["torque_meter.inertia"], value["torque_meter.stiffness"]
     d = 2.0 * value["torque_meter.damping_ratio"] * (stiffness * J).sqrt()
@@ -100,7 +100,7 @@ def _with_shaft(
     )
 
 
-def _path(channel: Channel, springs: tuple[str, ...], value: Mapping[str, Jet], p: int) -> ChannelPath:
+def _channel_path(channel: Channel, springs: tuple[str, ...], value: Mapping[str, Dual], p: int) -> ChannelPath:
     spring = springs.index(TORQUE if channel.torque_meter else str(channel.cell))
     low = () if channel.lowpass is None else (constant(1.0 / (2 * np.pi * channel.lowpass), p),)
     high = () if channel.time_constant is None else (constant(1.0 / channel.time_constant, p),)

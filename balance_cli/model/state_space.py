@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from balance_cli.campaign.rig.geometry import Acquisition, AnalogueFilter
+from balance_cli.campaign.rig.geometry import Acquisition, AnalogFilter
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.model.realization import Descriptor, Realisation, gain, modal_form, parallel, proper_part, series
+from balance_cli.model.realization import Descriptor, Realization, gain, modal_form, parallel, proper_part, series
 from balance_cli.model.relaxation import relaxation_chain
 from balance_cli.model.system import System, response, solve
 from balance_cli.signals.anti_alias import butterworth_poles
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # Of the largest singular value, what is rounding in the rank of the springs with loss.
-DEPENDENT = 1e-12
+LOSS_RANK_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class StateSpace:
         """T (k, c, 6) at `frequency` (k,) [Hz], volts per unit hub load, delay and mixing included."""
         s = 2j * np.pi * np.atleast_1d(np.asarray(frequency, float))
         late = np.exp(-s[:, None] * self.delay)[:, :, None]
-        return np.asarray(self.mixing @ (late * Realisation(self.A, self.B, self.C, self.D).at(s)))
+        return np.asarray(self.mixing @ (late * Realization(self.A, self.B, self.C, self.D).transfer_function(s)))
 
 
 def state_space(system: System, spin: float = 0.0) -> StateSpace:
@@ -61,8 +61,8 @@ def state_space(system: System, spin: float = 0.0) -> StateSpace:
     where the response is not that of finite poles and a direct term.
     """
     read = sorted({path.spring for path in system.paths})
-    forces = modal_form(proper_part(_mechanics(system, spin, read)))
-    volts = parallel([_channel(path) for path in system.paths])
+    forces = modal_form(proper_part(_structural_descriptor(system, spin, read)))
+    volts = parallel([_channel_filters(path) for path in system.paths])
     of_spring = gain(np.array([[float(path.spring == spring) for spring in read] for path in system.paths]))
     whole = series(series(forces, of_spring), volts)
     delay = np.array([0.0 if path.delay is None else float(path.delay.value) for path in system.paths])
@@ -76,12 +76,12 @@ def with_anti_alias(space: StateSpace, acquisition: Acquisition) -> StateSpace:
     """
     if acquisition.filter is None:
         return space
-    filters = parallel([_butterworth(acquisition.filter)] * space.B.shape[1])
-    whole = series(filters, Realisation(space.A, space.B, space.C, space.D))
+    filters = parallel([_butterworth_filter(acquisition.filter)] * space.B.shape[1])
+    whole = series(filters, Realization(space.A, space.B, space.C, space.D))
     return replace(space, A=whole.A, B=whole.B, C=whole.C, D=whole.D)
 
 
-def realisation_error(space: StateSpace, system: System, frequency: ArrayLike, spin: float = 0.0) -> float:
+def realization_error(space: StateSpace, system: System, frequency: ArrayLike, spin: float = 0.0) -> float:
     """Rms of the difference of the two responses over the rms of the system's own, at `frequency` (k,) [Hz].
 
     Each load's, then each channel's responses are scaled to an rms of one, so that all count alike. It is rounding but
@@ -104,26 +104,26 @@ def _rms(values: ComplexArray, axes: tuple[int, ...]) -> Array:
 # ---- mechanics -------------------------------------------------------------------------------------------------------
 
 
-def _mechanics(system: System, spin: float, read: list[int]) -> Descriptor:
+def _structural_descriptor(system: System, spin: float, read: list[int]) -> Descriptor:
     """From hub loads to the forces of the springs `read`, states (q, q', w), w = a / (s + a) r with k eta E q = U r.
 
     The forces gain h(s) k eta E q = U (instant r - g' w): one w for each relaxation and each independent elongation r
     of the springs with loss, of which there can be no more than motions.
     """
     chain = relaxation_chain()
-    U, loss = _independent(system.readings_loss.value)
+    U, loss = _rank_factors(system.readings_loss.value)
     reactions = system.reactions.value @ U
     strengths, rates = chain.strengths[None], chain.rates[:, None]
-    M, D, K = _second_order(system, spin)
+    M, D, K = _second_order_matrices(system, spin)
     n, relaxing = len(M), len(loss) * len(chain.rates)
     A = np.block(
         [
             [np.zeros((n, n)), np.eye(n), np.zeros((n, relaxing))],
-            [chain.instant * reactions @ loss - K, -D, -np.kron(reactions, strengths)],
+            [chain.instantaneous_increment * reactions @ loss - K, -D, -np.kron(reactions, strengths)],
             [np.kron(loss, rates), np.zeros((relaxing, n)), -np.diag(np.tile(chain.rates, len(loss)))],
         ]
     )
-    readings = system.readings.value + chain.instant * system.readings_loss.value
+    readings = system.readings.value + chain.instantaneous_increment * system.readings_loss.value
     relaxed = -np.kron(U, strengths)
     return Descriptor(
         E=np.asarray(block_diag(np.eye(n), M, np.eye(relaxing)), float),
@@ -134,14 +134,14 @@ def _mechanics(system: System, spin: float, read: list[int]) -> Descriptor:
     )
 
 
-def _independent(rows: Array) -> tuple[Array, Array]:
+def _rank_factors(rows: Array) -> tuple[Array, Array]:
     """U (e, r) and R (r, n) of full rank r with U R = rows (e, n)."""
     U, size, V = np.linalg.svd(rows, full_matrices=False)
-    some = size > DEPENDENT * size[0]
+    some = size > LOSS_RANK_TOLERANCE * size[0]
     return U[:, some], size[some, None] * V[some]
 
 
-def _second_order(system: System, spin: float) -> tuple[Array, Array, Array]:
+def _second_order_matrices(system: System, spin: float) -> tuple[Array, Array, Array]:
     """M, D + Omega G and K (n, n) at rotor speed `spin` [Hz]; D has the rotor's share."""
     pencil = system.pencil
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
@@ -151,7 +151,7 @@ def _second_order(system: System, spin: float) -> tuple[Array, Array, Array]:
 # ---- filters ---------------------------------------------------------------------------------------------------------
 
 
-def _channel(path: ChannelPath) -> Realisation:
+def _channel_filters(path: ChannelPath) -> Realization:
     """From a spring's force to volts, all but the delay."""
     whole = gain(float(path.gain.value))
     for tau in path.low_pass:
@@ -161,29 +161,29 @@ def _channel(path: ChannelPath) -> Realisation:
     return whole
 
 
-def _low_pass(rate: float) -> Realisation:
+def _low_pass(rate: float) -> Realization:
     """The filter r / (s + r), r in 1/s."""
     one = np.ones((1, 1))
-    return Realisation(-rate * one, rate * one, one, 0 * one)
+    return Realization(-rate * one, rate * one, one, 0 * one)
 
 
-def _high_pass(rate: float) -> Realisation:
+def _high_pass(rate: float) -> Realization:
     """The filter s / (s + r) = 1 - r / (s + r), r in 1/s."""
     one = np.ones((1, 1))
-    return Realisation(-rate * one, rate * one, -one, one)
+    return Realization(-rate * one, rate * one, -one, one)
 
 
-def _butterworth(declared: AnalogueFilter) -> Realisation:
+def _butterworth_filter(declared: AnalogFilter) -> Realization:
     """The low-pass of `butterworth_poles`, its pairs of poles one after the other and the real one, if any, last."""
     poles = 2 * np.pi * declared.cutoff * butterworth_poles(declared.order)
     whole = gain(1.0)
     for pole in poles[: declared.order // 2]:
-        whole = series(whole, _resonance(complex(pole)))
+        whole = series(whole, _resonant_low_pass(complex(pole)))
     return series(whole, _low_pass(2 * np.pi * declared.cutoff)) if declared.order % 2 else whole
 
 
-def _resonance(pole: complex) -> Realisation:
+def _resonant_low_pass(pole: complex) -> Realization:
     """The low-pass |p|^2 / ((s - p) (s - conj p)) of a pole p."""
     a, b, size = pole.real, pole.imag, abs(pole)
     A = np.array([[a, -b], [b, a]])
-    return Realisation(A, np.array([[size], [0.0]]), np.array([[0.0, size / b]]), np.zeros((1, 1)))
+    return Realization(A, np.array([[size], [0.0]]), np.array([[0.0, size / b]]), np.zeros((1, 1)))

@@ -13,16 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.model.channel_gains import channel_gains, log_gain_slope, path_parameters
-from balance_cli.model.mechanics.dual_numbers import Jet
-from balance_cli.model.mechanics.equations import CellForce, ChannelPath, Equations, Pickup
+from balance_cli.model.channel_gains import channel_gains, log_gain_derivative, path_parameters
+from balance_cli.model.mechanics.dual_numbers import Dual
+from balance_cli.model.mechanics.equations import CellForce, ChannelPath, Equations, InterferenceTone
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 
-REFERENCE = 20.0
+REFERENCE_FREQUENCY = 20.0
 """Frequency [Hz] at which a spring that stiffens with frequency has its own stiffness."""
 
 
@@ -30,15 +30,15 @@ REFERENCE = 20.0
 class Pencil:
     """A(w) = stiffness + j hysteresis + ln(w / w0) stiffening + j w (damping + Omega gyroscopic) - w^2 mass.
 
-    Each (n, n) with slopes; hysteresis and stiffening only where there is motion; w0 / (2 pi) is `REFERENCE`.
+    Each (n, n) with slopes; hysteresis and stiffening only where there is motion; w0 / (2 pi) is `REFERENCE_FREQUENCY`.
     """
 
-    mass: Jet
-    damping: Jet
-    gyroscopic: Jet
-    stiffness: Jet
-    hysteresis: Jet
-    stiffening: Jet
+    mass: Dual
+    damping: Dual
+    gyroscopic: Dual
+    stiffness: Dual
+    hysteresis: Dual
+    frequency_stiffness: Dual
 
 
 @dataclass(frozen=True)
@@ -53,23 +53,23 @@ class System:
 
     coordinates: tuple[str, ...]
     pencil: Pencil
-    inputs: Jet
-    readings: Jet
-    readings_loss: Jet
-    readings_stiffening: Jet
-    reactions: Jet
-    stiffness: Jet
-    loss: Jet
-    stiffening: Jet
+    inputs: Dual
+    readings: Dual
+    readings_loss: Dual
+    readings_frequency_stiffness: Dual
+    reactions: Dual
+    stiffness: Dual
+    loss: Dual
+    frequency_stiffness: Dual
     paths: tuple[ChannelPath, ...]
-    spill: Jet
-    mixing: Jet
+    exciter_cross_axis: Dual
+    mixing: Dual
     row_factor: Array
     own_stiffness: Array
-    channel_offset: Jet
-    load_offset: Jet
+    channel_offset: Dual
+    load_offset: Dual
     forces: tuple[CellForce, ...]
-    pickups: tuple[Pickup, ...]
+    interference_tones: tuple[InterferenceTone, ...]
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -82,23 +82,23 @@ class System:
         return self.inputs.parameters
 
 
-def assembled(equations: Equations) -> System:
+def assemble_system(equations: Equations) -> System:
     """Form the pencil, rows of flexible parts by their compliance.
 
     K = E' diag(k) E + K_extra, H = E' diag(k eta) E, and the same with the stiffening in the place of eta.
     """
     E, k = equations.elongation, equations.stiffness
-    springs = k.expanded(-1) * E
-    springs_loss = equations.loss.expanded(-1) * springs
-    springs_stiffening = equations.stiffening.expanded(-1) * springs
-    factor = equations.row_factor.expanded(-1)
+    springs = k.insert_axis(-1) * E
+    springs_loss = equations.loss.insert_axis(-1) * springs
+    springs_frequency_stiffness = equations.frequency_stiffness.insert_axis(-1) * springs
+    factor = equations.row_factor.insert_axis(-1)
     pencil = Pencil(
         mass=factor * equations.mass,
         damping=factor * equations.damping,
         gyroscopic=factor * equations.gyroscopic,
         stiffness=factor * (E.T @ springs + equations.extra_stiffness) + np.diag(equations.own_stiffness),
         hysteresis=factor * (E.T @ springs_loss),
-        stiffening=factor * (E.T @ springs_stiffening),
+        frequency_stiffness=factor * (E.T @ springs_frequency_stiffness),
     )
     return System(
         coordinates=equations.coordinates,
@@ -106,20 +106,20 @@ def assembled(equations: Equations) -> System:
         inputs=factor * equations.inputs,
         readings=springs + equations.extra_readings,
         readings_loss=springs_loss,
-        readings_stiffening=springs_stiffening,
+        readings_frequency_stiffness=springs_frequency_stiffness,
         reactions=-(factor * E.T),
         stiffness=k,
         loss=equations.loss,
-        stiffening=equations.stiffening,
+        frequency_stiffness=equations.frequency_stiffness,
         paths=equations.paths,
-        spill=equations.spill,
+        exciter_cross_axis=equations.exciter_cross_axis,
         mixing=equations.mixing,
         row_factor=equations.row_factor.value,
         own_stiffness=equations.own_stiffness,
         channel_offset=equations.channel_offset,
         load_offset=equations.load_offset,
         forces=equations.forces,
-        pickups=equations.pickups,
+        interference_tones=equations.interference_tones,
     )
 
 
@@ -133,16 +133,16 @@ class Solution:
 
     frequency: Array
     spin: float
-    to_forces: ComplexArray
-    inverse: ComplexArray
+    force_influence: ComplexArray
+    receptance: ComplexArray
     forces: ComplexArray
     gains: ComplexArray
 
 
-def rise(frequency: Array) -> Array:
+def log_frequency_ratio(frequency: Array) -> Array:
     """ln(f / f0) (k,) of frequencies [Hz], by which a spring with loss stiffens; zero at rest."""
     moving = np.asarray(frequency, float) > 0
-    return np.where(moving, np.log(np.where(moving, frequency, 1.0) / REFERENCE), 0.0)
+    return np.where(moving, np.log(np.where(moving, frequency, 1.0) / REFERENCE_FREQUENCY), 0.0)
 
 
 def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float = 0.0) -> ComplexArray:
@@ -150,20 +150,20 @@ def dynamic_stiffness(pencil: Pencil, frequency: Array, spin: float = 0.0) -> Co
     w = (2 * np.pi * np.asarray(frequency, float))[:, None, None]
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
     stiffness = pencil.stiffness.value + 1j * np.sign(w) * pencil.hysteresis.value
-    stiffness = stiffness + rise(frequency)[:, None, None] * pencil.stiffening.value
+    stiffness = stiffness + log_frequency_ratio(frequency)[:, None, None] * pencil.frequency_stiffness.value
     return np.asarray(stiffness + 1j * w * damping - w**2 * pencil.mass.value)
 
 
 def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
     """Invert the dynamic stiffness once; responses and derivatives follow from it."""
     frequency = np.atleast_1d(np.asarray(frequency, float))
-    inverse = np.asarray(np.linalg.inv(dynamic_stiffness(system.pencil, frequency, spin)), complex)
+    receptance = np.asarray(np.linalg.inv(dynamic_stiffness(system.pencil, frequency, spin)), complex)
     moving = np.sign(frequency)[:, None, None]
     readings = system.readings.value + 1j * moving * system.readings_loss.value
-    readings = readings + rise(frequency)[:, None, None] * system.readings_stiffening.value
-    to_forces = np.asarray(readings @ inverse, complex)
-    forces = np.asarray(to_forces @ system.inputs.value, complex)
-    return Solution(frequency, spin, to_forces, inverse, forces, channel_gains(system.paths, frequency))
+    readings = readings + log_frequency_ratio(frequency)[:, None, None] * system.readings_frequency_stiffness.value
+    force_influence = np.asarray(readings @ receptance, complex)
+    forces = np.asarray(force_influence @ system.inputs.value, complex)
+    return Solution(frequency, spin, force_influence, receptance, forces, channel_gains(system.paths, frequency))
 
 
 def response(system: System, solution: Solution) -> ComplexArray:
@@ -194,7 +194,7 @@ def spring_forces(
 
 def extra_forces(system: System, solution: Solution, index: Index, extra: SpringInputs) -> ComplexArray:
     """The part (K, e) of the springs' forces, as read, that is due to the further ones."""
-    through = (solution.to_forces @ system.reactions.value)[index]
+    through = (solution.force_influence @ system.reactions.value)[index]
     return np.asarray(np.matmul(through, extra.acting[:, :, None])[:, :, 0] + extra.read)
 
 
@@ -202,18 +202,18 @@ def volts_of_forces(system: System, solution: Solution) -> tuple[ComplexArray, C
     """Volts (k, c, e) per unit of a force that acts along each spring, and of one that its channels read."""
     springs = [path.spring for path in system.paths]
     gains, mixing = solution.gains[:, :, None], system.mixing.value
-    acting = gains * (solution.to_forces @ system.reactions.value)[:, springs]
+    acting = gains * (solution.force_influence @ system.reactions.value)[:, springs]
     read = gains * np.eye(len(system.stiffness.value))[springs]
     return np.asarray(mixing @ acting), np.asarray(mixing @ read)
 
 
-def force_slopes(
+def spring_force_jacobian(
     system: System,
     solution: Solution,
     index: Index,
     loads: ComplexArray,
     extra: SpringInputs | None = None,
-    chosen: NDArray[np.bool_] | slice = slice(None),
+    selection: NDArray[np.bool_] | slice = slice(None),
 ) -> ComplexArray:
     """Derivatives (K, e, p) of the spring forces for given loads (K, 6) and further forces at lines `index` (K,)."""
     pencil = system.pencil
@@ -221,32 +221,42 @@ def force_slopes(
     driven = loads @ system.inputs.value.T
     if extra is not None:
         driven = driven + extra.acting @ system.reactions.value.T
-    x = np.matmul(solution.inverse[index], driven[:, :, None])[:, :, 0]
-    lagging, rising = 1j * np.sign(w) * x, rise(solution.frequency[index])[:, None] * x
-    damping = pencil.damping.slope + 2 * np.pi * solution.spin * pencil.gyroscopic.slope
-    matrices = [system.inputs.slope, -pencil.stiffness.slope, -damping, pencil.mass.slope, -pencil.hysteresis.slope]
+    x = np.matmul(solution.receptance[index], driven[:, :, None])[:, :, 0]
+    lagging, rising = 1j * np.sign(w) * x, log_frequency_ratio(solution.frequency[index])[:, None] * x
+    damping = pencil.damping.derivative + 2 * np.pi * solution.spin * pencil.gyroscopic.derivative
+    matrices = [
+        system.inputs.derivative,
+        -pencil.stiffness.derivative,
+        -damping,
+        pencil.mass.derivative,
+        -pencil.hysteresis.derivative,
+    ]
     vectors = [loads, x, 1j * w * x, w**2 * x, lagging]
-    lossy = system.readings_loss.slope.any()
+    lossy = system.readings_loss.derivative.any()
     if lossy:
-        matrices, vectors = [*matrices, -pencil.stiffening.slope], [*vectors, rising]
-    change = slopes_times(np.concatenate([part[chosen] for part in matrices], axis=2), np.concatenate(vectors, axis=1))
+        matrices, vectors = [*matrices, -pencil.frequency_stiffness.derivative], [*vectors, rising]
+    change = multiply_derivatives(
+        np.concatenate([part[selection] for part in matrices], axis=2), np.concatenate(vectors, axis=1)
+    )
     if extra is not None:
-        change += slopes_times(system.reactions.slope[chosen], extra.acting)
-    slopes = solution.to_forces[index] @ change + slopes_times(system.readings.slope[chosen], x)
+        change += multiply_derivatives(system.reactions.derivative[selection], extra.acting)
+    derivatives = solution.force_influence[index] @ change + multiply_derivatives(
+        system.readings.derivative[selection], x
+    )
     if lossy:
-        slopes += slopes_times(system.readings_loss.slope[chosen], lagging)
-        slopes += slopes_times(system.readings_stiffening.slope[chosen], rising)
-    return np.asarray(slopes)
+        derivatives += multiply_derivatives(system.readings_loss.derivative[selection], lagging)
+        derivatives += multiply_derivatives(system.readings_frequency_stiffness.derivative[selection], rising)
+    return np.asarray(derivatives)
 
 
-def slopes_times(slopes: Array, vectors: ComplexArray) -> ComplexArray:
+def multiply_derivatives(derivatives: Array, vectors: ComplexArray) -> ComplexArray:
     """Slopes (p, a, b) times vectors (K, b), as one matrix product: (K, a, p)."""
-    p, a, b = slopes.shape
-    flat = slopes.transpose(2, 1, 0).reshape(b, a * p)
+    p, a, b = derivatives.shape
+    flat = derivatives.transpose(2, 1, 0).reshape(b, a * p)
     return np.asarray((vectors @ flat).reshape(len(vectors), a, p))
 
 
-def output_slopes(
+def output_jacobian(
     system: System, solution: Solution, index: Index, loads: ComplexArray, extra: SpringInputs | None = None
 ) -> ComplexArray:
     """Derivatives (K, c, p) of the channels' volts for loads (K, 6) at lines `index` (K,) of the solution.
@@ -258,31 +268,40 @@ def output_slopes(
     forces = spring_forces(system, solution, index, loads, extra)
     gains = solution.gains[index]
     volts = gains * forces[:, springs]
-    moving = unless_most(moving_parameters(system))
-    slopes = np.zeros((len(index), len(springs), system.parameters), complex)
-    slopes[:, :, moving] = gains[:, :, None] * force_slopes(system, solution, index, loads, extra, moving)[:, springs]
+    moving = mask_or_full_slice(structural_parameters(system))
+    derivatives = np.zeros((len(index), len(springs), system.parameters), complex)
+    derivatives[:, :, moving] = (
+        gains[:, :, None] * spring_force_jacobian(system, solution, index, loads, extra, moving)[:, springs]
+    )
     s = np.asarray(2j * np.pi * solution.frequency[:, None], np.complex128)
     for c, path in enumerate(system.paths):
         own = path_parameters(path)
         if own.any():
-            slopes[:, c, own] += np.asarray(volts[:, c, None] * log_gain_slope(path, s)[:, own][index])
+            derivatives[:, c, own] += np.asarray(volts[:, c, None] * log_gain_derivative(path, s)[:, own][index])
     if np.any(system.mixing.value != np.eye(len(springs))):
-        slopes = system.mixing.value @ slopes
-    mixed = system.mixing.slope.any(axis=(1, 2))
+        derivatives = system.mixing.value @ derivatives
+    mixed = system.mixing.derivative.any(axis=(1, 2))
     if mixed.any():
-        slopes[:, :, mixed] += slopes_times(system.mixing.slope[mixed], volts)
-    return np.asarray(slopes)
+        derivatives[:, :, mixed] += multiply_derivatives(system.mixing.derivative[mixed], volts)
+    return np.asarray(derivatives)
 
 
-def moving_parameters(system: System) -> NDArray[np.bool_]:
+def structural_parameters(system: System) -> NDArray[np.bool_]:
     """Which parameters (p,) change the forces of the springs; those of channels and exciters do not."""
     pencil = system.pencil
-    parts = (pencil.mass, pencil.damping, pencil.gyroscopic, pencil.stiffness, pencil.hysteresis, pencil.stiffening)
-    read = (system.readings, system.readings_loss, system.readings_stiffening)
+    parts = (
+        pencil.mass,
+        pencil.damping,
+        pencil.gyroscopic,
+        pencil.stiffness,
+        pencil.hysteresis,
+        pencil.frequency_stiffness,
+    )
+    read = (system.readings, system.readings_loss, system.readings_frequency_stiffness)
     every = (*parts, *read, system.inputs, system.reactions)
-    return np.asarray(np.any([part.slope.any(axis=(1, 2)) for part in every], axis=0))
+    return np.asarray(np.any([part.derivative.any(axis=(1, 2)) for part in every], axis=0))
 
 
-def unless_most(chosen: NDArray[np.bool_]) -> NDArray[np.bool_] | slice:
+def mask_or_full_slice(selection: NDArray[np.bool_]) -> NDArray[np.bool_] | slice:
     """The chosen parameters (p,), or all where they are most: a part of the last axis is slow to reach."""
-    return chosen if 2 * np.count_nonzero(chosen) < len(chosen) else slice(None)
+    return selection if 2 * np.count_nonzero(selection) < len(selection) else slice(None)

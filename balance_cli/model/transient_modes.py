@@ -17,22 +17,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.model.channel_gains import channel_dynamics, log_gain_slope
+from balance_cli.model.channel_gains import channel_dynamics, log_gain_derivative
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.model.modes import eigenvalues, stiffened
+from balance_cli.model.modes import eigenvalues, frequency_stiffness_shift
 from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # Nearer than this share of their size two values of s count as one.
-SAME = 1e-7
+COINCIDENCE_TOLERANCE = 1e-7
 # Of the largest force that a motion could make, what is rounding.
-UNREAD = 1e-10
+UNOBSERVABLE_SHARE = 1e-10
 
 
 @dataclass(frozen=True)
-class FreeMotion:
+class TransientModes:
     """Modes and starts s (m,) [1/s], and what the channels read of each, volts (c, m), at t = 0 and unit amplitude.
 
     Derivatives by the parameters: s_slope (p, m, m) of the matrix S, volts_slope (p, c, m).
@@ -40,84 +40,91 @@ class FreeMotion:
 
     s: ComplexArray
     volts: ComplexArray
-    s_slope: ComplexArray
-    volts_slope: ComplexArray
+    s_derivative: ComplexArray
+    volts_derivative: ComplexArray
 
 
-def free_motion(
-    system: System, spin: float, highest: float, fastest: float = np.inf, slopes: bool = True
-) -> FreeMotion:
+def transient_modes(
+    system: System, spin: float, highest_frequency: float, fastest_decay: float = np.inf, with_derivatives: bool = True
+) -> TransientModes:
     """The modes below `highest` [Hz] and the starts of high-passes, at rotor speed `spin` [Hz].
 
     Only those that decay by no more than `fastest` [1/s]. Without `slopes` these are empty (p = 0).
     """
-    return _together(_modes(system, spin, highest, fastest, slopes), _starts(system, fastest, slopes))
+    return _join(
+        _structural_transients(system, spin, highest_frequency, fastest_decay, with_derivatives),
+        _high_pass_transients(system, fastest_decay, with_derivatives),
+    )
 
 
-def _modes(system: System, spin: float, highest: float, fastest: float, slopes: bool) -> FreeMotion:
-    M, D, K = _matrices(system, spin)
+def _structural_transients(
+    system: System, spin: float, highest_frequency: float, fastest_decay: float, with_derivatives: bool
+) -> TransientModes:
+    M, D, K = _pencil_matrices(system, spin)
     s, left, right = eigenvalues(M, D, K)
-    kept = (s.imag < 2 * np.pi * highest) & (-s.real < fastest) & _read(system, right)
+    kept = (s.imag < 2 * np.pi * highest_frequency) & (-s.real < fastest_decay) & _observable_modes(system, right)
     s, left, X = s[kept], left[kept], right[kept].T
     norm = np.einsum("mi,mij,jm->m", left, 2 * s[:, None, None] * M + D, X)
-    shift, d_shift = stiffened(system, s, left, X.T, norm)
+    shift, d_shift = frequency_stiffness_shift(system, s, left, X.T, norm)
     springs = [path.spring for path in system.paths]
     forces = (system.readings.value @ X)[springs]
     gains = np.stack([_gain(path, s) for path in system.paths])
     volts = system.mixing.value @ (gains * forces)
-    if not slopes:
+    if not with_derivatives:
         none, unread = np.zeros((0, len(s), len(s)), complex), np.zeros((0, *volts.shape), complex)
-        return FreeMotion(s + shift, volts, none, unread)
-    dX, dS = _pair_slopes(system, spin, (M, D), s, left, X)
+        return TransientModes(s + shift, volts, none, unread)
+    dX, dS = _invariant_pair_derivatives(system, spin, (M, D), s, left, X)
     dS[:, np.arange(len(s)), np.arange(len(s))] += d_shift.T
-    d_forces = (system.readings.slope @ X + system.readings.value @ dX)[:, springs]
-    d_volts = gains * d_forces + _gain_slopes(system, s, gains, forces, dS)
-    d_volts = system.mixing.value @ d_volts + system.mixing.slope @ (gains * forces)
-    return FreeMotion(s + shift, volts, dS, d_volts)
+    d_forces = (system.readings.derivative @ X + system.readings.value @ dX)[:, springs]
+    d_volts = gains * d_forces + _gain_function_derivatives(system, s, gains, forces, dS)
+    d_volts = system.mixing.value @ d_volts + system.mixing.derivative @ (gains * forces)
+    return TransientModes(s + shift, volts, dS, d_volts)
 
 
-def _read(system: System, right: ComplexArray) -> NDArray[np.bool_]:
+def _observable_modes(system: System, right: ComplexArray) -> NDArray[np.bool_]:
     """Modes (m,) of vectors (m, n) that a cell feels: one of a part without mass is rounding in all others."""
     R = system.readings.value
     felt = np.linalg.norm(right @ R.T, axis=1)
-    return np.asarray(felt > UNREAD * np.linalg.norm(R) * np.linalg.norm(right, axis=1))
+    return np.asarray(felt > UNOBSERVABLE_SHARE * np.linalg.norm(R) * np.linalg.norm(right, axis=1))
 
 
-def _starts(system: System, fastest: float, slopes: bool) -> FreeMotion:
+def _high_pass_transients(system: System, fastest_decay: float, with_derivatives: bool) -> TransientModes:
     """Of each high-pass what it makes of its own start: s = -r, one volt of its channel; the amplitude is real."""
-    found = [(c, rate) for c, path in enumerate(system.paths) for rate in path.high_pass if 0 < rate.value < fastest]
-    channels, p = [c for c, _ in found], system.parameters if slopes else 0
+    found = [
+        (c, rate) for c, path in enumerate(system.paths) for rate in path.high_pass if 0 < rate.value < fastest_decay
+    ]
+    channels, p = [c for c, _ in found], system.parameters if with_derivatives else 0
     s = np.array([-rate.value for _, rate in found], complex)
-    s_slope = np.zeros((p, len(s), len(s)), complex)
-    if slopes:
+    s_derivative = np.zeros((p, len(s), len(s)), complex)
+    if with_derivatives:
         for i, (_, rate) in enumerate(found):
-            s_slope[:, i, i] = -rate.slope
+            s_derivative[:, i, i] = -rate.derivative
     mixing = system.mixing
-    volts_slope = mixing.slope[:p, :, channels].astype(complex)
-    return FreeMotion(s, mixing.value[:, channels].astype(complex), s_slope, volts_slope)
+    volts_derivative = mixing.derivative[:p, :, channels].astype(complex)
+    return TransientModes(s, mixing.value[:, channels].astype(complex), s_derivative, volts_derivative)
 
 
-def _together(one: FreeMotion, other: FreeMotion) -> FreeMotion:
-    m = len(one.s)
-    s = np.concatenate([one.s, other.s])
-    s_slope = np.zeros((len(one.s_slope), len(s), len(s)), complex)
-    s_slope[:, :m, :m], s_slope[:, m:, m:] = one.s_slope, other.s_slope
-    volts_slope = np.concatenate([one.volts_slope, other.volts_slope], axis=2)
-    return FreeMotion(s, np.concatenate([one.volts, other.volts], axis=1), s_slope, volts_slope)
+def _join(first: TransientModes, second: TransientModes) -> TransientModes:
+    m = len(first.s)
+    s = np.concatenate([first.s, second.s])
+    s_derivative = np.zeros((len(first.s_derivative), len(s), len(s)), complex)
+    s_derivative[:, :m, :m], s_derivative[:, m:, m:] = first.s_derivative, second.s_derivative
+    volts_derivative = np.concatenate([first.volts_derivative, second.volts_derivative], axis=2)
+    return TransientModes(s, np.concatenate([first.volts, second.volts], axis=1), s_derivative, volts_derivative)
 
 
-def _matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
+def _pencil_matrices(system: System, spin: float) -> tuple[Array, Array, ComplexArray]:
     pencil = system.pencil
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
     return pencil.mass.value, damping, pencil.stiffness.value + 1j * pencil.hysteresis.value
 
 
-def divided_differences(values: ComplexArray, derivative: ComplexArray, s: ComplexArray) -> ComplexArray:
+def divided_differences(values: ComplexArray, derivative_values: ComplexArray, s: ComplexArray) -> ComplexArray:
     """f[s_i, s_j] (..., m, m) of a function with values f(s_j) (..., m) and derivatives f'(s_j) (..., m)."""
     difference = s[:, None] - s
-    same = np.abs(difference) < SAME * np.abs(s)
+    same = np.abs(difference) < COINCIDENCE_TOLERANCE * np.abs(s)
     quotient = (values[..., :, None] - values[..., None, :]) / np.where(same, 1.0, difference)
-    return np.asarray(np.where(same, derivative[..., :, None], quotient))
+    return np.asarray(np.where(same, derivative_values[..., :, None], quotient))
 
 
 def _gain(path: ChannelPath, s: ComplexArray) -> ComplexArray:
@@ -130,18 +137,18 @@ def _gain_derivative(path: ChannelPath, s: ComplexArray) -> ComplexArray:
     return (_gain(path, s + step) - _gain(path, s - step)) / (2 * step)
 
 
-def _gain_slopes(
+def _gain_function_derivatives(
     system: System, s: ComplexArray, gains: ComplexArray, forces: ComplexArray, dS: ComplexArray
 ) -> ComplexArray:
     """Change (p, c, m) of r g(S) for rows r (c, m): by S itself, and by the parameters of the filters."""
     rows = []
     for i, path in enumerate(system.paths):
         change = divided_differences(gains[i], _gain_derivative(path, s), s) * dS
-        rows.append(forces[i] @ change + (forces[i] * gains[i]) * log_gain_slope(path, s[:, None]).T)
+        rows.append(forces[i] @ change + (forces[i] * gains[i]) * log_gain_derivative(path, s[:, None]).T)
     return np.stack(rows, axis=1)
 
 
-def _pair_slopes(
+def _invariant_pair_derivatives(
     system: System, spin: float, matrices: tuple[Array, Array], s: ComplexArray, left: ComplexArray, X: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """Slopes dX (p, n, m) and dS (p, m, m), column by column from
@@ -159,9 +166,9 @@ def _pair_slopes(
     for j, sj in enumerate(s):
         coupling = M @ (X * (s + sj)) + D @ X
         bordered[j] = np.block([[sj**2 * M + sj * D + K, coupling], [W1 + sj * W2, W2 @ X]])
-    damping = pencil.damping.slope + 2 * np.pi * spin * pencil.gyroscopic.slope
-    elastic = pencil.stiffness.slope + 1j * pencil.hysteresis.slope
-    change = (pencil.mass.slope @ X) * s**2 + (damping @ X) * s + elastic @ X
+    damping = pencil.damping.derivative + 2 * np.pi * spin * pencil.gyroscopic.derivative
+    elastic = pencil.stiffness.derivative + 1j * pencil.hysteresis.derivative
+    change = (pencil.mass.derivative @ X) * s**2 + (damping @ X) * s + elastic @ X
     right = np.zeros((m, n + m, len(change)), complex)
     right[:, :n] = -change.transpose(2, 1, 0)
     solved = np.asarray(np.linalg.solve(bordered, right), complex).transpose(2, 1, 0)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.plate import hub_arm
+from balance_cli.model.plate import moment_reference_length
 from balance_cli.reduction.result import CheckErrors
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.anti_alias import anti_alias
@@ -21,10 +21,10 @@ HARMONICS_COMPARED = 8
 
 def check_errors(
     spectra: Harmonics,
-    dynamic: SolvedLoads,
+    harmonic_solution: SolvedLoads,
     components: tuple[str, ...],
     geometry: Geometry,
-    spill: Array | None = None,
+    exciter_cross_axis: Array | None = None,
 ) -> CheckErrors:
     """Compare over harmonics 1 to 8, complex amplitudes (contract, `load_error` and `interaction`).
 
@@ -35,29 +35,31 @@ def check_errors(
     mine = spectra.columns(components)
     was_applied = np.any(spectra.amplitude[:, mine] != 0, axis=0)
     applied, variance = spectra.amplitude[:, mine], np.real(np.diagonal(spectra.covariance, axis1=1, axis2=2))[:, mine]
-    if spill is not None and np.any(spill != np.eye(6)):
-        applied, variance = _acting(spectra, spill, components)
+    if exciter_cross_axis is not None and np.any(exciter_cross_axis != np.eye(6)):
+        applied, variance = _applied_loads(spectra, exciter_cross_axis, components)
     applied, variance = applied / H[:, None], variance / np.abs(H[:, None]) ** 2
     last = min(HARMONICS_COMPARED, len(spectra.frequency_hz) - 1)
-    error = _rms(dynamic.loads[:last] - applied[1 : last + 1])
-    noise = _noise(dynamic, variance[1:])[:last]
+    error = _rms(harmonic_solution.loads[:last] - applied[1 : last + 1])
+    noise = _expected_square_error(harmonic_solution, variance[1:])[:last]
     size = np.where(
         was_applied, _rms(applied[1 : last + 1]), _largest_force(applied[1 : last + 1], components, geometry)
     )
     relative, of_noise = error / size, np.sqrt(np.mean(noise, axis=0)) / size
     return CheckErrors(
-        load_error=_named(components, relative, was_applied),
-        interaction=_named(components, relative, ~was_applied),
-        load_noise=_named(components, of_noise, was_applied),
-        interaction_noise=_named(components, of_noise, ~was_applied),
+        load_error=_by_component(components, relative, was_applied),
+        interaction=_by_component(components, relative, ~was_applied),
+        load_noise=_by_component(components, of_noise, was_applied),
+        interaction_noise=_by_component(components, of_noise, ~was_applied),
         applied=applied,
     )
 
 
-def _acting(spectra: Harmonics, spill: Array, components: tuple[str, ...]) -> tuple[ComplexArray, Array]:
+def _applied_loads(
+    spectra: Harmonics, exciter_cross_axis: Array, components: tuple[str, ...]
+) -> tuple[ComplexArray, Array]:
     """Loads (n+1, m) that act, and their variance, where those of the force cells spill into others."""
     six = spectra.columns(COMPONENTS)
-    to = spill[[COMPONENTS.index(name) for name in components]]
+    to = exciter_cross_axis[[COMPONENTS.index(name) for name in components]]
     covariance = spectra.covariance[:, six][:, :, six]
     return spectra.amplitude[:, six] @ to.T, np.real(np.einsum("mi,hij,mj->hm", to, covariance, to))
 
@@ -66,10 +68,10 @@ def _rms(values: ComplexArray) -> Array:
     return np.asarray(np.sqrt(np.mean(np.abs(values) ** 2, axis=0)))
 
 
-def _noise(dynamic: SolvedLoads, applied_variance: Array) -> Array:
+def _expected_square_error(harmonic_solution: SolvedLoads, applied_variance: Array) -> Array:
     """Expected |reduced - applied|^2 (n, m) from noise of the channels and of the applied loads' own reading."""
-    m = dynamic.loads.shape[1]
-    variance = np.diagonal(dynamic.noise_covariance, axis1=1, axis2=2)
+    m = harmonic_solution.loads.shape[1]
+    variance = np.diagonal(harmonic_solution.noise_covariance, axis1=1, axis2=2)
     return np.asarray(variance[:, :m] + variance[:, m:] + applied_variance)
 
 
@@ -78,7 +80,7 @@ def _largest_force(applied: ComplexArray, components: tuple[str, ...], geometry:
 
     Where moments alone were applied, the largest of them over that height stands for the force.
     """
-    arm = hub_arm(geometry.hub)
+    arm = moment_reference_length(geometry.hub)
     moment = np.array([COMPONENTS.index(name) >= 3 for name in components])
     sizes = _rms(applied)
     forces = sizes[~moment]
@@ -86,5 +88,5 @@ def _largest_force(applied: ComplexArray, components: tuple[str, ...], geometry:
     return np.asarray(np.where(moment, arm * force, force), float)
 
 
-def _named(components: tuple[str, ...], values: Array, keep: NDArray[np.bool_]) -> dict[str, float]:
+def _by_component(components: tuple[str, ...], values: Array, keep: NDArray[np.bool_]) -> dict[str, float]:
     return {name: float(value) for name, value, k in zip(components, values, keep, strict=True) if k}

@@ -17,20 +17,20 @@ from balance_cli.reduction.response_sources import ModelSource, ResponseSource, 
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
-from balance_cli.signals.channel_noise import Clean, channel_noise
+from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.harmonic_spectrum import harmonic_lines
 from balance_cli.signals.harmonics import FEWEST_REVOLUTIONS, Harmonics, harmonics
-from balance_cli.signals.transient_end import settling
+from balance_cli.signals.transient_end import transient_end
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # Start transients have decayed to a thousandth after seven time constants.
-TIME_CONSTANTS = 7.0
+TRANSIENT_TIME_CONSTANTS = 7.0
 # Nor is less looked through than this [s]: a response may not know the slowest mode, and piezo channels forget slowly.
-LEAST_LIMIT = 10.0
+MIN_TRANSIENT_TIME = 10.0
 # Time constants over which the past of the rotor's speed still counts.
-MEMORY = 3.0
+SPEED_MEMORY = 3.0
 # A response is refused as singular where the channels tell two loads apart worse than this.
 LARGEST_CONDITION = 1e8
 
@@ -54,7 +54,7 @@ class RotorRecord:
         return self.run.rotor_speed and float(self.spectra.frequency_hz[1])
 
 
-def rotor_record(run: Run, geometry: Geometry, source: ResponseSource, highest: int = 8) -> RotorRecord:
+def rotor_record(run: Run, geometry: Geometry, source: ResponseSource, max_harmonic: int = 8) -> RotorRecord:
     """Harmonics 0 to `highest` of one `check` or `wind` run, from where its start transient has gone.
 
     Raises UserError where no channel is left, or the pulses do not serve.
@@ -67,11 +67,11 @@ def rotor_record(run: Run, geometry: Geometry, source: ResponseSource, highest: 
         fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
         raise UserError(fault, _place(run), "rotor/pulse_times", "Record for longer")
     if isinstance(source, ModelSource):
-        run = source.linear_part(run, health.live)
-    limit = max(TIME_CONSTANTS * source.slowest_decay, LEAST_LIMIT)
-    start = settling(run, azimuth, limit, health.live)
+        run = source.remove_nonlinear_contribution(run, health.live)
+    limit = max(TRANSIENT_TIME_CONSTANTS * source.slowest_decay, MIN_TRANSIENT_TIME)
+    start = transient_end(run, azimuth, limit, health.live)
     signals = health.live + (COMPONENTS if run.has_loads else ())
-    spectra = harmonics(run, azimuth, highest, names=signals, first_revolution=start.first_revolution)
+    spectra = harmonics(run, azimuth, max_harmonic, names=signals, first_revolution=start.first_revolution)
     return RotorRecord(run, health, azimuth, spectra, carried_components(geometry))
 
 
@@ -85,23 +85,23 @@ def _azimuth(run: Run) -> Azimuth:
     return azimuth_from_pulses(run.pulse_times)
 
 
-def dynamic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> SolvedLoads:
+def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> SolvedLoads:
     """Harmonics 1 to n: the anti-alias filter taken out, then the response, weighted by noise.
 
     Raises UserError where the channels that remain do not determine the loads.
     """
     spectra, health = record.spectra, record.health
     frequency = spectra.frequency_hz[1:]
-    readings = source.readings(frequency, health.live)
+    channel_combination = source.channel_combination(frequency, health.live)
     columns = [COMPONENTS.index(name) for name in record.components]
-    T = response_of_harmonics(record, geometry, source)[:, readings.rows][:, :, columns]
+    T = harmonic_response(record, geometry, source)[:, channel_combination.rows][:, :, columns]
     _check_determined(T, record)
     mine = spectra.columns(health.live)
-    combination = readings.combination / anti_alias(geometry.acquisition, frequency)[:, None, None]
+    combination = channel_combination.combination / anti_alias(geometry.acquisition, frequency)[:, None, None]
     y = np.einsum("hrc,hc->hr", combination, spectra.amplitude[1:, mine])
     noise = combination @ spectra.covariance[1:][:, mine][:, :, mine] @ combination.conj().swapaxes(1, 2)
     count = source.at(frequency[:1], record.spin).shape[1]
-    real_rows = np.array([*readings.rows, *(row + count for row in readings.rows)])
+    real_rows = np.array([*channel_combination.rows, *(row + count for row in channel_combination.rows)])
 
     def response_covariance(loads: Array) -> Array:
         six = np.zeros((len(loads), 6), complex)
@@ -111,9 +111,15 @@ def dynamic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSourc
     scale = np.tile(load_scale(geometry.hub)[columns], 2)
     stacked = np.concatenate([y.real, y.imag], axis=1)
     sample = np.diag(_channel_noise(record, geometry)).astype(complex)
-    weighed_by = circular_real(combination @ sample @ combination.conj().swapaxes(1, 2))
+    weighting_covariance = circular_real(combination @ sample @ combination.conj().swapaxes(1, 2))
     return solve_loads(
-        stacked_real(T), stacked, circular_real(noise), spectra.dof[1:], response_covariance, 1.0 / scale, weighed_by
+        stacked_real(T),
+        stacked,
+        circular_real(noise),
+        spectra.dof[1:],
+        response_covariance,
+        1.0 / scale,
+        weighting_covariance,
     )
 
 
@@ -121,14 +127,14 @@ def _channel_noise(record: RotorRecord, geometry: Geometry) -> Array:
     """Variance (c,) of a sample of each live channel's own noise, in the interval of the harmonics."""
     assert record.run.sample_rate is not None
     start, stop = (int(t * record.run.sample_rate) for t in record.spectra.interval)
-    return channel_noise(Clean(record.run, record.health.live, ((start, stop),)), geometry.acquisition)
+    return channel_noise(CleanRecord(record.run, record.health.live, ((start, stop),)), geometry.acquisition)
 
 
-def response_of_harmonics(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> ComplexArray:
+def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> ComplexArray:
     """T (n, rows, 6) that each harmonic meets: averaged over its own spectrum, the filter's change there included."""
     azimuth, spectra = record.azimuth, record.spectra
     orders = range(1, len(spectra.frequency_hz))
-    lines = [harmonic_lines(azimuth, spectra, n, MEMORY * source.slowest_decay) for n in orders]
+    lines = [harmonic_lines(azimuth, spectra, n, SPEED_MEMORY * source.slowest_decay) for n in orders]
     at = source.at(np.concatenate([item.frequency for item in lines]), record.spin)
     parts = np.split(at, np.cumsum([len(item.frequency) for item in lines])[:-1])
     averages = []

@@ -12,35 +12,35 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS, UNITS
-from balance_cli.io.atomic import writing
-from balance_cli.reduction.kalman.load_history import History, LoadTrack
+from balance_cli.io.atomic import os_errors_as_user_error
+from balance_cli.reduction.kalman.load_history import LoadHistory, LoadTrack
 from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
 
 Array = NDArray[np.float64]
 
 FORMAT = "balance-history/1"
-BLOCK = 8192
+HISTORY_CHUNK_ROWS = 8192
 """Rows of a history that are held at once, and of a chunk of its file."""
 
 
 # ---- of harmonics ----------------------------------------------------------------------------------------------------
 
 
-def harmonic_blocks(run: Run, loads: RunLoads) -> Iterator[History]:
+def harmonic_history(run: Run, loads: RunLoads) -> Iterator[LoadHistory]:
     """The sum of the harmonics of a steady run at the azimuth of each sample, over the interval that was used."""
     assert run.sample_rate is not None and run.pulse_times is not None
     azimuth = azimuth_from_pulses(run.pulse_times)
     # As the times themselves are compared: the product may be off by the last digit.
     first, stop = (int(t * run.sample_rate) for t in loads.interval)
-    for start in range(max(first - 1, 0), min(stop + 2, run.samples), BLOCK):
-        time = np.arange(start, min(start + BLOCK, stop + 2, run.samples)) / run.sample_rate
+    for start in range(max(first - 1, 0), min(stop + 2, run.samples), HISTORY_CHUNK_ROWS):
+        time = np.arange(start, min(start + HISTORY_CHUNK_ROWS, stop + 2, run.samples)) / run.sample_rate
         time = time[(time >= loads.interval[0]) & (time < loads.interval[1])]
         if len(time):
-            yield _summed(azimuth, loads, time)
+            yield _sum_harmonics(azimuth, loads, time)
 
 
-def _summed(azimuth: Azimuth, loads: RunLoads, time: Array) -> History:
+def _sum_harmonics(azimuth: Azimuth, loads: RunLoads, time: Array) -> LoadHistory:
     """The sum of the harmonics at some times (n,) [s]."""
     turns = np.exp(1j * azimuth.psi(time)[:, None] * np.arange(len(loads.frequency_hz)))
     mine = [COMPONENTS.index(name) for name in loads.components]
@@ -48,7 +48,7 @@ def _summed(azimuth: Azimuth, loads: RunLoads, time: Array) -> History:
     values[:, mine] = np.real(turns @ loads.amplitude)
     variance = turns.real**2 @ loads.sigma_cosine**2 + turns.imag**2 @ loads.sigma_sine**2
     sigma[:, mine] = np.sqrt(variance)
-    return History(loads.run, time, values, sigma)
+    return LoadHistory(loads.run, time, values, sigma)
 
 
 # ---- the file --------------------------------------------------------------------------------------------------------
@@ -63,21 +63,21 @@ class HistoryFile:
     def __init__(self, path: Path, run: str) -> None:
         import h5py
 
-        self._path, self._waiting = path, _Waiting()
-        with writing(path):
+        self._path, self._buffer = path, _WriteBuffer()
+        with os_errors_as_user_error(path):
             self._file: Any = h5py.File(path, "w")
             self._file.attrs["format"] = FORMAT
             self._file.attrs["run"] = run
-            self._growing("time", ()).attrs["unit"] = "s"
+            self._create_appendable("time", ()).attrs["unit"] = "s"
             for name in ("loads", "sigma"):
-                table = self._growing(name, (len(COMPONENTS),))
+                table = self._create_appendable(name, (len(COMPONENTS),))
                 table.attrs["names"] = COMPONENTS
                 table.attrs["units"] = UNITS
 
-    def _growing(self, name: str, row: tuple[int, ...]) -> Any:
+    def _create_appendable(self, name: str, row: tuple[int, ...]) -> Any:
         """An empty dataset to which rows can be added."""
         return self._file.create_dataset(
-            name, (0, *row), maxshape=(None, *row), chunks=(BLOCK, *row), dtype="f8", compression="gzip"
+            name, (0, *row), maxshape=(None, *row), chunks=(HISTORY_CHUNK_ROWS, *row), dtype="f8", compression="gzip"
         )
 
     def __enter__(self) -> HistoryFile:
@@ -86,17 +86,17 @@ class HistoryFile:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with writing(self._path):
+        with os_errors_as_user_error(self._path):
             if error is None:
-                self._append(self._waiting.taken())
+                self._append(self._buffer.drain())
             self._file.close()
 
-    def add(self, block: History) -> None:
+    def add(self, block: LoadHistory) -> None:
         """Rows after those that are there; short blocks are gathered before they are written."""
-        self._waiting.add(block)
-        if self._waiting.rows >= BLOCK:
-            with writing(self._path):
-                self._append(self._waiting.taken())
+        self._buffer.add(block)
+        if self._buffer.rows >= HISTORY_CHUNK_ROWS:
+            with os_errors_as_user_error(self._path):
+                self._append(self._buffer.drain())
 
     def _append(self, rows: dict[str, Array]) -> None:
         for name, values in rows.items():
@@ -109,7 +109,7 @@ class HistoryFile:
         """Group `harmonics`: `time` (r,), `cosine`, `sine`, `sigma` (r, n+1, 6), NaN for components not carried."""
         mine = [COMPONENTS.index(name) for name in components]
         parts = {"cosine": track.amplitude.real, "sine": -track.amplitude.imag, "sigma": track.sigma}
-        with writing(self._path):
+        with os_errors_as_user_error(self._path):
             group = self._file.create_group("harmonics")
             group.create_dataset("time", data=track.time).attrs["unit"] = "s"
             for name, values in parts.items():
@@ -120,19 +120,19 @@ class HistoryFile:
                 dataset.attrs["units"] = UNITS
 
 
-class _Waiting:
+class _WriteBuffer:
     """Blocks not yet written, by dataset."""
 
     def __init__(self) -> None:
         self.rows = 0
-        self._blocks: list[History] = []
+        self._blocks: list[LoadHistory] = []
 
-    def add(self, block: History) -> None:
+    def add(self, block: LoadHistory) -> None:
         """One more."""
         self._blocks.append(block)
         self.rows += len(block.time)
 
-    def taken(self) -> dict[str, Array]:
+    def drain(self) -> dict[str, Array]:
         """{dataset: rows} of all of them, which are then gone."""
         blocks, self._blocks, self.rows = self._blocks, [], 0
         if not blocks:

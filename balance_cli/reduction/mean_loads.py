@@ -16,13 +16,13 @@ from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.weighted_least_squares import SURPLUS_PROBABILITY
+from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
 from balance_cli.signals.harmonics import Harmonics
 
 Array = NDArray[np.float64]
 
 # Stretches into which a zero record is cut; the scatter of their means is the error of the whole mean.
-STRETCHES = 16
+ZERO_SEGMENTS = 16
 NO_ZERO = "no zero"
 REDUNDANCY = "redundancy"
 EXTRAPOLATED = "extrapolated"
@@ -44,12 +44,12 @@ def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
     """Means of a wind-off record, with the error that the scatter of its stretches shows."""
     names = tuple(name for name in channel_names if name in run.channel_names)
     values = read_channels(run, names)
-    means = np.array([part.mean(axis=0) for part in np.array_split(values, STRETCHES)])
-    return ZeroRecord(run.name, names, values.mean(axis=0), means.var(axis=0, ddof=1) / STRETCHES)
+    means = np.array([part.mean(axis=0) for part in np.array_split(values, ZERO_SEGMENTS)])
+    return ZeroRecord(run.name, names, values.mean(axis=0), means.var(axis=0, ddof=1) / ZERO_SEGMENTS)
 
 
 @dataclass(frozen=True)
-class SteadyLoads:
+class MeanLoads:
     """Mean loads (m,) of the named components with sigma (m,), the trim that was used, and the surplus chi-square.
 
     `flags` (m,): the words of each component.
@@ -74,9 +74,9 @@ class MeanReading:
     covariance: Array
 
 
-def steady_loads(
+def linear_mean_loads(
     spectra: Harmonics, calibration: Calibration, health: ChannelHealth, zero: ZeroRecord | None
-) -> SteadyLoads:
+) -> MeanLoads:
     """Loads through T0 of the trim nearest in mean load, found by going through the trims once.
 
     Where channels were left out, the weighted inverse of what remains of C0 takes the place of T0. Raises UserError
@@ -84,40 +84,44 @@ def steady_loads(
     known.
     """
     first = next(iter(calibration.trims.values()))
-    found = _through(first, spectra, health, zero)
-    trim = calibration.nearest(_named(found))
+    found = _loads_by_trim(first, spectra, health, zero)
+    trim = calibration.nearest_trim(_loads_by_component(found))
     if trim is not first:
-        found = _through(trim, spectra, health, zero)
+        found = _loads_by_trim(trim, spectra, health, zero)
     gage = calibration.gage
-    outside = gage.model.extrapolated(found.loads + gage.level) if gage else ()
-    return with_word(found, outside)
+    extrapolated_names = gage.model.extrapolated_components(found.loads + gage.level) if gage else ()
+    return flag_extrapolated(found, extrapolated_names)
 
 
-def with_word(loads: SteadyLoads, outside: Sequence[str]) -> SteadyLoads:
+def flag_extrapolated(loads: MeanLoads, extrapolated_names: Sequence[str]) -> MeanLoads:
     """The same loads, those of the components `outside` flagged as EXTRAPOLATED."""
     words = zip(loads.components, loads.flags, strict=True)
-    flags = ("; ".join(filter(None, (flag, EXTRAPOLATED if name in outside else ""))) for name, flag in words)
+    flags = (
+        "; ".join(filter(None, (flag, EXTRAPOLATED if name in extrapolated_names else ""))) for name, flag in words
+    )
     return replace(loads, flags=tuple(flags))
 
 
-def _named(loads: SteadyLoads) -> Mapping[str, float]:
+def _loads_by_component(loads: MeanLoads) -> Mapping[str, float]:
     return dict(zip(loads.components, loads.loads.tolist(), strict=True))
 
 
-def _through(trim: TrimCalibration, spectra: Harmonics, health: ChannelHealth, zero: ZeroRecord | None) -> SteadyLoads:
+def _loads_by_trim(
+    trim: TrimCalibration, spectra: Harmonics, health: ChannelHealth, zero: ZeroRecord | None
+) -> MeanLoads:
     unloaded = trim.offsets.mean(axis=0)
     reading = mean_reading(trim.channel_names, trim.mean_channels, unloaded, spectra, health, zero)
     C0 = trim.C0[reading.rows]
-    if not determined(C0 * trim.full_range):
-        raise undetermined(health, spectra.run)
+    if not determines_loads(C0 * trim.full_range):
+        raise undetermined_loads_error(health, spectra.run)
     W = np.linalg.inv(trim.noise_covariance[np.ix_(reading.rows, reading.rows)])
     whole = len(reading.rows) == len(trim.channel_names)
     T0 = trim.T0 if whole else np.linalg.inv(C0.T @ W @ C0) @ C0.T @ W
     change = T0 @ reading.change
-    covariance = reading.covariance + _matrix_error(trim, reading.rows, change)
-    redundancy, limit = surplus(reading.change - C0 @ change, C0, covariance)
+    covariance = reading.covariance + _model_covariance(trim, reading.rows, change)
+    redundancy, limit = mean_load_redundancy(reading.change - C0 @ change, C0, covariance)
     variance = np.diag(T0 @ covariance @ T0.T) * (redundancy if redundancy > limit else 1.0)
-    return SteadyLoads(
+    return MeanLoads(
         components=trim.components,
         loads=trim.mean_load + change,
         sigma=np.sqrt(variance),
@@ -135,15 +139,15 @@ def run_flags(components: Sequence[str], zero: ZeroRecord | None, misfit: bool) 
     return tuple(["; ".join(words)] * len(components))
 
 
-def _matrix_error(trim: TrimCalibration, rows: list[int], change: Array) -> Array:
+def _model_covariance(trim: TrimCalibration, rows: list[int], change: Array) -> Array:
     """Covariance (c, c) of C0 f for the load change (m,), and of what the straight line leaves beyond noise."""
     spread = np.einsum("ijkl,j,l->ik", trim.C0_covariance, change, change)
-    return np.asarray((spread + trim.lasting * trim.residual_covariance)[np.ix_(rows, rows)])
+    return np.asarray((spread + trim.misfit_share * trim.residual_covariance)[np.ix_(rows, rows)])
 
 
 def mean_reading(
     channel_names: Sequence[str],
-    middle: Array,
+    reference_reading: Array,
     unloaded: Array,
     spectra: Harmonics,
     health: ChannelHealth,
@@ -158,9 +162,9 @@ def mean_reading(
         usable &= set(zero.channel_names)
     rows = [i for i, name in enumerate(channel_names) if name in usable]
     names = [channel_names[i] for i in rows]
-    mine = spectra.columns(names)
-    change = spectra.amplitude[0, mine].real - middle[rows]
-    covariance = np.real(spectra.covariance[0][np.ix_(mine, mine)])
+    spectrum_columns = spectra.columns(names)
+    change = spectra.amplitude[0, spectrum_columns].real - reference_reading[rows]
+    covariance = np.real(spectra.covariance[0][np.ix_(spectrum_columns, spectrum_columns)])
     if zero is not None:
         at = [zero.channel_names.index(name) for name in names]
         change = change - (zero.mean[at] - unloaded[rows])
@@ -168,12 +172,12 @@ def mean_reading(
     return MeanReading(rows, change, covariance)
 
 
-def determined(C0: Array) -> bool:
+def determines_loads(C0: Array) -> bool:
     """Whether the matrix (c, k) of the channels that remain, loads over full range, determines the loads."""
     return len(C0) >= C0.shape[1] and bool(np.linalg.cond(C0) < LARGEST_CONDITION)
 
 
-def undetermined(health: ChannelHealth, run: str) -> UserError:
+def undetermined_loads_error(health: ChannelHealth, run: str) -> UserError:
     """What is wrong with a run whose remaining channels do not determine the loads."""
     names = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items()) or "none"
     return UserError(
@@ -184,7 +188,7 @@ def undetermined(health: ChannelHealth, run: str) -> UserError:
     )
 
 
-def surplus(residual: Array, C0: Array, covariance: Array) -> tuple[float, float]:
+def mean_load_redundancy(residual: Array, C0: Array, covariance: Array) -> tuple[float, float]:
     """Chi-square per degree of freedom of the surplus channels, and its 99.9 % point."""
     degrees = len(C0) - C0.shape[1]
     if degrees <= 0:
@@ -193,4 +197,4 @@ def surplus(residual: Array, C0: Array, covariance: Array) -> tuple[float, float
     inverse = np.linalg.inv(C0.T @ weight @ C0)
     projected = residual - C0 @ (inverse @ C0.T @ weight @ residual)
     chi2 = float(projected @ weight @ projected)
-    return chi2 / degrees, float(stats.chi2.ppf(SURPLUS_PROBABILITY, degrees)) / degrees
+    return chi2 / degrees, float(stats.chi2.ppf(REDUNDANCY_CONFIDENCE, degrees)) / degrees

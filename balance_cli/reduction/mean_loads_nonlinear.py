@@ -8,21 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.convergence import Contraction
-from balance_cli.calibration.math_model import GageModel
+from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.static_matrices import lack_of_fit
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import (
-    SteadyLoads,
+    MeanLoads,
     ZeroRecord,
-    determined,
+    determines_loads,
+    flag_extrapolated,
+    mean_load_redundancy,
     mean_reading,
     run_flags,
-    surplus,
-    undetermined,
-    with_word,
+    undetermined_loads_error,
 )
 from balance_cli.signals.harmonics import Harmonics
 
@@ -30,30 +30,34 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 # Standard errors by which the least singular value of the straight part must differ from zero.
-TOLD_APART = 5.0
+MIN_SINGULAR_VALUE_SIGNIFICANCE = 5.0
 ALL_TRIMS = "all trims"
 """What stands in the place of a trim's label."""
 
 
 @dataclass(frozen=True)
-class _Usable:
+class _UsableChannels:
     """The model as some of its channels (rows) show it in one run, `left_out` with the reason."""
 
-    model: GageModel
+    model: CalibrationModel
     rows: Index
     run: str
     left_out: dict[str, str]
 
     @property
-    def and_lost(self) -> str:
+    def left_out_note(self) -> str:
         """The channels left out, for a message."""
         lost = "; ".join(f"{name}: {reason}" for name, reason in self.left_out.items())
         return f" (left out: {lost})" if lost else ""
 
 
-def curved_loads(
-    spectra: Harmonics, calibration: Calibration, model: GageModel, health: ChannelHealth, zero: ZeroRecord | None
-) -> SteadyLoads:
+def nonlinear_mean_loads(
+    spectra: Harmonics,
+    calibration: Calibration,
+    model: CalibrationModel,
+    health: ChannelHealth,
+    zero: ZeroRecord | None,
+) -> MeanLoads:
     """Mean loads of one run by the iteration through `model`, counted from the unloaded rig.
 
     That is the zero record or, without one, the mean of the zeros of the calibration. Where the calibration tells the
@@ -68,20 +72,20 @@ def curved_loads(
     unloaded = natural + model.readings(level[None])[0]
     reading = mean_reading(model.channel_names, natural, unloaded, spectra, health, zero)
     rows = np.array(reading.rows, dtype=np.intp)
-    if not _told_apart(model, rows):
-        raise undetermined(health, spectra.run)
+    if not _loads_determined(model, rows):
+        raise undetermined_loads_error(health, spectra.run)
     left_out = {name: reason for name, reason in health.left_out.items() if name in model.channel_names}
-    loads = _solved(_Usable(model, rows, spectra.run, left_out), reading.change)
+    loads = _solve_loads(_UsableChannels(model, rows, spectra.run, left_out), reading.change)
     direct = calibration.gage.direct if calibration.gage is not None else None
     if direct is not None and len(rows) == len(model.channel_names):
         loads = direct.loads(reading.change)
-    J = model.tangent(loads, rows)[0]
-    noise = reading.covariance + _lasting(calibration, rows)
-    whole = noise + model.model_covariance(loads, rows)[0]
-    redundancy, limit = surplus(reading.change - model.readings(loads)[0, rows], J, whole)
+    J = model.jacobian(loads, rows)[0]
+    noise = reading.covariance + _misfit_covariance(calibration, rows)
+    total_covariance = noise + model.model_covariance(loads, rows)[0]
+    redundancy, limit = mean_load_redundancy(reading.change - model.readings(loads)[0, rows], J, total_covariance)
     variance = np.diag(model.load_covariance(loads, noise, rows)[0]) * (redundancy if redundancy > limit else 1.0)
-    return with_word(
-        SteadyLoads(
+    return flag_extrapolated(
+        MeanLoads(
             components=model.components,
             loads=loads[0] - level,
             sigma=np.sqrt(variance),
@@ -89,67 +93,67 @@ def curved_loads(
             flags=run_flags(model.components, zero, redundancy > limit),
             redundancy=redundancy,
             redundancy_limit=limit,
-            condition=_condition(J, model.residual_covariance[np.ix_(rows, rows)]),
+            condition=_jacobian_condition(J, model.residual_covariance[np.ix_(rows, rows)]),
         ),
-        model.extrapolated(loads[0]),
+        model.extrapolated_components(loads[0]),
     )
 
 
-def _told_apart(model: GageModel, rows: Index) -> bool:
+def _loads_determined(model: CalibrationModel, rows: Index) -> bool:
     """Whether the straight part of these channels determines the loads, beyond the errors of its coefficients."""
     k = len(model.components)
     C = model.coefficients[:k, rows].T
-    if not determined(C):
+    if not determines_loads(C):
         return False
     unit = 1.0 / np.sqrt(np.diagonal(model.residual_covariance)[rows])
     U, s, Vt = np.linalg.svd(unit[:, None] * C, full_matrices=False)
     u, v = U[:, -1] * unit, Vt[-1]
     variance = u**2 @ np.einsum("i,cij,j->c", v, model.covariance[rows, :k, :k], v)
-    return bool(s[-1] > TOLD_APART * np.sqrt(variance))
+    return bool(s[-1] > MIN_SINGULAR_VALUE_SIGNIFICANCE * np.sqrt(variance))
 
 
-def _condition(J: Array, covariance: Array) -> float:
+def _jacobian_condition(J: Array, covariance: Array) -> float:
     """Of the tangent matrix (c, k), loads over full range, channels in units of their residuals."""
     return float(np.linalg.cond(J / np.sqrt(np.diagonal(covariance))[:, None]))
 
 
-def _lasting(calibration: Calibration, rows: Index) -> Array:
+def _misfit_covariance(calibration: Calibration, rows: Index) -> Array:
     """Covariance (c, c) of what the model leaves in a row beyond noise: that does not average out over a record."""
     assert calibration.gage is not None
     model = calibration.gage.model
-    share = _lasting_share(calibration, model)
+    share = _misfit_share(calibration, model)
     return np.asarray(share * model.residual_covariance[np.ix_(rows, rows)])
 
 
-def _lasting_share(calibration: Calibration, model: GageModel) -> float:
+def _misfit_share(calibration: Calibration, model: CalibrationModel) -> float:
     """How much of the residual covariance is no noise, by that of the trims; all of it where none tells its noise."""
-    told = [trim for trim in calibration.trims.values() if np.isfinite(trim.lack_of_fit)]
-    if not told:
+    with_known_noise = [trim for trim in calibration.trims.values() if np.isfinite(trim.lack_of_fit)]
+    if not with_known_noise:
         return 1.0
     noise = np.zeros_like(model.residual_covariance)
-    for trim in told:
+    for trim in with_known_noise:
         at = [trim.channel_names.index(name) for name in model.channel_names]
         noise += trim.rows * trim.noise_covariance[np.ix_(at, at)]
-    noise /= sum(trim.rows for trim in told)
-    misfit = lack_of_fit(model.residual_covariance, noise, sum(trim.dof for trim in told))
+    noise /= sum(trim.rows for trim in with_known_noise)
+    misfit = lack_of_fit(model.residual_covariance, noise, sum(trim.dof for trim in with_known_noise))
     return max(0.0, 1.0 - 1.0 / misfit)
 
 
-def _solved(usable: _Usable, change: Array) -> Array:
+def _solve_loads(usable: _UsableChannels, change: Array) -> Array:
     """Loads (1, k) of the change (c,) of the readings. UserError where they are not proved to be the loads."""
     model, rows = usable.model, usable.rows
     proof = model.contraction(rows)
     if not proof.proved:
-        fault = f"the iteration for the mean loads is not proved to converge{usable.and_lost}"
+        fault = f"the iteration for the mean loads is not proved to converge{usable.left_out_note}"
         remedy = "Calibrate with --terms linear or over smaller loads, mend the channels, or leave the run out"
         raise UserError(fault, usable.run, f"mean of {', '.join(model.components)}", f"{remedy} with --skip-bad")
     loads, solved = model.loads(change, rows)
     if not solved[0]:
-        raise _outside(usable, proof, change, loads[0])
+        raise _unproved_loads_error(usable, proof, change, loads[0])
     return loads
 
 
-def _outside(usable: _Usable, proof: Contraction, change: Array, loads: Array) -> UserError:
+def _unproved_loads_error(usable: _UsableChannels, proof: Contraction, change: Array, loads: Array) -> UserError:
     """What is wrong with a run whose loads (k,) the iteration does not tell."""
     model = usable.model
     # Far outside the iteration runs away: the straight part then tells where the loads are, roughly.
@@ -159,13 +163,13 @@ def _outside(usable: _Usable, proof: Contraction, change: Array, loads: Array) -
     over = np.abs(x) / proof.reach
     worst = [j for j in range(len(x)) if over[j] > 1.0] or [int(np.argmax(over))]
     place = ", ".join(model.components[j] for j in worst)
-    said = "; ".join(_how_far(model, proof, x, j) for j in worst)
-    fault = f"the mean lies where loads by iteration are not proved: {said}{usable.and_lost}"
+    said = "; ".join(_describe_excess(model, proof, x, j) for j in worst)
+    fault = f"the mean lies where loads by iteration are not proved: {said}{usable.left_out_note}"
     remedy = "Calibrate over larger loads, check channels and zero run, or leave the run out with --skip-bad"
     return UserError(fault, usable.run, f"mean of {place}", remedy)
 
 
-def _how_far(model: GageModel, proof: Contraction, x: Array, j: int) -> str:
+def _describe_excess(model: CalibrationModel, proof: Contraction, x: Array, j: int) -> str:
     """In words: `Fz of about 5210 N is 1.42 times full range (3670 N), proved up to 1.31 times`."""
     name, full = model.components[j], float(model.full_range[j])
     unit = UNIT_OF[name]

@@ -18,25 +18,25 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
-from balance_cli.estimation.nonlinear_contribution import linear_part
+from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
 from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.fit import response_jacobian
 from balance_cli.estimation.paper.result import PaperFit
 from balance_cli.estimation.paper.spectra import channel_response
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
-from balance_cli.model.plate import hub_arm
-from balance_cli.model.system import output_slopes, response, solve
-from balance_cli.signals.response_interpolation import response_at, values_at
-from balance_cli.signals.run_spectrum import Response
-from balance_cli.signals.transfer import Transfer, combined
+from balance_cli.model.plate import moment_reference_length
+from balance_cli.model.system import output_jacobian, response, solve
+from balance_cli.signals.response_interpolation import interpolate_response, interpolate_values
+from balance_cli.signals.run_spectrum import FrequencyResponse
+from balance_cli.signals.transfer import Transfer, response_to_component
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
-class Readings:
+class ChannelCombination:
     """Which rows of a response the live channels serve: row indices (r,), and how they are formed from them,
 
     `combination` (h, r, c) at h frequencies for c live channels.
@@ -59,7 +59,7 @@ class ResponseSource(Protocol):
         """Time constant [s] of the slowest decay that is known of the balance."""
         ...
 
-    def readings(self, frequency: Array, live: tuple[str, ...]) -> Readings:
+    def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """How the rows come from the live channels at `frequency` (h,) [Hz]."""
         ...
 
@@ -72,13 +72,13 @@ class ResponseSource(Protocol):
         ...
 
 
-def selected(names: Sequence[str], live: Sequence[str], count: int) -> Readings:
+def select_channels(names: Sequence[str], live: Sequence[str], count: int) -> ChannelCombination:
     """Rows that are channels themselves: those of the live ones that the response knows, at `count` frequencies."""
     known = [name for name in live if name in names]
     pick = np.zeros((len(known), len(live)))
     pick[np.arange(len(known)), [list(live).index(name) for name in known]] = 1.0
     combination = np.broadcast_to(pick.astype(complex), (count, *pick.shape))
-    return Readings([list(names).index(name) for name in known], combination)
+    return ChannelCombination([list(names).index(name) for name in known], combination)
 
 
 def stacked_real(matrix: ComplexArray) -> Array:
@@ -112,24 +112,24 @@ class ModelSource:
         rate = 2 * np.pi * modes.frequency * modes.damping_ratio
         return float(1.0 / rate.min())
 
-    def readings(self, frequency: Array, live: tuple[str, ...]) -> Readings:
+    def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """Rows are the channels."""
-        return selected(self.model.geometry.channel_names, live, len(frequency))
+        return select_channels(self.model.geometry.channel_names, live, len(frequency))
 
     def at(self, frequency: Array, spin: float) -> ComplexArray:
         """T of the model."""
         system = identified_system(self.model)
         return response(system, solve(system, frequency, spin))
 
-    def linear_part(self, run: Run, live: tuple[str, ...]) -> Run:
+    def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
         """The run without what forces along the cells that are not linear did to its channels."""
-        return linear_part(run, identified_system(self.model), self.model.geometry, live)
+        return remove_nonlinear_contribution(run, identified_system(self.model), self.model.geometry, live)
 
     def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
         """J Cov J' with J = d(T f)/d(parameters)."""
         system = identified_system(self.model)
         solution = solve(system, frequency, spin)
-        slopes = output_slopes(system, solution, np.arange(len(solution.frequency)), loads)
+        slopes = output_jacobian(system, solution, np.arange(len(solution.frequency)), loads)
         J = np.concatenate([slopes.real, slopes.imag], axis=1)
         free = self.model.parameters.declared_sigma > 0
         covariance = self.model.covariance[np.ix_(free, free)] * self.model.misfit_scale**2
@@ -155,31 +155,31 @@ class PaperSource:
         return float(1.0 / np.abs(2 * np.pi * modes.frequency * modes.damping_ratio).min())
 
     @property
-    def _torque(self) -> str | None:
+    def _torque_channel(self) -> str | None:
         return next((channel.name for channel in self.model.geometry.channels if channel.torque_meter), None)
 
-    def readings(self, frequency: Array, live: tuple[str, ...]) -> Readings:
+    def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """Sensor forces from the live channels of each cell, and the torque channel."""
         rule, geometry = self.fit.rule, self.model.geometry
         n = len(rule.names)
         combination = np.zeros((len(frequency), n + 1, len(live)), complex)
         for j, cell in enumerate(rule.cells):
-            channel = _channel_of(geometry, cell, live)
+            channel = _live_channel_of_cell(geometry, cell, live)
             gain = channel_response(channel, frequency)
             combination[:, :n, live.index(channel.name)] += rule.matrix[:, j] / gain[:, None]
-        if self._torque is None or self._torque not in live:
-            return Readings(list(range(n)), combination[:, :n])
-        combination[:, n, live.index(self._torque)] = 1.0
-        return Readings(list(range(n + 1)), combination)
+        if self._torque_channel is None or self._torque_channel not in live:
+            return ChannelCombination(list(range(n)), combination[:, :n])
+        combination[:, n, live.index(self._torque_channel)] = 1.0
+        return ChannelCombination(list(range(n + 1)), combination)
 
     def at(self, frequency: Array, spin: float) -> ComplexArray:
         """G(w) B_F for the plate, k / (k + jwd - w^2 J) for the torque."""
         n = len(self.fit.rule.names)
         value = np.zeros((len(frequency), n + 1, 6), complex)
         value[:, :n, self._columns] = paper_response(self.fit, frequency)
-        if self._torque is not None:
+        if self._torque_channel is not None:
             system = balance_model(self.model.geometry).system()
-            row = system.channel_names.index(self._torque)
+            row = system.channel_names.index(self._torque_channel)
             value[:, n, 5] = response(system, solve(system, frequency, spin))[:, row, 5]
         return value
 
@@ -197,7 +197,7 @@ class PaperSource:
         return [COMPONENTS.index(name) for name in self.fit.inputs]
 
 
-def _channel_of(geometry: Geometry, cell: str, live: tuple[str, ...]) -> Channel:
+def _live_channel_of_cell(geometry: Geometry, cell: str, live: tuple[str, ...]) -> Channel:
     """The live channel that reads `cell`, piezo before strain; UserError where there is none."""
     there = [channel for channel in geometry.channels if channel.cell == cell and channel.name in live]
     if not there:
@@ -210,7 +210,7 @@ class TransferSource:
     """Measured responses, one per component, interpolated; `interpolation` as in `signals.interpolation`."""
 
     channel_names: tuple[str, ...]
-    responses: tuple[Response, ...]
+    responses: tuple[FrequencyResponse, ...]
     interpolation: str
     slowest_decay: float = 3.0
 
@@ -219,9 +219,9 @@ class TransferSource:
         """Kind of interpolation."""
         return f"measured response ({self.interpolation})"
 
-    def readings(self, frequency: Array, live: tuple[str, ...]) -> Readings:
+    def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """Rows are the channels."""
-        return selected(self.channel_names, live, len(frequency))
+        return select_channels(self.channel_names, live, len(frequency))
 
     def at(self, frequency: Array, spin: float) -> ComplexArray:
         """T of the measured lines, column by column."""
@@ -229,7 +229,7 @@ class TransferSource:
         for measured in self.responses:
             columns = [COMPONENTS.index(name) for name in measured.components]
             rows = [self.channel_names.index(name) for name in measured.channel_names]
-            found = values_at(measured, frequency, self.interpolation)
+            found = interpolate_values(measured, frequency, self.interpolation)
             value[:, np.array(rows)[:, None], columns] = found
         return value
 
@@ -240,7 +240,7 @@ class TransferSource:
         for measured in self.responses:
             columns = [COMPONENTS.index(name) for name in measured.components]
             rows = np.array([self.channel_names.index(name) for name in measured.channel_names])
-            at = response_at(measured, frequency, self.interpolation)
+            at = interpolate_response(measured, frequency, self.interpolation)
             mine = loads[:, columns]
             size = np.real(np.einsum("hi,hij,hj->h", mine.conj(), at.load_covariance, mine))
             total[:, rows[:, None], rows] += size[:, None, None] * at.channel_covariance
@@ -260,9 +260,9 @@ class StaticSource:
         """What it is."""
         return "static matrix"
 
-    def readings(self, frequency: Array, live: tuple[str, ...]) -> Readings:
+    def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """Rows are the strain and torque channels."""
-        return selected(self.channel_names, live, len(frequency))
+        return select_channels(self.channel_names, live, len(frequency))
 
     def at(self, frequency: Array, spin: float) -> ComplexArray:
         """C0, the same at every frequency."""
@@ -276,7 +276,7 @@ class StaticSource:
 
 def load_scale(hub: Sequence[float]) -> Array:
     """Factors (6,) that make moments comparable with forces: one over the height of the hub [1, 1/m]."""
-    arm = hub_arm(hub)
+    arm = moment_reference_length(hub)
     return np.array([1.0, 1.0, 1.0, 1.0 / arm, 1.0 / arm, 1.0 / arm])
 
 
@@ -288,7 +288,7 @@ def model_source(model: IdentifiedModel) -> ResponseSource:
 def transfer_source(transfer: Transfer, interpolation: str) -> ResponseSource:
     """Measured responses, for each component that of its highest level."""
     components = dict.fromkeys(name for response in transfer.responses for name in response.components)
-    chosen = tuple(combined(transfer, name) for name in components)
+    chosen = tuple(response_to_component(transfer, name) for name in components)
     return TransferSource(transfer.geometry.channel_names, chosen, interpolation)
 
 

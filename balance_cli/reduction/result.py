@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-COLUMNS = (
+LOAD_TABLE_COLUMNS = (
     "run",
     "component",
     "unit",
@@ -51,7 +51,7 @@ class CheckErrors:
 
 
 @dataclass(frozen=True)
-class InTime:
+class TimeDomainResult:
     """How a Kalman filter or smoother found the loads, and whether it was what it takes itself for.
 
     `loads_as`: what was known of the loads (`harmonics`, `random`, `free`); `lag` [s] of a filter behind the samples,
@@ -94,11 +94,11 @@ class RunLoads:
     interval: tuple[float, float]
     notes: tuple[str, ...] = ()
     check: CheckErrors | None = None
-    in_time: InTime | None = None
+    in_time: TimeDomainResult | None = None
 
 
 @dataclass(frozen=True)
-class Loads:
+class HubLoads:
     """Hub loads of all runs of one reduction, and the geometry of the calibration behind them.
 
     `method` is `harmonic`, `kalman` or `smoother`.
@@ -110,12 +110,12 @@ class Loads:
     runs: dict[str, RunLoads]
 
 
-def load_table(loads: Loads) -> pd.DataFrame:
+def load_table(loads: HubLoads) -> pd.DataFrame:
     """One row per run, component and harmonic (contract, LOADS)."""
     import pandas as pd
 
     rows = [row for run in loads.runs.values() for row in _rows(run)]
-    return pd.DataFrame(rows, columns=list(COLUMNS))
+    return pd.DataFrame(rows, columns=list(LOAD_TABLE_COLUMNS))
 
 
 def _rows(run: RunLoads) -> list[tuple[object, ...]]:

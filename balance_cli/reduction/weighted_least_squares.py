@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # The chi-square of the surplus is exceeded by chance once in a thousand (contract, `redundancy`).
-SURPLUS_PROBABILITY = 0.999
+REDUNDANCY_CONFIDENCE = 0.999
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class SolvedLoads:
     loads: ComplexArray
     covariance: Array
     noise_covariance: Array
-    surplus: Array
+    redundancy_chi2: Array
     degrees: Array
     limit: Array
     condition: Array
@@ -48,12 +48,12 @@ class SolvedLoads:
     @property
     def misfit(self) -> NDArray[np.bool_]:
         """Where the surplus equations contradict the response."""
-        return np.asarray(self.surplus > self.limit)
+        return np.asarray(self.redundancy_chi2 > self.limit)
 
     @property
-    def widened(self) -> Array:
+    def inflated_covariance(self) -> Array:
         """The covariance, times the surplus chi-square where that contradicts the response."""
-        factor = np.where(self.misfit, self.surplus, 1.0)
+        factor = np.where(self.misfit, self.redundancy_chi2, 1.0)
         return np.asarray(self.covariance * factor[:, None, None])
 
 
@@ -64,36 +64,37 @@ def solve_loads(
     dof: Array,
     response_covariance: Callable[[Array], Array],
     scale: Array,
-    weighed_by: Array | None = None,
+    weighting_covariance: Array | None = None,
 ) -> SolvedLoads:
     """Solve h systems at once in real form (`responses.stacked_real`).
 
     T (h, a, b), y (h, a), noise (h, a, a) estimated with `dof` (h,) complex degrees of freedom; `response_covariance`
     takes loads (h, b) to the covariance (h, a, a) of T f; `scale` (b,) makes the columns comparable for the condition.
-    `weighed_by` (h, a, a): the covariance by which the estimate weighs, up to a factor, where it is known apart; that
+    `weighting_covariance` (h, a, a): the covariance by which the estimate weighs, up to a factor, where it is known
+    apart; that
     of the noise otherwise.
     """
     a, b = T.shape[1:]
-    G, noise_only = _weighted_inverse(T, noise if weighed_by is None else weighed_by)
-    if weighed_by is None:
-        noise_only = noise_only * _worth_of_weights(dof, a - b)[:, None, None]
+    G, noise_only = _weighted_inverse(T, noise if weighting_covariance is None else weighting_covariance)
+    if weighting_covariance is None:
+        noise_only = noise_only * _estimated_weights_factor(dof, a - b)[:, None, None]
     else:
         noise_only = G @ noise @ np.swapaxes(G, 1, 2)
     loads = np.einsum("hba,ha->hb", G, y)
     of_response = response_covariance(loads)
     total = noise + of_response
     covariance = noise_only + G @ of_response @ np.swapaxes(G, 1, 2)
-    chi2 = _surplus(T, y, total)
+    chi2 = _residual_chi2(T, y, total)
     share = np.trace(np.linalg.solve(total, noise), axis1=1, axis2=2) / a
     degrees = np.full(len(T), float(a - b))
-    bias, limit = _surplus_law(share, dof, a - b)
+    bias, limit = _residual_test_limit(share, dof, a - b)
     per_degree = np.where(degrees > 0, chi2 * bias / np.maximum(degrees, 1.0), np.nan)
-    singular = np.linalg.svd(_scaled(T, noise, scale), compute_uv=False)
+    singular = np.linalg.svd(_normalize(T, noise, scale), compute_uv=False)
     return SolvedLoads(
         loads=loads[:, : b // 2] + 1j * loads[:, b // 2 :],
         covariance=covariance,
         noise_covariance=noise_only,
-        surplus=per_degree,
+        redundancy_chi2=per_degree,
         degrees=degrees,
         limit=limit,
         condition=singular[:, 0] / singular[:, -1],
@@ -107,14 +108,14 @@ def _weighted_inverse(T: Array, covariance: Array) -> tuple[Array, Array]:
     return np.asarray(inverse @ np.swapaxes(weighted, 1, 2)), np.asarray(inverse)
 
 
-def _surplus(T: Array, y: Array, total: Array) -> Array:
+def _residual_chi2(T: Array, y: Array, total: Array) -> Array:
     """Least chi-square (h,) that any loads leave, weighted by noise and response error together."""
     G, _ = _weighted_inverse(T, total)
     residual = y - np.einsum("hab,hb->ha", T, np.einsum("hba,ha->hb", G, y))
     return np.asarray(np.einsum("ha,ha->h", residual, np.linalg.solve(total, residual[:, :, None])[:, :, 0]))
 
 
-def _worth_of_weights(dof: Array, degrees: int) -> Array:
+def _estimated_weights_factor(dof: Array, degrees: int) -> Array:
     """Factor (h,) on the covariance of an estimate whose weights come from `dof` complex degrees of freedom.
 
     With q complex surplus equations (T' C^-1 T)^-1 comes out too small by (dof - q) / dof, and the estimate scatters
@@ -124,7 +125,7 @@ def _worth_of_weights(dof: Array, degrees: int) -> Array:
     return np.asarray(1.0 / share**2)
 
 
-def _surplus_law(share: Array, dof: Array, degrees: int) -> tuple[Array, Array]:
+def _residual_test_limit(share: Array, dof: Array, degrees: int) -> tuple[Array, Array]:
     """Factor that takes the bias off the surplus chi-square, and its 99.9 % point per degree of freedom.
 
     With noise alone, estimated with dof complex degrees of freedom, q complex surplus equations follow Hotelling's
@@ -136,13 +137,13 @@ def _surplus_law(share: Array, dof: Array, degrees: int) -> tuple[Array, Array]:
     q = degrees // 2
     unbiased = np.array([inverse_bias_factor(float(d), q) for d in dof])
     second = np.minimum(2.0 * (dof - q + 1.0) / np.maximum(share, 1e-9), 1e9)
-    limit = stats.f.ppf(SURPLUS_PROBABILITY, degrees, second)
+    limit = stats.f.ppf(REDUNDANCY_CONFIDENCE, degrees, second)
     known = np.isinf(dof)
     hotelling = np.where(known, 1.0, (dof - q) / np.where(known, 1.0, dof - q + 1.0))
     return 1.0 - share * (1.0 - unbiased), np.asarray(limit * (1.0 - share * (1.0 - hotelling)))
 
 
-def _scaled(T: Array, noise: Array, scale: Array) -> Array:
+def _normalize(T: Array, noise: Array, scale: Array) -> Array:
     """T with every channel in units of its noise and every load in units of force."""
     sigma = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
     return np.asarray(T / sigma[:, :, None] / scale)

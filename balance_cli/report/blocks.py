@@ -8,7 +8,7 @@ from typing import ClassVar
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """A cell of a table: its text, a second small text beside it, what it spans, and how it is marked.
 
     `mark` are names of styles: `good`, `bad`, `best`, `quiet`, `group`, `name`, in any number, separated by blanks.
@@ -21,7 +21,7 @@ class Cell:
     title: str = ""
 
 
-Row = tuple[Cell, ...]
+Row = tuple[TableCell, ...]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Text:
+class Paragraph:
     """A paragraph."""
 
     kind: ClassVar[str] = "text"
@@ -53,7 +53,7 @@ class Text:
 
 
 @dataclass(frozen=True)
-class Warn:
+class WarningText:
     """A paragraph that must not be overlooked."""
 
     kind: ClassVar[str] = "warn"
@@ -61,7 +61,7 @@ class Warn:
 
 
 @dataclass(frozen=True)
-class Points:
+class BulletList:
     """A list of short statements."""
 
     kind: ClassVar[str] = "points"
@@ -77,7 +77,7 @@ class Heading:
 
 
 @dataclass(frozen=True)
-class Figures:
+class KeyFigures:
     """The verdict in numbers: (number, what it is, mark) side by side."""
 
     kind: ClassVar[str] = "figures"
@@ -90,10 +90,10 @@ class Details:
 
     kind: ClassVar[str] = "details"
     summary: str
-    blocks: tuple[Block, ...]
+    blocks: tuple[PageBlock, ...]
 
 
-Block = Table | Picture | Text | Warn | Points | Heading | Figures | Details
+PageBlock = Table | Picture | Paragraph | WarningText | BulletList | Heading | KeyFigures | Details
 
 
 @dataclass(frozen=True)
@@ -102,10 +102,10 @@ class Section:
 
     key: str
     title: str
-    blocks: tuple[Block, ...]
+    blocks: tuple[PageBlock, ...]
 
 
-def pictures(blocks: Sequence[Block]) -> Iterator[Picture]:
+def pictures(blocks: Sequence[PageBlock]) -> Iterator[Picture]:
     """All pictures among the blocks, those in details included."""
     for block in blocks:
         if isinstance(block, Picture):
@@ -114,16 +114,16 @@ def pictures(blocks: Sequence[Block]) -> Iterator[Picture]:
             yield from pictures(block.blocks)
 
 
-def cells(*texts: str, mark: str = "") -> Row:
+def plain_row(*texts: str, mark: str = "") -> Row:
     """A row of plain cells."""
-    return tuple(Cell(text, mark=mark) for text in texts)
+    return tuple(TableCell(text, mark=mark) for text in texts)
 
 
-def named_row(name: str, *texts: str) -> Row:
+def row_with_name(name: str, *texts: str) -> Row:
     """A row whose first cell names it."""
-    return (Cell(name, mark="name"), *cells(*texts))
+    return (TableCell(name, mark="name"), *plain_row(*texts))
 
 
-def group_row(text: str, span: int) -> Row:
+def group_heading_row(text: str, span: int) -> Row:
     """A row that heads those below it."""
-    return (Cell(text, mark="group", span=span),)
+    return (TableCell(text, mark="group", span=span),)

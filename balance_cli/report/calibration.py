@@ -9,9 +9,20 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.rig.components import UNIT_OF
-from balance_cli.report.blocks import Block, Cell, Details, Heading, Row, Section, Table, Text, Warn, named_row
-from balance_cli.report.math_model import gage_blocks
-from balance_cli.report.number_format import SIGNIFICANT, significant, with_sigma
+from balance_cli.report.blocks import (
+    Details,
+    Heading,
+    PageBlock,
+    Paragraph,
+    Row,
+    Section,
+    Table,
+    TableCell,
+    WarningText,
+    row_with_name,
+)
+from balance_cli.report.math_model import math_model_blocks
+from balance_cli.report.number_format import MARKED_SIGMA, format_significant, value_and_sigma_text
 from balance_cli.report.sources import Source, Sources
 
 Array = NDArray[np.float64]
@@ -22,24 +33,24 @@ LARGEST_LACK_OF_FIT = 1.5
 
 def section(sources: Sources) -> Section | None:
     """All calibrations, one after the other; None where there is none."""
-    named, blocks = len(sources.calibrations) > 1, list[Block]()
+    named, blocks = len(sources.calibrations) > 1, list[PageBlock]()
     for i, source in enumerate(sources.calibrations):
-        blocks += _calibration(source, named)
-        blocks += gage_blocks(source, named, f"-{i + 1}" if i else "")
+        blocks += _calibration_blocks(source, named)
+        blocks += math_model_blocks(source, named, f"-{i + 1}" if i else "")
     return Section("calibration", "Static calibration", tuple(blocks)) if blocks else None
 
 
-def _calibration(source: Source[Calibration], named: bool) -> Iterator[Block]:
+def _calibration_blocks(source: Source[Calibration], named: bool) -> Iterator[PageBlock]:
     trims = source.content.trims
     rows = sum(trim.rows for trim in trims.values())
     if named:
         yield Heading(source.file)
-    yield Text(
+    yield Paragraph(
         f"{len(trims)} trim{'s' if len(trims) > 1 else ''}, {rows} load points, straight lines through each "
         "trim by itself. Residual: standard deviation of back-calculated less applied loads."
     )
     for trim in trims.values():
-        yield from _warnings(trim)
+        yield from _trim_warnings(trim)
     yield residual_table(source.content)
     if any(np.isfinite(trim.hysteresis.loads).any() for trim in trims.values()):
         yield hysteresis_table(source.content)
@@ -48,13 +59,13 @@ def _calibration(source: Source[Calibration], named: bool) -> Iterator[Block]:
     yield Details("T0, the way back from channels to loads", tuple(inverse_table(trim) for trim in trims.values()))
 
 
-def _warnings(trim: TrimCalibration) -> Iterator[Block]:
+def _trim_warnings(trim: TrimCalibration) -> Iterator[PageBlock]:
     for channel, reason in trim.left_out.items():
-        yield Warn(f"Trim {trim.trim}: channel {channel} left out: {reason}.")
+        yield WarningText(f"Trim {trim.trim}: channel {channel} left out: {reason}.")
     if trim.lack_of_fit > LARGEST_LACK_OF_FIT:
-        yield Warn(
+        yield WarningText(
             f"Trim {trim.trim}: a straight line does not describe the readings: the residual variance is "
-            f"{significant(trim.lack_of_fit, 2)} times that of the noise."
+            f"{format_significant(trim.lack_of_fit, 2)} times that of the noise."
         )
 
 
@@ -62,17 +73,17 @@ def residual_table(calibration: Calibration) -> Table:
     """Residuals in percent of full range by component, condition and lack of fit, one row a trim."""
     components = next(iter(calibration.trims.values())).components
     head = (
-        Cell("trim"),
-        *(Cell(name) for name in components),
-        Cell("condition"),
-        Cell("variance / noise"),
-        Cell("load points"),
-        Cell("runs"),
+        TableCell("trim"),
+        *(TableCell(name) for name in components),
+        TableCell("condition"),
+        TableCell("variance / noise"),
+        TableCell("load points"),
+        TableCell("runs"),
     )
     rows = tuple(_residual_row(trim) for trim in calibration.trims.values())
     first = next(iter(calibration.trims.values()))
     ranges = zip(first.components, first.full_range, strict=True)
-    full = ", ".join(f"{name} {significant(float(value))} {UNIT_OF[name]}" for name, value in ranges)
+    full = ", ".join(f"{name} {format_significant(float(value))} {UNIT_OF[name]}" for name, value in ranges)
     caption = (
         f"Residual in % of full range ({full}); condition of C0 in units of full range and of the channels' noise; "
         "variance of the residuals over that of the noise (1 where a straight line is all there is)."
@@ -81,20 +92,25 @@ def residual_table(calibration: Calibration) -> Table:
 
 
 def _residual_row(trim: TrimCalibration) -> Row:
-    percents = [significant(value, 2) for value in trim.residual_percent_fs.values()]
-    rest = (significant(trim.condition), significant(trim.lack_of_fit), str(trim.rows), ", ".join(trim.runs))
-    return named_row(trim.trim, *percents, *rest)
+    percents = [format_significant(value, 2) for value in trim.residual_percent_fs.values()]
+    rest = (
+        format_significant(trim.condition),
+        format_significant(trim.lack_of_fit),
+        str(trim.rows),
+        ", ".join(trim.runs),
+    )
+    return row_with_name(trim.trim, *percents, *rest)
 
 
 def hysteresis_table(calibration: Calibration) -> Table:
     """Mean width of the loading loops, as loads."""
     components = next(iter(calibration.trims.values())).components
-    head = (Cell("trim"), *(Cell(f"{name} [{UNIT_OF[name]}]") for name in components))
+    head = (TableCell("trim"), *(TableCell(f"{name} [{UNIT_OF[name]}]") for name in components))
     rows = []
     for trim in calibration.trims.values():
         pairs = zip(trim.hysteresis.loads, trim.hysteresis.loads_sigma, trim.full_range, strict=True)
         cells = [_hysteresis_cell(float(width), float(sigma), float(full)) for width, sigma, full in pairs]
-        rows.append((Cell(trim.trim, mark="name"), *cells))
+        rows.append((TableCell(trim.trim, mark="name"), *cells))
     caption = (
         "Hysteresis: reading on the way up less reading on the way down, as load, with its standard error; small: % of "
         "full range. Marked: more than three standard errors."
@@ -102,26 +118,28 @@ def hysteresis_table(calibration: Calibration) -> Table:
     return Table(caption, (head,), tuple(rows))
 
 
-def _hysteresis_cell(width: float, sigma: float, full_range: float) -> Cell:
-    value, error = with_sigma(width, sigma)
-    mark = "bad" if abs(width) > SIGNIFICANT * sigma else ""
-    return Cell(f"{value} \N{PLUS-MINUS SIGN} {error}", f"{significant(100 * width / full_range, 2)} %", mark)
+def _hysteresis_cell(width: float, sigma: float, full_range: float) -> TableCell:
+    value, error = value_and_sigma_text(width, sigma)
+    mark = "bad" if abs(width) > MARKED_SIGMA * sigma else ""
+    return TableCell(
+        f"{value} \N{PLUS-MINUS SIGN} {error}", f"{format_significant(100 * width / full_range, 2)} %", mark
+    )
 
 
 def matrix_table(trim: TrimCalibration) -> Table:
     """C0 with its standard errors."""
     caption = f"C0 of trim {trim.trim} [\N{MICRO SIGN}V/N, \N{MICRO SIGN}V/(N m)] with standard errors."
     scaled = (1e6 * trim.C0, 1e6 * trim.C0_sigma)
-    return _matrix(caption, trim.channel_names, trim.components, *scaled)
+    return _coefficient_table(caption, trim.channel_names, trim.components, *scaled)
 
 
 def inverse_table(trim: TrimCalibration) -> Table:
     """T0 with its standard errors."""
     caption = f"T0 of trim {trim.trim} [N/V, N m/V] with standard errors."
-    return _matrix(caption, trim.components, trim.channel_names, trim.T0, trim.T0_sigma)
+    return _coefficient_table(caption, trim.components, trim.channel_names, trim.T0, trim.T0_sigma)
 
 
-def _matrix(
+def _coefficient_table(
     caption: str,
     names: tuple[str, ...],
     columns: tuple[str, ...],
@@ -130,7 +148,12 @@ def _matrix(
 ) -> Table:
     rows = []
     for name, value_row, sigma_row in zip(names, values, sigmas, strict=True):
-        pairs = (with_sigma(float(v), float(s)) for v, s in zip(value_row, sigma_row, strict=True))
-        rows.append((Cell(name, mark="name"), *(Cell(value, f"\N{PLUS-MINUS SIGN} {sigma}") for value, sigma in pairs)))
-    head = (Cell(""), *(Cell(name) for name in columns))
+        pairs = (value_and_sigma_text(float(v), float(s)) for v, s in zip(value_row, sigma_row, strict=True))
+        rows.append(
+            (
+                TableCell(name, mark="name"),
+                *(TableCell(value, f"\N{PLUS-MINUS SIGN} {sigma}") for value, sigma in pairs),
+            )
+        )
+    head = (TableCell(""), *(TableCell(name) for name in columns))
     return Table(caption, (head,), tuple(rows))

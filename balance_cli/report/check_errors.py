@@ -9,22 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.reduction.result import Loads, RunLoads
+from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.report.sources import Source, Sources
 
 Array = NDArray[np.float64]
 
-NEAR_NOISE = 2.0
+LOAD_NOISE_FACTOR = 2.0
 """An error up to so many times what noise alone leaves counts as noise."""
-KINDS = ("load_error", "interaction")
-TITLES = {
+ERROR_KINDS = ("load_error", "interaction")
+ERROR_TITLES = {
     "load_error": "Hub-load error: % of the load applied",
     "interaction": "Interaction: % of the largest force applied",
 }
 
 
 @dataclass(frozen=True)
-class Error:
+class RelativeError:
     """An error relative to the applied loads, and what the noise alone would leave of it."""
 
     value: float
@@ -33,23 +33,23 @@ class Error:
     @property
     def is_noise(self) -> bool:
         """Whether it is hardly more than noise."""
-        return self.value <= NEAR_NOISE * self.noise
+        return self.value <= LOAD_NOISE_FACTOR * self.noise
 
 
-def check_runs(loads: Loads) -> dict[str, RunLoads]:
+def check_runs(loads: HubLoads) -> dict[str, RunLoads]:
     """The runs with known loads."""
     return {name: run for name, run in loads.runs.items() if run.check is not None}
 
 
-def run_errors(run: RunLoads, kind: str) -> dict[str, Error]:
+def run_errors(run: RunLoads, kind: str) -> dict[str, RelativeError]:
     """{component: error} of one check run; `kind` is `load_error` or `interaction`."""
     assert run.check is not None
     values: dict[str, float] = getattr(run.check, kind)
     noise = run.check.load_noise if kind == "load_error" else run.check.interaction_noise
-    return {name: Error(value, noise.get(name, float("nan"))) for name, value in values.items()}
+    return {name: RelativeError(value, noise.get(name, float("nan"))) for name, value in values.items()}
 
 
-def pooled_errors(loads: Loads, kind: str) -> dict[str, Error]:
+def pooled_errors(loads: HubLoads, kind: str) -> dict[str, RelativeError]:
     """{component: rms over the check runs that have it}, in the order of the components."""
     runs = [run_errors(run, kind) for run in check_runs(loads).values()]
     return {
@@ -59,24 +59,24 @@ def pooled_errors(loads: Loads, kind: str) -> dict[str, Error]:
     }
 
 
-def rms_error(errors: Sequence[Error]) -> Error:
+def rms_error(errors: Sequence[RelativeError]) -> RelativeError:
     """Root mean square of errors, and of what noise leaves."""
     values, noise = ([getattr(error, part) for error in errors] for part in ("value", "noise"))
-    return Error(float(np.sqrt(np.mean(np.square(values)))), float(np.sqrt(np.mean(np.square(noise)))))
+    return RelativeError(float(np.sqrt(np.mean(np.square(values)))), float(np.sqrt(np.mean(np.square(noise)))))
 
 
-def overall_error(loads: Loads, kind: str) -> Error | None:
+def overall_error(loads: HubLoads, kind: str) -> RelativeError | None:
     """Rms over all components of all check runs; None where there is none."""
     errors = [error for run in check_runs(loads).values() for error in run_errors(run, kind).values()]
     return rms_error(errors) if errors else None
 
 
-def checked(sources: Sources) -> tuple[Source[Loads], ...]:
+def loads_with_check_runs(sources: Sources) -> tuple[Source[HubLoads], ...]:
     """The loads that hold check runs."""
     return tuple(source for source in sources.loads if check_runs(source.content))
 
 
-def harmonic_errors(loads: Loads, component: str) -> Array:
+def harmonic_errors(loads: HubLoads, component: str) -> Array:
     """Rms of reduced less applied over rms of applied, over the check runs in which it was applied (n,).
 
     For harmonics 1 to n, each by itself; empty where the component was never applied.

@@ -13,41 +13,43 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.reduction.result import Loads
-from balance_cli.report.check_errors import KINDS, TITLES, Error, harmonic_errors, pooled_errors
-from balance_cli.report.figure_style import BLACK, decades, new_figure, plain_log
+from balance_cli.reduction.result import HubLoads
+from balance_cli.report.check_errors import ERROR_KINDS, ERROR_TITLES, RelativeError, harmonic_errors, pooled_errors
+from balance_cli.report.figure_style import BLACK, log_limits, new_figure, set_log_axis
 from balance_cli.report.sources import Source
 
 
 @dataclass(frozen=True)
-class Bars:
+class MethodBars:
     """One method: its label, its colour, and {kind: {component: error}}."""
 
     label: str
     colour: str
-    errors: Mapping[str, Mapping[str, Error]]
+    errors: Mapping[str, Mapping[str, RelativeError]]
 
 
-def comparison_figure(methods: Sequence[Source[Loads]], width: float = 12.0, height: float = 3.6) -> Figure:
+def comparison_figure(methods: Sequence[Source[HubLoads]], width: float = 12.0, height: float = 3.6) -> Figure:
     """Bars of every method by component: error on the left, interaction on the right; black marks for the noise."""
     bars = [
-        Bars(source.label, source.look.colour, {kind: pooled_errors(source.content, kind) for kind in KINDS})
+        MethodBars(
+            source.label, source.plot_style.colour, {kind: pooled_errors(source.content, kind) for kind in ERROR_KINDS}
+        )
         for source in methods
     ]
     return error_figure(bars, " on the check runs", width, height)
 
 
-def error_figure(methods: Sequence[Bars], where: str, width: float = 12.0, height: float = 3.6) -> Figure:
+def error_figure(methods: Sequence[MethodBars], where: str, width: float = 12.0, height: float = 3.6) -> Figure:
     """Bars by component, one panel a kind of error; `where` ends the panels' titles."""
     figure = new_figure(width, height)
-    shown = [kind for kind in KINDS if any(method.errors[kind] for method in methods)]
+    shown = [kind for kind in ERROR_KINDS if any(method.errors[kind] for method in methods)]
     axes = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
-    limits = _limits([error for kind in shown for method in methods for error in method.errors[kind].values()])
-    for one, kind in zip(axes, shown, strict=True):
-        _bars(one, methods, kind, limits)
-        one.set_title(TITLES[kind].split(":")[0] + where)
-        one.set_ylabel(TITLES[kind].split(": ")[1])
-        one.yaxis.set_tick_params(labelleft=True)
+    limits = _bar_limits([error for kind in shown for method in methods for error in method.errors[kind].values()])
+    for ax, kind in zip(axes, shown, strict=True):
+        _draw_bars(ax, methods, kind, limits)
+        ax.set_title(ERROR_TITLES[kind].split(":")[0] + where)
+        ax.set_ylabel(ERROR_TITLES[kind].split(": ")[1])
+        ax.yaxis.set_tick_params(labelleft=True)
     handles: list[Artist] = [Patch(facecolor=method.colour) for method in methods]
     handles.append(Line2D([], [], color=BLACK, linewidth=1.4))
     labels = [*(method.label for method in methods), "what noise alone would leave"]
@@ -57,15 +59,15 @@ def error_figure(methods: Sequence[Bars], where: str, width: float = 12.0, heigh
     return figure
 
 
-def _limits(errors: Sequence[Error]) -> tuple[float, float]:
+def _bar_limits(errors: Sequence[RelativeError]) -> tuple[float, float]:
     values = [100 * part for error in errors for part in (error.value, error.noise)]
-    return decades(values, 2.0, margin=1.5)
+    return log_limits(values, 2.0, margin=1.5)
 
 
-def _bars(axes: Axes, methods: Sequence[Bars], kind: str, limits: tuple[float, float]) -> None:
+def _draw_bars(axes: Axes, methods: Sequence[MethodBars], kind: str, limits: tuple[float, float]) -> None:
     names = [name for name in COMPONENTS if any(name in method.errors[kind] for method in methods)]
     width = 0.82 / len(methods)
-    plain_log(axes, limits)
+    set_log_axis(axes, limits)
     for i, method in enumerate(methods):
         errors = method.errors[kind]
         mine = [name for name in names if name in errors]
@@ -79,7 +81,7 @@ def _bars(axes: Axes, methods: Sequence[Bars], kind: str, limits: tuple[float, f
     axes.grid(visible=False, axis="x")
 
 
-def harmonic_error_figure(methods: Sequence[Source[Loads]]) -> Figure:
+def harmonic_error_figure(methods: Sequence[Source[HubLoads]]) -> Figure:
     """One panel a component: relative error of each harmonic by itself, one curve a method."""
     errors = {
         name: [(source, 100 * harmonic_errors(source.content, name)) for source in methods] for name in COMPONENTS
@@ -87,16 +89,18 @@ def harmonic_error_figure(methods: Sequence[Source[Loads]]) -> Figure:
     names = [name for name in COMPONENTS if any(len(values) for _, values in errors[name])]
     figure = new_figure(12.0, 2.7)
     panels = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
-    limits = decades(np.concatenate([values for name in names for _, values in errors[name]]), 2.0, 1.5)
+    limits = log_limits(np.concatenate([values for name in names for _, values in errors[name]]), 2.0, 1.5)
     for axes, name in zip(panels, names, strict=True):
-        plain_log(axes, limits)
+        set_log_axis(axes, limits)
         axes.set_title(name)
         axes.set_xlabel("harmonic")
         for source, values in errors[name]:
-            axes.plot(np.arange(1, 1 + len(values)), values, marker=source.look.marker, **source.look.line)
+            axes.plot(
+                np.arange(1, 1 + len(values)), values, marker=source.plot_style.marker, **source.plot_style.line_kwargs
+            )
         axes.set_xticks(range(1, 1 + max(len(values) for _, values in errors[name])))
     panels[0].set_ylabel("error [% of the load]")
-    handles = [Line2D([], [], marker=source.look.marker, **source.look.line) for source in methods]
+    handles = [Line2D([], [], marker=source.plot_style.marker, **source.plot_style.line_kwargs) for source in methods]
     labels = [source.label for source in methods]
     figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 6))
     lines = -(-len(labels) // 6)

@@ -6,29 +6,29 @@ from collections.abc import Iterator
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.result import Diagnosis, HoldOut, RunErrors
-from balance_cli.report.check_errors import Error, rms_error
+from balance_cli.report.check_errors import RelativeError, rms_error
 
 STAGES = ("before", "after")
 
 
-def run_errors(errors: HoldOut, stage: str, kind: str) -> dict[str, Error]:
+def hold_out_errors_of_run(errors: HoldOut, stage: str, kind: str) -> dict[str, RelativeError]:
     """{component: error beside its noise} of one run; `kind` is `load_error` or `interaction`."""
     part: RunErrors = getattr(errors, stage)
     values, noise = getattr(part, kind), getattr(errors.noise, kind)
-    return {name: Error(values[name], noise.get(name, float("nan"))) for name in COMPONENTS if name in values}
+    return {name: RelativeError(values[name], noise.get(name, float("nan"))) for name in COMPONENTS if name in values}
 
 
-def pooled(diagnosis: Diagnosis, stage: str, kind: str) -> dict[str, Error]:
+def pooled_hold_out_errors(diagnosis: Diagnosis, stage: str, kind: str) -> dict[str, RelativeError]:
     """{component: rms over the runs that have it}."""
-    runs = [run_errors(errors, stage, kind) for errors in diagnosis.hold_out.values()]
-    return {name: rms_error(list(found)) for name in COMPONENTS if (found := list(_of(runs, name)))}
+    runs = [hold_out_errors_of_run(errors, stage, kind) for errors in diagnosis.hold_out.values()]
+    return {name: rms_error(list(found)) for name in COMPONENTS if (found := list(_component_errors(runs, name)))}
 
 
-def _of(runs: list[dict[str, Error]], name: str) -> Iterator[Error]:
+def _component_errors(runs: list[dict[str, RelativeError]], name: str) -> Iterator[RelativeError]:
     return (errors[name] for errors in runs if name in errors)
 
 
-def response_error(errors: HoldOut, stage: str) -> Error:
+def response_error(errors: HoldOut, stage: str) -> RelativeError:
     """Error of the response of one run."""
     part: RunErrors = getattr(errors, stage)
-    return Error(part.frf_error, errors.noise.frf_error)
+    return RelativeError(part.frf_error, errors.noise.frf_error)

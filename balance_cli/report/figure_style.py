@@ -18,16 +18,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 # Okabe and Ito's colours (Color Universal Design, 2008) and, after them, some of Tol's muted scheme.
-BLACK, GREY, ORANGE, SKY, GREEN = "#222222", "#8a8a8a", "#e69f00", "#56b4e9", "#009e73"
+BLACK, GRAY, ORANGE, SKY, GREEN = "#222222", "#8a8a8a", "#e69f00", "#56b4e9", "#009e73"
 YELLOW, BLUE, VERMILION, PURPLE = "#d6c61a", "#0072b2", "#d55e00", "#cc79a7"
-MORE = ("#882255", "#999933", "#44aa99", "#332288", "#aa4499")
+EXTRA_COLORS = ("#882255", "#999933", "#44aa99", "#332288", "#aa4499")
 SCREEN_PIXELS = 192
 """Resolution of rasterised curves [1/inch]: about twice that of a screen."""
 
 PICTURE_PIXELS = 180
 """Resolution of a picture that is a file of its own [1/inch]."""
 
-STYLE: dict[Any, Any] = {
+RC_PARAMS: dict[Any, Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 8.0,
@@ -67,7 +67,7 @@ STYLE: dict[Any, Any] = {
 
 
 @dataclass(frozen=True)
-class Look:
+class PlotStyle:
     """How one model or method is drawn wherever it appears: colour, dashes of its line, marker."""
 
     colour: str
@@ -75,51 +75,51 @@ class Look:
     marker: str = "o"
 
     @property
-    def line(self) -> dict[str, Any]:
+    def line_kwargs(self) -> dict[str, Any]:
         """Arguments of a curve."""
         return {"color": self.colour, "linestyle": (0, self.dashes) if self.dashes else "-"}
 
 
-DATA = Look(BLACK)
+DATA_STYLE = PlotStyle(BLACK)
 
 
 @contextmanager
-def style(name: str) -> Iterator[None]:
+def figure_style(name: str) -> Iterator[None]:
     """The style of the page; identifiers inside the figure follow from its name."""
-    with matplotlib.rc_context({**STYLE, "svg.hashsalt": name}):
+    with matplotlib.rc_context({**RC_PARAMS, "svg.hashsalt": name}):
         yield
 
 
 def svg(name: str, description: str, draw: Callable[[], Figure]) -> str:
     """What `draw` returns, as inline SVG; `description` is read out where the picture cannot be seen."""
-    with style(name):
+    with figure_style(name):
         figure = draw()
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", dpi=SCREEN_PIXELS, metadata=dict.fromkeys(("Date", "Creator", "Format")))
-    return _inline(buffer.getvalue(), description)
+    return _inline_svg(buffer.getvalue(), description)
 
 
 def save_picture(path: Path, name: str, draw: Callable[[], Figure], file_format: str) -> None:
     """What `draw` returns, as a file of its own (`png`, `svg` or `pdf`)."""
     dated = {"png": "Software", "pdf": "CreationDate"}.get(file_format, "Date")
-    with style(name):
+    with figure_style(name):
         draw().savefig(path, format=file_format, dpi=PICTURE_PIXELS, metadata={dated: None}, facecolor="white")
 
 
-NUMBERS = re.compile(r"(\d+\.\d{2})\d+")
+LONG_DECIMALS = re.compile(r"(\d+\.\d{2})\d+")
 COORDINATES = re.compile(r'\b(?:d|x|y|width|height|transform|points)="[^"]*"')
 UNUSED_ID = re.compile(
     r' id="(?:figure|axes|patch|line2d|text|matplotlib\.axis|xtick|ytick|legend|Line|Fill|image)[^"]*"'
 )
 
 
-def _inline(text: str, description: str) -> str:
+def _inline_svg(text: str, description: str) -> str:
     """The `svg` element alone: no prologue, no metadata, hundredths of a point, names that nothing refers to gone."""
     text = text[text.index("<svg") :]
     text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->\s*", "", text)
     text = UNUSED_ID.sub("", text)
-    text = COORDINATES.sub(lambda match: NUMBERS.sub(r"\1", match.group()), text)
+    text = COORDINATES.sub(lambda match: LONG_DECIMALS.sub(r"\1", match.group()), text)
     text = re.sub(r"\n\s*", "\n", text)
     box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text)
     assert box is not None
@@ -134,7 +134,7 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height))
 
 
-def _tick(value: float, _: object) -> str:
+def _tick_label(value: float, _: object) -> str:
     """A tick's number: plain, or as a power where it would be long."""
     if 1e-4 <= abs(value) < 1e5:
         return f"{value:g}"
@@ -142,24 +142,26 @@ def _tick(value: float, _: object) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
-def plain_log(axes: Axes, limits: tuple[float, float]) -> None:
+def set_log_axis(axes: Axes, limits: tuple[float, float]) -> None:
     """Logarithmic y-axis between `limits` with plain numbers: decades, or 1, 2 and 5 where it spans few of them."""
     axes.set_yscale("log")
     axes.set_ylim(*limits)
     few = np.log10(limits[1] / limits[0]) < 1.7
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=20))
-    axes.yaxis.set_major_formatter(FuncFormatter(_tick))
+    axes.yaxis.set_major_formatter(FuncFormatter(_tick_label))
     axes.yaxis.set_minor_locator(NullLocator())
 
 
-def decades(values: Sequence[float] | np.ndarray[Any, Any], least: float, margin: float = 1.15) -> tuple[float, float]:
+def log_limits(
+    values: Sequence[float] | np.ndarray[Any, Any], min_decades: float, margin: float = 1.15
+) -> tuple[float, float]:
     """Limits of a logarithmic axis around the positive values, at least `least` decades wide."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite) & (finite > 0)]
     if not len(finite):
-        return 0.1, 0.1 * 10.0**least
+        return 0.1, 0.1 * 10.0**min_decades
     low, high = float(finite.min()) / margin, float(finite.max()) * margin
-    missing = least - np.log10(high / low)
+    missing = min_decades - np.log10(high / low)
     if missing > 0:
         low, high = low * 10 ** (-missing / 2), high * 10 ** (missing / 2)
     return low, high

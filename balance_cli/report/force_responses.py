@@ -15,7 +15,7 @@ from balance_cli.estimation.identified_model import IdentifiedModel, identified_
 from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.spectra import channel_response
 from balance_cli.model.system import response, solve
-from balance_cli.signals.run_spectrum import Response
+from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -50,7 +50,7 @@ class Curve:
     sigma: Array
 
 
-def level(response: Response) -> float:
+def level(response: FrequencyResponse) -> float:
     """Highest level of the excitation [N, N m rms] of its components; 0 where none is told."""
     return max((float(value) for value in response.level if np.isfinite(value)), default=0.0)
 
@@ -60,7 +60,7 @@ def error_band(frequency: Array) -> NDArray[np.bool_]:
     return (frequency >= ERROR_BAND[0]) & (frequency <= ERROR_BAND[1])
 
 
-def best_channel(response: Response) -> tuple[Array, Array]:
+def best_channel(response: FrequencyResponse) -> tuple[Array, Array]:
     """Coherence (k,) and relative sigma (k,) of the channel that responds best at each line; one component."""
     coherence = response.coherence[:, :, 0]
     best, lines = np.argmax(coherence, axis=1), np.arange(len(coherence))
@@ -68,7 +68,7 @@ def best_channel(response: Response) -> tuple[Array, Array]:
     return coherence[lines, best], quotient(np.sqrt(variance), np.abs(response.response[lines, best, 0]))
 
 
-def force_response(response: Response, geometry: Geometry) -> tuple[ComplexArray, Array]:
+def force_response(response: FrequencyResponse, geometry: Geometry) -> tuple[ComplexArray, Array]:
     """Response (k, c) of every channel to one component, over the sensitivity, and its standard deviation (k, c)."""
     sensitivity = {channel.name: channel.sensitivity for channel in geometry.channels}
     weights = np.array([1.0 / sensitivity[name] for name in response.channel_names])
@@ -77,7 +77,9 @@ def force_response(response: Response, geometry: Geometry) -> tuple[ComplexArray
     return response.response[:, :, 0] * weights, sigma
 
 
-def sensors(geometry: Geometry, responses: Sequence[Response], models: Sequence[IdentifiedModel]) -> tuple[Sensor, ...]:
+def sensors(
+    geometry: Geometry, responses: Sequence[FrequencyResponse], models: Sequence[IdentifiedModel]
+) -> tuple[Sensor, ...]:
     """Every cell by its quietest channel (relative to its sensitivity), the torque meter, and the resultants that a
 
     model in the paper's form works with.
@@ -87,7 +89,7 @@ def sensors(geometry: Geometry, responses: Sequence[Response], models: Sequence[
     for cell in (*geometry.cell_names, None):
         channels = [channel for channel in geometry.channels if channel.cell == cell and channel.name in present]
         if channels:
-            best = min(channels, key=lambda channel: force_noise(channel, responses))
+            best = min(channels, key=lambda channel: median_force_noise(channel, responses))
             found[cell or TORQUE_METER] = Sensor(cell or TORQUE_METER, {best.name: 1.0})
     return (*found.values(), *_resultants(found, models))
 
@@ -104,7 +106,7 @@ def _resultants(cells: Mapping[str, Sensor], models: Sequence[IdentifiedModel]) 
     return tuple(found.values())
 
 
-def force_noise(channel: Channel, responses: Sequence[Response]) -> float:
+def median_force_noise(channel: Channel, responses: Sequence[FrequencyResponse]) -> float:
     """Median standard deviation of a channel's response, as a force, over all lines of all responses."""
     values = [
         np.sqrt(np.real(response.channel_covariance[:, i, i] * response.load_covariance[:, 0, 0]))
@@ -115,7 +117,7 @@ def force_noise(channel: Channel, responses: Sequence[Response]) -> float:
     return float(np.median(np.concatenate(values))) / abs(channel.sensitivity)
 
 
-def measured_curve(response: Response, sensor: Sensor, component: str, geometry: Geometry) -> Curve | None:
+def measured_curve(response: FrequencyResponse, sensor: Sensor, component: str, geometry: Geometry) -> Curve | None:
     """The sensor's measured response to a component; None where a channel of it is missing."""
     if not set(sensor.channels) <= set(response.channel_names):
         return None
@@ -141,7 +143,7 @@ class ModelResponse:
 
 
 def model_response(
-    model: IdentifiedModel, frequency: Array, spin: float, shown: Sequence[Sensor], geometry: Geometry
+    model: IdentifiedModel, frequency: Array, spin: float, shown_sensors: Sequence[Sensor], geometry: Geometry
 ) -> ModelResponse:
     """All responses of a model of either form."""
     if model.paper is not None:
@@ -152,7 +154,7 @@ def model_response(
     T = response(system, solve(system, frequency, spin))
     channels = {name: T[:, i] for i, name in enumerate(system.channel_names)}
     forces = {}
-    for sensor in shown:
+    for sensor in shown_sensors:
         weights = sensor.weights(geometry, frequency)
         forces[sensor.name] = sum(
             (weights[:, i, None] * channels[name] for i, name in enumerate(sensor.channels)), np.zeros_like(T[:, 0])

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable
 from balance_cli.model.mechanics.equations import SHAFT
-from balance_cli.report.blocks import Block, Cell, Details, Picture, Row, Section, Table, Text
+from balance_cli.report.blocks import Details, PageBlock, Paragraph, Picture, Row, Section, Table, TableCell
 from balance_cli.report.figure_style import new_figure, svg
-from balance_cli.report.number_format import MINUS, fixed, sentence, with_sigma
+from balance_cli.report.number_format import MINUS, capitalize_first, format_fixed, value_and_sigma_text
 from balance_cli.report.sources import Source, Sources
 
-CONSIDERABLE = 0.05
+LARGE_FREQUENCY_DEVIATION = 0.05
 """Relative difference of a computed from an identified eigenfrequency that is called considerable."""
-ALIKE = 0.5
+MIN_MODAL_ASSURANCE = 0.5
 """Least modal assurance of two shapes that are taken for one mode."""
 
 
@@ -35,18 +35,18 @@ def shaft_mode(modes: ModeTable) -> int | None:
         return None
     share = np.abs(modes.shape) ** 2
     of_shaft = share[:, modes.coordinates.index(SHAFT)] / share.sum(axis=1)
-    return int(np.argmax(of_shaft)) if of_shaft.max() > ALIKE else None
+    return int(np.argmax(of_shaft)) if of_shaft.max() > MIN_MODAL_ASSURANCE else None
 
 
-def matched(models: Sequence[IdentifiedModel]) -> ModeMatch:
+def match_models(models: Sequence[IdentifiedModel]) -> ModeMatch:
     """Which mode of each model is which of the first one that has shapes."""
-    return matched_modes([model.modes for model in models])
+    return match_modes([model.modes for model in models])
 
 
-def matched_modes(tables: Sequence[ModeTable]) -> ModeMatch:
+def match_modes(tables: Sequence[ModeTable]) -> ModeMatch:
     """Modes in the same coordinates by their shapes; others by their frequencies, the shaft's aside."""
     first = next((modes for modes in tables if has_shapes(modes)), tables[0])
-    columns = [_partners(first, modes) for modes in tables]
+    columns = [_partner_indices(first, modes) for modes in tables]
     rows = [tuple(column[i] for column in columns) for i in range(len(first.frequency))]
     for m, (column, modes) in enumerate(zip(columns, tables, strict=True)):
         for extra in sorted(set(range(len(modes.frequency))) - set(column)):
@@ -54,36 +54,38 @@ def matched_modes(tables: Sequence[ModeTable]) -> ModeMatch:
     return ModeMatch(tuple(rows))
 
 
-def _partners(first: ModeTable, other: ModeTable) -> list[int | None]:
+def _partner_indices(first: ModeTable, second: ModeTable) -> list[int | None]:
     """For each mode of `first` its partner in `other`."""
-    shafts = (shaft_mode(first), shaft_mode(other))
-    mine = [i for i in range(len(first.frequency)) if i != shafts[0]]
-    others = [i for i in range(len(other.frequency)) if i != shafts[1]]
+    shafts = (shaft_mode(first), shaft_mode(second))
+    first_indices = [i for i in range(len(first.frequency)) if i != shafts[0]]
+    second_indices = [i for i in range(len(second.frequency)) if i != shafts[1]]
     partners: list[int | None] = [None] * len(first.frequency)
     if shafts[0] is not None:
         partners[shafts[0]] = shafts[1]
-    for i, j in _pairs(first, other, mine, others):
+    for i, j in _assign_modes(first, second, first_indices, second_indices):
         partners[i] = j
     return partners
 
 
-def _pairs(first: ModeTable, other: ModeTable, mine: list[int], others: list[int]) -> list[tuple[int, int]]:
+def _assign_modes(
+    first: ModeTable, second: ModeTable, first_indices: list[int], second_indices: list[int]
+) -> list[tuple[int, int]]:
     """The pairing of the largest total modal assurance, nearness of frequencies deciding between equals.
 
     Without shapes in common coordinates frequencies alone decide: in their order where there are as many of each.
     """
     from scipy.optimize import linear_sum_assignment
 
-    apart = np.abs(np.log(first.frequency[mine][:, None] / other.frequency[others]))
-    if has_shapes(first) and has_shapes(other) and set(first.coordinates) <= set(other.coordinates):
-        common = [other.coordinates.index(name) for name in first.coordinates]
-        assurance = modal_assurance(first.shape[mine], other.shape[np.ix_(others, common)])
+    apart = np.abs(np.log(first.frequency[first_indices][:, None] / second.frequency[second_indices]))
+    if has_shapes(first) and has_shapes(second) and set(first.coordinates) <= set(second.coordinates):
+        common = [second.coordinates.index(name) for name in first.coordinates]
+        assurance = modal_assurance(first.shape[first_indices], second.shape[np.ix_(second_indices, common)])
         rows, columns = linear_sum_assignment(assurance - 0.5 * np.tanh(apart), maximize=True)
-    elif len(mine) == len(others):
-        return list(zip(mine, others, strict=True))
+    elif len(first_indices) == len(second_indices):
+        return list(zip(first_indices, second_indices, strict=True))
     else:
         rows, columns = linear_sum_assignment(apart)
-    return [(mine[i], others[j]) for i, j in zip(rows, columns, strict=True)]
+    return [(first_indices[i], second_indices[j]) for i, j in zip(rows, columns, strict=True)]
 
 
 def has_shapes(modes: ModeTable) -> bool:
@@ -102,7 +104,7 @@ def sigma_scale(model: IdentifiedModel) -> float:
     return 1.0 if model.paper is not None else model.misfit_scale
 
 
-def reference(models: Sequence[Source[IdentifiedModel]]) -> Source[IdentifiedModel] | None:
+def reference_model(models: Sequence[Source[IdentifiedModel]]) -> Source[IdentifiedModel] | None:
     """The identified model that others are compared with: the physical one by maximum likelihood, or the next best."""
     for rank in ("closed", "identified", "paper", "ls", "paper-ls"):
         for source in models:
@@ -112,24 +114,24 @@ def reference(models: Sequence[Source[IdentifiedModel]]) -> Source[IdentifiedMod
 
 
 @dataclass(frozen=True)
-class Deviation:
+class FrequencyDeviation:
     """How the computed eigenfrequencies deviate: their number, and those considerably off (frequencies [Hz])."""
 
     count: int
-    considerable: tuple[tuple[float, float], ...]
+    large_deviations: tuple[tuple[float, float], ...]
     largest: float
 
 
-def deviation(computed: IdentifiedModel, identified: IdentifiedModel) -> Deviation:
+def frequency_deviation(computed: IdentifiedModel, identified: IdentifiedModel) -> FrequencyDeviation:
     """Computed against identified eigenfrequencies, the modes that both have."""
     pairs = [
         (float(computed.modes.frequency[i]), float(identified.modes.frequency[j]))
-        for i, j in matched([computed, identified]).index
+        for i, j in match_models([computed, identified]).index
         if i is not None and j is not None
     ]
     off = [(c / f - 1.0, (c, f)) for c, f in pairs]
-    considerable = tuple(pair for relative, pair in off if abs(relative) > CONSIDERABLE)
-    return Deviation(len(pairs), considerable, max((abs(relative) for relative, _ in off), default=0.0))
+    large_deviations = tuple(pair for relative, pair in off if abs(relative) > LARGE_FREQUENCY_DEVIATION)
+    return FrequencyDeviation(len(pairs), large_deviations, max((abs(relative) for relative, _ in off), default=0.0))
 
 
 def section(sources: Sources) -> Section | None:
@@ -137,8 +139,8 @@ def section(sources: Sources) -> Section | None:
     models = sources.models
     if not models:
         return None
-    match = matched([source.content for source in models])
-    blocks: list[Block] = [
+    match = match_models([source.content for source in models])
+    blocks: list[PageBlock] = [
         Picture(
             "eigenfrequencies",
             "Eigenfrequencies of all models, with two sigma: computed from the tolerances of the geometry, identified "
@@ -148,28 +150,31 @@ def section(sources: Sources) -> Section | None:
         frequency_table(models, match),
         damping_table(models, match),
     ]
-    statement = _statement(models)
+    statement = _deviation_sentence(models)
     if statement:
-        blocks.insert(0, Text(statement))
+        blocks.insert(0, Paragraph(statement))
     shapes = [shape_table(source) for source in models if has_shapes(source.content.modes)]
     if shapes:
         blocks.append(Details("Shapes of the modes", tuple(shapes)))
     return Section("eigenfrequencies", "Eigenfrequencies, computed and identified", tuple(blocks))
 
 
-def _statement(models: Sequence[Source[IdentifiedModel]]) -> str:
+def _deviation_sentence(models: Sequence[Source[IdentifiedModel]]) -> str:
     computed = next((source for source in models if source.rank == "computed"), None)
-    best = reference(models)
+    best = reference_model(models)
     if computed is None or best is None:
         return ""
-    found = deviation(computed.content, best.content)
-    if not found.considerable:
-        return f"All {found.count} computed eigenfrequencies lie within {100 * CONSIDERABLE:.0f} % of {best.label}."
-    pairs = "; ".join(f"{c:.1f} against {f:.1f} Hz" for c, f in found.considerable)
-    verb = "differs" if len(found.considerable) == 1 else "differ"
+    found = frequency_deviation(computed.content, best.content)
+    if not found.large_deviations:
+        return (
+            f"All {found.count} computed eigenfrequencies lie within {100 * LARGE_FREQUENCY_DEVIATION:.0f} % of "
+            f"{best.label}."
+        )
+    pairs = "; ".join(f"{c:.1f} against {f:.1f} Hz" for c, f in found.large_deviations)
+    verb = "differs" if len(found.large_deviations) == 1 else "differ"
     return (
-        f"{len(found.considerable)} of {found.count} computed eigenfrequencies {verb} by more than "
-        f"{100 * CONSIDERABLE:.0f} % from those of {best.label}: {pairs}."
+        f"{len(found.large_deviations)} of {found.count} computed eigenfrequencies {verb} by more than "
+        f"{100 * LARGE_FREQUENCY_DEVIATION:.0f} % from those of {best.label}: {pairs}."
     )
 
 
@@ -184,9 +189,9 @@ def frequency_figure(models: Sequence[Source[IdentifiedModel]], match: ModeMatch
             np.full(len(modes.frequency), row),
             xerr=2 * sigma_scale(source.content) * modes.sigma_frequency,
             linestyle="",
-            marker=source.look.marker,
+            marker=source.plot_style.marker,
             markersize=6,
-            color=source.look.colour,
+            color=source.plot_style.colour,
             elinewidth=1.4,
             capsize=3,
             zorder=3,
@@ -207,34 +212,34 @@ def frequency_figure(models: Sequence[Source[IdentifiedModel]], match: ModeMatch
 
 def frequency_table(models: Sequence[Source[IdentifiedModel]], match: ModeMatch) -> Table:
     """Frequencies with sigma, the difference from the reference beside."""
-    best = reference(models)
+    best = reference_model(models)
     column = None if best is None else models.index(best)
     rows = []
     for r, partners in enumerate(match.index):
         base = None if column is None else partners[column]
         value = None if base is None or best is None else float(best.content.modes.frequency[base])
         cells = [_frequency_cell(models[m].content, i, value) for m, i in enumerate(partners)]
-        rows.append((Cell(str(r + 1), mark="name"), *cells))
+        rows.append((TableCell(str(r + 1), mark="name"), *cells))
     less = f"; small: difference from {best.label}" if best is not None and len(models) > 1 else ""
-    head = (Cell("mode"), *(Cell(source.label, title=source.file) for source in models))
+    head = (TableCell("mode"), *(TableCell(source.label, title=source.file) for source in models))
     return Table(f"Eigenfrequencies [Hz] with sigma, widened by the misfit{less}.", (head,), tuple(rows))
 
 
-def _frequency_cell(model: IdentifiedModel, i: int | None, base: float | None) -> Cell:
+def _frequency_cell(model: IdentifiedModel, i: int | None, base: float | None) -> TableCell:
     if i is None:
-        return Cell("")
+        return TableCell("")
     modes = model.modes
-    value, sigma = with_sigma(float(modes.frequency[i]), sigma_scale(model) * float(modes.sigma_frequency[i]))
+    value, sigma = value_and_sigma_text(float(modes.frequency[i]), sigma_scale(model) * float(modes.sigma_frequency[i]))
     text = f"{value} \N{PLUS-MINUS SIGN} {sigma}"
     relative = float(modes.frequency[i]) / base - 1.0 if base else 0.0
     if relative == 0.0:
-        return Cell(text)
-    return Cell(text, signed_percent(relative), "bad" if abs(relative) > CONSIDERABLE else "")
+        return TableCell(text)
+    return TableCell(text, signed_percent(relative), "bad" if abs(relative) > LARGE_FREQUENCY_DEVIATION else "")
 
 
 def signed_percent(relative: float) -> str:
     """A relative difference in percent, with its sign."""
-    text = fixed(100 * relative, 2 if abs(relative) < 0.1 else 1)
+    text = format_fixed(100 * relative, 2 if abs(relative) < 0.1 else 1)
     return f"{text} %" if text.startswith(MINUS) else f"+{text} %"
 
 
@@ -242,31 +247,31 @@ def damping_table(models: Sequence[Source[IdentifiedModel]], match: ModeMatch) -
     """Damping ratios with sigma."""
     rows: list[Row] = []
     for r, partners in enumerate(match.index):
-        cells = [Cell("") if i is None else _damping_cell(models[m].content, i) for m, i in enumerate(partners)]
-        rows.append((Cell(str(r + 1), mark="name"), *cells))
-    head = (Cell("mode"), *(Cell(source.label, title=source.file) for source in models))
+        cells = [TableCell("") if i is None else _damping_cell(models[m].content, i) for m, i in enumerate(partners)]
+        rows.append((TableCell(str(r + 1), mark="name"), *cells))
+    head = (TableCell("mode"), *(TableCell(source.label, title=source.file) for source in models))
     return Table("Damping ratios [%] with sigma, widened by the misfit.", (head,), tuple(rows))
 
 
-def _damping_cell(model: IdentifiedModel, i: int) -> Cell:
+def _damping_cell(model: IdentifiedModel, i: int) -> TableCell:
     ratio = 100 * float(model.modes.damping_ratio[i])
-    value, sigma = with_sigma(ratio, 100 * sigma_scale(model) * float(model.modes.sigma_damping_ratio[i]))
-    return Cell(f"{value} \N{PLUS-MINUS SIGN} {sigma}", mark="bad" if ratio < 0 else "")
+    value, sigma = value_and_sigma_text(ratio, 100 * sigma_scale(model) * float(model.modes.sigma_damping_ratio[i]))
+    return TableCell(f"{value} \N{PLUS-MINUS SIGN} {sigma}", mark="bad" if ratio < 0 else "")
 
 
 def shape_table(source: Source[IdentifiedModel]) -> Table:
     """Real parts of the mode shapes, largest motion 1."""
     modes = source.content.modes
-    head = (Cell("Hz"), *(Cell(name) for name in modes.coordinates))
+    head = (TableCell("Hz"), *(TableCell(name) for name in modes.coordinates))
     rows = [
-        (Cell(f"{frequency:.2f}", mark="name"), *(_shape_cell(complex(value)) for value in shape))
+        (TableCell(f"{frequency:.2f}", mark="name"), *(_shape_cell(complex(value)) for value in shape))
         for frequency, shape in zip(modes.frequency, modes.shape, strict=True)
     ]
     motion = "motion of the centre of gravity [m] and angles [rad], largest 1; small: imaginary part"
-    caption = f"{sentence(source.label)}: {motion}."
+    caption = f"{capitalize_first(source.label)}: {motion}."
     return Table(caption, (head,), tuple(rows))
 
 
-def _shape_cell(value: complex) -> Cell:
-    imaginary = fixed(value.imag, 2) if abs(value.imag) >= 0.005 else ""
-    return Cell(fixed(value.real, 3), imaginary, "" if abs(value) >= 0.1 else "quiet")
+def _shape_cell(value: complex) -> TableCell:
+    imaginary = format_fixed(value.imag, 2) if abs(value.imag) >= 0.005 else ""
+    return TableCell(format_fixed(value.real, 3), imaginary, "" if abs(value) >= 0.1 else "quiet")

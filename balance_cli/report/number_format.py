@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 
 MINUS = "\N{MINUS SIGN}"
-NONE = "\N{EN DASH}"
-MOST_DIGITS = 8
-SIGNIFICANT = 3.0
+MISSING_VALUE = "\N{EN DASH}"
+MAX_DIGITS = 8
+MARKED_SIGMA = 3.0
 """Standard errors beyond which a number is marked."""
 SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e5
 
 
-def significant(value: float, digits: int = 3) -> str:
+def format_significant(value: float, digits: int = 3) -> str:
     """A number to so many significant digits, without an exponent where it is readable without."""
     if not math.isfinite(value):
-        return NONE
+        return MISSING_VALUE
     if value == 0:
         return "0"
     rounded = float(f"{value:.{digits - 1}e}")
@@ -25,48 +25,48 @@ def significant(value: float, digits: int = 3) -> str:
     return f"{rounded:.{digits - 1}e}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e").replace("-", MINUS)
 
 
-def percent(ratio: float, digits: int = 2) -> str:
+def format_percent(ratio: float, digits: int = 2) -> str:
     """A ratio in percent, without the sign; below a thousandth of a percent as such."""
     if not math.isfinite(ratio):
-        return NONE
+        return MISSING_VALUE
     value = 100.0 * ratio
     if 0 < abs(value) < 1e-3:
         return "<0.001"
-    return significant(value, 3 if abs(value) >= 100 else digits)
+    return format_significant(value, 3 if abs(value) >= 100 else digits)
 
 
-def with_sigma(value: float, sigma: float) -> tuple[str, str]:
+def value_and_sigma_text(value: float, sigma: float) -> tuple[str, str]:
     """Value and sigma, both to the second significant digit of sigma (at most eight of value); exact values to six."""
     if not (math.isfinite(sigma) and sigma > 0):
-        return (f"{value:.6g}".replace("-", MINUS) if math.isfinite(value) else NONE), NONE
+        return (f"{value:.6g}".replace("-", MINUS) if math.isfinite(value) else MISSING_VALUE), MISSING_VALUE
     if not math.isfinite(value):
-        return NONE, significant(sigma, 2)
+        return MISSING_VALUE, format_significant(sigma, 2)
     decimals = 1 - math.floor(math.log10(float(f"{sigma:.1e}")))
     size = max(abs(value), sigma)
     exponent = math.floor(math.log10(size))
     digits = max(exponent + 1 + decimals, 2)
-    if size >= LARGEST_PLAIN and digits <= MOST_DIGITS:
+    if size >= LARGEST_PLAIN and digits <= MAX_DIGITS:
         parts = (f"{part / 10**exponent:.{max(digits - 1, 0)}f}e{exponent}" for part in (value, sigma))
         return (next(parts).replace("-", MINUS), next(parts))
-    if digits > MOST_DIGITS or size < SMALLEST_PLAIN or size >= LARGEST_PLAIN:
-        return significant(value, min(digits, MOST_DIGITS)), significant(sigma, 2)
-    return fixed(value, max(decimals, 0)), fixed(sigma, max(decimals, 0))
+    if digits > MAX_DIGITS or size < SMALLEST_PLAIN or size >= LARGEST_PLAIN:
+        return format_significant(value, min(digits, MAX_DIGITS)), format_significant(sigma, 2)
+    return format_fixed(value, max(decimals, 0)), format_fixed(sigma, max(decimals, 0))
 
 
-def fixed(value: float, decimals: int) -> str:
+def format_fixed(value: float, decimals: int) -> str:
     """A number with so many decimals."""
     if not math.isfinite(value):
-        return NONE
+        return MISSING_VALUE
     text = f"{value:.{decimals}f}"
     return text.lstrip("-") if float(text) == 0 else text.replace("-", MINUS)
 
 
-def sentence(text: str) -> str:
+def capitalize_first(text: str) -> str:
     """A text that begins with a capital letter."""
     return text[:1].upper() + text[1:]
 
 
-def listed(names: tuple[str, ...] | list[str]) -> str:
+def join_names(names: tuple[str, ...] | list[str]) -> str:
     """Names as in a sentence: `a, b and c`."""
     if len(names) < 2:
         return "".join(names)

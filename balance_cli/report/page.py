@@ -55,8 +55,10 @@ def page(sources: Sources) -> Page:
     made = tuple(sections(sources))
     rig = summary.rig(sources)
     title = f"Rotor balance {rig}" if rig else "Rotor balance"
-    style = Markup(_resource("page.css"))
-    html = _environment().from_string(_resource("page.html")).render(title=title, sections=made, style=style)
+    style = Markup(_read_resource("page.css"))
+    html = (
+        _template_environment().from_string(_read_resource("page.html")).render(title=title, sections=made, style=style)
+    )
     names = tuple(picture.name for section in made for picture in pictures(section.blocks))
     return Page(html, {section.key: section.title for section in made}, names)
 
@@ -69,11 +71,11 @@ def sections(sources: Sources) -> Iterator[Section]:
             yield section
 
 
-def _resource(name: str) -> str:
+def _read_resource(name: str) -> str:
     return files("balance_cli.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def _environment() -> Environment:
+def _template_environment() -> Environment:
     return Environment(
         autoescape=select_autoescape(default_for_string=True),
         undefined=StrictUndefined,

@@ -7,21 +7,38 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from balance_cli.estimation.identified_model import IdentifiedModel
-from balance_cli.report.blocks import Block, Cell, Details, Heading, Points, Row, Section, Table, Text, Warn
+from balance_cli.report.blocks import (
+    BulletList,
+    Details,
+    Heading,
+    PageBlock,
+    Paragraph,
+    Row,
+    Section,
+    Table,
+    TableCell,
+    WarningText,
+)
 from balance_cli.report.frequencies import sigma_scale
-from balance_cli.report.number_format import fixed, percent, sentence, significant, with_sigma
+from balance_cli.report.number_format import (
+    capitalize_first,
+    format_fixed,
+    format_percent,
+    format_significant,
+    value_and_sigma_text,
+)
 from balance_cli.report.sources import Source, Sources
 
-DESCRIBES = 1.2
+GOOD_FIT_CHI2_PER_DOF = 1.2
 """Largest chi2/dof of a model that describes its data."""
-PARAMETER_HEAD = ("parameter", "unit", "value", "sigma", "declared", "tolerance", "deviation", "rests on")
-FAR = 3.0
+PARAMETER_HEADER = ("parameter", "unit", "value", "sigma", "declared", "tolerance", "deviation", "rests on")
+LARGE_DEVIATION = 3.0
 """Deviation from the declared value, in declared sigmas, that is marked."""
 
 
-def describes(model: IdentifiedModel) -> bool:
+def is_good_fit(model: IdentifiedModel) -> bool:
     """Whether a fitted model describes its data within the noise."""
-    return model.quality.chi2_per_dof <= DESCRIBES
+    return model.quality.chi2_per_dof <= GOOD_FIT_CHI2_PER_DOF
 
 
 def section(sources: Sources) -> Section | None:
@@ -29,47 +46,59 @@ def section(sources: Sources) -> Section | None:
     models = [source for source in sources.models if source.content.quality.runs or source.content.iterations]
     if not models:
         return None
-    blocks: list[Block] = [
-        Text(
+    blocks: list[PageBlock] = [
+        Paragraph(
             "Chi-square is taken against the noise measured in the runs, not against one estimated from residuals. "
             "Near 1 per degree of freedom the model describes the data; well above, every sigma of a parameter says "
             "less than it seems to, for it knows of noise alone."
         )
     ]
-    blocks += [warning for source in models for warning in _warnings(source)]
+    blocks += [warning for source in models for warning in _fit_warnings(source)]
     blocks.append(quality_table(models))
     for source in models:
         if source.content.method != "computed":
-            blocks += _parameters(source)
+            blocks += _parameter_blocks(source)
     return Section("parameters", "Identification: fit and parameters", tuple(blocks))
 
 
-def _warnings(source: Source[IdentifiedModel]) -> Iterator[Block]:
+def _fit_warnings(source: Source[IdentifiedModel]) -> Iterator[PageBlock]:
     model, quality = source.content, source.content.quality
-    if quality.runs and np.isfinite(quality.chi2_per_dof) and not describes(model) and model.method != "computed":
-        yield Warn(
-            f"{sentence(source.label)} does not describe these data: chi2/dof is {significant(quality.chi2_per_dof)}. "
+    if quality.runs and np.isfinite(quality.chi2_per_dof) and not is_good_fit(model) and model.method != "computed":
+        yield WarningText(
+            f"{capitalize_first(source.label)} does not describe these data: chi2/dof is "
+            f"{format_significant(quality.chi2_per_dof)}. "
             "Something is missing in the model; its parameters absorb part of it."
         )
     if not model.converged:
-        yield Warn(f"{sentence(source.label)}: the fit did not converge.")
+        yield WarningText(f"{capitalize_first(source.label)}: the fit did not converge.")
     for run, channels in model.channels_left_out.items():
         for channel, reason in channels.items():
-            yield Warn(f"{sentence(source.label)}: run {run}, channel {channel} left out: {reason}.")
+            yield WarningText(f"{capitalize_first(source.label)}: run {run}, channel {channel} left out: {reason}.")
 
 
 def quality_table(models: Sequence[Source[IdentifiedModel]]) -> Table:
     """Chi2/dof and relative response error, run by run and overall, of every model."""
-    having = [source for source in models if source.content.quality.runs]
-    names = list(dict.fromkeys(name for source in having for name in source.content.quality.runs))
-    labels = (Cell(""), *(Cell(source.label, span=2, title=source.file) for source in having), Cell("noise"))
-    units = (Cell("run"), *(Cell(text) for _ in having for text in ("chi2/dof", "error %")), Cell("%"))
-    rows: list[Row] = [_run_row(name, having) for name in names]
-    total: list[Cell] = [Cell("all", mark="name total")]
-    for source in having:
+    model_sources = [source for source in models if source.content.quality.runs]
+    names = list(dict.fromkeys(name for source in model_sources for name in source.content.quality.runs))
+    labels = (
+        TableCell(""),
+        *(TableCell(source.label, span=2, title=source.file) for source in model_sources),
+        TableCell("noise"),
+    )
+    units = (
+        TableCell("run"),
+        *(TableCell(text) for _ in model_sources for text in ("chi2/dof", "error %")),
+        TableCell("%"),
+    )
+    rows: list[Row] = [_run_row(name, model_sources) for name in names]
+    total: list[TableCell] = [TableCell("all", mark="name total")]
+    for source in model_sources:
         quality = source.content.quality
-        total += [_ratio_cell(quality.chi2_per_dof, "total"), Cell(percent(quality.frf_error), mark="total")]
-    rows.append((*total, Cell("", mark="total")))
+        total += [
+            _ratio_cell(quality.chi2_per_dof, "total"),
+            TableCell(format_percent(quality.frf_error), mark="total"),
+        ]
+    rows.append((*total, TableCell("", mark="total")))
     caption = (
         "Fit of every run. Error: rms of model less measured response over rms of the measured one, 5 to 150 Hz; "
         "noise: what the noise of the measurement leaves of it. Static runs have no such error."
@@ -78,39 +107,44 @@ def quality_table(models: Sequence[Source[IdentifiedModel]]) -> Table:
 
 
 def _run_row(name: str, models: Sequence[Source[IdentifiedModel]]) -> Row:
-    cells = [Cell(name, mark="name")]
+    cells = [TableCell(name, mark="name")]
     noise = float("nan")
     for source in models:
         fit = source.content.quality.runs.get(name)
         if fit is None:
-            cells += [Cell(""), Cell("")]
+            cells += [TableCell(""), TableCell("")]
             continue
         noise = fit.frf_noise if np.isfinite(fit.frf_noise) else noise
-        cells += [_ratio_cell(fit.chi2 / fit.dof if fit.dof > 0 else float("nan")), Cell(percent(fit.frf_error))]
-    return (*cells, Cell(percent(noise), mark="quiet"))
+        cells += [
+            _ratio_cell(fit.chi2 / fit.dof if fit.dof > 0 else float("nan")),
+            TableCell(format_percent(fit.frf_error)),
+        ]
+    return (*cells, TableCell(format_percent(noise), mark="quiet"))
 
 
-def _ratio_cell(ratio: float, mark: str = "") -> Cell:
-    style = "good" if ratio <= DESCRIBES else ""
-    return Cell(significant(ratio), mark=f"{mark} {style}".strip())
+def _ratio_cell(ratio: float, mark: str = "") -> TableCell:
+    style = "good" if ratio <= GOOD_FIT_CHI2_PER_DOF else ""
+    return TableCell(format_significant(ratio), mark=f"{mark} {style}".strip())
 
 
-def _parameters(source: Source[IdentifiedModel]) -> Iterator[Block]:
+def _parameter_blocks(source: Source[IdentifiedModel]) -> Iterator[PageBlock]:
     model = source.content
     yield Heading(f"Parameters of {source.label}")
     rests = model.parameters.rests_on
     counts = {word: rests.count(word) for word in ("data", "prior", "exact")}
-    scale = f" Sigmas are those of the noise; for the misfit multiply them by {significant(sigma_scale(model), 2)}."
+    scale = (
+        f" Sigmas are those of the noise; for the misfit multiply them by {format_significant(sigma_scale(model), 2)}."
+    )
     told = (
         f"{counts['data']} parameters rest on the data, {counts['prior']} on the declared tolerances (more than half "
         f"of their variance), {counts['exact']} are declared exact."
     )
     if counts["data"] == len(rests):
         told = f"All {len(rests)} parameters rest on the data."
-    yield Text(f"{told} {_origin(model)}{scale if sigma_scale(model) > 1.05 else ''}")
+    yield Paragraph(f"{told} {_fit_history_text(model)}{scale if sigma_scale(model) > 1.05 else ''}")
     if model.undetermined:
-        yield Text("The data alone leave open:")
-        yield Points(model.undetermined)
+        yield Paragraph("The data alone leave open:")
+        yield BulletList(model.undetermined)
     fitted = [i for i, word in enumerate(rests) if word != "exact"]
     exact = [i for i, word in enumerate(rests) if word == "exact"]
     table = parameter_table(source, fitted)
@@ -119,13 +153,13 @@ def _parameters(source: Source[IdentifiedModel]) -> Iterator[Block]:
         yield Details(f"{len(exact)} parameters declared exact", (parameter_table(source, exact),))
 
 
-def _origin(model: IdentifiedModel) -> str:
+def _fit_history_text(model: IdentifiedModel) -> str:
     return f"Started from {model.start}, {model.iterations} iterations." if model.iterations else "One linear solution."
 
 
 def parameter_table(source: Source[IdentifiedModel], index: Sequence[int]) -> Table:
     """Value and sigma, declared value and tolerance, the deviation between them, and what the value rests on."""
-    head = tuple(Cell(name) for name in PARAMETER_HEAD)
+    head = tuple(TableCell(name) for name in PARAMETER_HEADER)
     rows = tuple(_parameter_row(source.content, i) for i in index)
     caption = (
         "Identified and declared values with one sigma each; deviation in units of the declared sigma "
@@ -136,22 +170,22 @@ def parameter_table(source: Source[IdentifiedModel], index: Sequence[int]) -> Ta
 
 def _parameter_row(model: IdentifiedModel, i: int) -> Row:
     table = model.parameters
-    value, sigma = with_sigma(float(table.value[i]), float(table.sigma[i]))
+    value, sigma = value_and_sigma_text(float(table.value[i]), float(table.sigma[i]))
     tolerance, change = float(table.declared_sigma[i]), float(table.value[i] - table.declared[i])
     told = bool(np.isfinite(table.declared[i]))
-    declared, width = with_sigma(float(table.declared[i]), tolerance) if told else ("", "")
+    declared, width = value_and_sigma_text(float(table.declared[i]), tolerance) if told else ("", "")
     deviation = change / tolerance if np.isfinite(tolerance) and tolerance > 0 else float("nan")
     # A relative change says something only of what is far from zero.
-    sizeable = told and abs(table.declared[i]) > FAR * tolerance
-    relative = f"{fixed(100 * change / float(table.declared[i]), 1)} %" if sizeable and table.declared[i] else ""
-    far = "bad" if abs(deviation) > FAR else ""
+    sizeable = told and abs(table.declared[i]) > LARGE_DEVIATION * tolerance
+    relative = f"{format_fixed(100 * change / float(table.declared[i]), 1)} %" if sizeable and table.declared[i] else ""
+    far = "bad" if abs(deviation) > LARGE_DEVIATION else ""
     return (
-        Cell(table.names[i], mark="name"),
-        Cell(table.units[i], mark="quiet"),
-        Cell(value),
-        Cell(sigma),
-        Cell(declared),
-        Cell(width),
-        Cell(fixed(deviation, 1), relative, far),
-        Cell(table.rests_on[i], mark="" if table.rests_on[i] == "data" else "quiet"),
+        TableCell(table.names[i], mark="name"),
+        TableCell(table.units[i], mark="quiet"),
+        TableCell(value),
+        TableCell(sigma),
+        TableCell(declared),
+        TableCell(width),
+        TableCell(format_fixed(deviation, 1), relative, far),
+        TableCell(table.rests_on[i], mark="" if table.rests_on[i] == "data" else "quiet"),
     )

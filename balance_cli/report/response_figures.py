@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import UNIT_OF
-from balance_cli.report.figure_style import BLACK, Look, new_figure, plain_log
+from balance_cli.report.figure_style import BLACK, PlotStyle, new_figure, set_log_axis
 from balance_cli.report.force_responses import Curve, quotient
 
 Array = NDArray[np.float64]
@@ -25,8 +25,8 @@ MOST_IN_FOUR_COLUMNS = 8
 LEGEND_INCHES = 0.35
 RESIDUAL_LIMITS = (0.1, 300.0)
 """Limits of the residual's axis [%]."""
-SILENT_TEXT: dict[str, Any] = {"ha": "center", "va": "center", "color": "#666666"}
-LARGEST_RANGE = 1e4
+NO_RESPONSE_STYLE: dict[str, Any] = {"ha": "center", "va": "center", "color": "#666666"}
+MAX_AXIS_RATIO = 1e4
 """The amplitude axis shows no more than this ratio of its ends."""
 
 
@@ -37,7 +37,7 @@ class Panel:
     sensor: str
     component: str
     measured: Curve
-    models: tuple[tuple[str, Look, ComplexArray], ...]
+    models: tuple[tuple[str, PlotStyle, ComplexArray], ...]
 
     @property
     def unit(self) -> str:
@@ -47,7 +47,7 @@ class Panel:
         return "1" if own == per else f"{own}/({per})" if " " in per else f"{own}/{per}"
 
     @property
-    def is_silent(self) -> bool:
+    def is_zero_in_models(self) -> bool:
         """Whether there are models and all of them say that nothing is to be seen here."""
         return bool(self.models) and not any(value.any() for _, _, value in self.models)
 
@@ -56,15 +56,15 @@ def component_figure(panels: Sequence[Panel]) -> Figure:
     """All sensors of one component, amplitude axes alike."""
     limits = _amplitude_limits(panels)
     columns = min(len(panels), 4 if len(panels) <= MOST_IN_FOUR_COLUMNS else 5)
-    return _grid(panels, columns, 2.45, (1.15, 0.6, 0.85), limits)
+    return _draw_grid(panels, columns, 2.45, (1.15, 0.6, 0.85), limits)
 
 
 def detail_figure(panels: Sequence[Panel]) -> Figure:
     """Few pairs, larger, each with an amplitude axis of its own."""
-    return _grid(panels, min(len(panels), 2), 3.4, (1.5, 0.7, 1.0), None)
+    return _draw_grid(panels, min(len(panels), 2), 3.4, (1.5, 0.7, 1.0), None)
 
 
-def _grid(
+def _draw_grid(
     panels: Sequence[Panel],
     columns: int,
     height: float,
@@ -86,12 +86,12 @@ def _grid(
     )
     for i, panel in enumerate(panels):
         ends = (i % columns == 0, i >= len(panels) - columns)
-        _draw(figure, grid[i // columns, i % columns], panel, ratios, limits or _amplitude_limits([panel]), ends)
-    _legend(figure, panels)
+        _draw_panel(figure, grid[i // columns, i % columns], panel, ratios, limits or _amplitude_limits([panel]), ends)
+    _add_model_legend(figure, panels)
     return figure
 
 
-def _draw(
+def _draw_panel(
     figure: Figure,
     spec: SubplotSpec,
     panel: Panel,
@@ -102,9 +102,9 @@ def _draw(
     first, last = ends
     inner = spec.subgridspec(3, 1, height_ratios=ratios, hspace=0.1)
     upper, middle, lower = (figure.add_subplot(inner[row]) for row in range(3))
-    _amplitude(upper, panel, limits)
-    _phase(middle, panel)
-    _residual(lower, panel)
+    _draw_amplitude(upper, panel, limits)
+    _draw_phase(middle, panel)
+    _draw_residual(lower, panel)
     upper.set_title(f"{panel.sensor}/{panel.component} [{panel.unit}]")
     if first:
         upper.set_ylabel("amplitude")
@@ -118,45 +118,45 @@ def _draw(
         lower.set_xlabel("frequency [Hz]")
 
 
-def _amplitude(axes: Axes, panel: Panel, limits: tuple[float, float]) -> None:
-    plain_log(axes, limits)
+def _draw_amplitude(axes: Axes, panel: Panel, limits: tuple[float, float]) -> None:
+    set_log_axis(axes, limits)
     frequency = panel.measured.frequency
     axes.plot(frequency, np.abs(panel.measured.value), color=BLACK, linewidth=1.8, alpha=0.55, rasterized=True)
-    for _, look, value in panel.models:
+    for _, plot_style, value in panel.models:
         if value.any():
-            axes.plot(frequency, np.abs(value), linewidth=1.0, rasterized=True, **look.line)
+            axes.plot(frequency, np.abs(value), linewidth=1.0, rasterized=True, **plot_style.line_kwargs)
 
 
-def _phase(axes: Axes, panel: Panel) -> None:
+def _draw_phase(axes: Axes, panel: Panel) -> None:
     frequency = panel.measured.frequency
-    if not panel.is_silent:
-        phase = unwrapped_gaps(panel.measured.value)
+    if not panel.is_zero_in_models:
+        phase = phase_with_gaps(panel.measured.value)
         axes.plot(frequency, phase, color=BLACK, linewidth=1.8, alpha=0.55, rasterized=True)
-    for _, look, value in panel.models:
+    for _, plot_style, value in panel.models:
         if value.any():
-            axes.plot(frequency, unwrapped_gaps(value), linewidth=1.0, rasterized=True, **look.line)
+            axes.plot(frequency, phase_with_gaps(value), linewidth=1.0, rasterized=True, **plot_style.line_kwargs)
     axes.set_ylim(-190.0, 190.0)
     axes.set_yticks([-180, 0, 180])
 
 
-def unwrapped_gaps(value: ComplexArray) -> Array:
+def phase_with_gaps(value: ComplexArray) -> Array:
     """Phase [deg] within +-180, NaN in the first line after a jump so that no line crosses the picture."""
     phase = np.degrees(np.angle(value))
     phase[1:][np.abs(np.diff(phase)) > 180.0] = np.nan
     return np.asarray(phase)
 
 
-def _residual(axes: Axes, panel: Panel) -> None:
-    plain_log(axes, RESIDUAL_LIMITS)
+def _draw_residual(axes: Axes, panel: Panel) -> None:
+    set_log_axis(axes, RESIDUAL_LIMITS)
     frequency, size = panel.measured.frequency, np.abs(panel.measured.value)
     noise = 100 * quotient(panel.measured.sigma, size)
     axes.fill_between(frequency, RESIDUAL_LIMITS[0] / 10, noise, color="#d4d4d4", linewidth=0, rasterized=True)
-    for _, look, value in panel.models:
+    for _, plot_style, value in panel.models:
         if value.any():
             residual = 100 * quotient(np.abs(value - panel.measured.value), size)
-            axes.plot(frequency, residual, linewidth=0.9, rasterized=True, **look.line)
-    if panel.is_silent:
-        axes.text(0.5, 0.5, "no response in the models", transform=axes.transAxes, **SILENT_TEXT)
+            axes.plot(frequency, residual, linewidth=0.9, rasterized=True, **plot_style.line_kwargs)
+    if panel.is_zero_in_models:
+        axes.text(0.5, 0.5, "no response in the models", transform=axes.transAxes, **NO_RESPONSE_STYLE)
 
 
 def _amplitude_limits(panels: Sequence[Panel]) -> tuple[float, float]:
@@ -164,13 +164,13 @@ def _amplitude_limits(panels: Sequence[Panel]) -> tuple[float, float]:
     sizes = [np.abs(panel.measured.value) for panel in panels]
     high = 1.6 * max(float(size.max()) for size in sizes)
     low = min(float(np.percentile(size, 1)) for size in sizes)
-    return max(0.6 * low, high / LARGEST_RANGE), high
+    return max(0.6 * low, high / MAX_AXIS_RATIO), high
 
 
-def _legend(figure: Figure, panels: Sequence[Panel]) -> None:
-    labels = {label: look for panel in panels for label, look, _ in panel.models}
+def _add_model_legend(figure: Figure, panels: Sequence[Panel]) -> None:
+    labels = {label: plot_style for panel in panels for label, plot_style, _ in panel.models}
     handles: list[Line2D | Patch] = [Line2D([], [], color=BLACK, linewidth=1.8, alpha=0.55)]
-    handles += [Line2D([], [], **look.line) for look in labels.values()]
+    handles += [Line2D([], [], **plot_style.line_kwargs) for plot_style in labels.values()]
     handles.append(Patch(facecolor="#d4d4d4"))
     names = ["measured", *labels, "noise of the measurement (1 sigma)"]
     figure.legend(handles, names, loc="lower center", ncols=len(names))

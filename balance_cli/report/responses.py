@@ -10,7 +10,18 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.identified_model import IdentifiedModel
-from balance_cli.report.blocks import Block, Cell, Details, Heading, Picture, Row, Section, Table, Text, group_row
+from balance_cli.report.blocks import (
+    Details,
+    Heading,
+    PageBlock,
+    Paragraph,
+    Picture,
+    Row,
+    Section,
+    Table,
+    TableCell,
+    group_heading_row,
+)
 from balance_cli.report.figure_style import svg
 from balance_cli.report.force_responses import (
     ERROR_BAND,
@@ -24,16 +35,16 @@ from balance_cli.report.force_responses import (
     relative_noise,
     sensors,
 )
-from balance_cli.report.number_format import listed, percent
+from balance_cli.report.number_format import format_percent, join_names
 from balance_cli.report.response_figures import Panel, component_figure, detail_figure
 from balance_cli.report.sources import Source, Sources
-from balance_cli.signals.run_spectrum import Response
-from balance_cli.signals.transfer import Transfer, combined, components_of
+from balance_cli.signals.run_spectrum import FrequencyResponse
+from balance_cli.signals.transfer import Transfer, response_components, response_to_component
 
-BAND = (2.0, 150.0)
-NEAR_NOISE = 1.5
+PLOT_BAND = (2.0, 150.0)
+RESPONSE_NOISE_FACTOR = 1.5
 """An error up to so many times the noise counts as noise."""
-BURIED = 0.5
+MAX_RELATIVE_NOISE = 0.5
 """A channel whose relative noise is above this shows nothing."""
 PAPER_PAIRS = (("x", "Fx"), ("x", "My"), ("y1", "Fy"), ("z1", "Fz"))
 
@@ -44,33 +55,33 @@ class Comparison:
 
     component: str
     geometry: Geometry
-    shown: tuple[Sensor, ...]
-    measured: Response
+    shown_sensors: tuple[Sensor, ...]
+    measured: FrequencyResponse
     models: tuple[tuple[Source[IdentifiedModel], ModelResponse], ...]
 
 
 def comparisons(sources: Sources) -> tuple[Comparison, ...]:
     """Every component that was excited, at its highest level, against all models."""
-    chosen: dict[str, tuple[Transfer, Response]] = {}
+    chosen: dict[str, tuple[Transfer, FrequencyResponse]] = {}
     for source in sources.transfers:
-        for component in components_of(source.content):
-            chosen.setdefault(component, (source.content, combined(source.content, component)))
+        for component in response_components(source.content):
+            chosen.setdefault(component, (source.content, response_to_component(source.content, component)))
     models = [source.content for source in sources.models]
     found = []
     for component in sorted(chosen, key=COMPONENTS.index):
         transfer, response = chosen[component]
-        mine = [each for other, each in chosen.values() if other is transfer]
-        shown = sensors(transfer.geometry, mine, models)
-        told = tuple(_told(sources, response, shown, transfer.geometry))
-        found.append(Comparison(component, transfer.geometry, shown, response, told))
+        mine = [comparison for other, comparison in chosen.values() if other is transfer]
+        shown_sensors = sensors(transfer.geometry, mine, models)
+        predictions = tuple(_predict_responses(sources, response, shown_sensors, transfer.geometry))
+        found.append(Comparison(component, transfer.geometry, shown_sensors, response, predictions))
     return tuple(found)
 
 
-def _told(
-    sources: Sources, measured: Response, shown: tuple[Sensor, ...], geometry: Geometry
+def _predict_responses(
+    sources: Sources, measured: FrequencyResponse, shown_sensors: tuple[Sensor, ...], geometry: Geometry
 ) -> Iterator[tuple[Source[IdentifiedModel], ModelResponse]]:
     for source in sources.models:
-        yield source, model_response(source.content, measured.frequency, measured.rotor_speed, shown, geometry)
+        yield source, model_response(source.content, measured.frequency, measured.rotor_speed, shown_sensors, geometry)
 
 
 def section(sources: Sources) -> Section | None:
@@ -78,11 +89,11 @@ def section(sources: Sources) -> Section | None:
     if not any(source.content.responses for source in sources.transfers):
         return None
     compared = comparisons(sources)
-    blocks: list[Block] = [Text(_introduction(compared))]
+    blocks: list[PageBlock] = [Paragraph(_introduction(compared))]
     if sources.models:
         blocks += [*_paper_picture(compared), error_table(compared)]
     blocks.append(Heading("Every cell and component"))
-    blocks += [_component_picture(each) for each in compared]
+    blocks += [_component_picture(comparison) for comparison in compared]
     if sources.models:
         blocks.append(Details("Errors of every channel", (channel_table(compared),)))
     title = "Measured responses against the models" if sources.models else "Measured responses, cell by cell"
@@ -90,8 +101,8 @@ def section(sources: Sources) -> Section | None:
 
 
 def _introduction(compared: Sequence[Comparison]) -> str:
-    runs = listed([each.measured.run for each in compared])
-    channels = ", ".join(f"{sensor.name} by {' + '.join(sensor.channels)}" for sensor in compared[0].shown)
+    runs = join_names([comparison.measured.run for comparison in compared])
+    channels = ", ".join(f"{sensor.name} by {' + '.join(sensor.channels)}" for sensor in compared[0].shown_sensors)
     return (
         f"Force of each cell per unit of hub load, from the runs of the highest level: {runs}. Each cell is shown by "
         f"its quietest channel, sensitivity and dynamics of the channel divided out as declared ({channels}). "
@@ -100,36 +111,38 @@ def _introduction(compared: Sequence[Comparison]) -> str:
     )
 
 
-def _panels(each: Comparison) -> Iterator[Panel]:
-    band = (each.measured.frequency >= BAND[0]) & (each.measured.frequency <= BAND[1])
-    column = COMPONENTS.index(each.component)
-    for sensor in each.shown:
-        measured = measured_curve(each.measured, sensor, each.component, each.geometry)
+def _panels(comparison: Comparison) -> Iterator[Panel]:
+    band = (comparison.measured.frequency >= PLOT_BAND[0]) & (comparison.measured.frequency <= PLOT_BAND[1])
+    column = COMPONENTS.index(comparison.component)
+    for sensor in comparison.shown_sensors:
+        measured = measured_curve(comparison.measured, sensor, comparison.component, comparison.geometry)
         if measured is None or not band.any():
             continue
         models = tuple(
-            (source.label, source.look, told.sensors[sensor.name][band, column])
-            for source, told in each.models
-            if sensor.name in told.sensors
+            (source.label, source.plot_style, predictions.sensors[sensor.name][band, column])
+            for source, predictions in comparison.models
+            if sensor.name in predictions.sensors
         )
         curve = Curve(measured.frequency[band], measured.value[band], measured.sigma[band])
-        yield Panel(sensor.name, each.component, curve, models)
+        yield Panel(sensor.name, comparison.component, curve, models)
 
 
-def _component_picture(each: Comparison) -> Picture:
-    panels = tuple(_panels(each))
-    name = f"response-{each.component}"
-    caption = f"{each.component} ({each.measured.run}): amplitude, phase and relative residual of every cell."
+def _component_picture(comparison: Comparison) -> Picture:
+    panels = tuple(_panels(comparison))
+    name = f"response-{comparison.component}"
+    caption = (
+        f"{comparison.component} ({comparison.measured.run}): amplitude, phase and relative residual of every cell."
+    )
     return Picture(name, caption, svg(name, caption, lambda: component_figure(panels)))
 
 
 def _paper_picture(compared: Sequence[Comparison]) -> Iterator[Picture]:
     """The pairs of the paper's figure 14 where this rig has them, else the strongest cell of each component."""
-    panels = {(panel.sensor, panel.component): panel for each in compared for panel in _panels(each)}
+    panels = {(panel.sensor, panel.component): panel for comparison in compared for panel in _panels(comparison)}
     pairs = [pair for pair in PAPER_PAIRS if pair in panels] or _strongest_pairs(panels)
     if pairs:
         chosen = tuple(panels[pair] for pair in pairs)
-        caption = "Fit of " + listed([f"{sensor}/{component}" for sensor, component in pairs]) + "."
+        caption = "Fit of " + join_names([f"{sensor}/{component}" for sensor, component in pairs]) + "."
         yield Picture("fit", caption, svg("fit", caption, lambda: detail_figure(chosen)))
 
 
@@ -144,11 +157,20 @@ def _strongest_pairs(panels: dict[tuple[str, str], Panel]) -> list[tuple[str, st
 def error_table(compared: Sequence[Comparison]) -> Table:
     """Relative error over all sensors together, components down, models across, beside the noise."""
     rows: list[Row] = []
-    for each in compared:
-        noise, errors = sensor_errors(each)
-        cells = (Cell(percent(error), mark="good" if error <= NEAR_NOISE * noise else "") for error in errors)
-        rows.append((Cell(each.component, mark="name"), *cells, Cell(percent(noise), mark="quiet")))
-    head = (Cell(""), *(Cell(source.label, title=source.file) for source, _ in compared[0].models), Cell("noise"))
+    for comparison in compared:
+        noise, errors = sensor_errors(comparison)
+        cells = (
+            TableCell(format_percent(error), mark="good" if error <= RESPONSE_NOISE_FACTOR * noise else "")
+            for error in errors
+        )
+        rows.append(
+            (TableCell(comparison.component, mark="name"), *cells, TableCell(format_percent(noise), mark="quiet"))
+        )
+    head = (
+        TableCell(""),
+        *(TableCell(source.label, title=source.file) for source, _ in compared[0].models),
+        TableCell("noise"),
+    )
     caption = (
         f"Relative error of the responses of all cells together, % (rms of model minus measurement over rms of "
         f"measurement, {ERROR_BAND[0]:.0f} to {ERROR_BAND[1]:.0f} Hz), and what the noise of the measurement leaves. "
@@ -157,20 +179,29 @@ def error_table(compared: Sequence[Comparison]) -> Table:
     return Table(caption, (head,), tuple(rows))
 
 
-def sensor_errors(each: Comparison) -> tuple[float, list[float]]:
+def sensor_errors(comparison: Comparison) -> tuple[float, list[float]]:
     """Relative noise of the cells' measured responses, and the relative error of each model over those it tells."""
-    band, column = error_band(each.measured.frequency), COMPONENTS.index(each.component)
-    curves = {s.name: measured_curve(each.measured, s, each.component, each.geometry) for s in each.shown}
+    band, column = error_band(comparison.measured.frequency), COMPONENTS.index(comparison.component)
+    curves = {
+        s.name: measured_curve(comparison.measured, s, comparison.component, comparison.geometry)
+        for s in comparison.shown_sensors
+    }
     measured = {name: curve for name, curve in curves.items() if curve is not None}
-    single = [name for sensor in each.shown if len(sensor.channels) == 1 for name in [sensor.name] if name in measured]
+    single = [
+        name
+        for sensor in comparison.shown_sensors
+        if len(sensor.channels) == 1
+        for name in [sensor.name]
+        if name in measured
+    ]
     noise = relative_noise(
         np.array([measured[name].sigma[band] for name in single]),
         np.array([measured[name].value[band] for name in single]),
     )
     errors = []
-    for source, told in each.models:
-        known = [name for name in (told.sensors if source.content.paper else single) if name in measured]
-        model = np.array([told.sensors[name][band, column] for name in known])
+    for source, predictions in comparison.models:
+        known = [name for name in (predictions.sensors if source.content.paper else single) if name in measured]
+        model = np.array([predictions.sensors[name][band, column] for name in known])
         error = relative_error(model, np.array([measured[name].value[band] for name in known]))
         errors.append(error if model.any() else float("nan"))
     return noise, errors
@@ -178,26 +209,30 @@ def sensor_errors(each: Comparison) -> tuple[float, list[float]]:
 
 def channel_table(compared: Sequence[Comparison]) -> Table:
     """For each model that tells channels: channels down, components across; the noise in small."""
-    names = list(dict.fromkeys(name for each in compared for name in each.measured.channel_names))
+    names = list(dict.fromkeys(name for comparison in compared for name in comparison.measured.channel_names))
     rows: list[Row] = []
-    for m, (source, told) in enumerate(compared[0].models):
-        if told.channels:
-            rows.append(group_row(source.label, 1 + len(compared)))
+    for m, (source, predictions) in enumerate(compared[0].models):
+        if predictions.channels:
+            rows.append(group_heading_row(source.label, 1 + len(compared)))
             for name in names:
-                rows.append((Cell(name, mark="name"), *(_channel_cell(each, m, name) for each in compared)))
-    head = (Cell(""), *(Cell(each.component) for each in compared))
+                rows.append(
+                    (TableCell(name, mark="name"), *(_channel_cell(comparison, m, name) for comparison in compared))
+                )
+    head = (TableCell(""), *(TableCell(comparison.component) for comparison in compared))
     caption = "Relative error of every channel, %; small: what the noise of the measurement leaves."
     return Table(caption, (head,), tuple(rows))
 
 
-def _channel_cell(each: Comparison, m: int, name: str) -> Cell:
-    if name not in each.measured.channel_names or name not in each.models[m][1].channels:
-        return Cell("")
-    i, j = each.measured.channel_names.index(name), each.measured.components.index(each.component)
-    band = error_band(each.measured.frequency)
-    measured = each.measured.response[band, i, j]
-    variance = each.measured.channel_covariance[band, i, i] * each.measured.load_covariance[band, j, j]
+def _channel_cell(comparison: Comparison, m: int, name: str) -> TableCell:
+    if name not in comparison.measured.channel_names or name not in comparison.models[m][1].channels:
+        return TableCell("")
+    i, j = comparison.measured.channel_names.index(name), comparison.measured.components.index(comparison.component)
+    band = error_band(comparison.measured.frequency)
+    measured = comparison.measured.response[band, i, j]
+    variance = comparison.measured.channel_covariance[band, i, i] * comparison.measured.load_covariance[band, j, j]
     noise = relative_noise(np.sqrt(np.real(variance)), measured)
-    error = relative_error(each.models[m][1].channels[name][band, COMPONENTS.index(each.component)], measured)
-    mark = "quiet" if noise > BURIED else "good" if error <= NEAR_NOISE * noise else ""
-    return Cell(percent(error), percent(noise), mark)
+    error = relative_error(
+        comparison.models[m][1].channels[name][band, COMPONENTS.index(comparison.component)], measured
+    )
+    mark = "quiet" if noise > MAX_RELATIVE_NOISE else "good" if error <= RESPONSE_NOISE_FACTOR * noise else ""
+    return TableCell(format_percent(error), format_percent(noise), mark)

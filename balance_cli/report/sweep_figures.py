@@ -13,17 +13,28 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.paper.spectra import channel_response
-from balance_cli.report.figure_style import BLACK, BLUE, GREEN, GREY, MORE, ORANGE, PURPLE, SKY, VERMILION, new_figure
+from balance_cli.report.figure_style import (
+    BLACK,
+    BLUE,
+    EXTRA_COLORS,
+    GRAY,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    new_figure,
+)
 from balance_cli.report.force_responses import best_channel, level, quotient
-from balance_cli.signals.run_spectrum import Response
+from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 
-EXPECTED: dict[str, Any] = {"color": BLACK, "linestyle": "--", "zorder": 5}
-CELL_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GREY, *MORE)
+DECLARED_STYLE: dict[str, Any] = {"color": BLACK, "linestyle": "--", "zorder": 5}
+CELL_COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GRAY, *EXTRA_COLORS)
 
 
-def coherence_figure(responses: Sequence[Response]) -> Figure:
+def coherence_figure(responses: Sequence[FrequencyResponse]) -> Figure:
     """One panel a component: 1 - coherence over frequency, the strongest level thick."""
     names = [name for name in COMPONENTS if any(name in response.components for response in responses)]
     columns = min(len(names), 6)
@@ -35,8 +46,8 @@ def coherence_figure(responses: Sequence[Response]) -> Figure:
         for response in mine:
             thick = level(response) == strongest
             missing = np.maximum(1.0 - best_channel(response)[0], 1e-9)
-            look = {"color": BLUE, "linewidth": 1.0} if thick else {"color": SKY, "linewidth": 0.6}
-            axes.semilogy(response.frequency, missing, rasterized=True, zorder=3 if thick else 2, **look)
+            plot_style = {"color": BLUE, "linewidth": 1.0} if thick else {"color": SKY, "linewidth": 0.6}
+            axes.semilogy(response.frequency, missing, rasterized=True, zorder=3 if thick else 2, **plot_style)
         axes.set_title(name)
         axes.set_xlim(0, 150)
         axes.set_xticks([0, 50, 100])
@@ -48,7 +59,9 @@ def coherence_figure(responses: Sequence[Response]) -> Figure:
     return figure
 
 
-def channel_pairs(cell_of: dict[str, str | None], responses: Sequence[Response]) -> dict[str, tuple[str, str]]:
+def cell_channel_pairs(
+    cell_of: dict[str, str | None], responses: Sequence[FrequencyResponse]
+) -> dict[str, tuple[str, str]]:
     """{cell: its two channels, the later declared one first}, where every response has both."""
     present = set.intersection(*(set(response.channel_names) for response in responses))
     pairs: dict[str, tuple[str, str]] = {}
@@ -59,8 +72,8 @@ def channel_pairs(cell_of: dict[str, str | None], responses: Sequence[Response])
     return pairs
 
 
-def channel_ratio(
-    pair: tuple[str, str], responses: Sequence[Response], sensitivity: dict[str, float]
+def cell_channel_ratio(
+    pair: tuple[str, str], responses: Sequence[FrequencyResponse], sensitivity: dict[str, float]
 ) -> tuple[Array, NDArray[np.complex128]]:
     """Ratio of a cell's two channels as forces: at each line that of the response that shows the cell best."""
     best: dict[float, tuple[float, complex]] = {}
@@ -77,26 +90,28 @@ def channel_ratio(
     return np.array(frequencies), np.array([best[f][1] for f in frequencies])
 
 
-def ratio_figure(pairs: dict[str, tuple[str, str]], responses: Sequence[Response], geometry: Geometry) -> Figure:
+def ratio_figure(
+    pairs: dict[str, tuple[str, str]], responses: Sequence[FrequencyResponse], geometry: Geometry
+) -> Figure:
     """Amplitude and phase of the ratio for every cell, and as the channels' declared dynamics have it."""
     figure = new_figure(12.0, 2.7)
     left, right = figure.subplots(1, 2)
     declared = {channel.name: channel for channel in geometry.channels}
     sensitivity = {name: channel.sensitivity for name, channel in declared.items()}
     for i, pair in enumerate(pairs.values()):
-        frequency, ratio = channel_ratio(pair, responses, sensitivity)
+        frequency, ratio = cell_channel_ratio(pair, responses, sensitivity)
         gains = [channel_response(declared[name], frequency) / sensitivity[name] for name in pair]
-        curves = ((ratio, {"color": CELL_COLOURS[i % len(CELL_COLOURS)]}), (gains[0] / gains[1], EXPECTED))
-        for value, look in curves:
-            left.plot(frequency, np.abs(value), linewidth=0.9, rasterized=True, **look)
-            right.plot(frequency, np.degrees(np.angle(value)), linewidth=0.9, rasterized=True, **look)
+        curves = ((ratio, {"color": CELL_COLORS[i % len(CELL_COLORS)]}), (gains[0] / gains[1], DECLARED_STYLE))
+        for value, plot_style in curves:
+            left.plot(frequency, np.abs(value), linewidth=0.9, rasterized=True, **plot_style)
+            right.plot(frequency, np.degrees(np.angle(value)), linewidth=0.9, rasterized=True, **plot_style)
     left.set_title("amplitude")
     right.set_title("phase [°]")
     for axes in (left, right):
         axes.set_xlim(0, 150)
         axes.set_xlabel("frequency [Hz]")
-    handles = [Line2D([], [], color=CELL_COLOURS[i % len(CELL_COLOURS)]) for i in range(len(pairs))]
-    handles.append(Line2D([], [], linewidth=0.9, **EXPECTED))
+    handles = [Line2D([], [], color=CELL_COLORS[i % len(CELL_COLORS)]) for i in range(len(pairs))]
+    handles.append(Line2D([], [], linewidth=0.9, **DECLARED_STYLE))
     figure.legend(handles, [*pairs, "as declared"], loc="lower center", ncols=len(handles))
     figure.subplots_adjust(left=0.04, right=0.985, top=0.9, bottom=0.28, wspace=0.1)
     return figure

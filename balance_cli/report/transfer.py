@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
-from balance_cli.report.blocks import Block, Cell, Picture, Row, Section, Table, Text, Warn
+from balance_cli.report.blocks import PageBlock, Paragraph, Picture, Row, Section, Table, TableCell, WarningText
 from balance_cli.report.figure_style import svg
 from balance_cli.report.force_responses import (
     best_channel,
@@ -17,55 +17,70 @@ from balance_cli.report.force_responses import (
     relative_error,
     relative_noise,
 )
-from balance_cli.report.number_format import listed, percent, significant
+from balance_cli.report.number_format import format_percent, format_significant, join_names
 from balance_cli.report.sources import Source, Sources
-from balance_cli.report.sweep_figures import channel_pairs, coherence_figure, ratio_figure
-from balance_cli.signals.run_spectrum import Response
-from balance_cli.signals.transfer import Transfer, one_component
+from balance_cli.report.sweep_figures import cell_channel_pairs, coherence_figure, ratio_figure
+from balance_cli.signals.run_spectrum import FrequencyResponse
+from balance_cli.signals.transfer import Transfer, select_component
 
-SIGNIFICANT = 1.5
+LEVEL_NOISE_FACTOR = 1.5
 """A difference between levels above so many times the noise is marked."""
-RUN_HEAD = ("run", "excited", "level rms", "rotor Hz", "lines", "Hz", "steady part", "least coherence", "sigma %", "by")
+RUN_HEADER = (
+    "run",
+    "excited",
+    "level rms",
+    "rotor Hz",
+    "lines",
+    "Hz",
+    "steady part",
+    "least coherence",
+    "sigma %",
+    "by",
+)
 
 
 def section(sources: Sources) -> Section | None:
     """Tables and pictures of all measured responses; None where there are none."""
-    having = [source for source in sources.transfers if source.content.responses]
-    blocks = [block for source in having for block in _transfer(source, len(having) > 1)]
+    transfer_sources = [source for source in sources.transfers if source.content.responses]
+    blocks = [block for source in transfer_sources for block in _transfer_blocks(source, len(transfer_sources) > 1)]
     return Section("sweeps", "Measured responses: coherence and noise", tuple(blocks)) if blocks else None
 
 
-def _transfer(source: Source[Transfer], several: bool) -> Iterator[Block]:
+def _transfer_blocks(source: Source[Transfer], several: bool) -> Iterator[PageBlock]:
     transfer, suffix = source.content, f" ({source.file})" if several else ""
-    single = [one_component(response, name) for response in transfer.responses for name in response.components]
+    component_responses = [
+        select_component(response, name) for response in transfer.responses for name in response.components
+    ]
     for run, channels in transfer.channels_left_out.items():
         for channel, reason in channels.items():
-            yield Warn(f"Run {run}, channel {channel} left out: {reason}.")
+            yield WarningText(f"Run {run}, channel {channel} left out: {reason}.")
     for run, part in transfer.steady.items():
         if not part.steady:
-            yield Warn(f"Run {run} did not become steady by test before its last two periods.")
+            yield WarningText(f"Run {run} did not become steady by test before its last two periods.")
     if transfer.unused:
-        yield Text(f"Not used: {listed(list(transfer.unused))}.")
+        yield Paragraph(f"Not used: {join_names(list(transfer.unused))}.")
     yield run_table(transfer)
     name = f"coherence-{source.file}" if several else "coherence"
     caption = f"1 - coherence of the best-responding channel of every line; light: lower levels{suffix}."
-    yield Picture(name, caption, svg(name, caption, lambda: coherence_figure(single)))
-    table = level_table(source, single)
+    yield Picture(name, caption, svg(name, caption, lambda: coherence_figure(component_responses)))
+    table = level_table(source, component_responses)
     if table.rows:
         yield table
-    yield from _ratios(source, single, several, suffix)
+    yield from _ratio_pictures(source, component_responses, several, suffix)
 
 
-def _ratios(source: Source[Transfer], single: Sequence[Response], several: bool, suffix: str) -> Iterator[Block]:
+def _ratio_pictures(
+    source: Source[Transfer], component_responses: Sequence[FrequencyResponse], several: bool, suffix: str
+) -> Iterator[PageBlock]:
     geometry = source.content.geometry
-    pairs = channel_pairs({channel.name: channel.cell for channel in geometry.channels}, single)
+    pairs = cell_channel_pairs({channel.name: channel.cell for channel in geometry.channels}, component_responses)
     if pairs:
         name = f"channel-ratio-{source.file}" if several else "channel-ratio"
         caption = (
             "Piezo against strain channel of each cell, as forces: at every line from the response that shows the cell "
             f"best, without any model of the plate (paper, figure 4). Dashed: the dynamics declared{suffix}."
         )
-        yield Picture(name, caption, svg(name, caption, lambda: ratio_figure(pairs, single, geometry)))
+        yield Picture(name, caption, svg(name, caption, lambda: ratio_figure(pairs, component_responses, geometry)))
 
 
 def run_table(transfer: Transfer) -> Table:
@@ -74,62 +89,65 @@ def run_table(transfer: Transfer) -> Table:
         "Runs. Coherence (the least) and relative sigma (the median) are those of the best-responding channel of each "
         "line, 5 to 150 Hz. Steady part: what was used of a periodic record; small: from which period on, line by line."
     )
-    rows = [_run_row(transfer, one_component(r, name), r) for r in transfer.responses for name in r.components]
-    return Table(caption, (tuple(Cell(name) for name in RUN_HEAD),), tuple(rows))
+    rows = [_run_row(transfer, select_component(r, name), r) for r in transfer.responses for name in r.components]
+    return Table(caption, (tuple(TableCell(name) for name in RUN_HEADER),), tuple(rows))
 
 
-def _run_row(transfer: Transfer, response: Response, whole: Response) -> Row:
+def _run_row(transfer: Transfer, response: FrequencyResponse, full_response: FrequencyResponse) -> Row:
     coherence, sigma = best_channel(response)
     band, component = error_band(response.frequency), response.components[0]
     return (
-        Cell(response.run, mark="name"),
-        Cell(component),
-        Cell(f"{significant(response.level[0])} {UNIT_OF[component]}"),
-        Cell(significant(response.rotor_speed)),
-        Cell(str(len(response.frequency))),
-        Cell(f"{significant(float(response.frequency[0]))} to {significant(float(response.frequency[-1]), 4)}"),
-        _steady_cell(transfer, whole.run),
-        Cell(f"{coherence[band].min():.6f}" if band.any() else ""),
-        Cell(percent(float(np.median(sigma[band]))) if band.any() else ""),
-        Cell(response.estimator),
+        TableCell(response.run, mark="name"),
+        TableCell(component),
+        TableCell(f"{format_significant(response.level[0])} {UNIT_OF[component]}"),
+        TableCell(format_significant(response.rotor_speed)),
+        TableCell(str(len(response.frequency))),
+        TableCell(
+            f"{format_significant(float(response.frequency[0]))} to "
+            f"{format_significant(float(response.frequency[-1]), 4)}"
+        ),
+        _steady_cell(transfer, full_response.run),
+        TableCell(f"{coherence[band].min():.6f}" if band.any() else ""),
+        TableCell(format_percent(float(np.median(sigma[band]))) if band.any() else ""),
+        TableCell(response.estimator),
     )
 
 
-def _steady_cell(transfer: Transfer, run: str) -> Cell:
+def _steady_cell(transfer: Transfer, run: str) -> TableCell:
     """The part used of the first of the runs that were solved together (`a+b`)."""
     part = transfer.steady.get(run) or transfer.steady.get(run.partition("+")[0])
     if part is None:
-        return Cell("")
+        return TableCell("")
     earliest = f"{part.first + 1}" if part.first == part.last else f"{part.first + 1} to {part.last + 1}"
-    return Cell(f"{part.start:.2f} to {part.stop:.2f} s", f"period {earliest} of {part.periods}")
+    return TableCell(f"{part.start:.2f} to {part.stop:.2f} s", f"period {earliest} of {part.periods}")
 
 
-def level_table(source: Source[Transfer], single: Sequence[Response]) -> Table:
+def level_table(source: Source[Transfer], component_responses: Sequence[FrequencyResponse]) -> Table:
     """For each component: the response at lower levels against that at the highest, all cells together."""
     rows = []
     for component in COMPONENTS:
-        mine = sorted((r for r in single if component in r.components), key=level, reverse=True)
+        mine = sorted((r for r in component_responses if component in r.components), key=level, reverse=True)
         for other in mine[1:]:
             if np.array_equal(mine[0].frequency, other.frequency) and mine[0].channel_names == other.channel_names:
                 rows.append(_level_row(source, component, mine[0], other))
     caption = (
         "Does the response depend on the level? Relative difference of two runs over all channels, 5 to 150 Hz, and "
-        f"what the noise of both leaves. Marked: more than {SIGNIFICANT} times the noise."
+        f"what the noise of both leaves. Marked: more than {LEVEL_NOISE_FACTOR} times the noise."
     )
-    head = tuple(Cell(name) for name in ("component", "levels rms", "runs", "difference %", "noise %"))
+    head = tuple(TableCell(name) for name in ("component", "levels rms", "runs", "difference %", "noise %"))
     return Table(caption, (head,), tuple(rows))
 
 
-def _level_row(source: Source[Transfer], component: str, high: Response, low: Response) -> Row:
+def _level_row(source: Source[Transfer], component: str, high: FrequencyResponse, low: FrequencyResponse) -> Row:
     band, geometry = error_band(high.frequency), source.content.geometry
     one, sigma_one = force_response(high, geometry)
     two, sigma_two = force_response(low, geometry)
     difference = relative_error(two[band], one[band])
     noise = relative_noise(np.hypot(sigma_one, sigma_two)[band], one[band])
     return (
-        Cell(component, mark="name"),
-        Cell(f"{significant(level(low))} and {significant(level(high))} {UNIT_OF[component]}"),
-        Cell(f"{low.run} and {high.run}"),
-        Cell(percent(difference), mark="bad" if difference > SIGNIFICANT * noise else ""),
-        Cell(percent(noise), mark="quiet"),
+        TableCell(component, mark="name"),
+        TableCell(f"{format_significant(level(low))} and {format_significant(level(high))} {UNIT_OF[component]}"),
+        TableCell(f"{low.run} and {high.run}"),
+        TableCell(format_percent(difference), mark="bad" if difference > LEVEL_NOISE_FACTOR * noise else ""),
+        TableCell(format_percent(noise), mark="quiet"),
     )

@@ -7,20 +7,20 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
-from balance_cli.reduction.result import Loads, RunLoads
+from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.report.blocks import (
-    Block,
-    Cell,
+    BulletList,
     Details,
     Heading,
+    PageBlock,
+    Paragraph,
     Picture,
-    Points,
     Row,
     Section,
     Table,
-    Text,
-    Warn,
-    group_row,
+    TableCell,
+    WarningText,
+    group_heading_row,
 )
 from balance_cli.report.figure_style import svg
 from balance_cli.report.load_figures import (
@@ -30,41 +30,41 @@ from balance_cli.report.load_figures import (
     redundancy_figure,
     wind_runs,
 )
-from balance_cli.report.number_format import fixed, listed, significant, with_sigma
+from balance_cli.report.number_format import format_fixed, format_significant, join_names, value_and_sigma_text
 from balance_cli.report.sources import Source, Sources
 
-PREFERRED = ("closed", "identified", "paper", "ls", "paper-ls", "measured", "computed", "static")
+PREFERRED_RANKS = ("closed", "identified", "paper", "ls", "paper-ls", "measured", "computed", "static")
 
 
-def preferred(sources: Sequence[Source[Loads]]) -> Source[Loads]:
+def select_shown_loads(sources: Sequence[Source[HubLoads]]) -> Source[HubLoads]:
     """The loads shown in full: those whose surplus equations fit best, of equals those of the better model."""
 
-    def order(source: Source[Loads]) -> tuple[int, int]:
-        failing = sum(len(unexplained(run)) for run in wind_runs(source.content).values())
-        return failing, PREFERRED.index(source.rank) if source.rank in PREFERRED else len(PREFERRED)
+    def order(source: Source[HubLoads]) -> tuple[int, int]:
+        failing = sum(len(harmonics_above_limit(run)) for run in wind_runs(source.content).values())
+        return failing, PREFERRED_RANKS.index(source.rank) if source.rank in PREFERRED_RANKS else len(PREFERRED_RANKS)
 
     return min(sources, key=order)
 
 
-def unexplained(run: RunLoads) -> list[int]:
+def harmonics_above_limit(run: RunLoads) -> list[int]:
     """The harmonics whose surplus equations do not fit."""
     return [int(n) for n in np.flatnonzero(run.redundancy > run.redundancy_limit)]
 
 
 def section(sources: Sources) -> Section | None:
     """Loads of the wind-on runs, their redundancy and condition; None where there are none."""
-    having = tuple(source for source in sources.loads if wind_runs(source.content))
-    if not having:
+    load_sources = tuple(source for source in sources.loads if wind_runs(source.content))
+    if not load_sources:
         return None
-    tested = _tested(having)
-    shown = preferred(tested)
-    blocks: list[Block] = [
-        Text(
+    tested = _sources_by_harmonics(load_sources)
+    shown = select_shown_loads(tested)
+    blocks: list[PageBlock] = [
+        Paragraph(
             "Nobody knows the true loads of these runs, but there are more channels than loads: the surplus equations "
             "fit within the noise as long as the response still holds (chi2 per degree of freedom near 1). Where they "
             "do not, beyond the 99.9 % point, the row is flagged and its sigma widened."
         ),
-        *_verdicts(tested, shown),
+        *_residual_test_verdicts(tested, shown),
         Picture(
             "redundancy",
             "Chi-square of the surplus equations per degree of freedom, by harmonic. Dashed: the 99.9 % point.",
@@ -78,49 +78,51 @@ def section(sources: Sources) -> Section | None:
         ),
         *_load_tables(shown.content),
         condition_table(tested),
-        *_left_out(having),
+        *_left_out_blocks(load_sources),
     ]
-    others = [source for source in having if source is not shown]
+    others = [source for source in load_sources if source is not shown]
     blocks += [Details(f"Loads by {source.label}", tuple(_load_tables(source.content))) for source in others]
     return Section("wind-on", "Wind-on loads", tuple(blocks))
 
 
-def _tested(having: Sequence[Source[Loads]]) -> Sequence[Source[Loads]]:
+def _sources_by_harmonics(load_sources: Sequence[Source[HubLoads]]) -> Sequence[Source[HubLoads]]:
     """Those by harmonics, where there are any: of loads in time the surplus and condition are the same."""
-    return [source for source in having if source.content.method == "harmonic"] or having
+    return [source for source in load_sources if source.content.method == "harmonic"] or load_sources
 
 
-def _verdicts(having: Sequence[Source[Loads]], shown: Source[Loads]) -> Iterator[Block]:
+def _residual_test_verdicts(load_sources: Sequence[Source[HubLoads]], shown: Source[HubLoads]) -> Iterator[PageBlock]:
     """One sentence a method; that of the loads shown is a warning where they do not fit."""
-    words = {source.label: _fit_words(source) for source in having}
-    if any(map(unexplained, wind_runs(shown.content).values())):
-        yield Warn(f"{words.pop(shown.label)} These loads may be wrong by more than their sigma says.")
-    yield Points(tuple(words.values()))
+    words = {source.label: _residual_test_sentence(source) for source in load_sources}
+    if any(map(harmonics_above_limit, wind_runs(shown.content).values())):
+        yield WarningText(f"{words.pop(shown.label)} These loads may be wrong by more than their sigma says.")
+    yield BulletList(tuple(words.values()))
 
 
-def _fit_words(source: Source[Loads]) -> str:
+def _residual_test_sentence(source: Source[HubLoads]) -> str:
     runs = wind_runs(source.content).values()
-    failing = sum(len(unexplained(run)) for run in runs)
+    failing = sum(len(harmonics_above_limit(run)) for run in runs)
     known = [float(value) for run in runs for value in run.redundancy if np.isfinite(value)]
     if not known:
         return f"By {source.label}: no surplus equation."
     if not failing:
         return f"By {source.label}: all {len(known)} harmonics fit the surplus equations within the noise."
-    size = significant(max(known))
+    size = format_significant(max(known))
     return f"By {source.label}: {failing} of {len(known)} harmonics do not fit (chi2/dof up to {size})."
 
 
-def _load_tables(loads: Loads) -> Iterator[Table]:
+def _load_tables(loads: HubLoads) -> Iterator[Table]:
     runs = list(wind_runs(loads).values())
     names = [name for name in COMPONENTS if any(name in run.components for run in runs)]
-    head = (Cell(""), *(Cell(f"{name} [{UNIT_OF[name]}]") for name in names))
-    steady: list[Row] = [_steady_row(run, names) for run in runs]
+    head = (TableCell(""), *(TableCell(f"{name} [{UNIT_OF[name]}]") for name in names))
+    steady: list[Row] = [_mean_load_row(run, names) for run in runs]
     yield Table(
         "Mean loads (harmonic 0) with sigma, through the static calibration of the trim named.", (head,), tuple(steady)
     )
     rows: list[Row] = []
     for run in runs:
-        rows.append(group_row(f"{run.run}: 1/rev {run.frequency_hz[1]:.3f} Hz, {_interval(run)}", 1 + len(names)))
+        rows.append(
+            group_heading_row(f"{run.run}: 1/rev {run.frequency_hz[1]:.3f} Hz, {_interval_text(run)}", 1 + len(names))
+        )
         rows += [_harmonic_row(run, n, names) for n in range(1, len(run.frequency_hz))]
     caption = (
         "Amplitude \N{PLUS-MINUS SIGN} sigma and phase in degrees (x = A cos(n psi + phase)). Marked rows: flagged."
@@ -128,47 +130,49 @@ def _load_tables(loads: Loads) -> Iterator[Table]:
     yield Table(caption, (head,), tuple(rows))
 
 
-def _interval(run: RunLoads) -> str:
+def _interval_text(run: RunLoads) -> str:
     return f"{run.interval[0]:.2f} to {run.interval[1]:.2f} s"
 
 
-def _steady_row(run: RunLoads, names: Sequence[str]) -> Row:
-    cells = [Cell(run.run, f"trim \u201c{run.trim}\u201d" if run.trim else "", "name")]
+def _mean_load_row(run: RunLoads, names: Sequence[str]) -> Row:
+    cells = [TableCell(run.run, f"trim \u201c{run.trim}\u201d" if run.trim else "", "name")]
     for name in names:
         if name not in run.components:
-            cells.append(Cell(""))
+            cells.append(TableCell(""))
             continue
         m = run.components.index(name)
-        value, sigma = with_sigma(float(run.amplitude[0, m].real), float(run.sigma_cosine[0, m]))
-        cells.append(Cell(f"{value} \N{PLUS-MINUS SIGN} {sigma}", run.flags[0][m]))
+        value, sigma = value_and_sigma_text(float(run.amplitude[0, m].real), float(run.sigma_cosine[0, m]))
+        cells.append(TableCell(f"{value} \N{PLUS-MINUS SIGN} {sigma}", run.flags[0][m]))
     return tuple(cells)
 
 
 def _harmonic_row(run: RunLoads, n: int, names: Sequence[str]) -> Row:
     flagged = any(REDUNDANCY_FLAG in flag for flag in run.flags[n])
-    cells = [Cell(f"{n}", f"{run.frequency_hz[n]:.2f} Hz", "name bad" if flagged else "name")]
+    cells = [TableCell(f"{n}", f"{run.frequency_hz[n]:.2f} Hz", "name bad" if flagged else "name")]
     sigmas = amplitude_sigma(run)[n]
     for name in names:
         if name not in run.components:
-            cells.append(Cell(""))
+            cells.append(TableCell(""))
             continue
         m = run.components.index(name)
-        value, sigma = with_sigma(float(np.abs(run.amplitude[n, m])), float(sigmas[m]))
-        phase = fixed(float(np.degrees(np.angle(run.amplitude[n, m]))), 1)
+        value, sigma = value_and_sigma_text(float(np.abs(run.amplitude[n, m])), float(sigmas[m]))
+        phase = format_fixed(float(np.degrees(np.angle(run.amplitude[n, m]))), 1)
         mark = "bad" if run.flags[n][m] else ""
-        cells.append(Cell(f"{value} \N{PLUS-MINUS SIGN} {sigma}", f"{phase}°", mark, title=run.flags[n][m]))
+        cells.append(TableCell(f"{value} \N{PLUS-MINUS SIGN} {sigma}", f"{phase}°", mark, title=run.flags[n][m]))
     return tuple(cells)
 
 
-def condition_table(having: Sequence[Source[Loads]]) -> Table:
+def condition_table(load_sources: Sequence[Source[HubLoads]]) -> Table:
     """Condition number of the response, by method, run and harmonic, and the redundancy beside it."""
-    longest = max(len(run.condition) for source in having for run in wind_runs(source.content).values())
-    head = (Cell(""), *(Cell(str(n)) for n in range(longest)))
+    longest = max(len(run.condition) for source in load_sources for run in wind_runs(source.content).values())
+    head = (TableCell(""), *(TableCell(str(n)) for n in range(longest)))
     rows: list[Row] = []
-    for source in having:
-        rows.append(group_row(source.label, 1 + longest))
+    for source in load_sources:
+        rows.append(group_heading_row(source.label, 1 + longest))
         for run in wind_runs(source.content).values():
-            rows.append((Cell(run.run, mark="name"), *(_condition_cell(run, n) for n in range(len(run.condition)))))
+            rows.append(
+                (TableCell(run.run, mark="name"), *(_condition_cell(run, n) for n in range(len(run.condition))))
+            )
     caption = (
         "Condition number of the response by harmonic, loads against channels in units of their noise; small: "
         "chi2/dof of the surplus. Marked: above its limit."
@@ -176,27 +180,31 @@ def condition_table(having: Sequence[Source[Loads]]) -> Table:
     return Table(caption, (head,), tuple(rows))
 
 
-def _condition_cell(run: RunLoads, n: int) -> Cell:
+def _condition_cell(run: RunLoads, n: int) -> TableCell:
     above = bool(run.redundancy[n] > run.redundancy_limit[n])
-    limit = f"limit {significant(float(run.redundancy_limit[n]))}"
-    return Cell(
-        significant(float(run.condition[n])), significant(float(run.redundancy[n]), 2), "bad" if above else "", 1, limit
+    limit = f"limit {format_significant(float(run.redundancy_limit[n]))}"
+    return TableCell(
+        format_significant(float(run.condition[n])),
+        format_significant(float(run.redundancy[n]), 2),
+        "bad" if above else "",
+        1,
+        limit,
     )
 
 
-def _left_out(having: Sequence[Source[Loads]]) -> Iterator[Block]:
+def _left_out_blocks(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
     found: dict[tuple[str, str, str], list[str]] = {}
     notes: dict[tuple[str, str], list[str]] = {}
-    for source in having:
+    for source in load_sources:
         for name, run in source.content.runs.items():
             for channel, reason in run.left_out.items():
                 found.setdefault((name, channel, reason), []).append(source.label)
             for note in run.notes:
                 notes.setdefault((name, note), []).append(source.label)
     for (name, channel, reason), labels in found.items():
-        where = "" if len(labels) == len(having) else f" (by {listed(labels)})"
-        yield Warn(f"{name}: channel {channel} left out: {reason}{where}.")
+        where = "" if len(labels) == len(load_sources) else f" (by {join_names(labels)})"
+        yield WarningText(f"{name}: channel {channel} left out: {reason}{where}.")
     for name, note in notes:
-        yield Text(f"{name}: {note}.")
+        yield Paragraph(f"{name}: {note}.")
     if not found:
-        yield Text("No channel was left out.")
+        yield Paragraph("No channel was left out.")

@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.local_models import LEAST_DISTINCT, distinctness, has_power
+from balance_cli.signals.local_models import LEAST_INDEPENDENCE, has_power, load_independence
 from balance_cli.signals.local_response import coherences
-from balance_cli.signals.periodic import whole_period
-from balance_cli.signals.run_samples import fault, load_places, measured_components, sample_rate, samples_of
-from balance_cli.signals.run_spectrum import Response
+from balance_cli.signals.periodic import samples_per_period
+from balance_cli.signals.run_samples import load_columns, measured_components, read_samples, run_error, sample_rate
+from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 ESTIMATORS = ("h1", "h2", "hv")
-SEGMENT = 4.0
+SEGMENT_DURATION = 4.0
 FEWEST_AVERAGES = 8
 SHORTEST_SEGMENT = 16
 OVERLAP_CORRELATION = (1.0 / 6.0) ** 2
@@ -43,43 +43,43 @@ class SpectralMatrix:
     averages: float
 
     @property
-    def output(self) -> ComplexArray:
+    def output_spectra(self) -> ComplexArray:
         """S_yy (K, c, c)."""
         return self.products[:, : self.channels, : self.channels]
 
     @property
-    def cross(self) -> ComplexArray:
+    def cross_spectra(self) -> ComplexArray:
         """S_yu (K, c, u)."""
         return self.products[:, : self.channels, self.channels :]
 
     @property
-    def input(self) -> ComplexArray:
+    def input_spectra(self) -> ComplexArray:
         """S_uu (K, u, u)."""
         return self.products[:, self.channels :, self.channels :]
 
 
 def averaged_response(
     run: Run, channel_names: Sequence[str], estimator: str = "h1", band: tuple[float, float] = (0.0, np.inf)
-) -> Response:
+) -> FrequencyResponse:
     """Frequency response by `h1` (noise on the channels), `h2` (on the loads) or `hv` (on both), within `band` [Hz].
 
     Its covariance is that of H1: what the loads do not explain, over the loads' power and the number of averages.
     UserError: record too short, loads in proportion to each other, or `h2` with several components.
     """
-    channels, loads = samples_of(run, channel_names)
+    channels, loads = read_samples(run, channel_names)
     components = measured_components(run, loads)
-    z = np.hstack([channels, loads[:, load_places(components)]])
-    spectra = spectral_matrix(z, sample_rate(run), _segment(run), len(channel_names))
+    z = np.hstack([channels, loads[:, load_columns(components)]])
+    spectra = spectral_matrix(z, sample_rate(run), _segment_length(run), len(channel_names))
     if spectra.averages <= len(components) + 1:
-        raise fault(run, "the record is too short to average over", "Record more")
-    power = np.diagonal(spectra.input, axis1=1, axis2=2).real
+        raise run_error(run, "the record is too short to average over", "Record more")
+    power = np.diagonal(spectra.input_spectra, axis1=1, axis2=2).real
     inside = (spectra.frequency >= band[0]) & (spectra.frequency <= band[1]) & has_power(np.sqrt(power))
     spectra = SpectralMatrix(spectra.frequency[inside], spectra.products[inside], spectra.channels, spectra.averages)
-    if not np.any(inside) or np.median(distinctness(spectra.input)) < LEAST_DISTINCT:
-        raise fault(
+    if not np.any(inside) or np.median(load_independence(spectra.input_spectra)) < LEAST_INDEPENDENCE:
+        raise run_error(
             run, "the loads excited at once are in proportion to each other", "Excite with other phases", "loads"
         )
-    return _response(run, tuple(channel_names), components, spectra, estimator)
+    return _response_from_spectra(run, tuple(channel_names), components, spectra, estimator)
 
 
 def spectral_matrix(z: Array, rate: float, segment: int, channels: int) -> SpectralMatrix:
@@ -99,28 +99,28 @@ def spectral_matrix(z: Array, rate: float, segment: int, channels: int) -> Spect
     return SpectralMatrix(frequency, np.asarray(products * scale, complex), channels, worth)
 
 
-def _segment(run: Run) -> int:
+def _segment_length(run: Run) -> int:
     """Samples of a segment: the period, else SEGMENT seconds, or less where that gives too few averages."""
     rate = sample_rate(run)
     if run.period is not None and run.samples >= 2 * run.period * rate:
-        return whole_period(run)
-    segment = int(min(SEGMENT * rate, 2 * run.samples / (FEWEST_AVERAGES + 1))) // 2 * 2
+        return samples_per_period(run)
+    segment = int(min(SEGMENT_DURATION * rate, 2 * run.samples / (FEWEST_AVERAGES + 1))) // 2 * 2
     if segment < SHORTEST_SEGMENT:
-        raise fault(run, "the record is too short to average over", "Record more")
+        raise run_error(run, "the record is too short to average over", "Record more")
     return segment
 
 
-def _response(
+def _response_from_spectra(
     run: Run, channel_names: tuple[str, ...], components: tuple[str, ...], spectra: SpectralMatrix, estimator: str
-) -> Response:
+) -> FrequencyResponse:
     if estimator == "h2" and len(components) > 1:
-        raise fault(run, f"h2 cannot tell {len(components)} components apart", "Choose h1 or hv", "--estimator")
+        raise run_error(run, f"h2 cannot tell {len(components)} components apart", "Choose h1 or hv", "--estimator")
     H1 = _h1(spectra)
     response = {"h1": lambda: H1, "h2": lambda: _h2(spectra), "hv": lambda: _hv(spectra)}[estimator]()
     K, u = spectra.averages, len(components)
-    noise = spectra.output - H1 @ spectra.cross.conj().swapaxes(1, 2)
-    ordinary, multiple = coherences(H1, noise, spectra.input)
-    return Response(
+    noise = spectra.output_spectra - H1 @ spectra.cross_spectra.conj().swapaxes(1, 2)
+    ordinary, multiple = coherences(H1, noise, spectra.input_spectra)
+    return FrequencyResponse(
         run=run.name,
         channel_names=channel_names,
         components=components,
@@ -128,7 +128,7 @@ def _response(
         frequency=spectra.frequency,
         response=response,
         channel_covariance=noise * (K / (K - u)),
-        load_covariance=np.asarray(np.linalg.inv(spectra.input) / K, complex),
+        load_covariance=np.asarray(np.linalg.inv(spectra.input_spectra) / K, complex),
         coherence=ordinary,
         multiple_coherence=multiple,
         rotor_speed=run.rotor_speed,
@@ -138,19 +138,21 @@ def _response(
 
 def _h1(spectra: SpectralMatrix) -> ComplexArray:
     """S_yu S_uu^-1: unbiased with noise on the channels alone."""
-    return np.asarray(np.linalg.solve(spectra.input, spectra.cross.conj().swapaxes(1, 2)).conj().swapaxes(1, 2))
+    return np.asarray(
+        np.linalg.solve(spectra.input_spectra, spectra.cross_spectra.conj().swapaxes(1, 2)).conj().swapaxes(1, 2)
+    )
 
 
 def _h2(spectra: SpectralMatrix) -> ComplexArray:
     """S_yy / S_uy, channel by channel: unbiased with noise on the one load alone."""
-    own = np.diagonal(spectra.output, axis1=1, axis2=2)[:, :, None]
-    cross = spectra.cross.conj()
-    return np.asarray(own / np.where(np.abs(cross) > 0, cross, np.inf))
+    own = np.diagonal(spectra.output_spectra, axis1=1, axis2=2)[:, :, None]
+    cross_spectra = spectra.cross_spectra.conj()
+    return np.asarray(own / np.where(np.abs(cross_spectra) > 0, cross_spectra, np.inf))
 
 
 def _hv(spectra: SpectralMatrix) -> ComplexArray:
     """Total least squares, channel by channel, signals scaled to equal power: noise on channels and loads alike."""
-    K, c, u = spectra.cross.shape
+    K, c, u = spectra.cross_spectra.shape
     result = np.empty((K, c, u), complex)
     for i in range(c):
         kept = [i, *range(c, c + u)]

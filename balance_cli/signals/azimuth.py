@@ -17,16 +17,18 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-PLACE = "rotor/pulse_times"
-REMEDY = "Mend the pulse times, or cut the record to the part whose pulses are sound"
+PULSE_DATASET = "rotor/pulse_times"
+PULSE_REMEDY = "Mend the pulse times, or cut the record to the part whose pulses are sound"
 FEWEST_PULSES = 3
-LONGEST_GAP = 6  # revolutions in one interval: beyond it the count rests on a guess of the speed
+LONGEST_PULSE_GAP = 6  # revolutions in one interval: beyond it the count rests on a guess of the speed
 COUNT_TOLERANCE = 0.25  # revolutions by which an interval may miss a whole number
 REPAIRED_SHARE = 0.2  # of the pulses; with more the neighbours that a repair leans on are unsound themselves
-MISTIMED = 0.02  # revolutions (7 degrees): no rotor moves from its neighbours' course by so much in one revolution
-MISTIMED_SCATTERS = 10.0
-SCATTER_NOTED = 1.0  # degrees of jitter, at 8/rev eight times as much phase
-NEIGHBOURS = 9
+MISTIMING_LIMIT = (
+    0.02  # revolutions (7 degrees): no rotor moves from its neighbours' course by so much in one revolution
+)
+MISTIMING_SIGMAS = 10.0
+JITTER_NOTED = 1.0  # degrees of jitter, at 8/rev eight times as much phase
+MEDIAN_INTERVALS = 9
 
 
 @dataclass(frozen=True)
@@ -76,13 +78,13 @@ class Azimuth:
 
     def psi(self, time: ArrayLike) -> Array:
         """Azimuth [rad] at `time` [s], 0 at the first pulse and a multiple of 2 pi at each, NaN outside the pulses."""
-        return 2.0 * np.pi * self._within(time, self.count)
+        return 2.0 * np.pi * self._evaluate_within_pulses(time, self.count)
 
     def speed(self, time: ArrayLike) -> Array:
         """Rotor speed [Hz] at `time` [s], NaN outside the pulses."""
-        return self._within(time, self.count.derivative())
+        return self._evaluate_within_pulses(time, self.count.derivative())
 
-    def count_beyond(self, time: ArrayLike) -> Array:
+    def extrapolated_count(self, time: ArrayLike) -> Array:
         """Revolutions since the first pulse at any `time` [s], before and after the pulses at the speed there."""
         t = np.asarray(time, float)
         inside = np.clip(t, self.first, self.last)
@@ -97,7 +99,7 @@ class Azimuth:
             time = np.clip(time - (self.count(time) - target) / self.count.derivative()(time), self.first, self.last)
         return np.asarray(time, float)
 
-    def _within(self, time: ArrayLike, curve: BSpline) -> Array:
+    def _evaluate_within_pulses(self, time: ArrayLike, curve: BSpline) -> Array:
         t = np.asarray(time, float)
         return np.where((t >= self.first) & (t <= self.last), curve(np.clip(t, self.first, self.last)), np.nan)
 
@@ -109,66 +111,70 @@ def azimuth_from_pulses(pulse_times: ArrayLike) -> Azimuth:
     Each repair is a line of `notes`. Raises UserError where the pulses cannot be repaired.
     """
     given = np.asarray(pulse_times, float)
-    _check(given)
-    times, dropped = _without_strays(given)
-    times, mistimed = _without_mistimed(times)
+    _check_pulse_times(given)
+    times, dropped = _drop_stray_pulses(given)
+    times, mistimed = _drop_mistimed_pulses(times)
     counts = _revolutions_between(times)
-    missing = _missing_notes(times, counts, mistimed)
+    missing = _missing_pulse_notes(times, counts, mistimed)
     repairs = len(dropped) + len(mistimed) + len(missing)
     if repairs > max(1.0, REPAIRED_SHARE * len(given)):
-        raise UserError(f"{repairs} of {len(given)} pulses need repair, too many to trust", "", PLACE, REMEDY)
+        raise UserError(
+            f"{repairs} of {len(given)} pulses need repair, too many to trust", "", PULSE_DATASET, PULSE_REMEDY
+        )
     notes = [f"pulse at {t:.4f} s dropped: doubled or stray" for t in dropped]
     notes += [f"pulse at {t:.4f} s dropped: out of step with its neighbours" for t in mistimed]
-    notes += missing + _scatter_notes(times, counts)
+    notes += missing + _jitter_notes(times, counts)
     azimuth = Azimuth(times, np.concatenate([[0], np.cumsum(counts)]), tuple(notes))
-    _check_forward(azimuth)
+    _check_forward_rotation(azimuth)
     return azimuth
 
 
-def _check(times: Array) -> None:
+def _check_pulse_times(times: Array) -> None:
     if times.ndim != 1 or len(times) < FEWEST_PULSES:
-        raise UserError(f"only {times.size} pulses, at least {FEWEST_PULSES} are needed", "", PLACE, REMEDY)
+        raise UserError(
+            f"only {times.size} pulses, at least {FEWEST_PULSES} are needed", "", PULSE_DATASET, PULSE_REMEDY
+        )
     if not np.all(np.isfinite(times)):
         bad = int(np.flatnonzero(~np.isfinite(times))[0])
-        raise UserError("a pulse time is not a finite number", "", f"{PLACE}, entry {bad}", REMEDY)
+        raise UserError("a pulse time is not a finite number", "", f"{PULSE_DATASET}, entry {bad}", PULSE_REMEDY)
     backwards = np.flatnonzero(np.diff(times) < 0)
     if backwards.size:
-        place = f"{PLACE}, entry {int(backwards[0]) + 1}"
-        raise UserError("the pulse times run backwards", "", place, REMEDY)
+        place = f"{PULSE_DATASET}, entry {int(backwards[0]) + 1}"
+        raise UserError("the pulse times run backwards", "", place, PULSE_REMEDY)
 
 
-def _local_interval(intervals: Array) -> Array:
+def _running_median_interval(intervals: Array) -> Array:
     """Median of each interval's neighbourhood: the revolution time that its neighbours tell [s]."""
-    half = NEIGHBOURS // 2
+    half = MEDIAN_INTERVALS // 2
     padded = np.pad(intervals, half, mode="reflect" if len(intervals) > half else "edge")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, NEIGHBOURS), axis=1))
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_INTERVALS), axis=1))
 
 
-def _unevenness(intervals: Array, local: float) -> float:
+def _sum_of_squared_count_errors(intervals: Array, local: float) -> float:
     """How far intervals are from whole revolutions, squared and summed."""
     turns = intervals / local
     return float(np.sum((turns - np.maximum(np.rint(turns), 1.0)) ** 2))
 
 
-def _without_strays(times: Array) -> tuple[Array, list[float]]:
+def _drop_stray_pulses(times: Array) -> tuple[Array, list[float]]:
     """Times with doubled and stray pulses left out one by one, and the ones left out."""
     dropped: list[float] = []
     while len(times) > FEWEST_PULSES:
         intervals = np.diff(times)
-        local = _local_interval(intervals)
+        local = _running_median_interval(intervals)
         short = int(np.argmin(intervals / local))
         if intervals[short] > (1.0 - COUNT_TOLERANCE) * local[short]:
             break
         near = slice(max(short - 2, 0), short + 4)
         choices = [np.delete(times, short), np.delete(times, short + 1)]
-        uneven = [_unevenness(np.diff(choice[near]), local[short]) for choice in choices]
+        uneven = [_sum_of_squared_count_errors(np.diff(choice[near]), local[short]) for choice in choices]
         best = int(np.argmin(uneven))
         dropped.append(float(times[short + best]))
         times = choices[best]
     return times, dropped
 
 
-def _departure(times: Array) -> Array:
+def _timing_errors(times: Array) -> Array:
     """Revolutions by which each inner pulse departs from the cubic through its four neighbours, two on either side."""
     departure = np.zeros(len(times))
     middle = times[2:-2]
@@ -177,17 +183,17 @@ def _departure(times: Array) -> Array:
     return departure
 
 
-def _without_mistimed(times: Array) -> tuple[Array, list[float]]:
+def _drop_mistimed_pulses(times: Array) -> tuple[Array, list[float]]:
     """Times without the pulses that came much too early or late, and these; gaps are passed over."""
     dropped: list[float] = []
-    counts = np.diff(times) / _local_interval(np.diff(times))
+    counts = np.diff(times) / _running_median_interval(np.diff(times))
     sound = np.zeros(len(times), bool)
-    if len(times) < NEIGHBOURS:
+    if len(times) < MEDIAN_INTERVALS:
         return times, dropped
     single = np.abs(counts - 1.0) < COUNT_TOLERANCE
     sound[2:-2] = single[:-3] & single[1:-2] & single[2:-1] & single[3:]
-    departure = np.where(sound, np.abs(_departure(times)), 0.0)
-    limit = max(MISTIMED, MISTIMED_SCATTERS * float(np.median(departure)))
+    departure = np.where(sound, np.abs(_timing_errors(times)), 0.0)
+    limit = max(MISTIMING_LIMIT, MISTIMING_SIGMAS * float(np.median(departure)))
     keep = np.ones(len(times), bool)
     for pulse in np.argsort(-departure):
         if departure[pulse] <= limit:
@@ -201,17 +207,17 @@ def _without_mistimed(times: Array) -> tuple[Array, list[float]]:
 def _revolutions_between(times: Array) -> Integers:
     """Whole revolutions in each interval; raises UserError where the number is in doubt."""
     intervals = np.diff(times)
-    turns = intervals / _local_interval(intervals)
+    turns = intervals / _running_median_interval(intervals)
     counts = np.maximum(np.rint(turns), 1.0)
-    doubtful = np.flatnonzero((np.abs(turns - counts) > COUNT_TOLERANCE) | (counts > LONGEST_GAP))
+    doubtful = np.flatnonzero((np.abs(turns - counts) > COUNT_TOLERANCE) | (counts > LONGEST_PULSE_GAP))
     if doubtful.size:
         k = int(doubtful[0])
         fault = f"between {times[k]:.4f} and {times[k + 1]:.4f} s lie {turns[k]:.2f} revolutions of their neighbours"
-        raise UserError(f"{fault}: the pulses cannot be repaired", "", PLACE, REMEDY)
+        raise UserError(f"{fault}: the pulses cannot be repaired", "", PULSE_DATASET, PULSE_REMEDY)
     return counts.astype(np.int64)
 
 
-def _missing_notes(times: Array, counts: Integers, mistimed: list[float]) -> list[str]:
+def _missing_pulse_notes(times: Array, counts: Integers, mistimed: list[float]) -> list[str]:
     """A line for each gap that no dropped pulse explains."""
     notes = []
     for k in np.flatnonzero(counts > 1):
@@ -221,19 +227,19 @@ def _missing_notes(times: Array, counts: Integers, mistimed: list[float]) -> lis
     return notes
 
 
-def _scatter_notes(times: Array, counts: Integers) -> list[str]:
+def _jitter_notes(times: Array, counts: Integers) -> list[str]:
     """A line where the pulses jitter, as those do that were timed by whole samples."""
-    if len(times) < NEIGHBOURS or np.any(counts > 1):
+    if len(times) < MEDIAN_INTERVALS or np.any(counts > 1):
         return []
     # The difference of a pulse and its prediction has the variance 1 + 34/36 of one pulse.
-    scatter = 1.4826 * float(np.median(np.abs(_departure(times)[2:-2]))) / np.sqrt(1.0 + 34.0 / 36.0) * 360.0
-    return [f"pulses scatter by {scatter:.1f} degrees of azimuth"] if scatter > SCATTER_NOTED else []
+    scatter = 1.4826 * float(np.median(np.abs(_timing_errors(times)[2:-2]))) / np.sqrt(1.0 + 34.0 / 36.0) * 360.0
+    return [f"pulses scatter by {scatter:.1f} degrees of azimuth"] if scatter > JITTER_NOTED else []
 
 
-def _check_forward(azimuth: Azimuth) -> None:
+def _check_forward_rotation(azimuth: Azimuth) -> None:
     """Raises UserError where the curve through the pulses would turn the rotor backwards."""
     grid = azimuth.pulse_times[:-1, None] + np.diff(azimuth.pulse_times)[:, None] * np.linspace(0.0, 1.0, 5)
     speed = azimuth.speed(grid)
     if np.any(speed <= 0.0):
         at = float(grid.ravel()[int(np.argmin(speed))])
-        raise UserError(f"the pulses near {at:.4f} s give no steady turning", "", PLACE, REMEDY)
+        raise UserError(f"the pulses near {at:.4f} s give no steady turning", "", PULSE_DATASET, PULSE_REMEDY)

@@ -11,12 +11,12 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Counts = NDArray[np.intp]
 
-LEAST_DOF = 150
+LEAST_POOLED_DOF = 150
 OUTLIER_PROBABILITY = 1e-3
 STEPS_PER_WINDOW = 8
 ROBUST_ITERATIONS = 3
 MEDIAN_LINES = 75
-LEAST_SHARE = 1e-7
+RELATIVE_NOISE_FLOOR = 1e-7
 
 
 def inverse_bias_factor(dof: float, n: int) -> float:
@@ -45,17 +45,19 @@ def window_sums(values: NDArray[Any], width: int, step: int = 1) -> NDArray[Any]
     return np.asarray(total[start + width] - total[start])
 
 
-def least_variance(spectra: ComplexArray) -> Array:
+def variance_floor(spectra: ComplexArray) -> Array:
     """Variance (n,) that no noise of signals (..., n) is taken to fall below: rounding to single precision, say.
 
     A computed record has no noise at all, and its covariance no inverse.
     """
     power = np.mean(np.abs(spectra) ** 2, axis=tuple(range(spectra.ndim - 1)))
-    return np.asarray(LEAST_SHARE**2 * np.maximum(power, LEAST_SHARE * power.max()) + np.finfo(float).tiny, float)
+    return np.asarray(
+        RELATIVE_NOISE_FLOOR**2 * np.maximum(power, RELATIVE_NOISE_FLOOR * power.max()) + np.finfo(float).tiny, float
+    )
 
 
 def pooled_covariance(
-    scatter: ComplexArray, counts: Array, least_dof: float = LEAST_DOF, floor: Array | float = 0.0
+    scatter: ComplexArray, counts: Array, least_dof: float = LEAST_POOLED_DOF, floor: Array | float = 0.0
 ) -> tuple[ComplexArray, float]:
     """Noise covariance of one degree of freedom at every line, pooled over neighbouring lines.
 
@@ -66,25 +68,25 @@ def pooled_covariance(
     the variances. Returns (K, n, n) and the dof.
     """
     scatter = scatter + counts[:, None, None] * (floor * np.eye(scatter.shape[1]))
-    width = _window(counts, least_dof)
+    width = _pooling_width(counts, least_dof)
     dof = float(np.median(window_sums(counts, width)))
     step = max(width // STEPS_PER_WINDOW, 1)
     nearest = np.minimum((np.arange(len(counts)) + step // 2) // step, (len(counts) - 1) // step)
-    weights = _first_weights(scatter, counts)
+    weights = _initial_weights(scatter, counts)
     for _ in range(ROBUST_ITERATIONS):
         total = np.maximum(window_sums(weights * counts, width, step), 1e-300)
         knots = window_sums(weights[:, None, None] * scatter, width, step) / total[:, None, None]
-        far = _distances(scatter, np.linalg.inv(knots)[nearest], counts, dof)
+        far = _distances_from_inverse(scatter, np.linalg.inv(knots)[nearest], counts, dof)
         weights = np.minimum(1.0, outlier_bound(counts, scatter.shape[1]) / far)
     return knots[nearest], dof
 
 
-def distances(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
+def mahalanobis_distances(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
     """Mahalanobis distance per degree of freedom (K,) of the scatter (K, n, n); its mean is 1 for noise alone."""
-    return _distances(scatter, np.asarray(np.linalg.inv(covariance), complex), counts, dof)
+    return _distances_from_inverse(scatter, np.asarray(np.linalg.inv(covariance), complex), counts, dof)
 
 
-def _distances(scatter: ComplexArray, inverse: ComplexArray, counts: Array, dof: float) -> Array:
+def _distances_from_inverse(scatter: ComplexArray, inverse: ComplexArray, counts: Array, dof: float) -> Array:
     n = scatter.shape[1]
     trace = np.einsum("kij,kji->k", inverse, scatter).real
     return np.asarray(
@@ -92,7 +94,7 @@ def _distances(scatter: ComplexArray, inverse: ComplexArray, counts: Array, dof:
     )
 
 
-def vector_distances(vectors: ComplexArray, covariance: ComplexArray, dof: float) -> Array:
+def vector_mahalanobis_distances(vectors: ComplexArray, covariance: ComplexArray, dof: float) -> Array:
     """Mahalanobis distance per degree of freedom (..., K) of vectors (..., K, n); its mean is 1 for noise alone."""
     n = vectors.shape[-1]
     weighted = np.matmul(np.linalg.inv(covariance), vectors[..., None])[..., 0]
@@ -108,7 +110,7 @@ def outlier_bound(counts: Array, n: int, probability: float = OUTLIER_PROBABILIT
     return np.asarray(gammainccinv(half, probability) / half)
 
 
-def _window(counts: Array, least_dof: float) -> int:
+def _pooling_width(counts: Array, least_dof: float) -> int:
     """Narrowest odd number of lines that gives `least_dof` at every line (by bisection), or all of them."""
     low, high = 0, (len(counts) - 1) // 2
     while low < high:
@@ -118,7 +120,7 @@ def _window(counts: Array, least_dof: float) -> int:
     return 2 * low + 1
 
 
-def _first_weights(scatter: ComplexArray, counts: Array) -> Array:
+def _initial_weights(scatter: ComplexArray, counts: Array) -> Array:
     """Weights from the diagonal alone: each signal's power at a line against the median of its neighbours."""
     power = np.diagonal(scatter, axis1=1, axis2=2).real / np.maximum(counts, 1e-12)[:, None]
     blocks = np.array_split(np.arange(len(power)), max(len(power) // MEDIAN_LINES, 1))

@@ -14,7 +14,7 @@ ComplexArray = NDArray[np.complex128]
 
 MAIN_LOBE = 4
 """Lines from the centre of the window's main lobe to its edge."""
-INDEPENDENT = 0.89
+INDEPENDENT_PER_WINDOW = 0.89
 """Independent spectra for each window, of those that lie a third of their length apart."""
 
 
@@ -38,7 +38,7 @@ def cross_spectra(
     parts: Iterable[tuple[int, Array]],
     step: float,
     length: int,
-    used: Callable[[int, Array], NDArray[np.bool_]] | None = None,
+    select_bins: Callable[[int, Array], NDArray[np.bool_]] | None = None,
 ) -> CrossSpectra:
     """Welch's estimate with windows of `length` samples over stretches (first sample, samples (n, c)) without gaps.
 
@@ -55,7 +55,7 @@ def cross_spectra(
         for start in range(0, len(part) - length + 1, length // 3):
             piece = part[start : start + length]
             lines = np.fft.rfft((piece - piece.mean(axis=0)) * window[:, None], axis=0)
-            mine = inner if used is None else inner & used(first + start, frequency)
+            mine = inner if select_bins is None else inner & select_bins(first + start, frequency)
             lines[~mine] = 0.0
             power = lines[:, :, None] * lines[:, None, :].conj()
             total = power if total is None else total + power
@@ -64,16 +64,16 @@ def cross_spectra(
     if total is None or not kept.any():
         raise ValueError("no window fits into the stretches")
     density = total[kept] * (step / np.sum(window**2) / count[kept])[:, None, None]
-    return CrossSpectra(frequency[kept], density, np.maximum(INDEPENDENT * count[kept], 1.0))
+    return CrossSpectra(frequency[kept], density, np.maximum(INDEPENDENT_PER_WINDOW * count[kept], 1.0))
 
 
-def noise_of_channels(spectra: CrossSpectra, step: float, quiet: NDArray[np.bool_]) -> Array:
+def noise_variance(spectra: CrossSpectra, step: float, load_free: NDArray[np.bool_]) -> Array:
     """Covariance (c,) [V2] of one sample of each channel's noise, white, from `quiet` lines (k,), that no load reaches.
 
     The median of the lines, so that a tone among them does no harm.
     """
-    power = np.einsum("kcc->kc", spectra.density[quiet]).real
-    typical = float(np.median(spectra.averages[quiet]))
+    power = np.einsum("kcc->kc", spectra.density[load_free]).real
+    typical = float(np.median(spectra.averages[load_free]))
     return np.asarray(np.median(power, axis=0) / (step * _median_of_mean(typical)))
 
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # Lines with less than this share of the largest weight are left out; the weights fall off fast on both sides.
-LEAST_WEIGHT = 1e-4
+LEAST_LINE_WEIGHT = 1e-4
 # Samples per second for each harmonic's band: the carrier is taken down to zero frequency first.
 SAMPLES_PER_HZ_OF_SPEED = 4.0
 
@@ -35,28 +35,28 @@ class HarmonicLines:
     weight: ComplexArray
 
 
-def harmonic_lines(azimuth: Azimuth, spectra: Harmonics, n: int, memory: float) -> HarmonicLines:
+def harmonic_lines(azimuth: Azimuth, spectra: Harmonics, n: int, decay_time: float) -> HarmonicLines:
     """Lines of harmonic n over the interval of `spectra`; `memory` [s] is how long the balance remembers.
 
     Beyond the pulses the rotor is taken to go on at the speed that it has there.
     """
     rate = SAMPLES_PER_HZ_OF_SPEED * azimuth.mean_rate
     carrier = float(spectra.frequency_hz[n])
-    start, stop = azimuth.first - 2 * memory, azimuth.last + 2 * memory
+    start, stop = azimuth.first - 2 * decay_time, azimuth.last + 2 * decay_time
     time = np.arange(start, stop, 1.0 / rate)
-    turns = azimuth.count_beyond(time)
-    baseband = np.exp(2j * np.pi * (n * turns - carrier * time)) * _fade(time, azimuth, memory)
+    turns = azimuth.extrapolated_count(time)
+    baseband = np.exp(2j * np.pi * (n * turns - carrier * time)) * _end_taper(time, azimuth, decay_time)
     inside = (time >= spectra.interval[0]) & (time <= spectra.interval[1])
     weight = np.where(inside, edge_weight(turns, *spectra.revolutions), 0.0)
     B, W = np.fft.fft(baseband), np.fft.fft(weight * baseband)
     S = np.conj(W) * B
-    kept = np.abs(S) > LEAST_WEIGHT * np.abs(S).max()
+    kept = np.abs(S) > LEAST_LINE_WEIGHT * np.abs(S).max()
     frequency = carrier + np.fft.fftfreq(len(time), 1.0 / rate)[kept]
     order = np.argsort(frequency)
     return HarmonicLines(frequency[order], (S[kept] / S[kept].sum())[order])
 
 
-def _fade(time: Array, azimuth: Azimuth, memory: float) -> Array:
+def _end_taper(time: Array, azimuth: Azimuth, decay_time: float) -> Array:
     """One up to `memory` beyond the pulses, then a cosine down to zero, so that the ends cast no wide skirts."""
-    beyond = np.maximum(np.maximum(azimuth.first - time, time - azimuth.last) / memory - 1.0, 0.0)
+    beyond = np.maximum(np.maximum(azimuth.first - time, time - azimuth.last) / decay_time - 1.0, 0.0)
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(beyond, 0.0, 1.0)))

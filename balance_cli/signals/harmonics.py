@@ -12,16 +12,16 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.signals.azimuth import Azimuth
-from balance_cli.signals.harmonic_noise import PooledNoise, line_offsets, pooled_noise, taper
+from balance_cli.signals.harmonic_noise import PooledNoise, blackman_taper, line_offsets, pooled_noise
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 FEWEST_REVOLUTIONS = 10
-EDGE = 12  # revolutions over which the weight rises at either end
-FITTED = 24  # harmonics regressed at least, where the sample rate lets them: the higher ones must not leak
+EDGE_REVOLUTIONS = 12  # revolutions over which the weight rises at either end
+FITTED_HARMONICS = 24  # harmonics regressed at least, where the sample rate lets them: the higher ones must not leak
 BELOW_NYQUIST = 0.98
-BLOCK = 8192  # samples
+BLOCK_SAMPLES = 8192  # samples
 # w(u) = u^3 (a + b u + c u^2 + d u^3 + e u^4) rises from 0 to 1 without slope or curvature at either end, and has the
 # moments of a step: the integrals of (w - 1) and of (w - 1) u vanish.
 EDGE_POWERS = np.arange(3.0, 8.0)
@@ -37,10 +37,14 @@ EDGE_POLYNOMIAL = np.linalg.solve(
     ),
     np.array([1.0, 0.0, 0.0, 1.0, 0.5]),
 )
-STEEP = 2.0  # standard errors by which the spectrum must fall before the mean's noise is extrapolated to it
-STEEPEST = -1.5  # beyond 1/f noise: there the load itself has moved, in a step or manoeuvre, and its mean is no guess
-LINE_OF_MEAN = 0.5
-OUTERMOST_OF_MEAN = 24  # lines: the mean is asked for its noise at the lowest frequencies
+SLOPE_SIGNIFICANCE = (
+    2.0  # standard errors by which the spectrum must fall before the mean's noise is extrapolated to it
+)
+STEEPEST_EXPONENT = (
+    -1.5
+)  # beyond 1/f noise: there the load itself has moved, in a step or manoeuvre, and its mean is no guess
+MEAN_LINE_OFFSET = 0.5
+MEAN_NOISE_LINES = 24  # lines: the mean is asked for its noise at the lowest frequencies
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ class Harmonics:
 
 
 @dataclass(frozen=True)
-class _Samples:
+class _AzimuthBlock:
     """One block: azimuth (m,), speed [Hz], weight of the regression, signals (m, c)."""
 
     psi: Array
@@ -91,7 +95,7 @@ class _Samples:
 
 
 @dataclass
-class _Sums:
+class _NormalEquations:
     """What the blocks add up to: normal equations of the regression, and tapered lines."""
 
     gram: Array
@@ -109,11 +113,12 @@ def harmonics(
     names: Sequence[str] | None = None,
     first_revolution: int = 0,
     last_revolution: int | None = None,
-    block: int = BLOCK,
+    block: int = BLOCK_SAMPLES,
 ) -> Harmonics:
     """Harmonics 0 to `n` of the named signals (default: all channels, and the loads where the run has them).
 
-    All harmonics are regressed jointly on azimuth, up to `FITTED` of them, over whole revolutions and with a weight
+    All harmonics are regressed jointly on azimuth, up to `FITTED_HARMONICS` of them, over whole revolutions and with a
+    weight
     that rises smoothly at either end: an amplitude that moves with the speed would otherwise leak into its neighbours
     at 1/T (0.001 V from 4/rev into 2/rev, where speed moved by 6 %). The weight has the moments of a step at each
     end, so the amplitudes are means over the whole interval. A signal that is periodic in azimuth comes out exactly.
@@ -125,23 +130,23 @@ def harmonics(
     """
     names = _signal_names(run) if names is None else tuple(names)
     last = azimuth.turns if last_revolution is None else last_revolution
-    _check(run, azimuth, n, first_revolution, last)
+    _check_interval(run, azimuth, n, first_revolution, last)
     revolutions = (first_revolution, last)
     start, end = (float(t) for t in azimuth.time_of(np.array(revolutions)))
     offsets = line_offsets(last - first_revolution)
-    fitted = _fitted_harmonics(run, azimuth, n, start, end)
-    sums = _empty_sums(n, fitted, offsets, len(names))
+    fitted_count = _harmonics_to_fit(run, azimuth, n, start, end)
+    sums = _empty_sums(n, fitted_count, offsets, len(names))
     for samples in _weighted_blocks(run, azimuth, names, revolutions, block):
-        _add(sums, samples, n, fitted, offsets / (last - first_revolution))
-    amplitude = _amplitudes(sums, n, fitted)
-    covariance, dof = _noise(sums, n, offsets)
+        _accumulate_block(sums, samples, n, fitted_count, offsets / (last - first_revolution))
+    amplitude = _solve_amplitudes(sums, n, fitted_count)
+    covariance, dof = _amplitude_covariance(sums, n, offsets)
     frequency = np.arange(n + 1) * (last - first_revolution) / (end - start)
     return Harmonics(run.name, names, frequency, amplitude, covariance, dof, (start, end), revolutions, sums.samples)
 
 
 def edge_weight(revolution: Array, first: int, last: int) -> Array:
     """Weight of the regression at a count of revolutions between `first` and `last`: 1 but for the ends."""
-    edge = min(float(EDGE), (last - first) / 4)
+    edge = min(float(EDGE_REVOLUTIONS), (last - first) / 4)
     u = np.clip(np.minimum(revolution - first, last - revolution) / edge, 0.0, 1.0)
     return np.asarray(u**3 * np.polyval(EDGE_POLYNOMIAL[::-1], u))
 
@@ -150,41 +155,41 @@ def _signal_names(run: Run) -> tuple[str, ...]:
     return run.channel_names + (COMPONENTS if run.has_loads else ())
 
 
-def _check(run: Run, azimuth: Azimuth, n: int, first: int, last: int) -> None:
+def _check_interval(run: Run, azimuth: Azimuth, n: int, first: int, last: int) -> None:
     assert run.sample_rate is not None
     if not 0 <= first < last <= azimuth.turns or last - first < FEWEST_REVOLUTIONS:
         fault = f"revolutions {first} to {last} of {azimuth.turns}: at least {FEWEST_REVOLUTIONS} are needed"
         raise UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Record for longer")
 
 
-def _fitted_harmonics(run: Run, azimuth: Azimuth, n: int, start: float, end: float) -> int:
+def _harmonics_to_fit(run: Run, azimuth: Azimuth, n: int, start: float, end: float) -> int:
     assert run.sample_rate is not None
     fastest = float(np.max(azimuth.speed(np.linspace(start, end, 2048))))
     possible = int(BELOW_NYQUIST * run.sample_rate / 2 / fastest)
     if possible < n:
         fault = f"harmonic {n} at {n * fastest:.1f} Hz is beyond half the sample rate, {run.sample_rate:g} Hz"
         raise UserError(fault, str(run.path or run.name), "sample_rate", f"Ask for at most {possible} harmonics")
-    return min(possible, max(FITTED, n + 4))
+    return min(possible, max(FITTED_HARMONICS, n + 4))
 
 
 def _weighted_blocks(
     run: Run, azimuth: Azimuth, names: tuple[str, ...], revolutions: tuple[int, int], block: int
-) -> Iterator[_Samples]:
+) -> Iterator[_AzimuthBlock]:
     assert run.sample_rate is not None
     first, last = revolutions
     start, end = azimuth.time_of(np.array(revolutions))
     begin, stop = int(np.ceil(start * run.sample_rate)), int(np.floor(end * run.sample_rate)) + 1
     for low in range(begin, min(stop, run.samples), block):
         high = min(low + block, stop, run.samples)
-        signals = _signals(run, names, low, high)
+        signals = _read_signals(run, names, low, high)
         time = np.clip(np.arange(low, high) / run.sample_rate, azimuth.first, azimuth.last)
         psi = azimuth.psi(time)
         revolution = psi / (2 * np.pi)
         fraction = np.clip((revolution - first) / (last - first), 0.0, 1.0)
-        yield _Samples(psi, azimuth.speed(time), fraction, edge_weight(revolution, first, last), signals)
+        yield _AzimuthBlock(psi, azimuth.speed(time), fraction, edge_weight(revolution, first, last), signals)
 
 
-def _signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array:
+def _read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array:
     """Samples (m, c) of the named channels and load components."""
     read = run.read(low, high)
     stacked = read.channels if read.loads is None else np.hstack([read.channels, read.loads])
@@ -197,25 +202,25 @@ def _signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array:
     return signals
 
 
-def _empty_sums(n: int, fitted: int, offsets: Array, count: int) -> _Sums:
-    columns = 2 * fitted + 1
+def _empty_sums(n: int, fitted_count: int, offsets: Array, count: int) -> _NormalEquations:
+    columns = 2 * fitted_count + 1
     lines = np.zeros((n + 1, len(offsets), count), complex)
-    return _Sums(np.zeros((columns, columns)), np.zeros((columns, count)), lines, np.zeros(4))
+    return _NormalEquations(np.zeros((columns, columns)), np.zeros((columns, count)), lines, np.zeros(4))
 
 
-def _basis(psi: Array, fitted: int) -> Array:
+def _trigonometric_basis(psi: Array, fitted_count: int) -> Array:
     """cos(0..fitted psi), sin(1..fitted psi): (m, 2 fitted + 1)."""
-    angle = np.outer(psi, np.arange(fitted + 1))
+    angle = np.outer(psi, np.arange(fitted_count + 1))
     return np.hstack([np.cos(angle), np.sin(angle[:, 1:])])
 
 
-def _add(sums: _Sums, samples: _Samples, n: int, fitted: int, orders: Array) -> None:
+def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, n: int, fitted_count: int, orders: Array) -> None:
     """Adds one block. Lines are integrals over azimuth, d psi = 2 pi speed dt, where harmonics are orthogonal."""
-    basis = _basis(samples.psi, fitted)
+    basis = _trigonometric_basis(samples.psi, fitted_count)
     weighted = basis * samples.weight[:, None]
     sums.gram += weighted.T @ basis
     sums.moment += weighted.T @ samples.signals
-    q = taper(samples.fraction) * samples.speed
+    q = blackman_taper(samples.fraction) * samples.speed
     away = np.exp(-1j * np.outer(orders, samples.psi)) * q
     for k in range(n + 1):
         sums.lines[k] += away @ (samples.signals * np.exp(-1j * k * samples.psi)[:, None])
@@ -224,46 +229,46 @@ def _add(sums: _Sums, samples: _Samples, n: int, fitted: int, orders: Array) -> 
     sums.samples += len(w)
 
 
-def _amplitudes(sums: _Sums, n: int, fitted: int) -> ComplexArray:
+def _solve_amplitudes(sums: _NormalEquations, n: int, fitted_count: int) -> ComplexArray:
     """X_k = cosine_k - j sine_k (n+1, c) from the normal equations."""
     coefficients = np.linalg.solve(sums.gram, sums.moment)
     amplitude = coefficients[: n + 1].astype(complex)
-    amplitude[1:] -= 1j * coefficients[fitted + 1 : fitted + 1 + n]
+    amplitude[1:] -= 1j * coefficients[fitted_count + 1 : fitted_count + 1 + n]
     return amplitude
 
 
-def _noise(sums: _Sums, n: int, offsets: Array) -> tuple[ComplexArray, Array]:
+def _amplitude_covariance(sums: _NormalEquations, n: int, offsets: Array) -> tuple[ComplexArray, Array]:
     """Covariance (n+1, c, c) of the amplitudes and its degrees of freedom (n+1,)."""
     w, w2, q, q2 = sums.weight
     # A tapered sum over noise of density S has variance S sum q^2; so has the regression with w in place of q.
     variance_ratio = (w2 / w**2) / (q2 / q**2)
     lines = sums.lines * (2.0 / q)
-    pooled = [_noise_of_mean(lines[0], offsets)]
+    pooled = [_mean_noise(lines[0], offsets)]
     pooled += [pooled_noise(lines[k], offsets) for k in range(1, n + 1)]
     covariance = variance_ratio * np.array([noise.covariance for noise in pooled])
     return covariance, np.array([noise.dof for noise in pooled])
 
 
-def _noise_of_mean(lines: ComplexArray, offsets: Array) -> PooledNoise:
+def _mean_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:
     """Noise of harmonic 0: real, from the lines of one side (the other is its mirror image), 1/f drift allowed for.
 
     A mean is 2/N of nothing: X_0 is half of what the formula for k >= 1 gives. Where the spectrum of a signal falls
     from line to line by more than chance, as that of a drift does, its power law is followed down to the mean.
     """
-    above = (offsets > 0) & (offsets <= OUTERMOST_OF_MEAN)
+    above = (offsets > 0) & (offsets <= MEAN_NOISE_LINES)
     pooled = pooled_noise(lines[above] / 2.0, offsets[above])
-    rise = np.sqrt(_rise_to_mean(np.abs(lines[above]) ** 2, offsets[above]))
+    rise = np.sqrt(_power_law_factor(np.abs(lines[above]) ** 2, offsets[above]))
     covariance = pooled.covariance.real * np.outer(rise, rise)
     return PooledNoise(covariance.astype(complex), pooled.dof)
 
 
-def _rise_to_mean(power: Array, lines: Array) -> Array:
+def _power_law_factor(power: Array, lines: Array) -> Array:
     """Factor (c,) by which the power at the mean exceeds the mean power of the lines, from a fitted power law."""
     moved = np.any(power > 0, axis=0)
     x = np.log(lines) - np.mean(np.log(lines))
     slope = x @ np.log(np.where(moved, power, 1.0) + np.finfo(float).tiny) / (x @ x)
     # The logarithm of an exponential variable scatters by pi/sqrt(6); the taper correlates about two lines.
     error = np.pi / np.sqrt(6.0) * np.sqrt(2.27 / (x @ x))
-    slope = np.where(moved & (slope < -STEEP * error) & (slope > STEEPEST), slope, 0.0)
-    law = (lines[:, None] / LINE_OF_MEAN) ** slope
+    slope = np.where(moved & (slope < -SLOPE_SIGNIFICANCE * error) & (slope > STEEPEST_EXPONENT), slope, 0.0)
+    law = (lines[:, None] / MEAN_LINE_OFFSET) ** slope
     return np.asarray(1.0 / np.mean(law, axis=0))

@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-ITERATIONS = 10
+REFINEMENT_ITERATIONS = 10
 RIDGE = 1e-9
-LEAST_GAIN = 1e-5
-LARGEST_DAMPING = 1e3
-_BY_WINDOW = ("denominator", "coefficients", "triangle", "residual")
+LEAST_COST_REDUCTION = 1e-5
+LARGEST_MARQUARDT_DAMPING = 1e3
+_PER_WINDOW_FIELDS = ("denominator", "coefficients", "triangle", "residual")
 
 
 @dataclass(frozen=True)
-class Orders:
+class ModelOrders:
     """Degrees of B (the response's numerator), C (the transient's numerator) and A (the common denominator)."""
 
     response: int
@@ -48,7 +48,7 @@ class LocalFit:
     with inverse Gram matrix of the coefficients triangle^-1 triangle^-*, residual (W, M, c), weighted.
     """
 
-    orders: Orders
+    orders: ModelOrders
     inputs: int
     denominator: ComplexArray
     coefficients: ComplexArray
@@ -62,11 +62,11 @@ class LocalFit:
 
     def subset(self, windows: NDArray[np.intp]) -> LocalFit:
         """Some of the windows."""
-        return replace(self, **{name: getattr(self, name)[windows] for name in _BY_WINDOW})
+        return replace(self, **{name: getattr(self, name)[windows] for name in _PER_WINDOW_FIELDS})
 
 
 @dataclass(frozen=True)
-class Windows:
+class WindowedData:
     """What is fitted: outputs Y (W, M, c) scaled to like noise, inputs U (W, M, u), weight (W, M) of each line, and
 
     its place r (W, M) in the window, -1 to 1.
@@ -77,47 +77,49 @@ class Windows:
     weight: Array
     r: Array
 
-    def subset(self, windows: NDArray[np.intp]) -> Windows:
+    def subset(self, windows: NDArray[np.intp]) -> WindowedData:
         """Some of the windows."""
-        return Windows(self.Y[windows], self.U[windows], self.weight[windows], self.r[windows])
+        return WindowedData(self.Y[windows], self.U[windows], self.weight[windows], self.r[windows])
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _WindowProblem:
     """Weighted outputs (W, M, c), regressors before division by A (W, M, q), polynomials P (W, M, p) and weight."""
 
-    orders: Orders
+    orders: ModelOrders
     inputs: int
     Y: ComplexArray
     columns: ComplexArray
     weight: Array
     P: Array
 
-    def subset(self, windows: NDArray[np.intp]) -> _Problem:
+    def subset(self, windows: NDArray[np.intp]) -> _WindowProblem:
         """Some of the windows."""
         return replace(self, **{name: getattr(self, name)[windows] for name in ("Y", "columns", "weight", "P")})
 
 
-def fit_windows(windows: Windows, orders: Orders) -> LocalFit:
+def fit_windows(windows: WindowedData, orders: ModelOrders) -> LocalFit:
     """Fit every window with a model of these orders."""
     degree = max(orders.response, orders.transient, orders.denominator)
     P = np.asarray(legendre.legvander(windows.r, degree), float)
-    columns = _columns(windows.U, P, orders)
+    columns = _regressor_columns(windows.U, P, orders)
     weighted = windows.Y * windows.weight[:, :, None]
-    problem = _Problem(orders, windows.U.shape[2], weighted, columns, windows.weight, P[:, :, : orders.denominator + 1])
+    problem = _WindowProblem(
+        orders, windows.U.shape[2], weighted, columns, windows.weight, P[:, :, : orders.denominator + 1]
+    )
     if orders.denominator == 0:
         return _linear_fit(problem, np.ones((len(windows.Y), 1), complex))
-    return _refined(problem, _first_denominator(problem))
+    return _refine_denominator(problem, _levy_denominator(problem))
 
 
-def _columns(U: ComplexArray, P: Array, orders: Orders) -> ComplexArray:
+def _regressor_columns(U: ComplexArray, P: Array, orders: ModelOrders) -> ComplexArray:
     """Regressors (W, M, q) before division by A: each input times each polynomial, then the transient's."""
     W, M, _ = U.shape
     inputs = (U[:, :, :, None] * P[:, :, None, : orders.response + 1]).reshape(W, M, -1)
     return np.concatenate([inputs, P[:, :, : orders.transient + 1]], axis=2)
 
 
-def _orthogonal(columns: ComplexArray, factor: ComplexArray) -> tuple[ComplexArray, ComplexArray, Array]:
+def _orthonormal_basis(columns: ComplexArray, factor: ComplexArray) -> tuple[ComplexArray, ComplexArray, Array]:
     """Thin QR of the scaled columns: basis (W, M, q), triangle, scale (W, q); a ridge guards inputs that are absent."""
     X = columns * factor[:, :, None]
     scale = np.maximum(np.linalg.norm(X, axis=1), 1e-300)
@@ -131,15 +133,15 @@ def _adjoint(X: ComplexArray) -> ComplexArray:
     return X.conj().swapaxes(1, 2)
 
 
-def _denominator_at(problem: _Problem, a: ComplexArray) -> ComplexArray:
+def _denominator_at(problem: _WindowProblem, a: ComplexArray) -> ComplexArray:
     """A (W, M) at every line."""
     return np.asarray(np.matmul(problem.P, a[:, :, None])[:, :, 0])
 
 
-def _linear_fit(problem: _Problem, a: ComplexArray) -> LocalFit:
+def _linear_fit(problem: _WindowProblem, a: ComplexArray) -> LocalFit:
     """The fit for a given denominator."""
-    factor = problem.weight / _kept_from_zero(_denominator_at(problem, a))
-    Q, R, scale = _orthogonal(problem.columns, factor)
+    factor = problem.weight / _bound_from_zero(_denominator_at(problem, a))
+    Q, R, scale = _orthonormal_basis(problem.columns, factor)
     projected = _adjoint(Q) @ problem.Y
     coefficients = np.asarray(np.linalg.solve(R, projected) / scale[:, :, None], complex)
     residual = problem.Y - Q @ projected
@@ -147,72 +149,72 @@ def _linear_fit(problem: _Problem, a: ComplexArray) -> LocalFit:
     return LocalFit(problem.orders, problem.inputs, a, coefficients, triangle, residual)
 
 
-def _first_denominator(problem: _Problem) -> ComplexArray:
+def _levy_denominator(problem: _WindowProblem) -> ComplexArray:
     """Denominator of unit norm (W, na+1) that minimises A Y - B U - C (Levy), twice more with weight 1/A."""
     inverse = np.ones(problem.weight.shape, complex)
     for _ in range(3):
-        Q, _, _ = _orthogonal(problem.columns, np.asarray(problem.weight * inverse, complex))
-        gram = _gram(_off(Q, _times(problem.Y * inverse[:, :, None], problem.P)))
+        Q, _, _ = _orthonormal_basis(problem.columns, np.asarray(problem.weight * inverse, complex))
+        gram = _gram_matrices(_project_out(Q, _multiply_polynomials(problem.Y * inverse[:, :, None], problem.P)))
         a = np.linalg.eigh(gram)[1][:, :, 0]
-        inverse = 1.0 / _kept_from_zero(_denominator_at(problem, a))
+        inverse = 1.0 / _bound_from_zero(_denominator_at(problem, a))
     return a
 
 
-def _kept_from_zero(A: ComplexArray) -> ComplexArray:
+def _bound_from_zero(A: ComplexArray) -> ComplexArray:
     floor = 1e-6 * np.max(np.abs(A), axis=1, keepdims=True)
     return np.where(np.abs(A) < floor, floor, A)
 
 
-def _times(Y: ComplexArray, P: Array) -> ComplexArray:
+def _multiply_polynomials(Y: ComplexArray, P: Array) -> ComplexArray:
     """Every channel times every polynomial (W, M, c, na+1)."""
     return np.asarray(Y[:, :, :, None] * P[:, :, None, :])
 
 
-def _off(Q: ComplexArray, X: ComplexArray) -> ComplexArray:
+def _project_out(Q: ComplexArray, X: ComplexArray) -> ComplexArray:
     """X (W, M, ...) less its projection on the basis Q."""
     flat = X.reshape(X.shape[0], X.shape[1], -1)
     return np.asarray((flat - Q @ (_adjoint(Q) @ flat)).reshape(X.shape))
 
 
-def _gram(X: ComplexArray) -> ComplexArray:
+def _gram_matrices(X: ComplexArray) -> ComplexArray:
     """Gram matrices (W, p, p) of X (W, M, c, p) over lines and channels."""
     flat = X.reshape(X.shape[0], -1, X.shape[3])
     return np.asarray(_adjoint(flat) @ flat)
 
 
-def _refined(problem: _Problem, a: ComplexArray) -> LocalFit:
+def _refine_denominator(problem: _WindowProblem, a: ComplexArray) -> LocalFit:
     """Gauss-Newton steps for the denominator, damped window by window (Levenberg-Marquardt), until none gains."""
     fit = _linear_fit(problem, a)
     damping = np.full(len(a), 1e-6)
     active = np.arange(len(a))
-    for _ in range(ITERATIONS):
+    for _ in range(REFINEMENT_ITERATIONS):
         some, before = problem.subset(active), fit.subset(active)
-        moved = before.denominator + _step(some, before, damping[active])
+        moved = before.denominator + _marquardt_step(some, before, damping[active])
         after = _linear_fit(some, moved / np.linalg.norm(moved, axis=1, keepdims=True))
         better = after.cost < before.cost
         gain = 1.0 - after.cost / np.maximum(before.cost, 1e-300)
-        _put(fit, active[better], after.subset(np.flatnonzero(better)))
+        _overwrite_windows(fit, active[better], after.subset(np.flatnonzero(better)))
         damping[active] = np.where(better, damping[active] / 10.0, damping[active] * 30.0)
-        active = active[np.where(better, gain > LEAST_GAIN, damping[active] < LARGEST_DAMPING)]
+        active = active[np.where(better, gain > LEAST_COST_REDUCTION, damping[active] < LARGEST_MARQUARDT_DAMPING)]
         if not active.size:
             break
     return fit
 
 
-def _put(fit: LocalFit, windows: NDArray[np.intp], other: LocalFit) -> None:
+def _overwrite_windows(fit: LocalFit, windows: NDArray[np.intp], replacement: LocalFit) -> None:
     """Overwrite some windows of a fit that is still being made."""
-    for name in _BY_WINDOW:
-        getattr(fit, name)[windows] = getattr(other, name)
+    for name in _PER_WINDOW_FIELDS:
+        getattr(fit, name)[windows] = getattr(replacement, name)
 
 
-def _step(problem: _Problem, fit: LocalFit, damping: Array) -> ComplexArray:
+def _marquardt_step(problem: _WindowProblem, fit: LocalFit, damping: Array) -> ComplexArray:
     """Step of the denominator (W, na+1); the direction along it, a mere scale, has no slope and gets no step.
 
     The slopes are -P_i m with the model m = (B U + C) / A^2, less their projection on the regressors; the residual is
     orthogonal to these.
     """
-    inverse = 1.0 / _kept_from_zero(_denominator_at(problem, fit.denominator))
-    Q, _, _ = _orthogonal(problem.columns, np.asarray(problem.weight * inverse, complex))
+    inverse = 1.0 / _bound_from_zero(_denominator_at(problem, fit.denominator))
+    Q, _, _ = _orthonormal_basis(problem.columns, np.asarray(problem.weight * inverse, complex))
     model = (problem.Y - fit.residual) * inverse[:, :, None]
     P = problem.P
     power = np.sum(np.abs(model) ** 2, axis=2)

@@ -18,8 +18,8 @@ from balance_cli.signals.covariance_pooling import pooled_covariance
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-ITERATIONS = 10
-ALL = slice(None)
+EM_ITERATIONS = 10
+WHOLE_SPECTRUM = slice(None)
 
 # Added to the channels' variances, which are about 1 in the units used: a computed record has no noise at all.
 LEAST_CHANNEL_NOISE = 1e-3
@@ -29,55 +29,59 @@ LEAST_LOAD_NOISE = 1e-4
 
 
 @dataclass(frozen=True)
-class NoiseComponents:
+class NoiseCovariances:
     """Noise at K lines: `channels` (K, c, c), `loads` (u, u), and the complex degrees of freedom of the channels'."""
 
     channels: ComplexArray
     loads: ComplexArray
     dof: float
 
-    def equation(self, response: ComplexArray, lines: slice = ALL) -> ComplexArray:
+    def equation_error_covariance(self, response: ComplexArray, lines: slice = WHOLE_SPECTRUM) -> ComplexArray:
         """Covariance (k, c, c) of `Y - G U` at some of the lines, for a response G (K, c, u)."""
         G = response[lines]
         return np.asarray(self.channels[lines] + G @ self.loads @ G.conj().swapaxes(1, 2))
 
-    def excess(self, response: ComplexArray) -> Array:
+    def relative_variance(self, response: ComplexArray) -> Array:
         """Mean variance (K,) of `Y - G U` in units of the channels' own noise: 1 where the loads add nothing."""
         seen = np.linalg.solve(self.channels, response @ self.loads @ response.conj().swapaxes(1, 2))
         return np.asarray(1.0 + np.trace(seen, axis1=1, axis2=2).real / self.channels.shape[1])
 
 
-def noise_components(
+def estimate_noise_covariances(
     residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float
-) -> NoiseComponents:
+) -> NoiseCovariances:
     """Variance components of residuals (K, c) at lines with response (K, c, u) and counts (K,), the share of a degree
 
     of freedom that the fit left to each line (the residual's expectation is that share of the noise). The channels'
     covariance is pooled over lines enough for `least_dof`.
     """
     scaled = residual / np.sqrt(counts)[:, None]
-    noise = _first_guess(scaled, response, counts, least_dof)
-    for _ in range(ITERATIONS):
+    noise = _initial_covariances(scaled, response, counts, least_dof)
+    for _ in range(EM_ITERATIONS):
         before = noise
-        noise = replace(noise, loads=_loads(scaled, response, noise))
-        noise = _with_channels(scaled, response, noise, counts, least_dof)
-        if _alike(noise, before):
+        noise = replace(noise, loads=_update_load_noise(scaled, response, noise))
+        noise = _update_channel_noise(scaled, response, noise, counts, least_dof)
+        if _has_converged(noise, before):
             break
     return noise
 
 
-def _first_guess(residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float) -> NoiseComponents:
+def _initial_covariances(
+    residual: ComplexArray, response: ComplexArray, counts: Array, least_dof: float
+) -> NoiseCovariances:
     """Channels' noise from lines of small response, where the loads' noise is not seen; that of the loads zero."""
     u = response.shape[2]
     size = np.sum(np.abs(response) ** 2, axis=(1, 2))
     weight = counts / (1.0 + size / max(float(np.median(size)), 1e-300)) ** 2
-    channels, dof = pooled_covariance(_outer(residual) * weight[:, None, None], weight, least_dof, LEAST_CHANNEL_NOISE)
-    return NoiseComponents(channels, np.zeros((u, u), complex), dof)
+    channels, dof = pooled_covariance(
+        _outer_products(residual) * weight[:, None, None], weight, least_dof, LEAST_CHANNEL_NOISE
+    )
+    return NoiseCovariances(channels, np.zeros((u, u), complex), dof)
 
 
-def _with_channels(
-    residual: ComplexArray, response: ComplexArray, noise: NoiseComponents, counts: Array, least_dof: float
-) -> NoiseComponents:
+def _update_channel_noise(
+    residual: ComplexArray, response: ComplexArray, noise: NoiseCovariances, counts: Array, least_dof: float
+) -> NoiseCovariances:
     """A better covariance of the channels: what the loads' noise explains is taken out (expectation-maximisation).
 
     A line counts by the inverse square of its noise in units of the channels' own, so that what is assumed of the
@@ -85,35 +89,35 @@ def _with_channels(
     """
     if not np.any(noise.loads):
         return noise
-    weight = counts / noise.excess(response) ** 2
-    explained, posterior = _explained(residual, response, noise)
+    weight = counts / noise.relative_variance(response) ** 2
+    explained, posterior = _conditional_load_noise(residual, response, noise)
     left = residual + np.matmul(response, explained[:, :, None])[:, :, 0]
-    scatter = _outer(left) + response @ posterior @ response.conj().swapaxes(1, 2)
+    scatter = _outer_products(left) + response @ posterior @ response.conj().swapaxes(1, 2)
     channels, dof = pooled_covariance(scatter * weight[:, None, None], weight, least_dof, LEAST_CHANNEL_NOISE)
     return replace(noise, channels=channels, dof=dof)
 
 
-def _alike(one: NoiseComponents, other: NoiseComponents) -> bool:
+def _has_converged(current: NoiseCovariances, previous: NoiseCovariances) -> bool:
     """Whether two steps differ by less than two per cent (the loads), or one (the channels, on average)."""
-    mine, others = (np.diagonal(noise.channels, axis1=1, axis2=2).real.mean(axis=0) for noise in (one, other))
-    return np.allclose(one.loads, other.loads, rtol=0.02, atol=0.0) and np.allclose(mine, others, rtol=0.01)
+    mine, others = (np.diagonal(noise.channels, axis1=1, axis2=2).real.mean(axis=0) for noise in (current, previous))
+    return np.allclose(current.loads, previous.loads, rtol=0.02, atol=0.0) and np.allclose(mine, others, rtol=0.01)
 
 
-def _outer(vectors: ComplexArray) -> ComplexArray:
+def _outer_products(vectors: ComplexArray) -> ComplexArray:
     """Outer product (K, c, c) of each vector (K, c) with itself."""
     return np.asarray(vectors[:, :, None] * vectors[:, None, :].conj())
 
 
-def _explained(
-    residual: ComplexArray, response: ComplexArray, noise: NoiseComponents
+def _conditional_load_noise(
+    residual: ComplexArray, response: ComplexArray, noise: NoiseCovariances
 ) -> tuple[ComplexArray, ComplexArray]:
     """Mean (K, u) and covariance (K, u, u) of the loads' noise, given the residuals."""
-    gain = noise.loads @ np.linalg.solve(noise.equation(response), response).conj().swapaxes(1, 2)
+    gain = noise.loads @ np.linalg.solve(noise.equation_error_covariance(response), response).conj().swapaxes(1, 2)
     mean = -np.matmul(gain, residual[:, :, None])[:, :, 0]
     return mean, np.asarray(noise.loads - gain @ response @ noise.loads)
 
 
-def _loads(residual: ComplexArray, response: ComplexArray, noise: NoiseComponents) -> ComplexArray:
+def _update_load_noise(residual: ComplexArray, response: ComplexArray, noise: NoiseCovariances) -> ComplexArray:
     """One scoring step for the loads' covariance from the best linear estimate of the loads' noise at each line."""
     weighted = np.linalg.solve(noise.channels, response)
     information = response.conj().swapaxes(1, 2) @ weighted

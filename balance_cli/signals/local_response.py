@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.local_models import LocalModels, every_line, local_models, local_power, record_spectrum
-from balance_cli.signals.local_window import influence, pole_shift, response_rows
-from balance_cli.signals.run_spectrum import Response
+from balance_cli.signals.local_models import LocalModels, decimate_lines, local_models, local_power, record_spectrum
+from balance_cli.signals.local_window import design_pseudoinverse, pole_uncertainty, response_rows
+from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -19,25 +19,25 @@ ComplexArray = NDArray[np.complex128]
 
 def local_response(
     run: Run, channel_names: Sequence[str], estimator: str = "lrm", band: tuple[float, float] = (0.0, np.inf)
-) -> Response:
+) -> FrequencyResponse:
     """Frequency response of one run at its own lines within `band` [Hz], by `lrm` or `lpm`.
 
     Several components excited at once are told apart where their spectra differ. UserError: no loads, record too short.
     """
     models = local_models(record_spectrum(run, channel_names, band), estimator)
-    return response_of(models, estimator)
+    return response_from_models(models, estimator)
 
 
-def response_of(models: LocalModels, estimator: str) -> Response:
+def response_from_models(models: LocalModels, estimator: str) -> FrequencyResponse:
     """Response with separable covariance and coherences, at the excited lines, in volts per newton."""
     s = models.spectrum
-    kept = every_line(s.excited)
-    channel_covariance, load_covariance = _covariances(models, kept)
+    kept = decimate_lines(s.excited)
+    channel_covariance, load_covariance = _response_covariance(models, kept)
     response = models.response[kept]
-    noise = replace(models.noise, channels=models.noise.channels[kept]).equation(response)
+    noise = replace(models.noise, channels=models.noise.channels[kept]).equation_error_covariance(response)
     ordinary, multiple = coherences(response, noise, local_power(s.loads)[kept])
     volts, load = s.channel_scale, s.load_scale
-    return Response(
+    return FrequencyResponse(
         run=s.run.name,
         channel_names=s.channel_names,
         components=s.components,
@@ -53,7 +53,7 @@ def response_of(models: LocalModels, estimator: str) -> Response:
     )
 
 
-def _covariances(models: LocalModels, kept: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
+def _response_covariance(models: LocalModels, kept: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
     """Channels' (k, c, c) and loads' (k, u, u) factor of the response's covariance at the lines `kept` (k,).
 
     The response at a line is a weighted sum over its window's outputs; so is its covariance, over their noise, and
@@ -64,16 +64,16 @@ def _covariances(models: LocalModels, kept: NDArray[np.intp]) -> tuple[ComplexAr
     channels, loads = np.zeros((len(kept), c, c), complex), np.zeros((len(kept), u, u), complex)
     for w, fit in enumerate(models.fit):
         start = models.first[w]
-        mine = slice(*np.searchsorted(kept, models.owned[w]))
+        mine = slice(*np.searchsorted(kept, models.assigned_lines[w]))
         r = fit.r[kept[mine] - start]
-        noise = models.noise.equation(models.response, slice(start, start + len(fit.r)))
-        weights = response_rows(fit, r) @ influence(fit)
+        noise = models.noise.equation_error_covariance(models.response, slice(start, start + len(fit.r)))
+        weights = response_rows(fit, r) @ design_pseudoinverse(fit)
         loads[mine] = weights @ weights.conj().swapaxes(1, 2)
         precision = np.linalg.inv(loads[mine])
         share = np.einsum("kum,kuv,kvm->km", weights.conj(), precision, weights, optimize=True).real / u
         channels[mine] = np.tensordot(share, noise, axes=1)
         if fit.orders.denominator:
-            shift = pole_shift(fit, r, noise)
+            shift = pole_uncertainty(fit, r, noise)
             channels[mine] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
     return channels, loads
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from balance_cli.signals.local_fit import LocalFit, Orders, Windows
+from balance_cli.signals.local_fit import LocalFit, ModelOrders, WindowedData
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -24,7 +24,7 @@ class WindowFit:
     triangle (q, q) of their Gram matrix; residual (M, c), not weighted.
     """
 
-    orders: Orders
+    orders: ModelOrders
     U: ComplexArray
     weight: Array
     r: Array
@@ -34,7 +34,7 @@ class WindowFit:
     residual: ComplexArray
 
 
-def split(fit: LocalFit, windows: Windows) -> tuple[WindowFit, ...]:
+def split_windows(fit: LocalFit, windows: WindowedData) -> tuple[WindowFit, ...]:
     """The windows of a fit, one by one."""
     return tuple(
         WindowFit(
@@ -66,7 +66,7 @@ def response_rows(fit: WindowFit, r: Array) -> ComplexArray:
     return rows
 
 
-def slope_rows(fit: WindowFit, r: Array) -> ComplexArray:
+def derivative_rows(fit: WindowFit, r: Array) -> ComplexArray:
     """Rows (len(r), u, q) that take the coefficients to the derivative of the response with r."""
     u, size = fit.U.shape[1], fit.orders.response + 1
     A = denominator_at(fit, r)[:, None]
@@ -88,15 +88,15 @@ def transient_rows(fit: WindowFit, r: Array) -> ComplexArray:
     return rows
 
 
-def design(fit: WindowFit) -> ComplexArray:
+def design_matrix(fit: WindowFit) -> ComplexArray:
     """Regressors (M, q) at the window's lines."""
     driven = np.sum(fit.U[:, :, None] * response_rows(fit, fit.r), axis=1)
     return np.asarray(driven + transient_rows(fit, fit.r))
 
 
-def influence(fit: WindowFit) -> ComplexArray:
+def design_pseudoinverse(fit: WindowFit) -> ComplexArray:
     """Matrix (q, M) that takes the window's outputs to its linear coefficients."""
-    X = design(fit) * fit.weight[:, None] ** 2
+    X = design_matrix(fit) * fit.weight[:, None] ** 2
     return np.asarray(np.linalg.solve(fit.triangle, np.linalg.solve(fit.triangle.conj().T, X.conj().T)))
 
 
@@ -107,26 +107,26 @@ def poles(fit: WindowFit) -> ComplexArray:
     return np.asarray(np.roots(legendre.leg2poly(fit.denominator)[::-1]), complex)
 
 
-def pole_shift(fit: WindowFit, r: Array, noise: ComplexArray) -> ComplexArray:
+def pole_uncertainty(fit: WindowFit, r: Array, noise: ComplexArray) -> ComplexArray:
     """Response's standard deviations (len(r), c, u, na+1) by the uncertainty of the denominator a; noise (M, c, c).
 
     They are the columns of dG/da cov(a)^(1/2), where the other coefficients follow a.
     """
-    model = design(fit) @ fit.coefficients
-    slopes = -_relative(fit, fit.r)[:, None, :] * model[:, :, None]
-    followed = np.tensordot(influence(fit), slopes, axes=1)
-    seen = (slopes - np.tensordot(design(fit), followed, axes=1)) * (fit.weight**2)[:, None, None]
+    model = design_matrix(fit) @ fit.coefficients
+    slopes = -_log_derivative(fit, fit.r)[:, None, :] * model[:, :, None]
+    followed = np.tensordot(design_pseudoinverse(fit), slopes, axes=1)
+    seen = (slopes - np.tensordot(design_matrix(fit), followed, axes=1)) * (fit.weight**2)[:, None, None]
     flat = (seen / fit.weight[:, None, None]).reshape(-1, seen.shape[2])
     step = np.linalg.pinv(flat.conj().T @ flat, rcond=1e-10, hermitian=True)
     spread = np.einsum("mca,mcb->ab", seen.conj(), np.matmul(noise, seen))
     value, vector = np.linalg.eigh(step @ spread @ step)
     rows = response_rows(fit, r)
     response = (rows @ fit.coefficients).swapaxes(1, 2)
-    direct = -response[:, :, :, None] * _relative(fit, r)[:, None, None, :]
+    direct = -response[:, :, :, None] * _log_derivative(fit, r)[:, None, None, :]
     through = np.einsum("kuq,qca->kcua", rows, followed)
     return np.asarray((direct - through) @ (vector * np.sqrt(np.maximum(value, 0.0))))
 
 
-def _relative(fit: WindowFit, r: Array) -> ComplexArray:
+def _log_derivative(fit: WindowFit, r: Array) -> ComplexArray:
     """Change (len(r), na+1) of ln A with each of its coefficients."""
     return np.asarray(legendre.legvander(r, fit.orders.denominator) / denominator_at(fit, r)[:, None])

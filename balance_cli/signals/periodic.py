@@ -14,38 +14,45 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.covariance_pooling import (
-    distances,
     inverse_bias_factor,
-    least_variance,
+    mahalanobis_distances,
     outlier_bound,
     pooled_covariance,
+    variance_floor,
     window_sums,
 )
-from balance_cli.signals.periodic_transient import steady_start
+from balance_cli.signals.periodic_transient import find_steady_start
 from balance_cli.signals.run_samples import (
-    channel_places,
-    fault,
-    load_places,
+    channel_columns,
+    load_columns,
     measured_components,
+    read_samples,
+    run_error,
     sample_rate,
-    samples_of,
 )
-from balance_cli.signals.run_spectrum import Lines, Window
+from balance_cli.signals.run_spectrum import AnalysisWindow, RunSpectrum
 
-__all__ = ["PeriodicRecord", "inverse_bias_factor", "periodic_lines", "periodic_record", "repeats", "whole_period"]
+__all__ = [
+    "PeriodicRecord",
+    "has_whole_periods",
+    "inverse_bias_factor",
+    "periodic_record",
+    "periodic_spectrum",
+    "samples_per_period",
+]
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Counts = NDArray[np.intp]
 
-LEAST_SIGNAL_TO_NOISE = 10.0
+LEAST_LINE_SIGNAL_TO_NOISE = 10.0
 LEAST_SHARE_OF_STRONGEST = 0.01
 LEAST_SHARE_OF_LINES = 0.1
 NOISE_LINES = 40
 INFLATION_PROBABILITY = 1e-4
 DECAY_LINES = 11
 # Differences of neighbouring lines share one: their mean square is worth two thirds of as many independent ones.
-WORTH_OF_DIFFERENCE = 2.0 / 3.0
+DIFFERENCE_DOF = 2.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,7 @@ class PeriodicRecord:
     every line, `steady`: whether a test says so, or two periods had to be kept for want of more.
     """
 
-    lines: Lines
+    lines: RunSpectrum
     period: float
     periods: int
     first: Counts
@@ -66,7 +73,7 @@ class PeriodicRecord:
     steady: bool
 
 
-def periodic_lines(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> Lines:
+def periodic_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> RunSpectrum:
     """Lines of a periodic run at the frequencies that were excited, within `band` [Hz]; see `periodic_record`."""
     return periodic_record(run, channel_names, band).lines
 
@@ -81,21 +88,25 @@ def periodic_record(
     belongs to the pooled covariance: consumers that invert it multiply the inverse by `inverse_bias_factor(dof, n)`,
     n = channels + components. UserError: no period, fewer than two whole periods, or nothing that repeats.
     """
-    samples = whole_period(run)
-    spectra, number, components = _spectra(run, channel_names, samples)
+    samples = samples_per_period(run)
+    spectra, number, components = _period_spectra(run, channel_names, samples)
     frequency = number * sample_rate(run) / samples
-    start = steady_start(spectra)
+    start = find_steady_start(spectra)
     mean, covariance, dof = _mean_and_covariance(spectra, start.first)
-    noise = (covariance, dof) if start.steady.all() or len(spectra) < 3 else _about_decay(spectra, start.first)
+    noise = (
+        (covariance, dof) if start.steady.all() or len(spectra) < 3 else _covariance_about_decay(spectra, start.first)
+    )
     covariance = covariance * (1.0 + start.bias)[:, None, None]
-    excited = _excited(mean, covariance, len(components))
+    excited = _excited_lines(mean, covariance, len(components))
     chosen = np.any(excited, axis=1)
     if not np.any(chosen):
-        raise fault(run, "no line of the loads repeats from period to period", "Check `period`", "attribute `period`")
+        raise run_error(
+            run, "no line of the loads repeats from period to period", "Check `period`", "attribute `period`"
+        )
     chosen &= (frequency >= band[0]) & (frequency <= band[1])
     if not np.any(chosen):
-        raise fault(run, f"no line was excited from {band[0]:g} to {band[1]:g} Hz", "Ask for another band")
-    lines = Lines(
+        raise run_error(run, f"no line was excited from {band[0]:g} to {band[1]:g} Hz", "Ask for another band")
+    lines = RunSpectrum(
         run=run.name,
         channel_names=tuple(channel_names),
         components=components,
@@ -106,33 +117,33 @@ def periodic_record(
         dof=dof,
         rotor_speed=run.rotor_speed,
         level=run.level,
-        window=_window(run, len(spectra), samples, start.first[chosen], noise[0][chosen], noise[1]),
+        window=_analysis_window(run, len(spectra), samples, start.first[chosen], noise[0][chosen], noise[1]),
     )
-    lines = _without_idle(lines, excited[chosen], run.excited)
-    return _record(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
+    lines = _drop_unexcited_components(lines, excited[chosen], run.excited)
+    return _periodic_record_of(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
 
 
-def repeats(run: Run) -> bool:
+def has_whole_periods(run: Run) -> bool:
     """Whether the run declares a period and holds at least two that can be cut."""
     try:
-        return run.period is not None and whole_period(run) > 0
+        return run.period is not None and samples_per_period(run) > 0
     except UserError:
         return False
 
 
-def whole_period(run: Run) -> int:
+def samples_per_period(run: Run) -> int:
     """Samples in the shortest multiple of the declared period that is a whole number of samples, to 0.01 of one
 
     over the record. UserError where the run declares no period, or holds fewer than two such multiples.
     """
     if run.period is None:
-        raise fault(run, "there is no `period`", "Choose an estimator for records that do not repeat")
+        raise run_error(run, "there is no `period`", "Choose an estimator for records that do not repeat")
     exact = run.period * sample_rate(run)
     for multiple in range(1, int(run.samples / (2.0 * exact)) + 1):
         samples = round(multiple * exact)
         if abs(samples - multiple * exact) * (run.samples / samples) < 0.01:
             return samples
-    raise fault(
+    raise run_error(
         run,
         f"the record does not hold two periods of a whole number of samples ({exact:g} each)",
         "Record more periods, or choose an estimator for records that do not repeat",
@@ -140,7 +151,7 @@ def whole_period(run: Run) -> int:
     )
 
 
-def _spectra(
+def _period_spectra(
     run: Run, channel_names: Sequence[str], samples: int
 ) -> tuple[ComplexArray, NDArray[np.intp], tuple[str, ...]]:
     """Amplitudes (P, K, c+u) of every whole period around the lines that were excited, the numbers of these lines (K,)
@@ -149,17 +160,17 @@ def _spectra(
     """
     periods = run.samples // samples
     offset = run.samples - periods * samples
-    channel_places(run, channel_names)
+    channel_columns(run, channel_names)
     each = []
     every_load = np.zeros((1, 6))
     for p in range(periods):
-        channels, loads = samples_of(run, channel_names, offset + p * samples, offset + (p + 1) * samples)
+        channels, loads = read_samples(run, channel_names, offset + p * samples, offset + (p + 1) * samples)
         every_load = np.maximum(every_load, np.abs(loads).max(axis=0))
         spectrum = np.fft.rfft(np.hstack([channels, loads]), axis=0)[1 : (samples + 1) // 2]
         each.append(spectrum * (2.0 / samples))
     components = measured_components(run, every_load)
     c = len(channel_names)
-    kept = [*range(c), *(c + place for place in load_places(components))]
+    kept = [*range(c), *(c + place for place in load_columns(components))]
     spectra = np.asarray(each)[:, :, kept]
     late = np.abs(spectra[periods // 2 :, :, c:].mean(axis=0))
     strong = np.flatnonzero(np.any(late > LEAST_SHARE_OF_STRONGEST * late.max(axis=0), axis=1))
@@ -175,20 +186,20 @@ def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexA
     mean = np.sum(spectra * used[:, :, None], axis=0) / m[:, None]
     deviation = (spectra - mean) * used[:, :, None]
     scatter = np.einsum("pki,pkj->kij", deviation, deviation.conj())
-    covariance, dof = _pooled(scatter, m - 1.0, least_variance(spectra))
+    covariance, dof = _pool_scatter(scatter, m - 1.0, variance_floor(spectra))
     return mean, covariance / m[:, None, None], dof
 
 
-def _pooled(scatter: ComplexArray, counts: Array, floor: Array) -> tuple[ComplexArray, float]:
+def _pool_scatter(scatter: ComplexArray, counts: Array, floor: Array) -> tuple[ComplexArray, float]:
     """Covariance (K, n, n) of one period and its dof; larger where a line scatters more than its neighbours."""
     covariance, dof = pooled_covariance(scatter, counts, floor=floor)
-    return covariance * _inflation(scatter, covariance, counts, dof)[:, None, None], dof
+    return covariance * _scatter_inflation(scatter, covariance, counts, dof)[:, None, None], dof
 
 
-def _about_decay(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, float]:
+def _covariance_about_decay(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, float]:
     """Covariance (K, n, n) of the mean over the periods used, and its dof, as free of a decay as it can be told."""
-    counts = np.full(spectra.shape[1], WORTH_OF_DIFFERENCE)
-    covariance, dof = _pooled(_scatter_about_decay(spectra), counts, least_variance(spectra))
+    counts = np.full(spectra.shape[1], DIFFERENCE_DOF)
+    covariance, dof = _pool_scatter(_scatter_about_decay(spectra), counts, variance_floor(spectra))
     return covariance / (len(spectra) - first)[:, None, None], dof
 
 
@@ -211,25 +222,25 @@ def _scatter_about_decay(spectra: ComplexArray) -> ComplexArray:
     r = r / np.maximum(np.abs(r), 1.0)
     left = (late - r[:, None] * early) / np.sqrt(1.0 + np.abs(1.0 + r) ** 2 + np.abs(r) ** 2)[:, None]
     k = np.minimum(np.arange(len(left)), len(left) - 2)
-    left = (left[k + 1] - left[k]) * np.sqrt(WORTH_OF_DIFFERENCE / 2.0)
+    left = (left[k + 1] - left[k]) * np.sqrt(DIFFERENCE_DOF / 2.0)
     return np.asarray(left[:, :, None] * left[:, None, :].conj())
 
 
-def _inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
+def _scatter_inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
     """1 where a line scatters as its neighbours do; where that is improbable, how much more it scatters (K,)."""
-    far = distances(scatter, covariance, counts, dof)
+    far = mahalanobis_distances(scatter, covariance, counts, dof)
     return np.where(far > outlier_bound(counts, scatter.shape[1], INFLATION_PROBABILITY), far, 1.0)
 
 
-def _excited(mean: ComplexArray, covariance: ComplexArray, inputs: int) -> NDArray[np.bool_]:
+def _excited_lines(mean: ComplexArray, covariance: ComplexArray, inputs: int) -> NDArray[np.bool_]:
     """Where (K, u) a load component stands well above its noise and is not a mere trace of its strongest line."""
     amplitude = np.abs(mean[:, -inputs:])
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real[:, -inputs:])
-    above_noise = amplitude > LEAST_SIGNAL_TO_NOISE * sigma
+    above_noise = amplitude > LEAST_LINE_SIGNAL_TO_NOISE * sigma
     return np.asarray(above_noise & (amplitude > LEAST_SHARE_OF_STRONGEST * amplitude.max(axis=0)))
 
 
-def _without_idle(lines: Lines, excited: NDArray[np.bool_], declared: Sequence[str]) -> Lines:
+def _drop_unexcited_components(lines: RunSpectrum, excited: NDArray[np.bool_], declared: Sequence[str]) -> RunSpectrum:
     """The lines without load components that were measured, but neither declared as excited nor anything but noise."""
     share = excited.mean(axis=0)
     kept = [i for i, name in enumerate(lines.components) if name in declared or share[i] > LEAST_SHARE_OF_LINES]
@@ -247,13 +258,17 @@ def _without_idle(lines: Lines, excited: NDArray[np.bool_], declared: Sequence[s
     )
 
 
-def _window(run: Run, periods: int, samples: int, first: Counts, covariance: ComplexArray, dof: float) -> Window:
+def _analysis_window(
+    run: Run, periods: int, samples: int, first: Counts, covariance: ComplexArray, dof: float
+) -> AnalysisWindow:
     rate = sample_rate(run)
     offset = run.samples - periods * samples
-    return Window((offset + first * samples) / rate, run.samples / rate, 1.0 / rate, covariance, dof)
+    return AnalysisWindow((offset + first * samples) / rate, run.samples / rate, 1.0 / rate, covariance, dof)
 
 
-def _record(run: Run, lines: Lines, spectra: ComplexArray, samples: int, first: Counts, steady: bool) -> PeriodicRecord:
+def _periodic_record_of(
+    run: Run, lines: RunSpectrum, spectra: ComplexArray, samples: int, first: Counts, steady: bool
+) -> PeriodicRecord:
     rate = sample_rate(run)
     periods = len(spectra)
     offset = run.samples - periods * samples

@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
-from balance_cli.signals.local_fit import Orders, Windows
-from balance_cli.signals.local_models import LocalModels, Spectrum, best_fits, sliding, stitched_response
-from balance_cli.signals.local_noise import NoiseComponents
-from balance_cli.signals.local_response import coherences, response_of
+from balance_cli.signals.local_fit import ModelOrders, WindowedData
+from balance_cli.signals.local_models import LocalModels, ScaledSpectrum, best_fits, sliding_windows, stitch_response
+from balance_cli.signals.local_noise import NoiseCovariances
+from balance_cli.signals.local_response import coherences, response_from_models
 from balance_cli.signals.periodic import PeriodicRecord
-from balance_cli.signals.run_spectrum import Lines, Response
+from balance_cli.signals.run_spectrum import FrequencyResponse, RunSpectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-ORDERS = tuple(Orders(degree, -1, poles) for degree in (1, 2) for poles in (0, 1, 2, 3))
-FEWEST_LINES = 21
-WORST_CONDITION = 1e3
+LINE_MODEL_ORDERS = tuple(ModelOrders(degree, -1, poles) for degree in (1, 2) for poles in (0, 1, 2, 3))
+FEWEST_WINDOW_LINES = 21
+LARGEST_LOAD_CONDITION = 1e3
 
 
-def joint_response(records: Sequence[PeriodicRecord]) -> Response:
+def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
     """Response from R periodic runs with the same lines and u <= R components, Y = T U over the runs at every line.
 
     Runs are weighed alike; the noise of the channels is the mean over the runs. UserError where the runs do not tell
@@ -39,7 +39,7 @@ def joint_response(records: Sequence[PeriodicRecord]) -> Response:
     U = np.stack([each.loads for each in lines], axis=2)
     Y = np.stack([each.channels for each in lines], axis=2)
     size = np.sqrt(np.mean(np.abs(U) ** 2, axis=(0, 2)))
-    if np.median(np.linalg.cond(U / size[:, None])) > WORST_CONDITION:
+    if np.median(np.linalg.cond(U / size[:, None])) > LARGEST_LOAD_CONDITION:
         raise UserError(
             f"{', '.join(lines[0].components)} were excited in proportion to each other",
             f"run {lines[0].run}",
@@ -47,11 +47,11 @@ def joint_response(records: Sequence[PeriodicRecord]) -> Response:
         )
     inverse = np.linalg.pinv(U)
     response = Y @ inverse
-    noise = np.mean([equation_noise(each, response) for each in lines], axis=0)
+    noise = np.mean([equation_error_noise(each, response) for each in lines], axis=0)
     power = U @ U.conj().swapaxes(1, 2) / len(lines)
     periods = np.mean([record.periods - record.first for record in records], axis=0)
     ordinary, multiple = coherences(response, noise * periods[:, None, None], power)
-    return Response(
+    return FrequencyResponse(
         run="+".join(each.run for each in lines),
         channel_names=lines[0].channel_names,
         components=lines[0].components,
@@ -67,7 +67,7 @@ def joint_response(records: Sequence[PeriodicRecord]) -> Response:
     )
 
 
-def equation_noise(lines: Lines, response: ComplexArray) -> ComplexArray:
+def equation_error_noise(lines: RunSpectrum, response: ComplexArray) -> ComplexArray:
     """Covariance (k, c, c) of `Y - T U` from that of [channels, loads]."""
     c = lines.channels.shape[1]
     S = lines.covariance
@@ -76,40 +76,42 @@ def equation_noise(lines: Lines, response: ComplexArray) -> ComplexArray:
     return np.asarray(S[:, :c, :c] - cross - cross.conj().swapaxes(1, 2) + through)
 
 
-def response_across_lines(run: Run, lines: Lines) -> Response:
+def response_from_one_run(run: Run, lines: RunSpectrum) -> FrequencyResponse:
     """Response to several components excited at once in one periodic run, by local models over its lines.
 
     UserError where the run has too few lines.
     """
     u = len(lines.components)
-    M = max(FEWEST_LINES, 3 * max(orders.coefficients(u) for orders in ORDERS)) | 1
+    M = max(FEWEST_WINDOW_LINES, 3 * max(orders.coefficients(u) for orders in LINE_MODEL_ORDERS)) | 1
     if len(lines.frequency) < M:
         raise UserError(
             f"{len(lines.frequency)} lines cannot tell {u} components apart",
             f"run {lines.run}",
             remedy="Record as many runs with other phases, or excite more lines",
         )
-    spectrum = _spectrum(run, lines)
-    first, owned = sliding(len(lines.frequency), M, max(M // 7, 1))
-    windows = _windows(spectrum, first[:, None] + np.arange(M))
-    fits = best_fits(windows, ORDERS)
+    spectrum = _scaled_spectrum(run, lines)
+    first, assigned_lines = sliding_windows(len(lines.frequency), M, max(M // 7, 1))
+    windows = _spectrum_windows(spectrum, first[:, None] + np.arange(M))
+    fits = best_fits(windows, LINE_MODEL_ORDERS)
     c = len(lines.channel_names)
     scale = np.concatenate([spectrum.channel_scale, spectrum.load_scale])
     scaled = lines.covariance / (scale[:, None] * scale)
-    noise = NoiseComponents(scaled[:, :c, :c], np.median(scaled[:, c:, c:].real, axis=0).astype(complex), lines.dof)
+    noise = NoiseCovariances(scaled[:, :c, :c], np.median(scaled[:, c:, c:].real, axis=0).astype(complex), lines.dof)
     level = np.ones(len(lines.frequency))
-    response = stitched_response(fits, first, owned)
-    models = LocalModels(spectrum, first, owned, fits, response, noise, level, np.zeros_like(spectrum.channels))
-    return response_of(models, "periodic-local")
+    response = stitch_response(fits, first, assigned_lines)
+    models = LocalModels(
+        spectrum, first, assigned_lines, fits, response, noise, level, np.zeros_like(spectrum.channels)
+    )
+    return response_from_models(models, "periodic-local")
 
 
-def _spectrum(run: Run, lines: Lines) -> Spectrum:
+def _scaled_spectrum(run: Run, lines: RunSpectrum) -> ScaledSpectrum:
     """The lines as a spectrum: channels in units of their noise, loads in units of their rms."""
     c = len(lines.channel_names)
     noise = np.sqrt(np.median(np.diagonal(lines.covariance, axis1=1, axis2=2).real, axis=0))[:c]
     channel_scale = np.where(noise > 0, noise, 1.0)
     load_scale = np.sqrt(np.mean(np.abs(lines.loads) ** 2, axis=0))
-    return Spectrum(
+    return ScaledSpectrum(
         run=run,
         channel_names=lines.channel_names,
         components=lines.components,
@@ -122,8 +124,8 @@ def _spectrum(run: Run, lines: Lines) -> Spectrum:
     )
 
 
-def _windows(spectrum: Spectrum, index: NDArray[np.intp]) -> Windows:
+def _spectrum_windows(spectrum: ScaledSpectrum, index: NDArray[np.intp]) -> WindowedData:
     frequency = spectrum.frequency[index]
     low, high = frequency[:, :1], frequency[:, -1:]
     r = (2.0 * frequency - low - high) / (high - low)
-    return Windows(spectrum.channels[index], spectrum.loads[index], np.ones(index.shape), r)
+    return WindowedData(spectrum.channels[index], spectrum.loads[index], np.ones(index.shape), r)

@@ -14,7 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.covariance_pooling import least_variance, pooled_covariance, vector_distances, window_sums
+from balance_cli.signals.covariance_pooling import (
+    pooled_covariance,
+    variance_floor,
+    vector_mahalanobis_distances,
+    window_sums,
+)
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -25,10 +30,10 @@ WIDE_LINES = 41
 FALSE_ALARM = 1e-2
 LARGEST_BIAS = 0.05
 LARGEST_BIAS_OF_SIGNAL = 0.25
-KEPT_PERIODS = 2
-SLOW_QUANTILE = 0.9
-UNKNOWN_RATIO = 0.1
-SLOWEST = 0.6
+MIN_PERIODS = 2
+DECAY_RATIO_QUANTILE = 0.9
+DEFAULT_DECAY_RATIO = 0.1
+MAX_DECAY_RATIO = 0.6
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ class SteadyStart:
 
 
 @dataclass(frozen=True)
-class _View:
+class _BandStatistic:
     """Power of the differences over that of noise, less one: excess (P-1, K, v), and its significance threshold."""
 
     excess: Array
@@ -52,7 +57,7 @@ class _View:
     largest_bias: float
 
 
-def steady_start(spectra: ComplexArray) -> SteadyStart:
+def find_steady_start(spectra: ComplexArray) -> SteadyStart:
     """Find the first steady period of each line; spectra (P, K, n) of P >= 2 consecutive periods.
 
     The statistic is the squared difference of consecutive periods, weighted by the noise of the late ones: chi-square
@@ -61,19 +66,19 @@ def steady_start(spectra: ComplexArray) -> SteadyStart:
     of the mean below LARGEST_BIAS of its variance (or LARGEST_BIAS_OF_SIGNAL in any one signal).
     """
     P, K, _ = spectra.shape
-    if P <= KEPT_PERIODS:
+    if P <= MIN_PERIODS:
         return SteadyStart(np.zeros(K, np.intp), np.zeros(K), np.full(K, False))
-    views = _views(spectra)
+    views = _band_statistics(spectra)
     biases = [_bias(view, P) for view in views]
     allowed = np.all([np.all(b <= v.largest_bias, axis=2) for b, v in zip(biases, views, strict=True)], axis=0)
     settled = np.copy(allowed)
-    allowed[P - KEPT_PERIODS :] = True
+    allowed[P - MIN_PERIODS :] = True
     first = np.argmax(allowed, axis=0)
     lines = np.arange(K)
     return SteadyStart(first, np.minimum(biases[0][first, lines, 0], 1.0), settled[first, lines])
 
 
-def _views(spectra: ComplexArray) -> tuple[_View, _View]:
+def _band_statistics(spectra: ComplexArray) -> tuple[_BandStatistic, _BandStatistic]:
     """All signals together in narrow bands, and each by itself in wide ones."""
     difference = np.diff(spectra, axis=0)
     K, n = spectra.shape[1:]
@@ -81,14 +86,14 @@ def _views(spectra: ComplexArray) -> tuple[_View, _View]:
     scatter = np.einsum("pki,pkj->kij", late, late.conj()) / len(late)
     # Consecutive differences share a period: two of them are worth 1.6 independent ones (correlation -1/2).
     counts = np.full(K, 1.6 if len(late) == 2 else 1.0)
-    noise, dof = pooled_covariance(scatter * counts[:, None, None], counts, floor=2.0 * least_variance(spectra))
-    together = vector_distances(difference, noise, dof)[:, :, None]
+    noise, dof = pooled_covariance(scatter * counts[:, None, None], counts, floor=2.0 * variance_floor(spectra))
+    together = vector_mahalanobis_distances(difference, noise, dof)[:, :, None]
     own = np.abs(difference) ** 2 / np.diagonal(noise, axis1=1, axis2=2).real
-    narrow = _view(together, NARROW_LINES, n, dof, LARGEST_BIAS)
-    return narrow, _view(own, WIDE_LINES, 1, dof, LARGEST_BIAS_OF_SIGNAL)
+    narrow = _average_over_band(together, NARROW_LINES, n, dof, LARGEST_BIAS)
+    return narrow, _average_over_band(own, WIDE_LINES, 1, dof, LARGEST_BIAS_OF_SIGNAL)
 
 
-def _view(power: Array, lines: int, signals: int, dof: float, largest_bias: float) -> _View:
+def _average_over_band(power: Array, lines: int, signals: int, dof: float, largest_bias: float) -> _BandStatistic:
     """Power (P-1, K, v) over that of noise known with `dof`, averaged over bands of `lines`: Fisher's distribution."""
     from scipy.stats import f
 
@@ -96,10 +101,10 @@ def _view(power: Array, lines: int, signals: int, dof: float, largest_bias: floa
     banded = window_sums(power.swapaxes(0, 1), width).swapaxes(0, 1) / width
     tests = max(banded.size // width, 1)
     largest = float(f.isf(FALSE_ALARM / tests, 2 * signals * width, 2 * signals * dof))
-    return _View(banded - 1.0, largest - 1.0, largest_bias)
+    return _BandStatistic(banded - 1.0, largest - 1.0, largest_bias)
 
 
-def _bias(view: _View, periods: int) -> Array:
+def _bias(view: _BandStatistic, periods: int) -> Array:
     """Expected square of the transient in the mean over its variance (P, K, v), for each period to start from.
 
     An excess e in the difference of periods p and p+1 is a transient of size |t|^2 = 2 e sigma^2 / (1 - decay)^2; the
@@ -107,9 +112,9 @@ def _bias(view: _View, periods: int) -> Array:
     because the transient is still significant at the start, it is infinite.
     """
     last = _last_significant(view.excess > view.threshold)
-    ratio = _ratio(view.excess, last)
+    ratio = _decay_ratio(view.excess, last)
     kept = periods - np.arange(periods)[:, None, None]
-    bias = 2.0 * _predicted(view.excess, last, ratio, periods) / (kept * (1.0 - np.sqrt(ratio)) ** 4)
+    bias = 2.0 * _extrapolate_transient(view.excess, last, ratio, periods) / (kept * (1.0 - np.sqrt(ratio)) ** 4)
     return np.where(np.arange(periods)[:, None, None] > last, bias, np.inf)
 
 
@@ -121,27 +126,27 @@ def _last_significant(significant: NDArray[np.bool_]) -> Counts:
     return np.asarray(np.argmax(ends, axis=0) - 1, np.intp)
 
 
-def _at(values: Array, period: Counts) -> Array:
+def _take_period(values: Array, period: Counts) -> Array:
     return np.asarray(np.take_along_axis(values, period[None], axis=0)[0])
 
 
-def _ratio(excess: Array, last: Counts) -> Array:
+def _decay_ratio(excess: Array, last: Counts) -> Array:
     """Decay of the transient's power from one period to the next (K, v), from the last significant difference.
 
     Where only the first difference is significant the decay is known by noise alone; there it is not taken for slower
     than most of those that are known.
     """
     later = np.where(last > 0, last, min(1, len(excess) - 1))
-    early = np.maximum(_at(excess, np.maximum(later - 1, 0)), 1e-12)
-    ratio = np.clip(_at(excess, later) / early, 1e-9, SLOWEST)
+    early = np.maximum(_take_period(excess, np.maximum(later - 1, 0)), 1e-12)
+    ratio = np.clip(_take_period(excess, later) / early, 1e-9, MAX_DECAY_RATIO)
     known = ratio[last > 0]
-    usual = np.quantile(known, SLOW_QUANTILE) if known.size else UNKNOWN_RATIO
+    usual = np.quantile(known, DECAY_RATIO_QUANTILE) if known.size else DEFAULT_DECAY_RATIO
     return np.asarray(np.where(last > 0, ratio, np.minimum(ratio, usual)), float)
 
 
-def _predicted(excess: Array, last: Counts, ratio: Array, periods: int) -> Array:
+def _extrapolate_transient(excess: Array, last: Counts, ratio: Array, periods: int) -> Array:
     """Excess power (P, K, v) that the transient has at each period, carried on from the last significant difference."""
     start = np.maximum(last, 0)
-    known = np.maximum(_at(excess, start), 0.0) * (last >= 0)
+    known = np.maximum(_take_period(excess, start), 0.0) * (last >= 0)
     elapsed = np.arange(periods)[:, None, None] - start
     return np.asarray(known * ratio ** np.maximum(elapsed, 0))

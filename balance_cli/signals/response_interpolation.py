@@ -14,26 +14,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
-from balance_cli.signals.local_fit import LocalFit, Orders, Windows, fit_windows
-from balance_cli.signals.local_window import WindowFit, influence, pole_shift, response_rows, slope_rows, split
-from balance_cli.signals.run_spectrum import Response
+from balance_cli.signals.local_fit import LocalFit, ModelOrders, WindowedData, fit_windows
+from balance_cli.signals.local_window import (
+    WindowFit,
+    derivative_rows,
+    design_pseudoinverse,
+    pole_uncertainty,
+    response_rows,
+    split_windows,
+)
+from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-METHODS = ("local", "spline", "first-order", "nearest")
+INTERPOLATION_METHODS = ("local", "spline", "first-order", "nearest")
 LOCAL_LINES = 11
 SPLINE_LINES = 12
-ORDERS = tuple(Orders(degree, -1, poles) for degree in (1, 2, 3) for poles in (0, 1, 2, 3))
-LEAST_SIGMA = 1e-9
+INTERPOLATION_ORDERS = tuple(ModelOrders(degree, -1, poles) for degree in (1, 2, 3) for poles in (0, 1, 2, 3))
+LEAST_RELATIVE_SIGMA = 1e-9
 
 
 @dataclass(frozen=True)
-class ResponseAt:
+class InterpolatedResponse:
     """Response at h frequencies: value (h, c, u), derivative (h, c, u) per Hz, and the covariance of the value,
 
-    separable as in `Response`: channel_covariance (h, c, c), load_covariance (h, u, u). Without h for one frequency.
+    separable as in `FrequencyResponse`: channel_covariance (h, c, c), load_covariance (h, u, u). Without h for one
+    frequency.
     """
 
     value: ComplexArray
@@ -43,7 +51,7 @@ class ResponseAt:
 
 
 @dataclass(frozen=True)
-class _Weights:
+class _LineWeights:
     """The response as a weighted sum of lines: index (M,), weights of value and derivative (M,), and what the poles'
 
     uncertainty adds: standard deviations (c, u, s).
@@ -55,42 +63,44 @@ class _Weights:
     spread: ComplexArray
 
 
-def response_at(response: Response, frequency: float | Array, method: str = "local") -> ResponseAt:
+def interpolate_response(
+    response: FrequencyResponse, frequency: float | Array, method: str = "local"
+) -> InterpolatedResponse:
     """The response at `frequency` [Hz], a number or (h,), by one of METHODS. UserError outside the measured lines."""
-    asked = np.atleast_1d(np.asarray(frequency, float))
-    _check_range(response, asked)
-    weights = _RULES[method](response, asked)
-    each = [_combined(response, one) for one in weights]
+    query_frequency = np.atleast_1d(np.asarray(frequency, float))
+    _check_frequency_range(response, query_frequency)
+    weights = _WEIGHT_FUNCTIONS[method](response, query_frequency)
+    each = [_apply_weights(response, one) for one in weights]
     arrays = [np.stack(parts) for parts in zip(*each, strict=True)]
-    return ResponseAt(*arrays) if np.ndim(frequency) else ResponseAt(*(part[0] for part in arrays))
+    return InterpolatedResponse(*arrays) if np.ndim(frequency) else InterpolatedResponse(*(part[0] for part in arrays))
 
 
-def values_at(response: Response, frequency: Array, method: str = "local") -> ComplexArray:
-    """The response (h, c, u) alone at many frequencies (h,) [Hz], by one of METHODS; see `response_at`.
+def interpolate_values(response: FrequencyResponse, frequency: Array, method: str = "local") -> ComplexArray:
+    """The response (h, c, u) alone at many frequencies (h,) [Hz], by one of METHODS; see `interpolate_response`.
 
     A local model is fitted once between each two lines and serves all frequencies there.
     """
-    asked = np.asarray(frequency, float)
+    query_frequency = np.asarray(frequency, float)
     if method != "local" or len(response.frequency) < 5:
-        return response_at(response, asked, method).value
-    _check_range(response, asked)
-    index = _nearest(response, asked, LOCAL_LINES)
+        return interpolate_response(response, query_frequency, method).value
+    _check_frequency_range(response, query_frequency)
+    index = _neighboring_lines(response, query_frequency, LOCAL_LINES)
     starts, gap = np.unique(index[:, 0], return_inverse=True)
     windows_of = starts[:, None] + np.arange(index.shape[1])
-    centre = np.array([asked[gap == g].mean() for g in range(len(starts))])
-    fits, half, _ = _best_fits(response, windows_of, centre)
-    values = np.empty((len(asked), *response.response.shape[1:]), complex)
+    center = np.array([query_frequency[gap == g].mean() for g in range(len(starts))])
+    fits, half, _ = _best_window_fits(response, windows_of, center)
+    values = np.empty((len(query_frequency), *response.response.shape[1:]), complex)
     for g, fit in enumerate(fits):
         mine = np.flatnonzero(gap == g)
-        weights = (response_rows(fit, (asked[mine] - centre[g]) / half[g]) @ influence(fit))[:, 0]
+        weights = (response_rows(fit, (query_frequency[mine] - center[g]) / half[g]) @ design_pseudoinverse(fit))[:, 0]
         values[mine] = np.tensordot(weights, response.response[windows_of[g]], axes=1)
     return values
 
 
-def _check_range(response: Response, asked: Array) -> None:
+def _check_frequency_range(response: FrequencyResponse, query_frequency: Array) -> None:
     lines = response.frequency
     slack = np.max(np.diff(lines)) if len(lines) > 1 else 0.0
-    outside = asked[(asked < lines[0] - slack) | (asked > lines[-1] + slack)]
+    outside = query_frequency[(query_frequency < lines[0] - slack) | (query_frequency > lines[-1] + slack)]
     if outside.size:
         raise UserError(
             f"the response to {', '.join(response.components)} was measured from {lines[0]:g} to {lines[-1]:g} Hz, "
@@ -100,79 +110,84 @@ def _check_range(response: Response, asked: Array) -> None:
         )
 
 
-def _nearest(response: Response, asked: Array, count: int) -> Index:
+def _neighboring_lines(response: FrequencyResponse, query_frequency: Array, count: int) -> Index:
     """The `count` lines (h, count) around each frequency; at the ends of the band those at the end."""
     K = len(response.frequency)
     count = min(count, K)
-    above = np.searchsorted(response.frequency, asked)
+    above = np.searchsorted(response.frequency, query_frequency)
     start = np.clip(above - count // 2, 0, K - count)
     return np.asarray(start[:, None] + np.arange(count))
 
 
-def _closest(response: Response, asked: Array) -> Index:
-    return np.asarray(np.argmin(np.abs(response.frequency - asked[:, None]), axis=1))
+def _nearest_line(response: FrequencyResponse, query_frequency: Array) -> Index:
+    return np.asarray(np.argmin(np.abs(response.frequency - query_frequency[:, None]), axis=1))
 
 
-def _plain(response: Response, index: Index, value: Array, derivative: Array) -> _Weights:
+def _weights_without_spread(response: FrequencyResponse, index: Index, value: Array, derivative: Array) -> _LineWeights:
     none = np.zeros((*response.response.shape[1:], 0), complex)
-    return _Weights(index, value.astype(complex), derivative.astype(complex), none)
+    return _LineWeights(index, value.astype(complex), derivative.astype(complex), none)
 
 
-def _by_nearest(response: Response, asked: Array) -> list[_Weights]:
-    return [_plain(response, np.array([k]), np.ones(1), np.zeros(1)) for k in _closest(response, asked)]
+def _nearest_line_weights(response: FrequencyResponse, query_frequency: Array) -> list[_LineWeights]:
+    return [
+        _weights_without_spread(response, np.array([k]), np.ones(1), np.zeros(1))
+        for k in _nearest_line(response, query_frequency)
+    ]
 
 
-def _by_first_order(response: Response, asked: Array) -> list[_Weights]:
+def _first_order_weights(response: FrequencyResponse, query_frequency: Array) -> list[_LineWeights]:
     K = len(response.frequency)
     result = []
-    for k, f in zip(_closest(response, asked), asked, strict=True):
+    for k, f in zip(_nearest_line(response, query_frequency), query_frequency, strict=True):
         index = np.clip(k - 1, 0, max(K - 3, 0)) + np.arange(min(3, K))
         here = np.asarray(index == k, float)
-        slope = _parabola_slope(response.frequency[index], response.frequency[k])
-        result.append(_plain(response, index, here + (f - response.frequency[k]) * slope, slope))
+        slope = _lagrange_derivative(response.frequency[index], response.frequency[k])
+        result.append(_weights_without_spread(response, index, here + (f - response.frequency[k]) * slope, slope))
     return result
 
 
-def _parabola_slope(x: Array, at: float) -> Array:
+def _lagrange_derivative(x: Array, at: float) -> Array:
     """Weights (n,) of the derivative at `at` of the polynomial through n points x (Lagrange)."""
     powers = np.vander(x - at, increasing=True)
     return np.asarray(np.linalg.inv(powers)[1] if len(x) > 1 else np.zeros(1))
 
 
-def _by_spline(response: Response, asked: Array) -> list[_Weights]:
+def _spline_weights(response: FrequencyResponse, query_frequency: Array) -> list[_LineWeights]:
     from scipy.interpolate import make_interp_spline
 
     result = []
-    for index, f in zip(_nearest(response, asked, SPLINE_LINES), asked, strict=True):
+    for index, f in zip(_neighboring_lines(response, query_frequency, SPLINE_LINES), query_frequency, strict=True):
         degree = min(3, len(index) - 1)
         spline = make_interp_spline(response.frequency[index], np.eye(len(index)), k=degree)
         slope = spline.derivative()(f) if degree else np.zeros(1)
-        result.append(_plain(response, index, np.asarray(spline(f)), np.asarray(slope)))
+        result.append(_weights_without_spread(response, index, np.asarray(spline(f)), np.asarray(slope)))
     return result
 
 
-def _by_local(response: Response, asked: Array) -> list[_Weights]:
+def _local_model_weights(response: FrequencyResponse, query_frequency: Array) -> list[_LineWeights]:
     """Rational functions, their orders chosen by Akaike's criterion with the known noise: V + 2 p."""
-    index = _nearest(response, asked, LOCAL_LINES)
+    index = _neighboring_lines(response, query_frequency, LOCAL_LINES)
     if index.shape[1] < 5:
-        return _by_spline(response, asked)
-    fits, half, sigma = _best_fits(response, index, asked)
-    return [_local_weights(response, index[h], fits[h], half[h], sigma[h]) for h in range(len(asked))]
+        return _spline_weights(response, query_frequency)
+    fits, half, sigma = _best_window_fits(response, index, query_frequency)
+    return [_window_weights(response, index[h], fits[h], half[h], sigma[h]) for h in range(len(query_frequency))]
 
 
-def _best_fits(response: Response, index: Index, centre: Array) -> tuple[list[WindowFit], Array, Array]:
+def _best_window_fits(response: FrequencyResponse, index: Index, center: Array) -> tuple[list[WindowFit], Array, Array]:
     """The best local model of each window (h, M) of lines about its `centre` (h,) [Hz]; half-widths; sigma (h, c u)."""
-    offset = response.frequency[index] - centre[:, None]
+    offset = response.frequency[index] - center[:, None]
     half = np.max(np.abs(offset), axis=1)
-    windows, sigma = _windows(response, index, offset / half[:, None])
-    candidates = [orders for orders in ORDERS if orders.response + orders.denominator + 2 < index.shape[1]]
+    windows, sigma = _response_windows(response, index, offset / half[:, None])
+    candidates = [
+        orders for orders in INTERPOLATION_ORDERS if orders.response + orders.denominator + 2 < index.shape[1]
+    ]
     fits = [fit_windows(windows, orders) for orders in candidates]
-    best = np.argmin([_akaike(windows, fit) for fit in fits], axis=0)
-    each = [split(fit, windows) for fit in fits]
-    return [each[best[h]][h] for h in range(len(centre))], half, sigma
+    best = np.argmin([_akaike_criterion(windows, fit) for fit in fits], axis=0)
+    each = [split_windows(fit, windows) for fit in fits]
+    return [each[best[h]][h] for h in range(len(center))], half, sigma
 
 
-def _windows(response: Response, index: Index, r: Array) -> tuple[Windows, Array]:
+def _response_windows(response: FrequencyResponse, index: Index, r: Array) -> tuple[WindowedData, Array]:
     """Every channel and component as an output (h, M, c u) in units of its own noise (h, c u), of a unit input."""
     c, u = response.response.shape[1:]
     values = response.response[index].reshape(*index.shape, c * u)
@@ -180,32 +195,34 @@ def _windows(response: Response, index: Index, r: Array) -> tuple[Windows, Array
     loads = np.diagonal(response.load_covariance, axis1=1, axis2=2).real
     variance = (channels[:, :, None] * loads[:, None, :]).reshape(-1, c * u)[index]
     size = np.max(np.abs(values), axis=1)
-    sigma = np.maximum(np.sqrt(np.median(variance, axis=1)), LEAST_SIGMA * np.where(size > 0, size, 1.0))
+    sigma = np.maximum(np.sqrt(np.median(variance, axis=1)), LEAST_RELATIVE_SIGMA * np.where(size > 0, size, 1.0))
     level = np.maximum(np.mean(variance / sigma[:, None, :] ** 2, axis=2), 1e-3)
     ones = np.ones((*index.shape, 1), complex)
-    return Windows(values / sigma[:, None, :], ones, 1.0 / np.sqrt(level), r), sigma
+    return WindowedData(values / sigma[:, None, :], ones, 1.0 / np.sqrt(level), r), sigma
 
 
-def _akaike(windows: Windows, fit: LocalFit) -> Array:
+def _akaike_criterion(windows: WindowedData, fit: LocalFit) -> Array:
     outputs = windows.Y.shape[2]
     return np.asarray(fit.cost + 2.0 * (outputs * fit.orders.coefficients(1) + fit.orders.denominator), float)
 
 
-def _local_weights(response: Response, index: Index, fit: WindowFit, half: float, sigma: Array) -> _Weights:
+def _window_weights(
+    response: FrequencyResponse, index: Index, fit: WindowFit, half: float, sigma: Array
+) -> _LineWeights:
     """Weights at the middle of the window, and the spread by its poles."""
     c, u = response.response.shape[1:]
     middle = np.zeros(1)
-    S = influence(fit)
-    value, derivative = (response_rows(fit, middle) @ S)[0, 0], (slope_rows(fit, middle) @ S)[0, 0] / half
+    S = design_pseudoinverse(fit)
+    value, derivative = (response_rows(fit, middle) @ S)[0, 0], (derivative_rows(fit, middle) @ S)[0, 0] / half
     if fit.orders.denominator == 0:
-        return _Weights(index, value, derivative, np.zeros((c, u, 0), complex))
+        return _LineWeights(index, value, derivative, np.zeros((c, u, 0), complex))
     noise = np.einsum("kce,kuv->kcuev", response.channel_covariance[index], response.load_covariance[index])
     noise = noise.reshape(len(index), c * u, c * u) / (sigma[:, None] * sigma)
-    shift = pole_shift(fit, middle, noise)[0, :, 0] * sigma[:, None]
-    return _Weights(index, value, derivative, shift.reshape(c, u, -1))
+    shift = pole_uncertainty(fit, middle, noise)[0, :, 0] * sigma[:, None]
+    return _LineWeights(index, value, derivative, shift.reshape(c, u, -1))
 
 
-def _combined(response: Response, weights: _Weights) -> tuple[ComplexArray, ...]:
+def _apply_weights(response: FrequencyResponse, weights: _LineWeights) -> tuple[ComplexArray, ...]:
     """Value, derivative, and the two factors of the covariance, the loads' from the line that weighs most."""
     lines = response.response[weights.index]
     value = np.tensordot(weights.value, lines, axes=1)
@@ -215,13 +232,13 @@ def _combined(response: Response, weights: _Weights) -> tuple[ComplexArray, ...]
     precision = np.linalg.inv(loads)
     u = len(loads)
     relative = np.einsum("kuv,vu->k", response.load_covariance[weights.index], precision).real / u
-    share = _shares(response, weights.value) * relative
+    share = _covariance_shares(response, weights.value) * relative
     channels = np.tensordot(share, response.channel_covariance[weights.index], axes=1)
     spread = np.einsum("cua,uv,dva->cd", weights.spread, precision, weights.spread.conj()) / u
     return value, derivative, channels + spread, loads
 
 
-def _shares(response: Response, weights: ComplexArray) -> Array:
+def _covariance_shares(response: FrequencyResponse, weights: ComplexArray) -> Array:
     """How each line's covariance counts: lines of periodic records are independent, those of windows that slide or
 
     overlap share their noise, so that averaging over them gains nothing.
@@ -230,9 +247,9 @@ def _shares(response: Response, weights: ComplexArray) -> Array:
     return size**2 if response.estimator.startswith("periodic") else size / size.sum()
 
 
-_RULES: dict[str, Callable[[Response, Array], list[_Weights]]] = {
-    "local": _by_local,
-    "spline": _by_spline,
-    "first-order": _by_first_order,
-    "nearest": _by_nearest,
+_WEIGHT_FUNCTIONS: dict[str, Callable[[FrequencyResponse, Array], list[_LineWeights]]] = {
+    "local": _local_model_weights,
+    "spline": _spline_weights,
+    "first-order": _first_order_weights,
+    "nearest": _nearest_line_weights,
 }

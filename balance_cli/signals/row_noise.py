@@ -19,10 +19,10 @@ from balance_cli.signals.run_spectrum import NoisePart
 
 Array = NDArray[np.float64]
 
-ITERATIONS = 60
+EM_ITERATIONS = 60
 # Share of the rows beyond which a load counts as always applied.
-ALWAYS = 0.9
-UNKNOWN = 1e3
+ALWAYS_APPLIED_SHARE = 0.9
+UNKNOWN_VARIANCE_FACTOR = 1e3
 
 
 def row_noise(
@@ -34,18 +34,18 @@ def row_noise(
     count by its weight (t,); `start` (c, c): the covariance if all rows were alike, known with `dof`.
     """
     applied = (loads != 0.0).astype(float)
-    sometimes = np.flatnonzero((applied.mean(axis=0) > 0.0) & (applied.mean(axis=0) < ALWAYS))
-    columns = _columns(channels, loads)[:, sometimes]
+    sometimes = np.flatnonzero((applied.mean(axis=0) > 0.0) & (applied.mean(axis=0) < ALWAYS_APPLIED_SHARE))
+    columns = _linear_sensitivities(channels, loads)[:, sometimes]
     power = B**2
     H, whole = power @ applied[:, sometimes], power.sum(axis=1)
     d = B @ channels
     # A tenth of what a row scatters by may be the load's reading, to begin with.
     variance = 0.1 / np.maximum(np.sum(columns * np.linalg.solve(start, columns), axis=0), 1e-300)
     sigma = start
-    for _ in range(ITERATIONS):
-        sigma, variance = _better(sigma, variance, d, columns, H, whole, weights)
+    for _ in range(EM_ITERATIONS):
+        sigma, variance = _em_step(sigma, variance, d, columns, H, whole, weights)
     of_channels = NoisePart(sigma, np.ones(len(channels)), 1.0, float(np.sqrt(2.0 / dof)))
-    errors = _errors(sigma, variance, columns, H, whole, weights, B, applied[:, sometimes])
+    errors = _variance_errors(sigma, variance, columns, H, whole, weights, B, applied[:, sometimes])
     return (
         of_channels,
         *(
@@ -55,7 +55,7 @@ def row_noise(
     )
 
 
-def _columns(channels: Array, loads: Array) -> Array:
+def _linear_sensitivities(channels: Array, loads: Array) -> Array:
     """C0 (c, 6) by least squares; zero where a load was not varied."""
     size = np.ptp(loads, axis=0)
     scaled = (loads - loads.mean(axis=0)) / np.where(size > 0, size, 1.0)
@@ -63,7 +63,7 @@ def _columns(channels: Array, loads: Array) -> Array:
     return np.asarray((slopes / np.where(size > 0, size, 1.0)[:, None]).T)
 
 
-def _better(
+def _em_step(
     sigma: Array, variance: Array, d: Array, columns: Array, H: Array, whole: Array, weights: Array
 ) -> tuple[Array, Array]:
     """One step: what each difference says of the loads' noise in it, and the components that fit to that."""
@@ -84,25 +84,31 @@ def _better(
     return scatter / float(weights @ whole), variance
 
 
-def _errors(
+def _variance_errors(
     sigma: Array, variance: Array, columns: Array, H: Array, whole: Array, weights: Array, B: Array, applied: Array
 ) -> Array:
     """Standard errors (j,) of the loads' variances, by their information.
 
-    Neighbouring differences share rows: so many of them are worth what `_independent` says. Of a load that no
-    difference tells of, the variance is any up to `UNKNOWN` times what would show beside the channels' noise.
+    Neighbouring differences share rows: so many of them are worth what `_effective_dof` says. Of a load that no
+    difference tells of, the variance is any up to `UNKNOWN_VARIANCE_FACTOR` times what would show beside the channels'
+    noise.
     """
     covariance = whole[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", H * variance, columns, columns)
     seen = np.einsum(
         "cj,tcj->tj", columns, np.linalg.solve(covariance, np.broadcast_to(columns, (len(H), *columns.shape)))
     )
     information = 0.5 * np.sum(weights[:, None] * (H * seen) ** 2, axis=0)
-    told = information * np.array([_independent(weights, B * rows) for rows in applied.T])
+    effective_information = information * np.array([_effective_dof(weights, B * rows) for rows in applied.T])
     visible = np.sum(columns * np.linalg.solve(sigma, columns), axis=0)
-    return np.asarray(1.0 / np.sqrt(np.maximum(told, np.where(visible > 0.0, (visible / UNKNOWN) ** 2, np.inf))))
+    return np.asarray(
+        1.0
+        / np.sqrt(
+            np.maximum(effective_information, np.where(visible > 0.0, (visible / UNKNOWN_VARIANCE_FACTOR) ** 2, np.inf))
+        )
+    )
 
 
-def _independent(weights: Array, B: Array) -> float:
+def _effective_dof(weights: Array, B: Array) -> float:
     """Degrees of freedom of the weighted squares of differences B (t, m), for each; zero where there are none."""
     own = weights * np.sum(B**2, axis=1)
     root = np.sqrt(weights)[:, None] * B

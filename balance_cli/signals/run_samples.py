@@ -18,29 +18,31 @@ ComplexArray = NDArray[np.complex128]
 def sample_rate(run: Run) -> float:
     """Sample rate [Hz]; UserError where the run declares none."""
     if run.sample_rate is None:
-        raise fault(run, "there is no `sample_rate`", "Only a dynamic run has a spectrum")
+        raise run_error(run, "there is no `sample_rate`", "Only a dynamic run has a spectrum")
     return run.sample_rate
 
 
-def fault(run: Run, text: str, remedy: str = "", place: str = "") -> UserError:
+def run_error(run: Run, text: str, remedy: str = "", place: str = "") -> UserError:
     """A user error that names this run's file (or the run, where it came from memory)."""
     return UserError(text, str(run.path) if run.path else f"run {run.name}", place, remedy)
 
 
-def channel_places(run: Run, channel_names: Sequence[str]) -> list[int]:
+def channel_columns(run: Run, channel_names: Sequence[str]) -> list[int]:
     """Columns of the named channels; UserError where the run lacks one."""
     missing = [name for name in channel_names if name not in run.channel_names]
     if missing:
-        raise fault(run, f"there is no channel `{missing[0]}`", "Leave the channel out for this run", "channels")
+        raise run_error(run, f"there is no channel `{missing[0]}`", "Leave the channel out for this run", "channels")
     return [run.channel_names.index(name) for name in channel_names]
 
 
-def samples_of(run: Run, channel_names: Sequence[str], start: int = 0, stop: int | None = None) -> tuple[Array, Array]:
+def read_samples(
+    run: Run, channel_names: Sequence[str], start: int = 0, stop: int | None = None
+) -> tuple[Array, Array]:
     """Channels (n, c) [V] and all six loads (n, 6) [N, N m] of samples start to stop; UserError without loads."""
     block = run.read(start, stop)
     if block.loads is None:
-        raise fault(run, "there are no `loads`", "A sweep needs the loads that its exciter applied", "loads")
-    return block.channels[:, channel_places(run, channel_names)], block.loads
+        raise run_error(run, "there are no `loads`", "A sweep needs the loads that its exciter applied", "loads")
+    return block.channels[:, channel_columns(run, channel_names)], block.loads
 
 
 def measured_components(run: Run, loads: Array) -> tuple[str, ...]:
@@ -51,10 +53,10 @@ def measured_components(run: Run, loads: Array) -> tuple[str, ...]:
     measured = tuple(name for name, column in zip(COMPONENTS, loads.T, strict=True) if np.any(column))
     for name in run.excited:
         if name not in measured:
-            raise fault(run, f"`{name}` is declared as excited but its column is zero", "", "loads")
+            raise run_error(run, f"`{name}` is declared as excited but its column is zero", "", "loads")
     return measured
 
 
-def load_places(components: Sequence[str]) -> list[int]:
+def load_columns(components: Sequence[str]) -> list[int]:
     """Columns of these components in the six loads."""
     return [COMPONENTS.index(name) for name in components]

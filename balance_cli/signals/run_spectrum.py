@@ -15,7 +15,7 @@ OVERSAMPLING = 4
 
 
 @dataclass(frozen=True)
-class Window:
+class AnalysisWindow:
     """The samples that each of k lines was taken from: whole periods of the record, no taper.
 
     `start` (k,) and `stop` [s] from the first sample, `step` [s] between samples. `covariance` (k, c+u, c+u) and `dof`
@@ -50,8 +50,8 @@ class Waveform:
     volts: ComplexArray
     share: Array
     samples: int
-    number: NDArray[np.intp]
-    behind: ComplexArray
+    bin_index: NDArray[np.intp]
+    filter_response: ComplexArray
     recurs: bool = True
 
     @property
@@ -59,19 +59,19 @@ class Waveform:
         """Time between samples [s]."""
         return 1.0 / (float(self.frequency[1]) * self.samples)
 
-    def in_time(self, amplitudes: ComplexArray) -> Array:
+    def to_time_domain(self, amplitudes: ComplexArray) -> Array:
         """Amplitudes (F, ...) as a function of time (n, ...), finely sampled; at frequency zero twice the mean."""
         n = OVERSAMPLING * self.samples
         return np.asarray(np.fft.irfft(amplitudes * (n / 2.0), n, axis=0))
 
-    def at(self, keep: NDArray[np.bool_]) -> Waveform:
+    def select(self, keep: NDArray[np.bool_]) -> Waveform:
         """For the lines (K,) that are kept."""
-        return replace(self, number=self.number[keep], behind=self.behind[keep])
+        return replace(self, bin_index=self.bin_index[keep], filter_response=self.filter_response[keep])
 
-    def at_lines(self, force: Array) -> ComplexArray:
+    def to_spectral_lines(self, force: Array) -> ComplexArray:
         """A function of time (n, ...) at the lines (K, ...), behind the anti-alias filter."""
-        spectrum = np.fft.rfft(force, axis=0)[self.number] * (2.0 / len(force))
-        return np.asarray((spectrum.T * self.behind).T)
+        spectrum = np.fft.rfft(force, axis=0)[self.bin_index] * (2.0 / len(force))
+        return np.asarray((spectrum.T * self.filter_response).T)
 
 
 @dataclass(frozen=True)
@@ -85,17 +85,17 @@ class RecordWaveform(Waveform):
     first: NDArray[np.intp] = field(kw_only=True)
     weight: ComplexArray = field(kw_only=True)
 
-    def at(self, keep: NDArray[np.bool_]) -> RecordWaveform:
+    def select(self, keep: NDArray[np.bool_]) -> RecordWaveform:
         """For the lines (K,) that are kept."""
         return replace(self, first=self.first[keep], weight=self.weight[keep])
 
-    def at_lines(self, force: Array) -> ComplexArray:
+    def to_spectral_lines(self, force: Array) -> ComplexArray:
         """A function of time (n, ...) at the neighbours (R, ...), behind the anti-alias filter."""
-        neighbours = super().at_lines(force)
+        neighbours = super().to_spectral_lines(force)
         neighbours[-1] = 2.0 * hann_mean(force)
         return neighbours
 
-    def mixed(self, values: ComplexArray) -> ComplexArray:
+    def combine_neighbors(self, values: ComplexArray) -> ComplexArray:
         """Values (R, ...) at the neighbours as lines (K, ...)."""
         from scipy.sparse import csr_array
 
@@ -106,7 +106,7 @@ class RecordWaveform(Waveform):
 
 
 @dataclass(frozen=True)
-class LoadPoints:
+class StaticWaveform:
     """Channels of a static run point by point, as a waveform: `volts` (m, c) and `share` (m, c) at frequency zero.
 
     `projection` (K, m) takes a value at each point to the lines.
@@ -126,15 +126,15 @@ class LoadPoints:
         """The first point follows on the unloaded rig."""
         return False
 
-    def at(self, keep: NDArray[np.bool_]) -> LoadPoints:
+    def select(self, keep: NDArray[np.bool_]) -> StaticWaveform:
         """For the lines (K,) that are kept."""
         return replace(self, projection=self.projection[keep])
 
-    def in_time(self, amplitudes: ComplexArray) -> Array:
+    def to_time_domain(self, amplitudes: ComplexArray) -> Array:
         """The points (m, ...) themselves."""
         return np.asarray(amplitudes.real)
 
-    def at_lines(self, force: Array) -> ComplexArray:
+    def to_spectral_lines(self, force: Array) -> ComplexArray:
         """Values at the points (m, ...) as lines (K, ...)."""
         return np.tensordot(self.projection, force, axes=1).astype(complex)
 
@@ -156,17 +156,17 @@ class NoisePart:
         """At every line or row (k, c, c)."""
         return np.asarray(self.size * self.share[:, None, None] * self.shape)
 
-    def at(self, keep: NDArray[np.bool_]) -> NoisePart:
+    def select(self, keep: NDArray[np.bool_]) -> NoisePart:
         """At the lines or rows (k,) that are kept."""
         return replace(self, share=self.share[keep])
 
-    def through(self, projection: Array) -> NoisePart:
+    def project(self, projection: Array) -> NoisePart:
         """That of lines which are columns of a `projection` (k, l) of the rows."""
         return replace(self, share=projection.T**2 @ self.share)
 
 
 @dataclass(frozen=True)
-class Lines:
+class RunSpectrum:
     """Spectra of one run (or one experiment of it) at k lines: c channels, u excited load components.
 
     Amplitudes are complex, `x(t) = Re sum X exp(+j 2 pi f t)`. The noise of the stacked vector z = [channels, loads]
@@ -192,13 +192,13 @@ class Lines:
     dof: float
     rotor_speed: float = 0.0
     level: tuple[float, ...] = ()
-    window: Window | None = None
+    window: AnalysisWindow | None = None
     constant_volts: Array | None = None
     constant_loads: Array | None = None
-    waveform: Waveform | LoadPoints | None = None
+    waveform: Waveform | StaticWaveform | None = None
     noise_parts: tuple[NoisePart, ...] = ()
 
-    def at(self, keep: NDArray[np.bool_]) -> Lines:
+    def select(self, keep: NDArray[np.bool_]) -> RunSpectrum:
         """Only the lines (k,) that are kept."""
         window = self.window
         if window is not None:
@@ -212,8 +212,8 @@ class Lines:
             window=window,
             constant_volts=None if self.constant_volts is None else self.constant_volts[keep],
             constant_loads=None if self.constant_loads is None else self.constant_loads[keep],
-            waveform=None if self.waveform is None else self.waveform.at(keep),
-            noise_parts=tuple(part.at(keep) for part in self.noise_parts),
+            waveform=None if self.waveform is None else self.waveform.select(keep),
+            noise_parts=tuple(part.select(keep) for part in self.noise_parts),
         )
 
 
@@ -239,7 +239,7 @@ class StaticPoints:
 
 
 @dataclass(frozen=True)
-class Response:
+class FrequencyResponse:
     """Frequency response of one run, output/input with exp(+j omega t): k lines, c channels, u excited components.
 
     `response` (k, c, u) [V/N, V/(N m)]. Its covariance is separable: cov(vec) = `load_covariance` (k, u, u) kron

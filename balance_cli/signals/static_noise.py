@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.row_noise import row_noise
-from balance_cli.signals.run_samples import fault, samples_of
+from balance_cli.signals.run_samples import read_samples, run_error
 from balance_cli.signals.run_spectrum import NoisePart, StaticPoints
 
 Array = NDArray[np.float64]
 
-SAME_DIRECTION = 0.95
+MIN_DIRECTION_COSINE = 0.95
 OUTLIER_PROBABILITY = 1e-3
-LEAST_SPREAD = 1e-9
+VARIANCE_FLOOR_SHARE = 1e-9
 
 
 def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
@@ -30,11 +30,13 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     The rows are first freed of what is linear in the loads, then differenced along the ramps of the loading sequence,
     then freed of the differences that a quadratic or cubic misfit leaves. UserError: no loads, too few rows in order.
     """
-    channels, loads = samples_of(run, channel_names)
+    channels, loads = read_samples(run, channel_names)
     differences = second_differences(loads)
     c = len(channel_names)
     if len(differences) < c + 2:
-        raise fault(run, f"only {len(differences)} rows lie within a ramp of the loading", "Apply the loads in steps")
+        raise run_error(
+            run, f"only {len(differences)} rows lie within a ramp of the loading", "Apply the loads in steps"
+        )
     covariance, dof = difference_covariance(channels, loads, differences)
     parts = _noise_parts(channels, loads, differences, covariance, dof)
     names = tuple(channel_names)
@@ -50,10 +52,10 @@ def second_differences(loads: Array) -> Array:
     size = np.ptp(loads, axis=0)
     steps = np.diff(loads / np.where(size > 0, size, 1.0), axis=0)
     length = np.linalg.norm(steps, axis=1)
-    along = np.sum(steps[:-1] * steps[1:], axis=1) > SAME_DIRECTION * length[:-1] * length[1:]
+    along = np.sum(steps[:-1] * steps[1:], axis=1) > MIN_DIRECTION_COSINE * length[:-1] * length[1:]
     moving = (length[:-1] > 1e-3) & (length[1:] > 1e-3) & along
-    settled = np.concatenate([[False], moving[:-1]])
-    middle = np.flatnonzero(moving & settled) + 1
+    same_direction_before = np.concatenate([[False], moving[:-1]])
+    middle = np.flatnonzero(moving & same_direction_before) + 1
     share = length[middle - 1] / (length[middle - 1] + length[middle])
     operator = np.zeros((len(middle), len(loads)))
     rows = np.arange(len(middle))
@@ -67,16 +69,16 @@ def _noise_parts(
     channels: Array, loads: Array, operator: Array, covariance: Array, dof: float
 ) -> tuple[NoisePart, ...]:
     """What the noise covariance of each row is made up of."""
-    B = _differenced(loads, operator)
+    B = _difference_operator(loads, operator)
     variance = np.sum(B**2, axis=1)
     weights = _robust_weights(B @ channels, covariance, variance, dof, channels.shape[1])
     return row_noise(channels, loads, B, weights, covariance, dof)
 
 
-def _differenced(loads: Array, operator: Array) -> Array:
+def _difference_operator(loads: Array, operator: Array) -> Array:
     """B (t, m): differences of what is not linear in the loads, less what their squares and cubes explain."""
-    linear, curved = _regressors(loads)
-    return _without(operator @ curved, _without(linear, operator.T).T)
+    linear, nonlinear_columns = _regressors(loads)
+    return _subtract_projection(operator @ nonlinear_columns, _subtract_projection(linear, operator.T).T)
 
 
 def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[Array, float]:
@@ -87,11 +89,11 @@ def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[A
     expectation tr(A) Sigma and tr(A)^2 / tr(A^2) degrees of freedom, A = B' W B. The weights W take the force out of
     rows that jump.
     """
-    differenced = _differenced(loads, operator)
+    differenced = _difference_operator(loads, operator)
     d = differenced @ rows
     c = rows.shape[1]
-    weights = _first_weights(d)
-    floor = np.diag((LEAST_SPREAD * np.maximum(np.ptp(rows, axis=0), 1e-300)) ** 2)
+    weights = _initial_weights(d)
+    floor = np.diag((VARIANCE_FLOOR_SHARE * np.maximum(np.ptp(rows, axis=0), 1e-300)) ** 2)
     gram = differenced @ differenced.T
     for _ in range(6):
         weighted = weights[:, None] * gram
@@ -109,14 +111,14 @@ def _regressors(loads: Array) -> tuple[Array, Array]:
     return np.hstack([np.ones((len(x), 1)), x]), np.hstack([x**2, x**3])
 
 
-def _without(columns: Array, values: Array) -> Array:
+def _subtract_projection(columns: Array, values: Array) -> Array:
     """Values (m, ...) less their projection on the columns (m, q)."""
     U, s, _ = np.linalg.svd(columns, full_matrices=False)
     Q = U[:, s > 1e-6 * s[0]]
     return np.asarray(values - Q @ (Q.T @ values))
 
 
-def _first_weights(differences: Array) -> Array:
+def _initial_weights(differences: Array) -> Array:
     """Weights from each channel's median: a difference beyond 6 robust standard deviations is reined in."""
     scale = 1.4826 * np.median(np.abs(differences), axis=0)
     largest = np.max(np.abs(differences) / np.maximum(scale, 1e-300), axis=1)

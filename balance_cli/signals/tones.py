@@ -14,25 +14,25 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.local_fit import Windows
-from balance_cli.signals.local_window import WindowFit, design, poles
+from balance_cli.signals.local_fit import WindowedData
+from balance_cli.signals.local_window import WindowFit, design_matrix, poles
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 # Distance of a pole from the axis, in lines: a mode of 50 Hz in a record of 10 s has this at a damping ratio of 1e-4.
-ON_AXIS = 0.05
+AXIS_TOLERANCE = 0.05
 # Distance, in lines, within which a pole that is left beside a tone is that of the tone.
-OWN = 1.0
+TONE_TOLERANCE = 1.0
 
 
 def tone_lines(
-    windows: Windows,
+    windows: WindowedData,
     fits: Sequence[WindowFit],
-    refit: Callable[[Windows], tuple[WindowFit, ...]],
+    refit: Callable[[WindowedData], tuple[WindowFit, ...]],
     first: Index,
-    owned: Index,
+    assigned_lines: Index,
     lines: int,
 ) -> ComplexArray:
     """What steady tones make of the channels (lines, c), in the windows' units; zero where no fit has such a pole.
@@ -41,29 +41,31 @@ def tone_lines(
     """
     found = np.zeros((lines, windows.Y.shape[2]), complex)
     for w, fit in enumerate(fits):
-        places = _on_axis(fit, owned[w] - first[w])
+        places = _undamped_poles(fit, assigned_lines[w] - first[w])
         if places.size:
-            places, amplitudes = _amplitudes(windows.subset(np.array([w])), places, refit)
+            places, amplitudes = _tone_amplitudes(windows.subset(np.array([w])), places, refit)
             # Off a line a tone reaches far beyond its window.
-            found += _lines_of_tones(places + first[w], lines) @ amplitudes
+            found += _dirichlet_kernel(places + first[w], lines) @ amplitudes
     return found
 
 
-def _on_axis(fit: WindowFit, owned: Index) -> Array:
+def _undamped_poles(fit: WindowFit, assigned_lines: Index) -> Array:
     """Places, in lines of the window, of poles on the axis within the lines `owned` (from, to)."""
-    at = _places(fit)
-    tone = (np.abs(at.imag) < ON_AXIS) & (at.real >= owned[0] - 0.5) & (at.real < owned[1] - 0.5)
+    at = _pole_positions(fit)
+    tone = (
+        (np.abs(at.imag) < AXIS_TOLERANCE) & (at.real >= assigned_lines[0] - 0.5) & (at.real < assigned_lines[1] - 0.5)
+    )
     return np.asarray(at.real[tone])
 
 
-def _places(fit: WindowFit) -> ComplexArray:
+def _pole_positions(fit: WindowFit) -> ComplexArray:
     """The poles, in lines of the window."""
     half = (len(fit.r) - 1) / 2
     return half + half * poles(fit)
 
 
-def _amplitudes(
-    window: Windows, places: Array, refit: Callable[[Windows], tuple[WindowFit, ...]]
+def _tone_amplitudes(
+    window: WindowedData, places: Array, refit: Callable[[WindowedData], tuple[WindowFit, ...]]
 ) -> tuple[Array, ComplexArray]:
     """Which of the `places` are tones (t,), and their amplitudes in the channels (t, c).
 
@@ -71,16 +73,16 @@ def _amplitudes(
     channel. Where a pole is left at the place it was no tone: the loads have to do with it.
     """
     M = window.Y.shape[1]
-    (fit,) = refit(replace(window, U=np.concatenate([window.U, _lines_of_tones(places, M)[None]], axis=2)))
-    distance = np.abs(_places(fit) - places[:, None])
-    places = places[np.min(distance, axis=1, initial=np.inf) > OWN]
-    tones = _lines_of_tones(places, M)
-    basis = np.linalg.qr(design(replace(fit, U=window.U[0])))[0]
+    (fit,) = refit(replace(window, U=np.concatenate([window.U, _dirichlet_kernel(places, M)[None]], axis=2)))
+    distance = np.abs(_pole_positions(fit) - places[:, None])
+    places = places[np.min(distance, axis=1, initial=np.inf) > TONE_TOLERANCE]
+    tones = _dirichlet_kernel(places, M)
+    basis = np.linalg.qr(design_matrix(replace(fit, U=window.U[0])))[0]
     alone = tones - basis @ (basis.conj().T @ tones)
     return places, np.asarray(np.linalg.lstsq(alone, window.Y[0], rcond=None)[0])
 
 
-def _lines_of_tones(places: Array, lines: int) -> ComplexArray:
+def _dirichlet_kernel(places: Array, lines: int) -> ComplexArray:
     """Lines (M, t) of exp(j 2 pi p n / N) over n < N, over N, for N much greater than M: Dirichlet's kernel."""
     away = places - np.arange(lines)[:, None]
     return np.asarray(np.exp(1j * np.pi * away) * np.sinc(away))

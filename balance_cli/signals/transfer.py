@@ -9,7 +9,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
-from balance_cli.signals.run_spectrum import Response
+from balance_cli.signals.run_spectrum import FrequencyResponse
 
 
 @dataclass(frozen=True)
@@ -37,19 +37,21 @@ class Transfer:
     """
 
     geometry: Geometry
-    responses: tuple[Response, ...]
+    responses: tuple[FrequencyResponse, ...]
     estimator: str = "auto"
     steady: dict[str, SteadyPart] = field(default_factory=dict)
     channels_left_out: dict[str, dict[str, str]] = field(default_factory=dict)
     unused: dict[str, str] = field(default_factory=dict)
 
 
-def combined(transfer: Transfer, component: str, level: str = "highest") -> Response:
+def response_to_component(transfer: Transfer, component: str, level: str = "highest") -> FrequencyResponse:
     """The response to one component alone, of its `highest` or `lowest` level; of several, the one of least sigma.
 
     UserError where no sweep excited that component.
     """
-    having = [one_component(response, component) for response in transfer.responses if component in response.components]
+    having = [
+        select_component(response, component) for response in transfer.responses if component in response.components
+    ]
     if not having:
         raise UserError(f"there is no measured response to {component}", remedy="Include a sweep that excites it")
     levels = [response.level[0] for response in having]
@@ -57,7 +59,7 @@ def combined(transfer: Transfer, component: str, level: str = "highest") -> Resp
     return min((r for r in having if np.isclose(r.level[0], wanted)), key=lambda r: float(np.median(relative_sigma(r))))
 
 
-def one_component(response: Response, component: str) -> Response:
+def select_component(response: FrequencyResponse, component: str) -> FrequencyResponse:
     """The column of one component; its level is nan where the run did not declare it excited."""
     j = response.components.index(component)
     return replace(
@@ -70,7 +72,7 @@ def one_component(response: Response, component: str) -> Response:
     )
 
 
-def relative_sigma(response: Response) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def relative_sigma(response: FrequencyResponse) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Standard deviation over amplitude (k,) of a one-component response, in the channel where it is least."""
     channels = np.diagonal(response.channel_covariance, axis1=1, axis2=2).real
     variance = channels * response.load_covariance[:, :1, 0].real
@@ -84,11 +86,11 @@ def least_coherence(transfer: Transfer) -> dict[str, float]:
         name: min(
             float(np.min(np.max(r.multiple_coherence, axis=1))) for r in transfer.responses if name in r.components
         )
-        for name in components_of(transfer)
+        for name in response_components(transfer)
     }
 
 
-def components_of(transfer: Transfer) -> tuple[str, ...]:
+def response_components(transfer: Transfer) -> tuple[str, ...]:
     """Components that some response has, in the usual order."""
     found = {name for response in transfer.responses for name in response.components}
     return tuple(name for name in COMPONENTS if name in found)

@@ -17,92 +17,94 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.signals.anti_alias import anti_alias
 from balance_cli.signals.nonperiodic_spectrum import local_lines
-from balance_cli.signals.periodic import whole_period
-from balance_cli.signals.run_samples import load_places, sample_rate, samples_of
-from balance_cli.signals.run_spectrum import Lines, RecordWaveform, StaticPoints, Waveform, hann_mean
+from balance_cli.signals.periodic import samples_per_period
+from balance_cli.signals.run_samples import load_columns, read_samples, sample_rate
+from balance_cli.signals.run_spectrum import RecordWaveform, RunSpectrum, StaticPoints, Waveform, hann_mean
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # Below this many radians in a time constant a high-pass is trusted with this share of its weight only: undoing it there
 # makes a ramp of the start of the record.
-MEMORY = 20.0
-REMEMBERED = 1e-9
+HIGH_PASS_RADIANS = 20.0
+HIGH_PASS_WEIGHT = 1e-9
 # Where the anti-alias filter leaves less, a channel is left out rather than its noise amplified.
-LEAST_PASSED = 0.3
+LEAST_FILTER_GAIN = 0.3
 # Amplitudes of a record by whose mean power one is told from noise, the probability that noise has as much, and the
 # part of a record's frequencies that hold little else.
-NEIGHBOURS = 7
-NOISE_PROBABILITY = 1e-3
-QUIET = 0.1
+SMOOTHING_LINES = 7
+NOISE_P_VALUE = 1e-3
+QUIET_QUANTILE = 0.1
 # The scatter of the periods' means is taken for noise up to what is exceeded with this probability.
-DRIFT_PROBABILITY = 1e-4
+DRIFT_P_VALUE = 1e-4
 
 
-def with_mean_and_waveform(run: Run, lines: Lines, geometry: Geometry) -> Lines:
+def append_mean_and_waveform(run: Run, lines: RunSpectrum, geometry: Geometry) -> RunSpectrum:
     """The lines of a periodic record, with its mean as a line at frequency zero (the last), and its mean period.
 
     Both are of the periods that are steady at every line.
     """
     window = lines.window
     assert window is not None
-    n, rate = whole_period(run), sample_rate(run)
+    n, rate = samples_per_period(run), sample_rate(run)
     first = round(float(window.start.max()) * rate)
-    channels, loads = samples_of(run, lines.channel_names, first)
-    periods = np.hstack([channels, loads[:, load_places(lines.components)]]).reshape(-1, n, lines.covariance.shape[1])
+    channels, loads = read_samples(run, lines.channel_names, first)
+    periods = np.hstack([channels, loads[:, load_columns(lines.components)]]).reshape(-1, n, lines.covariance.shape[1])
     number_of_periods = rate * (window.stop - window.start[0]) / n
-    factor = number_of_periods / len(periods) * _drift(periods.mean(axis=1), lines, number_of_periods, geometry)
-    lines = _with_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, geometry)
+    factor = number_of_periods / len(periods) * _drift_factor(periods.mean(axis=1), lines, number_of_periods, geometry)
+    lines = _append_mean(lines, periods.mean(axis=(0, 1)), factor, first / rate, geometry)
     c = len(lines.channel_names)
-    number = np.rint(lines.frequency * n / rate).astype(np.intp)
-    waveform = waveform_of(periods[:, :, :c].mean(axis=0), rate, lines, number, geometry, neighbours=1)
+    bin_index = np.rint(lines.frequency * n / rate).astype(np.intp)
+    waveform = waveform_from_samples(
+        periods[:, :, :c].mean(axis=0), rate, lines, bin_index, geometry, smoothing_lines=1
+    )
     return replace(lines, waveform=waveform)
 
 
-def local_lines_with_mean_and_waveform(run: Run, channel_names: Sequence[str], geometry: Geometry) -> Lines:
+def nonperiodic_spectrum_with_waveform(run: Run, channel_names: Sequence[str], geometry: Geometry) -> RunSpectrum:
     """The lines of a record that does not repeat, with its mean as a line at frequency zero (the last), and all of it.
 
     The mean is weighted by a Hann window, so that the ends of the record do not matter; its noise is 3/2 times that of
     the plain one.
     """
     local = local_lines(run, channel_names)
-    channels, loads = samples_of(run, channel_names)
-    mean = hann_mean(np.hstack([channels, loads[:, load_places(local.lines.components)]]))
-    number = np.append(local.number, 0)
-    whole = waveform_of(channels, sample_rate(run), local.lines, number, geometry, NEIGHBOURS)
+    channels, loads = read_samples(run, channel_names)
+    mean = hann_mean(np.hstack([channels, loads[:, load_columns(local.lines.components)]]))
+    bin_index = np.append(local.bin_index, 0)
+    whole = waveform_from_samples(channels, sample_rate(run), local.lines, bin_index, geometry, SMOOTHING_LINES)
     M = local.weight.shape[1]
     waveform = RecordWaveform(
         **{**vars(whole), "recurs": False},
-        first=np.append(local.first, len(number) - M),
+        first=np.append(local.first, len(bin_index) - M),
         weight=np.vstack([local.weight, np.eye(M)[-1]]),
     )
-    return replace(_with_mean(local.lines, mean, 1.5, 0.0, geometry), waveform=waveform)
+    return replace(_append_mean(local.lines, mean, 1.5, 0.0, geometry), waveform=waveform)
 
 
-def waveform_of(
+def waveform_from_samples(
     samples: Array,
     rate: float,
-    lines: Lines,
-    number: NDArray[np.intp],
+    lines: RunSpectrum,
+    bin_index: NDArray[np.intp],
     geometry: Geometry,
-    neighbours: int,
+    smoothing_lines: int,
 ) -> Waveform:
     """Samples (n, c) of what recurs, as amplitudes before the anti-alias filter, for lines of these numbers (K,).
 
-    Each amplitude is lessened by the share of noise in the power of so many `neighbours`, itself in the middle: a
+    Each amplitude is lessened by the share of noise in the power of so many `smoothing_lines`, itself in the middle: a
     contact that slips at the least reversal would take noise for motion.
     """
-    amplitudes, volts, frequency, passed = _before_filter(samples, rate, geometry)
+    amplitudes, volts, frequency, passed = _undo_anti_alias_filter(samples, rate, geometry)
     n = len(samples)
     dynamic = lines.frequency > 0
     variance = np.median(np.diagonal(lines.covariance[dynamic], axis1=1, axis2=2).real, axis=0)
     variance = variance[: len(lines.channel_names)]
-    volts = volts * _signal_share(amplitudes, variance, neighbours)
+    volts = volts * _wiener_gain(amplitudes, variance, smoothing_lines)
     share = channel_shares(geometry, lines.channel_names, frequency, variance)
-    return Waveform(frequency, volts, share, n, number, passed[number])
+    return Waveform(frequency, volts, share, n, bin_index, passed[bin_index])
 
 
-def _signal_share(amplitudes: ComplexArray, variance: Array, neighbours: int) -> Array:
+def _wiener_gain(amplitudes: ComplexArray, variance: Array, smoothing_lines: int) -> Array:
     """What of the power of each amplitude (F, c) is no noise of this variance (c,), by its neighbours (Wiener, 1949).
 
     Among neighbours there is none where noise alone would have as much power. What the lines of a record do not follow
@@ -111,23 +113,23 @@ def _signal_share(amplitudes: ComplexArray, variance: Array, neighbours: int) ->
     from scipy.ndimage import uniform_filter1d
     from scipy.stats import chi2
 
-    power, dof = np.abs(amplitudes) ** 2, 2 * neighbours
-    if neighbours == 1:
+    power, dof = np.abs(amplitudes) ** 2, 2 * smoothing_lines
+    if smoothing_lines == 1:
         return np.asarray(np.maximum(1.0 - variance / np.maximum(power, 1e-300), 0.0))
-    power = uniform_filter1d(power, neighbours, axis=0)
-    quiet = np.quantile(power, QUIET, axis=0) * dof / chi2.ppf(QUIET, dof)
+    power = uniform_filter1d(power, smoothing_lines, axis=0)
+    quiet = np.quantile(power, QUIET_QUANTILE, axis=0) * dof / chi2.ppf(QUIET_QUANTILE, dof)
     ratio = np.minimum(variance, quiet) / np.maximum(power, 1e-300)
-    return np.where(ratio * chi2.isf(NOISE_PROBABILITY, dof) / dof < 1.0, 1.0 - ratio, 0.0)
+    return np.where(ratio * chi2.isf(NOISE_P_VALUE, dof) / dof < 1.0, 1.0 - ratio, 0.0)
 
 
-def _before_filter(
+def _undo_anti_alias_filter(
     samples: Array, rate: float, geometry: Geometry
 ) -> tuple[ComplexArray, ComplexArray, Array, ComplexArray]:
     """Amplitudes (F, c) of samples (n, c), those before the anti-alias filter, frequency (F,) [Hz], and the filter."""
     n = len(samples)
     frequency = np.asarray(np.arange((n + 1) // 2) * (rate / n), float)
     passed = anti_alias(geometry.acquisition, frequency)
-    heard = np.abs(passed) >= LEAST_PASSED
+    heard = np.abs(passed) >= LEAST_FILTER_GAIN
     amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
     volts = np.where(heard[:, None], amplitudes / np.where(heard, passed, 1.0)[:, None], 0.0)
     return amplitudes, volts, frequency, passed
@@ -138,7 +140,7 @@ def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: 
 
     Of a spring's channels that hears most which gives most volts: their noises are taken for equal.
     """
-    _, volts, frequency, passed = _before_filter(samples, rate, geometry)
+    _, volts, frequency, passed = _undo_anti_alias_filter(samples, rate, geometry)
     share = channel_shares(geometry, live, frequency, np.ones(len(live)))
     places = [geometry.channel_names.index(name) for name in live]
     wide = np.zeros((len(volts), len(geometry.channels)), complex)
@@ -153,21 +155,21 @@ def channel_shares(geometry: Geometry, names: Sequence[str], frequency: Array, v
     channels = [by_name[name] for name in names]
     gains = np.stack([_declared_gain(channel, frequency) for channel in channels], axis=1)
     weight = np.abs(gains) ** 2 / np.where(variance > 0, variance, 1.0)
-    weight = weight * np.stack([_forgetful(channel, frequency) for channel in channels], axis=1)
+    weight = weight * np.stack([_high_pass_weights(channel, frequency) for channel in channels], axis=1)
     springs = [channel.cell for channel in channels]
     alike = np.array([[one == other for other in springs] for one in springs], float)
     total = weight @ alike
     return np.asarray(weight / np.where(total > 0, total, 1.0))
 
 
-def _forgetful(channel: Channel, frequency: Array) -> Array:
+def _high_pass_weights(channel: Channel, frequency: Array) -> Array:
     """One; next to nothing (F,) where a high-pass works at frequencies at which it remembers how the record began."""
     if channel.time_constant is None:
         return np.ones(len(frequency))
-    return np.where(2 * np.pi * frequency * channel.time_constant < MEMORY, REMEMBERED, 1.0)
+    return np.where(2 * np.pi * frequency * channel.time_constant < HIGH_PASS_RADIANS, HIGH_PASS_WEIGHT, 1.0)
 
 
-def with_shares(points: StaticPoints, geometry: Geometry) -> StaticPoints:
+def add_channel_shares(points: StaticPoints, geometry: Geometry) -> StaticPoints:
     """The points with the weight of each channel among those of its spring."""
     share = channel_shares(geometry, points.channel_names, np.zeros(1), np.diag(points.covariance))[0]
     return replace(points, share=share)
@@ -181,22 +183,22 @@ def _declared_gain(channel: Channel, frequency: Array) -> ComplexArray:
     return gain if channel.time_constant is None else gain * s / (s + 1.0 / channel.time_constant)
 
 
-def _deaf(lines: Lines, geometry: Geometry) -> list[bool]:
+def _ac_coupled_channels(lines: RunSpectrum, geometry: Geometry) -> list[bool]:
     """Which channels (c,) do not hear a constant load."""
     by_name = {channel.name: channel for channel in geometry.channels}
     return [not by_name[name].measures_dc for name in lines.channel_names]
 
 
-def _with_mean(lines: Lines, mean: Array, factor: float, start: float, geometry: Geometry) -> Lines:
+def _append_mean(lines: RunSpectrum, mean: Array, factor: float, start: float, geometry: Geometry) -> RunSpectrum:
     """The lines and, from the mean (c+u,) from `start` [s] on, one at frequency zero.
 
     Its noise is `factor` times that of the lowest line.
     """
-    deaf, factor = _deaf(lines, geometry), 2.0 * factor
-    c, z = len(deaf), 2.0 * mean
+    ac_coupled, factor = _ac_coupled_channels(lines, geometry), 2.0 * factor
+    c, z = len(ac_coupled), 2.0 * mean
     window = lines.window
     if window is not None:
-        covariance = _with_last(window.covariance, factor, deaf)
+        covariance = _append_mean_covariance(window.covariance, factor, ac_coupled)
         window = replace(window, start=np.append(window.start, start), covariance=covariance)
     count = len(lines.frequency)
     volts, units = np.zeros(count + 1), np.zeros((count + 1, len(lines.components)))
@@ -206,23 +208,23 @@ def _with_mean(lines: Lines, mean: Array, factor: float, start: float, geometry:
         frequency=np.append(lines.frequency, 0.0),
         channels=np.vstack([lines.channels, z[:c]]),
         loads=np.vstack([lines.loads, z[c:]]),
-        covariance=_with_last(lines.covariance, factor, deaf),
+        covariance=_append_mean_covariance(lines.covariance, factor, ac_coupled),
         window=window,
         constant_volts=volts,
         constant_loads=units,
     )
 
 
-def _with_last(covariance: ComplexArray, factor: float, deaf: Sequence[bool]) -> ComplexArray:
+def _append_mean_covariance(covariance: ComplexArray, factor: float, ac_coupled: Sequence[bool]) -> ComplexArray:
     """Covariances (k, n, n), and the first one once more times a factor; infinite where a channel is deaf."""
     last = factor * covariance[:1].real.astype(complex)
-    for i in np.flatnonzero(deaf):
+    for i in np.flatnonzero(ac_coupled):
         last[:, i, :] = last[:, :, i] = 0.0
         last[:, i, i] = np.inf
     return np.concatenate([covariance, last])
 
 
-def _drift(means: Array, lines: Lines, periods: float, geometry: Geometry) -> float:
+def _drift_factor(means: Array, lines: RunSpectrum, periods: float, geometry: Geometry) -> float:
     """How much more the means (m, n) of the periods scatter than noise would make them; 1 where that may be chance.
 
     The noise is that of the lowest line, the mean of as many `periods`.
@@ -231,9 +233,9 @@ def _drift(means: Array, lines: Lines, periods: float, geometry: Geometry) -> fl
         return 1.0
     from scipy.stats import chi2
 
-    deaf = _deaf(lines, geometry)
-    c, free = len(deaf), len(means) - 1
+    ac_coupled = _ac_coupled_channels(lines, geometry)
+    c, free = len(ac_coupled), len(means) - 1
     noise = np.diagonal(lines.covariance[0]).real[:c] * periods / 4.0
-    ratio = (np.var(means[:, :c], axis=0, ddof=1) / noise)[~np.array(deaf)]
+    ratio = (np.var(means[:, :c], axis=0, ddof=1) / noise)[~np.array(ac_coupled)]
     largest = float(ratio.max(initial=0.0))
-    return largest if largest > chi2.isf(DRIFT_PROBABILITY / c, free) / free else 1.0
+    return largest if largest > chi2.isf(DRIFT_P_VALUE / c, free) / free else 1.0

@@ -3,7 +3,7 @@
 It shares no code with the frequency-domain model of the balance.
 """
 
-from balance_cli.simulation.campaign import Campaign, simulate_campaign, simulate_run, simulated
+from balance_cli.simulation.campaign import Campaign, iterate_simulated_runs, simulate_campaign, simulate_run
 from balance_cli.simulation.noise import NO_NOISE, Noise
 from balance_cli.simulation.plans import (
     CampaignPlan,
@@ -31,10 +31,10 @@ __all__ = [
     "ZeroPlan",
     "campaign_plan",
     "draw_rig",
+    "iterate_simulated_runs",
     "short_plan",
     "simulate_campaign",
     "simulate_run",
-    "simulated",
     "standard_plan",
     "true_rig",
 ]

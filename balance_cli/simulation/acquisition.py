@@ -13,63 +13,65 @@ from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
 from balance_cli.campaign.rig.geometry import Channel
 from balance_cli.simulation.extensions.base import Signals
 from balance_cli.simulation.filters import anti_alias
+from balance_cli.simulation.load_signals import Grid, rotor_kinematics
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, RotorPlan, SampledPlan, StaticPlan, SweepPlan
-from balance_cli.simulation.load_signals import Grid, turning
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.simulation.sensors import sensor_volts
-from balance_cli.simulation.truth import RunTruth, stream
+from balance_cli.simulation.truth import RunTruth, random_stream
 
 Array = NDArray[np.float64]
 
 
-MEASURED = ("sweep", "check")
+KINDS_WITH_LOADS = ("sweep", "check")
 """Kinds of sampled runs whose loads are recorded."""
 
 
 @dataclass(frozen=True)
-class Acquisition:
+class RecordingSetup:
     """What records a rig: its noise, and the seed of all random numbers of the campaign."""
 
     noise: Noise
     seed: int
 
-    def stream(self, plan: AnyPlan, what: str) -> np.random.Generator:
+    def random_stream(self, plan: AnyPlan, what: str) -> np.random.Generator:
         """The random numbers of a run for one use."""
-        return stream(self.seed, plan.run, what)
+        return random_stream(self.seed, plan.run, what)
 
 
-def _in_turn(hooks: Iterable[Callable[[Array], Array]], value: Array) -> Array:
+def _apply_hooks(hooks: Iterable[Callable[[Array], Array]], value: Array) -> Array:
     for hook in hooks:
         value = hook(value)
     return value
 
 
-def true_loads(rig: TrueRig, meant: Array, kind: str) -> Array:
+def true_loads(rig: TrueRig, commanded_loads: Array, kind: str) -> Array:
     """True hub loads (n, 6) where `meant` (n, 6) were to act."""
-    return _in_turn((partial(extension.true_loads, kind=kind) for extension in rig.extensions), meant)
+    return _apply_hooks((partial(extension.true_loads, kind=kind) for extension in rig.extensions), commanded_loads)
 
 
-def _recorded_loads(rig: TrueRig, meant: Array, kind: str) -> Array:
+def _recorded_loads(rig: TrueRig, commanded_loads: Array, kind: str) -> Array:
     """What the exciter's force cell reads; a component that is not applied is declared zero and stays so."""
-    recorded = _in_turn((partial(extension.recorded_loads, kind=kind) for extension in rig.extensions), meant)
-    applied = meant != 0 if kind == "static" else np.any(meant != 0, axis=0)
+    recorded = _apply_hooks(
+        (partial(extension.recorded_loads, kind=kind) for extension in rig.extensions), commanded_loads
+    )
+    applied = commanded_loads != 0 if kind == "static" else np.any(commanded_loads != 0, axis=0)
     return np.where(applied, recorded, 0.0)
 
 
-def _volts(rig: TrueRig, forces: Array, step: float | None, rng: np.random.Generator) -> Array:
+def _channel_volts(rig: TrueRig, forces: Array, step: float | None, rng: np.random.Generator) -> Array:
     volts = sensor_volts(rig, forces, step)
     for extension in rig.extensions:
         volts = extension.volts(Signals(volts, rig.geometry.channel_names, step, rng))
     return volts
 
 
-def _clipped(volts: Array, channels: Iterable[Channel]) -> Array:
+def _clip_to_range(volts: Array, channels: Iterable[Channel]) -> Array:
     ranges = np.array([channel.range or np.inf for channel in channels])
     return np.clip(volts, -ranges, ranges)
 
 
-def _run(rig: TrueRig, plan: AnyPlan, channels: Array, loads: Array | None) -> Run:
+def _make_run(rig: TrueRig, plan: AnyPlan, channels: Array, loads: Array | None) -> Run:
     return Run(
         name=plan.run,
         rig=rig.geometry.rig,
@@ -82,59 +84,66 @@ def _run(rig: TrueRig, plan: AnyPlan, channels: Array, loads: Array | None) -> R
     )
 
 
-def _digested(run: Run) -> Run:
+def _add_digest(run: Run) -> Run:
     return replace(run, digest=run_digest(run))
 
 
 def record_static(
-    rig: TrueRig, plan: StaticPlan, meant: Array, forces: Array, acquisition: Acquisition
+    rig: TrueRig, plan: StaticPlan, commanded_loads: Array, forces: Array, acquisition: RecordingSetup
 ) -> tuple[Run, RunTruth]:
     """The record of a static run: loads `meant` (rows, 6), cell forces and torque (rows, c+1).
 
     It holds the channels that measure a constant load; load components that are zero in a row are exactly zero.
     """
-    noise, rng = acquisition.noise, acquisition.stream(plan, "noise")
+    noise, rng = acquisition.noise, acquisition.random_stream(plan, "noise")
     kept = [i for i, channel in enumerate(rig.geometry.channels) if channel.measures_dc]
-    volts = _volts(rig, forces, None, acquisition.stream(plan, "pickup"))[:, kept]
+    volts = _channel_volts(rig, forces, None, acquisition.random_stream(plan, "pickup"))[:, kept]
     noisy = volts + noise.static_channel * rng.standard_normal(volts.shape)
-    recorded = _recorded_loads(rig, meant, plan.kind)
-    read = recorded + np.where(meant != 0, noise.static_load * rng.standard_normal(meant.shape), 0.0)
-    clipped = _clipped(noisy, [rig.geometry.channels[i] for i in kept])
-    run = _run(rig, plan, noise.stored(clipped), noise.stored(read))
+    recorded = _recorded_loads(rig, commanded_loads, plan.kind)
+    read = recorded + np.where(
+        commanded_loads != 0, noise.static_load * rng.standard_normal(commanded_loads.shape), 0.0
+    )
+    clipped = _clip_to_range(noisy, [rig.geometry.channels[i] for i in kept])
+    run = _make_run(rig, plan, noise.to_file_precision(clipped), noise.to_file_precision(read))
     names = tuple(rig.geometry.channel_names[i] for i in kept)
-    rows = np.arange(len(meant), dtype=float)
-    truth = RunTruth(plan.run, plan.kind, rows, true_loads(rig, meant, plan.kind), recorded, volts)
-    return _digested(replace(run, channel_names=names, trim=plan.trim)), truth
+    rows = np.arange(len(commanded_loads), dtype=float)
+    truth = RunTruth(plan.run, plan.kind, rows, true_loads(rig, commanded_loads, plan.kind), recorded, volts)
+    return _add_digest(replace(run, channel_names=names, trim=plan.trim)), truth
 
 
 def record_samples(
-    rig: TrueRig, plan: SampledPlan, grid: Grid, meant: Array, forces: Array, acquisition: Acquisition
+    rig: TrueRig, plan: SampledPlan, grid: Grid, commanded_loads: Array, forces: Array, acquisition: RecordingSetup
 ) -> tuple[Run, RunTruth]:
     """The record of a sampled run: loads `meant` (n, 6), cell forces and torque (n, c+1) on the fine grid."""
-    geometry, noise, rng = rig.geometry, acquisition.noise, acquisition.stream(plan, "noise")
+    geometry, noise, rng = rig.geometry, acquisition.noise, acquisition.random_stream(plan, "noise")
     through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=grid.oversampling)
-    volts = through(_volts(rig, forces, grid.step, acquisition.stream(plan, "pickup")))[: grid.samples]
-    recorded = through(_recorded_loads(rig, meant, plan.kind))[: grid.samples]
+    volts = through(_channel_volts(rig, forces, grid.step, acquisition.random_stream(plan, "pickup")))[: grid.samples]
+    recorded = through(_recorded_loads(rig, commanded_loads, plan.kind))[: grid.samples]
     sigma = np.array([noise.of(channel) for channel in geometry.channels])
     noisy = volts + sigma * rng.standard_normal(volts.shape)
-    applied = np.any(meant != 0, axis=0)
+    applied = np.any(commanded_loads != 0, axis=0)
     read = recorded + np.where(applied, noise.load * rng.standard_normal(recorded.shape), 0.0)
-    converted = noise.rounded(_clipped(noisy, geometry.channels))
-    run = _run(rig, plan, noise.stored(converted), noise.stored(read) if plan.kind in MEASURED else None)
-    true = true_loads(rig, meant, plan.kind)[:: grid.oversampling][: grid.samples]
+    converted = noise.quantize(_clip_to_range(noisy, geometry.channels))
+    run = _make_run(
+        rig,
+        plan,
+        noise.to_file_precision(converted),
+        noise.to_file_precision(read) if plan.kind in KINDS_WITH_LOADS else None,
+    )
+    true = true_loads(rig, commanded_loads, plan.kind)[:: grid.oversampling][: grid.samples]
     truth = RunTruth(plan.run, plan.kind, grid.time, true, recorded, volts)
-    run, truth = _described(run, truth, plan)
-    return _digested(run), truth
+    run, truth = _add_plan_metadata(run, truth, plan)
+    return _add_digest(run), truth
 
 
-def _described(run: Run, truth: RunTruth, plan: SampledPlan) -> tuple[Run, RunTruth]:
+def _add_plan_metadata(run: Run, truth: RunTruth, plan: SampledPlan) -> tuple[Run, RunTruth]:
     """Run and truth with what the plan says of the excitation or of the rotor."""
     run = replace(run, sample_rate=plan.sample_rate, rotor_speed=plan.rotor_speed)
     if isinstance(plan, SweepPlan):
         period = plan.period if plan.excitation in ("multisine", "sine-sweep") else None
         run = replace(run, excited=plan.excited, excitation=plan.excitation, level=plan.level, period=period)
     if isinstance(plan, RotorPlan):
-        turned = turning(plan)
+        turned = rotor_kinematics(plan)
         pulses = turned.pulse_times(plan.duration)
         truth = replace(truth, azimuth=turned.azimuth(truth.time))
         cosine, sine = truth.harmonics(pulses[0], pulses[-1])

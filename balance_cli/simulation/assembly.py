@@ -60,7 +60,7 @@ def rigid_plate(rig: TrueRig) -> Mechanics:
 
 def _with_shaft(plate: Mechanics, rig: TrueRig) -> Mechanics:
     """`J phi'' + d phi' + k phi = Mz`, no reaction on the plate."""
-    whole = plate.widened((TWIST,))
+    whole = plate.with_coordinates((TWIST,))
     k, j = rig.torque_stiffness, rig.torque_inertia
     whole.mass[-1, -1] = j
     whole.damping[-1, -1] = 2 * rig.torque_damping_ratio * np.sqrt(k * j)

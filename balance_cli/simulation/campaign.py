@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.simulation.acquisition import Acquisition, record_samples, record_static, true_loads
+from balance_cli.simulation.acquisition import RecordingSetup, record_samples, record_static, true_loads
 from balance_cli.simulation.assembly import equations_of_motion
-from balance_cli.simulation.motion import Motion, nonlinear_forces
+from balance_cli.simulation.load_signals import CONTACT_OVERSAMPLING, OVERSAMPLING, Grid, planned_loads, record_grid
+from balance_cli.simulation.motion import RigDynamics, nonlinear_forces
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, CampaignPlan, SampledPlan, StaticPlan, campaign_plan
-from balance_cli.simulation.load_signals import CONTACT_OVERSAMPLING, OVERSAMPLING, Grid, grid_of, planned_loads
 from balance_cli.simulation.response import state_matrix
 from balance_cli.simulation.rig import TrueRig
-from balance_cli.simulation.statics import loading_sequence, static_forces
+from balance_cli.simulation.statics import static_forces, static_load_points
 from balance_cli.simulation.truth import RunTruth
 
 Array = NDArray[np.float64]
@@ -30,56 +30,58 @@ class Campaign(NamedTuple):
     truths: tuple[RunTruth, ...]
 
 
-def _static(rig: TrueRig, plan: StaticPlan, acquisition: Acquisition) -> tuple[Run, RunTruth]:
-    meant = loading_sequence(plan)
-    forces = static_forces(equations_of_motion(rig), true_loads(rig, meant, plan.kind))
-    return record_static(rig, plan, meant, forces, acquisition)
+def _simulate_static(rig: TrueRig, plan: StaticPlan, acquisition: RecordingSetup) -> tuple[Run, RunTruth]:
+    commanded_loads = static_load_points(plan)
+    forces = static_forces(equations_of_motion(rig), true_loads(rig, commanded_loads, plan.kind))
+    return record_static(rig, plan, commanded_loads, forces, acquisition)
 
 
-def _same_motion(rig: TrueRig, plans: Sequence[SampledPlan]) -> Iterator[tuple[Motion, list[SampledPlan]]]:
+def _group_by_dynamics(rig: TrueRig, plans: Sequence[SampledPlan]) -> Iterator[tuple[RigDynamics, list[SampledPlan]]]:
     """The sampled runs, those together in which the rig has the same equations of motion and the same sample rate."""
-    groups: dict[tuple[bytes, float], tuple[Motion, list[SampledPlan]]] = {}
+    groups: dict[tuple[bytes, float], tuple[RigDynamics, list[SampledPlan]]] = {}
     for plan in plans:
         mechanics = equations_of_motion(rig, plan.rotor_speed)
         key = (state_matrix(mechanics).tobytes(), plan.sample_rate)
         if key not in groups:
-            groups[key] = (Motion.of(mechanics), [])
+            groups[key] = (RigDynamics.of(mechanics), [])
         groups[key][1].append(plan)
     yield from groups.values()
 
 
-def _loads(rig: TrueRig, plan: SampledPlan, grid: Grid, acquisition: Acquisition) -> tuple[Array, Array]:
+def _run_loads(rig: TrueRig, plan: SampledPlan, grid: Grid, acquisition: RecordingSetup) -> tuple[Array, Array]:
     """The loads (n, 6) meant to act in a run, and those that do (made anew each time: cheaper than kept)."""
-    meant = planned_loads(plan, grid, acquisition.stream(plan, "loads"))
-    return meant, true_loads(rig, meant, plan.kind)
+    commanded_loads = planned_loads(plan, grid, acquisition.random_stream(plan, "loads"))
+    return commanded_loads, true_loads(rig, commanded_loads, plan.kind)
 
 
-def _sampled(rig: TrueRig, plans: Sequence[SampledPlan], acquisition: Acquisition) -> Iterator[tuple[Run, RunTruth]]:
-    for motion, group in _same_motion(rig, plans):
+def _simulate_sampled(
+    rig: TrueRig, plans: Sequence[SampledPlan], acquisition: RecordingSetup
+) -> Iterator[tuple[Run, RunTruth]]:
+    for motion, group in _group_by_dynamics(rig, plans):
         slips = any(force.limit for force in motion.mechanics.forces)
-        grids = [grid_of(plan, CONTACT_OVERSAMPLING if slips else OVERSAMPLING) for plan in group]
-        truly = (_loads(rig, plan, grid, acquisition)[1] for plan, grid in zip(group, grids, strict=True))
+        grids = [record_grid(plan, CONTACT_OVERSAMPLING if slips else OVERSAMPLING) for plan in group]
+        truly = (_run_loads(rig, plan, grid, acquisition)[1] for plan, grid in zip(group, grids, strict=True))
         extra = nonlinear_forces(motion, truly, grids[0].step) if motion.mechanics.forces else None
         for i, (plan, grid) in enumerate(zip(group, grids, strict=True)):
-            meant, true = _loads(rig, plan, grid, acquisition)
+            commanded_loads, true = _run_loads(rig, plan, grid, acquisition)
             forces = motion.forces(true, extra[i] if extra else np.zeros((len(true), 0)), grid.step)
-            yield record_samples(rig, plan, grid, meant, forces, acquisition)
+            yield record_samples(rig, plan, grid, commanded_loads, forces, acquisition)
 
 
-def simulated(
+def iterate_simulated_runs(
     rig: TrueRig, plan: CampaignPlan, noise: Noise | None = None, seed: int = 0
 ) -> Iterator[tuple[Run, RunTruth]]:
     """All runs of a plan with their truths, one by one, as `simulate_campaign` but in an order of its own."""
-    acquisition = Acquisition(Noise() if noise is None else noise, seed)
+    acquisition = RecordingSetup(Noise() if noise is None else noise, seed)
     for one in plan.runs:
         if isinstance(one, StaticPlan):
-            yield _static(rig, one, acquisition)
-    yield from _sampled(rig, [one for one in plan.runs if not isinstance(one, StaticPlan)], acquisition)
+            yield _simulate_static(rig, one, acquisition)
+    yield from _simulate_sampled(rig, [one for one in plan.runs if not isinstance(one, StaticPlan)], acquisition)
 
 
 def simulate_run(rig: TrueRig, plan: AnyPlan, noise: Noise | None = None, seed: int = 0) -> tuple[Run, RunTruth]:
     """One run and its truth, as `simulate_campaign`: the same whatever else is simulated."""
-    return next(simulated(rig, CampaignPlan(runs=(plan,)), noise, seed))
+    return next(iterate_simulated_runs(rig, CampaignPlan(runs=(plan,)), noise, seed))
 
 
 def simulate_campaign(
@@ -94,6 +96,6 @@ def simulate_campaign(
     if isinstance(plan, str):
         rotor = rig.geometry.rotor
         plan = campaign_plan(plan, rotor.speed) if rotor else campaign_plan(plan)
-    pairs = {run.name: (run, truth) for run, truth in simulated(rig, plan, noise, seed)}
+    pairs = {run.name: (run, truth) for run, truth in iterate_simulated_runs(rig, plan, noise, seed)}
     ordered = [pairs[one.run] for one in plan.runs]
     return Campaign(tuple(run for run, _ in ordered), tuple(truth for _, truth in ordered))

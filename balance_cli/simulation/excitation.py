@@ -9,13 +9,13 @@ Array = NDArray[np.float64]
 Band = tuple[float, float]
 
 
-def _lines(band: Band, resolution: float) -> NDArray[np.int_]:
+def _line_numbers(band: Band, resolution: float) -> NDArray[np.int_]:
     """Numbers of the lines at multiples of `resolution` within the band, its ends included."""
     first = max(1, int(np.ceil(band[0] / resolution - 1e-9)))
     return np.arange(first, int(np.floor(band[1] / resolution + 1e-9)) + 1)
 
 
-def _synthesis(numbers: NDArray[np.int_], amplitudes: NDArray[np.complex128], base: float, time: Array) -> Array:
+def _synthesize(numbers: NDArray[np.int_], amplitudes: NDArray[np.complex128], base: float, time: Array) -> Array:
     """`Re sum_k a_k exp(j 2 pi k base t)`: by inverse FFT over one period where the period fits the grid."""
     step = time[1] - time[0]
     count = round(1 / (base * step))
@@ -37,16 +37,16 @@ def multisine(
     Its lines are the multiples of 1/period within `band` [Hz]; of these every `every`-th, beginning with `shift`
     (interleaved lines let several components be excited at once).
     """
-    numbers = _lines(band, 1 / period)[shift::every]
+    numbers = _line_numbers(band, 1 / period)[shift::every]
     phases = np.exp(2j * np.pi * rng.random(len(numbers)))
-    return _synthesis(numbers, level * np.sqrt(2 / len(numbers)) * phases, 1 / period, time)
+    return _synthesize(numbers, level * np.sqrt(2 / len(numbers)) * phases, 1 / period, time)
 
 
 def random_noise(time: Array, band: Band, level: float, rng: np.random.Generator) -> Array:
     """Gaussian noise (n,) of flat spectrum within `band` [Hz] and rms `level` (in expectation)."""
     step = time[1] - time[0]
     count = len(time) + len(time) % 2
-    numbers = _lines(band, 1 / (count * step))
+    numbers = _line_numbers(band, 1 / (count * step))
     sigma = level / np.sqrt(len(numbers))
     amplitudes = sigma * (rng.standard_normal(len(numbers)) + 1j * rng.standard_normal(len(numbers)))
     spectrum = np.zeros(count // 2 + 1, complex)

@@ -41,7 +41,7 @@ def read_plan(path: Path) -> CampaignPlan:
         raise UserError(message, str(path), place, "Correct this entry of the plan") from error
 
 
-def described_rig(rig: TrueRig) -> dict[str, Any]:
+def rig_to_dict(rig: TrueRig) -> dict[str, Any]:
     """The true rig as plain numbers, in SI units."""
     geometry = rig.geometry
     return {
@@ -58,11 +58,11 @@ def described_rig(rig: TrueRig) -> dict[str, Any]:
         if geometry.torque_meter
         else None,
         "sensitivities": dict(zip(geometry.channel_names, rig.sensitivities.tolist(), strict=True)),
-        "effects": [described_effect(effect) for effect in rig.extensions],
+        "effects": [effect_to_dict(effect) for effect in rig.extensions],
     }
 
 
-def described_effect(effect: Extension) -> dict[str, Any]:
+def effect_to_dict(effect: Extension) -> dict[str, Any]:
     """An effect as a geometry declares it."""
     parameters = asdict(effect)
     return {"name": effect.name, "where": list(parameters.pop("where")), "parameters": parameters}
@@ -73,7 +73,7 @@ def write_truth_text(path: Path, rig: TrueRig, about: Mapping[str, Any], plan: C
     content = {
         "format": TRUTH_FORMAT,
         **about,
-        "rig": described_rig(rig),
+        "rig": rig_to_dict(rig),
         "runs": [run.model_dump(mode="json", exclude_none=True) for run in plan.runs],
     }
     path.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")

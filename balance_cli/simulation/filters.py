@@ -6,8 +6,8 @@ import numpy as np
 import scipy.signal
 from numpy.typing import NDArray
 
-from balance_cli.campaign.rig.geometry import AnalogueFilter
-from balance_cli.simulation.integrate import first_order
+from balance_cli.campaign.rig.geometry import AnalogFilter
+from balance_cli.simulation.integrate import integrate_first_order
 
 Array = NDArray[np.float64]
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 def low_pass(signal: Array, cutoff: float, step: float) -> Array:
     """First-order low-pass `1 / (1 + s / (2 pi cutoff))` of a signal (n,) sampled every `step` s; cutoff [Hz]."""
     rate = 2 * np.pi * cutoff
-    return np.asarray(first_order(-rate, rate * signal[:, None], step, signal[:1])[:, 0])
+    return np.asarray(integrate_first_order(-rate, rate * signal[:, None], step, signal[:1])[:, 0])
 
 
 def high_pass(signal: Array, time_constant: float, step: float) -> Array:
@@ -24,7 +24,7 @@ def high_pass(signal: Array, time_constant: float, step: float) -> Array:
     return signal - slow
 
 
-def delayed(signal: Array, delay: float, step: float) -> Array:
+def delay_signal(signal: Array, delay: float, step: float) -> Array:
     """A signal (n,) late by `delay` [s], by the polynomial through the six samples about each instant.
 
     Before the first sample it had its value; after the last, where a negative delay asks, the last polynomial goes on.
@@ -39,7 +39,7 @@ def delayed(signal: Array, delay: float, step: float) -> Array:
     return np.asarray(shifted)
 
 
-def anti_alias(signals: Array, declared: AnalogueFilter | None, step: float, stride: int) -> Array:
+def anti_alias(signals: Array, declared: AnalogFilter | None, step: float, stride: int) -> Array:
     """Signals (n, s) through the analogue Butterworth filter, at every `stride`-th sample.
 
     The filter is solved as the sum of its partial fractions.
@@ -52,6 +52,6 @@ def anti_alias(signals: Array, declared: AnalogueFilter | None, step: float, str
         if pole.imag >= -1e-9 * abs(pole):
             residue = gain / np.prod(pole - np.delete(poles, i))
             real = pole.imag <= 1e-9 * abs(pole)
-            part = first_order(pole.real if real else pole, signals, step, -signals[0] / pole, stride)
+            part = integrate_first_order(pole.real if real else pole, signals, step, -signals[0] / pole, stride)
             filtered += (residue * part).real * (1 if real else 2)
     return filtered

@@ -46,21 +46,21 @@ def hold_weights(pole: complex, step: float, offsets: NDArray[np.int_] = OFFSETS
     return weights
 
 
-def _edge(first: Samples, positions: NDArray[np.int_]) -> Samples:
+def _extrapolate(first: Samples, positions: NDArray[np.int_]) -> Samples:
     """The polynomial through six samples 0..5, (6, s), taken at other `positions`."""
     nodes = np.arange(len(first), dtype=float)
     values = np.vander(positions.astype(float), len(nodes), increasing=True)
     return np.asarray(values @ np.linalg.solve(np.vander(nodes, increasing=True), first))
 
 
-def padded(signal: Samples) -> Samples:
+def extrapolate_ends(signal: Samples) -> Samples:
     """Samples (n, s) with two before and two after, from the polynomials at either end; n at least 6."""
-    head = _edge(signal[:6], np.array([-2, -1]))
-    tail = _edge(signal[-6:], np.array([6, 7]))
+    head = _extrapolate(signal[:6], np.array([-2, -1]))
+    tail = _extrapolate(signal[-6:], np.array([6, 7]))
     return np.concatenate([head, signal, tail])
 
 
-def recursion(decay: complex, forcing: Samples, start: NDArray[Any]) -> ComplexArray:
+def first_order_recursion(decay: complex, forcing: Samples, start: NDArray[Any]) -> ComplexArray:
     """`x[0] = start`, `x[k+1] = decay x[k] + forcing[k]` along the first axis; (n+1, s)."""
     driven = np.concatenate([np.asarray(start)[None, :], forcing])
     states: ComplexArray = scipy.signal.lfilter([1.0], [1.0, -decay], driven, axis=0)
@@ -87,11 +87,13 @@ def _forcing(weights: NDArray[Any], wide: Samples, stride: int) -> Samples:
     return forcing
 
 
-def first_order(pole: complex, signal: Samples, step: float, start: NDArray[Any], stride: int = 1) -> NDArray[Any]:
+def integrate_first_order(
+    pole: complex, signal: Samples, step: float, start: NDArray[Any], stride: int = 1
+) -> NDArray[Any]:
     """Solution of `x' = pole x + v` at every `stride`-th sample of v (n, s), from `start` (s,); (ceil(n/stride), s)."""
-    forcing = _forcing(_strided_weights(pole, step, stride), padded(signal), stride)
+    forcing = _forcing(_strided_weights(pole, step, stride), extrapolate_ends(signal), stride)
     decay = np.exp(pole * step * stride)
-    return recursion(decay.real if complex(pole).imag == 0 else decay, forcing, start)
+    return first_order_recursion(decay.real if complex(pole).imag == 0 else decay, forcing, start)
 
 
 @dataclass(frozen=True)
@@ -113,17 +115,17 @@ class ModalSystem:
         states = np.empty((len(u), len(live)), complex)
         for i, mode in enumerate(live):
             drive = np.dot(u[:, acting], self.inputs[mode, acting])[:, None]
-            states[:, i] = first_order(self.poles[mode], drive, step, -drive[0] / self.poles[mode])[:, 0]
+            states[:, i] = integrate_first_order(self.poles[mode], drive, step, -drive[0] / self.poles[mode])[:, 0]
         outputs = self.outputs[:, live]
         interleaved = np.stack([outputs.real, -outputs.imag], axis=-1).reshape(len(outputs), -1)
         y: Array = states.view(float) @ interleaved.T + u @ self.direct.T
         return y
 
-    def part(self, outputs: slice, inputs: slice) -> ModalSystem:
+    def subsystem(self, outputs: slice, inputs: slice) -> ModalSystem:
         """The same system with only some of its outputs and inputs."""
         return ModalSystem(self.poles, self.inputs[:, inputs], self.outputs[outputs], self.direct[outputs, inputs])
 
-    def static(self) -> Array:
+    def static_gain(self) -> Array:
         """Response (y, u) to constant inputs."""
         gain: Array = self.direct - np.real((self.outputs / self.poles) @ self.inputs)
         return gain

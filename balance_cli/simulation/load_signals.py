@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.simulation.excitation import multisine, random_noise, sine_sweep, stepped_sine
 from balance_cli.simulation.plans import RotorPlan, SampledPlan, SweepPlan, ZeroPlan
-from balance_cli.simulation.rotor import Turning, harmonic_load, smooth_step
+from balance_cli.simulation.rotor import RotorKinematics, harmonic_load, smooth_step
 from balance_cli.simulation.statics import load_row
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ OVERSAMPLING = 8
 CONTACT_OVERSAMPLING = 16
 """As OVERSAMPLING where a contact slips: the kinks of its force cost accuracy with the square of the step."""
 
-TAIL = 8
+TAIL_SAMPLES = 8
 """Samples computed beyond the end, for channels that run ahead of time (by up to 10 ms at 800 Hz)."""
 
 
@@ -40,9 +40,9 @@ class Grid:
         return 1 / (self.oversampling * self.sample_rate)
 
     @property
-    def fine(self) -> Array:
+    def fine_time(self) -> Array:
         """Times of the fine grid [s], a little beyond the end."""
-        return np.arange(self.oversampling * (self.samples + TAIL), dtype=float) * self.step
+        return np.arange(self.oversampling * (self.samples + TAIL_SAMPLES), dtype=float) * self.step
 
     @property
     def time(self) -> Array:
@@ -50,7 +50,7 @@ class Grid:
         return np.arange(self.samples, dtype=float) / self.sample_rate
 
 
-def grid_of(plan: SampledPlan, oversampling: int = OVERSAMPLING) -> Grid:
+def record_grid(plan: SampledPlan, oversampling: int = OVERSAMPLING) -> Grid:
     """The grid of a planned record."""
     return Grid(round(plan.duration * plan.sample_rate), plan.sample_rate, oversampling)
 
@@ -78,14 +78,14 @@ def sweep_loads(plan: SweepPlan, time: Array, rng: np.random.Generator) -> Array
     return loads
 
 
-def turning(plan: RotorPlan) -> Turning:
+def rotor_kinematics(plan: RotorPlan) -> RotorKinematics:
     """How the rotor of a plan turns."""
-    return Turning(plan.rotor_speed, plan.drift, plan.drift_period)
+    return RotorKinematics(plan.rotor_speed, plan.drift, plan.drift_period)
 
 
 def rotor_loads(plan: RotorPlan, time: Array, rng: np.random.Generator) -> Array:
     """Hub loads (n, 6) of a turning rotor at `time` (n,)."""
-    azimuth = turning(plan).azimuth(time)
+    azimuth = rotor_kinematics(plan).azimuth(time)
     loads = np.tile(load_row(plan.steady), (len(time), 1))
     for name, amplitudes in plan.harmonics.items():
         scatter = np.maximum(1 + plan.scatter * rng.standard_normal(len(amplitudes)), 0.1)
@@ -104,8 +104,8 @@ def planned_loads(plan: SampledPlan, grid: Grid, rng: np.random.Generator) -> Ar
     """Loads (n, 6) of a run on the fine grid, as the exciter's force cell feels them; the same for every grid."""
     match plan:
         case SweepPlan():
-            return sweep_loads(plan, grid.fine, rng)
+            return sweep_loads(plan, grid.fine_time, rng)
         case RotorPlan():
-            return rotor_loads(plan, grid.fine, rng)
+            return rotor_loads(plan, grid.fine_time, rng)
         case ZeroPlan():
-            return np.zeros((len(grid.fine), len(COMPONENTS)))
+            return np.zeros((len(grid.fine_time), len(COMPONENTS)))

@@ -17,7 +17,7 @@ TWIST = "twist"
 
 
 @dataclass(frozen=True)
-class Branch:
+class MaxwellBranch:
     """A Maxwell branch: spring `stiffness` [N/m] and dashpot in series, relaxing with `time_constant` [s].
 
     It acts along `row` (n,), the elongation per coordinate. `cell` is the cell whose channels feel it, or None.
@@ -30,7 +30,7 @@ class Branch:
 
 
 @dataclass(frozen=True)
-class CellForce:
+class NonlinearCellForce:
     """A nonlinear force along a cell: `k2 d^2 + k3 d^3` and a slipping contact of `stick_stiffness` up to `limit` [N].
 
     `felt` says whether the cell's channels read it (it acts inside the cell) or not (beside it).
@@ -41,7 +41,7 @@ class CellForce:
     k3: float = 0.0
     stick_stiffness: float = 0.0
     limit: float = 0.0
-    felt: bool = False
+    read_by_channels: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Mechanics:
     plate: Array
     base: Array
     cg: Array
-    branches: tuple[Branch, ...] = field(default=())
-    forces: tuple[CellForce, ...] = field(default=())
+    branches: tuple[MaxwellBranch, ...] = field(default=())
+    forces: tuple[NonlinearCellForce, ...] = field(default=())
 
     @property
     def size(self) -> int:
@@ -78,21 +78,21 @@ class Mechanics:
         total: Array = self.stiffness + self.cell_rows.T @ (self.cell_stiffness[:, None] * self.cell_rows)
         return total
 
-    def plate_point(self, position: ArrayLike) -> Array:
+    def plate_displacement(self, position: ArrayLike) -> Array:
         """Displacement (3, n) per coordinate of the plate at `position` (3,) in rig axes."""
         rows: Array = displacement_rows(np.subtract(position, self.cg)) @ self.plate
         return rows
 
-    def base_point(self, position: ArrayLike) -> Array:
+    def non_metric_displacement(self, position: ArrayLike) -> Array:
         """Displacement (3, n) per coordinate of the lower body at `position` (3,) in rig axes."""
         rows: Array = displacement_rows(position) @ self.base
         return rows
 
-    def stiffened(self, rows: Array, stiffness: Array) -> Mechanics:
+    def with_springs(self, rows: Array, stiffness: Array) -> Mechanics:
         """With springs (m,) [N/m] whose elongations are `rows` (m, n)."""
         return replace(self, stiffness=self.stiffness + rows.T @ (stiffness[:, None] * rows))
 
-    def widened(self, names: tuple[str, ...]) -> Mechanics:
+    def with_coordinates(self, names: tuple[str, ...]) -> Mechanics:
         """The same with further coordinates, to which nothing is attached yet."""
         more = len(names)
         square = ((0, more), (0, more))

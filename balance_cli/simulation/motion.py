@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from balance_cli.simulation.integrate import ModalSystem
 from balance_cli.simulation.mechanics import Mechanics
-from balance_cli.simulation.nonlinear import Forces, Rest, rest, stepped_forces
-from balance_cli.simulation.response import felt_forces, full_system
+from balance_cli.simulation.nonlinear import NonlinearForces, RestState, integrate_nonlinear_forces, solve_rest_state
+from balance_cli.simulation.response import forces_read_by_channels, full_system
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Motion:
+class RigDynamics:
     """A rig at one rotor speed: its equations of motion, and the linear system they make with c cells, m forces."""
 
     mechanics: Mechanics
     system: ModalSystem
 
     @classmethod
-    def of(cls, mechanics: Mechanics) -> Motion:
+    def of(cls, mechanics: Mechanics) -> RigDynamics:
         """The rig of these equations of motion."""
         return cls(mechanics, full_system(mechanics))
 
@@ -35,26 +35,28 @@ class Motion:
 
     def elongations(self, loads: Array, step: float) -> Array:
         """Elongations (n, m) where nonlinear forces act, under the hub loads (n, 6) alone."""
-        return self.system.part(slice(self.cells, None), slice(0, 6)).response(loads, step)
+        return self.system.subsystem(slice(self.cells, None), slice(0, 6)).response(loads, step)
 
     def forces(self, loads: Array, extra: Array, step: float) -> Array:
         """Cell forces and torque (n, c+1) under hub loads (n, 6) and nonlinear forces (n, m)."""
         inputs = np.hstack([loads, extra])
-        linear = self.system.part(slice(0, self.cells), slice(None)).response(inputs, step)
-        return linear + felt_forces(self.mechanics, extra)
+        linear = self.system.subsystem(slice(0, self.cells), slice(None)).response(inputs, step)
+        return linear + forces_read_by_channels(self.mechanics, extra)
 
 
-def nonlinear_forces(motion: Motion, runs: Iterable[Array], step: float) -> list[Array]:
+def nonlinear_forces(motion: RigDynamics, runs: Iterable[Array], step: float) -> list[Array]:
     """Nonlinear forces (n, m) of several runs, from their hub loads (n, 6); stepped through all runs at once."""
-    forces = Forces.of(motion.mechanics.forces)
-    gain = motion.system.static()[motion.cells :]
+    forces = NonlinearForces.of(motion.mechanics.forces)
+    gain = motion.system.static_gain()[motion.cells :]
     starts, linear = [], []
     for loads in runs:
-        starts.append(rest(forces, gain, loads[:1]))
+        starts.append(solve_rest_state(forces, gain, loads[:1]))
         linear.append(motion.elongations(loads, step))
     longest = max(len(one) for one in linear)
     padded = np.stack([np.pad(one, ((0, longest - len(one)), (0, 0)), "edge") for one in linear], axis=1)
-    start = Rest(*(np.vstack(rows) for rows in zip(*((s.elongation, s.force, s.contact) for s in starts), strict=True)))
-    driven = motion.system.part(slice(motion.cells, None), slice(6, None))
-    result = stepped_forces(forces, driven, start, padded, step)
+    start = RestState(
+        *(np.vstack(rows) for rows in zip(*((s.elongation, s.force, s.contact) for s in starts), strict=True))
+    )
+    driven = motion.system.subsystem(slice(motion.cells, None), slice(6, None))
+    result = integrate_nonlinear_forces(forces, driven, start, padded, step)
     return [result[: len(one), i] for i, one in enumerate(linear)]

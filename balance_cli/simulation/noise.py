@@ -54,11 +54,11 @@ class Noise:
             return self.torque
         return self.strain if channel.measures_dc else self.piezo
 
-    def rounded(self, volts: Array) -> Array:
+    def quantize(self, volts: Array) -> Array:
         """Volts as the converter gives them."""
         return np.round(volts / self.quantum) * self.quantum if self.quantum else volts
 
-    def stored(self, values: Array) -> Array:
+    def to_file_precision(self, values: Array) -> Array:
         """Values as a run file of this precision gives them back."""
         return values.astype(np.float32).astype(np.float64) if self.single_precision else values
 

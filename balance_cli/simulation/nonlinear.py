@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.integrate import ModalSystem, hold_weights
-from balance_cli.simulation.mechanics import CellForce
+from balance_cli.simulation.mechanics import NonlinearCellForce
 
 Array = NDArray[np.float64]
 
-CORRECTIONS = 2
+CORRECTOR_ITERATIONS = 2
 """Each takes the error of the force down by about k h^2 / (10 m): to a thousandth for cells as stiff as these."""
-SUBSTEPS = 8
+LOAD_SUBSTEPS = 8
 """Steps in which the load is brought from one static point to the next."""
 
 
 @dataclass(frozen=True)
-class Forces:
+class NonlinearForces:
     """m nonlinear forces `k2 d^2 + k3 d^3` and slipping contacts, coefficients (m,) each."""
 
     k2: Array
@@ -35,7 +35,7 @@ class Forces:
     limit: Array
 
     @classmethod
-    def of(cls, forces: Sequence[CellForce]) -> Forces:
+    def of(cls, forces: Sequence[NonlinearCellForce]) -> NonlinearForces:
         """The coefficients of all forces."""
         columns = [(f.k2, f.k3, f.stick_stiffness, f.limit) for f in forces]
         return cls(*np.array(columns, float).reshape(-1, 4).T)
@@ -50,15 +50,15 @@ class Forces:
         force: Array = (self.k2 + self.k3 * d) * d * d
         return force
 
-    def slope(self, d: Array, before: Array, held: Array) -> Array:
+    def tangent_stiffness(self, d: Array, before: Array, held: Array) -> Array:
         """Derivative of the whole force by d."""
         sticks = np.abs(held + self.stick * (d - before)) < self.limit
-        slope: Array = (2 * self.k2 + 3 * self.k3 * d) * d + np.where(sticks, self.stick, 0.0)
-        return slope
+        tangent_stiffness: Array = (2 * self.k2 + 3 * self.k3 * d) * d + np.where(sticks, self.stick, 0.0)
+        return tangent_stiffness
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestState:
     """A rig at rest: elongations, whole nonlinear forces and the contact's part of them, (rows, m) each."""
 
     elongation: Array
@@ -66,20 +66,20 @@ class Rest:
     contact: Array
 
 
-def _equilibrium(forces: Forces, flexibility: Array, free: Array, before: Array, held: Array) -> Array:
+def _equilibrium(forces: NonlinearForces, flexibility: Array, free: Array, before: Array, held: Array) -> Array:
     """Elongations d with `d + flexibility f(d) = free` (Newton). UserError where the iteration does not end."""
     d = before
     for _ in range(60):
         residual = d + flexibility @ (forces.spring(d) + forces.contact(d, before, held)) - free
-        slope = forces.slope(d, before, held)
-        step = np.linalg.solve(np.eye(len(d)) + flexibility * slope, residual)
+        tangent_stiffness = forces.tangent_stiffness(d, before, held)
+        step = np.linalg.solve(np.eye(len(d)) + flexibility * tangent_stiffness, residual)
         d = d - step
         if np.max(np.abs(step)) <= 1e-12 * max(1e-9, float(np.max(np.abs(d)))):
             return d
     raise UserError("the rig finds no equilibrium under its load", place="effects", remedy="Weaken the nonlinear force")
 
 
-def rest(forces: Forces, gain: Array, loads: Array) -> Rest:
+def solve_rest_state(forces: NonlinearForces, gain: Array, loads: Array) -> RestState:
     """The rig at rest under `loads` (rows, 6), applied one after the other, from the unloaded rig on.
 
     `gain` (m, 6+m): static elongations per hub load and per nonlinear force.
@@ -89,12 +89,12 @@ def rest(forces: Forces, gain: Array, loads: Array) -> Rest:
     free = np.zeros(len(gain))
     rows = []
     for target in loads @ response.T:
-        for part in np.arange(1, SUBSTEPS + 1) / SUBSTEPS:
+        for part in np.arange(1, LOAD_SUBSTEPS + 1) / LOAD_SUBSTEPS:
             after = _equilibrium(forces, flexibility, free + part * (target - free), d, held)
             d, held = after, forces.contact(after, d, held)
         free = target
         rows.append((d, forces.spring(d) + held, held))
-    return Rest(*(np.array(column) for column in zip(*rows, strict=True)))
+    return RestState(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -124,13 +124,15 @@ class _Stepper:
         return cls(np.hstack([states, states @ out]), real[3], real[3] @ out)
 
 
-def _started(system: ModalSystem, force: Array) -> Array:
+def _equilibrium_states(system: ModalSystem, force: Array) -> Array:
     """Modal states (runs, 2p) in equilibrium under constant forces (runs, m)."""
     modal = -(force @ system.inputs.T) / system.poles
     return np.hstack([modal.real, modal.imag])
 
 
-def stepped_forces(forces: Forces, system: ModalSystem, start: Rest, linear: Array, step: float) -> Array:
+def integrate_nonlinear_forces(
+    forces: NonlinearForces, system: ModalSystem, start: RestState, linear: Array, step: float
+) -> Array:
     """Nonlinear forces (n, runs, m) of several records at once.
 
     `system` takes these forces to elongations; `linear` (n, runs, m) are the elongations under the hub loads alone;
@@ -140,7 +142,7 @@ def stepped_forces(forces: Forces, system: ModalSystem, start: Rest, linear: Arr
     width = 2 * len(system.poles)
     m = linear.shape[2]
     slips, springs = bool(np.any(forces.limit)), bool(np.any(forces.k2) or np.any(forces.k3))
-    state = np.hstack([_started(system, start.force), start.force, start.force, start.force])
+    state = np.hstack([_equilibrium_states(system, start.force), start.force, start.force, start.force])
     d, force, held = start.elongation, start.force, start.contact
     result = np.empty_like(linear)
     result[0] = force
@@ -148,7 +150,7 @@ def stepped_forces(forces: Forces, system: ModalSystem, start: Rest, linear: Arr
         ahead = state @ stepper.step
         base = ahead[:, width:] + linear[k]
         before, contact, after = d, held, force
-        for _ in range(CORRECTIONS):
+        for _ in range(CORRECTOR_ITERATIONS):
             d = base + after @ stepper.reach
             if slips:
                 held = forces.contact(d, before, contact)

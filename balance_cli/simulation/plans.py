@@ -9,19 +9,19 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.geometry import NonNegative, Part, Positive
+from balance_cli.campaign.rig.geometry import FrozenModel, NonNegative, Positive
 
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 Excitation = Literal["multisine", "random", "sine-sweep", "stepped"]
-Loads = Mapping[Component, float]
+LoadValues = Mapping[Component, float]
 assert get_args(Component) == COMPONENTS
 
 HARMONICS = 8
-SHAPE = (1.0, 0.4, 0.5, 2.0, 0.3, 0.15, 0.2, 0.6)
+HARMONIC_SHAPE = (1.0, 0.4, 0.5, 2.0, 0.3, 0.15, 0.2, 0.6)
 """Amplitudes of harmonics 1 to 8 over that of the first, about those of the recorded check runs (four blades)."""
 
 
-class Plan(Part):
+class Plan(FrozenModel):
     """Base of all runs: its name."""
 
     run: str
@@ -32,7 +32,7 @@ class StaticPlan(Plan):
 
     kind: Literal["static"] = "static"
     trim: str = "bare"
-    trim_loads: Loads = Field(default_factory=dict)
+    trim_loads: LoadValues = Field(default_factory=dict)
     largest: Mapping[Component, Positive]
     steps: Annotated[int, Field(ge=1)] = 5
 
@@ -69,7 +69,7 @@ class SweepPlan(RecordPlan):
     interleaved: bool = True
 
     @model_validator(mode="after")
-    def _one_level_each(self) -> SweepPlan:
+    def _check_levels(self) -> SweepPlan:
         if len(self.level) != len(self.excited):
             raise ValueError("give one `level` for each of `excited`")
         return self
@@ -80,12 +80,12 @@ class SweepPlan(RecordPlan):
         return self.period * self.periods
 
 
-class Step(Part):
+class LoadStep(FrozenModel):
     """A change of the steady loads (a step of collective) at `time` within `duration` [s]."""
 
     time: Positive
     duration: Positive = 0.8
-    loads: Loads
+    loads: LoadValues
 
 
 class RotorPlan(RecordPlan):
@@ -101,25 +101,25 @@ class RotorPlan(RecordPlan):
     duration: Positive = 20.0
     harmonics: Mapping[Component, tuple[NonNegative, ...]] = Field(default_factory=dict)
     scatter: NonNegative = 0.3
-    steady: Loads = Field(default_factory=dict)
+    steady: LoadValues = Field(default_factory=dict)
     turbulence: Mapping[Component, NonNegative] = Field(default_factory=dict)
     turbulence_band: tuple[Positive, Positive] = (0.5, 100.0)
     drift: NonNegative = 0.0
     drift_period: Positive = 23.0
-    step: Step | None = None
+    step: LoadStep | None = None
 
 
 SampledPlan = ZeroPlan | SweepPlan | RotorPlan
 AnyPlan = StaticPlan | SampledPlan
 
 
-class CampaignPlan(Part):
+class CampaignPlan(FrozenModel):
     """The runs of a campaign, in their order; run names are unique."""
 
     runs: tuple[Annotated[AnyPlan, Field(discriminator="kind")], ...]
 
     @model_validator(mode="after")
-    def _unique(self) -> CampaignPlan:
+    def _check_unique_names(self) -> CampaignPlan:
         names = [plan.run for plan in self.runs]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -131,24 +131,30 @@ class CampaignPlan(Part):
         return CampaignPlan(runs=tuple(plan for plan in self.runs if plan.run in names))
 
 
-LARGEST: dict[Component, float] = dict(
+STATIC_LOAD_LIMITS: dict[Component, float] = dict(
     zip(get_args(Component), (800.0, 800.0, 3500.0, 400.0, 400.0, 450.0), strict=True)
 )
-HIGH: dict[Component, float] = dict(zip(get_args(Component), (40.0, 40.0, 80.0, 15.0, 15.0, 12.0), strict=True))
-FIRST: dict[Component, float] = dict(zip(get_args(Component), (33.0, 30.0, 60.0, 8.0, 15.0, 8.0), strict=True))
-WIND: dict[Component, float] = {"Fx": 100.0, "Fy": -55.0, "Fz": 2700.0, "Mx": 90.0, "My": -20.0, "Mz": 275.0}
+HIGH_SWEEP_LEVELS: dict[Component, float] = dict(
+    zip(get_args(Component), (40.0, 40.0, 80.0, 15.0, 15.0, 12.0), strict=True)
+)
+FIRST_HARMONIC_AMPLITUDES: dict[Component, float] = dict(
+    zip(get_args(Component), (33.0, 30.0, 60.0, 8.0, 15.0, 8.0), strict=True)
+)
+WIND_ON_LOADS: dict[Component, float] = {"Fx": 100.0, "Fy": -55.0, "Fz": 2700.0, "Mx": 90.0, "My": -20.0, "Mz": 275.0}
 
 
 def blade_loads(*components: Component) -> dict[Component, tuple[float, ...]]:
     """Amplitudes of harmonics 1 to 8 of the given components, about those of the recorded check runs."""
-    return {name: tuple(float(x) for x in FIRST[name] * np.array(SHAPE)) for name in components}
+    return {
+        name: tuple(float(x) for x in FIRST_HARMONIC_AMPLITUDES[name] * np.array(HARMONIC_SHAPE)) for name in components
+    }
 
 
 def statics() -> tuple[StaticPlan, ...]:
     """The two static runs: unloaded, and about lift and torque with 0.35 of the range."""
-    small = {name: 0.35 * largest for name, largest in LARGEST.items()}
+    small = {name: 0.35 * largest for name, largest in STATIC_LOAD_LIMITS.items()}
     return (
-        StaticPlan(run="static-bare", largest=LARGEST),
+        StaticPlan(run="static-bare", largest=STATIC_LOAD_LIMITS),
         StaticPlan(run="static-trim", trim="trim", trim_loads={"Fz": 2500.0, "Mz": 250.0}, largest=small),
     )
 
@@ -157,7 +163,7 @@ def standard_plan(rotor_speed: float = 17.5) -> CampaignPlan:
     """The recorded campaign: two static runs, twelve sweeps at two levels, three checks and three wind-on runs."""
     sweeps = tuple(
         SweepPlan(run=f"sweep-{name}-{label}", excited=(name,), level=(factor * level,))
-        for name, level in HIGH.items()
+        for name, level in HIGH_SWEEP_LEVELS.items()
         for label, factor in (("high", 1.0), ("low", 0.4))
     )
     pairs: tuple[tuple[float, Component, Component], ...] = (
@@ -169,11 +175,11 @@ def standard_plan(rotor_speed: float = 17.5) -> CampaignPlan:
         RotorPlan(run=f"check-{i}", rotor_speed=factor * rotor_speed, harmonics=blade_loads(one, other))
         for i, (factor, one, other) in enumerate(pairs, 1)
     )
-    return CampaignPlan(runs=(*statics(), *sweeps, *checks, *_winds(rotor_speed)))
+    return CampaignPlan(runs=(*statics(), *sweeps, *checks, *_wind_plans(rotor_speed)))
 
 
-def _winds(rotor_speed: float) -> tuple[RotorPlan, ...]:
-    collective = Step(time=12.0, loads={"Fz": 700.0, "Mz": 60.0})
+def _wind_plans(rotor_speed: float) -> tuple[RotorPlan, ...]:
+    collective = LoadStep(time=12.0, loads={"Fz": 700.0, "Mz": 60.0})
     settings = ((1.0, 0.004, None), (0.985, 0.004, None), (1.015, 0.03, collective))
     return tuple(
         RotorPlan(
@@ -182,7 +188,7 @@ def _winds(rotor_speed: float) -> tuple[RotorPlan, ...]:
             rotor_speed=factor * rotor_speed,
             duration=30.0,
             harmonics=blade_loads(*get_args(Component)),
-            steady=WIND,
+            steady=WIND_ON_LOADS,
             drift=drift,
             step=step,
         )
@@ -194,13 +200,18 @@ def short_plan(rotor_speed: float = 17.5) -> CampaignPlan:
     """A small campaign for tests: the static runs in two steps, six sweeps of 4 periods of 2 s, a check, a wind."""
     sweeps = tuple(
         SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=2.0, periods=4)
-        for name, level in HIGH.items()
+        for name, level in HIGH_SWEEP_LEVELS.items()
     )
     bare, trim = (plan.model_copy(update={"steps": 2}) for plan in statics())
     every = get_args(Component)
     check = RotorPlan(run="check-1", rotor_speed=rotor_speed, duration=8.0, harmonics=blade_loads("Fz", "My"))
     wind = RotorPlan(
-        run="wind-1", kind="wind", rotor_speed=rotor_speed, duration=8.0, harmonics=blade_loads(*every), steady=WIND
+        run="wind-1",
+        kind="wind",
+        rotor_speed=rotor_speed,
+        duration=8.0,
+        harmonics=blade_loads(*every),
+        steady=WIND_ON_LOADS,
     )
     return CampaignPlan(runs=(bare, trim, *sweeps, check, wind))
 

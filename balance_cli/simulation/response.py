@@ -64,10 +64,10 @@ def full_system(mechanics: Mechanics) -> ModalSystem:
     return modal_system(state_matrix(mechanics), input_matrix(mechanics), outputs)
 
 
-def felt_forces(mechanics: Mechanics, extra: Array) -> Array:
+def forces_read_by_channels(mechanics: Mechanics, extra: Array) -> Array:
     """What of the nonlinear forces (n, m) the cells feel besides their linear force: (n, c+1)."""
-    felt = np.zeros((len(extra), len(mechanics.cell_rows) + 1))
+    read_by_channels = np.zeros((len(extra), len(mechanics.cell_rows) + 1))
     for force, column in zip(mechanics.forces, extra.T, strict=True):
-        if force.felt:
-            felt[:, force.cell] += column
-    return felt
+        if force.read_by_channels:
+            read_by_channels[:, force.cell] += column
+    return read_by_channels

@@ -44,7 +44,7 @@ class TrueRig:
         return replace(self, extensions=(*self.extensions, *extensions))
 
 
-def moving_part(geometry: Geometry) -> tuple[float, Array, Array]:
+def metric_side(geometry: Geometry) -> tuple[float, Array, Array]:
     """Mass [kg], centre of gravity (3,) [m] and inertia tensor (3, 3) [kg m2] about it, of all bodies together.
 
     The parallel-axis theorem: `I = sum I_b + m_b (r'r 1 - r r')`, r from the common centre of gravity.
@@ -61,7 +61,7 @@ def moving_part(geometry: Geometry) -> tuple[float, Array, Array]:
     return mass, cg, inertia
 
 
-def _filled(value: ArrayLike | None, default: Array, what: str) -> Array:
+def _fill(value: ArrayLike | None, default: Array, what: str) -> Array:
     if value is None:
         return default
     array = np.array(value, float)
@@ -88,18 +88,18 @@ def true_rig(
 
     The geometry's declared effects are not applied here (see `apply_effects`). Raises UserError for a wrong shape.
     """
-    own_mass, own_cg, own_inertia = moving_part(geometry)
+    own_mass, own_cg, own_inertia = metric_side(geometry)
     meter = geometry.torque_meter
     zeta = geometry.damping_ratio
     k, j = (meter.stiffness, meter.inertia) if meter else (1.0, 1.0)
     return TrueRig(
         geometry,
         mass=own_mass if mass is None else float(mass),
-        cg=_filled(cg, own_cg, "cg"),
-        inertia=own_inertia if inertia is None else _filled(inertia, own_inertia, "inertia"),
-        stiffness=_filled(stiffness, np.array([cell.effective_stiffness for cell in geometry.cells]), "stiffness"),
-        damping_ratios=_filled(damping_ratios, np.full(len(geometry.freedom), zeta), "damping_ratios"),
-        sensitivities=_filled(sensitivities, np.array([c.sensitivity for c in geometry.channels]), "sensitivities"),
+        cg=_fill(cg, own_cg, "cg"),
+        inertia=own_inertia if inertia is None else _fill(inertia, own_inertia, "inertia"),
+        stiffness=_fill(stiffness, np.array([cell.effective_stiffness for cell in geometry.cells]), "stiffness"),
+        damping_ratios=_fill(damping_ratios, np.full(len(geometry.freedom), zeta), "damping_ratios"),
+        sensitivities=_fill(sensitivities, np.array([c.sensitivity for c in geometry.channels]), "sensitivities"),
         torque_stiffness=k if torque_stiffness is None else float(torque_stiffness),
         torque_inertia=j if torque_inertia is None else float(torque_inertia),
         torque_damping_ratio=zeta if torque_damping_ratio is None else float(torque_damping_ratio),
@@ -107,13 +107,13 @@ def true_rig(
     )
 
 
-def physical_inertia(inertia: Array) -> bool:
+def is_physical_inertia(inertia: Array) -> bool:
     """Whether a tensor (3, 3) can belong to a body: no principal moment above the sum of the two others."""
     principal = np.linalg.eigvalsh(inertia)
     return bool(principal[0] > 0 and principal[2] <= (principal[0] + principal[1]) * (1 + 1e-12))
 
 
-def _physical(rig: TrueRig) -> bool:
+def _is_physical(rig: TrueRig) -> bool:
     positive = (rig.mass, rig.torque_stiffness, rig.torque_inertia)
     damped = np.append(rig.damping_ratios, rig.torque_damping_ratio)
     return (
@@ -122,11 +122,11 @@ def _physical(rig: TrueRig) -> bool:
         and bool(np.all(damped >= 0))
         and (rig.geometry.damping_ratio == 0 or bool(np.all(damped > 0)))
         and bool(np.all(rig.sensitivities * [c.sensitivity for c in rig.geometry.channels] > 0))
-        and physical_inertia(rig.inertia)
+        and is_physical_inertia(rig.inertia)
     )
 
 
-def _drawn_inertia(inertia: Array, tolerance: float, rng: np.random.Generator) -> Array:
+def _draw_inertia(inertia: Array, tolerance: float, rng: np.random.Generator) -> Array:
     moments = np.sqrt(np.diag(inertia))
     noise = np.triu(rng.standard_normal((3, 3)))
     noise = noise + np.triu(noise, 1).T
@@ -137,20 +137,20 @@ def _drawn_inertia(inertia: Array, tolerance: float, rng: np.random.Generator) -
 def _draw_once(rig: TrueRig, rng: np.random.Generator) -> TrueRig:
     tol = rig.geometry.tolerances
 
-    def about(value: Array | float, tolerance: float) -> Array:
+    def vary(value: Array | float, tolerance: float) -> Array:
         return np.asarray(value) * (1 + tolerance * rng.standard_normal(np.shape(value)))
 
     return replace(
         rig,
-        mass=float(about(rig.mass, tol.mass)),
+        mass=float(vary(rig.mass, tol.mass)),
         cg=rig.cg + tol.centre_of_gravity * rng.standard_normal(3),
-        inertia=_drawn_inertia(rig.inertia, tol.inertia, rng),
-        stiffness=about(rig.stiffness, tol.stiffness),
-        damping_ratios=about(rig.damping_ratios, tol.damping_ratio),
-        sensitivities=about(rig.sensitivities, tol.sensitivity),
-        torque_stiffness=float(about(rig.torque_stiffness, tol.stiffness)),
-        torque_inertia=float(about(rig.torque_inertia, tol.inertia)),
-        torque_damping_ratio=float(about(rig.torque_damping_ratio, tol.damping_ratio)),
+        inertia=_draw_inertia(rig.inertia, tol.inertia, rng),
+        stiffness=vary(rig.stiffness, tol.stiffness),
+        damping_ratios=vary(rig.damping_ratios, tol.damping_ratio),
+        sensitivities=vary(rig.sensitivities, tol.sensitivity),
+        torque_stiffness=float(vary(rig.torque_stiffness, tol.stiffness)),
+        torque_inertia=float(vary(rig.torque_inertia, tol.inertia)),
+        torque_damping_ratio=float(vary(rig.torque_damping_ratio, tol.damping_ratio)),
     )
 
 
@@ -164,7 +164,7 @@ def draw_rig(geometry: Geometry, rng: np.random.Generator, attempts: int = 1000)
     declared = true_rig(geometry)
     for _ in range(attempts):
         rig = _draw_once(declared, rng)
-        if _physical(rig):
+        if _is_physical(rig):
             return rig
     raise UserError(
         f"{attempts} draws gave no possible rig",

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Turning:
+class RotorKinematics:
     """Rotor speed `speed (1 + drift sin(2 pi t / drift_period + drift_phase))` [Hz]; azimuth 0 at t = 0."""
 
     speed: float

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.simulation.mechanics import Mechanics
-from balance_cli.simulation.nonlinear import Forces, rest
+from balance_cli.simulation.nonlinear import NonlinearForces, solve_rest_state
 from balance_cli.simulation.plans import Component, StaticPlan
-from balance_cli.simulation.response import felt_forces, full_system
+from balance_cli.simulation.response import forces_read_by_channels, full_system
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ def load_row(loads: Mapping[Component, float]) -> Array:
     return np.array([loads.get(name, 0.0) for name in get_args(Component)])
 
 
-def loading_sequence(plan: StaticPlan) -> Array:
+def static_load_points(plan: StaticPlan) -> Array:
     """Load points (rows, 6) in order: the trim, then each component up, down through it, and back."""
     up = np.arange(1, plan.steps + 1)
     ladder = np.concatenate([up, up[-2::-1], [0], -up, -up[-2::-1], [0]]) / plan.steps
@@ -34,10 +34,10 @@ def loading_sequence(plan: StaticPlan) -> Array:
 
 def static_forces(mechanics: Mechanics, loads: Array) -> Array:
     """Cell forces and torque (rows, c+1) at rest under `loads` (rows, 6), applied in this order."""
-    gain = full_system(mechanics).static()
+    gain = full_system(mechanics).static_gain()
     cells = len(mechanics.cell_rows) + 1
     if not mechanics.forces:
         return np.asarray(loads @ gain.T)
-    extra = rest(Forces.of(mechanics.forces), gain[cells:], loads).force
-    forces: Array = np.hstack([loads, extra]) @ gain[:cells].T + felt_forces(mechanics, extra)
+    extra = solve_rest_state(NonlinearForces.of(mechanics.forces), gain[cells:], loads).force
+    forces: Array = np.hstack([loads, extra]) @ gain[:cells].T + forces_read_by_channels(mechanics, extra)
     return forces

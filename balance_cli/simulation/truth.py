@@ -41,6 +41,6 @@ class RunTruth:
         return harmonics(self.azimuth[inside], self.loads[inside], HARMONICS)
 
 
-def stream(seed: int, run: str, what: str) -> np.random.Generator:
+def random_stream(seed: int, run: str, what: str) -> np.random.Generator:
     """An independent stream of random numbers for each run (by name) and use."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(f"{run}/{what}".encode())))

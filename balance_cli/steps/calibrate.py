@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration
 from balance_cli.calibration.static_matrices import (
-    Regression,
-    Rows,
+    TrimRegression,
+    TrimRows,
+    add_variance_floor,
     hysteresis,
     inverse_matrix,
     inverse_sigma,
@@ -19,28 +20,27 @@ from balance_cli.calibration.static_matrices import (
     regress,
     significance,
     standard_errors,
-    with_floor,
 )
 from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run, read_channels
-from balance_cli.campaign.rig.attitude import stretches
+from balance_cli.campaign.rig.attitude import attitude_segments
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
 from balance_cli.signals.static_noise import static_points
-from balance_cli.steps.calibrate_all_trims import gage_through_all_trims, gravity
+from balance_cli.steps.calibrate_all_trims import fit_all_trims, gravity
 
 Array = NDArray[np.float64]
 
-LEAST_SIGNIFICANCE = 25.0
-LOADED = 0.01
-TOLD_APART = 5.0  # standard errors by which the least singular value of C0 must differ from zero
+MIN_SIGNIFICANCE = 25.0
+MIN_LOAD_VARIATION = 0.01
+MIN_SINGULAR_VALUE_SIGNIFICANCE = 5.0  # standard errors by which the least singular value of C0 must differ from zero
 LARGEST_CONDITION = 1e8
 
 
 @dataclass(frozen=True)
-class _Task:
+class _TrimTask:
     """One trim to be calibrated: its runs, usable channels, carried components and their full range (k,)."""
 
     label: str
@@ -56,14 +56,14 @@ class _Task:
         return UserError(fault, ", ".join(_place(run) for run in self.runs), f"trim {self.label}", remedy)
 
     @property
-    def and_lost(self) -> str:
+    def left_out_note(self) -> str:
         """The channels left out, for a message."""
         lost = ", ".join(f"{name}: {reason}" for name, reason in self.left_out.items())
         return f" (left out: {lost})" if lost else ""
 
 
 @dataclass(frozen=True)
-class _Noise:
+class _RowNoise:
     """Noise of a row: covariance (c, c), its degrees of freedom (0: not told by the rows), relative size by run."""
 
     covariance: Array
@@ -90,38 +90,38 @@ def calibrate(
         if not run.has_loads:
             raise UserError("a static run without loads", _place(run), "loads", "Record the applied loads")
     components = carried_components(geometry)
-    loads_range = np.max([np.max(np.abs(_loads(run)), axis=0) for run in static], axis=0)
+    loads_range = np.max([np.max(np.abs(_loads_of_run(run)), axis=0) for run in static], axis=0)
     full_range = loads_range[[COMPONENTS.index(name) for name in components]]
     trims = {}
     for label in dict.fromkeys(run.trim or "" for run in static):
         members = tuple(run for run in static if (run.trim or "") == label)
         names, left_out = _usable_channels(members, geometry)
-        trims[label] = _calibrate_trim(_Task(label, members, geometry, names, left_out, components, full_range))
-    return Calibration(geometry, trims, gage_through_all_trims(static, geometry, trims, hold_out, search, direct))
+        trims[label] = _calibrate_trim(_TrimTask(label, members, geometry, names, left_out, components, full_range))
+    return Calibration(geometry, trims, fit_all_trims(static, geometry, trims, hold_out, search, direct))
 
 
-def _calibrate_trim(task: _Task) -> TrimCalibration:
+def _calibrate_trim(task: _TrimTask) -> TrimCalibration:
     """Calibration about one trim. UserError as for `calibrate`."""
     c, k = len(task.channel_names), len(task.components)
     if c < k:
-        fault = f"{c} usable channels cannot determine {k} load components{task.and_lost}"
+        fault = f"{c} usable channels cannot determine {k} load components{task.left_out_note}"
         raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig")
-    noise = _noise(task)
-    rows = _rows(task, noise)
+    noise = _pooled_noise(task)
+    rows = _stack_rows(task, noise)
     _check_loaded(task, rows)
     try:
         regression = regress(rows, task.components)
     except UserError as error:
         raise task.error(error.fault, error.remedy) from None
-    _check_seen(task, regression)
-    return _result(task, rows, regression, noise)
+    _check_significance(task, regression)
+    return _trim_calibration(task, rows, regression, noise)
 
 
 def _place(run: Run) -> str:
     return str(run.path or f"run {run.name}")
 
 
-def _loads(run: Run) -> Array:
+def _loads_of_run(run: Run) -> Array:
     loads = run.read().loads
     assert loads is not None
     return loads
@@ -139,7 +139,7 @@ def _usable_channels(runs: Sequence[Run], geometry: Geometry) -> tuple[tuple[str
     }
 
 
-def _noise(task: _Task) -> _Noise:
+def _pooled_noise(task: _TrimTask) -> _RowNoise:
     """Noise of a row from the differences of neighbours, pooled over the runs whose rows tell it."""
     measured = []
     for run in task.runs:
@@ -147,45 +147,45 @@ def _noise(task: _Task) -> _Noise:
             points = static_points(run, task.channel_names)
         except UserError:  # rows in no order, or too few: the residual of the regression has to serve
             c = len(task.channel_names)
-            return _Noise(np.zeros((c, c)), 0.0, np.ones(len(task.runs)))
+            return _RowNoise(np.zeros((c, c)), 0.0, np.ones(len(task.runs)))
         measured.append((points.covariance, points.dof))
     dof = sum(each for _, each in measured)
     pooled = np.asarray(sum(covariance * each for covariance, each in measured) / dof)
     relative = [float(np.mean(np.diagonal(covariance) / np.diagonal(pooled))) for covariance, _ in measured]
-    return _Noise(pooled, dof, np.array(relative))
+    return _RowNoise(pooled, dof, np.array(relative))
 
 
-def _rows(task: _Task, noise: _Noise) -> Rows:
-    loads = [_loads(run) for run in task.runs]
+def _stack_rows(task: _TrimTask, noise: _RowNoise) -> TrimRows:
+    loads = [_loads_of_run(run) for run in task.runs]
     of_run = np.repeat(np.arange(len(loads)), [len(each) for each in loads])
     together = np.vstack(loads)
     carried = [COMPONENTS.index(name) for name in task.components]
     other = [j for j in range(len(COMPONENTS)) if j not in carried and np.ptp(together[:, j]) > 0]
     channels = np.vstack([read_channels(run, task.channel_names) for run in task.runs])
-    offset = stretches(of_run, gravity(task.runs))
-    return Rows(channels, together[:, carried], together[:, other], offset, 1.0 / noise.relative[of_run])
+    offset = attitude_segments(of_run, gravity(task.runs))
+    return TrimRows(channels, together[:, carried], together[:, other], offset, 1.0 / noise.relative[of_run])
 
 
-def _check_loaded(task: _Task, rows: Rows) -> None:
+def _check_loaded(task: _TrimTask, rows: TrimRows) -> None:
     """UserError for a component whose load did not change."""
     spread, size = np.ptp(rows.loads, axis=0), np.max(np.abs(rows.loads), axis=0)
-    for name, varied in zip(task.components, spread > LOADED * size, strict=True):
+    for name, varied in zip(task.components, spread > MIN_LOAD_VARIATION * size, strict=True):
         if not varied:
             raise task.error(f"`{name}` was never loaded", f"Apply `{name}` in steps about this trim")
 
 
-def _check_seen(task: _Task, regression: Regression) -> None:
+def _check_significance(task: _TrimTask, regression: TrimRegression) -> None:
     """UserError for a component whose load no channel shows."""
     for name, significant in zip(task.components, significance(regression), strict=True):
-        if significant < LEAST_SIGNIFICANCE:
-            fault = f"`{name}` was hardly loaded, or no usable channel shows it{task.and_lost}"
+        if significant < MIN_SIGNIFICANCE:
+            fault = f"`{name}` was hardly loaded, or no usable channel shows it{task.left_out_note}"
             raise task.error(fault, f"Apply `{name}` in steps, and check the channels that should show it")
 
 
-def _result(task: _Task, rows: Rows, regression: Regression, noise: _Noise) -> TrimCalibration:
+def _trim_calibration(task: _TrimTask, rows: TrimRows, regression: TrimRegression, noise: _RowNoise) -> TrimCalibration:
     """Everything that follows from the regression."""
-    residual_covariance = with_floor(regression.covariance, rows.channels)
-    noise_covariance = with_floor(noise.covariance, rows.channels) if noise.dof else residual_covariance
+    residual_covariance = add_variance_floor(regression.covariance, rows.channels)
+    noise_covariance = add_variance_floor(noise.covariance, rows.channels) if noise.dof else residual_covariance
     condition = _condition(task, regression, noise_covariance)
     T0, derivative = inverse_matrix(regression.C0, residual_covariance)
     return TrimCalibration(
@@ -208,15 +208,15 @@ def _result(task: _Task, rows: Rows, regression: Regression, noise: _Noise) -> T
         lack_of_fit=lack_of_fit(residual_covariance, noise_covariance, noise.dof),
         full_range=task.full_range,
         channel_full_range=channel_full_range(task.geometry, task.channel_names, task.components, task.full_range),
-        residual=_deviation(regression.residuals @ T0.T, rows.weight, regression.dof),
-        channel_residual=_deviation(regression.residuals, rows.weight, regression.dof),
+        residual=_standard_deviation(regression.residuals @ T0.T, rows.weight, regression.dof),
+        channel_residual=_standard_deviation(regression.residuals, rows.weight, regression.dof),
         hysteresis=Hysteresis(*hysteresis(rows, T0)),
         condition=condition,
         left_out=task.left_out,
     )
 
 
-def _mean_channels(task: _Task, rows: Rows, regression: Regression) -> Array:
+def _mean_channels(task: _TrimTask, rows: TrimRows, regression: TrimRegression) -> Array:
     """Mean reading (c,) of the rows; where attitudes are stated, as if all rows were read with the mean offset."""
     away = np.zeros_like(rows.channels)
     if gravity(task.runs) is not None:
@@ -224,12 +224,12 @@ def _mean_channels(task: _Task, rows: Rows, regression: Regression) -> Array:
     return np.asarray(np.average(rows.channels + away, axis=0, weights=rows.weight))
 
 
-def _deviation(errors: Array, weight: Array, dof: int) -> Array:
+def _standard_deviation(errors: Array, weight: Array, dof: int) -> Array:
     """Standard deviation of each column of errors (m, n) about the line."""
     return np.asarray(np.sqrt(weight @ errors**2 / dof))
 
 
-def _condition(task: _Task, regression: Regression, noise_covariance: Array) -> float:
+def _condition(task: _TrimTask, regression: TrimRegression, noise_covariance: Array) -> float:
     """Condition of C0, loads in units of full range, channels of their noise.
 
     UserError where the least singular value is not told from zero: then some loads together leave no trace.
@@ -239,9 +239,9 @@ def _condition(task: _Task, regression: Regression, noise_covariance: Array) -> 
     u, v = U[:, -1] * unit, Vt[-1] * task.full_range
     variance = float(np.einsum("i,j,ijlm,l,m->", u, v, regression.C0_covariance, u, v, optimize=True))
     condition = float(s[0] / max(s[-1], np.finfo(float).tiny))
-    if s[-1] < TOLD_APART * np.sqrt(max(variance, 0.0)) or condition > LARGEST_CONDITION:
+    if s[-1] < MIN_SINGULAR_VALUE_SIGNIFICANCE * np.sqrt(max(variance, 0.0)) or condition > LARGEST_CONDITION:
         involved = [f"`{name}`" for name, share in zip(task.components, np.abs(Vt[-1]), strict=True) if share > 0.1]
-        fault = f"the usable channels do not tell {' and '.join(involved)} apart{task.and_lost}"
+        fault = f"the usable channels do not tell {' and '.join(involved)} apart{task.left_out_note}"
         raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig")
     return condition
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import GageCalibration, gage_calibration, rows_of
-from balance_cli.calibration.fit import LoadPoints
+from balance_cli.calibration.all_trims import AllTrimsCalibration, calibrate_all_trims, read_load_points
+from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import CollinearError
 from balance_cli.calibration.result import TrimCalibration
 from balance_cli.campaign.recording.run import Run
@@ -23,14 +23,14 @@ from balance_cli.signals.static_noise import static_points
 Array = NDArray[np.float64]
 
 
-def gage_through_all_trims(
+def fit_all_trims(
     runs: Sequence[Run],
     geometry: Geometry,
     trims: Mapping[str, TrimCalibration],
     hold_out: Sequence[Run],
     search: bool,
     direct: bool = False,
-) -> GageCalibration | None:
+) -> AllTrimsCalibration | None:
     """One model through all trims.
 
     None where their common channels do not serve, other loads were applied, or no load by itself within a sequence.
@@ -38,27 +38,27 @@ def gage_through_all_trims(
     """
     first = next(iter(trims.values()))
     names = tuple(name for name in first.channel_names if all(name in trim.channel_names for trim in trims.values()))
-    if len(names) < len(first.components) or any(_loaded_otherwise(run, first.components) for run in runs):
+    if len(names) < len(first.components) or any(_has_uncarried_loads(run, first.components) for run in runs):
         return None
-    each = [rows_of(run, names, first.components) for run in runs]
+    each = [read_load_points(run, names, first.components) for run in runs]
     lengths = [len(loads) for _, loads in each]
-    points = LoadPoints(
+    points = CalibrationPoints(
         channel_names=names,
         components=first.components,
         run_names=tuple(run.name for run in runs),
         channels=np.vstack([channels for channels, _ in each]),
         loads=np.vstack([loads for _, loads in each]),
         run=np.repeat(np.arange(len(runs)), lengths),
-        weight=np.repeat([1.0 / _own_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
+        weight=np.repeat([1.0 / _relative_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
         full_range=first.full_range,
         gravity=gravity(runs),
     )
     for run in hold_out:
-        _check_channels(run, names)
-    checks = [(run.name, *rows_of(run, names, first.components)) for run in hold_out]
+        _check_hold_out_channels(run, names)
+    checks = [(run.name, *read_load_points(run, names, first.components)) for run in hold_out]
     try:
         declared, by_run = _declared_response(geometry, points), _gravity_by_run(hold_out)
-        return gage_calibration(points, checks, search, declared, direct, by_run)
+        return calibrate_all_trims(points, checks, search, declared, direct, by_run)
     except CollinearError:
         return None
 
@@ -73,7 +73,7 @@ def _gravity_by_run(runs: Sequence[Run]) -> dict[str, Array]:
     return {run.name: gravity_directions(run.attitude) for run in runs if run.attitude is not None}
 
 
-def _declared_response(geometry: Geometry, points: LoadPoints) -> Array:
+def _declared_response(geometry: Geometry, points: CalibrationPoints) -> Array:
     """What the declared rig reads at rest (c, k) [V/N, V/(N m)]."""
     system = balance_model(geometry).system()
     T = response(system, solve(system, np.zeros(1)))[0].real
@@ -81,7 +81,7 @@ def _declared_response(geometry: Geometry, points: LoadPoints) -> Array:
     return np.asarray(T[np.ix_(rows, [COMPONENTS.index(name) for name in points.components])])
 
 
-def _check_channels(run: Run, names: tuple[str, ...]) -> None:
+def _check_hold_out_channels(run: Run, names: tuple[str, ...]) -> None:
     """UserError for a hold-out run that lacks a channel of the calibration."""
     lost = [name for name in names if name not in run.channel_names]
     if lost:
@@ -91,7 +91,7 @@ def _check_channels(run: Run, names: tuple[str, ...]) -> None:
         )
 
 
-def _loaded_otherwise(run: Run, components: tuple[str, ...]) -> bool:
+def _has_uncarried_loads(run: Run, components: tuple[str, ...]) -> bool:
     """Whether a load was applied that the balance does not carry."""
     loads = run.read().loads
     assert loads is not None
@@ -99,7 +99,7 @@ def _loaded_otherwise(run: Run, components: tuple[str, ...]) -> bool:
     return bool(np.any(np.ptp(loads[:, other], axis=0) > 0))
 
 
-def _own_noise(run: Run, names: tuple[str, ...], trim: TrimCalibration) -> float:
+def _relative_noise(run: Run, names: tuple[str, ...], trim: TrimCalibration) -> float:
     """Mean variance of a row of this run over that of its trim; 1 where its rows do not tell."""
     try:
         own = np.diagonal(static_points(run, names).covariance)

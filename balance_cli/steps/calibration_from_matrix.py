@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import Drift, GageCalibration, checked, rows_of
-from balance_cli.calibration.math_model import GageModel
-from balance_cli.calibration.matrix import model_of
-from balance_cli.calibration.matrix_reader import StatedMatrix
+from balance_cli.calibration.all_trims import AllTrimsCalibration, Drift, evaluate_check_loads, read_load_points
+from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.calibration.matrix import model_from_matrix
+from balance_cli.calibration.matrix_reader import ParsedMatrix
 from balance_cli.calibration.matrix_text import CHANNEL, COMPONENT, RIG
-from balance_cli.calibration.noise import NoiseParts
+from balance_cli.calibration.noise import CalibrationNoise
 from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration
 from balance_cli.calibration.static_matrices import inverse_matrix
 from balance_cli.campaign.recording.run import Run
@@ -24,54 +24,56 @@ from balance_cli.steps.calibrate import channel_full_range
 
 Array = NDArray[np.float64]
 
-MATRIX = "matrix"
+MATRIX_TRIM = "matrix"
 """Label of the one trim."""
-ABSENT = "absent from the matrix"
+NOT_IN_MATRIX = "absent from the matrix"
 
 
-def stated_calibration(stated: StatedMatrix, geometry: Geometry, hold_out: Sequence[Run] = ()) -> Calibration:
+def calibration_from_matrix(
+    parsed_matrix: ParsedMatrix, geometry: Geometry, hold_out: Sequence[Run] = ()
+) -> Calibration:
     """The calibration that a matrix states: C0 and T0 its straight part at zero load, and the model with all terms.
 
     What the matrix does not state is unknown: standard errors NaN, and no part of any sigma. The static runs of
     `hold_out` check it. Raises UserError where the matrix is of another rig, components or channels than the geometry.
     """
-    _check_rig(stated, geometry)
-    _check_components(stated, geometry)
-    _check_channels(stated, geometry)
-    model = model_of(stated.matrix)
-    return Calibration(geometry, {MATRIX: _trim(model, geometry)}, _gage(model, hold_out))
+    _check_rig(parsed_matrix, geometry)
+    _check_components(parsed_matrix, geometry)
+    _check_channels(parsed_matrix, geometry)
+    model = model_from_matrix(parsed_matrix.matrix)
+    return Calibration(geometry, {MATRIX_TRIM: _linear_trim(model, geometry)}, _model_without_rows(model, hold_out))
 
 
-def _check_rig(stated: StatedMatrix, geometry: Geometry) -> None:
-    rig = stated.matrix.rig
+def _check_rig(parsed_matrix: ParsedMatrix, geometry: Geometry) -> None:
+    rig = parsed_matrix.matrix.rig
     if rig and rig != geometry.rig:
         fault = f"is of rig `{rig[:60]}`, but the geometry `{geometry.name}` is of rig `{geometry.rig}`"
-        raise _error(stated, RIG, fault, "Give the geometry of that rig, or a matrix of this one")
+        raise _row_error(parsed_matrix, RIG, fault, "Give the geometry of that rig, or a matrix of this one")
 
 
-def _check_components(stated: StatedMatrix, geometry: Geometry) -> None:
+def _check_components(parsed_matrix: ParsedMatrix, geometry: Geometry) -> None:
     carried = carried_components(geometry)
-    if stated.matrix.components != carried:
-        fault = f"has {', '.join(stated.matrix.components)}, but the rig carries {', '.join(carried)}"
-        raise _error(stated, COMPONENT, fault, "Write the matrix for these, in this order")
+    if parsed_matrix.matrix.components != carried:
+        fault = f"has {', '.join(parsed_matrix.matrix.components)}, but the rig carries {', '.join(carried)}"
+        raise _row_error(parsed_matrix, COMPONENT, fault, "Write the matrix for these, in this order")
 
 
-def _check_channels(stated: StatedMatrix, geometry: Geometry) -> None:
+def _check_channels(parsed_matrix: ParsedMatrix, geometry: Geometry) -> None:
     constant = [channel.name for channel in geometry.channels if channel.measures_dc]
-    for name in stated.matrix.channel_names:
+    for name in parsed_matrix.matrix.channel_names:
         if name in constant:
             continue
         fault = f"`{name[:60]}` is no strain or torque channel of the geometry `{geometry.name}`"
         near = difflib.get_close_matches(name[:60], constant, n=1)
         remedy = f"Did you mean `{near[0]}`?" if near else f"It has {', '.join(constant)}"
-        raise _error(stated, CHANNEL, fault, remedy)
+        raise _row_error(parsed_matrix, CHANNEL, fault, remedy)
 
 
-def _error(stated: StatedMatrix, name: str, fault: str, remedy: str) -> UserError:
-    return UserError(fault, place=f"line {stated.line[name]}, `{name}`", remedy=remedy)
+def _row_error(parsed_matrix: ParsedMatrix, name: str, fault: str, remedy: str) -> UserError:
+    return UserError(fault, place=f"line {parsed_matrix.line[name]}, `{name}`", remedy=remedy)
 
 
-def _trim(model: GageModel, geometry: Geometry) -> TrimCalibration:
+def _linear_trim(model: CalibrationModel, geometry: Geometry) -> TrimCalibration:
     """The straight part about zero load, counted from the zeros."""
     k, c = len(model.components), len(model.channel_names)
     C0 = model.coefficients[:k].T / model.full_range
@@ -80,7 +82,7 @@ def _trim(model: GageModel, geometry: Geometry) -> TrimCalibration:
     unit = 1.0 / np.sqrt(np.diagonal(S))
     constant = [channel.name for channel in geometry.channels if channel.measures_dc]
     return TrimCalibration(
-        trim=MATRIX,
+        trim=MATRIX_TRIM,
         runs=(),
         rows=0,
         channel_names=model.channel_names,
@@ -103,16 +105,16 @@ def _trim(model: GageModel, geometry: Geometry) -> TrimCalibration:
         channel_residual=np.sqrt(np.diagonal(S)),
         hysteresis=Hysteresis(*(np.full(shape, np.nan) for shape in ((c, k), (c, k), (k,), (k,)))),
         condition=float(np.linalg.cond(unit[:, None] * C0 * model.full_range)),
-        left_out={name: ABSENT for name in constant if name not in model.channel_names},
+        left_out={name: NOT_IN_MATRIX for name in constant if name not in model.channel_names},
     )
 
 
-def _gage(model: GageModel, hold_out: Sequence[Run]) -> GageCalibration:
+def _model_without_rows(model: CalibrationModel, hold_out: Sequence[Run]) -> AllTrimsCalibration:
     """The model without rows behind it; no noise of load readings is known."""
     k, c = len(model.components), len(model.channel_names)
-    noise = NoiseParts(model.residual_covariance, np.zeros(k))
+    noise = CalibrationNoise(model.residual_covariance, np.zeros(k))
     names = (model.channel_names, model.components)
-    return GageCalibration(
+    return AllTrimsCalibration(
         model=model,
         runs=(),
         run=np.zeros(0, np.intp),
@@ -123,5 +125,5 @@ def _gage(model: GageModel, hold_out: Sequence[Run]) -> GageCalibration:
         noise=noise,
         outliers=(),
         bad_sequences=(),
-        checks=tuple(checked(model, noise, run.name, *rows_of(run, *names)) for run in hold_out),
+        checks=tuple(evaluate_check_loads(model, noise, run.name, *read_load_points(run, *names)) for run in hold_out),
     )

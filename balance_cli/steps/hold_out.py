@@ -12,17 +12,17 @@ from balance_cli.diagnosis.result import HoldOut, RunErrors
 from balance_cli.estimation.fit_quality import fit_quality
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import stacked
-from balance_cli.estimation.nonlinear_contribution import linear_part
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_errors import check_errors
-from balance_cli.reduction.harmonic_loads import RotorRecord, dynamic_loads, response_of_harmonics, rotor_record
+from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, harmonic_response, rotor_record
 from balance_cli.reduction.response_sources import ResponseSource, model_source
 from balance_cli.reduction.result import CheckErrors
 
 Array = NDArray[np.float64]
 
-KINDS = ("check", "sweep")
+HOLD_OUT_KINDS = ("check", "sweep")
 
 
 def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -> HoldOut:
@@ -31,32 +31,34 @@ def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -
     A `check` run has errors of its hub loads and of its response at the rotor harmonics 1 to 8, a `sweep` run those of
     its response from 5 to 150 Hz. Raises UserError for other kinds, and where the run cannot be reduced.
     """
-    check_serves(run)
-    errors = _check_run if run.kind == "check" else _sweep_run
+    require_known_loads(run)
+    errors = _check_run_errors if run.kind == "check" else _sweep_run_errors
     (old, _), (new, noise) = errors(run, before), errors(run, after)
     return HoldOut(old, new, noise)
 
 
-def check_serves(run: Run) -> None:
+def require_known_loads(run: Run) -> None:
     """UserError for a run of which nothing is known that a model could be held to."""
     place = str(run.path or run.name)
-    if run.kind not in KINDS:
+    if run.kind not in HOLD_OUT_KINDS:
         remedy = "Hold out check runs (errors of hub loads) or sweeps (errors of responses)"
         raise UserError(f"a {run.kind} run has no known loads to compare with", place, "--hold-out", remedy)
     if not run.has_loads:
         raise UserError("has no `loads` to compare with", place, "loads", "Hold out a run whose loads were measured")
 
 
-def _check_run(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
+def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
     """Errors of a check run, and their part that is noise, without a calibration: the harmonics from 1 on."""
     source, geometry = model_source(model), model.geometry
     record = rotor_record(run, geometry, source)
-    spill = identified_system(model).spill.value
-    loads = check_errors(record.spectra, dynamic_loads(record, geometry, source), record.components, geometry, spill)
-    return _named(loads, *_harmonic_errors(record, model, source, spill))
+    exciter_cross_axis = identified_system(model).exciter_cross_axis.value
+    loads = check_errors(
+        record.spectra, harmonic_loads(record, geometry, source), record.components, geometry, exciter_cross_axis
+    )
+    return _run_errors(loads, *_harmonic_errors(record, model, source, exciter_cross_axis))
 
 
-def _named(loads: CheckErrors, frf_error: float, frf_noise: float) -> tuple[RunErrors, RunErrors]:
+def _run_errors(loads: CheckErrors, frf_error: float, frf_noise: float) -> tuple[RunErrors, RunErrors]:
     return (
         RunErrors(loads.load_error, loads.interaction, frf_error),
         RunErrors(loads.load_noise, loads.interaction_noise, frf_noise),
@@ -64,18 +66,18 @@ def _named(loads: CheckErrors, frf_error: float, frf_noise: float) -> tuple[RunE
 
 
 def _harmonic_errors(
-    record: RotorRecord, model: IdentifiedModel, source: ResponseSource, spill: Array
+    record: RotorRecord, model: IdentifiedModel, source: ResponseSource, exciter_cross_axis: Array
 ) -> tuple[float, float]:
     """Rms of measured channels less response times applied loads over rms of the channels, and what noise leaves.
 
     The anti-alias filter is the same in channels and loads.
     """
     spectra = record.spectra
-    readings = source.readings(spectra.frequency_hz[1:], record.health.live)
-    T = response_of_harmonics(record, model.geometry, source)[:, readings.rows] @ spill
+    channel_combination = source.channel_combination(spectra.frequency_hz[1:], record.health.live)
+    T = harmonic_response(record, model.geometry, source)[:, channel_combination.rows] @ exciter_cross_axis
     # Residual and channels as combinations (h, r, c + 6) of everything that was recorded.
-    whole = np.concatenate([readings.combination, np.zeros_like(T)], axis=2)
-    less = np.concatenate([readings.combination, -T], axis=2)
+    whole = np.concatenate([channel_combination.combination, np.zeros_like(T)], axis=2)
+    less = np.concatenate([channel_combination.combination, -T], axis=2)
     mine = spectra.columns((*record.health.live, *COMPONENTS))
     recorded = spectra.amplitude[1:, mine]
     covariance = spectra.covariance[1:][:, mine][:, :, mine]
@@ -84,15 +86,15 @@ def _harmonic_errors(
     return float(error / size), float(noise / size)
 
 
-def _sweep_run(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
+def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
     """Error of the response of a sweep, as the quality of a fit has it, and what its noise leaves of a true model.
 
     Forces along the cells that are not linear go out of the record first: where nothing repeats, what they do to it
     would pass for noise.
     """
     system = identified_system(model)
-    run = linear_part(run, system, model.geometry, live_channels(run, model.geometry).live)
+    run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
     spectra = measured_spectra([run], model.geometry, means=False)
-    batches = stacked(spectra.lines, (), model.geometry.channel_names)
+    batches = stack_runs(spectra.lines, (), model.geometry.channel_names)
     quality = fit_quality(batches, system, 0.0).runs[run.name]
     return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise)

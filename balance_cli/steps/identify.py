@@ -10,30 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.estimation.equation_error import least_squares
+from balance_cli.estimation.equation_error import fit_equation_error
 from balance_cli.estimation.fit_quality import fit_quality
-from balance_cli.estimation.identifiability import covariance_of, parameter_support, undetermined
+from balance_cli.estimation.identifiability import covariance_from_information, parameter_identifiability, undetermined
 from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable, ParameterTable
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
-from balance_cli.estimation.maximum_likelihood import best_of_starts, maximum_likelihood
+from balance_cli.estimation.maximum_likelihood import fit_best_start, maximum_likelihood
 from balance_cli.estimation.measured_spectra import Spectra
-from balance_cli.estimation.measurements import Batch, stacked
+from balance_cli.estimation.measurements import Batch, stack_runs
 from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
-from balance_cli.estimation.starting_values import by_equations_of_motion, starting_values
+from balance_cli.estimation.starting_values import start_from_equations_of_motion, starting_values
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import BalanceModel, balance_model
-from balance_cli.model.fitted_effects import FittedEffect, declare, fitted_effects
+from balance_cli.model.fitted_effects import FittedEffect, declare_fitted_effects, fitted_effects
 from balance_cli.model.modes import modes
 from balance_cli.model.placed_effects import without_effects
-from balance_cli.signals.run_spectrum import Lines
+from balance_cli.signals.run_spectrum import RunSpectrum
 from balance_cli.steps.identify_paper_form import paper_form
 
 Array = NDArray[np.float64]
 
-ALL_LINES = (0.0, np.inf)
+FULL_BAND = (0.0, np.inf)
 # The equation error takes the dynamic lines; frequency zero tells nothing of mass and damping.
-DYNAMIC = (0.5, np.inf)
+DYNAMIC_BAND = (0.5, np.inf)
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | No
     _check_effects(geometry, options)
     if options.form == "paper":
         return paper_form(spectra, geometry, _paper_options(options))
-    band = options.band or ALL_LINES
-    lines = tuple(item for item in (_in_band(run, band) for run in spectra.lines) if len(item.frequency))
-    return _physical_form(replace(spectra, lines=lines), geometry, options)
+    band = options.band or FULL_BAND
+    lines = tuple(item for item in (_restrict_to_band(run, band) for run in spectra.lines) if len(item.frequency))
+    return _identify_physical_form(replace(spectra, lines=lines), geometry, options)
 
 
 def _check_effects(geometry: Geometry, options: IdentifyOptions) -> None:
@@ -83,24 +83,24 @@ def _paper_options(options: IdentifyOptions) -> PaperOptions:
     return PaperOptions(method=options.method, damping=options.damping, band=options.band or PAPER_BAND)
 
 
-def _physical_form(spectra: Spectra, geometry: Geometry, options: IdentifyOptions) -> IdentifiedModel:
+def _identify_physical_form(spectra: Spectra, geometry: Geometry, options: IdentifyOptions) -> IdentifiedModel:
     model = balance_model(geometry)
-    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
     if options.method == "computed":
         model = model.with_exact_effects()
-        minimum, start = _unfitted(model, batches), "geometry"
+        minimum, start = _declared_estimate(model, batches), "geometry"
     else:
-        minimum, start = _fitted(model, batches, _driven_batches(spectra, geometry), options)
-    return described(model, batches, minimum, options.method, start, spectra.channels_left_out)
+        minimum, start = _fit_model(model, batches, _loaded_batches(spectra, geometry), options)
+    return build_identified_model(model, batches, minimum, options.method, start, spectra.channels_left_out)
 
 
-def _in_band(lines: Lines, band: tuple[float, float]) -> Lines:
+def _restrict_to_band(lines: RunSpectrum, band: tuple[float, float]) -> RunSpectrum:
     """The lines inside the band; the same object where all are."""
     keep = (lines.frequency >= band[0]) & (lines.frequency <= band[1])
-    return lines if keep.all() else lines.at(keep)
+    return lines if keep.all() else lines.select(keep)
 
 
-def _unfitted(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
+def _declared_estimate(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
     """The declared parameters, with the tolerances for their covariance."""
     theta = model.parameters.value
     p = int(model.parameters.free.sum())
@@ -109,15 +109,15 @@ def _unfitted(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
     return Minimum(theta, data, data + prior_curvature(model.parameters, theta), 0, True)
 
 
-def _driven_batches(spectra: Spectra, geometry: Geometry) -> tuple[Batch, ...]:
+def _loaded_batches(spectra: Spectra, geometry: Geometry) -> tuple[Batch, ...]:
     """The lines that have loads, without the means; the straight part of the static rows."""
-    lines = [run.at(run.frequency > 0) for run in spectra.lines]
+    lines = [run.select(run.frequency > 0) for run in spectra.lines]
     statics = [replace(points, share=None) for points in spectra.statics]
-    return stacked(lines, statics, geometry.channel_names)
+    return stack_runs(lines, statics, geometry.channel_names)
 
 
-def _fitted(
-    model: BalanceModel, batches: Sequence[Batch], driven: Sequence[Batch], options: IdentifyOptions
+def _fit_model(
+    model: BalanceModel, batches: Sequence[Batch], loaded: Sequence[Batch], options: IdentifyOptions
 ) -> tuple[Minimum, str]:
     """The estimate, and where it started: equations of motion, least squares or geometry, which fits the lines best.
 
@@ -127,27 +127,27 @@ def _fitted(
     declared = model.parameters.value
     if options.method == "ml":
         return maximum_likelihood(model, batches, declared), "geometry"
-    first = _least_squares(model, driven)
+    first = _fit_rigid_equation_error(model, loaded)
     if options.method == "ls":
         data = data_curvature(batches, model.system(first.theta))
         total = data + prior_curvature(model.parameters, first.theta)
         return Minimum(first.theta, data, total, first.iterations, first.converged), "geometry"
     if model.geometry.effects:
-        found = starting_values(model.parameters, driven, model.system, declared)
-        return best_of_starts(model, batches, {"least squares": found.freed, "geometry": found.held})
-    motion = by_equations_of_motion(model.parameters, driven, model.system, declared)
+        found = starting_values(model.parameters, loaded, model.system, declared)
+        return fit_best_start(model, batches, {"least squares": found.effects_free, "geometry": found.effects_fixed})
+    motion = start_from_equations_of_motion(model.parameters, loaded, model.system, declared)
     starts = {"equations of motion": motion, "least squares": first.theta, "geometry": declared}
     best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
     return maximum_likelihood(model, batches, starts[best]), best
 
 
-def _least_squares(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
+def _fit_rigid_equation_error(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
     """The rigid balance by its equation error: the motion of a flexible part cannot be told from the cells' forces."""
     rigid = balance_model(without_effects(model.geometry))
-    return least_squares(rigid.parameters, batches, rigid.system, DYNAMIC)
+    return fit_equation_error(rigid.parameters, batches, rigid.system, DYNAMIC_BAND)
 
 
-def described(
+def build_identified_model(
     model: BalanceModel,
     batches: Sequence[Batch],
     minimum: Minimum,
@@ -156,17 +156,17 @@ def described(
     left_out: dict[str, dict[str, str]],
 ) -> IdentifiedModel:
     """The model at a minimum, with all that is known of it; `start` and `method` say how it was found."""
-    covariance = covariance_of(minimum.total.information)
-    support = parameter_support(model.parameters, minimum.data.information)
+    covariance = covariance_from_information(minimum.total.information)
+    support = parameter_identifiability(model.parameters, minimum.data.information)
     return IdentifiedModel(
         form="physical",
         method=method,
         start=start,
-        geometry=declare(model.geometry, model.parameters.names, minimum.theta.tolist()),
-        parameters=_table(model, minimum.theta, covariance, support.rests_on),
-        covariance=_with_exact(model, covariance),
+        geometry=declare_fitted_effects(model.geometry, model.parameters.names, minimum.theta.tolist()),
+        parameters=_parameter_table(model, minimum.theta, covariance, support.rests_on),
+        covariance=_expand_covariance(model, covariance),
         modes=mode_table(model, minimum.theta, covariance),
-        quality=fit_quality(batches, model.system(minimum.theta), support.determined),
+        quality=fit_quality(batches, model.system(minimum.theta), support.effective_parameters),
         undetermined=() if method == "computed" else undetermined(model.parameters, minimum.data.information),
         channels_left_out=left_out,
         iterations=minimum.iterations,
@@ -180,7 +180,7 @@ def identified_effects(model: IdentifiedModel) -> tuple[FittedEffect, ...]:
     return fitted_effects(model.geometry, table.names, table.value.tolist(), table.sigma.tolist())
 
 
-def _with_exact(model: BalanceModel, covariance: Array) -> Array:
+def _expand_covariance(model: BalanceModel, covariance: Array) -> Array:
     """The covariance of the free parameters among all, zero rows and columns for exact ones."""
     free, p = model.parameters.free, len(model.parameters)
     full = np.zeros((p, p))
@@ -188,13 +188,13 @@ def _with_exact(model: BalanceModel, covariance: Array) -> Array:
     return full
 
 
-def _table(model: BalanceModel, theta: Array, covariance: Array, rests_on: tuple[str, ...]) -> ParameterTable:
+def _parameter_table(model: BalanceModel, theta: Array, covariance: Array, rests_on: tuple[str, ...]) -> ParameterTable:
     parameters = model.parameters
     return ParameterTable(
         names=parameters.names,
         units=parameters.units,
         value=theta,
-        sigma=np.sqrt(np.diag(_with_exact(model, covariance))),
+        sigma=np.sqrt(np.diag(_expand_covariance(model, covariance))),
         declared=parameters.value,
         declared_sigma=parameters.sigma,
         rests_on=rests_on,
@@ -208,11 +208,11 @@ def mode_table(model: BalanceModel, theta: Array, covariance: Array) -> ModeTabl
         coordinates=found.coordinates,
         frequency=found.frequency,
         damping_ratio=found.damping_ratio,
-        sigma_frequency=_sigma(found.frequency_slope, covariance),
-        sigma_damping_ratio=_sigma(found.damping_slope, covariance),
+        sigma_frequency=_propagate_sigma(found.frequency_derivative, covariance),
+        sigma_damping_ratio=_propagate_sigma(found.damping_derivative, covariance),
         shape=found.shape,
     )
 
 
-def _sigma(slope: Array, covariance: Array) -> Array:
+def _propagate_sigma(slope: Array, covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.einsum("mp,pq,mq->m", slope, covariance, slope), 0.0)))

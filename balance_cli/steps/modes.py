@@ -36,13 +36,13 @@ def computed_modes(geometry: Geometry) -> ComputedModes:
     covariance = np.diag(parameters.sigma[parameters.free] ** 2)
     table = mode_table(model, parameters.value, covariance)
     names = tuple(name for name in parameters.names if "stiffness" in name)
-    everything = model.all_free()
+    everything = model.free_all_parameters()
     found = modes(everything.system())
     index = [parameters.index(name) for name in names]
-    relative = found.frequency_slope[:, index] * parameters.value[index] / found.frequency[:, None]
-    return ComputedModes(table, tuple(_place(name) for name in names), relative)
+    relative = found.frequency_derivative[:, index] * parameters.value[index] / found.frequency[:, None]
+    return ComputedModes(table, tuple(_stiffness_place(name) for name in names), relative)
 
 
-def _place(name: str) -> str:
+def _stiffness_place(name: str) -> str:
     """`stiffness.z1` -> `z1`, `torque_meter.stiffness` -> `torque_meter`."""
     return name.removeprefix("stiffness.").removesuffix(".stiffness")

@@ -11,9 +11,9 @@ from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.check_errors import check_errors
-from balance_cli.reduction.harmonic_loads import RotorRecord, dynamic_loads, rotor_record
-from balance_cli.reduction.mean_loads import SteadyLoads, ZeroRecord, steady_loads
-from balance_cli.reduction.mean_loads_nonlinear import curved_loads
+from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, rotor_record
+from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads
+from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
@@ -46,10 +46,10 @@ def reduce_run(
     """
     options = options or ReduceOptions()
     record = rotor_record(run, geometry, source, options.harmonics)
-    return reduced_record(record, geometry, calibration, source, zero)
+    return reduce_record(record, geometry, calibration, source, zero)
 
 
-def reduced_record(
+def reduce_record(
     record: RotorRecord,
     geometry: Geometry,
     calibration: Calibration,
@@ -62,43 +62,45 @@ def reduced_record(
     Where `amplitudes` (n, m) of harmonics 1 to n were found in another way they take the place of those of the response
     at the harmonics, whose errors, redundancy and condition stand.
     """
-    steady = _mean_loads(record, calibration, zero)
-    dynamic = dynamic_loads(record, geometry, source)
+    mean_solution = _mean_loads(record, calibration, zero)
+    harmonic_solution = harmonic_loads(record, geometry, source)
     if amplitudes is not None:
-        dynamic = replace(dynamic, loads=amplitudes)
+        harmonic_solution = replace(harmonic_solution, loads=amplitudes)
     notes = record.azimuth.notes if calibration.errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
-    loads = replace(_joined(record, steady, dynamic, source), notes=notes)
+    loads = replace(_combine_loads(record, mean_solution, harmonic_solution, source), notes=notes)
     if not record.run.has_loads or record.run.kind != "check":
         return loads
-    return replace(loads, check=check_errors(record.spectra, dynamic, loads.components, geometry))
+    return replace(loads, check=check_errors(record.spectra, harmonic_solution, loads.components, geometry))
 
 
-def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> SteadyLoads:
+def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> MeanLoads:
     """By the model through all trims where that is curved, else by the matrix of the nearest trim."""
     if calibration.gage is not None and calibration.gage.model.curved:
-        return curved_loads(record.spectra, calibration, calibration.gage.model, record.health, zero)
-    return steady_loads(record.spectra, calibration, record.health, zero)
+        return nonlinear_mean_loads(record.spectra, calibration, calibration.gage.model, record.health, zero)
+    return linear_mean_loads(record.spectra, calibration, record.health, zero)
 
 
-def _joined(record: RotorRecord, steady: SteadyLoads, dynamic: SolvedLoads, source: ResponseSource) -> RunLoads:
+def _combine_loads(
+    record: RotorRecord, mean_solution: MeanLoads, harmonic_solution: SolvedLoads, source: ResponseSource
+) -> RunLoads:
     """Harmonic 0 from the steady loads, the others from the dynamic ones."""
-    spectra, m = record.spectra, len(steady.components)
-    variance = np.diagonal(dynamic.widened, axis1=1, axis2=2)
-    words = np.where(dynamic.misfit, "redundancy", "")
+    spectra, m = record.spectra, len(mean_solution.components)
+    variance = np.diagonal(harmonic_solution.inflated_covariance, axis1=1, axis2=2)
+    words = np.where(harmonic_solution.misfit, "redundancy", "")
     return RunLoads(
         run=record.run.name,
         kind=record.run.kind,
         response=source.description,
-        trim=steady.trim,
-        components=steady.components,
+        trim=mean_solution.trim,
+        components=mean_solution.components,
         frequency_hz=np.asarray(np.arange(len(spectra.frequency_hz)) * record.azimuth.mean_rate, float),
-        amplitude=np.concatenate([steady.loads[None, :].astype(complex), dynamic.loads]),
-        sigma_cosine=np.concatenate([steady.sigma[None, :], np.sqrt(variance[:, :m])]),
+        amplitude=np.concatenate([mean_solution.loads[None, :].astype(complex), harmonic_solution.loads]),
+        sigma_cosine=np.concatenate([mean_solution.sigma[None, :], np.sqrt(variance[:, :m])]),
         sigma_sine=np.concatenate([np.zeros((1, m)), np.sqrt(variance[:, m:])]),
-        flags=(steady.flags, *(tuple([str(word)] * m) for word in words)),
-        redundancy=np.concatenate([[steady.redundancy], dynamic.surplus]),
-        redundancy_limit=np.concatenate([[steady.redundancy_limit], dynamic.limit]),
-        condition=np.concatenate([[steady.condition], dynamic.condition]),
+        flags=(mean_solution.flags, *(tuple([str(word)] * m) for word in words)),
+        redundancy=np.concatenate([[mean_solution.redundancy], harmonic_solution.redundancy_chi2]),
+        redundancy_limit=np.concatenate([[mean_solution.redundancy_limit], harmonic_solution.limit]),
+        condition=np.concatenate([[mean_solution.condition], harmonic_solution.condition]),
         left_out=record.health.left_out,
         interval=spectra.interval,
     )

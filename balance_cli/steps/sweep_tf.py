@@ -18,9 +18,9 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.averaged_spectra import ESTIMATORS as AVERAGED
 from balance_cli.signals.averaged_spectra import averaged_response
 from balance_cli.signals.local_response import local_response
-from balance_cli.signals.periodic import PeriodicRecord, periodic_record, repeats
-from balance_cli.signals.periodic_response import joint_response, response_across_lines
-from balance_cli.signals.run_spectrum import Response
+from balance_cli.signals.periodic import PeriodicRecord, has_whole_periods, periodic_record
+from balance_cli.signals.periodic_response import joint_response, response_from_one_run
+from balance_cli.signals.run_spectrum import FrequencyResponse
 from balance_cli.signals.transfer import SteadyPart, Transfer
 
 ESTIMATORS = ("auto", "periodic", "lrm", "lpm", *AVERAGED)
@@ -39,13 +39,16 @@ def estimate_responses(
     sweeps = [run for run in given if run.kind == "sweep"]
     if not sweeps:
         raise UserError("none of the runs is a sweep", remedy="Give at least one run of kind `sweep`")
-    live, left_out = _live(sweeps, geometry)
+    live, left_out = _live_channels_by_run(sweeps, geometry)
     periodic = [run for run in sweeps if _is_periodic(run, estimator)]
     records = [(run, periodic_record(run, live[run.name], band)) for run in periodic]
     rest = [run for run in sweeps if run not in periodic]
     return Transfer(
         geometry=geometry,
-        responses=(*_periodic_responses(records), *(_other(run, live[run.name], estimator, band) for run in rest)),
+        responses=(
+            *_periodic_responses(records),
+            *(_nonperiodic_response(run, live[run.name], estimator, band) for run in rest),
+        ),
         estimator=estimator,
         steady={run.name: _steady_part(record) for run, record in records},
         channels_left_out=left_out,
@@ -53,7 +56,9 @@ def estimate_responses(
     )
 
 
-def _live(sweeps: Sequence[Run], geometry: Geometry) -> tuple[dict[str, tuple[str, ...]], dict[str, dict[str, str]]]:
+def _live_channels_by_run(
+    sweeps: Sequence[Run], geometry: Geometry
+) -> tuple[dict[str, tuple[str, ...]], dict[str, dict[str, str]]]:
     """Live channels of every sweep, and those left out with the reason."""
     health = {run.name: live_channels(run, geometry) for run in sweeps}
     for run in sweeps:
@@ -65,16 +70,18 @@ def _live(sweeps: Sequence[Run], geometry: Geometry) -> tuple[dict[str, tuple[st
 
 def _is_periodic(run: Run, estimator: str) -> bool:
     """Whether the lines of whole periods are to be used."""
-    return repeats(run) if estimator == "auto" else estimator == "periodic"
+    return has_whole_periods(run) if estimator == "auto" else estimator == "periodic"
 
 
-def _other(run: Run, channel_names: tuple[str, ...], estimator: str, band: tuple[float, float]) -> Response:
+def _nonperiodic_response(
+    run: Run, channel_names: tuple[str, ...], estimator: str, band: tuple[float, float]
+) -> FrequencyResponse:
     if estimator in AVERAGED:
         return averaged_response(run, channel_names, estimator, band)
     return local_response(run, channel_names, "lrm" if estimator == "auto" else estimator, band)
 
 
-def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[Response]:
+def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[FrequencyResponse]:
     """Runs that excite several components are solved together where there are enough of them, else one by one."""
     groups: dict[tuple[object, ...], list[tuple[Run, PeriodicRecord]]] = {}
     for run, record in records:
@@ -88,7 +95,7 @@ def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[R
             responses.append(_with_levels(joint_response([record for _, record in members]), members))
         else:
             responses += [
-                _with_levels(response_across_lines(run, record.lines), [(run, record)]) for run, record in members
+                _with_levels(response_from_one_run(run, record.lines), [(run, record)]) for run, record in members
             ]
     return responses
 
@@ -100,7 +107,7 @@ def _group_key(run: Run, record: PeriodicRecord) -> tuple[object, ...]:
     return (lines.components, level, lines.rotor_speed, lines.channel_names, lines.frequency.tobytes())
 
 
-def _with_levels(response: Response, members: Sequence[tuple[Run, PeriodicRecord]]) -> Response:
+def _with_levels(response: FrequencyResponse, members: Sequence[tuple[Run, PeriodicRecord]]) -> FrequencyResponse:
     """The response with the level of each component, from the run that declares it (nan where none does)."""
     declared: dict[str, float] = {}
     for run, _ in members:

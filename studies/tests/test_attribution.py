@@ -10,7 +10,7 @@ from balance_cli.diagnosis.result import Evidence, FoundEffect
 from balance_cli.simulation import true_rig
 from balance_cli.simulation.assembly import equations_of_motion
 from studies import chunks
-from studies.attribution import attributed
+from studies.attribution import is_attributed
 from studies.attribution_tables import attribution_table
 from studies.cases import EXCITATIONS, KINDS, LARGE_SIZES, PAIRS, PLACES, SIZES, case, count
 from studies.sizing import power
@@ -67,17 +67,17 @@ def test_every_effect_is_hidden_large_and_three_different_ones_together():
 
 def test_right_is_what_is_hidden_and_nothing_else():
     late = "time-delay@x.piezo"
-    assert attributed([found(late)], [late])
-    assert attributed([found("low-pass@x.piezo", late)], [late])
-    assert not attributed([found("low-pass@x.piezo")], [late])
-    assert not attributed([found(late), found("channel-gain@torque")], [late])
-    assert not attributed([], [late])
-    assert attributed([], [])
-    assert not attributed([found(late)], [])
-    assert attributed([found("mast-bending@x")], ["mast-bending@x,y"])
-    assert not attributed([found("mast-bending@x,y")], ["mast-bending@x"])
+    assert is_attributed([found(late)], [late])
+    assert is_attributed([found("low-pass@x.piezo", late)], [late])
+    assert not is_attributed([found("low-pass@x.piezo")], [late])
+    assert not is_attributed([found(late), found("channel-gain@torque")], [late])
+    assert not is_attributed([], [late])
+    assert is_attributed([], [])
+    assert not is_attributed([found(late)], [])
+    assert is_attributed([found("mast-bending@x")], ["mast-bending@x,y"])
+    assert not is_attributed([found("mast-bending@x,y")], ["mast-bending@x"])
     # One found effect stands for one that is hidden.
-    assert not attributed([found(late), found("channel-gain@torque", late)], [late, "added-mass"])
+    assert not is_attributed([found(late), found("channel-gain@torque", late)], [late, "added-mass"])
 
 
 def test_no_test_has_more_power_than_chance_at_zero_and_all_of_it_far_off():

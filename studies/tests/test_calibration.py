@@ -3,42 +3,42 @@
 import numpy as np
 import pandas as pd
 
-from balance_cli.calibration.load_series import loading_sequences
-from balance_cli.calibration.term_support import supported
+from balance_cli.calibration.load_series import find_load_series
+from balance_cli.calibration.term_support import find_supported_terms
 from balance_cli.campaign.rig.components import COMPONENTS
 from studies.calibration import (
     CHANNELS,
     CHECKS,
     FULL_RANGE,
-    MOST_CURVED,
+    MAX_NONLINEAR_TERMS,
     NOISE,
     SIZE,
     TERMS,
     calibration_chunk,
     calibration_table,
-    drawn_balance,
-    measured,
-    schedule,
+    draw_balance,
+    simulate_calibration,
+    stand_schedule,
 )
 
 
 def test_the_schedule_is_one_of_a_calibration_stand():
-    x, sequence = schedule()
+    x, sequence = stand_schedule()
     assert 750 <= len(x) <= 850 and 60 <= sequence[-1] + 1 <= 80
-    np.testing.assert_array_equal(loading_sequences(x, np.zeros(len(x), int)), sequence)
+    np.testing.assert_array_equal(find_load_series(x, np.zeros(len(x), int)), sequence)
     assert np.all(x.max(axis=0) == 1.0) and np.all(x.min(axis=0) == -1.0)
     signs = {
         (i, j, np.sign(row[i]), np.sign(row[j])) for row in x for i in range(6) for j in range(i) if row[i] * row[j]
     }
     assert len(signs) == 15 * 4
     assert np.all((x != 0).sum(axis=1) <= 2)
-    assert supported(TERMS, x, sequence, COMPONENTS).refused == {}
+    assert find_supported_terms(TERMS, x, sequence, COMPONENTS).refused == {}
 
 
 def test_balances_are_drawn_as_stated():
-    drawn = [drawn_balance(np.random.default_rng(seed)) for seed in range(200)]
+    drawn = [draw_balance(np.random.default_rng(seed)) for seed in range(200)]
     numbers = np.array([[len(one.curved(c)) for c in range(len(CHANNELS))] for one in drawn])
-    assert set(numbers.ravel()) == set(range(MOST_CURVED + 1))
+    assert set(numbers.ravel()) == set(range(MAX_NONLINEAR_TERMS + 1))
     hidden = set().union(*(one.curved(c) for one in drawn for c in range(len(CHANNELS))))
     assert hidden == {term for term in TERMS if not term.linear}
     sizes = np.concatenate([np.abs(one.coefficients[6:] / one.range).ravel() for one in drawn])
@@ -50,7 +50,7 @@ def test_balances_are_drawn_as_stated():
 
 def test_check_loads_are_all_six_at_once_after_a_row_without():
     rng = np.random.default_rng(0)
-    points, (_, channels, loads) = measured(drawn_balance(rng), rng)
+    points, (_, channels, loads) = simulate_calibration(draw_balance(rng), rng)
     assert len(channels) == len(loads) == CHECKS + 1 and not loads[0].any() and np.all(loads[1:] != 0)
     assert np.all(np.abs(loads) <= FULL_RANGE) and points.channels.shape == (len(points.loads), len(CHANNELS))
 

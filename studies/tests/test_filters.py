@@ -7,7 +7,15 @@ import pandas as pd
 import pytest
 
 from balance_cli.steps.modes import computed_modes
-from studies.filters import HARMONIC, IN_TIME, METHODS, PAPER, case_rows, filters_chunk, simulated_record
+from studies.filters import (
+    ACTUAL_HARMONICS,
+    IN_TIME,
+    METHODS,
+    NOMINAL_HARMONICS,
+    case_rows,
+    filters_chunk,
+    simulate_record,
+)
 from studies.filters_rig import (
     BROAD,
     CARRIED,
@@ -16,13 +24,13 @@ from studies.filters_rig import (
     COLUMNS,
     DRIFTING,
     EXACT,
-    GROWTH,
-    MANOEUVRE,
+    LOAD_GROWTH,
+    MANEUVER,
     NOMINAL_SPEED,
     OFF_SPEED,
     SYSTEM,
     TURBULENCE,
-    two_freedoms,
+    two_degree_geometry,
 )
 from studies.filters_table import filters_table, page_table
 
@@ -30,45 +38,45 @@ DURATION = 8.0
 FILTER, SMOOTHER = "harmonics, filter", "harmonics, smoother"
 RANDOM, RANDOM_BEHIND = "random, smoother", "random, filter 0.05 s behind"
 USED = {
-    EXACT: (HARMONIC, FILTER, SMOOTHER, RANDOM, RANDOM_BEHIND),
+    EXACT: (ACTUAL_HARMONICS, FILTER, SMOOTHER, RANDOM, RANDOM_BEHIND),
     BROAD: (FILTER, SMOOTHER),
-    SYSTEM: (PAPER, SMOOTHER),
-    OFF_SPEED: (PAPER, HARMONIC, SMOOTHER),
-    DRIFTING: (PAPER, HARMONIC, SMOOTHER),
-    MANOEUVRE: (HARMONIC, FILTER, SMOOTHER),
+    SYSTEM: (NOMINAL_HARMONICS, SMOOTHER),
+    OFF_SPEED: (NOMINAL_HARMONICS, ACTUAL_HARMONICS, SMOOTHER),
+    DRIFTING: (NOMINAL_HARMONICS, ACTUAL_HARMONICS, SMOOTHER),
+    MANEUVER: (ACTUAL_HARMONICS, FILTER, SMOOTHER),
 }
 
 
 @cache
 def found(case: str) -> pd.DataFrame:
     """Errors of the methods that are asked for, on one record."""
-    record = simulated_record(CASES[case], 1, DURATION)
+    record = simulate_record(CASES[case], 1, DURATION)
     return pd.DataFrame(case_rows(record, case, USED[case])).set_index("method")
 
 
 def test_a_harmonic_lies_near_each_resonance():
-    modes = computed_modes(two_freedoms({})).modes
+    modes = computed_modes(two_degree_geometry({})).modes
     order = modes.frequency / NOMINAL_SPEED
     assert np.all(np.abs(order - [2, 4]) < 0.12)
     assert CASES[CHANNELS].tolerances and CASES[SYSTEM].tolerances and not CASES[EXACT].tolerances
 
 
 def test_the_reduction_knows_the_declared_rig_alone():
-    true, declared = (simulated_record(CASES[case], 3, 3.0) for case in (SYSTEM, EXACT))
+    true, declared = (simulate_record(CASES[case], 3, 3.0) for case in (SYSTEM, EXACT))
     np.testing.assert_array_equal(true.source.at(np.array([35.0]), 17.5), declared.source.at(np.array([35.0]), 17.5))
     assert not np.allclose(true.truth.channels, declared.truth.channels, rtol=0.1)
     np.testing.assert_array_equal(true.truth.loads, declared.truth.loads)
 
 
 def test_loads_grow_in_the_manoeuvre_alone():
-    grown, steady = (simulated_record(CASES[case], 3, 3.0).truth for case in (MANOEUVRE, EXACT))
+    grown, steady = (simulate_record(CASES[case], 3, 3.0).truth for case in (MANEUVER, EXACT))
     late = grown.time > 0.55 * 3.0 + 0.3
-    np.testing.assert_allclose(grown.loads[late], (1 + GROWTH) * steady.loads[late])
+    np.testing.assert_allclose(grown.loads[late], (1 + LOAD_GROWTH) * steady.loads[late])
     np.testing.assert_array_equal(grown.loads[grown.time < 0.55 * 3.0], steady.loads[grown.time < 0.55 * 3.0])
 
 
 def test_turbulence_without_a_band_is_as_strong():
-    broad, periodic = simulated_record(CASES[BROAD], 3, 4.0).truth, simulated_record(CASES[EXACT], 3, 4.0).truth
+    broad, periodic = simulate_record(CASES[BROAD], 3, 4.0).truth, simulate_record(CASES[EXACT], 3, 4.0).truth
     fluctuation = broad.loads - periodic.loads
     # The other turbulence is in the difference too.
     rms = np.sqrt(2) * np.array([TURBULENCE[name] for name in CARRIED])
@@ -77,7 +85,7 @@ def test_turbulence_without_a_band_is_as_strong():
 
 def test_with_an_exact_model_the_smoother_sees_turbulence():
     history, amplitudes = found(EXACT)["in_band"], found(EXACT)["harmonics"]
-    assert history[SMOOTHER] < 0.5 * history[HARMONIC] and history[SMOOTHER] < 0.5 * history[FILTER]
+    assert history[SMOOTHER] < 0.5 * history[ACTUAL_HARMONICS] and history[SMOOTHER] < 0.5 * history[FILTER]
     assert history[SMOOTHER] == history.min()
     assert (amplitudes < 0.02).all()
 
@@ -97,13 +105,13 @@ def test_intervals_hold_where_the_loads_are_of_the_assumed_kind():
 @pytest.mark.parametrize(("case", "wrong"), [(OFF_SPEED, 0.5), (DRIFTING, 0.1)])
 def test_only_t_at_nominal_harmonics_minds_the_speed(case, wrong):
     amplitudes = found(case)["harmonics"]
-    assert amplitudes[PAPER] > wrong
-    assert amplitudes[HARMONIC] < 0.02 and amplitudes[SMOOTHER] < 0.02
+    assert amplitudes[NOMINAL_HARMONICS] > wrong
+    assert amplitudes[ACTUAL_HARMONICS] < 0.02 and amplitudes[SMOOTHER] < 0.02
 
 
 def test_only_filters_follow_a_manoeuvre():
-    history = found(MANOEUVRE)["in_band"]
-    assert history[HARMONIC] > 0.15
+    history = found(MANEUVER)["in_band"]
+    assert history[ACTUAL_HARMONICS] > 0.15
     assert history[FILTER] < 0.12 and history[SMOOTHER] < 0.04
 
 
@@ -120,7 +128,7 @@ def test_the_table_has_every_case_and_method():
     assert (table["history_median"] == 0.2).all() and (table["history_max"] == 0.3).all()
     assert np.allclose(table["coverage"], 0.9)
     lines = page_table(table).splitlines()
-    assert len(lines) == 2 + len(METHODS) and lines[2] == f"| {PAPER} | 20 | 20 |"
+    assert len(lines) == 2 + len(METHODS) and lines[2] == f"| {NOMINAL_HARMONICS} | 20 | 20 |"
 
 
 def filters_rows(seed: int, error: float) -> pd.DataFrame:

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.calibration.convergence import MARGIN, contraction, iterated
-from balance_cli.calibration.fit import gage_fit
-from balance_cli.calibration.math_model import GageModel, weighted_inverse
-from balance_cli.calibration.noise import noise_parts
-from balance_cli.calibration.terms import Term, columns, term_named
+from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN, contraction, iterate_loads
+from balance_cli.calibration.fit import fit_calibration_model
+from balance_cli.calibration.math_model import CalibrationModel, weighted_inverse
+from balance_cli.calibration.noise import estimate_calibration_noise
+from balance_cli.calibration.terms import Term, columns, term_from_name
 from balance_cli.campaign.rig.components import COMPONENTS
 from tests.support.calibration_stand import FULL_RANGE, NOISE, stand_loads, stand_points, true_model
 
 
 @pytest.fixture(scope="module")
-def model() -> GageModel:
-    return gage_fit(stand_points()).model
+def model() -> CalibrationModel:
+    return fit_calibration_model(stand_points()).model
 
 
 def random_loads(rows, reach=1.0, seed=7):
@@ -38,8 +38,8 @@ def test_loads_beyond_the_reach_of_the_proof_are_flagged(model):
     outside = np.diag(1.05 * reach * FULL_RANGE)
     assert not model.loads(model.readings(outside))[1].any()
     assert model.loads(model.readings(np.diag(FULL_RANGE)))[1].all()
-    assert model.extrapolated(1.01 * FULL_RANGE) == COMPONENTS
-    assert model.extrapolated(0.99 * FULL_RANGE) == ()
+    assert model.extrapolated_components(1.01 * FULL_RANGE) == COMPONENTS
+    assert model.extrapolated_components(0.99 * FULL_RANGE) == ()
 
 
 def test_loads_from_six_of_the_channels(model):
@@ -76,7 +76,7 @@ def test_the_interval_holds_95_percent_of_found_loads(model):
     rng = np.random.default_rng(3)
     hits = []
     for seed in range(6):
-        one = gage_fit(stand_points(seed)).model
+        one = fit_calibration_model(stand_points(seed)).model
         applied = random_loads(150, seed=100 + seed)
         read = columns(terms, applied / FULL_RANGE) @ b + NOISE * rng.normal(size=(150, 8))
         found, solved = one.loads(read)
@@ -92,7 +92,7 @@ def test_the_covariance_of_loads_is_that_of_the_tangent(model):
     applied = 0.7 * FULL_RANGE * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     sigma = NOISE * np.arange(1, 9)
     stated = replace(model, residual_covariance=np.diag(sigma**2))
-    X = columns(model.parsed, applied[None] / FULL_RANGE)[0]
+    X = columns(model.parsed_terms, applied[None] / FULL_RANGE)[0]
     # As much of the model's own error as of the readings' noise.
     stated = replace(stated, covariance=100.0 * model.covariance)
     shifts = [rng.multivariate_normal(np.zeros(len(X)), one, 4000) @ X for one in stated.covariance]
@@ -115,42 +115,42 @@ def test_without_curved_terms_nothing_is_iterated():
 @pytest.mark.parametrize("size", [0.05, 0.15, 0.3])
 def test_every_step_shrinks_the_error_by_the_bound_at_least(size):
     """In the norm of the proof no step from any start within range is worse than rho, and rho is not idle."""
-    terms = [term_named(name, ("F", "G")) for name in ("F^2", "|G^3|", "F |G|")]
+    terms = [term_from_name(name, ("F", "G")) for name in ("F^2", "|G^3|", "F |G|")]
     rng = np.random.default_rng(int(100 * size))
     worst = 0.0
     for _ in range(30):
-        back = size * rng.uniform(-1.0, 1.0, (2, len(terms)))
-        proof = contraction(back, terms, 2)
+        nonlinear_matrix = size * rng.uniform(-1.0, 1.0, (2, len(terms)))
+        proof = contraction(nonlinear_matrix, terms, 2)
         if not proof.proved:
             continue
-        x = rng.uniform(-MARGIN, MARGIN, (200, 2))
-        straight = x + columns(terms, x) @ back.T
+        x = rng.uniform(-EXTRAPOLATION_MARGIN, EXTRAPOLATION_MARGIN, (200, 2))
+        straight = x + columns(terms, x) @ nonlinear_matrix.T
         now = straight
-        weights = perron(back, terms, proof.reach)
+        weights = perron(nonlinear_matrix, terms, proof.reach)
         error = np.max(np.abs(now - x) / weights, axis=1)
         for _ in range(6):
             assert np.all(np.abs(now) <= proof.reach + 1e-12)
-            now = straight - columns(terms, now) @ back.T
+            now = straight - columns(terms, now) @ nonlinear_matrix.T
             after = np.max(np.abs(now - x) / weights, axis=1)
             assert np.all(after <= (proof.rho + 1e-6) * error + 1e-14)
             big = error > 1e-8
             if big.any():
                 worst = max(worst, float(np.max(after[big] / error[big]) / proof.rho))
             error = after
-        found, done = iterated(straight, back, terms)
+        found, done = iterate_loads(straight, nonlinear_matrix, terms)
         assert done.all()
         np.testing.assert_allclose(found, x, atol=1e-10)
     assert worst > 0.3
 
 
-def perron(back, terms, reach):
+def perron(nonlinear_matrix, terms, reach):
     """The weights of the norm, by power iteration on the bound of the derivative, from finite differences."""
     corner = np.asarray(reach)[None]
     step = 1e-7
     slope = np.stack(
         [(columns(terms, corner + step * e) - columns(terms, corner - step * e))[0] / (2 * step) for e in np.eye(2)]
     )
-    M = np.abs(back) @ np.abs(slope).T
+    M = np.abs(nonlinear_matrix) @ np.abs(slope).T
     v = np.ones(2)
     for _ in range(2000):
         v = M @ v + 1e-9
@@ -162,11 +162,11 @@ def test_nothing_is_proved_where_the_iteration_diverges():
     """r = x + 2 x^2: from a load of full range the iteration runs away."""
     terms = [Term(0, 3, 0)]
     assert terms[0].name("F") == "F^2"
-    back = np.array([[2.0]])
+    nonlinear_matrix = np.array([[2.0]])
     x = np.array([[1.0]])
-    found, done = iterated(x + columns(terms, x) @ back.T, back, terms)
+    found, done = iterate_loads(x + columns(terms, x) @ nonlinear_matrix.T, nonlinear_matrix, terms)
     assert not done.any() or abs(found[0, 0] - 1.0) > 0.1
-    proof = contraction(back, terms, 1)
+    proof = contraction(nonlinear_matrix, terms, 1)
     assert not proof.proved and proof.rho == float("inf")
 
 
@@ -176,14 +176,14 @@ def test_the_proof_ends_before_the_slope_reaches_one():
     proof = contraction(np.array([[0.1]]), terms, 1)
     assert proof.rho == pytest.approx(0.2 * proof.reach[0], rel=1e-6)
     # The first error, b 1.1^2, widens the reach by as much.
-    assert proof.reach[0] == pytest.approx(MARGIN + 0.1 * MARGIN**2, rel=1e-6)
+    assert proof.reach[0] == pytest.approx(EXTRAPOLATION_MARGIN + 0.1 * EXTRAPOLATION_MARGIN**2, rel=1e-6)
     assert contraction(np.array([[0.3]]), terms, 1).proved
     assert not contraction(np.array([[0.45]]), terms, 1).proved
 
 
 def test_the_proof_for_the_fitted_model(model):
     proof = model.contraction()
-    assert proof.proved and np.all(proof.reach >= MARGIN) and proof.rho > 0.01
+    assert proof.proved and np.all(proof.reach >= EXTRAPOLATION_MARGIN) and proof.rho > 0.01
 
 
 # ---- noise -----------------------------------------------------------------------------------------------------------
@@ -200,13 +200,13 @@ def test_noise_of_readings_and_of_loads_are_told_apart():
     for _ in range(6):
         load_noise = np.where(np.abs(x) > 0, of_loads * rng.normal(size=x.shape), 0.0)
         residuals = own * rng.normal(size=(len(x), 8)) + load_noise @ C.T
-        found = noise_parts(residuals, x, C, np.cov(residuals.T))
+        found = estimate_calibration_noise(residuals, x, C, np.cov(residuals.T))
         stated.append(found.loads)
         channels.append(np.sqrt(np.diag(found.readings)))
     np.testing.assert_allclose(np.mean(stated, axis=0)[[1, 3]], of_loads[[1, 3]], rtol=0.1)
     assert np.all(np.mean(stated, axis=0)[[0, 2, 4]] < 4e-4)
     np.testing.assert_allclose(np.mean(channels, axis=0), own, rtol=0.15)
-    sigma = found.of_rows(np.array([[0.0] * 6, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]), C)
+    sigma = found.row_sigma(np.array([[0.0] * 6, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]), C)
     np.testing.assert_allclose(sigma[0], np.sqrt(np.diag(found.readings)))
     np.testing.assert_allclose(sigma[1] ** 2 - sigma[0] ** 2, (C[:, 1] * found.loads[1]) ** 2, rtol=1e-9)
 
@@ -216,5 +216,5 @@ def test_loads_without_noise_get_none():
     x, _ = stand_loads()
     _, b = true_model()
     residuals = NOISE * rng.normal(size=(len(x), 8))
-    found = noise_parts(residuals, x, b[:6].T, np.cov(residuals.T))
+    found = estimate_calibration_noise(residuals, x, b[:6].T, np.cov(residuals.T))
     assert np.all(found.loads < 0.5 * NOISE)

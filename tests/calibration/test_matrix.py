@@ -11,8 +11,8 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from balance_cli.calibration.matrix import matrix_of, model_of, term_unit
-from balance_cli.calibration.matrix_file import load_matrix
+from balance_cli.calibration.matrix import matrix_from_model, model_from_matrix, term_unit
+from balance_cli.calibration.matrix_file import read_matrix_file
 from balance_cli.calibration.matrix_reader import read_matrix
 from balance_cli.calibration.matrix_text import FORMAT, matrix_csv, matrix_text
 from balance_cli.calibration.result import Calibration
@@ -23,18 +23,18 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
 from balance_cli.io.artefacts import load_artefact
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.mean_loads import steady_loads, zero_record
-from balance_cli.reduction.mean_loads_nonlinear import curved_loads
+from balance_cli.reduction.mean_loads import linear_mean_loads, zero_record
+from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.response_sources import static_source
 from balance_cli.steps.calibrate import calibrate
-from balance_cli.steps.calibration_from_matrix import ABSENT, MATRIX, stated_calibration
+from balance_cli.steps.calibration_from_matrix import MATRIX_TRIM, NOT_IN_MATRIX, calibration_from_matrix
 from balance_cli.steps.reduce import ERRORS_UNKNOWN, reduce_run
 from tests.support.nonlinear_rig import NAMES, RIG, calibration, readings, record, spectra, static_runs
 from tests.support.rigs import CONFIGS, one_degree_of_freedom
 from tests.support.static_runs import without
 
 MODEL = calibration().gage.model
-CSV = matrix_csv(matrix_of(MODEL, RIG.rig))
+CSV = matrix_csv(matrix_from_model(MODEL, RIG.rig))
 LINES = CSV.splitlines()
 LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
 G = ["-g", str(CONFIGS / "rts-6.yaml")]
@@ -97,13 +97,13 @@ def test_units_of_coefficients():
 
 
 def test_coefficients_are_those_of_the_readings_in_engineering_units():
-    matrix = matrix_of(MODEL, RIG.rig)
+    matrix = matrix_from_model(MODEL, RIG.rig)
     by_matrix = columns(all_terms(6), LOADS[None]) @ matrix.coefficients
     np.testing.assert_allclose(by_matrix, MODEL.readings(LOADS[None]), rtol=1e-12, atol=1e-15)
 
 
 def test_the_file_gives_back_the_model():
-    found = model_of(read_matrix(CSV).matrix)
+    found = model_from_matrix(read_matrix(CSV).matrix)
     assert (found.terms, found.channel_names, found.components) == (MODEL.terms, NAMES, COMPONENTS)
     for name in ("coefficients", "residual_covariance", "full_range", "largest", "smallest", "dof"):
         np.testing.assert_allclose(getattr(found, name), getattr(MODEL, name), rtol=1e-13, atol=1e-30)
@@ -115,7 +115,7 @@ def test_the_file_gives_back_the_model():
 
 
 def test_the_file_is_the_same_when_it_is_read_and_written_again():
-    assert read_matrix(matrix_csv(read_matrix(CSV).matrix)).matrix.term_names == matrix_of(MODEL, "").term_names
+    assert read_matrix(matrix_csv(read_matrix(CSV).matrix)).matrix.term_names == matrix_from_model(MODEL, "").term_names
     again = matrix_csv(read_matrix(CSV).matrix)
     assert again == CSV
 
@@ -140,7 +140,7 @@ def test_correlations_need_not_be_stated():
 
 
 def test_the_text_for_reading_has_the_same_in_columns():
-    lines = matrix_text(matrix_of(MODEL, RIG.rig)).splitlines()
+    lines = matrix_text(matrix_from_model(MODEL, RIG.rig)).splitlines()
     assert lines[0] == "balance-matrix/1 for reading"
     table = [line for line in lines if line.startswith(("term ", "Fz^2 ", "|Fx^3| ", "channel "))]
     assert len(table) == 4 and len({len(line) for line in table[1:]}) == 1
@@ -156,7 +156,7 @@ BAD = {
     "another file": ("run,component\n1,2", "line 1: begins with `run`"),
     "another version": (CSV.replace("matrix/1", "matrix/7", 1), "line 1: is of format `balance-matrix/7`"),
     "semicolons": (CSV.replace(",", ";"), "line 2: is separated by semicolons"),
-    "text for reading": (matrix_text(matrix_of(MODEL, "")), "line 1: is the text for reading"),
+    "text for reading": (matrix_text(matrix_from_model(MODEL, "")), "line 1: is the text for reading"),
     "missing header": (changed("zero", lambda _: None), "before `term`: there is no line `zero`"),
     "no terms": ("\n".join(LINES[: line_of("term")]), "there is no line `term`"),
     "twice": ("\n".join([*LINES[:5], *LINES[4:]]), "line 6, `component`: is there twice, first in line 5"),
@@ -199,7 +199,7 @@ def test_a_bad_file_is_met_by_one_message(name, tmp_path):
     path = tmp_path / "m.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(UserError) as caught:
-        load_matrix(path)
+        read_matrix_file(path)
     error = caught.value
     assert message in str(error), str(error)
     assert (
@@ -215,11 +215,11 @@ def test_what_is_no_text_is_met_by_one_message(tmp_path):
     ):
         path.write_bytes(content)
         with pytest.raises(UserError, match=message):
-            load_matrix(path)
+            read_matrix_file(path)
     with pytest.raises(UserError, match="no such file"):
-        load_matrix(tmp_path / "none.csv")
+        read_matrix_file(tmp_path / "none.csv")
     with pytest.raises(UserError, match="is a folder"):
-        load_matrix(tmp_path)
+        read_matrix_file(tmp_path)
 
 
 CELLS = st.sampled_from(
@@ -277,7 +277,7 @@ def mutated(draw):
 def test_the_reader_raises_nothing_but_user_errors(text):
     try:
         stated = read_matrix(text)
-        stated_calibration(stated, RIG).gage.model.contraction()
+        calibration_from_matrix(stated, RIG).gage.model.contraction()
     except UserError as error:
         assert error.fault and error.remedy and error.place
 
@@ -287,7 +287,7 @@ def test_the_reader_raises_nothing_but_user_errors(text):
 def test_nor_does_it_where_text_is_put_into_the_file(text, at, lost):
     for whole in (text, CSV[:at] + text + CSV[at + lost :]):
         try:
-            stated_calibration(read_matrix(whole), RIG)
+            calibration_from_matrix(read_matrix(whole), RIG)
         except UserError as error:
             assert error.fault and error.remedy and error.place
 
@@ -296,8 +296,8 @@ def test_nor_does_it_where_text_is_put_into_the_file(text, at, lost):
 
 
 def test_a_stated_calibration_is_the_straight_part_at_zero_load_and_the_model():
-    cal = stated_calibration(read_matrix(CSV), RIG)
-    trim = cal.trims[MATRIX]
+    cal = calibration_from_matrix(read_matrix(CSV), RIG)
+    trim = cal.trims[MATRIX_TRIM]
     np.testing.assert_allclose(trim.C0, MODEL.coefficients[:6].T / MODEL.full_range, rtol=1e-12)
     np.testing.assert_allclose(trim.T0 @ trim.C0, np.eye(6), atol=1e-9)
     np.testing.assert_allclose(trim.loads(MODEL.zeros.mean(axis=0)), 0.0, atol=1e-9)
@@ -310,19 +310,23 @@ def test_a_stated_calibration_is_the_straight_part_at_zero_load_and_the_model():
 def test_mean_loads_by_the_file_are_those_by_the_model(curved, with_zero):
     model = calibration(curved).gage.model
     assert model.curved == curved
-    cal = stated_calibration(read_matrix(matrix_csv(matrix_of(model, RIG.rig))), RIG)
+    cal = calibration_from_matrix(read_matrix(matrix_csv(matrix_from_model(model, RIG.rig))), RIG)
     zero = zero_record(record("zero", np.zeros(6), kind="zero", seed=5), NAMES) if with_zero else None
     volts = 0.05 + (readings(LOADS)[0] if curved else model.readings(LOADS[None])[0])
     record_of = (spectra(volts, 1e-6), cal)
     health = ChannelHealth(NAMES, {})
-    found = curved_loads(*record_of, cal.gage.model, health, zero) if curved else steady_loads(*record_of, health, zero)
+    found = (
+        nonlinear_mean_loads(*record_of, cal.gage.model, health, zero)
+        if curved
+        else linear_mean_loads(*record_of, health, zero)
+    )
     expected = model.loads(volts - (zero.mean if zero else model.zeros.mean(axis=0)))[0][0]
     np.testing.assert_allclose(found.loads, expected, rtol=1e-9)
     assert all(("no zero" in flag) != with_zero for flag in found.flags)
 
 
 def test_sigma_by_the_file_holds_the_noise_and_the_stated_residual():
-    cal = stated_calibration(read_matrix(CSV), RIG)
+    cal = calibration_from_matrix(read_matrix(CSV), RIG)
     found = reduce_run(record("w", LOADS), RIG, cal, static_source(cal))
     residual = np.sqrt(np.diagonal(MODEL.load_covariance(LOADS, MODEL.residual_covariance)[0]))
     bare = np.sqrt(np.diagonal(replace(MODEL, covariance=0 * MODEL.covariance).load_covariance(LOADS)[0]))
@@ -333,8 +337,8 @@ def test_sigma_by_the_file_holds_the_noise_and_the_stated_residual():
 def test_a_channel_that_the_matrix_lacks_is_left_out():
     run = static_runs(np.random.default_rng(1))
     lost = calibrate([without(one, "z3.strain") for one in run], RIG)
-    cal = stated_calibration(read_matrix(matrix_csv(matrix_of(lost.gage.model, ""))), RIG)
-    assert cal.trims[MATRIX].left_out == {"z3.strain": ABSENT}
+    cal = calibration_from_matrix(read_matrix(matrix_csv(matrix_from_model(lost.gage.model, ""))), RIG)
+    assert cal.trims[MATRIX_TRIM].left_out == {"z3.strain": NOT_IN_MATRIX}
 
 
 @pytest.mark.parametrize(
@@ -352,13 +356,13 @@ def test_a_matrix_of_something_else_is_refused(change, message):
         text = text.replace("x.strain", name)
         message = f"line 10, `channel`: `{name}` is no strain or torque channel"
     with pytest.raises(UserError) as caught:
-        stated_calibration(read_matrix(text), RIG)
+        calibration_from_matrix(read_matrix(text), RIG)
     assert str(caught.value).startswith(message)
 
 
 def test_a_matrix_of_other_components_is_refused():
     with pytest.raises(UserError, match="line 5, `component`: has Fx, Fy, Fz, Mx, My, Mz, but the rig carries Fz"):
-        stated_calibration(read_matrix(CSV.replace("RTS-6", "ONE")), one_degree_of_freedom())
+        calibration_from_matrix(read_matrix(CSV.replace("RTS-6", "ONE")), one_degree_of_freedom())
 
 
 # ---- commands --------------------------------------------------------------------------------------------------------

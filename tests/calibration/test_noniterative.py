@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from click.testing import CliRunner
 
-from balance_cli.calibration.fit import gage_fit
-from balance_cli.calibration.noniterative import direct_model
+from balance_cli.calibration.fit import fit_calibration_model
+from balance_cli.calibration.noniterative import fit_noniterative_model
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
@@ -23,8 +23,8 @@ LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
 
 
 def fitted(points):
-    gage = gage_fit(points).model
-    return gage, direct_model(points, gage, points.weight > 0)
+    gage = fit_calibration_model(points).model
+    return gage, fit_noniterative_model(points, gage, points.weight > 0)
 
 
 def check_errors(noise):
@@ -32,17 +32,17 @@ def check_errors(noise):
     gage, direct = fitted(stand_points(noise=noise))
     rng = np.random.default_rng(3)
     applied = rng.uniform(-0.6, 0.6, (300, 6)) * FULL_RANGE
-    read = gage_fit(stand_points(noise=1e-9)).model.readings(applied) + noise * rng.normal(size=(300, 8))
+    read = fit_calibration_model(stand_points(noise=1e-9)).model.readings(applied) + noise * rng.normal(size=(300, 8))
     pair = gage.loads(read)[0], direct.loads(read)
     return [np.sqrt(np.mean(((found - applied) / FULL_RANGE) ** 2)) for found in pair]
 
 
 def test_it_is_about_as_good_as_the_iteration_and_far_better_than_a_straight_matrix():
     iterated, direct = check_errors(NOISE)
-    gage = gage_fit(stand_points(), search=False).model
+    gage = fit_calibration_model(stand_points(), search=False).model
     rng = np.random.default_rng(3)
     applied = rng.uniform(-0.6, 0.6, (300, 6)) * FULL_RANGE
-    read = gage_fit(stand_points(noise=1e-9)).model.readings(applied)
+    read = fit_calibration_model(stand_points(noise=1e-9)).model.readings(applied)
     straight = np.sqrt(np.mean(((gage.loads(read)[0] - applied) / FULL_RANGE) ** 2))
     assert direct < 1.5 * iterated
     assert direct < 0.3 * straight
@@ -50,7 +50,7 @@ def test_it_is_about_as_good_as_the_iteration_and_far_better_than_a_straight_mat
 
 def test_of_a_straight_balance_it_is_the_straight_inverse():
     points = stand_points()
-    straight = gage_fit(points, search=False).model
+    straight = fit_calibration_model(points, search=False).model
     points = replace(points, channels=straight.readings(points.loads))
     gage, direct = fitted(points)
     assert not gage.curved and not direct.model.curved
@@ -61,7 +61,7 @@ def test_rows_that_took_no_part_have_none_here_either():
     points = stand_points()
     out = np.zeros(len(points.loads), bool)
     out[100:110] = True
-    spoiled = replace(points, channels=points.channels + 0.5 * out[:, None]).without(out)
+    spoiled = replace(points, channels=points.channels + 0.5 * out[:, None]).exclude_rows(out)
     (_, sound), (_, direct) = fitted(points), fitted(spoiled)
     np.testing.assert_allclose(direct.residual_percent_fs, sound.residual_percent_fs, rtol=0.2)
 

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.calibration.all_trims import gage_calibration
-from balance_cli.calibration.fit import gage_fit
-from balance_cli.calibration.outliers import _suspected, examined, exchanged
+from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.fit import fit_calibration_model
+from balance_cli.calibration.outliers import _find_suspect_series, exchanged, screen_outliers
 from balance_cli.calibration.terms import columns
 from balance_cli.campaign.rig.components import COMPONENTS
-from tests.support.calibration_stand import CHANNELS, CURVED, NOISE, stand_points, true_model
+from tests.support.calibration_stand import CHANNELS, NOISE, NONLINEAR_TERMS, stand_points, true_model
 
 
 def terms_found(fit):
     return {
-        channel: {name for name in fit.model.of_channel(channel) if name not in COMPONENTS}
+        channel: {name for name in fit.model.channel_coefficients(channel) if name not in COMPONENTS}
         for channel in CHANNELS
-        if any(name not in COMPONENTS for name in fit.model.of_channel(channel))
+        if any(name not in COMPONENTS for name in fit.model.channel_coefficients(channel))
     }
 
 
@@ -36,21 +36,21 @@ def test_nothing_in_a_sound_calibration(seed, search):
     if not search:
         terms, b = true_model()
         points = replace(points, channels=points.channels - columns(terms, points.x)[:, 6:] @ b[6:])
-    found = examined(points, search)
+    found = screen_outliers(points, search)
     assert found.outliers == () and found.sequences == ()
 
 
 def test_curved_terms_are_no_fault_of_the_sequences_they_show_in():
     """By the loads alone many sequences are off; the terms explain them."""
     points = stand_points()
-    straight = gage_fit(points, search=False)
-    assert any(_suspected(points, straight).values())
-    assert examined(points).sequences == ()
+    straight = fit_calibration_model(points, search=False)
+    assert any(_find_suspect_series(points, straight).values())
+    assert screen_outliers(points).sequences == ()
 
 
 def test_an_outlier_is_named_with_its_row_and_channel():
     points = spoiled(lambda channels, _: channels.__setitem__((321, 3), channels[321, 3] + 15 * NOISE))
-    found = examined(points)
+    found = screen_outliers(points)
     assert [(one.row, one.channel, one.run) for one in found.outliers] == [(322, "g4", "stand")]
     assert found.outliers[0].error == pytest.approx(15 * NOISE, rel=0.4)
     assert found.sequences == ()
@@ -58,7 +58,7 @@ def test_an_outlier_is_named_with_its_row_and_channel():
     assert np.isnan(found.fit.residuals[321]).all() and np.isfinite(found.fit.residuals[320]).all()
 
 
-CURVED_NAMES = {channel: set(terms) for channel, terms in CURVED.items()}
+CURVED_NAMES = {channel: set(terms) for channel, terms in NONLINEAR_TERMS.items()}
 
 
 def test_a_wrong_gain_in_one_sequence():
@@ -67,7 +67,7 @@ def test_a_wrong_gain_in_one_sequence():
         first = channels[rows, 1][0]
         channels[rows, 1] = first + 1.2 * (channels[rows, 1] - first)
 
-    found = examined(spoiled(change))
+    found = screen_outliers(spoiled(change))
     assert [(one.channel, one.like) for one in found.sequences] == [("g2", "")]
     (one,) = found.sequences
     assert one.sequence == "stand rows 41 to 60 (Fz)"
@@ -80,7 +80,7 @@ def test_two_channels_exchanged_in_one_sequence():
         rows = sequence == 4
         channels[np.ix_(rows, [2, 5])] = channels[np.ix_(rows, [5, 2])]
 
-    found = examined(spoiled(change))
+    found = screen_outliers(spoiled(change))
     assert {(one.channel, one.like) for one in found.sequences} == {("g3", "g6"), ("g6", "g3")}
     assert {one.sequence for one in found.sequences} == {"stand rows 81 to 100 (My)"}
     assert terms_found(found.fit) == CURVED_NAMES
@@ -88,7 +88,7 @@ def test_two_channels_exchanged_in_one_sequence():
 
 def test_two_channels_exchanged_throughout():
     points = stand_points()
-    expected = gage_fit(points, search=False).model.coefficients[:6].T
+    expected = fit_calibration_model(points, search=False).model.coefficients[:6].T
     assert exchanged(points, expected) == ()
     swapped = replace(points, channels=points.channels[:, [0, 4, 2, 3, 1, 5, 6, 7]])
     assert exchanged(swapped, expected) == ("g2 and g5",)
@@ -96,6 +96,6 @@ def test_two_channels_exchanged_throughout():
 
 def test_what_took_no_part_has_no_residuals_in_the_whole_calibration():
     points = spoiled(lambda channels, _: channels.__setitem__((50, 0), channels[50, 0] - 0.1))
-    whole = gage_calibration(points)
+    whole = calibrate_all_trims(points)
     assert [one.row for one in whole.outliers] == [51]
     assert np.isnan(whole.residuals[50]).all() and np.isfinite(np.delete(whole.residuals, 50, axis=0)).all()

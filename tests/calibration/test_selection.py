@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration import selection
-from balance_cli.calibration.fit import gage_fit
-from balance_cli.calibration.least_squares import regression, without_zeros
-from balance_cli.calibration.load_series import described_sequence, loading_sequences
-from balance_cli.calibration.selection import chosen_terms
-from balance_cli.calibration.term_support import supported
-from balance_cli.calibration.terms import all_terms, columns, term_named
+from balance_cli.calibration.fit import fit_calibration_model
+from balance_cli.calibration.least_squares import regression, subtract_block_means
+from balance_cli.calibration.load_series import describe_load_series, find_load_series
+from balance_cli.calibration.selection import select_terms
+from balance_cli.calibration.term_support import find_supported_terms
+from balance_cli.calibration.terms import all_terms, columns, term_from_name
 from balance_cli.campaign.rig.components import COMPONENTS
-from tests.support.calibration_stand import CHANNELS, CURVED, stand_loads, stand_points
+from tests.support.calibration_stand import CHANNELS, NONLINEAR_TERMS, stand_loads, stand_points
 
 TERMS = all_terms(6)
 
 
 def place(name):
-    return TERMS.index(term_named(name, COMPONENTS))
+    return TERMS.index(term_from_name(name, COMPONENTS))
 
 
 # ---- sequences -------------------------------------------------------------------------------------------------------
@@ -25,25 +25,25 @@ def place(name):
 
 def test_sequences_are_those_that_were_loaded():
     x, sequence = stand_loads()
-    np.testing.assert_array_equal(loading_sequences(x, np.zeros(len(x), int)), sequence)
+    np.testing.assert_array_equal(find_load_series(x, np.zeros(len(x), int)), sequence)
 
 
 def test_runs_are_never_one_sequence():
     x = np.outer(np.linspace(0.0, 1.0, 10), np.eye(6)[0])
     run = np.repeat([0, 1], 5)
-    np.testing.assert_array_equal(loading_sequences(x, run), run)
+    np.testing.assert_array_equal(find_load_series(x, run), run)
 
 
 def test_a_load_that_hangs_on_the_other_side_begins_a_sequence():
     ramp = np.r_[np.arange(6), np.arange(4, -1, -1)] / 5.0
     x = np.zeros((33, 6))
     x[:22, 0], x[:, 1] = np.r_[ramp, -ramp], np.r_[np.full(11, 0.6), np.full(11, -0.6), ramp]
-    np.testing.assert_array_equal(loading_sequences(x, np.zeros(33, int)), np.repeat([0, 1, 2], 11))
+    np.testing.assert_array_equal(find_load_series(x, np.zeros(33, int)), np.repeat([0, 1, 2], 11))
 
 
 def test_a_sequence_in_words():
     x, sequence = stand_loads()
-    assert described_sequence(np.flatnonzero(sequence == 1), "s1", COMPONENTS, x) == "s1 rows 21 to 40 (Fy)"
+    assert describe_load_series(np.flatnonzero(sequence == 1), "s1", COMPONENTS, x) == "s1 rows 21 to 40 (Fy)"
 
 
 # ---- support ---------------------------------------------------------------------------------------------------------
@@ -51,7 +51,7 @@ def test_a_sequence_in_words():
 
 def test_the_whole_schedule_supports_all_terms():
     x, sequence = stand_loads()
-    found = supported(TERMS, x, sequence, COMPONENTS)
+    found = find_supported_terms(TERMS, x, sequence, COMPONENTS)
     assert found.terms == TERMS and found.refused == {}
 
 
@@ -60,7 +60,7 @@ def test_reasons_why_terms_are_not_supported():
     alone = (x != 0).sum(axis=1) <= 1
     x, sequence = x[alone & (x[:, 5] == 0)], sequence[alone & (x[:, 5] == 0)]
     up = x[:, 1] >= 0
-    found = supported(TERMS, x[up], sequence[up], COMPONENTS)
+    found = find_supported_terms(TERMS, x[up], sequence[up], COMPONENTS)
     reasons = {term.name(COMPONENTS): reason for term, reason in found.refused.items()}
     assert reasons["Mz^2"] == "Mz was never loaded"
     assert reasons["Fx Fz"] == "Fx and Fz were never loaded together"
@@ -73,10 +73,10 @@ def test_reasons_why_terms_are_not_supported():
 def test_a_load_to_one_side_only_tells_no_odd_from_even_terms():
     x, sequence = stand_loads()
     up = np.all(x >= 0, axis=1)
-    found = supported(TERMS, x[up], sequence[up], COMPONENTS)
+    found = find_supported_terms(TERMS, x[up], sequence[up], COMPONENTS)
     kept = {term.name(COMPONENTS) for term in found.terms}
     assert "Fx^2" in kept and "Fx|Fx|" not in kept
-    assert found.refused[term_named("Fx|Fx|", COMPONENTS)] == "does what Fx^2 does in these loads"
+    assert found.refused[term_from_name("Fx|Fx|", COMPONENTS)] == "does what Fx^2 does in these loads"
 
 
 # ---- selection -------------------------------------------------------------------------------------------------------
@@ -94,7 +94,7 @@ def readings(terms, sigma=5e-4, seed=0):
 
 def chosen(terms, **more):
     X, Y, sequence = readings(terms, **more)
-    (found,) = chosen_terms(X, Y, sequence, sequence, 6)
+    (found,) = select_terms(X, Y, sequence, sequence, 6)
     assert found[:6] == tuple(range(6))
     return {TERMS[i].name(COMPONENTS) for i in found[6:]}
 
@@ -122,20 +122,20 @@ def test_terms_are_replaced_when_better_ones_have_come_in(monkeypatch):
     """|F| and |F^3| together look like F^2 at first; only replacement finds back."""
     terms = {"Fy^3": -0.0069, "|Fx|": -0.0105, "|Fx^3|": -0.0087}
     assert chosen(terms) == set(terms)
-    monkeypatch.setattr(selection, "_replaced", lambda normal, found, straight: found)
+    monkeypatch.setattr(selection, "_replace_sequentially", lambda normal, found, straight: found)
     assert chosen(terms) != set(terms)
 
 
 def test_a_term_that_is_no_longer_significant_goes():
     X, Y, sequence = readings({"Fx Fy": 0.01})
     w = np.ones(len(X))
-    Xs = without_zeros(X, sequence, w)
-    y = without_zeros(Y, sequence, w)[:, 0]
-    normal = selection._Normal(Xs.T @ Xs, Xs.T @ y, float(y @ y), len(X) - sequence[-1] - 1)
+    Xs = subtract_block_means(X, sequence, w)
+    y = subtract_block_means(Y, sequence, w)[:, 0]
+    normal = selection._TermNormalEquations(Xs.T @ Xs, Xs.T @ y, float(y @ y), len(X) - sequence[-1] - 1)
     kept = [*range(6), place("Fx Fy")]
-    assert selection._pruned(normal, [*kept, place("Mz^2"), place("|Fx Fy|")], 6, 1e-5) == kept
+    assert selection._eliminate_backward(normal, [*kept, place("Mz^2"), place("|Fx Fy|")], 6, 1e-5) == kept
     # The loads stay, whether they are significant or not.
-    assert selection._pruned(normal, kept, 6, 0.0) == list(range(6))
+    assert selection._eliminate_backward(normal, kept, 6, 0.0) == list(range(6))
 
 
 def test_spurious_terms_are_as_rare_as_the_level_says(monkeypatch):
@@ -144,10 +144,10 @@ def test_spurious_terms_are_as_rare_as_the_level_says(monkeypatch):
     X = columns(TERMS, x)
     rng = np.random.default_rng(5)
     Y = rng.normal(size=(len(x), 200))
-    monkeypatch.setattr(selection, "_validated", lambda found, *_: tuple(found))
-    strict = sum(len(one) > 6 for one in chosen_terms(X, Y, sequence, sequence, 6))
-    monkeypatch.setattr(selection, "LEVEL", 40.0)
-    loose = sum(len(one) > 6 for one in chosen_terms(X, Y, sequence, sequence, 6))
+    monkeypatch.setattr(selection, "_cross_validate", lambda found, *_: tuple(found))
+    strict = sum(len(one) > 6 for one in select_terms(X, Y, sequence, sequence, 6))
+    monkeypatch.setattr(selection, "TERM_SIGNIFICANCE_LEVEL", 40.0)
+    loose = sum(len(one) > 6 for one in select_terms(X, Y, sequence, sequence, 6))
     # Expected 0.01 and, by the bound of Bonferroni for terms that are alike in part, 20 to 40.
     assert strict == 0 and 10 <= loose <= 45
 
@@ -160,25 +160,25 @@ def test_a_term_that_does_not_help_sequences_left_out_goes():
     Y[rows] += 0.01 * X[rows][:, [own]]
     whole, w = [*range(6), own, true], np.ones(len(X))
     assert regression(X[:, whole], Y, sequence).t[6, 0] > 5.0
-    kept = selection._validated(whole, X, Y[:, 0], sequence, sequence, 6, w)
+    kept = selection._cross_validate(whole, X, Y[:, 0], sequence, sequence, 6, w)
     assert kept == (*range(6), true)
 
 
 def test_gage_fit_finds_the_terms_of_every_channel():
-    model = gage_fit(stand_points()).model
+    model = fit_calibration_model(stand_points()).model
     for channel in CHANNELS:
-        found = {name for name in model.of_channel(channel) if name not in COMPONENTS}
-        assert found == set(CURVED.get(channel, {})), channel
-        for name, value in CURVED.get(channel, {}).items():
+        found = {name for name in model.channel_coefficients(channel) if name not in COMPONENTS}
+        assert found == set(NONLINEAR_TERMS.get(channel, {})), channel
+        for name, value in NONLINEAR_TERMS.get(channel, {}).items():
             row, c = model.terms.index(name), CHANNELS.index(channel)
             assert abs(model.coefficients[row, c] - value) < 5.0 * np.sqrt(model.covariance[c, row, row])
-    assert gage_fit(stand_points(), search=False).model.terms == COMPONENTS
+    assert fit_calibration_model(stand_points(), search=False).model.terms == COMPONENTS
 
 
 def test_loads_exchanged_at_once_are_one_sequence():
     """Zeros for stretches in which one load only replaces another would say what the loads say."""
     x = np.repeat(np.vstack([np.eye(6), -np.eye(6)]), 2, axis=0)
-    assert not loading_sequences(x, np.zeros(24, int)).any()
+    assert not find_load_series(x, np.zeros(24, int)).any()
     # With each load by itself between, it is not so.
     apart = np.vstack([np.outer(np.arange(4) / 3.0, one) for one in np.eye(6)])
-    assert loading_sequences(apart, np.zeros(24, int))[-1] == 5
+    assert find_load_series(apart, np.zeros(24, int))[-1] == 5

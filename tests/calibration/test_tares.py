@@ -10,14 +10,14 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.__main__ import balance
-from balance_cli.calibration.all_trims import gage_calibration
-from balance_cli.calibration.fit import LoadPoints
-from balance_cli.calibration.outliers import examined
-from balance_cli.calibration.tares import examined_with_tares, weight_loads
+from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.calibration.outliers import screen_outliers
+from balance_cli.calibration.tares import screen_outliers_with_tares, weight_loads
 from balance_cli.calibration.terms import columns
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.recording.run_file import open_run, read_run, write_run
-from balance_cli.campaign.rig.attitude import gravity_directions, stretches
+from balance_cli.campaign.rig.attitude import attitude_segments, gravity_directions
 from balance_cli.io.errors import UserError
 from balance_cli.report.calibration import section
 from balance_cli.report.sources import sources
@@ -46,7 +46,9 @@ def tilted_stand(seed, curved, attitudes=SIX, jumps=0.0):
     zeros = NATURAL + jumps * rng.normal(size=(sequence[-1] + 1, 8))[sequence]
     read = columns(terms, total) @ b + zeros + NOISE * rng.normal(size=(len(x), 8))
     run = np.zeros(len(x), int)
-    return LoadPoints(CHANNELS, COMPONENTS, ("s",), read, x * FULL_RANGE, run, np.ones(len(x)), FULL_RANGE, gravity)
+    return CalibrationPoints(
+        CHANNELS, COMPONENTS, ("s",), read, x * FULL_RANGE, run, np.ones(len(x)), FULL_RANGE, gravity
+    )
 
 
 def quiet_first(points):
@@ -59,8 +61,8 @@ def quiet_first(points):
 def off(tares):
     """Everything that is told less the truth, over sigma."""
     w = (tares.w - TRUE_W) / np.sqrt(np.diag(tares.w_covariance))
-    centre = (tares.centre - R) / tares.centre_sigma
-    return np.r_[w, centre, (tares.natural_zeros - NATURAL) / tares.natural_zeros_sigma]
+    center_of_gravity = (tares.center_of_gravity - R) / tares.center_of_gravity_sigma
+    return np.r_[w, center_of_gravity, (tares.natural_zeros - NATURAL) / tares.natural_zeros_sigma]
 
 
 # ---- gravity ---------------------------------------------------------------------------------------------------------
@@ -82,8 +84,8 @@ def test_loads_of_a_weight():
 def test_an_attitude_begins_a_stretch_and_a_sequence():
     run = np.array([0, 0, 0, 0, 1, 1])
     gravity = gravity_directions([[0, 0], [0, 0.01], [0, 5], [0, 5], [0, 5], [9, 0]])
-    assert stretches(run, None).tolist() == [0, 0, 0, 0, 1, 1]
-    assert stretches(run, gravity).tolist() == [0, 0, 1, 1, 2, 3]
+    assert attitude_segments(run, None).tolist() == [0, 0, 0, 0, 1, 1]
+    assert attitude_segments(run, gravity).tolist() == [0, 0, 1, 1, 2, 3]
     points = tilted_stand(0, False)
     same = replace(points, gravity=None)
     assert np.array_equal(points.sequence, same.sequence)
@@ -97,7 +99,9 @@ def test_an_attitude_begins_a_stretch_and_a_sequence():
 
 @pytest.mark.parametrize("curved", [False, True])
 def test_weight_centre_and_natural_zeros_come_out_with_honest_errors(curved):
-    each = np.array([off(examined_with_tares(tilted_stand(seed, curved), search=curved)[2]) for seed in range(20)])
+    each = np.array(
+        [off(screen_outliers_with_tares(tilted_stand(seed, curved), search=curved)[2]) for seed in range(20)]
+    )
     assert np.mean(np.abs(each) < 3) > 0.98 and np.max(np.abs(each)) < 4.5
     assert 0.8 < np.sqrt(np.mean(each[:, :4] ** 2)) < 1.25
     assert 0.8 < np.sqrt(np.mean(each[:, 7:] ** 2)) < 1.25
@@ -106,7 +110,7 @@ def test_weight_centre_and_natural_zeros_come_out_with_honest_errors(curved):
 
 def test_the_model_is_that_of_all_loads():
     points = tilted_stand(3, True)
-    gage = gage_calibration(points)
+    gage = calibrate_all_trims(points)
     terms, b = true_model()
     added = weight_loads(points.gravity) @ TRUE_W
     np.testing.assert_allclose(gage.loads - points.loads, added, atol=0.2)
@@ -118,12 +122,12 @@ def test_the_model_is_that_of_all_loads():
     np.testing.assert_allclose(gage.level, [0, 0, -W, *np.cross(W * R, [0, 0, -1])], atol=0.3)
     assert 0.7 < gage.tares.chi2_per_dof < 1.3 and not gage.limits
     # The applied loads alone leave the curvature of the weight.
-    apart = examined(points).fit.model.coefficients[:6] - b[:6]
+    apart = screen_outliers(points).fit.model.coefficients[:6] - b[:6]
     assert np.max(np.abs(apart)) > 3 * np.max(np.abs(gage.model.coefficients[:6] - b[:6]))
 
 
 def test_zeros_that_jump_widen_the_errors():
-    found = [examined_with_tares(tilted_stand(seed, False, jumps=1e-3), search=False)[2] for seed in range(20)]
+    found = [screen_outliers_with_tares(tilted_stand(seed, False, jumps=1e-3), search=False)[2] for seed in range(20)]
     assert min(tares.chi2_per_dof for tares in found) > 5
     assert 0.7 < np.sqrt(np.mean([off(tares)[:4] ** 2 for tares in found])) < 1.4
 
@@ -134,9 +138,9 @@ def test_a_check_in_another_attitude_is_found_less_its_weight():
     many = np.r_[np.zeros(200, int), np.arange(len(check.loads))]
     made = ("check", check.channels[many], check.loads[many])
     made[1][:200] += NOISE * np.random.default_rng(1).normal(size=(200, 8)) - (made[1][0] - quiet_first(check))
-    told = gage_calibration(points, [made], check_gravity={"check": check.gravity[many]}).checks[0]
-    untold = gage_calibration(points, [made]).checks[0]
-    assert np.all(told.hits > 0.91)
+    told = calibrate_all_trims(points, [made], check_gravity={"check": check.gravity[many]}).checks[0]
+    untold = calibrate_all_trims(points, [made]).checks[0]
+    assert np.all(told.interval_coverage > 0.91)
     assert np.all(told.error < 1.01 * untold.error) and np.any(told.error < 0.9 * untold.error)
 
 
@@ -145,9 +149,9 @@ def test_a_check_in_another_attitude_is_found_less_its_weight():
 )
 def test_too_few_attitudes_tell_nothing(attitudes):
     points = tilted_stand(0, False, attitudes)
-    total, found, tares = examined_with_tares(points, search=False)
+    total, found, tares = screen_outliers_with_tares(points, search=False)
     assert tares is None and total is points
-    plain = examined(replace(points, gravity=None), search=False)
+    plain = screen_outliers(replace(points, gravity=None), search=False)
     assert np.array_equal(found.fit.model.coefficients, plain.fit.model.coefficients)
 
 
@@ -160,7 +164,7 @@ def test_an_attitude_that_creeps_within_a_sequence_tells_no_zero():
     tilt[rows, 1] = SIX[1, 1] + np.linspace(0, 1.0, len(rows))
     crept = replace(points, gravity=gravity_directions(tilt))
     assert np.array_equal(crept.sequence, sequence)
-    tares = examined_with_tares(crept, search=False)[2]
+    tares = screen_outliers_with_tares(crept, search=False)[2]
     assert tares.sequences == sequence[-1] and abs(tares.weight - W) < 4 * tares.weight_sigma
 
 
@@ -170,7 +174,7 @@ def test_what_took_no_part_in_the_fit_tells_no_zero():
     channels = points.channels.copy()
     channels[sequence == 5, 2] *= 1.5
     channels[np.flatnonzero(sequence == 9)[4], 1] += 0.008
-    gage = gage_calibration(replace(points, channels=channels), search=False)
+    gage = calibrate_all_trims(replace(points, channels=channels), search=False)
     assert len(gage.bad_sequences) == 1 and len(gage.outliers) == 1
     assert gage.tares.sequences == sequence[-1] and np.all(np.abs(off(gage.tares)) < 4)
 
@@ -189,7 +193,7 @@ def test_single_unloaded_rows_tell_the_weight():
         weight=np.ones(len(level.run) + 5),
         gravity=np.vstack([level.gravity, gravity]),
     )
-    gage = gage_calibration(points)
+    gage = calibrate_all_trims(points)
     assert np.all(np.abs(off(gage.tares)) < 4) and gage.tares.sequences == len(np.unique(level.sequence)) + 5
 
 
@@ -197,7 +201,7 @@ def test_a_run_without_attitude_is_named():
     points = tilted_stand(0, False)
     run = (points.sequence > 30).astype(int)
     gravity = np.where(run[:, None] == 1, np.nan, points.gravity)
-    gage = gage_calibration(replace(points, run=run, run_names=("a", "b"), gravity=gravity), search=False)
+    gage = calibrate_all_trims(replace(points, run=run, run_names=("a", "b"), gravity=gravity), search=False)
     assert gage.tares is None and len(gage.limits) == 1 and "run b does not state its attitude" in gage.limits[0]
 
 

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms, slopes, steepest, term_named
+from balance_cli.calibration.terms import (
+    Term,
+    all_terms,
+    columns,
+    largest_derivatives,
+    linear_terms,
+    term_derivatives,
+    term_from_name,
+)
 
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
@@ -31,7 +39,7 @@ def test_values_are_what_the_names_say():
         # `Fx^2 |My|` as Python: names are loads, bars are absolute values, what stands beside each other is multiplied.
         expected = np.ones(len(x))
         name = term.name(LOADS)
-        if term.alone:
+        if term.single_load:
             f = x[:, term.i]
             key = name.replace(LOADS[term.i], "F")
             expected = {
@@ -52,7 +60,7 @@ def test_values_are_what_the_names_say():
 def test_slopes_are_those_of_finite_differences():
     terms, step = all_terms(6), 1e-6
     x = np.random.default_rng(1).uniform(0.05, 1.0, (30, 6)) * np.random.default_rng(2).choice([-1.0, 1.0], (30, 6))
-    found = slopes(terms, x)
+    found = term_derivatives(terms, x)
     assert found.shape == (30, 96, 6)
     for j in range(6):
         more, less = x.copy(), x.copy()
@@ -64,26 +72,26 @@ def test_slopes_are_those_of_finite_differences():
 
 
 def test_slopes_at_a_fold_are_those_from_above():
-    at = slopes([term_named("|Fx|", LOADS), term_named("Fx|Fx|", LOADS)], np.zeros((1, 6)))
+    at = term_derivatives([term_from_name("|Fx|", LOADS), term_from_name("Fx|Fx|", LOADS)], np.zeros((1, 6)))
     assert at[0, 0, 0] == 1.0 and at[0, 1, 0] == 0.0
 
 
 def test_no_slope_within_reach_is_steeper_than_the_steepest():
     terms, reach = all_terms(6), np.linspace(0.5, 1.3, 6)
-    bound = steepest(terms, reach)
+    bound = largest_derivatives(terms, reach)
     x = np.random.default_rng(3).uniform(-1.0, 1.0, (500, 6)) * reach
-    assert np.all(np.abs(slopes(terms, x)) <= bound + 1e-14)
-    np.testing.assert_allclose(np.abs(slopes(terms, -reach[None]))[0], bound)
+    assert np.all(np.abs(term_derivatives(terms, x)) <= bound + 1e-14)
+    np.testing.assert_allclose(np.abs(term_derivatives(terms, -reach[None]))[0], bound)
 
 
 def test_a_term_is_found_by_its_name():
-    assert all(term_named(term.name(LOADS), LOADS) == term for term in all_terms(6))
+    assert all(term_from_name(term.name(LOADS), LOADS) == term for term in all_terms(6))
     with pytest.raises(KeyError):
-        term_named("Fx^4", LOADS)
+        term_from_name("Fx^4", LOADS)
 
 
 def test_what_a_term_is_made_of():
-    cross = term_named("Fy |Mz|", LOADS)
-    assert cross.loads == (1, 5) and not cross.alone and cross.degree == 2 and not cross.linear
-    assert term_named("|My^3|", LOADS).degree == 3 and term_named("My", LOADS).linear
-    assert Term(4, 1, 4) == term_named("My", LOADS)
+    cross = term_from_name("Fy |Mz|", LOADS)
+    assert cross.loads == (1, 5) and not cross.single_load and cross.degree == 2 and not cross.linear
+    assert term_from_name("|My^3|", LOADS).degree == 3 and term_from_name("My", LOADS).linear
+    assert Term(4, 1, 4) == term_from_name("My", LOADS)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
-from balance_cli.campaign.recording.run import Block, MemorySource, Run
+from balance_cli.campaign.recording.run import MemorySource, Run, SampleBlock
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -142,7 +142,7 @@ class Parts:
     def __getattr__(self, name: str) -> object:
         return getattr(self.run, name)
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self) -> Iterator[SampleBlock]:
         return self.run.blocks(self.size)
 
 

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.campaign.rig.geometry_checks import unheld_motion
+from balance_cli.campaign.rig.geometry_checks import unrestrained_motion
 from balance_cli.campaign.rig.geometry_file import (
     dotted_place,
     geometry_digest,
@@ -22,7 +22,7 @@ from balance_cli.campaign.rig.geometry_file import (
     read_geometry,
     save_geometry,
 )
-from balance_cli.campaign.rig.mass_properties import moving_part
+from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.io.errors import UserError
 from tests.support.geometries import declarations
 
@@ -238,13 +238,13 @@ def test_unheld_motion_agrees_with_rigid_body_motion_of_the_cells(order: list[in
     """Cells hold the plate where no rigid motion leaves all their lengths; counted by moving the points themselves."""
     whole = load_geometry(ROOT / "configs" / "rts-6.yaml")
     geometry = whole.model_copy(update={"cells": tuple(whole.cells[index] for index in order[:kept])})
-    centre = moving_part(geometry).centre_of_gravity
+    centre = metric_side(geometry).centre_of_gravity
     lengths = []
     for cell in geometry.cells:
         arm = np.asarray(cell.position) - centre
         turns = [np.cross(np.eye(3)[axis], arm) for axis in (2, 1, 0)]
         lengths.append([*cell.direction, *(turn @ cell.direction for turn in turns)])
-    assert bool(unheld_motion(geometry, centre)) == (np.linalg.matrix_rank(np.array(lengths), tol=1e-6) < 6)
+    assert bool(unrestrained_motion(geometry, centre)) == (np.linalg.matrix_rank(np.array(lengths), tol=1e-6) < 6)
 
 
 def test_a_point_mass_may_not_turn(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.cli import balance
-from balance_cli.io.artefacts import provenance_now, save_artefact
+from balance_cli.io.artefacts import make_provenance, save_artefact
 
 ROOT = Path(__file__).parents[2]
 RIG = ROOT / "configs" / "rts-6.yaml"
@@ -47,7 +47,7 @@ def faults(path: Path, *words: object) -> list[tuple[str, str]]:
 @pytest.fixture
 def artefact(tmp_path: Path) -> Path:
     path = tmp_path / "model.h5"
-    save_artefact(path, "balance-model/1", Made(load_geometry(RIG)), provenance_now("identify", {}, ()))
+    save_artefact(path, "balance-model/1", Made(load_geometry(RIG)), make_provenance("identify", {}, ()))
     return path
 
 

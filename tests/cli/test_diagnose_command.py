@@ -15,7 +15,7 @@ from balance_cli.cli.diagnosis_text import diagnosis_text
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import load_artefact
-from tests.support.diagnosis_content import Engine, diagnosis, engine_module, hold_out
+from tests.support.diagnosis_content import FakeDiagnose, diagnosis, fake_diagnose_module, hold_out
 
 
 def call(*words, status=0):
@@ -43,8 +43,8 @@ def fitted(folder):
 @pytest.fixture
 def engine(monkeypatch):
     """A loop that returns a diagnosis made by hand."""
-    made = Engine()
-    monkeypatch.setitem(sys.modules, "balance_cli.steps.diagnose", engine_module(made))
+    made = FakeDiagnose()
+    monkeypatch.setitem(sys.modules, "balance_cli.steps.diagnose", fake_diagnose_module(made))
     return made
 
 
@@ -210,13 +210,13 @@ def test_the_text_says_verdict_effects_evidence_and_errors():
 
 
 def test_a_bar_is_drawn_where_stderr_is_a_terminal(monkeypatch, capsys):
-    from balance_cli.cli.progress import share_bar
+    from balance_cli.cli.progress import progress_bar
 
-    with share_bar() as progress:
+    with progress_bar() as progress:
         progress("residual", 0.5)
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    with share_bar() as progress:
+    with progress_bar() as progress:
         progress("refit of support-flexibility", 0.5)
     shown = capsys.readouterr().err
     assert "refit of support-flexibility" in shown and "50 %" in shown

@@ -13,7 +13,7 @@ from balance_cli.cli import balance
 from balance_cli.simulation import draw_rig, simulate_campaign
 from balance_cli.simulation.extensions.library import extension
 from balance_cli.simulation.files import read_plan
-from balance_cli.simulation.truth import stream
+from balance_cli.simulation.truth import random_stream
 from tests.support.simulation_rig import GEOMETRY, RIG
 
 PLAN = """
@@ -47,7 +47,7 @@ def test_files_hold_what_the_step_gives(folder):
     run = open_run(folder / "out" / "f.h5")
     assert run.digest == summary["runs"]["f"]["digest"]
     truth = yaml.safe_load((folder / "out" / "truth.yaml").read_text())
-    rig = draw_rig(GEOMETRY, stream(7, "", "rig"))
+    rig = draw_rig(GEOMETRY, random_stream(7, "", "rig"))
     assert truth["rig"]["mass"] == rig.mass
     assert truth["rig"]["effects"][0]["parameters"] == {"delay": 0.002}
     rig = rig.extended(extension("time-delay", ("z1.strain",), delay=0.002))

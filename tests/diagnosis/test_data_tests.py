@@ -12,8 +12,8 @@ from balance_cli.diagnosis.data_tests.mains_detection import mains_tests
 from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.data_tests.run_pairs import level_tests, spin_tests
 from balance_cli.diagnosis.data_tests.static_pairs import static_tests
-from balance_cli.diagnosis.search.initial_candidates import seeds
-from balance_cli.diagnosis.significance import of_several_looks, probability, with_sigma
+from balance_cli.diagnosis.search.initial_candidates import initial_candidates
+from balance_cli.diagnosis.significance import bonferroni_min_p_value, chi2_p_value, format_with_sigma
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.simulation import CampaignPlan, SweepPlan, draw_rig, short_plan, simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
@@ -24,10 +24,10 @@ from tests.support.simulated_lines import (
     NAMES,
     NOISE,
     RIG,
-    circular,
+    circular_noise,
     response,
     static,
-    swept,
+    swept_lines,
 )
 
 S = 2j * np.pi * FREQUENCY
@@ -51,13 +51,13 @@ def test_chances_with_noise_that_was_measured_are_even():
         for n, d in ((40, 60), (20, 120), (100, np.inf)):
             variance = rng.chisquare(d) / d if np.isfinite(d) else 1.0
             total += rng.chisquare(n) / variance * ((d - 2) / d if np.isfinite(d) else 1.0)
-        found.append(probability(total, (40, 20, 100), (60, 120, np.inf)))
+        found.append(chi2_p_value(total, (40, 20, 100), (60, 120, np.inf)))
     assert kstest(found, "uniform").pvalue > 1e-3
 
 
 def test_several_looks_are_counted():
-    assert of_several_looks([0.5, 0.01, 0.3, 0.2]) == pytest.approx(0.04)
-    assert of_several_looks([]) == 1.0
+    assert bonferroni_min_p_value([0.5, 0.01, 0.3, 0.2]) == pytest.approx(0.04)
+    assert bonferroni_min_p_value([]) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_several_looks_are_counted():
     [(0.60033, 0.00012, "0.60033 +/- 0.00012 ms"), (84.23, 3.1, "84.2 +/- 3.1 ms"), (1234.0, 56.0, "1234 +/- 56 ms")],
 )
 def test_figures_have_two_digits_of_sigma(value, sigma, text):
-    assert with_sigma(value, sigma, "ms") == text
+    assert format_with_sigma(value, sigma, "ms") == text
 
 
 # ---- channels of one cell --------------------------------------------------------------------------------------------
@@ -82,7 +82,10 @@ CHANGES = {
 @pytest.mark.parametrize("name", CHANGES)
 def test_the_simplest_difference_of_two_channels_is_found(name):
     factor, words, truth = CHANGES[name]
-    runs = [swept("Fz", 10.0, 1, changed={"z3.piezo": factor}), swept("Mx", 4.0, 2, changed={"z3.piezo": factor})]
+    runs = [
+        swept_lines("Fz", 10.0, 1, changed={"z3.piezo": factor}),
+        swept_lines("Mx", 4.0, 2, changed={"z3.piezo": factor}),
+    ]
     rows = {row.place: row for row in channel_tests(runs, RIG)}
     assert len(rows) == len(channel_pairs(RIG)) == 7
     changed = rows.pop("z3.strain, z3.piezo")
@@ -96,19 +99,19 @@ def test_the_simplest_difference_of_two_channels_is_found(name):
 
 
 def test_the_first_channel_can_be_the_late_one():
-    (row,) = (r for r in channel_tests([swept(changed={"x.strain": np.exp(-S * 1e-3)})], RIG) if r.p_value < 1e-6)
+    (row,) = (r for r in channel_tests([swept_lines(changed={"x.strain": np.exp(-S * 1e-3)})], RIG) if r.p_value < 1e-6)
     assert row.finding.startswith("x.strain is late by 1.00") and row.finding.endswith("against x.piezo")
 
 
 def test_a_filter_in_the_first_channel_is_laid_to_it():
     factor = 1 / (1 + S / (2 * np.pi * 300.0))
-    (row,) = (r for r in channel_tests([swept(changed={"y1.strain": factor})], RIG) if r.p_value < 1e-6)
+    (row,) = (r for r in channel_tests([swept_lines(changed={"y1.strain": factor})], RIG) if r.p_value < 1e-6)
     assert row.finding.startswith("y1.strain has a further low-pass at 30")
 
 
 def test_two_differences_are_both_named():
     factor = 1.01 * np.exp(-S * 5e-4)
-    (row,) = (r for r in channel_tests([swept(changed={"y1.piezo": factor})], RIG) if r.p_value < 1e-6)
+    (row,) = (r for r in channel_tests([swept_lines(changed={"y1.piezo": factor})], RIG) if r.p_value < 1e-6)
     for word, truth in (("late by", 0.5), ("reads", 1.01)):
         value, sigma = number(row.finding, word)
         assert abs(value - truth) < 4 * sigma
@@ -116,8 +119,11 @@ def test_two_differences_are_both_named():
 
 def test_two_differences_are_two_seeds_and_the_plate_decides_whose_each_is():
     factor = np.exp(-S * 5e-4) * S / (S + 1 / 2.0)
-    runs = [swept("Fz", 10.0, 1, changed={"z3.piezo": factor}), swept("Mx", 4.0, 2, changed={"z3.piezo": factor})]
-    late, forgets = seeds(runs, RIG)
+    runs = [
+        swept_lines("Fz", 10.0, 1, changed={"z3.piezo": factor}),
+        swept_lines("Mx", 4.0, 2, changed={"z3.piezo": factor}),
+    ]
+    late, forgets = initial_candidates(runs, RIG)
     assert {one.label for one in late.candidates} == {"time-delay@z3.piezo", "time-delay@z3.strain"}
     assert sorted(one.starts[0]["delay"] for one in late.candidates) == pytest.approx([-5e-4, 5e-4], rel=0.01)
     (one,) = forgets.candidates
@@ -127,15 +133,15 @@ def test_two_differences_are_two_seeds_and_the_plate_decides_whose_each_is():
 
 def test_what_is_no_simple_difference_is_said_to_be_neither():
     factor = 1 + 0.05 / (1 - (FREQUENCY / 80.0) ** 2 + 0.04j * FREQUENCY / 80.0)
-    runs = [swept(changed={"z1.piezo": factor})]
+    runs = [swept_lines(changed={"z1.piezo": factor})]
     (row,) = (r for r in channel_tests(runs, RIG) if r.p_value < 1e-6)
     assert "neither delay, gain nor filter" in row.finding
-    assert not seeds(runs, RIG)
+    assert not initial_candidates(runs, RIG)
 
 
 def test_gains_within_their_tolerance_are_no_finding():
     tolerant = RIG.model_copy(update={"tolerances": RIG.tolerances.model_copy(update={"sensitivity": 0.01})})
-    run = swept(changed={"z2.piezo": np.full(len(S), 1.008), "z4.piezo": 1.008 * np.exp(-S * 3e-4)})
+    run = swept_lines(changed={"z2.piezo": np.full(len(S), 1.008), "z4.piezo": 1.008 * np.exp(-S * 3e-4)})
     rows = {row.place: row for row in channel_tests([run], tolerant)}
     assert rows["z2.strain, z2.piezo"].finding == "equal"
     assert rows["z4.strain, z4.piezo"].finding.startswith("z4.piezo is late by 0.30")
@@ -147,14 +153,14 @@ def test_chances_of_equal_channels_are_even_with_noise_from_few_periods():
     found = [
         row.p_value
         for seed in range(30)
-        for row in channel_tests([swept(seed=seed, dof=80.0), swept("Mx", 5.0, seed + 100, dof=80.0)], RIG)
+        for row in channel_tests([swept_lines(seed=seed, dof=80.0), swept_lines("Mx", 5.0, seed + 100, dof=80.0)], RIG)
     ]
     assert np.mean(np.array(found) < 0.05) < 0.08
     assert min(found) > 1e-5
 
 
 def test_a_channel_that_is_not_live_is_left_out():
-    run = swept()
+    run = swept_lines()
     kept = [i for i, name in enumerate(NAMES) if name != "x.piezo"]
     signals = np.array([*kept, len(NAMES)])
     less = replace(
@@ -172,7 +178,9 @@ def test_a_channel_that_is_not_live_is_left_out():
 
 
 def test_statics_that_are_the_response_at_rest():
-    runs = [swept(name, level, seed) for seed, (name, level) in enumerate((("Fz", 10.0), ("Fz", 4.0), ("My", 5.0)))]
+    runs = [
+        swept_lines(name, level, seed) for seed, (name, level) in enumerate((("Fz", 10.0), ("Fz", 4.0), ("My", 5.0)))
+    ]
     rows = static_tests(runs, [static()], RIG, float(MODES[0]))
     assert [row.place for row in rows] == ["static: Fz", "static: My"]
     for row in rows:
@@ -181,13 +189,13 @@ def test_statics_that_are_the_response_at_rest():
 
 def test_a_lowest_mode_that_is_not_quite_known_does_no_harm():
     for lowest in (0.8 * MODES[0], 1.15 * MODES[0]):
-        assert all(row.p_value > 1e-3 for row in static_tests([swept(noise=0.1)], [static()], RIG, float(lowest)))
+        assert all(row.p_value > 1e-3 for row in static_tests([swept_lines(noise=0.1)], [static()], RIG, float(lowest)))
 
 
 def test_a_static_stiffness_of_its_own_is_found():
     factor = np.ones(8)
     factor[5] = 1.02
-    row = static_tests([swept(level=40.0)], [static(factor)], RIG, float(MODES[0]))[0]
+    row = static_tests([swept_lines(level=40.0)], [static(factor)], RIG, float(MODES[0]))[0]
     assert row.p_value < 1e-6
     assert "most in z3.strain" in row.finding
     change, sigma = number(row.finding, "z3.strain:")
@@ -199,7 +207,7 @@ def test_chances_of_statics_are_even():
     found = [
         row.p_value
         for seed in range(60)
-        for row in static_tests([swept(seed=seed, dof=150.0)], [static(seed=seed)], RIG, float(MODES[0]))
+        for row in static_tests([swept_lines(seed=seed, dof=150.0)], [static(seed=seed)], RIG, float(MODES[0]))
     ]
     assert np.mean(np.array(found) < 0.05) <= 0.12
     assert min(found) > 1e-4
@@ -216,13 +224,13 @@ def test_two_components_at_once_are_told_apart():
 def excited_together(driven: np.ndarray, seed: int = 5, level: float = 10.0, modes: np.ndarray = MODES):
     """A sweep of Fz and My, each at the lines where it is `driven` (k, 2)."""
     rng = np.random.default_rng(seed)
-    run = swept("Fz", level, seed)
+    run = swept_lines("Fz", level, seed)
     U = np.where(driven, level * np.exp(2j * np.pi * rng.random(driven.shape)), 0.0)
     Y = response("Fz", FREQUENCY, modes) * U[:, :1] + response("My", FREQUENCY, modes) * U[:, 1:]
     covariance = np.zeros((len(NAMES) + 2,) * 2)
     covariance[:-2, :-2] = NOISE**2 * np.eye(len(NAMES))
     covariance[-2:, -2:] = LOAD_NOISE**2 * np.eye(2)
-    z = np.concatenate([Y, U], axis=1) + circular(rng, covariance, len(FREQUENCY))
+    z = np.concatenate([Y, U], axis=1) + circular_noise(rng, covariance, len(FREQUENCY))
     return replace(
         run,
         run=f"both-{level:g}",
@@ -238,8 +246,8 @@ def excited_together(driven: np.ndarray, seed: int = 5, level: float = 10.0, mod
 
 
 def test_levels_that_agree():
-    runs = [swept("Fz", level, seed, dof=200.0) for seed, level in enumerate((10.0, 4.0, 2.0))]
-    rows = level_tests([*runs, swept("Mx", 3.0, 9)], RIG)
+    runs = [swept_lines("Fz", level, seed, dof=200.0) for seed, level in enumerate((10.0, 4.0, 2.0))]
+    rows = level_tests([*runs, swept_lines("Mx", 3.0, 9)], RIG)
     assert [row.place for row in rows] == [f"{run.run}, {runs[0].run}" for run in runs[1:]]
     assert all(row.finding == "equal" and row.p_value > 1e-3 for row in rows)
     assert spin_tests(runs, RIG) == []
@@ -247,7 +255,7 @@ def test_levels_that_agree():
 
 def test_a_mode_that_stiffens_with_level_is_found():
     stiffer = np.where(np.isclose(MODES, 54.2), MODES * 1.002, MODES)
-    (row,) = level_tests([swept("Fz", 4.0, 1), swept("Fz", 10.0, 2, modes=stiffer)], RIG)
+    (row,) = level_tests([swept_lines("Fz", 4.0, 1), swept_lines("Fz", 10.0, 2, modes=stiffer)], RIG)
     assert row.p_value < 1e-12
     assert "higher at the high level" in row.finding
     low, high = (float(word) for word in row.finding.partition("from ")[2].split(" Hz")[0].split(" to "))
@@ -269,12 +277,12 @@ def test_lines_of_two_components_are_compared_where_one_alone_is_driven():
 
 
 def test_a_turning_rotor_is_compared_with_rest():
-    rest, near = swept("Fz", 10.0, 1), swept("Fz", 4.0, 2)
-    turning = swept("Fz", 9.0, 3, rotor_speed=17.5)
+    rest, near = swept_lines("Fz", 10.0, 1), swept_lines("Fz", 4.0, 2)
+    turning = swept_lines("Fz", 9.0, 3, rotor_speed=17.5)
     (equal,) = spin_tests([rest, near, turning], RIG)
     assert equal.place == f"{rest.run}, {turning.run}" and equal.finding == "equal"
     split = np.where(np.isclose(MODES, 27.4), MODES * 0.995, MODES)
-    (row,) = spin_tests([rest, swept("Fz", 10.0, 3, modes=split, rotor_speed=17.5)], RIG)
+    (row,) = spin_tests([rest, swept_lines("Fz", 10.0, 3, modes=split, rotor_speed=17.5)], RIG)
     assert row.p_value < 1e-12 and "lower with the rotor turning" in row.finding
     assert level_tests([near, turning], RIG) == []
 
@@ -291,7 +299,7 @@ def with_tone(run, channel: str, frequency: float, amplitude: float, seed: int):
     return replace(run, channels=channels)
 
 
-RUNS = [swept(name, 1.0, seed, dof=200.0) for seed, name in enumerate(("Fx", "Fy", "Fz", "Mx", "My", "Mz"))]
+RUNS = [swept_lines(name, 1.0, seed, dof=200.0) for seed, name in enumerate(("Fx", "Fy", "Fz", "Mx", "My", "Mz"))]
 
 
 def test_no_mains():
@@ -311,7 +319,7 @@ def test_a_tone_of_the_mains_is_found_in_its_channel(frequency, family):
 
 def test_a_sharp_mode_at_the_mains_is_no_mains():
     modes = np.where(np.isclose(MODES, 54.2), 50.0, MODES)
-    runs = [swept(name, 1.0, seed, modes=modes, dof=200.0) for seed, name in enumerate(("Fx", "Fz", "My"))]
+    runs = [swept_lines(name, 1.0, seed, modes=modes, dof=200.0) for seed, name in enumerate(("Fx", "Fz", "My"))]
     assert all(row.finding == "nothing" for row in mains_tests(runs))
 
 
@@ -322,7 +330,7 @@ def test_a_harmonic_of_the_rotor_is_no_mains():
 
 
 def test_lines_that_do_not_reach_the_mains_give_no_row():
-    low = [run.at(run.frequency < 45.0) for run in RUNS]
+    low = [run.select(run.frequency < 45.0) for run in RUNS]
     assert mains_tests(low) == []
 
 

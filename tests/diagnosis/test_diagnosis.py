@@ -8,37 +8,37 @@ import pytest
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
 from balance_cli.diagnosis.search.candidates import candidate_at, candidates, smaller_places
-from balance_cli.diagnosis.search.candidates import tested as acting
-from balance_cli.diagnosis.search.preference import preferred
+from balance_cli.diagnosis.search.candidates import parameters_of_interest as acting
+from balance_cli.diagnosis.search.preference import choose_most_linear
 from balance_cli.diagnosis.search.score_statistics import (
     Score,
+    add_candidates,
     best_gain,
-    best_scores,
-    extended,
+    extend_model,
+    score_in_two_stages,
     scores,
-    with_candidates,
 )
-from balance_cli.diagnosis.search.search import leading
+from balance_cli.diagnosis.search.search import select_leading
 from balance_cli.diagnosis.search.search_lines import search_lines
-from balance_cli.diagnosis.search.unmodelled_modes import with_extra_modes
+from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
 from balance_cli.diagnosis.selection import confirm
-from balance_cli.diagnosis.selection.alternatives import contested
-from balance_cli.diagnosis.selection.confirm import STRONG
-from balance_cli.diagnosis.selection.cross_validation import fold_gain, folds
-from balance_cli.diagnosis.selection.effect_selection import believed, without
-from balance_cli.diagnosis.selection.effect_statistics import blur, effect_wald
-from balance_cli.diagnosis.selection.fit import Fit, excess, fitted
-from balance_cli.diagnosis.selection.mains_frequency import at_best_frequency
+from balance_cli.diagnosis.selection.alternatives import compare_alternatives
+from balance_cli.diagnosis.selection.confirm import STRONG_GAIN
+from balance_cli.diagnosis.selection.cross_validation import cross_validation_gain, folds
+from balance_cli.diagnosis.selection.effect_selection import drop_unsupported_effects, refit_without_effect
+from balance_cli.diagnosis.selection.effect_statistics import confounding_limit, effect_wald_statistic
+from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines, unexplained_chi2
+from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import stacked
-from balance_cli.estimation.model_error import log_volume, shares_that_explain, with_model_error
-from balance_cli.estimation.starting_values import by_equations_of_motion
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.estimation.model_error import add_model_error, estimate_model_error, log_determinant_inflation
+from balance_cli.estimation.starting_values import start_from_equations_of_motion
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
-from balance_cli.model.effects.dry_friction import LEAST, STIFFNESSES
+from balance_cli.model.effects.dry_friction import LEAST_FORCE_SHARE, STIFFNESS_BOUNDS
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH, statics
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, statics
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.diagnose import diagnose
 from balance_cli.steps.identify import IdentifyOptions, identify
@@ -51,7 +51,7 @@ PLAN = CampaignPlan(
         *statics(),
         *(
             SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=8)
-            for name, level in HIGH.items()
+            for name, level in HIGH_SWEEP_LEVELS.items()
         ),
     )
 )
@@ -63,7 +63,7 @@ BENDS = SaturatingChannel(where=("z1.piezo",), limit=6.0)
 def simulated_spectra(*effects, seed=3):
     rig = true_rig(RIG)
     for effect in effects:
-        rig = apply_effects(rig, [effect]) if isinstance(effect, DeclaredEffect) else rig.extended(effect)
+        rig = apply_effects(rig, [effect]) if isinstance(effect, DeclaredEffect) else rig.extend_model(effect)
     runs, _ = simulate_campaign(rig, PLAN, seed=seed)
     return measured_spectra(runs, RIG, means=True)
 
@@ -80,7 +80,7 @@ def late():
 
 
 def lines_of(spectra):
-    return stacked(spectra.lines, spectra.statics, RIG.channel_names)
+    return stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
 
 
 # ---- score test ------------------------------------------------------------------------------------------------------
@@ -112,32 +112,32 @@ def test_gain_with_bounds_is_the_best_that_is_allowed():
 
 def test_a_score_is_what_a_refit_gains(late):
     model, batches = balance_model(RIG), lines_of(late)
-    fit = fitted(model, model.parameters.value, batches)
+    fit = fit_all_lines(model, model.parameters.value, batches)
     one = candidate_at("time-delay", ("z1.piezo",), RIG)
     (score,) = scores(model, fit.theta, batches, [one])
-    wide, theta = extended(model, fit.theta, with_candidates(RIG, [(one, 0)]))
-    gained = fit.chi2 - fitted(wide, theta, batches).chi2
+    wide, theta = extend_model(model, fit.theta, add_candidates(RIG, [(one, 0)]))
+    gained = fit.chi2 - fit_all_lines(wide, theta, batches).chi2
     assert score.gain > 50.0
     assert score.gain == pytest.approx(gained, rel=0.02)
 
 
 def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late):
     model, batches = balance_model(RIG), lines_of(late)
-    fit = fitted(model, model.parameters.value, batches)
-    found = sorted(best_scores(model, fit.theta, batches, candidates(RIG)), key=lambda score: -score.gain)
+    fit = fit_all_lines(model, model.parameters.value, batches)
+    found = sorted(score_in_two_stages(model, fit.theta, batches, candidates(RIG)), key=lambda score: -score.gain)
     labels = [score.candidate.label for score in found[:2]]
     assert "time-delay@z1.piezo" in labels
     true = next(score for score in found if score.candidate.label == "time-delay@z1.piezo")
-    assert fold_gain(model, fit.theta, batches, true) > 0.5 * true.gain
+    assert cross_validation_gain(model, fit.theta, batches, true) > 0.5 * true.gain
     chance = next(score for score in found if 0.0 < score.gain < 0.5)
-    assert fold_gain(model, fit.theta, batches, chance) < 2.0
+    assert cross_validation_gain(model, fit.theta, batches, chance) < 2.0
 
 
 def test_a_part_as_stiff_as_can_be_begins_where_it_is(healthy, capfd):
     """At its null a mast has no compliance and no equation of motion, and LAPACK is not asked for one."""
     model, mast = balance_model(RIG), candidate_at("mast-bending", ("x",), RIG)
-    wide, null = extended(model, model.parameters.value, with_candidates(RIG, [(mast, 0)]))
-    found = by_equations_of_motion(wide.parameters, lines_of(healthy), wide.system, null)
+    wide, null = extend_model(model, model.parameters.value, add_candidates(RIG, [(mast, 0)]))
+    found = start_from_equations_of_motion(wide.parameters, lines_of(healthy), wide.system, null)
     np.testing.assert_array_equal(found, null)
     assert capfd.readouterr() == ("", "")
 
@@ -160,10 +160,10 @@ def test_a_search_begins_what_rests_on_a_place_beside_what_leads():
         scored("added-mass", (), 100.0),
     ]
     first = ["dry-friction@x", "transverse-stiffness@all", "structural-damping@z1"]
-    labels = [score.candidate.label for score in leading(ranked)]
+    labels = [score.candidate.label for score in select_leading(ranked)]
     assert labels == [*first, "support-flexibility@x,y,z,psi,theta,phi"]
     weak = [*ranked[:5], scored(*support, 30.0)]
-    assert [score.candidate.label for score in leading(weak)] == first
+    assert [score.candidate.label for score in select_leading(weak)] == first
 
 
 def test_folds_are_disjoint_leave_no_line_out_and_have_means_in_several(healthy):
@@ -191,23 +191,23 @@ def test_candidates_leave_out_what_the_rig_has():
 
 def test_no_model_error_where_nothing_is_wrong(healthy):
     model, batches = balance_model(RIG), lines_of(healthy)
-    fit = fitted(model, model.parameters.value, batches)
-    shares = shares_that_explain(batches, model.system(fit.theta), by_chance=3.0)
+    fit = fit_all_lines(model, model.parameters.value, batches)
+    shares = estimate_model_error(batches, model.system(fit.theta), sigma_limit=3.0)
     assert set(shares.values()) == {0.0}
-    assert with_model_error(batches, shares) == batches
-    assert log_volume(batches, shares) == 0.0
+    assert add_model_error(batches, shares) == batches
+    assert log_determinant_inflation(batches, shares) == 0.0
 
 
 def test_model_error_is_about_as_large_as_what_is_wrong(healthy):
     """All stiffnesses and masses as they are, every sensitivity of what is measured two per cent off by chance."""
     model, batches = balance_model(RIG), lines_of(healthy)
-    fit = fitted(model, model.parameters.value, batches)
+    fit = fit_all_lines(model, model.parameters.value, batches)
     theta = fit.theta.copy()
     rng = np.random.default_rng(4)
     for i, name in enumerate(model.parameters.names):
         if name.startswith("sensitivity."):
             theta[i] *= 1.0 + 0.02 * rng.standard_normal()
-    shares = shares_that_explain(batches, model.system(theta))
+    shares = estimate_model_error(batches, model.system(theta))
     assert 0.005 < np.median(list(shares.values())) < 0.06
 
 
@@ -265,35 +265,39 @@ def test_a_strain_channel_that_forgets_is_found_though_it_reads_nothing_at_rest(
 def test_a_rival_that_explains_more_takes_the_place(late):
     """A crosstalk does part of what a late channel does; so weak an effect meets all others as rivals."""
     wrong = candidate_at("crosstalk", ("z1.piezo", "x.piezo"), RIG)
-    model, theta = extended(balance_model(RIG), balance_model(RIG).parameters.value, with_candidates(RIG, [(wrong, 0)]))
+    model, theta = extend_model(
+        balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(wrong, 0)])
+    )
     batches = lines_of(late)
-    fit = fitted(model, theta, batches)
-    found = contested(fit, batches, (), {}, 400, 2, lambda what: None)
+    fit = fit_all_lines(model, theta, batches)
+    found = compare_alternatives(fit, batches, (), {}, 400, 2, lambda what: None)
     assert (
-        set(found.standings) == {"time-delay@z1.piezo"}
-        or "time-delay@z1.piezo" in found.standings["low-pass@z1.piezo"].alike
+        set(found.effect_support) == {"time-delay@z1.piezo"}
+        or "time-delay@z1.piezo" in found.effect_support["low-pass@z1.piezo"].alike
     )
     assert found.fit.chi2 < fit.chi2 - 50.0
     assert [trial.decision for trial in found.trials] == ["removed", "accepted"]
     assert found.trials[0].label == "crosstalk@z1.piezo,x.piezo"
-    (standing,) = found.standings.values()
+    (standing,) = found.effect_support.values()
     assert standing.gain > 50.0
-    kept = contested(fit, batches, (wrong.label,), {}, 400, 2, lambda what: None)
+    kept = compare_alternatives(fit, batches, (wrong.label,), {}, 400, 2, lambda what: None)
     assert kept.fit is fit
-    assert not kept.standings
+    assert not kept.effect_support
 
 
 def test_small_effects_are_not_believed_beside_a_large_residual():
     """A channel that bends is in no file of effects; a gain that takes a little off what it leaves is no finding."""
     batches = lines_of(simulated_spectra(BENDS))
     small = candidate_at("channel-gain", ("y2.strain",), RIG)
-    model, theta = extended(balance_model(RIG), balance_model(RIG).parameters.value, with_candidates(RIG, [(small, 0)]))
-    fit = fitted(model, theta, batches)
-    assert excess(fit, batches, noise_alone=True) > 1e3
-    less, trials = believed(fit, batches, True, (), 3)
+    model, theta = extend_model(
+        balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(small, 0)])
+    )
+    fit = fit_all_lines(model, theta, batches)
+    assert unexplained_chi2(fit, batches, noise_alone=True) > 1e3
+    less, trials = drop_unsupported_effects(fit, batches, True, (), 3)
     assert [trial.label for trial in trials] == ["channel-gain@y2.strain"]
     assert not less.model.geometry.effects
-    assert believed(fit, batches, True, ("channel-gain@y2.strain",), 3) == (fit, ())
+    assert drop_unsupported_effects(fit, batches, True, ("channel-gain@y2.strain",), 3) == (fit, ())
 
 
 STIFF = DeclaredEffect(name="transverse-stiffness", where=("all",), parameters={"stiffness": 2e4})
@@ -304,49 +308,53 @@ def stiff():
     """Lines and fit of a campaign with a large mechanical effect."""
     batches = lines_of(simulated_spectra(STIFF))
     known = candidate_at("transverse-stiffness", ("all",), RIG)
-    start = extended(balance_model(RIG), balance_model(RIG).parameters.value, with_candidates(RIG, [(known, 0)]))
-    return batches, fitted(*start, batches)
+    start = extend_model(balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(known, 0)]))
+    return batches, fit_all_lines(*start, batches)
 
 
 def test_what_a_stiffness_is_worth_does_not_end_at_the_scale_of_the_rig(stiff):
     """The tolerance of the scale, 1.3 %, is the sigma of any stiffness: no gain beyond 5500 could be seen in that."""
     batches, fit = stiff
     (one,) = declared_effects(fit.model.geometry)
-    gain, known = effect_wald(fit, one)
+    gain, known = effect_wald_statistic(fit, one)
     assert known == 1
     assert gain > 1e5
-    assert gain == pytest.approx(without(fit, one, batches).chi2 - fit.chi2, rel=0.5)
+    assert gain == pytest.approx(refit_without_effect(fit, one, batches).chi2 - fit.chi2, rel=0.5)
 
 
 def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
     """Whatever Wald makes of it: only chi-square without it lets it go."""
     batches, fit = stiff
-    monkeypatch.setattr("balance_cli.diagnosis.selection.effect_selection.effect_wald", lambda fit, one: (1.0, 1))
-    monkeypatch.setattr("balance_cli.diagnosis.selection.effect_selection.excess", lambda fit, batches, alone: 1e5)
-    assert believed(fit, batches, True, (), 3) == (fit, ())
+    monkeypatch.setattr(
+        "balance_cli.diagnosis.selection.effect_selection.effect_wald_statistic", lambda fit, one: (1.0, 1)
+    )
+    monkeypatch.setattr(
+        "balance_cli.diagnosis.selection.effect_selection.unexplained_chi2", lambda fit, batches, alone: 1e5
+    )
+    assert drop_unsupported_effects(fit, batches, True, (), 3) == (fit, ())
 
 
 def test_fits_that_come_to_no_end_are_tried_with_the_shape_held_at_first(stiff, monkeypatch):
     batches, _ = stiff
-    plain = fitted(balance_model(RIG), balance_model(RIG).parameters.value, batches)
+    plain = fit_all_lines(balance_model(RIG), balance_model(RIG).parameters.value, batches)
     path = candidate_at("parallel-stiffness", (), RIG)
     (score,) = scores(plain.model, plain.theta, batches, [path])
-    assert score.gain > STRONG
+    assert score.gain > STRONG_GAIN
     ends = []
 
     def creeping(model, theta, batches):
         """The first two fits stop far above a minimum."""
-        minimum = fitted(model, theta, batches).minimum
+        minimum = fit_all_lines(model, theta, batches).minimum
         early = len(ends) < 2
         total = replace(minimum.total, chi2=minimum.total.chi2 + 1e6 * early)
         ends.append(Fit(model, replace(minimum, total=total, converged=not early)))
         return ends[-1]
 
-    monkeypatch.setattr(confirm, "fitted", creeping)
-    found = confirm._refitted(plain, score, batches, None)
+    monkeypatch.setattr(confirm, "fit_all_lines", creeping)
+    found = confirm._refit_with_candidate(plain, score, batches, None)
     assert len(ends) == 4
     assert found is ends[3]
-    shape = {path.one.full_name(item) for item in path.one.parameters if item.secondary}
+    shape = {path.one.full_name(item) for item in path.one.parameters if item.nuisance}
     held, still = (
         {name for name, free in zip(end.model.parameters.names, end.model.parameters.free, strict=True) if not free}
         for end in (ends[2], found)
@@ -362,27 +370,31 @@ def test_frequency_of_the_mains_is_found_from_a_side_lobe():
     )
     model = balance_model(RIG.model_copy(update={"effects": (beside,)}))
     start = np.array(model.parameters.value)
-    stuck = fitted(model, start, batches)
-    found = at_best_frequency(stuck, declared_effects(model.geometry), batches)
+    stuck = fit_all_lines(model, start, batches)
+    found = refit_at_best_frequency(stuck, declared_effects(model.geometry), batches)
     place = model.parameters.index("mains-pickup@y2.strain.frequency")
     assert abs(stuck.theta[place] - 50.02) > 0.1
     assert found.theta[place] == pytest.approx(50.02, abs=5e-3)
     assert found.chi2 < stuck.chi2 - 100.0
-    assert at_best_frequency(found, declared_effects(model.geometry), batches) is found
+    assert refit_at_best_frequency(found, declared_effects(model.geometry), batches) is found
     sigma = np.array(model.parameters.sigma)
     sigma[place] = 0.0
-    held = fitted(model.with_sigma(sigma), start, batches)
-    assert at_best_frequency(held, declared_effects(model.geometry), batches) is held
+    held = fit_all_lines(model.with_sigma(sigma), start, batches)
+    assert refit_at_best_frequency(held, declared_effects(model.geometry), batches) is held
 
 
 def test_beside_large_friction_nothing_small_is_told(stiff):
     batches, fit = stiff
-    assert blur(fit, batches) == (0.0, "")
+    assert confounding_limit(fit, batches) == (0.0, "")
     friction = candidate_at("dry-friction", ("z1",), RIG)
-    model, theta = extended(fit.model, fit.theta, with_candidates(fit.model.geometry, [(friction, 0)], started=True))
-    beside = fitted(model, theta, batches)
-    (worth,) = (effect_wald(beside, one) for one in declared_effects(model.geometry) if one.label == friction.label)
-    assert blur(beside, batches) == (pytest.approx(1e-4 * worth[0]), friction.label)
+    model, theta = extend_model(
+        fit.model, fit.theta, add_candidates(fit.model.geometry, [(friction, 0)], at_start_values=True)
+    )
+    beside = fit_all_lines(model, theta, batches)
+    (worth,) = (
+        effect_wald_statistic(beside, one) for one in declared_effects(model.geometry) if one.label == friction.label
+    )
+    assert confounding_limit(beside, batches) == (pytest.approx(1e-4 * worth[0]), friction.label)
 
 
 def test_what_no_effect_describes_stays_unexplained():
@@ -425,8 +437,8 @@ def with_and_without(label, spectra):
     known = candidate_at(label.partition("@")[0], tuple(label.partition("@")[2].split(",")), RIG)
     start = balance_model(RIG)
     bare = (start, start.parameters.value)
-    begun = extended(*bare, with_candidates(RIG, [(known, 0)], started=True))
-    state, trials = with_extra_modes([begun, bare], search_lines(spectra, RIG.channel_names), 1, lambda what: None)
+    begun = extend_model(*bare, add_candidates(RIG, [(known, 0)], at_start_values=True))
+    state, trials = add_unmodelled_modes([begun, bare], search_lines(spectra, RIG.channel_names), 1, lambda what: None)
     removed = [trial.label for trial in trials if trial.decision == "removed"]
     return {one.label for one in declared_effects(state.geometry)}, removed
 
@@ -499,9 +511,9 @@ def test_of_two_that_do_the_same_the_linear_one_is_preferred():
         return balance_model(ONE.model_copy(update={"effects": (DeclaredEffect(name=name, where=where),)}))
 
     offset, bends = with_effect("load-offset", ("Fz",)), with_effect("quadratic-stiffness", ("z", "beside"))
-    assert preferred([bends, offset], [717.6, 715.4]) == 1
-    assert preferred([bends, offset], [722.0, 715.4]) == 0
-    assert preferred([offset, bends, offset], [700.0, 690.0, 701.0]) == 2
+    assert choose_most_linear([bends, offset], [717.6, 715.4]) == 1
+    assert choose_most_linear([bends, offset], [722.0, 715.4]) == 0
+    assert choose_most_linear([offset, bends, offset], [700.0, 690.0, 701.0]) == 2
 
 
 @pytest.mark.parametrize(
@@ -521,16 +533,16 @@ def test_friction_is_found_at_once_whether_it_slips_or_sticks(force, stiffness, 
 
 
 def test_a_search_begins_friction_with_the_slip_distance_that_it_scored():
-    candidate = candidate_at("dry-friction", ("z",), ONE).scanned(ONE)
+    candidate = candidate_at("dry-friction", ("z",), ONE).extra_starts(ONE)
     assert len(candidate.starts) > 5
     stiffness = ONE.cells[0].effective_stiffness
     slips = []
     for number, start in enumerate(candidate.starts[1:], 1):
-        begun = candidate.sized(ONE, number, [2.0])
+        begun = candidate.start_from_score(ONE, number, [2.0])
         slips.append(begun["force"] / begun["stick_stiffness"])
         held = candidate.at_null(start).parameters["stick_stiffness"]
-        assert slips[-1] == pytest.approx(LEAST * ONE.cells[0].full_range / held) or (
-            begun["stick_stiffness"] == pytest.approx(STIFFNESSES[1] * stiffness)
+        assert slips[-1] == pytest.approx(LEAST_FORCE_SHARE * ONE.cells[0].full_range / held) or (
+            begun["stick_stiffness"] == pytest.approx(STIFFNESS_BOUNDS[1] * stiffness)
         )
     assert slips == sorted(slips)
-    assert candidate.sized(ONE, 0, [2.0]) == {}
+    assert candidate.start_from_score(ONE, 0, [2.0]) == {}

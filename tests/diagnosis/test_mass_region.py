@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from balance_cli.diagnosis.search import point_mass
-from balance_cli.diagnosis.search.mass_region import NINETY_FIVE, mass_intervals, mass_region, region_of
-from balance_cli.diagnosis.search.point_mass import settled_mass
-from balance_cli.diagnosis.selection.fit import fitted
+from balance_cli.diagnosis.search.mass_region import CHI2_95, mass_intervals, mass_region, search_mass_region
+from balance_cli.diagnosis.search.point_mass import refine_point_mass
+from balance_cli.diagnosis.selection.fit import fit_all_lines
 from tests.support.mass_campaign import DECLARED, WEIGHED, Campaign, mass_and_place
 
 
@@ -15,7 +15,7 @@ def declared():
     """A mass of 0.6 kg beside tolerances: a gain of 500, and a long valley."""
     campaign = Campaign(DECLARED, 0.6)
     model, theta = campaign.begun_at(0)
-    return campaign, fitted(model, settled_mass(model, theta, campaign.batches), campaign.batches)
+    return campaign, fit_all_lines(model, refine_point_mass(model, theta, campaign.batches), campaign.batches)
 
 
 def test_at_the_ends_refits_lose_what_they_should(declared):
@@ -27,8 +27,8 @@ def test_at_the_ends_refits_lose_what_they_should(declared):
     for mass_and_place_there in (region.ends[0, 0], region.ends[0, 1], region.ends[1, 0], region.ends[3, 1]):
         theta = fit.theta.copy()
         theta[at] = mass_and_place_there
-        rise = fitted(held, theta, campaign.batches, 0.01).chi2 - fit.chi2
-        assert rise == pytest.approx(NINETY_FIVE, abs=0.4)
+        rise = fit_all_lines(held, theta, campaign.batches, 0.01).chi2 - fit.chi2
+        assert rise == pytest.approx(CHI2_95, abs=0.4)
 
 
 def test_a_mass_is_outside_where_refits_with_it_say_so(declared):
@@ -39,14 +39,14 @@ def test_a_mass_is_outside_where_refits_with_it_say_so(declared):
     lower, upper = intervals["added-mass.mass"]
     at = mass_and_place(fit.model)
     for mass in (0.5 * lower, 0.9 * upper, campaign.mass):
-        assert (lower < mass < upper) == (rise_with_mass_held(campaign, fit, at[0], mass) < NINETY_FIVE)
+        assert (lower < mass < upper) == (rise_with_mass_held(campaign, fit, at[0], mass) < CHI2_95)
 
 
 def rise_with_mass_held(campaign, fit, at, mass):
     sigma = np.where(np.arange(len(fit.theta)) == at, 0.0, fit.model.parameters.sigma)
     theta = fit.theta.copy()
     theta[at] = mass
-    return fitted(fit.model.with_sigma(sigma), theta, campaign.batches, 0.01).chi2 - fit.chi2
+    return fit_all_lines(fit.model.with_sigma(sigma), theta, campaign.batches, 0.01).chi2 - fit.chi2
 
 
 def test_where_nothing_else_does_the_same_it_is_that_of_sigma():
@@ -57,7 +57,7 @@ def test_where_nothing_else_does_the_same_it_is_that_of_sigma():
     covariance = np.linalg.inv(fit.minimum.total.information)
     sigma = np.sqrt(np.diag(covariance))[np.searchsorted(free, at)]
     intervals = mass_region(fit.model, fit.theta, campaign.batches).intervals
-    half = np.sqrt(NINETY_FIVE) * sigma
+    half = np.sqrt(CHI2_95) * sigma
     np.testing.assert_allclose(intervals, fit.theta[at][:, None] + half[:, None] * [-1.0, 1.0], atol=0.05 * half.max())
     np.testing.assert_allclose((intervals[:, 1] - intervals[:, 0]) / (2.0 * half), 1.0, atol=0.05)
 
@@ -66,8 +66,8 @@ def test_no_place_found_by_chance_lies_outside(declared):
     """A million places, half of them about the best one: none within 3.84 is beyond the ends by a hundredth."""
     campaign, fit = declared
     at = np.array(mass_and_place(fit.model))
-    masses = point_mass.whole_masses(fit.model, fit.theta, campaign.batches, at)
-    region = region_of(masses, fit.theta[at[1:]], 1.5)
+    masses = point_mass.score_without_point_mass(fit.model, fit.theta, campaign.batches, at)
+    region = search_mass_region(masses, fit.theta[at[1:]], 1.5)
     rng = np.random.default_rng(3)
     places = np.vstack([rng.uniform(-1.5, 1.5, (500_000, 3)), fit.theta[at[1:]] + 0.3 * rng.normal(size=(500_000, 3))])
     places = places[np.abs(places).max(axis=1) < 1.5]
@@ -75,7 +75,7 @@ def test_no_place_found_by_chance_lies_outside(declared):
     slope, information = c @ masses.s, np.sum((c @ masses.V) * c, axis=1)
     gain = slope**2 / information
     best = max(gain.max(), float(np.max(_gain_at(masses, region.ends.reshape(-1, 4)))))
-    inside = gain > best - NINETY_FIVE
+    inside = gain > best - CHI2_95
     assert inside.sum() > 20
     lower, upper = region.intervals.T
     found = np.column_stack([slope / information, places])[inside]

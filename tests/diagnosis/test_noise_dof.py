@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from balance_cli.diagnosis.search.noise_dof import RunInformation, noise_dof
-from balance_cli.diagnosis.search.score_statistics import improbability
-from balance_cli.estimation.measurements import stacked
-from balance_cli.signals.run_spectrum import Lines, NoisePart
+from balance_cli.diagnosis.search.score_statistics import gain_p_value
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.signals.run_spectrum import NoisePart, RunSpectrum
 
 CHANNELS = ("a", "b", "c")
 FITTED, NONE = np.array([0], np.intp), np.zeros((1, 1))
@@ -15,7 +15,7 @@ FITTED, NONE = np.array([0], np.intp), np.zeros((1, 1))
 def run_information(slopes: np.ndarray, parts: tuple[NoisePart, ...] = (), dof: float = 30.0) -> RunInformation:
     """Of a run of k lines with slopes (k, 3, p) and unit weights; the first parameter is fitted."""
     k = len(slopes)
-    lines = Lines(
+    lines = RunSpectrum(
         run="run",
         channel_names=CHANNELS,
         components=("Fx",),
@@ -26,7 +26,7 @@ def run_information(slopes: np.ndarray, parts: tuple[NoisePart, ...] = (), dof: 
         dof=dof,
         noise_parts=parts,
     )
-    (batch,) = stacked([lines], [], CHANNELS)
+    (batch,) = stack_runs([lines], [], CHANNELS)
     flat = slopes.reshape(-1, slopes.shape[2])
     information = flat.T @ flat
     blocks = tuple(np.diag(information)[1:, None, None])
@@ -109,7 +109,7 @@ def test_a_noise_of_which_nothing_is_known_makes_no_gain_significant():
     run = run_information(slopes_along(0), (part(shape, np.ones(4), 1.0, 0.1), part(shape, np.ones(4), 0.0, 1e12)))
     (found,) = noise_dof([run], FITTED, [np.array([1])], [NONE])
     assert found == 1.0
-    assert improbability(1e3, 1, float(found)) > 0.01
+    assert gain_p_value(1e3, 1, float(found)) > 0.01
 
 
 def test_nothing_told_is_no_reason_for_doubt():

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.estimation.identifiability import unseen
+from balance_cli.estimation.identifiability import unidentifiable_parameters
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
-from balance_cli.model.effects.dry_friction import last_slip
-from balance_cli.model.fitted_effects import declare
+from balance_cli.model.effects.dry_friction import find_last_slip
+from balance_cli.model.fitted_effects import declare_fitted_effects
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
 from balance_cli.reduction.response_sources import model_source
 from balance_cli.signals.run_spectrum import OVERSAMPLING
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
 from balance_cli.simulation import true_rig as true_rig_of
-from balance_cli.simulation.plans import SHAPE
+from balance_cli.simulation.plans import HARMONIC_SHAPE
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import identified_effects, identify
@@ -151,9 +151,9 @@ EVERYTHING = (
 
 def test_slopes_of_the_likelihood_are_the_derivatives(linear_runs):
     kept = [run for run in linear_runs if run.name in ("sweep-Fx", "static-trim")]
-    model = balance_model(with_effects(*EVERYTHING)).all_free()
+    model = balance_model(with_effects(*EVERYTHING)).free_all_parameters()
     spectra = measured_spectra(kept, RIG, means=True)
-    batches = stacked(spectra.lines, spectra.statics, RIG.channel_names)
+    batches = stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
     theta, scale = model.parameters.value, model.parameters.scale
     gradient = 2.0 * data_curvature(batches, model.system(theta)).gradient
     for i, name in enumerate(model.parameters.names):
@@ -166,7 +166,7 @@ def test_slopes_of_the_likelihood_are_the_derivatives(linear_runs):
 
 def test_a_force_at_its_null_changes_nothing_and_still_has_its_slope(linear_runs):
     spectra = measured_spectra([run for run in linear_runs if run.name == "sweep-Fx"], RIG, means=True)
-    batches = stacked(spectra.lines, spectra.statics, RIG.channel_names)
+    batches = stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
     sides = ("inside", "beside")
     effects = [declared("cubic-stiffness", (cell,), side, {}) for side in sides for cell in RIG.cell_names]
     model = balance_model(with_effects(*effects))
@@ -177,7 +177,7 @@ def test_a_force_at_its_null_changes_nothing_and_still_has_its_slope(linear_runs
 
 def test_a_cell_that_gives_way_is_no_rig(linear_runs):
     spectra = measured_spectra([run for run in linear_runs if run.name == "static-bare"], RIG, means=True)
-    batches = stacked(spectra.lines, spectra.statics, RIG.channel_names)
+    batches = stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
     model = balance_model(with_effects(declared("cubic-stiffness", ("x",), "inside", {"k3": -1e15})))
     with pytest.raises(np.linalg.LinAlgError):
         data_chi2(batches, model.system())
@@ -188,16 +188,16 @@ def test_a_waveform_gives_back_what_was_recorded(linear_runs):
     (lines,) = measured_spectra([run], RIG, means=True).lines
     waveform = lines.waveform
     np.testing.assert_allclose(
-        waveform.at_lines(waveform.in_time(waveform.volts)), lines.channels, rtol=0.02, atol=1e-3
+        waveform.to_spectral_lines(waveform.to_time_domain(waveform.volts)), lines.channels, rtol=0.02, atol=1e-3
     )
-    assert len(waveform.in_time(waveform.volts)) == OVERSAMPLING * waveform.samples
+    assert len(waveform.to_time_domain(waveform.volts)) == OVERSAMPLING * waveform.samples
 
 
 def test_the_side_is_kept_and_checked():
     rig = add_effects(RIG, ["cubic-stiffness@x", "cubic-stiffness@x,beside"])
     assert [one.where for one in declared_effects(rig)] == [("x", "beside"), ("x", "inside")]
     model = balance_model(rig)
-    again = declare(rig, model.parameters.names, model.parameters.value.tolist())
+    again = declare_fitted_effects(rig, model.parameters.names, model.parameters.value.tolist())
     assert [effect.parameters["side"] for effect in again.effects] == ["beside", "inside"]
     assert [effect.where for effect in again.effects] == [("x",), ("x",)]
     assert balance_model(again).parameters.names == model.parameters.names
@@ -219,7 +219,7 @@ def test_a_contact_goes_the_way_of_its_rule(recurs, force):
         held = float(np.clip(held + kappa * (now - before), -force, force))
         before = now
         expected.append(held)
-    last, direction = last_slip(d, force / kappa, recurs)
+    last, direction = find_last_slip(d, force / kappa, recurs)
     found = kappa * (d - np.where(last >= 0, d[last], 0.0)) + force * direction
     np.testing.assert_allclose(found, expected[-3000:], atol=1e-9)
 
@@ -245,9 +245,9 @@ def test_slopes_of_a_record_that_does_not_repeat(true_rig):
     plan = SweepPlan(run="random", excited=("Fx",), level=(40.0,), excitation="random", period=10.0, periods=1)
     runs, _ = simulate_campaign(true_rig, CampaignPlan(runs=(plan,)), seed=7)
     spectra = measured_spectra(runs, RIG, means=True)
-    batches = stacked(spectra.lines, spectra.statics, RIG.channel_names)
+    batches = stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
     pickup = declared("mains-pickup", ("y2.strain",), None, {"amplitude": 5e-4, "frequency": 50.03})
-    model = balance_model(with_effects(EVERYTHING[0], EVERYTHING[1], EVERYTHING[-1], pickup)).all_free()
+    model = balance_model(with_effects(EVERYTHING[0], EVERYTHING[1], EVERYTHING[-1], pickup)).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
     gradient = 2.0 * data_curvature(batches, model.system(theta)).gradient
     for name in ("stiffness.x", "sensitivity.x.piezo", "cubic-stiffness@x,inside.k3", "load-offset@Fx.offset", *PICKUP):
@@ -267,7 +267,7 @@ def test_the_score_of_a_pickup_has_no_bias_where_there_is_none(true_rig):
         runs, _ = simulate_campaign(quiet, CampaignPlan(runs=(plan,)), seed=seed)
         model = balance_model(add_effects(RIG, names))
         spectra = measured_spectra(runs, model.geometry)
-        curvature = data_curvature(stacked(spectra.lines, spectra.statics, RIG.channel_names), model.system())
+        curvature = data_curvature(stack_runs(spectra.lines, spectra.statics, RIG.channel_names), model.system())
         free = [name for name, is_free in zip(model.parameters.names, model.parameters.free, strict=True) if is_free]
         own = [i for i, name in enumerate(free) if name.endswith("amplitude^2")]
         scores += list(curvature.gradient[own] / np.sqrt(np.diag(curvature.information)[own]))
@@ -277,10 +277,10 @@ def test_the_score_of_a_pickup_has_no_bias_where_there_is_none(true_rig):
 
 def test_an_offset_that_no_mean_shows_is_named(linear_runs):
     spectra = measured_spectra([run for run in linear_runs if run.name in ("sweep-Fx", "sweep-Fz")], RIG, means=True)
-    batches = stacked(spectra.lines, spectra.statics, RIG.channel_names)
+    batches = stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
     places = ("channel-offset@x.piezo", "channel-offset@x.strain", "load-offset@Fx", "load-offset@My")
     model = balance_model(add_effects(RIG, places))
-    names = unseen(model.parameters, data_curvature(batches, model.system()).information)
+    names = unidentifiable_parameters(model.parameters, data_curvature(batches, model.system()).information)
     assert [name for name in names if "offset" in name] == ["load-offset@My.offset", "channel-offset@x.piezo.offset"]
 
 
@@ -288,7 +288,10 @@ def test_hub_loads_of_a_rig_that_is_not_linear(true_rig):
     """The model knows the force that the cells told, and takes it out before it looks for loads."""
     effect = declared("cubic-stiffness", ("x",), "beside", {"k3": 1e13})
     truly = apply_effects(true_rig, [effect])
-    loads = {"Fx": tuple(400.0 * share for share in SHAPE), "Mx": tuple(40.0 * share for share in SHAPE)}
+    loads = {
+        "Fx": tuple(400.0 * share for share in HARMONIC_SHAPE),
+        "Mx": tuple(40.0 * share for share in HARMONIC_SHAPE),
+    }
     check = RotorPlan(run="check", rotor_speed=17.5, duration=16.0, harmonics=loads)
     plan = short_plan()
     swept = tuple(one.model_copy(update={"periods": 9}) for one in plan.runs if one.kind == "sweep")

@@ -6,12 +6,12 @@ import pytest
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.search import point_mass
 from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, candidates
-from balance_cli.diagnosis.search.point_mass import GRID, POINTS, settled_mass, well_placed
-from balance_cli.diagnosis.search.score_statistics import best_scores, scores
-from balance_cli.diagnosis.selection.fit import begun, fitted
-from balance_cli.estimation.maximum_likelihood import penalised_chi2
+from balance_cli.diagnosis.search.point_mass import GRID, POINTS, place_mass_candidates, refine_point_mass
+from balance_cli.diagnosis.search.score_statistics import score_in_two_stages, scores
+from balance_cli.diagnosis.selection.fit import fit_all_lines, start_fit
+from balance_cli.estimation.maximum_likelihood import penalized_chi2
 from balance_cli.model.balance import balance_model
-from balance_cli.model.effects.base import reach
+from balance_cli.model.effects.base import position_bound
 from balance_cli.model.placed_effects import add_effects
 from tests.support.mass_campaign import DECLARED, PLACE, WEIGHED, Campaign, mass_and_place
 from tests.support.rigs import two_degrees_of_freedom
@@ -37,9 +37,9 @@ def test_ten_masses_make_one_at_any_place():
         return motion.T @ motion
 
     places = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 3))
-    shares = point_mass.shares(places)
+    mass_weights = point_mass.mass_weights(places)
     expected = np.array([square(p) for p in places])
-    found = np.einsum("pk,kij->pij", shares, np.array([square(p) for p in POINTS]))
+    found = np.einsum("pk,kij->pij", mass_weights, np.array([square(p) for p in POINTS]))
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
@@ -48,7 +48,7 @@ def test_gain_by_the_ten_is_the_score_at_the_place(weighed):
     ten = point_mass.score_of_masses(fit.model, fit.theta, batches)
     one = candidate_at("added-mass", (), WEIGHED).one
     for place in (np.array(PLACE), *np.random.default_rng(1).uniform(-0.5, 0.5, (4, 3))):
-        (c,) = point_mass.shares(place[None])
+        (c,) = point_mass.mass_weights(place[None])
         there = Candidate(one, (dict(zip("xyz", map(float, place), strict=True)),))
         (score,) = scores(fit.model, fit.theta, batches, [there])
         assert (c @ ten.s) ** 2 / (c @ ten.V @ c) == pytest.approx(score.gain, rel=1e-6)
@@ -76,7 +76,7 @@ def test_a_mass_is_begun_near_where_it_is_beside_tolerances(declared):
     candidate = declared.placed()
     assert candidate.chosen == 3
     start = candidate.starts[0]
-    step = 2.0 * reach(DECLARED) / (GRID - 1)
+    step = 2.0 * position_bound(DECLARED) / (GRID - 1)
     assert np.linalg.norm([start[axis] - at for axis, at in zip("xyz", PLACE, strict=True)]) < step
     assert start["mass"] == pytest.approx(2.0, rel=0.4)
 
@@ -85,12 +85,12 @@ def test_no_other_place_gains_more(weighed):
     """Neither hub nor cells, which the effect names, nor any of many by chance."""
     fit, batches = weighed.fit, weighed.batches
     one = candidate_at("added-mass", (), WEIGHED)
-    (best,) = best_scores(fit.model, fit.theta, batches, [one])
+    (best,) = score_in_two_stages(fit.model, fit.theta, batches, [one])
     (named,) = scores(fit.model, fit.theta, batches, [one])
     assert best.parameters == named.parameters + 3
     assert best.gain > 1.1 * named.gain
     ten = point_mass.score_of_masses(fit.model, fit.theta, batches)
-    c = point_mass.shares(np.random.default_rng(2).uniform(-1.0, 1.0, (20000, 3)) * reach(WEIGHED))
+    c = point_mass.mass_weights(np.random.default_rng(2).uniform(-1.0, 1.0, (20000, 3)) * position_bound(WEIGHED))
     assert np.max((c @ ten.s) ** 2 / np.sum((c @ ten.V) * c, axis=1)) < best.gain
 
 
@@ -98,36 +98,36 @@ def test_mass_and_place_settle_where_a_fit_from_the_truth_ends(declared):
     """Along mass against arm chi-square is a narrow valley: without this, ten steps end hundreds above."""
     model, theta = declared.begun_at(0)
     truth = declared.fit_from_the_truth()
-    settled = settled_mass(model, theta, declared.batches)
-    assert penalised_chi2(model, settled, declared.batches) < truth.chi2 + 1.0
-    assert fitted(model, settled, declared.batches).chi2 < truth.chi2 + 1.0
-    assert begun(model, theta, declared.batches).chi2 > truth.chi2 + 200.0
+    settled = refine_point_mass(model, theta, declared.batches)
+    assert penalized_chi2(model, settled, declared.batches) < truth.chi2 + 1.0
+    assert fit_all_lines(model, settled, declared.batches).chi2 < truth.chi2 + 1.0
+    assert start_fit(model, theta, declared.batches).chi2 > truth.chi2 + 200.0
 
 
 def test_a_mass_begun_with_the_wrong_sign_settles_where_it_is(weighed):
     model, theta = weighed.begun_at(0)
     truth = weighed.fit_from_the_truth()
-    settled = settled_mass(model, theta, weighed.batches)
-    assert penalised_chi2(model, settled, weighed.batches) < truth.chi2 + 1.0
+    settled = refine_point_mass(model, theta, weighed.batches)
+    assert penalized_chi2(model, settled, weighed.batches) < truth.chi2 + 1.0
     sigma = np.sqrt(np.diag(np.linalg.inv(truth.minimum.total.information)))
     free = list(np.flatnonzero(model.parameters.free))
     for index, true in zip(mass_and_place(model), (-0.3, *PLACE), strict=True):
         assert abs(settled[index] - true) < 4.0 * sigma[free.index(index)]
-    assert fitted(model, theta, weighed.batches).chi2 > truth.chi2 + 1e4
+    assert fit_all_lines(model, theta, weighed.batches).chi2 > truth.chi2 + 1e4
 
 
 def test_what_follows_a_mass_stays_within_its_bounds():
     """The step of the mass would take a low-pass and a loss factor below zero, where no rig is."""
     it = Campaign(add_effects(DECLARED, ["low-pass@z1.piezo", "structural-damping@z1"]), 2.0, (0.15, -0.1, 0.1), 3)
     model, theta = it.begun_at(0)
-    settled = settled_mass(model, theta, it.batches)
+    settled = refine_point_mass(model, theta, it.batches)
     assert np.all((settled >= model.parameters.lower) & (settled <= model.parameters.upper))
-    assert penalised_chi2(model, settled, it.batches) < it.fit.chi2 - 1000.0
+    assert penalized_chi2(model, settled, it.batches) < it.fit.chi2 - 1000.0
 
 
 def test_without_a_mass_nothing_is_settled(declared):
     theta = declared.fit.theta
-    assert settled_mass(declared.fit.model, theta, declared.batches) is theta
+    assert refine_point_mass(declared.fit.model, theta, declared.batches) is theta
 
 
 def test_a_rig_that_cannot_move_in_all_ways_keeps_its_candidates():
@@ -135,9 +135,9 @@ def test_a_rig_that_cannot_move_in_all_ways_keeps_its_candidates():
     pool = candidates(rig)
     assert "added-mass" in {one.label for one in pool}
     model = balance_model(rig)
-    for kept, one in zip(well_placed(pool, model, model.parameters.value, ()), pool, strict=True):
+    for kept, one in zip(place_mass_candidates(pool, model, model.parameters.value, ()), pool, strict=True):
         assert kept is one
     both = rig.model_copy(update={"effects": (DeclaredEffect(name="added-mass"),)})
     model = balance_model(both)
     theta = model.parameters.value
-    assert settled_mass(model, theta, ()) is theta
+    assert refine_point_mass(model, theta, ()) is theta

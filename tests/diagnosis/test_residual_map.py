@@ -9,7 +9,7 @@ from balance_cli.diagnosis.residual_map import location, residual_map
 from balance_cli.diagnosis.result import ResidualMap
 from balance_cli.estimation.likelihood import data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.signals.run_spectrum import StaticPoints
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
@@ -20,7 +20,7 @@ PLAN = {"period": 4.0, "periods": 9, "band": (2.0, 120.0)}
 MODEL = balance_model(RIG)
 
 
-def at(**changes: float) -> tuple:
+def select(**changes: float) -> tuple:
     """The model with some of its declared values multiplied."""
     theta = MODEL.parameters.value.copy()
     for name, factor in changes.items():
@@ -45,7 +45,7 @@ def batches(spectra):
     kept = np.array([0, 2])
     window = heave.window
     deaf = replace(
-        heave.at(heave.frequency > 60.0),
+        heave.select(heave.frequency > 60.0),
         run="deaf",
         channel_names=("a.strain",),
         channels=heave.channels[heave.frequency > 60.0][:, :1],
@@ -53,7 +53,7 @@ def batches(spectra):
         window=None,
     )
     assert window is not None
-    return stacked([*spectra.lines, deaf], [static()], RIG.channel_names)
+    return stack_runs([*spectra.lines, deaf], [static()], RIG.channel_names)
 
 
 def static(noise: float = 1e-3) -> StaticPoints:
@@ -68,7 +68,7 @@ def static(noise: float = 1e-3) -> StaticPoints:
 
 
 def test_under_the_truth_it_is_one(batches):
-    found = residual_map(batches, at(), at())
+    found = residual_map(batches, select(), select())
     assert set(found.runs) == {"heave", "pitch", "deaf", "static"}
     assert found.channels == RIG.channel_names
     assert found.after.shape == (4, len(found.edges) - 1, 2) == found.before.shape
@@ -87,7 +87,7 @@ def test_its_sum_is_chi_square_where_channels_are_independent(spectra):
     plan = SweepPlan(run="heave", excited=("Fz",), level=(20.0,), **PLAN)
     runs, _ = simulate_campaign(true_rig(rig), CampaignPlan(runs=(plan,)), seed=1)
     lines = measured_spectra(runs, rig).lines
-    batches = stacked(lines, [], rig.channel_names)
+    batches = stack_runs(lines, [], rig.channel_names)
     model = balance_model(rig)
     theta = model.parameters.value * 1.003
     found = residual_map(batches, (model, theta), (model, theta))
@@ -98,7 +98,7 @@ def test_its_sum_is_chi_square_where_channels_are_independent(spectra):
 
 
 def test_bands_hold_all_lines_and_say_where_there_are_none(batches):
-    found = residual_map(batches, at(), at())
+    found = residual_map(batches, select(), select())
     assert found.edges[0] == 0.0 and found.edges[1] == pytest.approx(2.0)
     assert len(found.edges) == 32 and np.all(np.diff(found.edges) > 0)
     assert found.edges[-1] > 120.0 - 1e-9
@@ -113,7 +113,7 @@ def test_bands_hold_all_lines_and_say_where_there_are_none(batches):
 
 def test_a_wrong_stiffness_shows_at_its_mode(batches):
     """Heave resonates at 50.3 Hz, pitch at 75.5 Hz; both cells a little too stiff."""
-    found = residual_map(batches, at(**{"stiffness.a": 1.01, "stiffness.b": 1.01}), at())
+    found = residual_map(batches, select(**{"stiffness.a": 1.01, "stiffness.b": 1.01}), select())
     heave = found.before[found.runs.index("heave"), :, 0]
     worst = int(np.nanargmax(heave))
     assert found.edges[worst] < 51.5 and found.edges[worst + 1] > 49.0
@@ -160,7 +160,7 @@ def test_a_rig_with_all_its_channels():
     rig = rotor_balance()
     plan = SweepPlan(run="heave", excited=("Fz",), level=(80.0,))
     runs, _ = simulate_campaign(true_rig(rig), CampaignPlan(runs=(plan,)), seed=2)
-    batches = stacked(measured_spectra(runs, rig).lines, [], rig.channel_names)
+    batches = stack_runs(measured_spectra(runs, rig).lines, [], rig.channel_names)
     model = balance_model(rig)
     truth = (model, model.parameters.value)
     found = residual_map(batches, truth, truth)

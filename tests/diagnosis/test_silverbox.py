@@ -18,7 +18,7 @@ from balance_cli.diagnosis.search.candidates import candidate_at
 from balance_cli.diagnosis.search.score_statistics import scores
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.artefacts import load_artefact
 from balance_cli.model.balance import balance_model
 from balance_cli.model.placed_effects import add_effects
@@ -99,7 +99,7 @@ def test_a_quadratic_stiffness_gains_nothing_beyond_an_offset(silverbox, spectra
     assert quadratic.quality.chi2 == pytest.approx(offset.quality.chi2, abs=0.5)
     model, theta = balance_model(offset.geometry), np.array(offset.parameters.value)
     further = [candidate_at("quadratic-stiffness", ("z", side), offset.geometry) for side in ("beside", "inside")]
-    found = scores(model, theta, stacked(spectra.lines, spectra.statics, ("z",)), further)
+    found = scores(model, theta, stack_runs(spectra.lines, spectra.statics, ("z",)), further)
     assert all(score.gain < 1.0 for score in found)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from balance_cli.estimation.levenberg_marquardt import minimise
+from balance_cli.estimation.levenberg_marquardt import minimize
 from balance_cli.estimation.likelihood import Curvature
 from balance_cli.model.parameters import ParameterSet
 
@@ -12,7 +12,7 @@ UNKNOWN = np.inf
 
 
 class Residuals:
-    """r(theta) with its Jacobian as `minimise` takes them; counts how often each was asked for."""
+    """r(theta) with its Jacobian as `minimize` takes them; counts how often each was asked for."""
 
     def __init__(self, residuals, jacobian):
         self.residuals, self.jacobian, self.curvatures, self.values = residuals, jacobian, 0, 0
@@ -28,7 +28,7 @@ class Residuals:
         return float(r @ r)
 
     def minimum(self, parameters, start, **options):
-        return minimise(parameters, np.array(start, float), self.curvature, self.chi2, **options)
+        return minimize(parameters, np.array(start, float), self.curvature, self.chi2, **options)
 
 
 def unknown(*names, unit="1", lower=-np.inf, upper=np.inf, scale=1.0):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from balance_cli.estimation import measurements
-from balance_cli.estimation.equation_error import equation_error, least_squares, measured_forces
-from balance_cli.estimation.likelihood import data_chi2, data_curvature, degrees_of_freedom, exciter_response
-from balance_cli.estimation.measurements import sized_for_slopes, stacked
+from balance_cli.estimation.equation_error import equation_error, fit_equation_error, measured_forces
+from balance_cli.estimation.likelihood import count_measured_values, data_chi2, data_curvature, exciter_response
+from balance_cli.estimation.measurements import split_large_batches, stack_runs
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import response, solve
-from balance_cli.signals.run_spectrum import Lines, StaticPoints
+from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 from tests.support.rigs import one_degree_of_freedom, rotor_balance
 
 FREQUENCY = np.linspace(3.0, 120.0, 40)
@@ -33,14 +33,14 @@ def noisy_lines(rig, rng, components=("Fx", "My"), noise=1e-3, load_noise=0.05, 
     z = np.concatenate([np.einsum("kcu,ku->kc", T, U), U], axis=1) + circular(rng, len(FREQUENCY), c + u) @ mixing.T
     covariance = np.broadcast_to((mixing @ mixing.T).astype(complex), (len(FREQUENCY), c + u, c + u))
     names = rig.channel_names
-    return Lines("run", names, components, FREQUENCY, z[:, :c], z[:, c:], covariance, np.inf)
+    return RunSpectrum("run", names, components, FREQUENCY, z[:, :c], z[:, c:], covariance, np.inf)
 
 
 def test_chi2_is_the_least_over_all_true_loads():
     rig = rotor_balance()
     lines = noisy_lines(rig, np.random.default_rng(0))
     model = balance_model(rig)
-    batches = stacked([lines], [], rig.channel_names)
+    batches = stack_runs([lines], [], rig.channel_names)
     system = model.system()
     T = exciter_response(system, solve(system, FREQUENCY))[:, :, [0, 4]]
     total = 0.0
@@ -58,15 +58,15 @@ def test_chi2_of_the_truth_is_the_degrees_of_freedom():
     rng = np.random.default_rng(1)
     values = []
     for _ in range(30):
-        batches = stacked([noisy_lines(rig, rng)], [], rig.channel_names)
+        batches = stack_runs([noisy_lines(rig, rng)], [], rig.channel_names)
         values.append(data_chi2(batches, balance_model(rig).system()))
-    dof = degrees_of_freedom(batches)
+    dof = count_measured_values(batches)
     assert np.mean(values) == pytest.approx(dof, abs=4 * np.sqrt(2 * dof / 30))
 
 
 def test_gradient_is_exact_also_far_from_the_minimum():
     rig = rotor_balance()
-    batches = stacked([noisy_lines(rig, np.random.default_rng(2), load_noise=2.0)], [], rig.channel_names)
+    batches = stack_runs([noisy_lines(rig, np.random.default_rng(2), load_noise=2.0)], [], rig.channel_names)
     model = balance_model(rig)
     parameters = model.parameters
     theta = parameters.value + 0.3 * parameters.sigma
@@ -83,13 +83,13 @@ def test_large_batches_are_derived_run_by_run_and_give_the_same(monkeypatch):
     rig = rotor_balance()
     rng = np.random.default_rng(5)
     runs = [replace(noisy_lines(rig, rng, (name,)), run=name) for name in ("Fx", "My", "Fz")]
-    batches = stacked(runs, [], rig.channel_names)
+    batches = stack_runs(runs, [], rig.channel_names)
     model = balance_model(rig)
     system = model.system(model.parameters.value + 0.3 * model.parameters.sigma)
-    assert sized_for_slopes(batches, system.parameters) == batches
+    assert split_large_batches(batches, system.parameters) == batches
     whole = data_curvature(batches, system)
-    monkeypatch.setattr(measurements, "LARGEST_SLOPES", 2**10)
-    parts = sized_for_slopes(batches, system.parameters)
+    monkeypatch.setattr(measurements, "MAX_DERIVATIVE_BYTES", 2**10)
+    parts = split_large_batches(batches, system.parameters)
     assert [part.runs for part in parts] == [("Fx",), ("My",), ("Fz",)]
     split = data_curvature(batches, system)
     size = np.sqrt(np.diag(whole.information))
@@ -106,7 +106,7 @@ def test_information_predicts_the_scatter_of_the_estimate():
     steps = []
     for _ in range(400):
         lines = noisy_lines(rig, rng, components=("Fz",), loads=5.0)
-        curvature = data_curvature(stacked([lines], [], rig.channel_names), model.system())
+        curvature = data_curvature(stack_runs([lines], [], rig.channel_names), model.system())
         damping = [0, 2]
         inside = curvature.information[np.ix_(damping, damping)]
         steps.append(np.linalg.solve(inside, -curvature.gradient[damping]) * np.sqrt(np.diag(inside)))
@@ -119,7 +119,7 @@ def test_a_channel_that_a_run_lacks_weighs_nothing():
     lines = noisy_lines(rig, np.random.default_rng(4))
     keep = [i for i, name in enumerate(lines.channel_names) if name != "z2.piezo"]
     both = [*keep, 15, 16]
-    less = Lines(
+    less = RunSpectrum(
         "less",
         tuple(lines.channel_names[i] for i in keep),
         lines.components,
@@ -129,9 +129,9 @@ def test_a_channel_that_a_run_lacks_weighs_nothing():
         lines.covariance[:, both][:, :, both],
         np.inf,
     )
-    batches = stacked([less], [], rig.channel_names)
-    assert degrees_of_freedom(batches) == 2 * 14 * len(FREQUENCY)
-    disturbed = stacked([less], [], rig.channel_names)
+    batches = stack_runs([less], [], rig.channel_names)
+    assert count_measured_values(batches) == 2 * 14 * len(FREQUENCY)
+    disturbed = stack_runs([less], [], rig.channel_names)
     disturbed[0].channels[:, lines.channel_names.index("z2.piezo")] = 7.0
     system = balance_model(rig).system()
     assert data_chi2(disturbed, system) == data_chi2(batches, system)
@@ -149,8 +149,8 @@ def test_static_rows_enter_without_loss():
     root = np.diag(rng.uniform(1e-4, 3e-4, len(names)))
     channels = loads @ C0.T + 0.3 + rng.normal(size=(40, len(names))) @ root
     points = StaticPoints("static", "bare", names, channels, loads, root @ root, np.inf)
-    batches = stacked([], [points], rig.channel_names)
-    assert degrees_of_freedom(batches) == 6 * len(names)
+    batches = stack_runs([], [points], rig.channel_names)
+    assert count_measured_values(batches) == 6 * len(names)
 
     def rows_chi2(matrix):
         residual = channels - channels.mean(0) - (loads - loads.mean(0)) @ matrix.T
@@ -165,7 +165,7 @@ def test_equation_error_vanishes_at_the_truth_and_its_slopes_are_exact():
     rig = rotor_balance()
     lines = noisy_lines(rig, np.random.default_rng(6), noise=1e-12, load_noise=1e-9)
     model = balance_model(rig)
-    batch = stacked([lines], [], rig.channel_names)[0]
+    batch = stack_runs([lines], [], rig.channel_names)[0]
     measured = measured_forces(batch, model.system())
     error, slopes = equation_error(model.system(), measured)
     assert np.abs(error).max() < 1e-5
@@ -188,6 +188,6 @@ def test_least_squares_finds_a_noise_free_rig_from_wrong_declarations():
         update={"cells": tuple(cell.model_copy(update={"stiffness": 1.04 * cell.stiffness}) for cell in rig.cells)}
     )
     model, truth = balance_model(wrong), balance_model(rig)
-    found = least_squares(model.parameters, stacked(clean, [], rig.channel_names), model.system, (1.0, 150.0))
+    found = fit_equation_error(model.parameters, stack_runs(clean, [], rig.channel_names), model.system, (1.0, 150.0))
     one, other = (response(s, solve(s, FREQUENCY)) for s in (model.system(found.theta), truth.system()))
     assert np.linalg.norm(one - other) < 0.02 * np.linalg.norm(other)

@@ -12,8 +12,8 @@ from balance_cli.estimation.paper.fit import identify_paper_form, response
 from balance_cli.estimation.paper.result import PaperOptions
 from balance_cli.estimation.paper.sensors import sensor_rule
 from balance_cli.io.errors import UserError
-from balance_cli.signals.periodic import periodic_lines
-from tests.support.paper_truth import plate, sweep, sweeps
+from balance_cli.signals.periodic import periodic_spectrum
+from tests.support.paper_truth import make_plate, sweep, sweeps
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
 FIVE = ("Fx", "Fy", "Fz", "Mx", "My")
@@ -35,7 +35,7 @@ def assert_recovered(fit, truth, tolerance=1e-6):
 
 @pytest.fixture(scope="module")
 def balance():
-    return plate(rotor_balance())
+    return make_plate(rotor_balance())
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_two_loads_at_once_and_strain_where_a_piezo_is_missing(balance):
 
 @pytest.mark.parametrize("method", ["ls", "ml"])
 def test_as_many_cells_as_freedoms(method):
-    truth = plate(two_degrees_of_freedom())
+    truth = make_plate(two_degrees_of_freedom())
     runs = sweeps(truth, ("Fz", "My"), np.arange(10.0, 125.0, 0.5))
     fit = identify_paper_form(truth.geometry, runs, PaperOptions(method, "full"))
     assert fit.rule.merged == () and fit.rule.names == ("a", "b")
@@ -75,7 +75,7 @@ def test_as_many_cells_as_freedoms(method):
 
 
 def test_one_mass_on_one_cell():
-    truth = plate(one_degree_of_freedom())
+    truth = make_plate(one_degree_of_freedom())
     fit = identify_paper_form(truth.geometry, sweeps(truth, ("Fz",), LINES), PaperOptions(band=EVERYWHERE))
     # s = c z: s'' + 2 zeta omega s' + omega^2 s = (c/m) F
     np.testing.assert_allclose(fit.model.K, [[4e5 / 10.0]], rtol=1e-9)
@@ -98,7 +98,7 @@ def test_sensors_of_the_campaign(balance):
     z3, z4 = balance.geometry.cells[5:]
     p = (5.2e6 * np.array(z3.position) + 4.9e6 * np.array(z4.position)) / 10.1e6
     merged = z3.model_copy(update={"position": tuple(p), "stiffness": 10.1e6})
-    one = plate(balance.geometry.model_copy(update={"cells": (*balance.geometry.cells[:5], merged)}))
+    one = make_plate(balance.geometry.model_copy(update={"cells": (*balance.geometry.cells[:5], merged)}))
     np.testing.assert_allclose((rule.matrix @ (balance.c[:, None] * balance.B))[5], one.c[5] * one.B[5], rtol=1e-12)
 
 
@@ -139,7 +139,7 @@ def test_diagonal_damping_alone_leaves_five_percent(balance):
 
 def test_opposite_axes_are_merged_with_a_minus_sign(balance):
     cells = [*balance.geometry.cells[:6], balance.geometry.cells[6].model_copy(update={"axis": (0.0, 0.0, -2.0)})]
-    turned = plate(balance.geometry.model_copy(update={"cells": tuple(cells)}))
+    turned = make_plate(balance.geometry.model_copy(update={"cells": tuple(cells)}))
     rule = sensor_rule(turned.geometry)
     assert rule.merged == ("z3", "z4")
     np.testing.assert_array_equal(rule.matrix[5], [0, 0, 0, 0, 0, 1, -1])
@@ -193,7 +193,7 @@ def test_runs_that_cannot_determine_the_equations(balance, noise_free):
 
 def test_freedoms_that_nothing_excites():
     """On the symmetric bar Fz at the centre heaves only: the pitch equation is not determined."""
-    truth = plate(two_degrees_of_freedom())
+    truth = make_plate(two_degrees_of_freedom())
     with pytest.raises(UserError, match="do not excite every freedom"):
         identify_paper_form(truth.geometry, sweeps(truth, ("Fz",), LINES), PaperOptions("ls", "full"))
 
@@ -201,14 +201,14 @@ def test_freedoms_that_nothing_excites():
 @pytest.fixture(scope="module")
 def sample():
     runs = (open_run(SAMPLE / f"sweep-{component}-low.h5") for component in FIVE)
-    return [periodic_lines(run, run.channel_names) for run in runs]
+    return [periodic_spectrum(run, run.channel_names) for run in runs]
 
 
 def test_sample_campaign_two_computed_modes_lie_above_the_identified(sample):
     """The paper's own result, on the sample campaign: the two highest modes come out far below the computed ones."""
     geometry = rotor_balance()
     fit = identify_paper_form(geometry, sample, PaperOptions(damping="full"))
-    computed = plate(geometry).omega / (2 * np.pi)
+    computed = make_plate(geometry).omega / (2 * np.pi)
     identified = np.array([mode.frequency_hz for mode in fit.modes])
     assert fit.converged and fit.noise == "full"
     np.testing.assert_allclose(identified[:3], computed[:3], rtol=0.07)

@@ -7,20 +7,25 @@ import pytest
 
 from balance_cli.estimation.paper.equations import (
     Coefficients,
+    coefficients_from_table,
     first_order_matrix,
     free_coefficients,
-    from_table,
     is_stable,
     modes,
-    stabilised,
+    stabilize,
 )
 from balance_cli.estimation.paper.fit import identify_paper_form, response, response_jacobian
 from balance_cli.estimation.paper.misfit import misfit
-from balance_cli.estimation.paper.output_error import exact, gauss_newton, grouped, point
+from balance_cli.estimation.paper.output_error import (
+    evaluate_model,
+    exact_derivatives,
+    gauss_newton_derivatives,
+    group_by_frequency,
+)
 from balance_cli.estimation.paper.result import PaperOptions
 from balance_cli.estimation.paper.sensors import sensor_rule
 from balance_cli.estimation.paper.spectra import sensor_spectra
-from tests.support.paper_truth import plate, sweep, sweeps
+from tests.support.paper_truth import make_plate, sweep, sweeps
 from tests.support.rigs import two_degrees_of_freedom
 
 LINES = np.arange(20.0, 110.0, 0.5)
@@ -31,7 +36,7 @@ def lopsided_bar():
     """Two freedoms, two unequal cells, hub off the centre: heave and pitch coupled, D not diagonal."""
     rig = two_degrees_of_freedom()
     soft = rig.cells[1].model_copy(update={"stiffness": 6e5})
-    return plate(rig.model_copy(update={"cells": (rig.cells[0], soft), "hub": (0.1, 0.0, 0.5)}))
+    return make_plate(rig.model_copy(update={"cells": (rig.cells[0], soft), "hub": (0.1, 0.0, 0.5)}))
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +67,7 @@ def derivative(function, at, step):
 @pytest.mark.parametrize("full_damping", [False, True])
 def test_gradient_and_exact_hessian_against_differences(bar, noise, full_damping):
     spectra = sensor_spectra(bar.geometry, sensor_rule(bar.geometry), noisy(bar, 1))
-    data = grouped(spectra)
+    data = group_by_frequency(spectra)
     free = free_coefficients(2, 2, full_damping)
     table = np.hstack(bar.coefficients(np.eye(2), ("Fz", "My")))
     table[:, 2:4] *= 1.02  # away from the minimum, so that every term of the Hessian counts
@@ -71,12 +76,12 @@ def test_gradient_and_exact_hessian_against_differences(bar, noise, full_damping
     def at(parameters):
         moved = table.copy()
         moved[free] = parameters
-        return point(data, from_table(moved), noise)
+        return evaluate_model(data, coefficients_from_table(moved), noise)
 
-    analytic = exact(data, free, at(theta), noise)
+    analytic = exact_derivatives(data, free, at(theta), noise)
     gradient = -0.5 * derivative(lambda t: np.array(at(t).cost), theta, 1e-6)
     np.testing.assert_allclose(analytic.gradient, gradient, rtol=1e-4, atol=1e-6 * np.abs(gradient).max())
-    hessian = -derivative(lambda t: exact(data, free, at(t), noise).gradient, theta, 1e-6)
+    hessian = -derivative(lambda t: exact_derivatives(data, free, at(t), noise).gradient, theta, 1e-6)
     if noise == "equal":
         # The term left out there is the product of two gradients.
         n, g = 2, analytic.gradient
@@ -91,12 +96,12 @@ def test_gauss_newton_is_the_sum_over_an_explicit_jacobian(bar):
     runs = noisy(bar, 2)
     fit = identify_paper_form(bar.geometry, runs, PaperOptions("ls", "full", BAND))
     spectra = sensor_spectra(bar.geometry, fit.rule, runs)
-    data = grouped(spectra)
-    at = point(data, fit.model, "full")
+    data = group_by_frequency(spectra)
+    at = evaluate_model(data, fit.model, "full")
     J = np.einsum("kijp,kj->kip", response_jacobian(fit, spectra.frequency), spectra.u)
     weighted = np.linalg.solve(at.S, J)
     explicit = np.einsum("kip,kiq->pq", J.conj(), weighted).real
-    np.testing.assert_allclose(gauss_newton(data, fit.free, at).hessian, explicit, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(gauss_newton_derivatives(data, fit.free, at).hessian, explicit, rtol=1e-9, atol=1e-9)
 
 
 def test_response_jacobian_against_differences(bar):
@@ -106,7 +111,7 @@ def test_response_jacobian_against_differences(bar):
     def moved(parameters):
         table = fit.model.table
         table[fit.free] = parameters
-        return response(replace(fit, model=from_table(table)), frequency)
+        return response(replace(fit, model=coefficients_from_table(table)), frequency)
 
     numerical = derivative(moved, fit.parameters, 1e-6)
     analytic = response_jacobian(fit, frequency)
@@ -121,7 +126,7 @@ def test_sigma_of_modes_against_differences(bar):
     def eigen(parameters):
         table = fit.model.table
         table[fit.free] = parameters
-        values = np.linalg.eigvals(first_order_matrix(from_table(table)))
+        values = np.linalg.eigvals(first_order_matrix(coefficients_from_table(table)))
         values = np.sort_complex(values[values.imag > 0])
         values = values[np.argsort(np.abs(values))]
         return np.concatenate([np.abs(values) / (2 * np.pi), -values.real / np.abs(values)])
@@ -238,7 +243,7 @@ def test_unstable_models_are_reflected_with_their_vectors_kept():
     D = np.diag([0.3, -0.4, 0.1]) + 0.02 * rng.standard_normal((3, 3))
     bad = Coefficients(D, K, np.ones((3, 1)))
     assert not is_stable(bad)
-    mended = stabilised(bad, full_damping=True)
+    mended = stabilize(bad, full_damping=True)
     assert mended is not None and is_stable(mended)
     before, after = (np.linalg.eigvals(first_order_matrix(model)) for model in (bad, mended))
     np.testing.assert_allclose(np.sort(after.imag), np.sort(before.imag), atol=1e-8)

@@ -7,17 +7,17 @@ import pytest
 from scipy.linalg import expm
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.estimation.likelihood import data_chi2, data_curvature, fitted
+from balance_cli.estimation.likelihood import data_chi2, data_curvature, evaluate_batch
 from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
-from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.transients import transient_columns
 from balance_cli.model.balance import balance_model
-from balance_cli.model.transient_modes import divided_differences, free_motion
 from balance_cli.model.parameters import declared_parameters
 from balance_cli.model.placed_effects import add_effects
 from balance_cli.model.system import solve
+from balance_cli.model.transient_modes import divided_differences, transient_modes
 from balance_cli.signals.periodic import periodic_record
-from balance_cli.signals.run_spectrum import Window
+from balance_cli.signals.run_spectrum import AnalysisWindow
 from balance_cli.simulation import SweepPlan, draw_rig, simulate_campaign, simulate_run, true_rig
 from balance_cli.simulation.plans import CampaignPlan, short_plan, standard_plan
 from balance_cli.simulation.rig import apply_effects
@@ -49,7 +49,7 @@ def test_columns_are_the_sums_over_the_samples():
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(M, K), -np.linalg.solve(M, D)]])
     step, count, first = 1.0 / RATE, 1600, 800
     frequency, starts = np.array([2.0, 11.0, 16.0]), np.array([1.0, 1.0, 2.0])
-    window = Window(starts, 3.0, step, np.zeros((3, 2, 2), complex), np.inf)
+    window = AnalysisWindow(starts, 3.0, step, np.zeros((3, 2, 2), complex), np.inf)
     x0 = np.array([1e-4, -3e-4, 2e-3, 1e-2])
     states = np.array([expm(A * step * k) @ x0 for k in range(first + count)])
     tau = 1.0 / (2 * np.pi * 90.0)
@@ -57,7 +57,7 @@ def test_columns_are_the_sums_over_the_samples():
     slow = np.linalg.solve(np.eye(4) + tau * A, states.T).T
     forces = system.readings.value
     volts = 0.002 * np.stack([slow[:, :2] @ forces[0], states[:, :2] @ forces[1]], axis=1)
-    free = free_motion(system, 0.0, RATE / 2)
+    free = transient_modes(system, 0.0, RATE / 2)
     found = transient_columns(free, window, frequency)
     lines = []
     for f, t_f in zip(frequency, starts, strict=True):
@@ -76,7 +76,7 @@ def test_gradient_with_free_motion_is_exact():
     names = ("sweep-Fx", "sweep-My", "sweep-Mz", "static-bare")
     runs, _ = simulate_campaign(rig, short_plan().only(names), seed=4)
     spectra = measured_spectra(runs, geometry)
-    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
     model = balance_model(geometry)
     parameters = model.parameters
     theta = parameters.value + 0.03 * parameters.sigma
@@ -96,10 +96,10 @@ def test_equal_frequencies_have_slopes():
     body = rig.bodies[0].model_copy(update={"inertia": rig.bodies[0].inertia.model_copy(update={"yy": 1.8})})
     rig = rig.model_copy(update={"bodies": (body,)})
     model = balance_model(rig)
-    s = free_motion(model.system(), 0.0, RATE / 2).s
+    s = transient_modes(model.system(), 0.0, RATE / 2).s
     assert s[0] == pytest.approx(s[1], rel=1e-9)
     run = swept(true_rig(rig, stiffness=[1.02e6, 0.97e6]))
-    batches = stacked(measured_spectra([run], rig).lines, [], rig.channel_names)
+    batches = stack_runs(measured_spectra([run], rig).lines, [], rig.channel_names)
     theta = model.parameters.value
     gradient = data_curvature(batches, model.system()).gradient
     for place, index in enumerate(np.flatnonzero(model.parameters.free)):
@@ -132,9 +132,9 @@ def test_start_of_a_high_pass_is_the_sum_over_the_samples():
     model = balance_model(geometry)
     theta = model.parameters.value.copy()
     theta[-1] = 0.5
-    window = Window(np.array([2.0, 3.0]), 8.0, 1 / RATE, np.zeros((2, 1, 1), complex), np.inf)
+    window = AnalysisWindow(np.array([2.0, 3.0]), 8.0, 1 / RATE, np.zeros((2, 1, 1), complex), np.inf)
     frequency = np.array([3.0, 17.0])
-    found = transient_columns(free_motion(model.system(theta), 0.0, RATE / 2, 1.0), window, frequency)
+    found = transient_columns(transient_modes(model.system(theta), 0.0, RATE / 2, 1.0), window, frequency)
     names = geometry.channel_names
     piezos = [i for i, name in enumerate(names) if name.endswith("piezo")]
     expected = []
@@ -154,7 +154,7 @@ def test_gradient_with_the_start_of_high_passes_is_exact():
     geometry = add_effects(rotor_balance(), ["high-pass@x.piezo", "high-pass@z1.strain", "crosstalk@x.strain,y1.piezo"])
     runs = [run for run in short_records(rotor_balance(), 3) if run.name in ("sweep-Fx", "sweep-My")]
     spectra = measured_spectra(runs, geometry)
-    batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+    batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
     model = balance_model(geometry)
     theta, scale = model.parameters.value.copy(), model.parameters.scale
     theta[-3:] = (0.01, 0.02, 0.03)
@@ -179,14 +179,14 @@ def leaky():
     run, _ = simulate_run(apply_effects(true_rig(rotor_balance()), [LEAK]), plan, seed=3)
     (lines,) = measured_spectra([run], rotor_balance(), means=True).lines
     assert lines.window is None
-    return lines, lines.at(lines.frequency == 0)
+    return lines, lines.select(lines.frequency == 0)
 
 
 def information_on_the_offset(lines, effects):
     model = balance_model(add_effects(rotor_balance(), [*effects, "channel-offset@z1.strain"]))
     theta = model.parameters.value.copy()
     theta[["cutoff" in name for name in model.parameters.names]] = 0.04
-    curvature = data_curvature(stacked([lines], [], rotor_balance().channel_names), model.system(theta))
+    curvature = data_curvature(stack_runs([lines], [], rotor_balance().channel_names), model.system(theta))
     free = [model.parameters.names[i] for i in np.flatnonzero(model.parameters.free)]
     place = free.index("channel-offset@z1.strain.offset")
     return curvature.information[place, place]
@@ -202,7 +202,7 @@ def test_behind_a_high_pass_the_mean_tells_nothing_of_an_offset(leaky):
 
 def test_mean_behind_a_high_pass_needs_no_offset(leaky):
     """Of eight channels that tell a mean, one begins elsewhere than at its zero."""
-    batches = stacked([leaky[1]], [], rotor_balance().channel_names)
+    batches = stack_runs([leaky[1]], [], rotor_balance().channel_names)
     known = rotor_balance().model_copy(update={"effects": (LEAK,)})
     assert data_chi2(batches, balance_model(rotor_balance()).system()) > 150.0
     assert data_chi2(batches, balance_model(known).system()) < 30.0
@@ -216,7 +216,7 @@ def test_gradient_with_the_start_of_a_high_pass_in_the_mean_is_exact(leaky):
     theta[-4:] = (0.02, 0.03, 1e-3, 1e-3)
     free = [model.parameters.names[i] for i in np.flatnonzero(model.parameters.free)]
     for lines in leaky:
-        batches = stacked([lines], [], rotor_balance().channel_names)
+        batches = stack_runs([lines], [], rotor_balance().channel_names)
         curvature = data_curvature(batches, model.system(theta))
         assert curvature.chi2 == data_chi2(batches, model.system(theta))
         for name in model.parameters.names[-4:]:
@@ -254,7 +254,7 @@ def test_what_has_decayed_is_not_eliminated():
     """Of a fast high-pass nothing is left at the start of any window; without one there is nothing to begin with."""
     fast, slow = (balance_model(forgetful(tau)).system() for tau in (0.05, 3.0))
     piezos = sum(name.endswith("piezo") for name in fast.channel_names)
-    modes = [free_motion(system, 0.0, RATE / 2, 18.4 / 2.0) for system in (fast, slow)]
+    modes = [transient_modes(system, 0.0, RATE / 2, 18.4 / 2.0) for system in (fast, slow)]
     assert [np.count_nonzero(free.s.imag == 0) for free in modes] == [0, piezos]
     np.testing.assert_array_equal(modes[1].s[:-piezos], modes[0].s)
 
@@ -316,11 +316,11 @@ def test_a_record_that_has_settled_loses_next_to_nothing():
     assert window is not None
     late = replace(spectra.lines[0], window=replace(window, start=np.maximum(window.start, 2.0)))
     bare = replace(late, window=None, covariance=window.covariance, dof=window.dof)
-    one, other = (data_curvature(stacked([x], [], geometry.channel_names), model.system()) for x in (late, bare))
+    one, other = (data_curvature(stack_runs([x], [], geometry.channel_names), model.system()) for x in (late, bare))
     np.testing.assert_allclose(one.information, other.information, rtol=1e-3)
-    batch = stacked([late], [], geometry.channel_names)[0]
-    fit = fitted(batch, model.system(), solve(model.system(), batch.frequency))
-    assert sum(part.determined for part in fit.transients) < 0.5
+    batch = stack_runs([late], [], geometry.channel_names)[0]
+    fit = evaluate_batch(batch, model.system(), solve(model.system(), batch.frequency))
+    assert sum(part.effective_parameters for part in fit.transients) < 0.5
 
 
 def test_noise_of_ringing_lines_is_that_of_the_record():

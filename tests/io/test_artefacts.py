@@ -22,7 +22,7 @@ from balance_cli.io.artefacts import (
     Provenance,
     content_digest,
     load_artefact,
-    provenance_now,
+    make_provenance,
     read_stored,
     save_artefact,
 )
@@ -108,7 +108,7 @@ def results() -> st.SearchStrategy[Result]:
 
 
 def a_provenance(**changes: Any) -> Provenance:
-    made = provenance_now("identify", {"form": "paper"}, (Input("r1", "run", "aa"), Input("r2", "run", "bb")))
+    made = make_provenance("identify", {"form": "paper"}, (Input("r1", "run", "aa"), Input("r2", "run", "bb")))
     return replace(made, **changes)
 
 

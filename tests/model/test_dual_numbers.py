@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from balance_cli.model.mechanics.dual_numbers import Jet, block_diagonal, concatenate, constant, stack, variables
+from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack, variables
 
 vectors = arrays(float, 3, elements=st.floats(0.5, 2.0))
 
@@ -18,7 +18,7 @@ def pieces(theta):
     A = stack([stack([a, b]), stack([b * c, c + 2.0])])
     B = A @ A.T - 0.3 * A + constant(np.eye(2), 3) * (a * b)
     joined = block_diagonal(B, concatenate([A, ones * c], axis=1)[:, 1:3])
-    return joined.expanded(0)[0] @ stack([a, b, c, a.sqrt()]) + (2.0 - joined[0]) * b.reciprocal()
+    return joined.insert_axis(0)[0] @ stack([a, b, c, a.sqrt()]) + (2.0 - joined[0]) * b.reciprocal()
 
 
 def values(x):
@@ -27,10 +27,10 @@ def values(x):
 
 @given(vectors)
 def test_slopes_are_the_derivatives(x):
-    jet = pieces(variables(x))
+    dual = pieces(variables(x))
     step = 1e-6
     numerical = [(values(x + step * e) - values(x - step * e)) / (2 * step) for e in np.eye(3)]
-    np.testing.assert_allclose(jet.slope, numerical, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(dual.derivative, numerical, rtol=1e-7, atol=1e-7)
 
 
 @given(vectors)
@@ -39,14 +39,14 @@ def test_inverse_undoes_the_matrix(x):
     A = stack([stack([theta[0] + 3.0, theta[1]]), stack([theta[2], theta[0] + 5.0])])
     product = A @ A.inverse()
     np.testing.assert_allclose(product.value, np.eye(2), atol=1e-12)
-    np.testing.assert_allclose(product.slope, 0.0, atol=1e-12)
+    np.testing.assert_allclose(product.derivative, 0.0, atol=1e-12)
 
 
 def test_numpy_leaves_the_operators_to_the_jet():
     theta = variables([1.0, 2.0])
-    assert isinstance(np.eye(2) @ theta, Jet)
-    assert isinstance(np.array([2.0, 3.0]) * theta, Jet)
-    np.testing.assert_array_equal((1.0 - theta).slope, -np.eye(2))
+    assert isinstance(np.eye(2) @ theta, Dual)
+    assert isinstance(np.array([2.0, 3.0]) * theta, Dual)
+    np.testing.assert_array_equal((1.0 - theta).derivative, -np.eye(2))
 
 
 def test_shapes_that_do_not_fit_are_refused():

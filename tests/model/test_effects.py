@@ -18,31 +18,31 @@ from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.cli import balance
 from balance_cli.estimation.identified_model import IdentifiedModel
-from balance_cli.estimation.likelihood import data_chi2, degrees_of_freedom
+from balance_cli.estimation.likelihood import count_measured_values, data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import stacked
-from balance_cli.io.artefacts import load_artefact, provenance_now, save_artefact
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.io.artefacts import load_artefact, make_provenance, save_artefact
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
 from balance_cli.simulation import true_rig
 from balance_cli.simulation.extensions.base import Extension
-from balance_cli.simulation.plans import HIGH
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS
 from balance_cli.simulation.rig import apply_effects
 from tests.support.effect_checks import (
+    KNOWN_MASS_RIG,
     RIG,
     SPIN,
-    WEIGHED,
-    Truth,
+    TrueEffect,
     campaign,
     check_change,
-    check_likelihood_slopes,
+    check_derivatives,
+    check_likelihood_derivatives,
     check_null,
     check_recovery,
     check_same_system,
-    check_slopes,
-    recovered,
+    recover_effect,
     response_difference,
 )
 
@@ -57,12 +57,12 @@ def test_nothing_at_the_null(effect, where):
 
 @pytest.mark.parametrize(("effect", "where"), PLACED, ids=IDS)
 def test_slopes_are_the_derivatives(effect, where):
-    check_slopes(effect, where)
+    check_derivatives(effect, where)
 
 
 @pytest.mark.parametrize(("effect", "where"), PLACED, ids=IDS)
 def test_slopes_of_the_likelihood_are_the_derivatives(effect, where):
-    check_likelihood_slopes(effect, where)
+    check_likelihood_derivatives(effect, where)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
@@ -78,7 +78,7 @@ def truth(name, where=(), *, geometry=RIG, spin=0.0, bias=0.0, **parameters):
     true = DeclaredEffect(name=name, where=where, parameters=parameters)
     plan = campaign(spinning=spin > 0)
     words = {name: value for name, value in parameters.items() if isinstance(value, str)}
-    return Truth(where, parameters, lambda rig: apply_effects(rig, [true]), plan, spin, geometry, words, bias)
+    return TrueEffect(where, parameters, lambda rig: apply_effects(rig, [true]), plan, spin, geometry, words, bias)
 
 
 @dataclass(frozen=True)
@@ -94,14 +94,14 @@ class Pendulum(Extension):
     damping_ratio: float = 0.02
 
     def mechanics(self, mechanics, rig, rotor_speed):
-        wide = mechanics.widened(("pendulum",))
+        wide = mechanics.with_coordinates(("pendulum",))
         row = np.zeros((1, wide.size))
         row[0, -1] = -1.0
-        row += wide.plate_point(rig.geometry.hub)[:1]
+        row += wide.plate_displacement(rig.geometry.hub)[:1]
         rate = 2 * np.pi * self.frequency
         wide.mass[-1, -1] = self.mass
         damping = wide.damping + 2 * self.damping_ratio * rate * self.mass * row.T @ row
-        return replace(wide, damping=damping).stiffened(row, np.array([self.mass * rate**2]))
+        return replace(wide, damping=damping).with_springs(row, np.array([self.mass * rate**2]))
 
 
 TRUTHS = {
@@ -112,7 +112,7 @@ TRUTHS = {
         "mast-bending", ("x", "y"), mass=10.0, compliance_x=4e-9, compliance_y=6e-9, damping_ratio=0.02
     ),
     # With tolerances on the moving part a mass more is only another moving part: hardly any direction is left to it.
-    "added-mass": truth("added-mass", mass=0.4, x=0.4, y=-0.3, z=0.6, geometry=WEIGHED),
+    "added-mass": truth("added-mass", mass=0.4, x=0.4, y=-0.3, z=0.6, geometry=KNOWN_MASS_RIG),
     "gyroscopic-coupling": truth("gyroscopic-coupling", polar_inertia=0.01, spin=SPIN),
     "parallel-stiffness": truth(
         "parallel-stiffness", x=0.3, y=-0.2, z=0.2, stiffness_x=2e3, stiffness_y=1e3, stiffness_z=4e3, damping_time=1e-3
@@ -125,7 +125,7 @@ TRUTHS = {
     # The elongations at which a contact turns round are read with noise: its force is off by 0.1 to 1 %, depending on
     # the record. Its sigma, which knows of the noise on the lines alone, is 0.05 to 0.08 % here.
     "dry-friction": truth("dry-friction", ("x",), force=0.5, stick_stiffness=1.5e6, bias=0.005),
-    "extra-mode": Truth(
+    "extra-mode": TrueEffect(
         ("Fx",),
         {},
         lambda rig: rig.extended(Pendulum()),
@@ -151,7 +151,7 @@ CAUSES = [name for name in NAMES if name in TRUTHS and not TRUTHS[name].only_bet
 @cache
 def recovery(name):
     """The recovery of one effect, made once for all tests."""
-    return recovered(name, TRUTHS[name], seed=1)
+    return recover_effect(name, TRUTHS[name], seed=1)
 
 
 def test_every_effect_has_a_truth():
@@ -173,7 +173,7 @@ def test_what_has_no_cause_in_the_library_is_described(name):
 @pytest.mark.parametrize("name", [name for name in NAMES if name in TRUTHS])
 def test_a_saved_model_is_the_same_system(name, tmp_path):
     model, path = recovery(name).found, tmp_path / "model.h5"
-    save_artefact(path, "balance-model/1", model, provenance_now("test", {}, ()))
+    save_artefact(path, "balance-model/1", model, make_provenance("test", {}, ()))
     loaded = load_artefact(path, {"balance-model/1": IdentifiedModel}).content
     check_same_system(model, loaded)
 
@@ -189,7 +189,13 @@ def simulated_as_declared(name, folder, period, *noise):
     known = TRUTHS[name]
     declared = DeclaredEffect(name=name, where=known.where, parameters=known.parameters)
     geometry = RIG.model_copy(update={"effects": (declared,)})
-    run = {"run": "s", "kind": "sweep", "excited": list(HIGH), "level": list(HIGH.values()), "rotor_speed": known.spin}
+    run = {
+        "run": "s",
+        "kind": "sweep",
+        "excited": list(HIGH_SWEEP_LEVELS),
+        "level": list(HIGH_SWEEP_LEVELS.values()),
+        "rotor_speed": known.spin,
+    }
     (folder / "geometry.yaml").write_text(yaml.safe_dump(json.loads(geometry.model_dump_json(exclude_none=True))))
     (folder / "plan.yaml").write_text(yaml.safe_dump({"runs": [{**run, "period": period, "periods": 8}]}))
     words = ["simulate", "-g", folder / "geometry.yaml", "--plan", folder / "plan.yaml", "-o", folder / "out", *noise]
@@ -213,9 +219,9 @@ def test_simulate_takes_what_no_response_shows_as_declared(name, tmp_path):
     """Nothing but noise is left of the run under the model as declared, and more than noise without the effect."""
     geometry, run = simulated_as_declared(name, tmp_path, 1.0)
     spectra = measured_spectra([run], geometry)
-    lines = stacked(spectra.lines, (), geometry.channel_names)
+    lines = stack_runs(spectra.lines, (), geometry.channel_names)
     declared, without = (data_chi2(lines, balance_model(one).system()) for one in (geometry, without_effects(geometry)))
-    assert declared < 1.1 * degrees_of_freedom(lines)
+    assert declared < 1.1 * count_measured_values(lines)
     assert without > declared + 50.0
 
 

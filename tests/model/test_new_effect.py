@@ -11,13 +11,13 @@ from balance_cli.model import effects
 from balance_cli.model.placed_effects import add_effects, declared_effects
 from tests.support.effect_checks import (
     RIG,
-    Truth,
+    TrueEffect,
     check_change,
-    check_likelihood_slopes,
+    check_derivatives,
+    check_likelihood_derivatives,
     check_null,
     check_recovery,
-    check_slopes,
-    recovered,
+    recover_effect,
 )
 
 PAGE = Path(__file__).parents[2] / "docs" / "new-effect.md"
@@ -59,15 +59,17 @@ def test_it_is_known_at_its_places(effect):
 @pytest.mark.parametrize("where", [("x",), ("z4",)], ids=",".join)
 def test_it_passes_the_checks_of_the_equations(effect, where):
     check_null(effect, where)
-    check_slopes(effect, where)
-    check_likelihood_slopes(effect, where)
+    check_derivatives(effect, where)
+    check_likelihood_derivatives(effect, where)
     check_change(effect, where)
 
 
 def test_it_is_found_in_a_simulated_campaign(effect, blocks, tmp_path, monkeypatch):
     extension = module_of(blocks[1], "cell_dashpot_truth", tmp_path, monkeypatch).CellDashpot
     true = extension(("z1",), damping=TRUE_DAMPING)
-    check_recovery(recovered(effect.name, Truth(("z1",), {"damping": TRUE_DAMPING}, lambda rig: rig.extended(true)), 1))
+    check_recovery(
+        recover_effect(effect.name, TrueEffect(("z1",), {"damping": TRUE_DAMPING}, lambda rig: rig.extended(true)), 1)
+    )
 
 
 def test_it_gets_a_page(effect):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.kinematics import elongation_matrix, motion_at
-from balance_cli.campaign.rig.mass_properties import moving_part
+from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.model.plate import carried_components, load_matrix, mass_matrix, plate_matrices
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
@@ -25,7 +25,7 @@ def test_moving_part_of_two_point_masses():
             {"name": "rod", "mass": 1.0, "position": [0.3, 0.15, 0.0], "inertia": {"xx": 1, "yy": 1, "zz": 1}},
         ]
     )
-    part = moving_part(rig)
+    part = metric_side(rig)
     assert part.mass == pytest.approx(5.0)
     np.testing.assert_allclose(part.centre_of_gravity, [0.3, 0.15, 0.0], atol=1e-15)
     # Products are positive integrals of xy dm, and enter the tensor with a minus sign.
@@ -44,7 +44,7 @@ def test_kinetic_energy_of_the_mass_matrix():
 
 def test_load_matrix_is_the_virtual_work_of_the_hub_loads():
     rig = rotor_balance()
-    centre = moving_part(rig).centre_of_gravity
+    centre = metric_side(rig).centre_of_gravity
     loads = np.array([10.0, -20.0, 30.0, 4.0, 5.0, 0.0])
     q = np.array([1.0, 2.0, 3.0, 0.4, 0.5, 0.6])
     displacement = motion_at(np.asarray(rig.hub) - centre) @ q

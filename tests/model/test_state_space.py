@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.campaign.rig.geometry import Acquisition, AnalogueFilter, DeclaredEffect
+from balance_cli.campaign.rig.geometry import Acquisition, AnalogFilter, DeclaredEffect
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS
-from balance_cli.model.realization import Realisation, modal_form
-from balance_cli.model.relaxation import BAND, hysteretic, relaxation_chain
-from balance_cli.model.state_space import realisation_error, state_space, with_anti_alias
-from balance_cli.model.system import REFERENCE, response, solve
+from balance_cli.model.realization import Realization, modal_form
+from balance_cli.model.relaxation import BAND, hysteretic_law, relaxation_chain
+from balance_cli.model.state_space import realization_error, state_space, with_anti_alias
+from balance_cli.model.system import REFERENCE_FREQUENCY, response, solve
 from balance_cli.signals.anti_alias import anti_alias
-from tests.support.effect_checks import RIG, SPIN, model_with
+from tests.support.effect_checks import RIG, SPIN, model_with_effect
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
 FREQUENCY = np.concatenate([[0.0], np.geomspace(0.1, 400.0, 200)])
@@ -110,7 +110,7 @@ def test_rigid_balance():
     system = system_of()
     space = state_space(system)
     assert_same(space, system)
-    assert realisation_error(space, system, FREQUENCY[1:]) < 1e-12
+    assert realization_error(space, system, FREQUENCY[1:]) < 1e-12
 
 
 def test_order_of_the_rigid_balance():
@@ -143,15 +143,15 @@ def test_what_is_driven_by_rounding_alone_is_left_out():
     """In coordinates that mix the modes the one without a load is driven, and another read, by 1e-16."""
     Q = np.linalg.qr(np.random.default_rng(0).normal(size=(4, 4)))[0]
     A = Q @ np.diag([-1.0, -2.0, -3.0, -4.0]) @ Q.T
-    found = modal_form(Realisation(A, Q[:, :3].sum(axis=1)[:, None], Q[:, 1:].sum(axis=1)[None], np.zeros((1, 1))))
+    found = modal_form(Realization(A, Q[:, :3].sum(axis=1)[:, None], Q[:, 1:].sum(axis=1)[None], np.zeros((1, 1))))
     np.testing.assert_allclose(np.diag(found.A), [-2.0, -3.0], rtol=1e-12)
-    np.testing.assert_allclose(found.at([1.0])[0, 0], 1 / 3 + 1 / 4, rtol=1e-12)
+    np.testing.assert_allclose(found.transfer_function([1.0])[0, 0], 1 / 3 + 1 / 4, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("effect", "where"), PLACED, ids=IDS)
 @pytest.mark.parametrize("at_null", [False, True], ids=["changed", "at the null"])
 def test_every_effect_of_the_response(effect, where, at_null):
-    system = model_with(effect, where, at_null).system()
+    system = model_with_effect(effect, where, at_null).system()
     assert_same(state_space(system, SPIN), system, SPIN)
 
 
@@ -261,7 +261,7 @@ def test_crosstalk_is_kept_apart():
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 6, 8])
 def test_anti_alias_filter(order):
-    acquisition = Acquisition(filter=AnalogueFilter(type="butterworth", order=order, cutoff=170.0))
+    acquisition = Acquisition(filter=AnalogFilter(type="butterworth", order=order, cutoff=170.0))
     system = system_of(LATE, CROSSTALK, READ)
     space = with_anti_alias(state_space(system), acquisition)
     filtered = anti_alias(acquisition, FREQUENCY)[:, None, None] * expected(system)
@@ -285,16 +285,16 @@ def lossy(where, causality=1.0, loss_factor=0.005):
 def test_the_chain_follows_the_law():
     chain = relaxation_chain()
     assert np.all(chain.strengths > 0) and np.all(chain.rates > 0)
-    assert np.abs(chain.at(2j * np.pi * IN_BAND) - hysteretic(IN_BAND)).max() < 1e-3
-    assert abs(chain.at(2j * np.pi * REFERENCE).real) < 1e-12
-    assert chain.at(0.0) == pytest.approx(-chain.relaxed)
-    assert chain.at(1e12).real == pytest.approx(chain.instant)
+    assert np.abs(chain.transfer_function(2j * np.pi * IN_BAND) - hysteretic_law(IN_BAND)).max() < 1e-3
+    assert abs(chain.transfer_function(2j * np.pi * REFERENCE_FREQUENCY).real) < 1e-12
+    assert chain.transfer_function(0.0) == pytest.approx(-chain.relaxed_decrement)
+    assert chain.transfer_function(1e12).real == pytest.approx(chain.instantaneous_increment)
 
 
 def relaxing(system, frequency):
     """The response with h(s) of the chain itself in place of the law, by the dynamic stiffness."""
     s = 2j * np.pi * frequency[:, None, None]
-    h = relaxation_chain().at(s[:, 0, 0])[:, None, None]
+    h = relaxation_chain().transfer_function(s[:, 0, 0])[:, None, None]
     pencil = system.pencil
     stiffness = pencil.stiffness.value + h * pencil.hysteresis.value
     A = stiffness + s * pencil.damping.value + s**2 * pencil.mass.value
@@ -324,12 +324,12 @@ def test_relaxations_are_realised_exactly(effects):
 def test_the_law_of_structural_damping_is_followed(effects):
     """To the error of the chain, times the loss factor and what a resonance of one per cent damping makes of it."""
     system = system_of(*effects)
-    assert 1e-9 < realisation_error(state_space(system), system, IN_BAND) < 2e-4
+    assert 1e-9 < realization_error(state_space(system), system, IN_BAND) < 2e-4
 
 
 def test_without_its_stiffening_no_law_can_be_followed():
     system = system_of(lossy("all", causality=0.0))
-    assert realisation_error(state_space(system), system, IN_BAND) > 1e-2
+    assert realization_error(state_space(system), system, IN_BAND) > 1e-2
 
 
 def test_relaxations_have_a_state_for_each_independent_elongation():
@@ -344,4 +344,4 @@ def test_error_of_a_realisation_weighs_channels_and_loads_alike():
     system = system_of()
     space = state_space(system)
     wrong = replace(space, C=space.C * np.where(np.arange(15) == 14, 1.1, 1.0)[:, None])
-    assert realisation_error(wrong, system, IN_BAND) == pytest.approx(0.1 / np.sqrt(15), rel=1e-9)
+    assert realization_error(wrong, system, IN_BAND) == pytest.approx(0.1 / np.sqrt(15), rel=1e-9)

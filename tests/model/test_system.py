@@ -7,12 +7,12 @@ from scipy.linalg import eigh
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.model.balance import balance_model
 from balance_cli.model.damping import modal_damping
-from balance_cli.model.transient_modes import free_motion
 from balance_cli.model.mechanics.dual_numbers import constant, variables
 from balance_cli.model.modes import eigenvalues, modes
 from balance_cli.model.plate import plate_matrices
-from balance_cli.model.system import output_slopes, response, solve
-from tests.support.rigs import angular, one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
+from balance_cli.model.system import output_jacobian, response, solve
+from balance_cli.model.transient_modes import transient_modes
+from tests.support.rigs import angular_frequency, one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
 FREQUENCY = np.concatenate([[0.0], np.linspace(2.0, 150.0, 60)])
 
@@ -23,7 +23,7 @@ def test_response_of_one_degree_of_freedom():
     )
     system = balance_model(rig).system()
     T = response(system, solve(system, FREQUENCY))[:, 0, 2]
-    w, k, m = angular(FREQUENCY), 4e5, 10.0
+    w, k, m = angular_frequency(FREQUENCY), 4e5, 10.0
     plate = k / (k - w**2 * m + 1j * w * 2 * 0.02 * np.sqrt(k * m))
     channel = 0.01 * (1j * w * 3.0) / (1 + 1j * w * 3.0) / (1 + 1j * FREQUENCY / 90.0)
     np.testing.assert_allclose(T, plate * channel, rtol=1e-12, atol=1e-18)
@@ -32,7 +32,7 @@ def test_response_of_one_degree_of_freedom():
 def test_torque_goes_through_the_shaft_and_leaves_the_plate_alone():
     system = balance_model(rotor_balance()).system()
     T = response(system, solve(system, FREQUENCY))
-    w = angular(FREQUENCY)
+    w = angular_frequency(FREQUENCY)
     d = 2 * 0.01 * np.sqrt(9e4 * 0.65)
     np.testing.assert_allclose(T[:, -1, 5], 0.02 * 9e4 / (9e4 - 0.65 * w**2 + 1j * w * d), rtol=1e-12)
     assert not T[:, :-1, 5].any()
@@ -50,12 +50,12 @@ def test_static_response_is_the_static_calibration_of_the_plate():
 
 @pytest.mark.parametrize("rig", [rotor_balance(), two_degrees_of_freedom()], ids=["rotor balance", "heave and pitch"])
 def test_slopes_against_numerical_derivatives(rig):
-    model = balance_model(rig).all_free()
+    model = balance_model(rig).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
     rng = np.random.default_rng(1)
     loads = rng.normal(size=(len(FREQUENCY), 6)) + 1j * rng.normal(size=(len(FREQUENCY), 6))
     system = model.system(theta)
-    slopes = output_slopes(system, solve(system, FREQUENCY), np.arange(len(FREQUENCY)), loads)
+    slopes = output_jacobian(system, solve(system, FREQUENCY), np.arange(len(FREQUENCY)), loads)
 
     def outputs(at):
         there = model.system(at)
@@ -76,7 +76,7 @@ def test_modes_of_heave_and_pitch():
 
 
 def test_mode_slopes_against_numerical_derivatives():
-    model = balance_model(rotor_balance()).all_free()
+    model = balance_model(rotor_balance()).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
     found = modes(model.system())
     for i in range(26):
@@ -84,8 +84,8 @@ def test_mode_slopes_against_numerical_derivatives():
         above, below = modes(model.system(theta + step)), modes(model.system(theta - step))
         frequency = (above.frequency - below.frequency) / 2e-4
         damping = (above.damping_ratio - below.damping_ratio) / 2e-4
-        np.testing.assert_allclose(found.frequency_slope[:, i] * scale[i], frequency, rtol=1e-5, atol=1e-7)
-        np.testing.assert_allclose(found.damping_slope[:, i] * scale[i], damping, rtol=1e-5, atol=1e-8)
+        np.testing.assert_allclose(found.frequency_derivative[:, i] * scale[i], frequency, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(found.damping_derivative[:, i] * scale[i], damping, rtol=1e-5, atol=1e-8)
 
 
 def test_a_stiffness_and_mass_scaled_together_leave_every_response():
@@ -130,7 +130,7 @@ def test_equal_eigenvalues_do_not_break_the_derivative_of_the_damping():
     at, step = damping(np.zeros(2)), 1e-6
     for i, e in enumerate(np.eye(2)):
         numerical = (damping(step * e).value - damping(-step * e).value) / (2 * step)
-        np.testing.assert_allclose(at.slope[i], numerical, atol=1e-6)
+        np.testing.assert_allclose(at.derivative[i], numerical, atol=1e-6)
 
 
 # ---- a spring that loses a share of its energy in each cycle ---------------------------------------------------------
@@ -149,7 +149,7 @@ def lossy(causality):
 def test_response_with_structural_damping(causality):
     system = lossy(causality).system()
     T = response(system, solve(system, FREQUENCY))[:, 0, 2]
-    w, k, m = angular(FREQUENCY[1:]), 4e5, 10.0
+    w, k, m = angular_frequency(FREQUENCY[1:]), 4e5, 10.0
     rising = causality * 2 / np.pi * LOSS * np.log(FREQUENCY[1:] / 20.0)
     spring = k * (1 + 1j * LOSS + rising)
     gain = T[0] / 1.0
@@ -159,11 +159,11 @@ def test_response_with_structural_damping(causality):
 
 def test_modes_and_free_motion_with_structural_damping_to_first_order():
     model = lossy(1.0)
-    found, free = modes(model.system()), free_motion(model.system(), 0.0, 400.0)
+    found, free = modes(model.system()), transient_modes(model.system(), 0.0, 400.0)
     k, m, d = 4e5, 10.0, 2 * 0.02 * np.sqrt(4e6)
 
     def equation(s):
-        return m * s**2 + d * s + k * (1 + 2 / np.pi * LOSS * np.log(s / angular(20.0)))
+        return m * s**2 + d * s + k * (1 + 2 / np.pi * LOSS * np.log(s / angular_frequency(20.0)))
 
     s = complex(-d / (2 * m), np.sqrt(k / m))
     for _ in range(20):
@@ -174,7 +174,7 @@ def test_modes_and_free_motion_with_structural_damping_to_first_order():
 
 
 def test_slopes_of_a_lossy_mode_against_numerical_derivatives():
-    model = lossy(0.7).all_free()
+    model = lossy(0.7).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
     found = modes(model.system(theta))
     for name in ("structural-damping@z.loss_factor", "structural-damping@z.causality", "stiffness.z"):
@@ -182,4 +182,4 @@ def test_slopes_of_a_lossy_mode_against_numerical_derivatives():
         step = 1e-4 * scale[i] * np.eye(len(theta))[i]
         above, below = modes(model.system(theta + step)), modes(model.system(theta - step))
         numerical = (above.frequency - below.frequency) / 2e-4
-        np.testing.assert_allclose(found.frequency_slope[:, i] * scale[i], numerical, rtol=2 * LOSS, atol=1e-9)
+        np.testing.assert_allclose(found.frequency_derivative[:, i] * scale[i], numerical, rtol=2 * LOSS, atol=1e-9)

@@ -7,15 +7,15 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.calibration.convergence import contraction
-from balance_cli.calibration.terms import all_terms, columns, slopes
+from balance_cli.calibration.terms import all_terms, columns, term_derivatives
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.mean_loads import steady_loads, zero_record
-from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS, curved_loads
+from balance_cli.reduction.mean_loads import linear_mean_loads, zero_record
+from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS, nonlinear_mean_loads
 from balance_cli.reduction.response_sources import static_source
 from balance_cli.steps.reduce import reduce_run
 from tests.support.nonlinear_rig import AMPLITUDE, NAMES, RIG, calibration, readings, record, spectra, static_runs
@@ -75,7 +75,7 @@ def test_sigma_covers_the_errors_of_calibration_and_record():
     for _ in range(200):
         loads = 0.8 * AMPLITUDE * rng.uniform(-1, 1, 6)
         volts = 0.05 + readings(loads)[0] + 2e-5 * rng.normal(size=len(NAMES))
-        found = curved_loads(spectra(volts, 2e-5), cal, cal.gage.model, ALL_LIVE, None)
+        found = nonlinear_mean_loads(spectra(volts, 2e-5), cal, cal.gage.model, ALL_LIVE, None)
         inside.append(np.abs(found.loads - loads) < 1.96 * found.sigma)
     assert np.mean(inside) > 0.85
     assert np.mean(found.sigma / AMPLITUDE) < 1e-4
@@ -84,9 +84,9 @@ def test_sigma_covers_the_errors_of_calibration_and_record():
 def test_readings_that_contradict_each_other_are_flagged():
     volts = 0.05 + readings(LOADS)[0]
     volts[NAMES.index("z2.strain")] += 0.01
-    found = curved_loads(spectra(volts, 2e-5), calibration(), calibration().gage.model, ALL_LIVE, None)
+    found = nonlinear_mean_loads(spectra(volts, 2e-5), calibration(), calibration().gage.model, ALL_LIVE, None)
     assert found.flags == ("no zero; redundancy",) * 6
-    sound = curved_loads(
+    sound = nonlinear_mean_loads(
         spectra(0.05 + readings(LOADS)[0], 2e-5), calibration(), calibration().gage.model, ALL_LIVE, None
     )
     assert np.all(found.sigma > 3 * sound.sigma)
@@ -105,7 +105,7 @@ def test_a_load_outside_those_of_the_calibration_is_flagged(curved):
 def test_a_straight_model_leaves_the_nearest_trim_in_its_place():
     cal = calibration(curved=False)
     volts = 0.05 + LOADS @ cal.trims["bare"].C0.T
-    found = steady_loads(spectra(volts), cal, ALL_LIVE, None)
+    found = linear_mean_loads(spectra(volts), cal, ALL_LIVE, None)
     trim = cal.trims[found.trim]
     np.testing.assert_array_equal(found.loads, trim.mean_load + trim.T0 @ (volts - trim.mean_channels))
     assert reduced(record("w", LOADS, curved=False), cal).trim in cal.trims
@@ -138,7 +138,7 @@ def test_a_model_whose_iteration_is_not_proved_is_refused():
 def test_channels_that_do_not_determine_the_loads_are_refused():
     with pytest.raises(UserError, match="do not determine the mean loads"):
         live = ChannelHealth(tuple(name for name in NAMES if name != "torque"), {"torque": "dead"})
-        curved_loads(spectra(np.zeros(len(NAMES))), calibration(), calibration().gage.model, live, None)
+        nonlinear_mean_loads(spectra(np.zeros(len(NAMES))), calibration(), calibration().gage.model, live, None)
 
 
 def test_skip_bad_leaves_out_the_run_that_cannot_be_solved(tmp_path):
@@ -166,18 +166,18 @@ def test_the_tangent_is_the_derivative_of_the_readings():
     for j in range(6):
         step = h * np.eye(6)[j] * model.full_range
         numerical = (model.readings(LOADS[None] + step) - model.readings(LOADS[None] - step))[0] / (2 * h)
-        np.testing.assert_allclose(model.tangent(LOADS)[0, :, j], numerical, atol=1e-8)
+        np.testing.assert_allclose(model.jacobian(LOADS)[0, :, j], numerical, atol=1e-8)
 
 
 def test_the_proof_holds_where_a_load_has_next_to_no_part_in_the_slowest_direction():
     terms = [term for term in all_terms(6) if term.name(COMPONENTS) in ("Fx^3", "Fx Fz", "Fz^2")]
-    back = np.zeros((6, 3))
-    back[0, :], back[4, 0], back[2, 2] = 0.02, 0.05, 1e-6
-    proof = contraction(back, terms, 6)
+    nonlinear_matrix = np.zeros((6, 3))
+    nonlinear_matrix[0, :], nonlinear_matrix[4, 0], nonlinear_matrix[2, 2] = 0.02, 0.05, 1e-6
+    proof = contraction(nonlinear_matrix, terms, 6)
     assert proof.proved and np.all(proof.reach < 1.3)
     rng = np.random.default_rng(0)
     # What was proved: no error after one step is larger than M times the error before.
-    M = np.abs(back) @ np.max(np.abs(slopes(terms, proof.reach[None])), axis=0)
+    M = np.abs(nonlinear_matrix) @ np.max(np.abs(term_derivatives(terms, proof.reach[None])), axis=0)
     x, y = (proof.reach * rng.uniform(-1, 1, (500, 6)) for _ in range(2))
-    after = np.abs((columns(terms, x) - columns(terms, y)) @ back.T)
+    after = np.abs((columns(terms, x) - columns(terms, y)) @ nonlinear_matrix.T)
     assert np.all(after <= np.abs(x - y) @ M.T + 1e-12)

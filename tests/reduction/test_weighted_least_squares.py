@@ -37,7 +37,7 @@ def test_loads_and_covariance_are_those_of_weighted_least_squares():
     scatter = np.cov(error.T)
     np.testing.assert_allclose(error.mean(axis=0), 0.0, atol=5 * np.sqrt(np.diag(scatter).max() / 4000))
     np.testing.assert_allclose(scatter, found.covariance[0], atol=0.12 * np.diag(scatter).max())
-    assert np.mean(found.surplus) == pytest.approx(1.0, abs=0.03)
+    assert np.mean(found.redundancy_chi2) == pytest.approx(1.0, abs=0.03)
     assert np.mean(found.misfit) == pytest.approx(0.001, abs=0.002)
     np.testing.assert_allclose(found.limit, stats.chi2.ppf(0.999, 6) / 6, rtol=1e-6)
 
@@ -51,7 +51,7 @@ def test_noise_that_was_estimated_does_not_raise_false_alarms():
     estimated = np.einsum("hdi,hdj->hij", samples, samples.conj()) / dof
     y = draw(rng, T, root, f)
     found = solve_loads(stacked_real(T), y, circular_real(estimated), np.full(3000, float(dof)), no_error, np.ones(12))
-    assert np.mean(found.surplus) == pytest.approx(1.0, abs=0.04)
+    assert np.mean(found.redundancy_chi2) == pytest.approx(1.0, abs=0.04)
     assert np.mean(found.misfit) == pytest.approx(0.001, abs=0.002)
     error = (found.loads - f).real / np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)[:, :6])
     assert np.std(error) == pytest.approx(1.0, abs=0.05)
@@ -65,8 +65,8 @@ def test_a_wrong_response_is_found_out_and_widens_sigma():
     wrong = T * (1 + 0.2 * rng.standard_normal(T.shape))
     found = solve_loads(stacked_real(wrong), y, noise, np.full(50, np.inf), no_error, np.ones(12))
     assert np.mean(found.misfit) > 0.9
-    ratio = found.widened[found.misfit] / found.covariance[found.misfit]
-    np.testing.assert_allclose(ratio[:, 0, 0], found.surplus[found.misfit])
+    ratio = found.inflated_covariance[found.misfit] / found.covariance[found.misfit]
+    np.testing.assert_allclose(ratio[:, 0, 0], found.redundancy_chi2[found.misfit])
 
 
 def test_the_error_of_the_response_reaches_sigma():
@@ -87,7 +87,7 @@ def test_the_error_of_the_response_reaches_sigma():
     found = solve_loads(stacked_real(T), y, noise, np.full(2000, np.inf), response_covariance, np.ones(12))
     scatter = np.var((found.loads - f).real, axis=0)
     np.testing.assert_allclose(scatter, np.diagonal(found.covariance[0])[:6], rtol=0.2)
-    assert np.mean(found.surplus) == pytest.approx(1.0, abs=0.1)
+    assert np.mean(found.redundancy_chi2) == pytest.approx(1.0, abs=0.1)
 
 
 def test_condition_counts_channels_in_units_of_their_noise():

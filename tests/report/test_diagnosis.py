@@ -9,12 +9,12 @@ import pytest
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, HoldOut, RunErrors
 from balance_cli.report.blocks import Details, Table
 from balance_cli.report.diagnosis import section
-from balance_cli.report.diagnosis_errors import pooled
+from balance_cli.report.diagnosis_errors import pooled_hold_out_errors
 from balance_cli.report.diagnosis_figures import residual_figure
 from balance_cli.report.diagnosis_tables import mode_table
 from balance_cli.report.page import page
 from balance_cli.report.sources import Sources, sources
-from tests.support.diagnosis_content import diagnosis, hold_out, support
+from tests.support.diagnosis_content import diagnosis, hold_out, support_effect
 from tests.support.page_content import read, row_of, tables, texts
 from tests.support.report_content import artefact, campaign, model
 
@@ -58,7 +58,7 @@ def test_errors_are_pooled_over_the_runs_and_shaded_where_they_are_noise():
         RunErrors({"Fz": 0.0005}, {"My": 0.001}, 0.001),
     )
     both = diagnosis(hold_out={**hold_out(), "check-2": second})
-    error = pooled(both, "after", "load_error")["Fz"]
+    error = pooled_hold_out_errors(both, "after", "load_error")["Fz"]
     assert error.value == pytest.approx(np.sqrt((0.0006**2 + 0.0008**2) / 2))
     made = section(given(both))
     assert row_of(made, "after / noise", "My") == ["My", "1270", "0.31", "0.25", "1.2"]
@@ -94,7 +94,7 @@ def test_what_is_left_unexplained_is_warned_of(verdict, warned):
 
 
 def test_an_empirical_effect_and_a_missing_hold_out_are_named():
-    effect = support()
+    effect = support_effect()
     effect = replace(effect, evidence=replace(effect.evidence, empirical=True))
     words = texts(section(given(diagnosis(effects=(effect,), chi2_per_dof_after=3.0))), "warn")
     assert "does not explain" in words

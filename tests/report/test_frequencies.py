@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable
-from balance_cli.report.frequencies import deviation, matched, modal_assurance, shaft_mode
+from balance_cli.report.frequencies import frequency_deviation, match_models, modal_assurance, shaft_mode
 from tests.support.report_content import model
 
 
@@ -27,7 +27,7 @@ def with_modes(base: IdentifiedModel, order, factor=1.0, shapes=True, coordinate
 def test_shapes_find_modes_that_have_changed_places():
     base = model("computed")
     order = np.array([1, 0, 2, 3, 4, 6, 5])
-    index = matched([base, with_modes(base, order)]).index
+    index = match_models([base, with_modes(base, order)]).index
     assert [partner for _, partner in index] == np.argsort(order).tolist()
 
 
@@ -43,15 +43,15 @@ def test_modes_without_shapes_go_by_their_order_and_leave_the_shaft_out():
     plate = [i for i in range(7) if i != shaft]
     sensors = ("x", "y1", "y2", "z1", "z2", "z34")
     paper = with_modes(base, plate, factor=0.9, shapes=False, coordinates=sensors)
-    index = matched([base, paper]).index
+    index = match_models([base, paper]).index
     assert [partner for _, partner in index] == [None if i == shaft else plate.index(i) for i in range(7)]
-    assert matched([paper, base]).index == tuple((b, a) for a, b in index)
+    assert match_models([paper, base]).index == tuple((b, a) for a, b in index)
 
 
 def test_a_mode_that_only_one_model_has_gets_a_row_of_its_own():
     base = model("computed")
     fewer = with_modes(base, [0, 1, 2, 4, 5, 6])
-    index = matched([fewer, base]).index
+    index = match_models([fewer, base]).index
     assert len(index) == 7
     assert index[-1] == (None, 3)
 
@@ -64,7 +64,7 @@ def test_modal_assurance_of_parallel_and_orthogonal_shapes():
 def test_computed_frequencies_considerably_off_are_counted():
     base = model("computed")
     factor = np.array([1.0, 1.06, 1.0, 0.9, 1.04, 1.0, 1.0])
-    found = deviation(with_modes(base, np.arange(7), factor), base)
+    found = frequency_deviation(with_modes(base, np.arange(7), factor), base)
     assert found.count == 7
-    assert len(found.considerable) == 2
+    assert len(found.large_deviations) == 2
     np.testing.assert_allclose(found.largest, 0.1)

@@ -11,10 +11,15 @@ from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.report import math_model_figures as gage_figures
 from balance_cli.report.blocks import Details, pictures
 from balance_cli.report.calibration import section
-from balance_cli.report.load_series_rows import channel_ranges, deviation, outliers_of, stretches
-from balance_cli.report.math_model_figures import CHANCE, load_figure, moved_loads, order_figure, trend
-from balance_cli.report.math_model_tables import ALONE, channel_table, check_table, curved_terms, term_table
-from balance_cli.report.number_format import percent, significant, with_sigma
+from balance_cli.report.load_series_rows import (
+    channel_outliers,
+    channel_ranges,
+    channel_residual_sigma,
+    split_load_series,
+)
+from balance_cli.report.math_model_figures import TREND_SIGNIFICANCE, fit_trend, load_figure, order_figure, varied_loads
+from balance_cli.report.math_model_tables import LOADS_ONLY, channel_table, check_table, nonlinear_terms, term_table
+from balance_cli.report.number_format import format_percent, format_significant, value_and_sigma_text
 from balance_cli.report.page import page
 from balance_cli.report.sources import Sources, sources
 from balance_cli.steps.calibrate import calibrate
@@ -94,7 +99,7 @@ def test_the_direct_model_is_told_where_it_was_asked_for(sound_section):
     said = texts(section(given(made)), "text")
     assert "as functions of the readings, without iteration" in said
     assert all(
-        f"{name} {significant(float(value), 2)}" in said
+        f"{name} {format_significant(float(value), 2)}" in said
         for name, value in zip(made.gage.model.components, made.gage.direct.residual_percent_fs, strict=True)
     )
     assert "without iteration" not in texts(sound_section, "text")
@@ -107,14 +112,14 @@ def test_the_channels_are_as_the_model_has_them(sound, sound_section):
     table = table_with(sound_section, "curved terms")
     assert [row[0].text for row in table.rows] == list(gage.model.channel_names)
     for c, row in enumerate(table.rows):
-        errors = (deviation(gage)[c], gage.model.press[c], gage.model.left_out[c])
-        assert row[1].text == ALONE
-        assert [cell.text for cell in row[2:5]] == [significant(1e6 * error) for error in errors]
-        assert [cell.note for cell in row[2:5]] == [f"{percent(error / ranges[c])} %" for error in errors]
+        errors = (channel_residual_sigma(gage)[c], gage.model.press[c], gage.model.left_out[c])
+        assert row[1].text == LOADS_ONLY
+        assert [cell.text for cell in row[2:5]] == [format_significant(1e6 * error) for error in errors]
+        assert [cell.note for cell in row[2:5]] == [f"{format_percent(error / ranges[c])} %" for error in errors]
         slope, sigma = 1e6 * gage.drift.slope[c], 1e6 * gage.drift.slope_sigma[c]
-        assert row[5].text == " ± ".join(with_sigma(slope, sigma))
+        assert row[5].text == " ± ".join(value_and_sigma_text(slope, sigma))
         assert row[5].mark == ("bad" if abs(slope) > 3 * sigma else "")
-        assert row[6].text == significant(gage.drift.scatter[c], 2)
+        assert row[6].text == format_significant(gage.drift.scatter[c], 2)
 
 
 def test_a_drift_beyond_three_sigma_and_a_scatter_beyond_chance_are_marked(sound):
@@ -131,8 +136,8 @@ def test_a_drift_beyond_three_sigma_and_a_scatter_beyond_chance_are_marked(sound
 def test_loads_that_checked_it(sound, sound_section):
     (check,) = sound.gage.checks
     row = table_with(sound_section, "left out").rows[0]
-    assert [cell.text for cell in row[1:7]] == [percent(e) for e in check.error / sound.gage.model.full_range]
-    assert [cell.note for cell in row[1:7]] == [f"{100 * share:.0f} %" for share in check.hits]
+    assert [cell.text for cell in row[1:7]] == [format_percent(e) for e in check.error / sound.gage.model.full_range]
+    assert [cell.note for cell in row[1:7]] == [f"{100 * share:.0f} %" for share in check.interval_coverage]
     assert [cell.text for cell in (row[0], *row[7:])] == ["again", "121", "0"]
     assert all(cell.mark == "" for cell in row[1:])
 
@@ -165,15 +170,19 @@ def test_curved_terms_with_their_evidence(spoiled, spoiled_section):
     assert value == pytest.approx(4e-3, rel=0.1)
     head = "variance inflation"
     row = row_of(made, head, "z1.strain")
-    assert row[1:4] == ["Fz^2", " ± ".join(with_sigma(1e6 * value, 1e6 * sigma)), significant(value / sigma)]
-    assert row[5] == significant(model.variance_inflation[i, c], 2)
+    assert row[1:4] == [
+        "Fz^2",
+        " ± ".join(value_and_sigma_text(1e6 * value, 1e6 * sigma)),
+        format_significant(value / sigma),
+    ]
+    assert row[5] == format_significant(model.variance_inflation[i, c], 2)
     assert row_of(made, head, "x.strain")[1] == "|Fx|"
-    assert row_of(made, head, "torque") == ["torque", ALONE]
-    assert row_of(made, "curved terms", "z1.strain")[1] == str(len(curved_terms(spoiled.gage, c)))
+    assert row_of(made, head, "torque") == ["torque", LOADS_ONLY]
+    assert row_of(made, "curved terms", "z1.strain")[1] == str(len(nonlinear_terms(spoiled.gage, c)))
     words = texts(made, "text")
     assert "x.strain and z1.strain have some" in words
     rho = model.contraction().rho
-    assert f"shrinks the error at least {significant(1 / rho, 2)} times" in words
+    assert f"shrinks the error at least {format_significant(1 / rho, 2)} times" in words
 
 
 def test_inflated_terms_are_marked(spoiled):
@@ -188,8 +197,11 @@ def test_inflated_terms_are_marked(spoiled):
 def test_what_took_no_part_is_warned_of(spoiled, spoiled_section):
     (bad,), (outlier,) = spoiled.gage.bad_sequences, spoiled.gage.outliers
     words = texts(spoiled_section, "warn")
-    assert f"static-trim rows 22 to 41 (Fy): y2.strain changes {with_sigma(bad.gain, bad.gain_sigma)[0]} ±" in words
-    size = significant(1e6 * outlier.error)
+    assert (
+        f"static-trim rows 22 to 41 (Fy): y2.strain changes {value_and_sigma_text(bad.gain, bad.gain_sigma)[0]} ±"
+        in words
+    )
+    size = format_significant(1e6 * outlier.error)
     assert f"static-bare row {OUTLIER_ROW + 1}: y1.strain is {size} µV above what all other rows say" in words
     assert "342 of 363 rows" in texts(spoiled_section, "text")
 
@@ -224,17 +236,17 @@ def test_without_a_model_the_page_says_so(sound):
 
 
 def test_sequences_are_those_of_the_model(spoiled):
-    known = stretches(spoiled.gage)
+    known = split_load_series(spoiled.gage)
     assert tuple(one.words for one in known if one.used) == spoiled.gage.model.sequences
     (lost,) = (one for one in known if not one.used)
     assert lost.words == spoiled.gage.bad_sequences[0].sequence
     assert [name for name, bad in zip(spoiled.gage.model.channel_names, lost.bad, strict=True) if bad] == ["y2.strain"]
     np.testing.assert_array_equal(np.concatenate([one.rows for one in known]), np.arange(363))
-    assert list(outliers_of(spoiled.gage, 1)) == [(OUTLIER_ROW, spoiled.gage.outliers[0])]
+    assert list(channel_outliers(spoiled.gage, 1)) == [(OUTLIER_ROW, spoiled.gage.outliers[0])]
 
 
 def test_residuals_in_the_order_of_loading(spoiled):
-    gage, known = spoiled.gage, stretches(spoiled.gage)
+    gage, known = spoiled.gage, split_load_series(spoiled.gage)
     figure = order_figure(gage, known, channel_ranges(spoiled, gage))
     names = gage.model.channel_names
     assert [axes.get_title(loc="left") for axes in figure.axes] == list(names)
@@ -257,8 +269,8 @@ def _is_strong(patch) -> bool:
 
 
 def test_residuals_against_the_loads_that_moved(spoiled):
-    gage, known = spoiled.gage, stretches(spoiled.gage)
-    x = moved_loads(gage, known)
+    gage, known = spoiled.gage, split_load_series(spoiled.gage)
+    x = varied_loads(gage, known)
     at_first = known[0].rows
     np.testing.assert_allclose(x[at_first, 0], gage.loads[at_first, 0] / gage.model.full_range[0])
     assert np.isnan(x[at_first, 1:]).all()
@@ -273,16 +285,16 @@ def test_a_line_is_drawn_only_where_more_than_chance_is_left():
     x = np.tile(np.linspace(-1, 1, 11), 4)
     rng = np.random.default_rng(3)
     noise = rng.normal(size=(200, len(x)))
-    assert sum(len(trend(x, one)[0]) > 0 for one in noise) <= 200 * CHANCE * 15
-    places, smooth = trend(x, 3 * x**2 - 2 * x + 0.1 * noise[0])
+    assert sum(len(fit_trend(x, one)[0]) > 0 for one in noise) <= 200 * TREND_SIGNIFICANCE * 15
+    places, smooth = fit_trend(x, 3 * x**2 - 2 * x + 0.1 * noise[0])
     np.testing.assert_allclose(smooth, 3 * places**2 - 2 * places, atol=0.3)
     few = np.where(np.abs(x) > 0.9, x, np.nan)
-    assert len(trend(few, noise[0])[0]) == len(trend(np.full_like(x, np.nan), noise[0])[0]) == 0
+    assert len(fit_trend(few, noise[0])[0]) == len(fit_trend(np.full_like(x, np.nan), noise[0])[0]) == 0
 
 
 def test_lines_appear_where_the_loads_alone_do_not_do():
     straight = calibrate([curved(static("bare")), curved(static("trim"))], rotor_balance(), search=False)
-    figure = load_figure(straight.gage, stretches(straight.gage), channel_ranges(straight, straight.gage))
+    figure = load_figure(straight.gage, split_load_series(straight.gage), channel_ranges(straight, straight.gage))
     shown = {
         axes.get_title(loc="left"): [line.get_color() for line in axes.get_lines() if len(line.get_xdata()) == 60]
         for axes in figure.axes
@@ -312,5 +324,5 @@ def test_one_channel_and_one_sequence_make_a_page():
 
 def test_load_points_are_numbered_where_the_names_of_sequences_have_no_room(spoiled, monkeypatch):
     monkeypatch.setattr(gage_figures, "PAGE_INCHES", 4.0)
-    figure = order_figure(spoiled.gage, stretches(spoiled.gage), channel_ranges(spoiled, spoiled.gage))
+    figure = order_figure(spoiled.gage, split_load_series(spoiled.gage), channel_ranges(spoiled, spoiled.gage))
     assert figure.axes[-1].get_xlabel() == "load point, in the order of loading"

@@ -6,7 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from balance_cli.report.number_format import fixed, listed, percent, sentence, significant, with_sigma
+from balance_cli.report.number_format import (
+    capitalize_first,
+    format_fixed,
+    format_percent,
+    format_significant,
+    join_names,
+    value_and_sigma_text,
+)
 
 NUMBERS = st.floats(1e-12, 1e12) | st.floats(-1e12, -1e-12)
 
@@ -17,12 +24,12 @@ def back(text: str) -> float:
 
 @given(NUMBERS, st.integers(1, 7))
 def test_significant_digits_read_back(value, digits):
-    assert back(significant(value, digits)) == pytest.approx(value, rel=0.51 * 10.0 ** (1 - digits))
+    assert back(format_significant(value, digits)) == pytest.approx(value, rel=0.51 * 10.0 ** (1 - digits))
 
 
 @given(NUMBERS, st.floats(1e-12, 1e12))
 def test_value_and_sigma_read_back(value, sigma):
-    text, error = with_sigma(value, sigma)
+    text, error = value_and_sigma_text(value, sigma)
     assert back(error) == pytest.approx(sigma, rel=0.051)
     assert abs(back(text) - value) <= max(0.051 * sigma, 0.51e-6 * abs(value))
 
@@ -40,11 +47,11 @@ def test_value_and_sigma_read_back(value, sigma):
     ],
 )
 def test_value_and_sigma_as_they_are_written(value, sigma, expected):
-    assert with_sigma(value, sigma) == expected
+    assert value_and_sigma_text(value, sigma) == expected
 
 
 def test_percent_and_fixed():
-    assert [percent(x) for x in (1.334, 0.0721, 4.5e-4, 1e-6, 0.0, math.nan)] == [
+    assert [format_percent(x) for x in (1.334, 0.0721, 4.5e-4, 1e-6, 0.0, math.nan)] == [
         "133",
         "7.2",
         "0.045",
@@ -52,10 +59,10 @@ def test_percent_and_fixed():
         "0",
         "\N{EN DASH}",
     ]
-    assert fixed(-0.001, 2) == "0.00"
-    assert fixed(-1.25, 1) == "\N{MINUS SIGN}1.2"
+    assert format_fixed(-0.001, 2) == "0.00"
+    assert format_fixed(-1.25, 1) == "\N{MINUS SIGN}1.2"
 
 
 def test_words():
-    assert [listed([]), listed(["a"]), listed(["a", "b", "c"])] == ["", "a", "a, b and c"]
-    assert sentence("identified rigid") == "Identified rigid"
+    assert [join_names([]), join_names(["a"]), join_names(["a", "b", "c"])] == ["", "a", "a, b and c"]
+    assert capitalize_first("identified rigid") == "Identified rigid"

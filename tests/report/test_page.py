@@ -8,7 +8,7 @@ import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.io.artefacts import Artefact
-from balance_cli.report.check_errors import Error, harmonic_errors, overall_error, pooled_errors
+from balance_cli.report.check_errors import RelativeError, harmonic_errors, overall_error, pooled_errors
 from balance_cli.report.check_runs import section
 from balance_cli.report.page import page
 from balance_cli.report.parameters import section as parameter_section
@@ -79,7 +79,7 @@ def test_names_from_files_are_not_taken_for_markup():
 
 
 def labels(items: list[tuple[Path, Artefact]]) -> dict[str, str]:
-    return {source.file: source.label for source in sources(items).everything}
+    return {source.file: source.label for source in sources(items).all_sources}
 
 
 def test_loads_bear_the_label_of_their_model():
@@ -87,7 +87,7 @@ def test_loads_bear_the_label_of_their_model():
     assert found["loads-model.h5"] == found["model.h5"] == "identified rigid (LS+ML)"
     assert found["loads-static.h5"] == "static matrix"
     assert found["loads-tf.h5"] == "transfer function"
-    looks = {source.file: source.look for source in sources(campaign()).everything}
+    looks = {source.file: source.plot_style for source in sources(campaign()).all_sources}
     assert looks["loads-model.h5"] == looks["model.h5"]
 
 
@@ -98,7 +98,7 @@ def test_two_artefacts_of_one_role_are_told_apart_by_their_files():
     same_names = [(Path("a/one.h5"), first), (Path("b/one.h5"), second)]
     drawn = sources(same_names).models
     assert len({source.label for source in drawn}) == 2
-    assert len({source.look for source in drawn}) == 2
+    assert len({source.plot_style for source in drawn}) == 2
 
 
 def test_roles_from_the_words_of_reduce():
@@ -135,7 +135,7 @@ def test_a_closed_model_is_called_by_its_effects_and_many_are_counted():
 def test_errors_are_pooled_over_the_check_runs():
     content = loads(error=0.5)
     pooled = pooled_errors(content, "load_error")
-    assert pooled["Fx"] == Error(0.5, 0.01)
+    assert pooled["Fx"] == RelativeError(0.5, 0.01)
     assert pooled["Fz"].value == pytest.approx(np.sqrt((1.0**2 + 0.5**2) / 2))
     assert pooled_errors(content, "interaction")["Fx"].value == pytest.approx(0.05)
     overall = overall_error(content, "load_error")

@@ -9,11 +9,11 @@ import pytest
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import solve
 from balance_cli.report.force_responses import TORQUE_METER, measured_curve, model_response, relative_error, sensors
-from balance_cli.report.number_format import percent
-from balance_cli.report.response_figures import unwrapped_gaps
+from balance_cli.report.number_format import format_percent
+from balance_cli.report.response_figures import phase_with_gaps
 from balance_cli.report.responses import comparisons, sensor_errors
 from balance_cli.report.sources import sources
-from balance_cli.report.sweep_figures import channel_pairs, channel_ratio
+from balance_cli.report.sweep_figures import cell_channel_pairs, cell_channel_ratio
 from balance_cli.report.transfer import level_table
 from tests.support.report_content import FREQUENCY, NOISE, artefact, campaign, measured, model, transfer
 from tests.support.rigs import rotor_balance
@@ -50,7 +50,7 @@ def test_a_response_that_grows_with_the_level_is_marked():
     source = sources([(Path("tf.h5"), artefact("balance-transfer/1", transfer(), "b" * 64))]).transfers[0]
     for responses, difference, mark in (((low, high), 0.0, ""), ((low, grown), 0.01 / 1.01, "bad")):
         (row,) = level_table(source, responses).rows
-        assert row[3].text == percent(difference)
+        assert row[3].text == format_percent(difference)
         assert row[3].mark == mark
 
 
@@ -75,10 +75,10 @@ def test_channels_of_a_model_are_told_beside_its_forces():
 
 def test_two_channels_of_a_cell_differ_by_their_dynamics():
     responses = transfer().responses
-    pairs = channel_pairs({channel.name: channel.cell for channel in RIG.channels}, responses)
+    pairs = cell_channel_pairs({channel.name: channel.cell for channel in RIG.channels}, responses)
     assert pairs["z1"] == ("z1.piezo", "z1.strain")
     sensitivity = {channel.name: channel.sensitivity for channel in RIG.channels}
-    frequency, ratio = channel_ratio(pairs["z1"], responses, sensitivity)
+    frequency, ratio = cell_channel_ratio(pairs["z1"], responses, sensitivity)
     s = 2j * np.pi * frequency
     expected = 3.0 * s / (1 + 3.0 * s) * (1 + 1j * frequency / 90.0)
     np.testing.assert_allclose(frequency, FREQUENCY)
@@ -86,5 +86,5 @@ def test_two_channels_of_a_cell_differ_by_their_dynamics():
 
 
 def test_phase_is_not_drawn_across_the_picture():
-    phase = unwrapped_gaps(np.exp(1j * np.radians([170.0, 179.0, -175.0, -170.0])))
+    phase = phase_with_gaps(np.exp(1j * np.radians([170.0, 179.0, -175.0, -170.0])))
     np.testing.assert_allclose(phase, [170.0, 179.0, np.nan, -170.0])

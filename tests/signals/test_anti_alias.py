@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqs
 
-from balance_cli.campaign.rig.geometry import Acquisition, AnalogueFilter
+from balance_cli.campaign.rig.geometry import Acquisition, AnalogFilter
 from balance_cli.signals.anti_alias import anti_alias
 
 
 def acquisition(order=6, cutoff=200.0):
-    return Acquisition(filter=AnalogueFilter(type="butterworth", order=order, cutoff=cutoff))
+    return Acquisition(filter=AnalogFilter(type="butterworth", order=order, cutoff=cutoff))
 
 
 @pytest.mark.parametrize("order", range(1, 13))

@@ -7,16 +7,23 @@ import pytest
 
 from balance_cli.io.errors import UserError
 from balance_cli.signals.averaged_spectra import averaged_response
-from balance_cli.signals.local_fit import Orders, Windows, fit_windows
+from balance_cli.signals.local_fit import ModelOrders, WindowedData, fit_windows
 from balance_cli.signals.local_models import local_models, record_spectrum
-from balance_cli.signals.local_response import local_response, response_of
-from balance_cli.signals.local_window import influence, pole_shift, poles, response_rows, slope_rows, split
-from balance_cli.signals.nonperiodic_spectrum import lines_from_local_model, local_lines
-from balance_cli.signals.run_samples import samples_of
+from balance_cli.signals.local_response import local_response, response_from_models
+from balance_cli.signals.local_window import (
+    derivative_rows,
+    design_pseudoinverse,
+    pole_uncertainty,
+    poles,
+    response_rows,
+    split_windows,
+)
+from balance_cli.signals.nonperiodic_spectrum import local_lines, nonperiodic_spectrum
+from balance_cli.signals.run_samples import read_samples
 from balance_cli.simulation import Noise, SweepPlan, draw_rig, simulate_run
 from balance_cli.simulation.assembly import equations_of_motion
 from tests.support.rigs import rotor_balance
-from tests.support.swept_rig import LOAD_NOISE, NOISE, SweptRig, beside_a_mode, chi2_per_dof, relative_error
+from tests.support.swept_rig import LOAD_NOISE, NOISE, SweptRig, chi2_per_dof, near_mode, relative_error
 
 BAND = (5.0, 145.0)
 RIG = SweptRig()
@@ -35,7 +42,7 @@ def models(run):
 
 @pytest.fixture(scope="module")
 def lrm(models):
-    return response_of(models, "lrm")
+    return response_from_models(models, "lrm")
 
 
 def scaled_error(response, rig):
@@ -48,7 +55,7 @@ def scaled_error(response, rig):
 
 def test_local_rational_model_does_not_leak(run, lrm):
     error = relative_error(RIG, lrm.frequency, lrm.response)
-    near = beside_a_mode(lrm.frequency, 0.5)
+    near = near_mode(lrm.frequency, 0.5)
     assert np.percentile(error, 95) < 1e-3
     assert np.percentile(error[near], 95) < 5e-4
 
@@ -59,7 +66,7 @@ def test_the_other_estimators_do(run):
     for name, estimate in (("lpm", local_response), ("h1", averaged_response)):
         response = estimate(run, RIG.names, name, BAND)
         error = relative_error(RIG, response.frequency, response.response)
-        found[name] = np.percentile(error[beside_a_mode(response.frequency, 0.5)], 95)
+        found[name] = np.percentile(error[near_mode(response.frequency, 0.5)], 95)
     assert found["lpm"] > 0.05
     assert found["h1"] > 0.1
 
@@ -90,9 +97,9 @@ def test_chi_square_of_the_true_response_against_the_lines(excitation):
     """Some 650 lines of 5 channels in each of two runs, 60 of them beside the modes."""
     values, near = [], []
     for seed in range(2):
-        lines = lines_from_local_model(getattr(RIG, excitation)(seed), RIG.names, BAND)
+        lines = nonperiodic_spectrum(getattr(RIG, excitation)(seed), RIG.names, BAND)
         values.append(chi2_per_dof(RIG, lines))
-        near.append(beside_a_mode(lines.frequency, 0.5))
+        near.append(near_mode(lines.frequency, 0.5))
     values, near = np.concatenate(values), np.concatenate(near)
     assert near.sum() > 100
     assert values.mean() == pytest.approx(1.0, abs=0.1)
@@ -102,7 +109,7 @@ def test_chi_square_of_the_true_response_against_the_lines(excitation):
 def test_lines_lose_next_to_nothing():
     """Information on a resonance frequency, against all lines of the record with a transient that is known."""
     run = RIG.random(seed=2)
-    lines = lines_from_local_model(run, RIG.names, (70.0, 85.0))
+    lines = nonperiodic_spectrum(run, RIG.names, (70.0, 85.0))
     U = np.fft.rfft(run.read().loads[:, :1], axis=0)[70 * 28 : 85 * 28] * 2 / run.samples
     everything = np.arange(70 * 28, 85 * 28) / 28.0
     noise = np.diag([NOISE**2] * 5 + [LOAD_NOISE**2]) * 4 / run.samples
@@ -127,7 +134,7 @@ def test_two_components_at_once(excitation):
     response = local_response(run, BOTH.names, "lrm", BAND)
     assert response.components == ("Fx", "My")
     assert np.percentile(relative_error(BOTH, response.frequency, response.response), 95) < 2e-3
-    lines = lines_from_local_model(run, BOTH.names, BAND)
+    lines = nonperiodic_spectrum(run, BOTH.names, BAND)
     assert chi2_per_dof(BOTH, lines).mean() == pytest.approx(1.0, abs=0.2)
     assert np.all(lines.frequency[::2] == lines.frequency[1::2])
 
@@ -172,13 +179,13 @@ def window(seed=0, noise=0.0, lines=61, pole=0.2 + 0.15j):
     G = b0 / (r[..., None] - pole) + b1
     V = rng.normal(size=(1, lines, 3)) + 1j * rng.normal(size=(1, lines, 3))
     Y = G * U + c0 / (r[..., None] - pole) + noise * V / np.sqrt(2)
-    return Windows(Y, U, np.ones((1, lines)), r), lambda x: b0 / (x - pole) + b1, pole
+    return WindowedData(Y, U, np.ones((1, lines)), r), lambda x: b0 / (x - pole) + b1, pole
 
 
 def test_exact_rational_function_is_found_exactly():
     windows, G, pole = window()
-    fit = fit_windows(windows, Orders(1, 1, 1))
-    one = split(fit, windows)[0]
+    fit = fit_windows(windows, ModelOrders(1, 1, 1))
+    one = split_windows(fit, windows)[0]
     assert fit.cost[0] < 1e-18
     assert poles(one) == pytest.approx([pole])
     assert (response_rows(one, np.array([0.37])) @ one.coefficients)[0, 0] == pytest.approx(G(0.37))
@@ -186,15 +193,15 @@ def test_exact_rational_function_is_found_exactly():
 
 def test_slope_of_a_window():
     windows, G, _ = window()
-    one = split(fit_windows(windows, Orders(1, 1, 1)), windows)[0]
-    slope = (slope_rows(one, np.array([0.37])) @ one.coefficients)[0, 0]
+    one = split_windows(fit_windows(windows, ModelOrders(1, 1, 1)), windows)[0]
+    slope = (derivative_rows(one, np.array([0.37])) @ one.coefficients)[0, 0]
     assert slope == pytest.approx((G(0.37 + 1e-6) - G(0.37 - 1e-6)) / 2e-6, rel=1e-6)
 
 
 def test_influence_gives_the_coefficients():
     windows, _, _ = window(noise=0.1)
-    one = split(fit_windows(windows, Orders(2, 1, 1)), windows)[0]
-    assert influence(one) @ windows.Y[0] == pytest.approx(one.coefficients)
+    one = split_windows(fit_windows(windows, ModelOrders(2, 1, 1)), windows)[0]
+    assert design_pseudoinverse(one) @ windows.Y[0] == pytest.approx(one.coefficients)
 
 
 def test_stated_uncertainty_of_a_window_is_that_of_repetitions():
@@ -206,11 +213,11 @@ def test_stated_uncertainty_of_a_window_is_that_of_repetitions():
     for _ in range(300):
         V = noise * (rng.normal(size=size) + 1j * rng.normal(size=size)) / np.sqrt(2)
         noisy = replace(windows, Y=windows.Y + V)
-        one = split(fit_windows(noisy, Orders(1, 1, 1)), noisy)[0]
+        one = split_windows(fit_windows(noisy, ModelOrders(1, 1, 1)), noisy)[0]
         errors.append((response_rows(one, r) @ one.coefficients)[0, 0] - G(0.2))
         covariance = np.broadcast_to(noise**2 * np.eye(3), (61, 3, 3))
-        linear = noise**2 * np.sum(np.abs(response_rows(one, r)[0, 0] @ influence(one)) ** 2)
-        stated.append(linear + np.sum(np.abs(pole_shift(one, r, covariance)[0, :, 0]) ** 2, axis=1))
+        linear = noise**2 * np.sum(np.abs(response_rows(one, r)[0, 0] @ design_pseudoinverse(one)) ** 2)
+        stated.append(linear + np.sum(np.abs(pole_uncertainty(one, r, covariance)[0, :, 0]) ** 2, axis=1))
     assert np.mean(np.abs(errors) ** 2, axis=0) == pytest.approx(np.mean(stated, axis=0), rel=0.2)
     assert np.abs(np.mean(errors, axis=0)) == pytest.approx(np.zeros(3), abs=3.5 * np.sqrt(np.max(stated) / 300))
 
@@ -229,8 +236,8 @@ def test_lines_of_a_stepped_record_are_wrong_by_little_beside_their_noise():
     clean, _ = simulate_run(rig, plan, Noise().scaled(0.0), seed=2)
     found = local_lines(noisy, geometry.channel_names)
     window = found.first[:, None] + np.arange(found.weight.shape[1])
-    channels, loads = samples_of(clean, geometry.channel_names)
-    spectrum = np.fft.rfft(np.hstack([channels, loads[:, :1]]), axis=0)[found.number] * (2.0 / len(channels))
+    channels, loads = read_samples(clean, geometry.channel_names)
+    spectrum = np.fft.rfft(np.hstack([channels, loads[:, :1]]), axis=0)[found.bin_index] * (2.0 / len(channels))
     exact = np.matmul(found.weight[:, None, :], spectrum[window])[:, 0]
     lines = found.lines
     T = identified_response(rig, lines.frequency)

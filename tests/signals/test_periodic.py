@@ -8,9 +8,9 @@ import pytest
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.io.errors import UserError
 from balance_cli.signals.covariance_pooling import inverse_bias_factor, pooled_covariance
-from balance_cli.signals.periodic import periodic_lines, periodic_record, whole_period
-from balance_cli.signals.periodic_transient import steady_start
-from tests.support.swept_rig import LOAD_NOISE, NOISE, SweptRig, beside_a_mode, chi2_per_dof
+from balance_cli.signals.periodic import periodic_record, periodic_spectrum, samples_per_period
+from balance_cli.signals.periodic_transient import find_steady_start
+from tests.support.swept_rig import LOAD_NOISE, NOISE, SweptRig, chi2_per_dof, near_mode
 
 RIG = SweptRig()
 SEEDS = range(6)
@@ -32,7 +32,7 @@ def test_lines_are_those_excited(records):
 def test_chi_square_of_the_true_response_is_one_everywhere(records):
     """5 channels, 593 lines, 6 runs: 17 790 complex values, so 1 +- 0.0075; beside the modes 1 +- 0.03."""
     values = np.concatenate([chi2_per_dof(RIG, record.lines) for record in records])
-    near = np.concatenate([beside_a_mode(record.lines.frequency, 0.5) for record in records])
+    near = np.concatenate([near_mode(record.lines.frequency, 0.5) for record in records])
     assert values.mean() == pytest.approx(1.0, abs=0.04)
     assert values[near].mean() == pytest.approx(1.0, abs=0.12)
 
@@ -88,12 +88,12 @@ def test_period_that_is_no_whole_number_of_samples():
     n, rate = 801, RIG.rate
     run = RIG.multisine(period=n / rate, periods=8)
     doubled = np.fft.rfft(run.read().loads[:n, 0])
-    assert whole_period(run) == n
+    assert samples_per_period(run) == n
     declared = replace(run, period=n / rate / 2)
-    assert whole_period(declared) == n
+    assert samples_per_period(declared) == n
     assert np.count_nonzero(np.abs(doubled) > 100) > 100
     with pytest.raises(UserError, match="whole number of samples"):
-        whole_period(replace(run, period=(n + 0.2371) / rate))
+        samples_per_period(replace(run, period=(n + 0.2371) / rate))
 
 
 def test_wrong_period_is_refused():
@@ -105,15 +105,15 @@ def test_wrong_period_is_refused():
 def test_what_the_user_must_hear():
     run = RIG.multisine(periods=3)
     with pytest.raises(UserError, match="no `period`"):
-        periodic_lines(replace(run, period=None), RIG.names)
+        periodic_spectrum(replace(run, period=None), RIG.names)
     with pytest.raises(UserError, match="two periods"):
-        periodic_lines(replace(run, period=20.0), RIG.names)
+        periodic_spectrum(replace(run, period=20.0), RIG.names)
     with pytest.raises(UserError, match="no channel `nowhere`"):
-        periodic_lines(run, ("c0", "nowhere"))
+        periodic_spectrum(run, ("c0", "nowhere"))
     with pytest.raises(UserError, match="column is zero"):
-        periodic_lines(replace(run, excited=("Mz",)), RIG.names)
+        periodic_spectrum(replace(run, excited=("Mz",)), RIG.names)
     with pytest.raises(UserError, match="no line was excited from 160"):
-        periodic_lines(run, RIG.names, (160.0, 170.0))
+        periodic_spectrum(run, RIG.names, (160.0, 170.0))
 
 
 def test_a_measured_component_that_holds_only_noise_is_no_input():
@@ -122,7 +122,7 @@ def test_a_measured_component_that_holds_only_noise_is_no_input():
     assert block.loads is not None
     loads = block.loads.copy()
     loads[:, 4] = 0.01 * np.random.default_rng(3).normal(size=len(loads))
-    lines = periodic_lines(replace(run, source=MemorySource(block.channels, loads)), RIG.names)
+    lines = periodic_spectrum(replace(run, source=MemorySource(block.channels, loads)), RIG.names)
     assert lines.components == ("Fx",)
     assert lines.covariance.shape[1:] == (6, 6)
 
@@ -130,7 +130,7 @@ def test_a_measured_component_that_holds_only_noise_is_no_input():
 def test_spill_that_was_measured_is_an_input():
     two = SweptRig(components=("Fx", "My"))
     declared = replace(two.multisine(periods=4), excited=("Fx",), level=(40.0,))
-    assert periodic_lines(declared, two.names).components == ("Fx", "My")
+    assert periodic_spectrum(declared, two.names).components == ("Fx", "My")
 
 
 def _scatter(rng, lines, n, counts):
@@ -173,7 +173,7 @@ def test_covariance_follows_the_colour_of_the_noise():
 def test_white_noise_alone_is_steady_from_the_beginning():
     rng = np.random.default_rng(4)
     spectra = rng.normal(size=(6, 500, 8)) + 1j * rng.normal(size=(6, 500, 8))
-    assert np.mean(steady_start(spectra).first == 0) > 0.98
+    assert np.mean(find_steady_start(spectra).first == 0) > 0.98
 
 
 def test_recovery_of_one_channel_is_seen():
@@ -181,7 +181,7 @@ def test_recovery_of_one_channel_is_seen():
     rng = np.random.default_rng(5)
     spectra = rng.normal(size=(7, 500, 8)) + 1j * rng.normal(size=(7, 500, 8))
     spectra[:, :, 3] += 40.0 * np.exp(-4 / 3 * np.arange(7))[:, None]
-    first = steady_start(spectra).first
+    first = find_steady_start(spectra).first
     left = (40.0 * np.exp(-4 / 3 * first)) / (7 - first) / (1 - np.exp(-4 / 3))
     assert np.median(left * np.sqrt((7 - first) / 2)) < 0.7
     assert np.mean(first <= 5) == 1.0

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from balance_cli.io.errors import UserError
-from balance_cli.signals.response_interpolation import METHODS, response_at, values_at
-from balance_cli.signals.run_spectrum import Response
+from balance_cli.signals.response_interpolation import INTERPOLATION_METHODS, interpolate_response, interpolate_values
+from balance_cli.signals.run_spectrum import FrequencyResponse
 from tests.support.swept_rig import LOAD_NOISE, MODES, NOISE, SweptRig, relative_error
 
 RIG = SweptRig()
 LINES = np.arange(2.0, 150.1, 0.25)
 
 
-def measured(noise: float = 1.0, seed: int = 0, rig: SweptRig = RIG, lines: np.ndarray = LINES) -> Response:
+def measured(noise: float = 1.0, seed: int = 0, rig: SweptRig = RIG, lines: np.ndarray = LINES) -> FrequencyResponse:
     """Lines of a multisine of rms 40, averaged over three periods of 4 s."""
     rng = np.random.default_rng(seed)
     T = rig.response(lines)
@@ -24,8 +24,10 @@ def measured(noise: float = 1.0, seed: int = 0, rig: SweptRig = RIG, lines: np.n
     e = (rng.normal(size=(k, c, u)) + 1j * rng.normal(size=(k, c, u))) / np.sqrt(2) / amplitude
     loads = np.broadcast_to(np.eye(u) / amplitude**2, (k, u, u)).astype(complex)
     ones = np.ones(T.shape)
-    return Response("run", rig.names, rig.components, "periodic", lines, T + noise * root @ e, covariance, loads, ones,
-                    ones[:, :, 0], level=(40.0,) * u)  # fmt: skip
+    noisy, level = T + noise * root @ e, (40.0,) * u
+    return FrequencyResponse(
+        "run", rig.names, rig.components, "periodic", lines, noisy, covariance, loads, ones, ones[:, :, 0], level=level
+    )
 
 
 def places(seed: int = 1, count: int = 400) -> np.ndarray:
@@ -36,7 +38,7 @@ def places(seed: int = 1, count: int = 400) -> np.ndarray:
 
 
 def errors(method: str) -> tuple[np.ndarray, np.ndarray]:
-    at = response_at(measured(), places(), method)
+    at = interpolate_response(measured(), places(), method)
     error = relative_error(RIG, places(), at.value)
     return error[:400], error[400:]
 
@@ -50,18 +52,18 @@ def test_local_is_the_best_by_far():
         assert np.percentile(errors(method)[1], 95) > 0.1
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTERPOLATION_METHODS)
 def test_values_alone_are_as_good(method):
     """One local model for all frequencies between two lines, instead of one for each."""
     response = measured()
-    error = relative_error(RIG, places(), values_at(response, places(), method))
+    error = relative_error(RIG, places(), interpolate_values(response, places(), method))
     expected = errors(method)
     assert np.percentile(error[:400], 95) < 1.1 * np.percentile(expected[0], 95) + 2e-4
     assert np.percentile(error[400:], 95) < 1.1 * np.percentile(expected[1], 95) + 2e-4
 
 
 def test_without_noise_local_is_nearly_exact():
-    at = response_at(measured(noise=0.0), places())
+    at = interpolate_response(measured(noise=0.0), places())
     assert np.max(relative_error(RIG, places(), at.value)) < 2e-3
 
 
@@ -69,7 +71,7 @@ def test_stated_covariance_is_that_of_the_error():
     rig = SweptRig(channels=4)
     chi2 = []
     for seed in range(2):
-        at = response_at(measured(seed=seed, rig=rig), places())
+        at = interpolate_response(measured(seed=seed, rig=rig), places())
         error = (at.value - rig.response(places()))[:, :, 0]
         weight = np.linalg.inv(at.channel_covariance) / at.load_covariance
         chi2.append(np.einsum("hc,hcd,hd->h", error.conj(), weight, error).real / 4)
@@ -80,27 +82,27 @@ def test_stated_covariance_is_that_of_the_error():
 @pytest.mark.parametrize("method", ["local", "spline", "first-order"])
 def test_derivative(method):
     smooth = SweptRig(zeta=0.2)
-    at = response_at(measured(noise=0.0, rig=smooth), 50.1, method)
+    at = interpolate_response(measured(noise=0.0, rig=smooth), 50.1, method)
     slope = (smooth.response(np.array([50.1001])) - smooth.response(np.array([50.0999])))[0] / 2e-4
     assert np.abs(at.derivative - slope).max() < 0.03 * np.abs(slope).max()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", INTERPOLATION_METHODS)
 def test_at_a_line_and_shapes(method):
     response = measured(noise=0.0)
-    one = response_at(response, 50.25, method)
+    one = interpolate_response(response, 50.25, method)
     assert one.value.shape == (5, 1)
     assert one.channel_covariance.shape == (5, 5)
     assert one.load_covariance.shape == (1, 1)
     assert one.value == pytest.approx(RIG.response(np.array([50.25]))[0], rel=1e-4)
-    assert response_at(response, np.array([10.0, 60.0]), method).value.shape == (2, 5, 1)
+    assert interpolate_response(response, np.array([10.0, 60.0]), method).value.shape == (2, 5, 1)
     several = measured(noise=0.0, rig=SweptRig(components=("Fx", "My")))
-    assert response_at(several, np.array([10.1]), method).value.shape == (1, 5, 2)
+    assert interpolate_response(several, np.array([10.1]), method).value.shape == (1, 5, 2)
 
 
 def test_nearest_keeps_the_lines_own_covariance():
     response = measured()
-    at = response_at(response, 50.3, "nearest")
+    at = interpolate_response(response, 50.3, "nearest")
     k = int(np.argmin(np.abs(LINES - 50.3)))
     assert at.channel_covariance == pytest.approx(response.channel_covariance[k])
     assert at.load_covariance == pytest.approx(response.load_covariance[k])
@@ -108,11 +110,11 @@ def test_nearest_keeps_the_lines_own_covariance():
 
 def test_few_lines_will_do():
     response = measured(noise=0.0, lines=np.array([10.0, 10.5, 11.0]))
-    for method in METHODS:
-        value = response_at(response, 10.6, method).value
+    for method in INTERPOLATION_METHODS:
+        value = interpolate_response(response, 10.6, method).value
         assert value == pytest.approx(RIG.response(np.array([10.6]))[0], rel=0.02)
 
 
 def test_outside_the_lines():
     with pytest.raises(UserError, match=r"measured from 2 to 150 Hz, not at 157\.5 Hz"):
-        response_at(measured(), np.array([17.5, 157.5]))
+        interpolate_response(measured(), np.array([17.5, 157.5]))

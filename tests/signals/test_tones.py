@@ -7,7 +7,7 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.signals.local_models import local_models, record_spectrum
-from balance_cli.signals.local_response import response_of
+from balance_cli.signals.local_response import response_from_models
 from balance_cli.signals.nonperiodic_spectrum import local_lines
 from balance_cli.simulation import SweepPlan, simulate_run, true_rig
 from tests.support.rigs import rotor_balance
@@ -56,7 +56,7 @@ def numbers(models):
 
 def sigma(models):
     """Standard deviation (K, c) [V] of a line's noise, that of the loads seen through the response among it."""
-    variance = np.diagonal(models.noise.equation(models.response), axis1=1, axis2=2).real
+    variance = np.diagonal(models.noise.equation_error_covariance(models.response), axis1=1, axis2=2).real
     return np.sqrt(variance) * models.spectrum.channel_scale
 
 
@@ -67,12 +67,12 @@ def record(request):
     return run, frequency, models_of(run), models_of(with_tone(run, frequency))
 
 
-def dirichlet(run, frequency, number):
+def dirichlet(run, frequency, bin_index):
     """Amplitudes of the tone at these lines: sum_n exp(j 2 pi (f h - k/N) n) and its mirror, as geometric series."""
     N, turns = run.samples, frequency / run.sample_rate
     parts = []
     for sign in (1.0, -1.0):
-        angle = 2 * np.pi * (sign * turns - number / N)
+        angle = 2 * np.pi * (sign * turns - bin_index / N)
         parts.append(np.exp(sign * 1j * PHASE) * np.expm1(1j * N * angle) / np.expm1(1j * angle) / N)
     return AMPLITUDE * sum(parts)
 
@@ -105,7 +105,7 @@ def test_response_and_noise_are_those_without_the_tone(record):
 
 def change_of_response(one, other):
     """From one to the other, rms over the channels (k,), in standard deviations."""
-    before, after = response_of(one, "lrm"), response_of(other, "lrm")
+    before, after = response_from_models(one, "lrm"), response_from_models(other, "lrm")
     channels = np.diagonal(before.channel_covariance, axis1=1, axis2=2).real
     loads = np.diagonal(before.load_covariance, axis1=1, axis2=2).real
     square = np.abs(after.response - before.response) ** 2 / (channels[:, :, None] * loads[:, None, :])
@@ -133,7 +133,7 @@ def test_lines_for_identification_still_hold_the_tone(record):
 def summed(lines, signal):
     """What the sums make of a signal (n, ...)."""
     neighbours = lines.first[:, None] + np.arange(lines.weight.shape[1])
-    spectrum = spectrum_of(signal)[lines.number]
+    spectrum = spectrum_of(signal)[lines.bin_index]
     return np.einsum("kw,kw...->k...", lines.weight, spectrum[neighbours])
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from balance_cli.signals import waveforms
 from balance_cli.signals.anti_alias import anti_alias
-from balance_cli.signals.waveforms import LEAST_PASSED, NEIGHBOURS, local_lines_with_mean_and_waveform
+from balance_cli.signals.waveforms import LEAST_FILTER_GAIN, SMOOTHING_LINES, nonperiodic_spectrum_with_waveform
 from balance_cli.simulation import Noise, SweepPlan, simulate_run, true_rig
 from tests.support.rigs import rotor_balance
 
@@ -19,7 +19,7 @@ def noise(rng, bins, channels):
 def test_noise_alone_leaves_nearly_nothing():
     """By its neighbours; by its own power an amplitude keeps 2/e - 2/e + E1(1) = 0.219 of it."""
     z = noise(np.random.default_rng(1), 20000, 2)
-    left = [np.mean(np.abs(z * waveforms._signal_share(z, np.ones(2), n)) ** 2) for n in (1, NEIGHBOURS)]
+    left = [np.mean(np.abs(z * waveforms._wiener_gain(z, np.ones(2), n)) ** 2) for n in (1, SMOOTHING_LINES)]
     assert left[0] == pytest.approx(0.219, abs=0.01)
     assert left[1] < 0.002
 
@@ -30,14 +30,14 @@ def test_a_signal_above_the_noise_stays():
     band = np.zeros((6000, 1))
     band[2000:4000] = 1.0
     z = np.sqrt(9.0) * noise(rng, 6000, 1) * band + noise(rng, 6000, 1)
-    share = waveforms._signal_share(z, np.ones(1), NEIGHBOURS)
+    share = waveforms._wiener_gain(z, np.ones(1), SMOOTHING_LINES)
     assert np.mean(share[2010:3990]) == pytest.approx(0.9, abs=0.03)
     assert np.mean(share[:1990] > 0) < 0.005
 
 
 def test_a_channel_without_noise_keeps_everything():
     z = noise(np.random.default_rng(3), 100, 1)
-    assert np.all(waveforms._signal_share(z, np.zeros(1), NEIGHBOURS) == 1.0)
+    assert np.all(waveforms._wiener_gain(z, np.zeros(1), SMOOTHING_LINES) == 1.0)
 
 
 def test_a_stepped_record_comes_nearer_the_one_without_noise():
@@ -46,7 +46,7 @@ def test_a_stepped_record_comes_nearer_the_one_without_noise():
     rig = true_rig(geometry)
     plan = SweepPlan(run="sweep-Fx", excited=("Fx",), level=(60.0,), excitation="stepped", period=2.0, periods=5)
     noisy, clean = (simulate_run(rig, plan, Noise().scaled(scale), 5)[0] for scale in (1.0, 1e-6))
-    lines = local_lines_with_mean_and_waveform(noisy, geometry.channel_names, geometry)
+    lines = nonperiodic_spectrum_with_waveform(noisy, geometry.channel_names, geometry)
     recorded, expected = (before_filter(run, lines.waveform.frequency, geometry) for run in (noisy, clean))
     error, left = (np.sum(np.abs(z - expected) ** 2, axis=0) for z in (recorded, lines.waveform.volts))
     assert np.all(left < 0.7 * error)
@@ -56,4 +56,4 @@ def before_filter(run, frequency, geometry):
     """Amplitudes (F, c) of a record with the anti-alias filter taken out, where it passes enough."""
     gain = anti_alias(geometry.acquisition, frequency)
     amplitudes = np.fft.rfft(run.read().channels, axis=0)[: len(frequency)] * (2.0 / run.samples)
-    return amplitudes / np.where(np.abs(gain) >= LEAST_PASSED, gain, np.inf)[:, None]
+    return amplitudes / np.where(np.abs(gain) >= LEAST_FILTER_GAIN, gain, np.inf)[:, None]

@@ -21,7 +21,7 @@ from balance_cli.simulation import (
     true_rig,
 )
 from balance_cli.simulation.assembly import equations_of_motion
-from balance_cli.simulation.rig import moving_part
+from balance_cli.simulation.rig import metric_side
 from tests.support.simulation_rig import GEOMETRY, rig_geometry
 
 
@@ -119,7 +119,7 @@ def test_moving_part_and_damping_of_each_mode():
     squares, modes = eigh(K, M)
     np.testing.assert_allclose(modes.T @ m.damping[:6, :6] @ modes, np.diag(2 * np.sqrt(squares) * ratios), atol=1e-9)
     assert m.damping[6, 6] == pytest.approx(2 * 0.07 * np.sqrt(9e4 * 0.65))
-    mass, cg, _ = moving_part(GEOMETRY)
+    mass, cg, _ = metric_side(GEOMETRY)
     assert mass == 100
     np.testing.assert_allclose(cg, [-0.02, 0.008, 0.16])
 

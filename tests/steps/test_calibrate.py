@@ -95,8 +95,8 @@ def test_runs_of_one_trim_are_pooled_each_with_its_own_offset():
     np.testing.assert_allclose(found.trims["bare"].offsets, np.repeat([[0.1], [-0.4]], 8, axis=1), atol=5e-4)
     np.testing.assert_allclose(found.trims["bare"].C0, C0, atol=2e-6)
     np.testing.assert_allclose(found.trims["hover"].mean_load, [0, 0, 2500, 0, 0, 250], atol=0.1)
-    assert found.nearest({"Fz": 2000.0, "Mz": 200.0}).trim == "hover"
-    assert found.nearest({"Fz": 200.0}).trim == "bare"
+    assert found.nearest_trim({"Fz": 2000.0, "Mz": 200.0}).trim == "hover"
+    assert found.nearest_trim({"Fz": 200.0}).trim == "bare"
     # Full range is the largest load of the whole calibration, in every trim.
     np.testing.assert_allclose(
         found.trims["hover"].full_range, np.maximum(AMPLITUDE, [0, 0, 3550, 0, 0, 385]), rtol=1e-3

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.history_file import harmonic_blocks
+from balance_cli.reduction.history_file import harmonic_history
 from balance_cli.reduction.response_sources import model_source, static_source
-from balance_cli.reduction.result import COLUMNS, Loads, load_table
+from balance_cli.reduction.result import LOAD_TABLE_COLUMNS, HubLoads, load_table
 from balance_cli.steps.reduce import ReduceOptions, reduce_run
 from tests.support.channels import with_channel
 from tests.support.truth_source import TruthSource
@@ -100,8 +100,8 @@ def test_a_run_without_pulses_is_refused(campaign, calibration, identified, chec
 def test_the_table_has_one_row_per_component_and_harmonic(campaign, calibration, identified, check):
     options = ReduceOptions(harmonics=5)
     run = reduce_run(check, campaign.geometry, calibration, model_source(identified), options=options)
-    table = load_table(Loads("harmonic", "model", campaign.geometry, {run.run: run}))
-    assert tuple(table.columns) == COLUMNS
+    table = load_table(HubLoads("harmonic", "model", campaign.geometry, {run.run: run}))
+    assert tuple(table.columns) == LOAD_TABLE_COLUMNS
     assert len(table) == 6 * 6
     row = table[(table.component == "Mx") & (table.harmonic == 3)].iloc[0]
     assert row.unit == "N m"
@@ -112,7 +112,7 @@ def test_the_table_has_one_row_per_component_and_harmonic(campaign, calibration,
 
 
 def test_a_history_is_the_sum_of_the_harmonics(check, reduced, campaign):
-    blocks = tuple(harmonic_blocks(check, reduced))
+    blocks = tuple(harmonic_history(check, reduced))
     time, loads, sigma = (np.concatenate([getattr(one, name) for one in blocks]) for name in ("time", "loads", "sigma"))
     truth = campaign.truths[check.name]
     every = truth.time[(truth.time >= reduced.interval[0]) & (truth.time < reduced.interval[1])]

@@ -12,10 +12,10 @@ from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.cli import balance
 from balance_cli.io.artefacts import Provenance, load_artefact, save_artefact
-from balance_cli.reduction.result import Loads
+from balance_cli.reduction.result import HubLoads
 from balance_cli.signals.azimuth import azimuth_from_pulses
 
-FORMATS = {"balance-loads/1": Loads}
+FORMATS = {"balance-loads/1": HubLoads}
 MADE = Provenance("a-test", {}, (), {}, "2026-01-02T03:04:05+00:00")
 SHORT = 6.0
 """Time [s] that is enough where the loads themselves are not looked at."""

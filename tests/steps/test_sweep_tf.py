@@ -16,11 +16,11 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.periodic import periodic_record
 from balance_cli.signals.transfer import (
     Transfer,
-    combined,
-    components_of,
     least_coherence,
-    one_component,
     relative_sigma,
+    response_components,
+    response_to_component,
+    select_component,
 )
 from balance_cli.steps.sweep_tf import ESTIMATORS, estimate_responses
 from tests.support.rigs import rotor_balance
@@ -61,14 +61,14 @@ def test_stated_covariance_of_a_periodic_response(periodic):
 
 
 def test_the_response_that_reduction_uses(periodic):
-    assert combined(periodic, "Fx").run == "high"
-    assert combined(periodic, "Fx", "lowest").run == "low"
+    assert response_to_component(periodic, "Fx").run == "high"
+    assert response_to_component(periodic, "Fx", "lowest").run == "low"
     with pytest.raises(UserError, match="no measured response to Mz"):
-        combined(periodic, "Mz")
+        response_to_component(periodic, "Mz")
 
 
 def test_what_is_said_of_the_result(periodic):
-    assert components_of(periodic) == ("Fx",)
+    assert response_components(periodic) == ("Fx",)
     assert 0.99 < least_coherence(periodic)["Fx"] < 1.0
     error = relative_error(RIG, periodic.responses[0].frequency, periodic.responses[0].response)
     assert np.median(relative_sigma(periodic.responses[0])) < 2 * np.median(error)
@@ -110,7 +110,7 @@ def test_components_excited_at_once_are_told_apart_by_as_many_runs():
     assert (response.run, response.estimator, response.level) == ("run-0+run-1", "periodic", (40.0, 40.0))
     # Random phases: at some lines the two runs are nearly alike, and the covariance says so.
     assert np.median(relative_error(BOTH, response.frequency, response.response)) < 2e-3
-    column = one_component(response, "My")
+    column = select_component(response, "My")
     assert column.response[:, :, 0] == pytest.approx(response.response[:, :, 1])
     assert column.load_covariance[:, 0, 0] == pytest.approx(response.load_covariance[:, 1, 1])
     assert scatter(response, BOTH) == pytest.approx(1.0, abs=0.15)

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from balance_cli.calibration.fit import LoadPoints
-from balance_cli.calibration.terms import columns, linear_terms, term_named
+from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.calibration.terms import columns, linear_terms, term_from_name
 from balance_cli.campaign.rig.components import COMPONENTS
 
 CHANNELS = (*(f"g{i + 1}" for i in range(7)), "torque")
 FULL_RANGE = np.array([800.0, 800.0, 3500.0, 400.0, 400.0, 450.0])
-CURVED = {
+NONLINEAR_TERMS = {
     "g1": {"Fz^2": 0.015, "Fx |My|": -0.008},
     "g3": {"Mx My": 0.012},
     "g5": {"Fy|Fy|": -0.02, "|Fx Fz|": 0.006},
@@ -35,11 +35,11 @@ def true_model():
     rng = np.random.default_rng(12)
     straight = rng.normal(size=(8, 6))
     straight[7] = 0.02 * straight[7] + np.eye(6)[5]
-    names = sorted({name for terms in CURVED.values() for name in terms})
-    terms = (*linear_terms(6), *(term_named(name, COMPONENTS) for name in names))
+    names = sorted({name for terms in NONLINEAR_TERMS.values() for name in terms})
+    terms = (*linear_terms(6), *(term_from_name(name, COMPONENTS) for name in names))
     b = np.zeros((len(terms), 8))
     b[:6] = straight.T
-    for channel, curved in CURVED.items():
+    for channel, curved in NONLINEAR_TERMS.items():
         for name, value in curved.items():
             b[6 + names.index(name), CHANNELS.index(channel)] = value
     return terms, b
@@ -52,6 +52,6 @@ def stand_points(seed=0, noise=NOISE):
     terms, b = true_model()
     zeros = 0.01 * rng.normal(size=(sequence[-1] + 1, 8))
     read = columns(terms, x) @ b + zeros[sequence] + noise * rng.normal(size=(len(x), 8))
-    return LoadPoints(
+    return CalibrationPoints(
         CHANNELS, COMPONENTS, ("stand",), read, x * FULL_RANGE, np.zeros(len(x), int), np.ones(len(x)), FULL_RANGE
     )

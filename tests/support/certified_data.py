@@ -10,7 +10,7 @@ from fractions import Fraction
 
 
 @dataclass(frozen=True)
-class Certified:
+class CertifiedDataset:
     """y (m,) and columns beside the intercept (m, p), exact; coefficients and standard errors, the intercept first."""
 
     y: tuple[Fraction, ...]
@@ -20,9 +20,9 @@ class Certified:
     residual: str
 
 
-def _polynomial(y, x, degree, coefficients, sigma, residual) -> Certified:
+def _polynomial_dataset(y, x, degree, coefficients, sigma, residual) -> CertifiedDataset:
     X = tuple(tuple(one**k for k in range(1, degree + 1)) for one in x)
-    return Certified(tuple(y), X, tuple(coefficients), tuple(sigma), residual)
+    return CertifiedDataset(tuple(y), X, tuple(coefficients), tuple(sigma), residual)
 
 
 LONGLEY = """
@@ -93,25 +93,25 @@ FILIP_SIGMA = """
 """
 
 
-def _longley() -> Certified:
+def _longley() -> CertifiedDataset:
     rows = [[Fraction(word) for word in line.split()] for line in LONGLEY.split("\n") if line]
     y, X = tuple(row[0] for row in rows), tuple(tuple(row[1:]) for row in rows)
-    return Certified(y, X, tuple(LONGLEY_VALUES.split()), tuple(LONGLEY_SIGMA.split()), "304.854073561965")
+    return CertifiedDataset(y, X, tuple(LONGLEY_VALUES.split()), tuple(LONGLEY_SIGMA.split()), "304.854073561965")
 
 
-def _filip() -> Certified:
+def _filip() -> CertifiedDataset:
     y, x = ([Fraction(word) for word in words.split()] for words in (FILIP_Y, FILIP_X))
-    return _polynomial(y, x, 10, FILIP_VALUES.split(), FILIP_SIGMA.split(), "0.334801051324544E-02")
+    return _polynomial_dataset(y, x, 10, FILIP_VALUES.split(), FILIP_SIGMA.split(), "0.334801051324544E-02")
 
 
-def _wampler(coefficients: str, times: int, residual: str) -> Certified:
+def _wampler(coefficients: str, times: int, residual: str) -> CertifiedDataset:
     """Standard errors are zero where the polynomial is exact."""
     x = [Fraction(k) for k in range(21)]
     b = [Fraction(word) for word in coefficients.split()]
     added = [times * Fraction(word) for word in WAMPLER.split()]
     y = [sum(c * one**k for k, c in enumerate(b)) + more for one, more in zip(x, added, strict=True)]
     sigma = [f"{word}E{len(str(times)) - 1}" if times else "0" for word in WAMPLER_SIGMA.split()]
-    return _polynomial(y, x, 5, coefficients.split(), sigma, residual)
+    return _polynomial_dataset(y, x, 5, coefficients.split(), sigma, residual)
 
 
 ONES = "1 1 1 1 1 1"

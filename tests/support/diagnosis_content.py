@@ -18,7 +18,7 @@ from balance_cli.diagnosis.result import (
     ResidualMap,
     RunErrors,
     Trial,
-    Untestable,
+    UntestableEffect,
 )
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
@@ -26,7 +26,7 @@ from balance_cli.model.fitted_effects import FittedParameter
 from tests.support.report_content import model
 
 
-def support() -> FoundEffect:
+def support_effect() -> FoundEffect:
     """A strong effect, which another one could stand for."""
     return FoundEffect(
         name="support-flexibility",
@@ -42,7 +42,7 @@ def support() -> FoundEffect:
     )
 
 
-def delay() -> FoundEffect:
+def delay_effect() -> FoundEffect:
     """A weaker one, alone."""
     return FoundEffect(
         name="time-delay",
@@ -99,13 +99,13 @@ def diagnosis(verdict: str = EXPLAINED, **changes: object) -> Diagnosis:
     made = Diagnosis(
         geometry=first.geometry,
         verdict=verdict,
-        effects=(support(), delay()),
+        effects=(support_effect(), delay_effect()),
         trials=trials(),
         tests=(
             ModelFreeTest("two channels of one cell", "z1", 812.0, 120.0, 1e-99, "z1.piezo is 0.25 ms late"),
             ModelFreeTest("low level against high", "Fx", 118.0, 120.0, 0.53, "alike"),
         ),
-        not_testable=(Untestable("gyroscopic-coupling", "all runs are at rest; sweep with a spinning rotor"),),
+        not_testable=(UntestableEffect("gyroscopic-coupling", "all runs are at rest; sweep with a spinning rotor"),),
         chi2_per_dof_before=2300.0,
         chi2_per_dof_after=1.04,
         frf_error_before=0.07,
@@ -119,14 +119,14 @@ def diagnosis(verdict: str = EXPLAINED, **changes: object) -> Diagnosis:
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
-def engine_module(engine: Engine | None = None) -> ModuleType:
+def fake_diagnose_module(engine: FakeDiagnose | None = None) -> ModuleType:
     """A module to stand for `balance_cli.steps.diagnose` while a command is tested."""
     module = ModuleType("balance_cli.steps.diagnose")
-    module.diagnose = engine or Engine()  # type: ignore[attr-defined]
+    module.diagnose = engine or FakeDiagnose()  # type: ignore[attr-defined]
     return module
 
 
-class Engine:
+class FakeDiagnose:
     """Stands for the loop: closes any model with itself, and remembers what it was given."""
 
     def __init__(self, verdict: str = EXPLAINED) -> None:

@@ -14,11 +14,11 @@ from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.likelihood import data_chi2, data_curvature, exciter_response
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import Batch, stacked
+from balance_cli.estimation.measurements import Batch, stack_runs
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.effects import Effect
 from balance_cli.model.placed_effects import needs_mean
-from balance_cli.model.system import System, output_slopes, response, solve
+from balance_cli.model.system import System, output_jacobian, response, solve
 from balance_cli.simulation import (
     NO_NOISE,
     CampaignPlan,
@@ -30,7 +30,7 @@ from balance_cli.simulation import (
     simulate_run,
     true_rig,
 )
-from balance_cli.simulation.plans import HIGH, statics
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, statics
 from balance_cli.steps.identify import identified_effects, identify
 from tests.support.rigs import rotor_balance
 
@@ -45,7 +45,7 @@ def _rig():
 
 
 RIG = _rig()
-WEIGHED = RIG.model_copy(
+KNOWN_MASS_RIG = RIG.model_copy(
     update={"tolerances": RIG.tolerances.model_copy(update={"mass": 0.0, "centre_of_gravity": 0.0, "inertia": 0.0})}
 )
 """The same with a moving part of which mass, centre of gravity and inertia are known."""
@@ -55,19 +55,19 @@ FREQUENCY = np.linspace(3.0, 149.0, 37)
 # ---- at the null, and slopes -----------------------------------------------------------------------------------------
 
 
-def model_with(effect, where, at_null):
+def model_with_effect(effect, where, at_null):
     """The rig with the effect, its parameters at their nulls or a good way from them."""
     parameters = {}
     for one in effect.parameters(RIG, where):
-        fitted = one.fitted_start if one.secondary else one.fitted_null + (0.0 if at_null else one.fitted_scale)
-        value = one.natural(fitted)
+        fitted = one.fitted_start if one.nuisance else one.fitted_null + (0.0 if at_null else one.fitted_scale)
+        value = one.physical_value(fitted)
         if np.isfinite(value):
             parameters[one.name] = float(value)
     declared = DeclaredEffect(name=effect.name, where=where, parameters=parameters)
-    return balance_model(RIG.model_copy(update={"effects": (declared,)})).all_free()
+    return balance_model(RIG.model_copy(update={"effects": (declared,)})).free_all_parameters()
 
 
-def measured(system):
+def measured_response(system):
     return exciter_response(system, solve(system, FREQUENCY, SPIN))
 
 
@@ -83,46 +83,48 @@ def batches() -> tuple[Batch, ...]:
     """Two sweeps and a static run of the rig as declared, with noise, means and waveforms."""
     runs, _ = simulate_campaign(true_rig(RIG), short_plan().only(["sweep-Fx", "sweep-Fz", "static-trim"]), seed=2)
     spectra = measured_spectra(runs, RIG, means=True)
-    return stacked(spectra.lines, spectra.statics, RIG.channel_names)
+    return stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
 
 
 def check_null(effect, where):
     """At its null the effect leaves every response, and the likelihood of measured lines, as it is."""
-    rigid, null = balance_model(RIG).system(), model_with(effect, where, True).system()
-    np.testing.assert_allclose(measured(null), measured(rigid), rtol=1e-8, atol=1e-14)
+    rigid, null = balance_model(RIG).system(), model_with_effect(effect, where, True).system()
+    np.testing.assert_allclose(measured_response(null), measured_response(rigid), rtol=1e-8, atol=1e-14)
     np.testing.assert_allclose(data_chi2(batches(), null), data_chi2(batches(), rigid), rtol=1e-6)
 
 
 def check_change(effect, where):
     """Away from its null it does not: one or the other is changed."""
-    rigid, changed = balance_model(RIG).system(), model_with(effect, where, False).system()
-    one, other = measured(rigid), measured(changed)
+    rigid, changed = balance_model(RIG).system(), model_with_effect(effect, where, False).system()
+    one, other = measured_response(rigid), measured_response(changed)
     in_response = np.abs(other - one).max() > 1e-6 * np.abs(one).max()
     assert in_response or abs(data_chi2(batches(), changed) - data_chi2(batches(), rigid)) > 0.1
 
 
-def check_slopes(effect, where):
+def check_derivatives(effect, where):
     """Slopes of the response by all of its parameters, and by some of the rig's, are the derivatives."""
-    model = model_with(effect, where, False)
+    model = model_with_effect(effect, where, False)
     theta, scale = model.parameters.value, model.parameters.scale
     system = model.system(theta)
     rng = np.random.default_rng(0)
     loads = rng.standard_normal((len(FREQUENCY), 6)) + 1j * rng.standard_normal((len(FREQUENCY), 6))
     solution = solve(system, FREQUENCY, SPIN)
-    slopes = output_slopes(system, solution, np.arange(len(FREQUENCY)), loads @ system.spill.value.T)
-    slopes = slopes + response(system, solution) @ np.einsum("pij,kj->kip", system.spill.slope, loads)
+    slopes = output_jacobian(system, solution, np.arange(len(FREQUENCY)), loads @ system.exciter_cross_axis.value.T)
+    slopes = slopes + response(system, solution) @ np.einsum("pij,kj->kip", system.exciter_cross_axis.derivative, loads)
     rigid = [model.parameters.index("stiffness.z1"), model.parameters.index("centre_of_gravity.z")]
     for i in [*own_parameters(model, effect), *rigid]:
         step = 1e-5 * scale[i] * np.eye(len(theta))[i]
-        above, below = (np.einsum("kcj,kj->kc", measured(model.system(theta + s)), loads) for s in (step, -step))
+        above, below = (
+            np.einsum("kcj,kj->kc", measured_response(model.system(theta + s)), loads) for s in (step, -step)
+        )
         numerical = (above - below) / (2e-5 * scale[i])
         size = max(np.abs(numerical).max(), 1e-9 * np.abs(above).max() / scale[i])
         np.testing.assert_allclose(slopes[:, :, i], numerical, atol=1e-4 * size, err_msg=model.parameters.names[i])
 
 
-def check_likelihood_slopes(effect, where):
+def check_likelihood_derivatives(effect, where):
     """The same of the likelihood of measured lines."""
-    model = model_with(effect, where, False)
+    model = model_with_effect(effect, where, False)
     theta, scale = model.parameters.value, model.parameters.scale
     gradient = 2.0 * data_curvature(batches(), model.system(theta)).gradient
     for i in [*own_parameters(model, effect), model.parameters.index("stiffness.z1")]:
@@ -139,17 +141,19 @@ def campaign(*components, spinning=False, periods=14, period=1.0):
     """Two static runs and a sweep of each of the components (all); `spinning`: two more with the rotor turning."""
     length = {"period": period, "periods": periods}
     sweeps = [
-        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(HIGH[name],), **length)
+        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(HIGH_SWEEP_LEVELS[name],), **length)
         for name in components or COMPONENTS
     ]
     if spinning:
         turning = {**length, "rotor_speed": SPIN}
-        sweeps += [SweepPlan(run=f"spin-{n}", excited=(n,), level=(HIGH[n],), **turning) for n in ("Mx", "My")]
+        sweeps += [
+            SweepPlan(run=f"spin-{n}", excited=(n,), level=(HIGH_SWEEP_LEVELS[n],), **turning) for n in ("Mx", "My")
+        ]
     return CampaignPlan(runs=(*statics(), *sweeps))
 
 
 @dataclass(frozen=True)
-class Truth:
+class TrueEffect:
     """An effect that a rig truly has: parameters as the simulation knows them, and how the rig gets it.
 
     `declared` is what a user declares of the effect to begin with; `bias`: the share of each parameter by which the
@@ -170,10 +174,10 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Recovery:
+class EffectRecovery:
     """What identification makes of a simulated campaign, without and with the effect."""
 
-    truth: Truth
+    truth: TrueEffect
     without: IdentifiedModel
     found: IdentifiedModel
     response_error: float
@@ -184,7 +188,7 @@ class Recovery:
         return self.without.quality.chi2 - self.found.quality.chi2
 
     @property
-    def departures(self) -> dict[str, float]:
+    def normalized_errors(self) -> dict[str, float]:
         """Error of each parameter over its sigma, the known bias added to that; infinite where there is no sigma."""
         (effect,) = identified_effects(self.found)
         true = {item.name: float(self.truth.parameters.get(item.name, 0.0)) for item in effect.parameters}
@@ -196,7 +200,7 @@ class Recovery:
         }
 
 
-def recovered(name: str, truth: Truth, seed: int) -> Recovery:
+def recover_effect(name: str, truth: TrueEffect, seed: int) -> EffectRecovery:
     """Draw a rig, give it the effect, simulate, and identify the rig without and with it."""
     geometry, rig = truth.geometry, draw_rig(truth.geometry, np.random.default_rng(seed))
     # A mode of a tenth of a per cent would ring through the whole of so short a record.
@@ -209,7 +213,7 @@ def recovered(name: str, truth: Truth, seed: int) -> Recovery:
     spectra = measured_spectra(runs, with_effect)
     found = identify(spectra, with_effect)
     error = response_error(found, rig if shows_in_response(with_effect) else rigid, truth.spin)
-    return Recovery(truth, identify(spectra, geometry), found, error)
+    return EffectRecovery(truth, identify(spectra, geometry), found, error)
 
 
 def shows_in_response(geometry: Geometry) -> bool:
@@ -218,8 +222,8 @@ def shows_in_response(geometry: Geometry) -> bool:
 
 
 @lru_cache(maxsize=1)
-def _held_out() -> SweepPlan:
-    levels = tuple(HIGH[name] for name in COMPONENTS)
+def _hold_out_plan() -> SweepPlan:
+    levels = tuple(HIGH_SWEEP_LEVELS[name] for name in COMPONENTS)
     return SweepPlan(run="held-out", excited=COMPONENTS, level=levels, period=3.0, periods=8)
 
 
@@ -228,8 +232,8 @@ def response_error(model: IdentifiedModel, rig: TrueRig, spin: float) -> float:
 
     Its last period is steady: what is recorded there is the rig's true response, whatever effect it has.
     """
-    run, _ = simulate_run(rig, _held_out().model_copy(update={"rotor_speed": spin}), NO_NOISE)
-    return response_difference(identified_system(model), run, _held_out().period, spin)
+    run, _ = simulate_run(rig, _hold_out_plan().model_copy(update={"rotor_speed": spin}), NO_NOISE)
+    return response_difference(identified_system(model), run, _hold_out_plan().period, spin)
 
 
 def response_difference(system: System, run: Run, period: float, spin: float) -> float:
@@ -243,17 +247,17 @@ def response_difference(system: System, run: Run, period: float, spin: float) ->
     return float(np.linalg.norm(error) / np.linalg.norm(Y[lines]))
 
 
-def check_recovery(found: Recovery, response_limit: float = 4e-4):
+def check_recovery(found: EffectRecovery, response_limit: float = 4e-4):
     """The effect explains the campaign, and its parameters are found within their sigma."""
     assert found.found.converged
     assert found.gain > 300.0
     assert 0.9 < found.found.quality.chi2_per_dof < 1.15
     assert found.response_error < response_limit
-    assert set(found.departures) >= {
+    assert set(found.normalized_errors) >= {
         name for name, value in found.truth.parameters.items() if not isinstance(value, str)
     }
-    assert all(np.isfinite(departure) for departure in found.departures.values()), found.departures
-    assert all(abs(departure) < 4.0 for departure in found.departures.values()), found.departures
+    assert all(np.isfinite(departure) for departure in found.normalized_errors.values()), found.normalized_errors
+    assert all(abs(departure) < 4.0 for departure in found.normalized_errors.values()), found.normalized_errors
 
 
 def check_same_system(model: IdentifiedModel, loaded: IdentifiedModel, spin: float = SPIN):

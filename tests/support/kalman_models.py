@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.reduction.kalman.discretization import SampledModel
-from balance_cli.reduction.kalman.riccati import accumulated
-from balance_cli.reduction.kalman.segments import Filters, Stretch
+from balance_cli.reduction.kalman.riccati import discrete_gramian
+from balance_cli.reduction.kalman.segments import RunFilters, Segment
 from balance_cli.reduction.kalman.steady_filter import SteadyFilter
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ def small_model(seed: int = 1) -> SampledModel:
 
 
 @dataclass(frozen=True)
-class StillCoast:
+class TimeInvariantPredictor:
     """Gaps of a model that does not change with time."""
 
     F: Array
@@ -42,19 +42,23 @@ class StillCoast:
         return self.F.T @ rho
 
 
-def filters_of(model: SampledModel, stretches: tuple[Stretch, ...]) -> Filters:
+def steady_filters(model: SampledModel, segments: tuple[Segment, ...]) -> RunFilters:
     """The steady filter for each set of channels, and the stationary covariance to begin with."""
-    engines = {
-        s.channels: SteadyFilter(model.seen_by(np.eye(len(model.H))[list(s.channels)])) for s in stretches if s.channels
+    channel_filters = {
+        s.channels: SteadyFilter(model.with_channels(np.eye(len(model.H))[list(s.channels)]))
+        for s in segments
+        if s.channels
     }
-    return Filters(engines, StillCoast(model.F), model.Q, accumulated(model.F.T, model.Q), model.U)
+    return RunFilters(
+        channel_filters, TimeInvariantPredictor(model.F), model.Q, discrete_gramian(model.F.T, model.Q), model.U
+    )
 
 
-def drawn(model: SampledModel, samples: int, seed: int = 0) -> tuple[Array, Array]:
+def draw_samples(model: SampledModel, samples: int, seed: int = 0) -> tuple[Array, Array]:
     """Channels (n, c) and outputs (n, o) of a stationary model, drawn at random."""
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(model.Q + 1e-15 * np.eye(model.order))
-    x = np.linalg.cholesky(accumulated(model.F.T, model.Q)) @ rng.standard_normal(model.order)
+    x = np.linalg.cholesky(discrete_gramian(model.F.T, model.Q)) @ rng.standard_normal(model.order)
     y, u = np.empty((samples, len(model.H))), np.empty((samples, len(model.U)))
     for k in range(samples):
         y[k], u[k] = model.H @ x + rng.standard_normal(len(model.H)), model.U @ x
@@ -62,7 +66,7 @@ def drawn(model: SampledModel, samples: int, seed: int = 0) -> tuple[Array, Arra
     return y, u
 
 
-def conditioned(
+def condition_on_samples(
     model: SampledModel, y: Array, read: NDArray[np.bool_], until: Array | None = None
 ) -> tuple[Array, Array]:
     """Mean and variance (n, o) of the outputs given the samples of y (n, c) that were `read`, by dense algebra.
@@ -70,7 +74,7 @@ def conditioned(
     `until` (n,): the last sample that each output may know; all by default.
     """
     n, N = len(y), model.order
-    X = accumulated(model.F.T, model.Q)
+    X = discrete_gramian(model.F.T, model.Q)
     powers = np.stack([np.linalg.matrix_power(model.F, k) for k in range(n)])
     states = np.empty((n, N, n, N))
     for i in range(n):

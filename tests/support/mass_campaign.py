@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.search.candidates import candidate_at
-from balance_cli.diagnosis.search.point_mass import well_placed
-from balance_cli.diagnosis.search.score_statistics import extended, with_candidates
-from balance_cli.diagnosis.selection.fit import fitted
+from balance_cli.diagnosis.search.point_mass import place_mass_candidates
+from balance_cli.diagnosis.search.score_statistics import add_candidates, extend_model
+from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import stacked
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH, statics
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, statics
 from balance_cli.simulation.rig import apply_effects
 from tests.support.rigs import rotor_balance
 
@@ -33,28 +33,28 @@ class Campaign:
         rig = apply_effects(true_rig(DECLARED), [DeclaredEffect(name="added-mass", parameters={"mass": mass, **at})])
         sweeps = (
             SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=8)
-            for name, level in HIGH.items()
+            for name, level in HIGH_SWEEP_LEVELS.items()
         )
         runs, _ = simulate_campaign(rig, CampaignPlan(runs=(*statics(), *sweeps)), seed=seed)
         spectra = measured_spectra(runs, geometry, means=True)
         self.geometry, self.mass = geometry, mass
-        self.batches = stacked(spectra.lines, spectra.statics, geometry.channel_names)
+        self.batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
         model = balance_model(geometry)
-        self.fit = fitted(model, model.parameters.value, self.batches)
+        self.fit = fit_all_lines(model, model.parameters.value, self.batches)
 
     def placed(self):
         """The candidate, begun where a mass gains most."""
         one = candidate_at("added-mass", (), self.geometry)
-        return well_placed([one], self.fit.model, self.fit.theta, self.batches)[0]
+        return place_mass_candidates([one], self.fit.model, self.fit.theta, self.batches)[0]
 
     def begun_at(self, number):
         """The model with the mass in it, and where it begins: no mass, at the place of this start."""
-        return extended(self.fit.model, self.fit.theta, with_candidates(self.geometry, [(self.placed(), number)]))
+        return extend_model(self.fit.model, self.fit.theta, add_candidates(self.geometry, [(self.placed(), number)]))
 
     def fit_from_the_truth(self):
         model, theta = self.begun_at(0)
         theta[mass_and_place(model)] = (self.mass, *PLACE)
-        return fitted(model, theta, self.batches)
+        return fit_all_lines(model, theta, self.batches)
 
 
 def mass_and_place(model):

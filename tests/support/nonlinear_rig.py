@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from balance_cli.calibration.terms import Term, columns, term_named
+from balance_cli.calibration.terms import Term, columns, term_from_name
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.signals.harmonics import Harmonics
@@ -13,7 +13,7 @@ from tests.support.static_runs import AMPLITUDE, C0, RIG, loading
 
 NAMES = tuple(channel.name for channel in RIG.channels if channel.measures_dc)
 # What a channel has besides its straight part [V at full range]: half a per cent, or so.
-CURVES = {
+NONLINEAR_PARTS = {
     ("Fz^2", "z1.strain"): 0.008,
     ("Fz^2", "z2.strain"): 0.008,
     ("Fz|Fz|", "z3.strain"): -0.006,
@@ -29,8 +29,8 @@ def readings(loads):
     """Readings (m, 8) beyond the zero of loads (m, 6)."""
     loads = np.atleast_2d(loads)
     volts = loads @ C0.T
-    for (term, channel), size in CURVES.items():
-        volts[:, NAMES.index(channel)] += size * values(term_named(term, COMPONENTS), loads)
+    for (term, channel), size in NONLINEAR_PARTS.items():
+        volts[:, NAMES.index(channel)] += size * values(term_from_name(term, COMPONENTS), loads)
     return volts
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 
 from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.signals.run_spectrum import Lines
+from balance_cli.signals.run_spectrum import RunSpectrum
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def velocity_rows(arm: np.ndarray) -> np.ndarray:
     return rows
 
 
-def plate(geometry: Geometry) -> Plate:
+def make_plate(geometry: Geometry) -> Plate:
     masses = [body.mass for body in geometry.bodies]
     centre = np.average([body.position for body in geometry.bodies], axis=0, weights=masses)
     spin = np.zeros((3, 6))
@@ -92,7 +92,7 @@ def sweep(
     load_noise: float = 0.0,
     seed: int = 0,
     name: str = "",
-) -> Lines:
+) -> RunSpectrum:
     """Lines of one run with the given load amplitudes (random phases), with white noise of known power.
 
     `force_noise` [N] is the rms of each cell's noise, `load_noise` that of each load; noise is circular.
@@ -110,7 +110,7 @@ def sweep(
     sigma = np.concatenate([np.abs(gains) * force_noise, np.full_like(u.real, load_noise)], axis=1)
     noise = sigma * (rng.standard_normal(sigma.shape) + 1j * rng.standard_normal(sigma.shape)) / np.sqrt(2)
     c = len(chosen)
-    return Lines(
+    return RunSpectrum(
         run=name or "sweep-" + "-".join(loads),
         channel_names=chosen,
         components=tuple(loads),
@@ -122,6 +122,8 @@ def sweep(
     )
 
 
-def sweeps(truth: Plate, components: tuple[str, ...], frequency: np.ndarray, seed: int = 0, **more) -> list[Lines]:
+def sweeps(
+    truth: Plate, components: tuple[str, ...], frequency: np.ndarray, seed: int = 0, **more
+) -> list[RunSpectrum]:
     """One run for each component, unit loads."""
     return [sweep(truth, {c: 1.0}, frequency, seed=100 * seed + i, **more) for i, c in enumerate(components)]

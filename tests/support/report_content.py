@@ -16,8 +16,8 @@ from balance_cli.io.artefacts import Artefact, Input, Provenance
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
 from balance_cli.model.system import response, solve
-from balance_cli.reduction.result import CheckErrors, Loads, RunLoads
-from balance_cli.signals.run_spectrum import Response
+from balance_cli.reduction.result import CheckErrors, HubLoads, RunLoads
+from balance_cli.signals.run_spectrum import FrequencyResponse
 from balance_cli.signals.transfer import Transfer
 from balance_cli.steps.calibrate import calibrate
 from tests.support.rigs import rotor_balance
@@ -75,7 +75,7 @@ def model(method: str = "ls+ml", scale: float = 0.0, chi2_per_dof: float = 1.0, 
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
-def measured(component: str, level: float, geometry: Geometry | None = None) -> Response:
+def measured(component: str, level: float, geometry: Geometry | None = None) -> FrequencyResponse:
     """The exact response of the declared rig, said to have noise of NOISE on every channel, as a force."""
     geometry = geometry or rotor_balance()
     system = balance_model(geometry).system()
@@ -84,7 +84,7 @@ def measured(component: str, level: float, geometry: Geometry | None = None) -> 
     k, c, _ = T.shape
     covariance = np.broadcast_to(np.diag((NOISE * sensitivity) ** 2), (k, c, c)).astype(complex)
     coherence = np.full((k, c, 1), 0.9999)
-    return Response(
+    return FrequencyResponse(
         run=f"sweep-{component}-{level:g}",
         channel_names=geometry.channel_names,
         components=(component,),
@@ -106,7 +106,7 @@ def transfer(components: tuple[str, ...] = ("Fx", "Mz")) -> Transfer:
 
 def loads(
     response_words: str = "static matrix", error: float = 0.5, redundancy: float = 1.0, **changes: object
-) -> Loads:
+) -> HubLoads:
     """Two check runs (Fx and Fz, then Fz applied) and one wind run."""
     runs = {
         "check-1": _run(
@@ -129,7 +129,7 @@ def loads(
         ),
         "wind-1": _run("wind-1", response_words, redundancy, None),
     }
-    return replace(Loads("harmonic", response_words, rotor_balance(), runs), **changes)  # type: ignore[arg-type]
+    return replace(HubLoads("harmonic", response_words, rotor_balance(), runs), **changes)  # type: ignore[arg-type]
 
 
 def _run(name: str, words: str, redundancy: float, check: CheckErrors | None) -> RunLoads:

@@ -48,6 +48,6 @@ def two_degrees_of_freedom() -> Geometry:
     )
 
 
-def angular(frequency_hz: object) -> np.ndarray:
+def angular_frequency(frequency_hz: object) -> np.ndarray:
     """2 pi f."""
     return 2 * np.pi * np.asarray(frequency_hz, float)

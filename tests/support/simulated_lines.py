@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from balance_cli.signals.run_spectrum import Lines, StaticPoints
+from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 from tests.support.rigs import rotor_balance
 
 RIG = rotor_balance()
@@ -29,7 +29,7 @@ def forces(component: str, frequency: np.ndarray, modes: np.ndarray = MODES) -> 
     return (1.0 / (1.0 - ratio**2 + 2j * DAMPING * ratio)) @ shapes(component)
 
 
-def declared(name: str, frequency: np.ndarray) -> np.ndarray:
+def declared_gain(name: str, frequency: np.ndarray) -> np.ndarray:
     """The gain (k,) of a channel as its geometry says."""
     channel = RIG.channels[NAMES.index(name)]
     s = 2j * np.pi * np.asarray(frequency)
@@ -45,7 +45,7 @@ def response(component: str, frequency: np.ndarray, modes: np.ndarray = MODES) -
     """Response (k, c) [V/N] of all channels."""
     force = forces(component, frequency, modes)
     springs = [SPRINGS.index(channel.cell) for channel in RIG.channels]
-    return force[:, springs] * np.stack([declared(name, frequency) for name in NAMES], axis=1)
+    return force[:, springs] * np.stack([declared_gain(name, frequency) for name in NAMES], axis=1)
 
 
 def noise_covariance(u: int, rng: np.random.Generator) -> np.ndarray:
@@ -58,13 +58,13 @@ def noise_covariance(u: int, rng: np.random.Generator) -> np.ndarray:
     return covariance
 
 
-def circular(rng: np.random.Generator, covariance: np.ndarray, count: int) -> np.ndarray:
+def circular_noise(rng: np.random.Generator, covariance: np.ndarray, count: int) -> np.ndarray:
     root = np.linalg.cholesky(covariance)
     white = rng.normal(size=(count, len(root))) + 1j * rng.normal(size=(count, len(root)))
     return white @ root.T / np.sqrt(2)
 
 
-def swept(
+def swept_lines(
     component: str = "Fz",
     level: float = 10.0,
     seed: int = 0,
@@ -73,7 +73,7 @@ def swept(
     dof: float = np.inf,
     noise: float = 1.0,
     **changes: object,
-) -> Lines:
+) -> RunSpectrum:
     """One sweep; `changed` {channel: factor (k,)}. With finite `dof` the covariance is an estimate from as many."""
     rng = np.random.default_rng(seed)
     U = level * np.exp(2j * np.pi * rng.random((len(FREQUENCY), 1)))
@@ -81,11 +81,11 @@ def swept(
     for name, factor in (changed or {}).items():
         Y[:, NAMES.index(name)] *= factor
     covariance = noise**2 * noise_covariance(1, rng)
-    z = np.concatenate([Y, U], axis=1) + circular(rng, covariance, len(FREQUENCY))
+    z = np.concatenate([Y, U], axis=1) + circular_noise(rng, covariance, len(FREQUENCY))
     if np.isfinite(dof):
-        sample = circular(rng, covariance, int(dof))
+        sample = circular_noise(rng, covariance, int(dof))
         covariance = sample.T @ sample.conj() / dof
-    lines = Lines(
+    lines = RunSpectrum(
         run=f"sweep-{component}-{level:g}-{seed}",
         channel_names=NAMES,
         components=(component,),

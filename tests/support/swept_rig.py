@@ -97,7 +97,7 @@ def multisine(samples: int, rate: float, components: int, seed: int) -> np.ndarr
     return 40.0 * x / x.std(axis=0)
 
 
-def beside_a_mode(frequency: np.ndarray, reach: float) -> np.ndarray:
+def near_mode(frequency: np.ndarray, reach: float) -> np.ndarray:
     """Whether each frequency is within `reach` [Hz] of a mode."""
     return np.min(np.abs(np.asarray(frequency)[:, None] - np.array(MODES)), axis=1) < reach
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.model.parameters import ParameterSet
-from balance_cli.model.system import output_slopes, response, solve
+from balance_cli.model.system import output_jacobian, response, solve
 from balance_cli.simulation.assembly import equations_of_motion
 from balance_cli.simulation.response import force_matrix, input_matrix, state_matrix
 from balance_cli.simulation.rig import TrueRig
@@ -66,7 +66,7 @@ def response_errors(rig: TrueRig, model: IdentifiedModel) -> tuple[Array, Array]
     for j in range(6):
         loads = np.zeros((len(BAND), 6), complex)
         loads[:, j] = 1.0
-        J = output_slopes(system, solution, np.arange(len(BAND)), loads)
+        J = output_jacobian(system, solution, np.arange(len(BAND)), loads)
         variance = np.real(np.einsum("kcp,pq,kcq->k", J, covariance, J.conj(), optimize=True))
         predicted[:, j] = np.sqrt(variance) / size[:, j]
     return error, predicted

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.reduction.response_sources import Readings, selected
+from balance_cli.reduction.response_sources import ChannelCombination, select_channels
 from balance_cli.simulation.rig import TrueRig
 from tests.support.truth import true_response
 
@@ -23,9 +23,9 @@ class TruthSource:
     slowest_decay: float
     description: str = "true response"
 
-    def readings(self, frequency: Array, live: tuple[str, ...]) -> Readings:
+    def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """Rows are the channels."""
-        return selected(self.rig.geometry.channel_names, live, len(frequency))
+        return select_channels(self.rig.geometry.channel_names, live, len(frequency))
 
     def at(self, frequency: Array, spin: float) -> ComplexArray:
         """T of the rig that was simulated."""

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.model.state_space import StateSpace
-from balance_cli.reduction.kalman.augmented_model import MeasuredSystem, first_covariance, sampled_system
+from balance_cli.reduction.kalman.augmented_model import MeasuredSystem, initial_covariance, sampled_system
 from balance_cli.reduction.kalman.discretization import SampledModel
-from balance_cli.reduction.kalman.load_models import Oscillators, Wandering
+from balance_cli.reduction.kalman.load_models import LowPassDrift, Oscillators
 from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters
-from balance_cli.reduction.kalman.segments import Filters, Stretch
+from balance_cli.reduction.kalman.segments import RunFilters, Segment
 from balance_cli.signals.azimuth import Azimuth
 from tests.support.kalman_models import Array
 
 STEP = 1.0 / 200.0
-LAYERS = (Wandering(np.array([0.3, 0.2]), 2.0, 30.0),)
+LAYERS = (LowPassDrift(np.array([0.3, 0.2]), 2.0, 30.0),)
 OSCILLATORS = Oscillators(np.full((2, 2), 0.2), np.full((2, 2), 2.0), (1, 2))
 HELD = np.ones(2)
 
@@ -42,32 +42,32 @@ def small_balance() -> MeasuredSystem:
 SYSTEM = small_balance()
 
 
-def azimuth_of(speed: float, rate: float, duration: float) -> Azimuth:
+def accelerating_azimuth(speed: float, rate: float, duration: float) -> Azimuth:
     """Of a rotor at `speed` [Hz] at first that gains `rate` [Hz/s]; a little longer than the record at either end."""
     turns = np.arange(int((speed + rate * duration / 2) * duration) + 4.0)
     time = turns / speed if rate == 0.0 else (np.sqrt(speed**2 + 2 * rate * turns) - speed) / rate
     return Azimuth(time - 0.5 / speed, turns.astype(np.int64))
 
 
-def locked_filters(azimuth: Azimuth, samples: int) -> tuple[Filters, tuple[Stretch, ...]]:
+def locked_filters(azimuth: Azimuth, samples: int) -> tuple[RunFilters, tuple[Segment, ...]]:
     """The filters that follow this azimuth, for all channels."""
-    stretches = (Stretch(0, samples, (0, 1, 2)),)
-    return azimuth_locked_filters(SYSTEM, LAYERS, OSCILLATORS, HELD, azimuth, stretches), stretches
+    segments = (Segment(0, samples, (0, 1, 2)),)
+    return azimuth_locked_filters(SYSTEM, LAYERS, OSCILLATORS, HELD, azimuth, segments), segments
 
 
-def models_through_time(azimuth: Azimuth, samples: int) -> list[SampledModel]:
+def time_varying_models(azimuth: Azimuth, samples: int) -> list[SampledModel]:
     """From each sample to the next the model of the mean speed in between."""
-    count = azimuth.count_beyond(np.arange(samples + 1) * STEP)
+    count = azimuth.extrapolated_count(np.arange(samples + 1) * STEP)
     return [sampled_system(SYSTEM, [*LAYERS, OSCILLATORS.at(speed)]) for speed in np.diff(count) / STEP]
 
 
-def prior_of(azimuth: Azimuth) -> Array:
+def prior_covariance(azimuth: Azimuth) -> Array:
     """What is known before the first sample."""
-    starting = OSCILLATORS.stationary().at(float(azimuth.speed(azimuth.first)))
-    return first_covariance(SYSTEM, [*LAYERS, starting], HELD)
+    starting = OSCILLATORS.with_stationary_drift().at(float(azimuth.speed(azimuth.first)))
+    return initial_covariance(SYSTEM, [*LAYERS, starting], HELD)
 
 
-def drawn_through_time(
+def draw_records(
     models: Sequence[SampledModel], prior: Array, records: int, seed: int = 0
 ) -> tuple[Array, Array, Array]:
     """Channels (r, n, c) in units of their noise, loads (r, n, m) and states (r, n, N) of so many records."""
@@ -87,16 +87,16 @@ def _root(covariance: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Exact:
+class ExactEstimates:
     """Loads and their variances (n, m) given each sample and those before it, and given all."""
 
     updated: Array
     updated_variance: Array
-    smoothed: Array
+    smoothed_estimates: Array
     smoothed_variance: Array
 
 
-def exact_estimates(models: Sequence[SampledModel], prior: Array, y: Array) -> Exact:
+def exact_estimates(models: Sequence[SampledModel], prior: Array, y: Array) -> ExactEstimates:
     """Kalman filter by the recursion of its covariance, then Rauch, Tung and Striebel's smoother, with time-varying
 
     F and Q: textbook formulas, sample by sample.
@@ -117,7 +117,7 @@ def exact_estimates(models: Sequence[SampledModel], prior: Array, y: Array) -> E
         back = P @ models[k].F.T @ np.linalg.pinv(spread, rcond=1e-13, hermitian=True)
         smooth.append((x + back @ (later - ahead), P + back @ (known - spread) @ back.T))
     U = models[0].U
-    return Exact(*_loads(after, U), *_loads(smooth[::-1], U))
+    return ExactEstimates(*_loads(after, U), *_loads(smooth[::-1], U))
 
 
 def _loads(estimates: Sequence[tuple[Array, Array]], U: Array) -> tuple[Array, Array]:

@@ -32,8 +32,8 @@ class TunedMass(Extension):
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the motion of the mass along the direction, against the plate, as a further coordinate."""
-        wide = mechanics.widened(("tuned mass",))
-        carried = wide.plate_point(self.position)
+        wide = mechanics.with_coordinates(("tuned mass",))
+        carried = wide.plate_displacement(self.position)
         # Displacement of the mass: that of its point, and its own along the direction.
         rows = carried.copy()
         rows[:, -1] += np.array(self.direction)
@@ -45,7 +45,7 @@ class TunedMass(Extension):
             wide,
             mass=wide.mass + self.mass * (rows.T @ rows - carried.T @ carried),
             damping=wide.damping + dashpot * np.outer(own, own),
-        ).stiffened(own[None, :], np.array([spring]))
+        ).with_springs(own[None, :], np.array([spring]))
 
 
 @dataclass(frozen=True)

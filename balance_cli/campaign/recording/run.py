@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Block:
+class SampleBlock:
     """Consecutive samples: `start` index, `channels` (m, n_channels) [V], `loads` (m, 6) [N, N m] or None."""
 
     start: int
@@ -24,10 +24,10 @@ class Block:
     loads: Array | None
 
 
-class Source(Protocol):
+class SampleSource(Protocol):
     """Where the samples of a run come from (a file, or memory)."""
 
-    def read(self, start: int, stop: int) -> Block:
+    def read(self, start: int, stop: int) -> SampleBlock:
         """Samples start to stop as float64, channels in the order of `Run.channel_names`."""
         ...
 
@@ -39,23 +39,23 @@ class MemorySource:
     channels: Array
     loads: Array | None
 
-    def read(self, start: int, stop: int) -> Block:
+    def read(self, start: int, stop: int) -> SampleBlock:
         """Samples start to stop."""
         loads = None if self.loads is None else self.loads[start:stop]
-        return Block(start, self.channels[start:stop], loads)
+        return SampleBlock(start, self.channels[start:stop], loads)
 
 
 @dataclass(frozen=True)
 class ExcerptSource:
     """Part of another source, from sample `start` of it on."""
 
-    whole: Source
+    parent_source: SampleSource
     start: int
 
-    def read(self, start: int, stop: int) -> Block:
+    def read(self, start: int, stop: int) -> SampleBlock:
         """Samples start to stop of the part."""
-        block = self.whole.read(self.start + start, self.start + stop)
-        return Block(start, block.channels, block.loads)
+        block = self.parent_source.read(self.start + start, self.start + stop)
+        return SampleBlock(start, block.channels, block.loads)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Run:
     kind: str
     channel_names: tuple[str, ...]
     samples: int
-    source: Source = field(repr=False)
+    source: SampleSource = field(repr=False)
     has_loads: bool = True
     sample_rate: float | None = None
     rotor_speed: float = 0.0
@@ -88,17 +88,17 @@ class Run:
     path: Path | None = None
     digest: str = ""
 
-    def read(self, start: int = 0, stop: int | None = None) -> Block:
+    def read(self, start: int = 0, stop: int | None = None) -> SampleBlock:
         """Samples start to stop (default: all) as one block."""
         return self.source.read(start, self.samples if stop is None else min(stop, self.samples))
 
-    def blocks(self, size: int = 65536) -> Iterator[Block]:
+    def blocks(self, size: int = 65536) -> Iterator[SampleBlock]:
         """All samples, in blocks of at most `size`."""
         for start in range(0, self.samples, size):
             yield self.read(start, start + size)
 
 
-def excerpt(run: Run, start: int, stop: int) -> Run:
+def excerpt_run(run: Run, start: int, stop: int) -> Run:
     """Samples start to stop of a sampled run as a run of its own, with the pulses that fall into it."""
     assert run.sample_rate is not None
     pulses = run.pulse_times
@@ -122,12 +122,12 @@ def pick_channels(channels: Array, present: Sequence[str], names: Sequence[str])
     return picked
 
 
-_ABOUT = {item.name for item in fields(Run)} - {"source", "path", "digest", "pulse_times", "attitude"}
+_DIGESTED_FIELDS = {item.name for item in fields(Run)} - {"source", "path", "digest", "pulse_times", "attitude"}
 
 
 def run_digest(run: Run) -> str:
     """Hex SHA-256 of what the run says of itself and of its samples as float64: not of its path or storage."""
-    about = {name: getattr(run, name) for name in _ABOUT}
+    about = {name: getattr(run, name) for name in _DIGESTED_FIELDS}
     about["pulse_times"] = None if run.pulse_times is None else run.pulse_times.tolist()
     hashed = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
     if run.attitude is not None:

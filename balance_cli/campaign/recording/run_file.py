@@ -12,19 +12,26 @@ from typing import Any
 import h5py
 import numpy as np
 
-from balance_cli.campaign.recording.run import Array, Block, Run, run_digest
-from balance_cli.campaign.recording.run_schema import FORMAT, Contents, Table, declared_run, faults_of, sample_faults
+from balance_cli.campaign.recording.run import Array, Run, SampleBlock, run_digest
+from balance_cli.campaign.recording.run_schema import (
+    FORMAT,
+    DatasetLayout,
+    RunFileContents,
+    load_sample_faults,
+    run_file_faults,
+    run_from_contents,
+)
 from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS, UNITS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.io.atomic import written_whole
+from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
-from balance_cli.io.sniff import is_hdf5, require_file, text_of, what_is
+from balance_cli.io.sniff import attribute_text, describe_file, is_hdf5, require_file
 
 CHUNK_ROWS = 4096
-MOST_ENTRIES = 10_000
+MOST_ATTRIBUTE_ENTRIES = 10_000
 """Entries of an attribute; no rig has so many channels."""
-ATTRIBUTES = (
+RUN_ATTRIBUTES = (
     *("format", "kind", "run", "rig", "sample_rate", "rotor_speed", "excited", "excitation", "level", "period", "trim"),
     *("recorded", "note"),
 )
@@ -37,13 +44,13 @@ class Hdf5Source:
     path: Path
     load_order: tuple[int, ...] | None
 
-    def read(self, start: int, stop: int) -> Block:
+    def read(self, start: int, stop: int) -> SampleBlock:
         """Samples start to stop. UserError where the file can no longer be read."""
-        with damage_as_user_error(self.path), h5py.File(self.path, "r") as file:
+        with report_damage(self.path), h5py.File(self.path, "r") as file:
             channels = np.asarray(file["channels"][start:stop], np.float64)
             if self.load_order is None:
-                return Block(start, channels, None)
-            return Block(start, channels, np.asarray(file["loads"][start:stop], np.float64)[:, self.load_order])
+                return SampleBlock(start, channels, None)
+            return SampleBlock(start, channels, np.asarray(file["loads"][start:stop], np.float64)[:, self.load_order])
 
 
 def open_run(path: Path) -> Run:
@@ -58,13 +65,13 @@ def read_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
     """The run in a file as far as it can be read, and all its faults."""
     path = Path(path)
     try:
-        contents = _contents(path)
-        faults = tuple(faults_of(contents))
+        contents = _read_contents(path)
+        faults = tuple(run_file_faults(contents))
         if faults:
             return None, tuple(fault.at(file=str(path)) for fault in faults)
         order = None if contents.loads is None else tuple(contents.loads.names.index(name) for name in COMPONENTS)
-        run = declared_run(contents, Hdf5Source(path, order), path)
-        faults = tuple(sample_faults(run))
+        run = run_from_contents(contents, Hdf5Source(path, order), path)
+        faults = tuple(load_sample_faults(run))
         return replace(run, digest=run_digest(run)), tuple(fault.at(file=str(path)) for fault in faults)
     except UserError as error:
         return None, (error.at(file=str(path)),)
@@ -92,8 +99,8 @@ def open_runs(
         first = runs.setdefault(run.name, run)
         if first is not run:
             if not skip_bad or run.digest != first.digest:
-                raise _second_of_a_name(run, first)
-            skipped[path] = str(_second_of_a_name(run, first))
+                raise _duplicate_run_error(run, first)
+            skipped[path] = str(_duplicate_run_error(run, first))
     if skipped and not runs:
         raise UserError("no run is left: all were skipped", remedy=f"First reason: {next(iter(skipped.values()))}")
     return tuple(runs.values()), skipped
@@ -101,13 +108,13 @@ def open_runs(
 
 def _matching_run(path: Path, geometry: Geometry) -> Run:
     run = open_run(path)
-    mismatch = next(mismatches(run, geometry), None)
+    mismatch = next(geometry_mismatches(run, geometry), None)
     if mismatch:
         raise mismatch
     return run
 
 
-def mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
+def geometry_mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
     """Why a run does not belong to this geometry."""
     file = str(run.path or run.name)
     if run.rig != geometry.rig:
@@ -118,7 +125,7 @@ def mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
         yield UserError(fault, file, "channels", f"It should have {', '.join(geometry.channel_names)}")
 
 
-def _second_of_a_name(run: Run, first: Run) -> UserError:
+def _duplicate_run_error(run: Run, first: Run) -> UserError:
     if run.digest == first.digest:
         return UserError(f"is a second copy of {first.path}", str(run.path), "run", "Give it once")
     remedy = f"Rename one of them (attribute `run`, now `{run.name}`)"
@@ -130,14 +137,14 @@ def _second_of_a_name(run: Run, first: Run) -> UserError:
 
 def write_run(path: Path, run: Run) -> None:
     """Write a run file, whole or not at all; samples as float32 where that loses nothing, else float64."""
-    with written_whole(Path(path)) as part, h5py.File(part, "w") as file:
+    with atomic_write(Path(path)) as part, h5py.File(part, "w") as file:
         for name, value in _attributes(run).items():
             file.attrs[name] = value
         exact = all(_fits_float32(block.channels) and _fits_float32(block.loads) for block in run.blocks())
         kind = np.float32 if exact else np.float64
-        channels = _create(file, "channels", run.samples, run.channel_names, kind)
+        channels = _create_dataset(file, "channels", run.samples, run.channel_names, kind)
         channels.attrs["unit"] = "V"
-        loads = _create(file, "loads", run.samples, COMPONENTS, kind) if run.has_loads else None
+        loads = _create_dataset(file, "loads", run.samples, COMPONENTS, kind) if run.has_loads else None
         if loads is not None:
             loads.attrs.create("units", UNITS, dtype=h5py.string_dtype())
         for block in run.blocks():
@@ -147,7 +154,7 @@ def write_run(path: Path, run: Run) -> None:
         if run.pulse_times is not None:
             file["rotor/pulse_times"] = run.pulse_times
         if run.attitude is not None:
-            angles = _create(file, "attitude", run.samples, ANGLES, np.float64)
+            angles = _create_dataset(file, "attitude", run.samples, ANGLES, np.float64)
             angles.attrs["unit"] = "deg"
             angles[:] = run.attitude
 
@@ -177,7 +184,7 @@ def _fits_float32(samples: Array | None) -> bool:
     return samples is None or np.array_equal(samples, samples.astype(np.float32), equal_nan=True)
 
 
-def _create(file: h5py.File, name: str, rows: int, columns: tuple[str, ...], kind: type) -> Any:
+def _create_dataset(file: h5py.File, name: str, rows: int, columns: tuple[str, ...], kind: type) -> Any:
     chunk = (min(rows, CHUNK_ROWS), len(columns))
     dataset = file.create_dataset(
         name, (rows, len(columns)), kind, chunks=chunk, compression="gzip", shuffle=True, fletcher32=True
@@ -190,7 +197,7 @@ def _create(file: h5py.File, name: str, rows: int, columns: tuple[str, ...], kin
 
 
 @contextmanager
-def damage_as_user_error(path: Path) -> Iterator[None]:
+def report_damage(path: Path) -> Iterator[None]:
     """Whatever a truncated or damaged HDF5 file makes h5py say, as one UserError."""
     try:
         yield
@@ -200,40 +207,40 @@ def damage_as_user_error(path: Path) -> Iterator[None]:
         raise UserError(fault, str(path), remedy="Copy it again from where it was recorded") from error
 
 
-def _contents(path: Path) -> Contents:
+def _read_contents(path: Path) -> RunFileContents:
     """Everything in a run file but the samples. UserError where it is no run file."""
     require_file(path)
     if not is_hdf5(path):
-        raise _no_run(path)
-    with damage_as_user_error(path), h5py.File(path, "r") as file:
-        attributes = _known_attributes(file, ATTRIBUTES)
+        raise _not_a_run_error(path)
+    with report_damage(path), h5py.File(path, "r") as file:
+        attributes = _read_attributes(file, RUN_ATTRIBUTES)
         if attributes.get("format") != FORMAT:
-            raise _no_run(path)
-        pulses, attitude = file.get("rotor/pulse_times"), _table(file, "attitude", "unit")
-        return Contents(
+            raise _not_a_run_error(path)
+        pulses, attitude = file.get("rotor/pulse_times"), _read_table(file, "attitude", "unit")
+        return RunFileContents(
             attributes,
-            channels=_table(file, "channels", "unit"),
-            loads=_table(file, "loads", "units"),
+            channels=_read_table(file, "channels", "unit"),
+            loads=_read_table(file, "loads", "units"),
             pulse_times=None if pulses is None else np.asarray(pulses[()]),
             attitude=attitude,
             angles=None if attitude is None else np.asarray(file["attitude"][()]),
         )
 
 
-def _no_run(path: Path) -> UserError:
-    return UserError(f"is {what_is(path)}, where a run file (`{FORMAT}`) was expected", remedy="Give a run file")
+def _not_a_run_error(path: Path) -> UserError:
+    return UserError(f"is {describe_file(path)}, where a run file (`{FORMAT}`) was expected", remedy="Give a run file")
 
 
-def _table(file: h5py.File, name: str, units: str) -> Table | None:
+def _read_table(file: h5py.File, name: str, units: str) -> DatasetLayout | None:
     dataset = file.get(name)
     if dataset is None:
         return None
     if not isinstance(dataset, h5py.Dataset):
         raise UserError("is not a dataset", place=name, remedy="Write it as a dataset")
-    found = _known_attributes(dataset, ("names", units))
+    found = _read_attributes(dataset, ("names", units))
     shape = tuple(dataset.shape or ())
-    names, unit = _texts(found.get("names")), _texts(found.get(units))
-    return Table(shape, dataset.dtype.kind, names, unit, _is_complete(dataset, shape))
+    names, unit = _as_texts(found.get("names")), _as_texts(found.get(units))
+    return DatasetLayout(shape, dataset.dtype.kind, names, unit, _is_complete(dataset, shape))
 
 
 def _is_complete(dataset: h5py.Dataset, shape: tuple[int, ...]) -> bool:
@@ -246,27 +253,27 @@ def _is_complete(dataset: h5py.Dataset, shape: tuple[int, ...]) -> bool:
     return bool(stored >= needed)
 
 
-def _known_attributes(item: h5py.File | h5py.Dataset, names: Iterable[str]) -> dict[str, Any]:
+def _read_attributes(item: h5py.File | h5py.Dataset, names: Iterable[str]) -> dict[str, Any]:
     """Those of the named attributes that are there; ValueError where one is longer than any can be (a damaged file)."""
     found = {}
     for name in names:
         if name in item.attrs:
-            if math.prod(item.attrs.get_id(name).shape or ()) > MOST_ENTRIES:
+            if math.prod(item.attrs.get_id(name).shape or ()) > MOST_ATTRIBUTE_ENTRIES:
                 raise ValueError(f"attribute {name} claims too many entries")
-            found[name] = _plain(item.attrs[name])
+            found[name] = _native_value(item.attrs[name])
     return found
 
 
-def _plain(value: Any) -> Any:
+def _native_value(value: Any) -> Any:
     """An attribute as str (what is not UTF-8 replaced), number, or list of several; one entry counts as a scalar."""
     if isinstance(value, bytes | str):
-        return text_of(value)
+        return attribute_text(value)
     if isinstance(value, np.ndarray):
-        entries = [_plain(item) for item in value.ravel().tolist()]
+        entries = [_native_value(item) for item in value.ravel().tolist()]
         return entries[0] if len(entries) == 1 else entries
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _texts(value: Any) -> tuple[str, ...]:
+def _as_texts(value: Any) -> tuple[str, ...]:
     items = [value] if isinstance(value, str) else value
     return tuple(str(item) for item in items) if isinstance(items, list | tuple) else ()

@@ -10,21 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from balance_cli.campaign.recording.run import Array, Run, Source
+from balance_cli.campaign.recording.run import Array, Run, SampleSource
 from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS, EXCITATIONS, RUN_KINDS, UNIT_OF
 from balance_cli.io.errors import UserError
 
 FORMAT = "balance-run/1"
-WITH_LOADS = ("static", "sweep", "check")
-WITH_PULSES = ("check", "wind")
+KINDS_WITH_LOADS = ("static", "sweep", "check")
+KINDS_WITH_PULSES = ("check", "wind")
 
 
 @dataclass(frozen=True)
-class Table:
+class DatasetLayout:
     """A dataset (n, columns) without its samples.
 
-    `kind` is numpy's of its dtype, `units` are one for all columns or one each, `complete` says that every sample was
+    `kind` is numpy's of its dtype, `units` are one for all columns or one each, `is_complete` says that every sample
+    was
     written.
     """
 
@@ -32,22 +33,22 @@ class Table:
     kind: str
     names: tuple[str, ...]
     units: tuple[str, ...]
-    complete: bool = True
+    is_complete: bool = True
 
 
 @dataclass(frozen=True)
-class Contents:
+class RunFileContents:
     """A run file without its samples; `angles` are those of the dataset `attitude`, columns as its names say."""
 
     attributes: Mapping[str, Any]
-    channels: Table | None
-    loads: Table | None
+    channels: DatasetLayout | None
+    loads: DatasetLayout | None
     pulse_times: Array | None
-    attitude: Table | None = None
+    attitude: DatasetLayout | None = None
     angles: Array | None = None
 
 
-def declared_run(contents: Contents, source: Source, path: Path) -> Run:
+def run_from_contents(contents: RunFileContents, source: SampleSource, path: Path) -> Run:
     """The run that sound contents declare."""
     attributes, kind = contents.attributes, contents.attributes["kind"]
     channels = contents.channels
@@ -64,27 +65,27 @@ def declared_run(contents: Contents, source: Source, path: Path) -> Run:
         has_loads=contents.loads is not None,
         sample_rate=None if kind == "static" or rate is None else float(rate),
         rotor_speed=0.0 if kind == "static" or speed is None else float(speed),
-        excited=tuple(_several(attributes["excited"])) if sweep else (),
+        excited=tuple(_as_list(attributes["excited"])) if sweep else (),
         excitation=attributes["excitation"] if sweep else None,
-        level=tuple(float(level) for level in _several(attributes["level"])) if sweep else (),
+        level=tuple(float(level) for level in _as_list(attributes["level"])) if sweep else (),
         period=float(period) if sweep and period is not None else None,
         trim=attributes["trim"] if kind == "static" else None,
         pulse_times=None if contents.pulse_times is None else np.asarray(contents.pulse_times, float),
-        attitude=_attitude(contents),
+        attitude=_attitude_angles(contents),
         recorded=_optional_text(attributes.get("recorded")),
         note=_optional_text(attributes.get("note")),
         path=path,
     )
 
 
-def _attitude(contents: Contents) -> Array | None:
+def _attitude_angles(contents: RunFileContents) -> Array | None:
     """Pitch and roll (n, 2) [deg]."""
     if contents.attitude is None or contents.angles is None:
         return None
     return np.asarray(contents.angles[:, [contents.attitude.names.index(name) for name in ANGLES]], float)
 
 
-def faults_of(contents: Contents) -> Iterator[UserError]:
+def run_file_faults(contents: RunFileContents) -> Iterator[UserError]:
     """All faults of a run file that show without its samples."""
     attributes = contents.attributes
     kind = attributes.get("kind")
@@ -96,12 +97,12 @@ def faults_of(contents: Contents) -> Iterator[UserError]:
         return
     yield from _kind_faults(kind, attributes)
     yield from _load_faults(kind, contents.loads, contents.channels)
-    yield from _pulse_faults(contents, required=kind in WITH_PULSES)
+    yield from _pulse_faults(contents, required=kind in KINDS_WITH_PULSES)
     if contents.attitude is not None:
         yield from _attitude_faults(kind, contents)
 
 
-def sample_faults(run: Run) -> Iterator[UserError]:
+def load_sample_faults(run: Run) -> Iterator[UserError]:
     """Faults that only the samples of the loads show: not finite; zero where they are said to be excited."""
     if not run.has_loads:
         return
@@ -137,7 +138,7 @@ def _kind_faults(kind: str, attributes: Mapping[str, Any]) -> Iterator[UserError
 
 
 def _sweep_faults(attributes: Mapping[str, Any]) -> Iterator[UserError]:
-    excited, level = (_several(attributes.get(name)) for name in ("excited", "level"))
+    excited, level = (_as_list(attributes.get(name)) for name in ("excited", "level"))
     if not excited or len(set(excited)) < len(excited) or any(name not in COMPONENTS for name in excited):
         yield _attribute_fault("excited", attributes.get("excited"), f"of {', '.join(COMPONENTS)}, each once at most")
     excitation, period = attributes.get("excitation"), attributes.get("period")
@@ -160,7 +161,7 @@ def _attribute_fault(name: str, value: object, expected: str) -> UserError:
     return UserError(f"attribute `{name}` {found}", place=f"attribute {name}", remedy=f"It should be {expected}")
 
 
-def _several(value: Any) -> list[Any]:
+def _as_list(value: Any) -> list[Any]:
     """A scalar or array attribute as a list."""
     if value is None:
         return []
@@ -178,7 +179,7 @@ def _optional_text(value: object) -> str | None:
 # ---- datasets --------------------------------------------------------------------------------------------------------
 
 
-def _channel_faults(table: Table | None, least_rows: int) -> Iterator[UserError]:
+def _channel_faults(table: DatasetLayout | None, least_rows: int) -> Iterator[UserError]:
     yield from _table_faults("channels", table)
     if table is None or len(table.shape) != 2:
         return
@@ -189,7 +190,7 @@ def _channel_faults(table: Table | None, least_rows: int) -> Iterator[UserError]
         yield UserError(fault, place="channels, attribute unit", remedy="It should be `V`")
 
 
-def _table_faults(place: str, table: Table | None) -> Iterator[UserError]:
+def _table_faults(place: str, table: DatasetLayout | None) -> Iterator[UserError]:
     if table is None:
         yield UserError(f"the dataset `{place}` is missing", place=place, remedy="Add it")
         return
@@ -197,7 +198,7 @@ def _table_faults(place: str, table: Table | None) -> Iterator[UserError]:
         fault = f"has the shape {table.shape}" if table.kind in "iuf" else "does not hold real numbers"
         yield UserError(fault, place=place, remedy="It should be numbers, samples by columns")
         return
-    if not table.complete:
+    if not table.is_complete:
         yield UserError("not all samples were written", place=place, remedy="The record broke off; record it again")
     if len(table.names) != table.shape[1]:
         fault = f"{len(table.names)} names for {table.shape[1]} columns"
@@ -207,8 +208,8 @@ def _table_faults(place: str, table: Table | None) -> Iterator[UserError]:
         yield UserError(fault, place=f"{place}, attribute names", remedy="Names must differ")
 
 
-def _load_faults(kind: str, loads: Table | None, channels: Table | None) -> Iterator[UserError]:
-    if kind not in WITH_LOADS:
+def _load_faults(kind: str, loads: DatasetLayout | None, channels: DatasetLayout | None) -> Iterator[UserError]:
+    if kind not in KINDS_WITH_LOADS:
         if loads is not None:
             yield UserError(
                 f"a `{kind}` run has no loads", place="loads", remedy="Remove the dataset, or correct `kind`"
@@ -228,7 +229,7 @@ def _load_faults(kind: str, loads: Table | None, channels: Table | None) -> Iter
         yield UserError(fault, place="loads", remedy="Both should have one row a sample")
 
 
-def _attitude_faults(kind: str, contents: Contents) -> Iterator[UserError]:
+def _attitude_faults(kind: str, contents: RunFileContents) -> Iterator[UserError]:
     table, channels = contents.attitude, contents.channels
     assert table is not None
     if kind != "static":
@@ -257,7 +258,7 @@ def _angle_faults(angles: Array | None) -> Iterator[UserError]:
         yield UserError(fault, place="attitude", remedy="Give the attitude of every row, or remove the dataset")
 
 
-def _pulse_faults(contents: Contents, required: bool) -> Iterator[UserError]:
+def _pulse_faults(contents: RunFileContents, required: bool) -> Iterator[UserError]:
     place, pulses = "rotor/pulse_times", contents.pulse_times
     if pulses is None:
         if required:
@@ -275,7 +276,7 @@ def _pulse_faults(contents: Contents, required: bool) -> Iterator[UserError]:
     yield from _interval_faults(pulses, contents, place, required)
 
 
-def _interval_faults(pulses: Array, contents: Contents, place: str, required: bool) -> Iterator[UserError]:
+def _interval_faults(pulses: Array, contents: RunFileContents, place: str, required: bool) -> Iterator[UserError]:
     intervals = np.diff(pulses)
     backwards = np.flatnonzero(intervals <= 0)
     if len(backwards):

@@ -15,7 +15,7 @@ Index = NDArray[np.intp]
 
 ANGLES = ("pitch", "roll")
 # Change of the direction of gravity from row to row that counts as another attitude [rad], some 0.1 deg.
-STEADY = 2e-3
+ATTITUDE_TOLERANCE = 2e-3
 
 
 def gravity_directions(attitude: ArrayLike) -> Array:
@@ -24,9 +24,9 @@ def gravity_directions(attitude: ArrayLike) -> Array:
     return np.column_stack([np.sin(pitch), -np.cos(pitch) * np.sin(roll), -np.cos(pitch) * np.cos(roll)])
 
 
-def stretches(run: Index, gravity: Array | None) -> Index:
+def attitude_segments(run: Index, gravity: Array | None) -> Index:
     """Number (m,) of the stretch of rows of one run (m,) in one attitude, from gravity (m, 3), NaN where not known."""
     new = np.diff(run, prepend=run[:1]) != 0
     if gravity is not None:
-        new[1:] |= np.linalg.norm(np.diff(gravity, axis=0), axis=1) > STEADY
+        new[1:] |= np.linalg.norm(np.diff(gravity, axis=0), axis=1) > ATTITUDE_TOLERANCE
     return np.asarray(np.cumsum(new), np.intp)

@@ -19,13 +19,13 @@ NonNegative = Annotated[float, Field(ge=0)]
 Array = NDArray[np.float64]
 
 
-class Part(BaseModel):
+class FrozenModel(BaseModel):
     """Base of all parts: frozen, unknown keys refused, no infinities."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Inertia(Part):
+class Inertia(FrozenModel):
     """Inertia about the body's own centre [kg m2]; products are positive integrals of xy dm."""
 
     xx: NonNegative
@@ -42,7 +42,7 @@ class Inertia(Part):
         )
 
 
-class Body(Part):
+class Body(FrozenModel):
     """A lumped mass: mass [kg], position of its centre [m], inertia about that centre."""
 
     name: Name
@@ -51,7 +51,7 @@ class Body(Part):
     inertia: Inertia
 
 
-class Cell(Part):
+class Cell(FrozenModel):
     """A load cell: acts along `axis` at `position` [m]; stiffness [N/m], or cell and beam in series."""
 
     name: Name
@@ -62,7 +62,7 @@ class Cell(Part):
     full_range: Positive
 
     @model_validator(mode="after")
-    def _one_stiffness(self) -> Cell:
+    def _check_one_stiffness(self) -> Cell:
         if (self.stiffness is None) == (self.series is None):
             raise ValueError("give either `stiffness` or `series`, not both and not neither")
         if float(np.linalg.norm(self.axis)) == 0.0:
@@ -85,14 +85,14 @@ class Cell(Part):
         return unit
 
 
-class TorqueMeter(Part):
+class TorqueMeter(FrozenModel):
     """The torque meter in the shaft: stiffness [N m/rad], inertia of what it turns [kg m2]."""
 
     stiffness: Positive
     inertia: Positive
 
 
-class Channel(Part):
+class Channel(FrozenModel):
     """A recorded channel: what it measures, sensitivity [V/N or V/(N m)] and its own first-order dynamics."""
 
     name: Name
@@ -104,7 +104,7 @@ class Channel(Part):
     range: Positive | None = None
 
     @model_validator(mode="after")
-    def _one_source(self) -> Channel:
+    def _check_one_source(self) -> Channel:
         if (self.cell is None) != self.torque_meter:
             raise ValueError("give either `cell: NAME` or `torque_meter: true`")
         if self.sensitivity == 0.0:
@@ -117,7 +117,7 @@ class Channel(Part):
         return self.time_constant is None
 
 
-class AnalogueFilter(Part):
+class AnalogFilter(FrozenModel):
     """The anti-alias filter of the acquisition: Butterworth low-pass of `order` at `cutoff` [Hz]."""
 
     type: Literal["butterworth"]
@@ -125,13 +125,13 @@ class AnalogueFilter(Part):
     cutoff: Positive
 
 
-class Acquisition(Part):
+class Acquisition(FrozenModel):
     """The data acquisition: its anti-alias filter, the same in every channel and load signal."""
 
-    filter: AnalogueFilter | None = None
+    filter: AnalogFilter | None = None
 
 
-class Tolerances(Part):
+class Tolerances(FrozenModel):
     """One standard deviation of what is declared: relative, but `centre_of_gravity` in m; 0 means exact."""
 
     stiffness: NonNegative = 0.0
@@ -142,14 +142,14 @@ class Tolerances(Part):
     sensitivity: NonNegative = 0.0
 
 
-class Rotor(Part):
+class Rotor(FrozenModel):
     """The rotor: number of blades and nominal speed [Hz]."""
 
     blades: Annotated[int, Field(ge=1)]
     speed: Positive
 
 
-class DeclaredEffect(Part):
+class DeclaredEffect(FrozenModel):
     """An effect beyond the rigid plate: its name, its places, its parameters (a choice between words is a text)."""
 
     name: Name
@@ -157,7 +157,7 @@ class DeclaredEffect(Part):
     parameters: dict[str, float | str] = {}
 
 
-class Geometry(Part):
+class Geometry(FrozenModel):
     """A rotor balance as declared. Compared by content."""
 
     format: Literal["balance-geometry/1"]

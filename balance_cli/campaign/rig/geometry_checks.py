@@ -9,28 +9,28 @@ import numpy as np
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Array, Body, Geometry
 from balance_cli.campaign.rig.kinematics import elongation_matrix
-from balance_cli.campaign.rig.mass_properties import moving_part
+from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.io.errors import UserError
 
 RELATIVE_ROUNDING = 1e-9
 """Slack for declared values that sit on a limit (a flat disc has Ixx + Iyy = Izz exactly)."""
-SINGULAR = 1e-6
+SINGULAR_VALUE_TOLERANCE = 1e-6
 """Singular values of the elongations below this share of the largest are motions that no cell holds."""
 
 
-def faults_between_parts(geometry: Geometry) -> Iterator[UserError]:
+def geometry_faults(geometry: Geometry) -> Iterator[UserError]:
     """All faults of a geometry whose parts are each sound by themselves, in the order of the file."""
-    yield from _duplicates("bodies", [body.name for body in geometry.bodies])
+    yield from _duplicate_name_faults("bodies", [body.name for body in geometry.bodies])
     for index, body in enumerate(geometry.bodies):
-        yield from _impossible_inertia(index, body)
-    yield from _duplicates("cells", [cell.name for cell in geometry.cells])
-    yield from _duplicates("channels", geometry.channel_names)
-    yield from _dangling_channels(geometry)
-    yield from _duplicates("freedom", geometry.freedom)
-    yield from _free_motion(geometry)
+        yield from _inertia_faults(index, body)
+    yield from _duplicate_name_faults("cells", [cell.name for cell in geometry.cells])
+    yield from _duplicate_name_faults("channels", geometry.channel_names)
+    yield from _channel_reference_faults(geometry)
+    yield from _duplicate_name_faults("freedom", geometry.freedom)
+    yield from _restraint_faults(geometry)
 
 
-def _duplicates(key: str, names: Sequence[str]) -> Iterator[UserError]:
+def _duplicate_name_faults(key: str, names: Sequence[str]) -> Iterator[UserError]:
     first: dict[str, int] = {}
     for index, name in enumerate(names):
         if name in first:
@@ -39,7 +39,7 @@ def _duplicates(key: str, names: Sequence[str]) -> Iterator[UserError]:
         first.setdefault(name, index)
 
 
-def _impossible_inertia(index: int, body: Body) -> Iterator[UserError]:
+def _inertia_faults(index: int, body: Body) -> Iterator[UserError]:
     """A mass distribution has principal moments J1 <= J2 <= J3 with J1 >= 0 and J3 <= J1 + J2."""
     least, middle, largest = np.linalg.eigvalsh(body.inertia.tensor())
     slack = RELATIVE_ROUNDING * max(largest, abs(least))
@@ -53,7 +53,7 @@ def _impossible_inertia(index: int, body: Body) -> Iterator[UserError]:
         yield UserError(fault, place=place, remedy="Check the moments of inertia")
 
 
-def _dangling_channels(geometry: Geometry) -> Iterator[UserError]:
+def _channel_reference_faults(geometry: Geometry) -> Iterator[UserError]:
     cells = geometry.cell_names
     for index, channel in enumerate(geometry.channels):
         if channel.cell is not None and channel.cell not in cells:
@@ -64,38 +64,38 @@ def _dangling_channels(geometry: Geometry) -> Iterator[UserError]:
             yield UserError("no torque meter is declared", place=place, remedy="Add the key `torque_meter`")
 
 
-def _free_motion(geometry: Geometry) -> Iterator[UserError]:
+def _restraint_faults(geometry: Geometry) -> Iterator[UserError]:
     """Total inertia positive definite in the freedom, and cells that hold the plate against every motion in it."""
-    moving = moving_part(geometry)
+    moving = metric_side(geometry)
     moment = dict(zip(("phi", "theta", "psi"), np.eye(3), strict=True))
     turns = np.array([moment[name] for name in geometry.freedom if name in moment]).reshape(-1, 3)
     least = RELATIVE_ROUNDING * float(np.trace(moving.inertia))
     if len(turns) and np.linalg.eigvalsh(turns @ moving.inertia @ turns.T)[0] <= least:
         fault = "the moving part has no inertia against one of its rotations"
         yield UserError(fault, place="bodies", remedy="Declare the inertia, or leave the rotation out of `freedom`")
-    motion = unheld_motion(geometry, moving.centre_of_gravity)
+    motion = unrestrained_motion(geometry, moving.centre_of_gravity)
     if motion:
         fault = f"the cells do not hold the plate: it is free to move in {motion}"
         yield UserError(fault, place="cells", remedy="Add a cell, or leave that motion out of `freedom`")
 
 
-def unheld_motion(geometry: Geometry, centre: Array) -> str:
+def unrestrained_motion(geometry: Geometry, center: Array) -> str:
     """The motion that elongates no cell, as in `psi + 0.4 y`; empty where every motion elongates some cell.
 
     `centre` (3,) is the centre of gravity [m]. Rotations are scaled by the spread of the cells, so that the rank does
     not depend on the unit of length.
     """
     freedom = list(dict.fromkeys(geometry.freedom))
-    rows = elongation_matrix(geometry, centre)[:, [FREEDOMS.index(name) for name in freedom]]
-    arms = np.array([cell.position for cell in geometry.cells]) - centre
+    rows = elongation_matrix(geometry, center)[:, [FREEDOMS.index(name) for name in freedom]]
+    arms = np.array([cell.position for cell in geometry.cells]) - center
     length = max(float(np.abs(arms).max()), np.finfo(float).tiny)
     scale = np.array([1.0 if name in "xyz" else 1.0 / length for name in freedom])
     _, singular, motions = np.linalg.svd(rows * scale)
-    rank = int((singular > SINGULAR * singular[0]).sum()) if singular[0] > 0 else 0
-    return "" if rank == len(freedom) else _described(motions[-1] * scale, freedom)
+    rank = int((singular > SINGULAR_VALUE_TOLERANCE * singular[0]).sum()) if singular[0] > 0 else 0
+    return "" if rank == len(freedom) else _format_motion(motions[-1] * scale, freedom)
 
 
-def _described(motion: Array, freedom: Sequence[str]) -> str:
+def _format_motion(motion: Array, freedom: Sequence[str]) -> str:
     """A motion in words, its largest part first."""
     parts = motion / motion[np.argmax(np.abs(motion))]
     order = [index for index in np.argsort(-np.abs(parts)) if abs(parts[index]) > 1e-3]

@@ -16,10 +16,10 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from balance_cli.campaign.rig.geometry import FORMAT, Geometry
-from balance_cli.campaign.rig.geometry_checks import faults_between_parts
-from balance_cli.io.atomic import written_whole
+from balance_cli.campaign.rig.geometry_checks import geometry_faults
+from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
-from balance_cli.io.sniff import is_hdf5, require_file, what_is
+from balance_cli.io.sniff import describe_file, is_hdf5, require_file
 
 Place = tuple[int | str, ...]
 
@@ -44,7 +44,7 @@ def read_geometry(path: Path) -> tuple[Geometry | None, tuple[UserError, ...]]:
 def save_geometry(path: Path, geometry: Geometry) -> None:
     """Write a geometry as YAML, whole or not at all."""
     text = yaml.safe_dump(geometry_to_dict(geometry), sort_keys=False, allow_unicode=True, default_flow_style=None)
-    with written_whole(Path(path)) as part:
+    with atomic_write(Path(path)) as part:
         part.write_text(text, encoding="utf-8")
 
 
@@ -77,8 +77,8 @@ def _parse(declared: object) -> tuple[Geometry | None, tuple[UserError, ...]]:
     try:
         geometry = Geometry.model_validate(declared)
     except ValidationError as error:
-        return None, _declared_faults(error.errors(include_url=False))
-    return geometry, tuple(faults_between_parts(geometry))
+        return None, _validation_faults(error.errors(include_url=False))
+    return geometry, tuple(geometry_faults(geometry))
 
 
 # ---- YAML ------------------------------------------------------------------------------------------------------------
@@ -108,7 +108,9 @@ _Loader.add_implicit_resolver(
 def _read_yaml(path: Path) -> object:
     require_file(path)
     if not path.is_file() or is_hdf5(path):
-        raise UserError(f"is {what_is(path)}, where a geometry was expected", remedy="Give the YAML file of the rig")
+        raise UserError(
+            f"is {describe_file(path)}, where a geometry was expected", remedy="Give the YAML file of the rig"
+        )
     try:
         return yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except yaml.MarkedYAMLError as error:
@@ -125,7 +127,7 @@ def _read_yaml(path: Path) -> object:
 # ---- faults that pydantic finds --------------------------------------------------------------------------------------
 
 
-PLAIN_WORDS = {
+PLAIN_MESSAGES = {
     "tuple_type": "should be a list of values",
     "model_type": "should be keys with values",
     "too_short": "has too few entries",
@@ -134,18 +136,18 @@ PLAIN_WORDS = {
 """Instead of the validator's message, where that speaks of Python."""
 
 
-def _declared_faults(details: Sequence[ErrorDetails]) -> tuple[UserError, ...]:
+def _validation_faults(details: Sequence[ErrorDetails]) -> tuple[UserError, ...]:
     """Unknown keys first: a misspelt key explains the one that is missing. A list is not short for a bad entry."""
     places = [detail["loc"] for detail in details]
     own = [
         detail
         for detail in details
-        if detail["type"] != "too_short" or not any(_within(place, detail["loc"]) for place in places)
+        if detail["type"] != "too_short" or not any(_is_within(place, detail["loc"]) for place in places)
     ]
     return tuple(_fault(detail) for detail in sorted(own, key=lambda detail: detail["type"] != "extra_forbidden"))
 
 
-def _within(place: Place, outer: Place) -> bool:
+def _is_within(place: Place, outer: Place) -> bool:
     return len(place) > len(outer) and place[: len(outer)] == outer
 
 
@@ -159,11 +161,11 @@ def _fault(detail: ErrorDetails) -> UserError:
         return UserError(missing, place=dotted, remedy="Add it")
     if kind == "value_error":
         return UserError(str(detail["ctx"]["error"]), place=dotted, remedy="Correct this entry")
-    message = PLAIN_WORDS.get(kind) or detail["msg"].removeprefix("Input ")
-    return UserError(f"{message} (found {_shown(detail['input'])})", place=dotted, remedy="Correct this value")
+    message = PLAIN_MESSAGES.get(kind) or detail["msg"].removeprefix("Input ")
+    return UserError(f"{message} (found {_shorten_repr(detail['input'])})", place=dotted, remedy="Correct this value")
 
 
-def _shown(value: object) -> str:
+def _shorten_repr(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

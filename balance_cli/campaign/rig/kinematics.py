@@ -21,14 +21,16 @@ def cross_matrix(arm: Array) -> Array:
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def _turned(arm: Array) -> Array:
+def _rotation_displacements(arm: Array) -> Array:
     """R (3, 3) of d = [I, R] q at one arm: R q = rotation x arm."""
     return np.asarray(-cross_matrix(arm) @ ROTATION_ORDER.T)
 
 
-AT_CENTRE = np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
+MOTION_AT_CENTER = np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
 """Motion (3, 6) of the centre itself."""
-PER_ARM = np.concatenate([np.zeros((3, 3, 3)), np.stack([_turned(unit) for unit in np.eye(3)])], axis=2)
+MOTION_PER_ARM = np.concatenate(
+    [np.zeros((3, 3, 3)), np.stack([_rotation_displacements(unit) for unit in np.eye(3)])], axis=2
+)
 """What each coordinate of an arm adds to it (3, 3, 6) [1/m]: the motion is linear in the arm."""
 
 
@@ -37,11 +39,11 @@ def motion_at(arm: Array) -> Array:
 
     R q = rotation x arm, which gives (theta zeta - psi eta, psi xi - phi zeta, phi eta - theta xi).
     """
-    return np.asarray(AT_CENTRE + np.tensordot(np.asarray(arm, float), PER_ARM, axes=1))
+    return np.asarray(MOTION_AT_CENTER + np.tensordot(np.asarray(arm, float), MOTION_PER_ARM, axes=1))
 
 
-def elongation_matrix(geometry: Geometry, centre: Array) -> Array:
+def elongation_matrix(geometry: Geometry, center: Array) -> Array:
     """B (cells, 6): elongation of each cell along its axis per unit q (paper, eq. 5)."""
-    arms = np.array([cell.position for cell in geometry.cells]) - centre
+    arms = np.array([cell.position for cell in geometry.cells]) - center
     axes = np.array([cell.direction for cell in geometry.cells])
     return np.asarray(np.einsum("ci,cij->cj", axes, motion_at(arms)))

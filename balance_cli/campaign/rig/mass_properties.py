@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class MovingPart:
+class MetricSide:
     """The moving part as a whole: mass [kg], centre of gravity (3,) [m], inertia tensor about it (3, 3) [kg m2]."""
 
     mass: float
@@ -21,12 +21,12 @@ class MovingPart:
     inertia: Array
 
 
-def moving_part(geometry: Geometry) -> MovingPart:
+def metric_side(geometry: Geometry) -> MetricSide:
     """Mass, centre of gravity and inertia of all bodies together (parallel axes theorem)."""
     masses = np.array([body.mass for body in geometry.bodies])
     positions = np.array([body.position for body in geometry.bodies])
-    centre = masses @ positions / masses.sum()
-    arms = positions - centre
+    center = masses @ positions / masses.sum()
+    arms = positions - center
     own = sum(body.inertia.tensor() for body in geometry.bodies)
     steiner = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, arms, strict=True))
-    return MovingPart(float(masses.sum()), centre, own + steiner)
+    return MetricSide(float(masses.sum()), center, own + steiner)

@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 STEPS = 12
-PROMISED = 1e-6
+MIN_STEP_GAIN = 1e-6
 # Lines that the first value of a parameter is looked for on, and how many values are tried.
 FEW_LINES = 600
-TRIED = 61
+START_VALUES = 61
 
 
 @dataclass(frozen=True)
-class Kind:
+class DifferenceKind:
     """One way in which two channels differ, by a parameter that is zero where they do not.
 
     `log_ratio` and its derivative `slope` at s = j w (K,); `one_sided`: the parameter is not negative; `values`
@@ -37,29 +37,35 @@ class Kind:
 
     name: str
     log_ratio: Callable[[ComplexArray, float], ComplexArray]
-    slope: Callable[[ComplexArray, float], ComplexArray]
+    derivative: Callable[[ComplexArray, float], ComplexArray]
     one_sided: bool
     values: tuple[float, float]
 
-    def tried(self) -> Array:
+    def start_values(self) -> Array:
         """Values (n,) from which a fit may begin."""
-        sizes = np.geomspace(*self.values, TRIED)
+        sizes = np.geomspace(*self.values, START_VALUES)
         return sizes if self.one_sided else np.concatenate([-sizes[::-1], sizes])
 
 
-GAIN = Kind("gain", lambda s, a: np.full_like(s, a), lambda s, a: np.ones_like(s), False, (1e-5, 1.0))
-DELAY = Kind("delay", lambda s, t: -s * t, lambda s, t: -s, False, (1e-6, 2e-2))
-LOW_PASS_B = Kind("low-pass B", lambda s, t: -np.log(1 + s * t), lambda s, t: -s / (1 + s * t), True, (1e-6, 1.0))
-LOW_PASS_A = Kind("low-pass A", lambda s, t: np.log(1 + s * t), lambda s, t: s / (1 + s * t), True, (1e-6, 1.0))
-HIGH_PASS_B = Kind("high-pass B", lambda s, r: -np.log(1 + r / s), lambda s, r: -1 / (s + r), True, (1e-3, 1e3))
-HIGH_PASS_A = Kind("high-pass A", lambda s, r: np.log(1 + r / s), lambda s, r: 1 / (s + r), True, (1e-3, 1e3))
-KINDS = (GAIN, DELAY, LOW_PASS_B, LOW_PASS_A, HIGH_PASS_B, HIGH_PASS_A)
+GAIN = DifferenceKind("gain", lambda s, a: np.full_like(s, a), lambda s, a: np.ones_like(s), False, (1e-5, 1.0))
+DELAY = DifferenceKind("delay", lambda s, t: -s * t, lambda s, t: -s, False, (1e-6, 2e-2))
+LOW_PASS_B = DifferenceKind(
+    "low-pass B", lambda s, t: -np.log(1 + s * t), lambda s, t: -s / (1 + s * t), True, (1e-6, 1.0)
+)
+LOW_PASS_A = DifferenceKind(
+    "low-pass A", lambda s, t: np.log(1 + s * t), lambda s, t: s / (1 + s * t), True, (1e-6, 1.0)
+)
+HIGH_PASS_B = DifferenceKind(
+    "high-pass B", lambda s, r: -np.log(1 + r / s), lambda s, r: -1 / (s + r), True, (1e-3, 1e3)
+)
+HIGH_PASS_A = DifferenceKind("high-pass A", lambda s, r: np.log(1 + r / s), lambda s, r: 1 / (s + r), True, (1e-3, 1e3))
+DIFFERENCE_KINDS = (GAIN, DELAY, LOW_PASS_B, LOW_PASS_A, HIGH_PASS_B, HIGH_PASS_A)
 # Those that differ where the parameter is null: there a delay is a low-pass, and A's filters are B's with another sign.
-LOOKS = (GAIN, DELAY, HIGH_PASS_B)
+SCORED_KINDS = (GAIN, DELAY, HIGH_PASS_B)
 
 
 @dataclass(frozen=True)
-class RatioLines:
+class PairSpectrum:
     """Lines of two channels: s = j w (K,), forces (K, 2), their noise (K, 2, 2), `factor` (K,) that frees the inverse
 
     of a measured variance of its bias; `ringing` (K, 2): what a channel's own motion adds to its lines, up to its size
@@ -70,11 +76,11 @@ class RatioLines:
     forces: ComplexArray
     covariance: ComplexArray
     factor: Array
-    ringing: ComplexArray
+    high_pass_transient: ComplexArray
     run: NDArray[np.intp]
     gain_sigma: float = 0.0
 
-    def thinned(self) -> RatioLines:
+    def decimate(self) -> PairSpectrum:
         """Few of them, over the whole band."""
         n = max(1, len(self.s) // FEW_LINES)
         return replace(
@@ -83,7 +89,7 @@ class RatioLines:
             forces=self.forces[::n],
             covariance=self.covariance[::n],
             factor=self.factor[::n],
-            ringing=self.ringing[::n],
+            high_pass_transient=self.high_pass_transient[::n],
             run=self.run[::n],
         )
 
@@ -92,26 +98,26 @@ class RatioLines:
 class RatioFit:
     """What was fitted: kinds with their values and sigma (q,), and chi-square at them."""
 
-    kinds: tuple[Kind, ...]
+    kinds: tuple[DifferenceKind, ...]
     values: Array
     sigma: Array
     chi2: float
 
 
-def chi2_of(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> float:
+def ratio_chi2(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], values: Array) -> float:
     """Chi-square with the prior of the gain, where it has one."""
     r = _ratio(lines, kinds, values)
     e, v, _ = _residual(lines, r)
-    e = _settled(lines, r, lines.factor / v, e[:, None])[:, 0]
+    e = _project_out_transients(lines, r, lines.factor / v, e[:, None])[:, 0]
     return float(2.0 * np.sum(lines.factor * np.abs(e) ** 2 / v)) + _prior(lines, kinds, values)[0]
 
 
-def _ratio(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> ComplexArray:
+def _ratio(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], values: Array) -> ComplexArray:
     log = sum((kind.log_ratio(lines.s, value) for kind, value in zip(kinds, values, strict=True)), 0.0 * lines.s)
     return np.asarray(np.exp(log))
 
 
-def _residual(lines: RatioLines, r: ComplexArray) -> tuple[ComplexArray, Array, ComplexArray]:
+def _residual(lines: PairSpectrum, r: ComplexArray) -> tuple[ComplexArray, Array, ComplexArray]:
     """The difference e (K,), its variance (K,) and E[n_A e*] (K,)."""
     C = lines.covariance
     e = lines.forces[:, 1] - r * lines.forces[:, 0]
@@ -120,9 +126,9 @@ def _residual(lines: RatioLines, r: ComplexArray) -> tuple[ComplexArray, Array, 
     return e, np.maximum(v, np.finfo(float).tiny), shared
 
 
-def _settled(lines: RatioLines, r: ComplexArray, weight: Array, values: ComplexArray) -> ComplexArray:
+def _project_out_transients(lines: PairSpectrum, r: ComplexArray, weight: Array, values: ComplexArray) -> ComplexArray:
     """Values (K, q) without what a real number in each run times each channel's ringing explains, weighted."""
-    for column in (lines.ringing[:, 1], r * lines.ringing[:, 0]):
+    for column in (lines.high_pass_transient[:, 1], r * lines.high_pass_transient[:, 0]):
         if not column.any():
             continue
         size = np.bincount(lines.run, weight * np.abs(column) ** 2)
@@ -133,14 +139,16 @@ def _settled(lines: RatioLines, r: ComplexArray, weight: Array, values: ComplexA
     return values
 
 
-def _prior(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> tuple[float, Array, Array]:
+def _prior(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], values: Array) -> tuple[float, Array, Array]:
     """Chi-square of the declared gain, half its gradient (q,) and its information (q,)."""
     known = np.array([kind is GAIN and lines.gain_sigma > 0 for kind in kinds], bool)
     weight = np.where(known, 1.0 / max(lines.gain_sigma, 1e-300) ** 2 if lines.gain_sigma else 0.0, 0.0)
     return float(weight @ values**2), weight * values, weight
 
 
-def curvature(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> tuple[float, Array, Array]:
+def ratio_curvature(
+    lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], values: Array
+) -> tuple[float, Array, Array]:
     """Chi-square, half its gradient (q,) and its information (q, q)."""
     r = _ratio(lines, kinds, values)
     e, v, shared = _residual(lines, r)
@@ -149,30 +157,30 @@ def curvature(lines: RatioLines, kinds: tuple[Kind, ...], values: Array) -> tupl
     force = lines.forces[:, 0] - shared / v * e
     D = np.empty((len(r), len(kinds)), complex)
     for i, (kind, value) in enumerate(zip(kinds, values, strict=True)):
-        D[:, i] = kind.slope(lines.s, value) * r * force
-    left = _settled(lines, r, weight, np.concatenate([D, e[:, None]], axis=1))
+        D[:, i] = kind.derivative(lines.s, value) * r * force
+    left = _project_out_transients(lines, r, weight, np.concatenate([D, e[:, None]], axis=1))
     D, e = left[:, :-1], left[:, -1]
     gradient = -2.0 * np.real(D.conj().T @ (weight * e)) + prior_gradient
     information = 2.0 * np.real((D.conj() * weight[:, None]).T @ D) + np.diag(prior_information)
     return float(2.0 * np.sum(weight * np.abs(e) ** 2)) + prior, gradient, information
 
 
-def fitted_ratio(lines: RatioLines, kinds: tuple[Kind, ...], start: Array) -> RatioFit:
+def fit_ratio(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], start: Array) -> RatioFit:
     """Gauss-Newton steps from `start` (q,), halved until they gain."""
     low = np.array([0.0 if kind.one_sided else -np.inf for kind in kinds])
     values = np.maximum(start, low)
-    chi2, gradient, information = curvature(lines, kinds, values)
+    chi2, gradient, information = ratio_curvature(lines, kinds, values)
     for _ in range(STEPS if len(kinds) else 0):
         step = -np.linalg.lstsq(information, gradient, rcond=1e-12)[0]
-        if -gradient @ step < PROMISED:
+        if -gradient @ step < MIN_STEP_GAIN:
             break
         share = 1.0
-        while share > 1e-3 and chi2_of(lines, kinds, np.maximum(values + share * step, low)) >= chi2:
+        while share > 1e-3 and ratio_chi2(lines, kinds, np.maximum(values + share * step, low)) >= chi2:
             share *= 0.5
         if share <= 1e-3:
             break
         values = np.maximum(values + share * step, low)
-        chi2, gradient, information = curvature(lines, kinds, values)
+        chi2, gradient, information = ratio_curvature(lines, kinds, values)
     return RatioFit(kinds, values, np.sqrt(np.diag(_inverse(information))), chi2)
 
 
@@ -180,16 +188,16 @@ def _inverse(information: Array) -> Array:
     return np.asarray(np.linalg.pinv(information)) if information.size else information
 
 
-def with_kind(lines: RatioLines, fit: RatioFit, kind: Kind) -> RatioFit:
+def fit_with_kind(lines: PairSpectrum, fit: RatioFit, kind: DifferenceKind) -> RatioFit:
     """The fit with one kind more, begun at the best of many values on few lines."""
-    few, kinds = lines.thinned(), (*fit.kinds, kind)
-    starts = [np.append(fit.values, value) for value in kind.tried()]
-    return fitted_ratio(lines, kinds, min(starts, key=lambda at: chi2_of(few, kinds, at)))
+    few, kinds = lines.decimate(), (*fit.kinds, kind)
+    starts = [np.append(fit.values, value) for value in kind.start_values()]
+    return fit_ratio(lines, kinds, min(starts, key=lambda at: ratio_chi2(few, kinds, at)))
 
 
-def score(lines: RatioLines, fit: RatioFit, kind: Kind) -> float:
+def score_gain(lines: PairSpectrum, fit: RatioFit, kind: DifferenceKind) -> float:
     """What a kind would gain in chi-square from its derivative where it is null, the fitted ones projected out."""
-    _, g, information = curvature(lines, (*fit.kinds, kind), np.append(fit.values, 0.0))
+    _, g, information = ratio_curvature(lines, (*fit.kinds, kind), np.append(fit.values, 0.0))
     inner = _inverse(information[:-1, :-1])
     s = g[-1] - information[-1, :-1] @ inner @ g[:-1]
     V = information[-1, -1] - information[-1, :-1] @ inner @ information[:-1, -1]

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.signals.run_spectrum import Lines
+from balance_cli.signals.run_spectrum import RunSpectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 
-def ringing(run: Lines, path: ChannelPath, at: Index) -> ComplexArray:
+def high_pass_transient(run: RunSpectrum, path: ChannelPath, at: Index) -> ComplexArray:
     """Lines `at` (k,) of one volt of it at t = 0; zero where the channel has no high-pass or the record none of it."""
     window = run.window
     if window is None or not path.high_pass:
@@ -31,7 +31,7 @@ def ringing(run: Lines, path: ChannelPath, at: Index) -> ComplexArray:
     return np.asarray(2.0 * window.step / (window.stop - start) * decay / (1.0 - turn), complex)
 
 
-def usual_ringing(run: Lines, path: ChannelPath) -> float:
+def typical_transient_rms(run: RunSpectrum, path: ChannelPath) -> float:
     """Rms [V] at t = 0: that of the channel, whose motion begins anywhere in its period."""
     if not path.high_pass:
         return 0.0
@@ -39,7 +39,7 @@ def usual_ringing(run: Lines, path: ChannelPath) -> float:
     return float(np.sqrt(0.5 * np.sum(np.abs(volts) ** 2)))
 
 
-def without_ringing(change: ComplexArray, precision: ComplexArray, columns: tuple[ComplexArray, ...]) -> ComplexArray:
+def remove_transients(change: ComplexArray, precision: ComplexArray, columns: tuple[ComplexArray, ...]) -> ComplexArray:
     """A change (k, c) of responses without what each run's channels still ring, weighed by `precision` (k, c, c).
 
     `columns` (k, c): of each run what the ringing of each channel adds to that channel when it is as large as it may

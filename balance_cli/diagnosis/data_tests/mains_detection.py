@@ -15,30 +15,30 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import ModelFreeTest
-from balance_cli.diagnosis.significance import of_several_looks
-from balance_cli.signals.local_fit import LocalFit, Orders, Windows, fit_windows
-from balance_cli.signals.run_spectrum import Lines
+from balance_cli.diagnosis.significance import bonferroni_min_p_value
+from balance_cli.signals.local_fit import LocalFit, ModelOrders, WindowedData, fit_windows
+from balance_cli.signals.run_spectrum import RunSpectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-NAME = "mains"
+MAINS_TEST_NAME = "mains"
 MAINS = (50.0, 60.0)
-IMPROBABLE = 1e-3
+DATA_TEST_LEVEL = 1e-3
 # Lines on either side of the middle; middles of neighbouring windows, in lines away from it.
-REACH = 13
-NEIGHBOURS = np.array([-14, -10, -7, -4, 4, 7, 10, 14])
-LEFT_OUT = 1.01
+HALF_WINDOW = 13
+NEIGHBOR_OFFSETS = np.array([-14, -10, -7, -4, 4, 7, 10, 14])
+EXCLUDED_BINS = 1.01
 # The simplest one that follows a window serves: what more there is to fit, noise puts where nothing is looked at.
-ORDERS = tuple(Orders(response=3, transient=-1, denominator=n) for n in (0, 2, 3))
+ORDERS = tuple(ModelOrders(response=3, transient=-1, denominator=n) for n in (0, 2, 3))
 # The most that one run may say, for now and then a local model finds a wrong pole.
-LEAST_CHANCE = 1e-4
-LEAST_OTHERS = 8.0
+MIN_RUN_P_VALUE = 1e-4
+MIN_NEIGHBOR_COUNT = 8.0
 # Chi-square per degree of freedom up to which a local model follows its window.
-FOLLOWED = 1.5
+MAX_WINDOW_CHI2 = 1.5
 # Lines from the middle within which a pole makes a peak that the left-out lines may hide.
-HIDDEN = 3.0
+HIDDEN_PEAK_LINES = 3.0
 # Shapes of the moving rig that are taken out.
 SHAPES = 3
 
@@ -54,50 +54,53 @@ class _Departures:
     multiple: Array
     power: Array
     count: Array
-    usual: Array
+    neighbor_power: Array
     others: Array
 
 
-def mains_tests(runs: Sequence[Lines]) -> list[ModelFreeTest]:
+def mains_tests(runs: Sequence[RunSpectrum]) -> list[ModelFreeTest]:
     """One row for 50 and one for 60 Hz, where any run has lines there."""
     rows = []
     for mains in MAINS:
-        found = [one for one in (_departures(run, mains) for run in runs) if one is not None]
-        if any(one.count.any() for one in found):
-            rows.append(_test(mains, found))
+        departures = [departure for departure in (_departures(run, mains) for run in runs) if departure is not None]
+        if any(departure.count.any() for departure in departures):
+            rows.append(_test(mains, departures))
     return rows
 
 
-def _departures(run: Lines, mains: float) -> _Departures | None:
+def _departures(run: RunSpectrum, mains: float) -> _Departures | None:
     moving = np.flatnonzero(run.frequency > 0)
     frequency = run.frequency[moving]
-    if len(frequency) < 2 * REACH + 1:
+    if len(frequency) < 2 * HALF_WINDOW + 1:
         return None
     bin_width = float(np.min(np.diff(frequency)))
     multiples = np.arange(mains, frequency[-1] + bin_width, mains)
     middles = [
         (multiple, int(np.argmin(np.abs(frequency - multiple))))
         for multiple in multiples
-        if np.min(np.abs(frequency - multiple)) <= LEFT_OUT * bin_width and not _harmonic(run, multiple, bin_width)
+        if np.min(np.abs(frequency - multiple)) <= EXCLUDED_BINS * bin_width
+        and not _is_rotor_harmonic(run, multiple, bin_width)
     ]
-    middles = [(f, k) for f, k in middles if REACH <= k < len(frequency) - REACH]
+    middles = [(f, k) for f, k in middles if HALF_WINDOW <= k < len(frequency) - HALF_WINDOW]
     if not middles:
         return None
-    every = np.concatenate([[k, *(k + NEIGHBOURS)] for _, k in middles])
-    every = np.clip(every, REACH, len(frequency) - REACH - 1)
-    near = np.min(np.abs(frequency[:, None] - multiples), axis=1) <= LEFT_OUT * bin_width
-    power, count, noise = _left_out(run, moving, every, near)
-    shape = (len(middles), 1 + len(NEIGHBOURS), -1)
+    every = np.concatenate([[k, *(k + NEIGHBOR_OFFSETS)] for _, k in middles])
+    every = np.clip(every, HALF_WINDOW, len(frequency) - HALF_WINDOW - 1)
+    near = np.min(np.abs(frequency[:, None] - multiples), axis=1) <= EXCLUDED_BINS * bin_width
+    power, count, noise = _excluded_line_power(run, moving, every, near)
+    shape = (len(middles), 1 + len(NEIGHBOR_OFFSETS), -1)
     power, count, noise = power.reshape(shape), count.reshape(shape), noise.reshape(shape)
     # A neighbour whose window was pushed onto the lines of the mains says nothing.
     apart = np.abs(every.reshape(shape[:2])[:, 1:] - every.reshape(shape[:2])[:, :1]) > 2
     others = np.sum(count[:, 1:] * apart[:, :, None], axis=1)
-    usual = np.sum(power[:, 1:] * apart[:, :, None], axis=1) / np.maximum(others, 1.0)
+    neighbor_power = np.sum(power[:, 1:] * apart[:, :, None], axis=1) / np.maximum(others, 1.0)
     multiple = np.array([f for f, _ in middles])
-    return _Departures(run.channel_names, multiple, power[:, 0], count[:, 0], np.maximum(usual, noise[:, 0]), others)
+    return _Departures(
+        run.channel_names, multiple, power[:, 0], count[:, 0], np.maximum(neighbor_power, noise[:, 0]), others
+    )
 
 
-def _harmonic(run: Lines, frequency: float, bin_width: float) -> bool:
+def _is_rotor_harmonic(run: RunSpectrum, frequency: float, bin_width: float) -> bool:
     """Whether a harmonic of a turning rotor lies there, too."""
     if run.rotor_speed <= 0:
         return False
@@ -105,34 +108,36 @@ def _harmonic(run: Lines, frequency: float, bin_width: float) -> bool:
     return bool(away < 2.0 * bin_width)
 
 
-def _left_out(run: Lines, moving: Index, middles: Index, near: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+def _excluded_line_power(
+    run: RunSpectrum, moving: Index, middles: Index, near: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
     """Power (w, c) of what the lines beside each middle are away from the others' model, their real values (w, c) and
 
     the noise's power (w, c) per real value. Lines at the mains are left out of every fit, and counted in none of the
     neighbours. A window that the local model does not follow has no real values.
     """
     c = len(run.channel_names)
-    at = middles[:, None] + np.arange(-REACH, REACH + 1)
+    at = middles[:, None] + np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
     lines = moving[at]
-    variance = np.median(_noise(run)[lines], axis=1)
+    variance = np.median(_noise_variance(run)[lines], axis=1)
     Y = run.channels[lines] / np.sqrt(variance)[:, None, :]
     # Loads of like size in a window, so that none of them is lost beside another.
     U = run.loads[lines] / np.maximum(np.abs(run.loads[lines]).max(axis=(1, 2)), np.finfo(float).tiny)[:, None, None]
     frequency = run.frequency[lines]
     ends = frequency[:, :1], frequency[:, -1:]
     r = (2.0 * frequency - ends[0] - ends[1]) / (ends[1] - ends[0])
-    beside = np.abs(np.arange(-REACH, REACH + 1)) <= 1
+    beside = np.abs(np.arange(-HALF_WINDOW, HALF_WINDOW + 1)) <= 1
     here = near[at]
-    windows = Windows(Y, U, np.where(beside | here, 0.0, 1.0), r)
-    modelled, followed = _simplest(windows)
-    away = _beside_the_response(Y - modelled, Y * windows.weight[:, :, None])
-    counted = np.where(here[:, REACH, None], here, beside & ~here) & beside
+    windows = WindowedData(Y, U, np.where(beside | here, 0.0, 1.0), r)
+    modelled, followed = _simplest_local_model(windows)
+    away = _remove_response_shapes(Y - modelled, Y * windows.weight[:, :, None])
+    counted = np.where(here[:, HALF_WINDOW, None], here, beside & ~here) & beside
     power = np.sum(np.where(counted[:, :, None], np.abs(away) ** 2, 0.0), axis=1) * variance
     count = np.where(followed, 2.0 * counted.sum(axis=1), 0.0)[:, None] * np.ones(c)
     return np.where(count > 0, power, 0.0), count, 0.5 * variance
 
 
-def _noise(run: Lines) -> Array:
+def _noise_variance(run: RunSpectrum) -> Array:
     """Variance (k, c) of the channels about what the loads as measured make of them."""
     c = len(run.channel_names)
     variance = np.diagonal(run.covariance, axis1=1, axis2=2).real
@@ -141,16 +146,16 @@ def _noise(run: Lines) -> Array:
     return np.asarray(variance[:, :c] + np.abs(run.channels) ** 2 * loads[:, None])
 
 
-def _peaked(fit: LocalFit) -> NDArray[np.bool_]:
+def _has_hidden_peak(fit: LocalFit) -> NDArray[np.bool_]:
     """Whether a window (w,) has a sharp peak about its middle, where it was not looked at."""
     near = np.zeros(len(fit.denominator), bool)
     for i, a in enumerate(fit.denominator):
-        poles = REACH * legendre.legroots(a)
-        near[i] = bool(np.any((np.abs(poles.real) < HIDDEN) & (np.abs(poles.imag) < HIDDEN)))
+        poles = HALF_WINDOW * legendre.legroots(a)
+        near[i] = bool(np.any((np.abs(poles.real) < HIDDEN_PEAK_LINES) & (np.abs(poles.imag) < HIDDEN_PEAK_LINES)))
     return near
 
 
-def _simplest(windows: Windows) -> tuple[ComplexArray, NDArray[np.bool_]]:
+def _simplest_local_model(windows: WindowedData) -> tuple[ComplexArray, NDArray[np.bool_]]:
     """What the simplest local model that follows a window says of its lines (w, M, c), and whether (w,) any does."""
     c, u = windows.Y.shape[2], windows.U.shape[2]
     modelled = np.zeros_like(windows.Y)
@@ -162,13 +167,13 @@ def _simplest(windows: Windows) -> tuple[ComplexArray, NDArray[np.bool_]]:
         some = windows.subset(left)
         fit = fit_windows(some, orders)
         free = some.weight.sum(axis=1) - orders.coefficients(u) - orders.denominator / c
-        good = (fit.cost / c < FOLLOWED * np.maximum(free, 0.0)) & ~_peaked(fit)
-        modelled[left[good]] = _modelled(some, fit)[good]
+        good = (fit.cost / c < MAX_WINDOW_CHI2 * np.maximum(free, 0.0)) & ~_has_hidden_peak(fit)
+        modelled[left[good]] = _predict_windows(some, fit)[good]
         followed[left[good]] = True
     return modelled, followed
 
 
-def _modelled(windows: Windows, fit: LocalFit) -> ComplexArray:
+def _predict_windows(windows: WindowedData, fit: LocalFit) -> ComplexArray:
     """What the local model says of all lines (w, M, c) of the windows, those without weight too."""
     orders = fit.orders
     P = legendre.legvander(windows.r, max(orders.response, orders.denominator))
@@ -177,7 +182,7 @@ def _modelled(windows: Windows, fit: LocalFit) -> ComplexArray:
     return np.asarray(driven.reshape(*driven.shape[:2], -1) @ fit.coefficients / A)
 
 
-def _beside_the_response(away: ComplexArray, Y: ComplexArray) -> ComplexArray:
+def _remove_response_shapes(away: ComplexArray, Y: ComplexArray) -> ComplexArray:
     """What is left of departures (w, M, c) beside the shapes in which the channels Y (w, M, c) move in fitted lines.
 
     A sharp peak that the local model misses is such a shape; what a channel picks up is not.
@@ -187,27 +192,27 @@ def _beside_the_response(away: ComplexArray, Y: ComplexArray) -> ComplexArray:
     return np.asarray(away - (away @ V.conj().swapaxes(1, 2)) @ V)
 
 
-def _test(mains: float, found: Sequence[_Departures]) -> ModelFreeTest:
+def _test(mains: float, departures: Sequence[_Departures]) -> ModelFreeTest:
     """Power at the mains over that of the neighbours, by multiple and channel over all runs."""
-    channels = tuple(dict.fromkeys(name for one in found for name in one.channels))
-    multiples = np.unique(np.concatenate([one.multiple for one in found]))
-    sums = _Sums.zeros(len(multiples), len(channels))
-    for one in found:
-        places = np.array([channels.index(name) for name in one.channels])
-        sums.add(one, np.ix_(np.searchsorted(multiples, one.multiple), places))
-    looks = sums.probabilities()
-    p_value = of_several_looks(looks[sums.runs > 0])
+    channels = tuple(dict.fromkeys(name for departure in departures for name in departure.channels))
+    multiples = np.unique(np.concatenate([departure.multiple for departure in departures]))
+    sums = _MainsSums.zeros(len(multiples), len(channels))
+    for departure in departures:
+        places = np.array([channels.index(name) for name in departure.channels])
+        sums.add(departure, np.ix_(np.searchsorted(multiples, departure.multiple), places))
+    looks = sums.fisher_p_values()
+    p_value = bonferroni_min_p_value(looks[sums.runs > 0])
     finding = "nothing"
-    if p_value <= IMPROBABLE:
-        clear = [(int(i), int(j)) for i, j in np.argwhere(looks * np.sum(sums.runs > 0) <= IMPROBABLE)]
-        amplitude = np.sqrt(sums.extra / np.maximum(sums.runs, 1.0))
+    if p_value <= DATA_TEST_LEVEL:
+        clear = [(int(i), int(j)) for i, j in np.argwhere(looks * np.sum(sums.runs > 0) <= DATA_TEST_LEVEL)]
+        amplitude = np.sqrt(sums.excess_power / np.maximum(sums.runs, 1.0))
         finding = _finding(sorted(clear, key=lambda at: looks[at]), channels, multiples, amplitude)
     place = f"{mains:g} Hz and multiples"
-    return ModelFreeTest(NAME, place, float(sums.chi2.sum()), float(sums.count.sum()), p_value, finding)
+    return ModelFreeTest(MAINS_TEST_NAME, place, float(sums.chi2.sum()), float(sums.count.sum()), p_value, finding)
 
 
 @dataclass
-class _Sums:
+class _MainsSums:
     """Over the runs, by multiple and channel: chi-square with its dof, Fisher's -2 ln of each run's probability, number
 
     of runs, and power beyond that of the neighbours [V2].
@@ -217,28 +222,28 @@ class _Sums:
     count: Array
     fisher: Array
     runs: Array
-    extra: Array
+    excess_power: Array
 
     @classmethod
-    def zeros(cls, multiples: int, channels: int) -> _Sums:
+    def zeros(cls, multiples: int, channels: int) -> _MainsSums:
         """Nothing yet."""
         return cls(*(np.zeros((multiples, channels)) for _ in range(5)))
 
-    def add(self, one: _Departures, at: tuple[Index, ...]) -> None:
+    def add(self, departure: _Departures, at: tuple[Index, ...]) -> None:
         """Take a run in."""
         from scipy.stats import f
 
-        n, d = one.count, one.others
-        told = (d > LEAST_OTHERS) & (n > 0)
-        ratio = one.power / one.usual
+        n, d = departure.count, departure.others
+        told = (d > MIN_NEIGHBOR_COUNT) & (n > 0)
+        ratio = departure.power / departure.neighbor_power
         chance = f.sf(ratio / np.maximum(n, 1.0), np.maximum(n, 1.0), np.maximum(d, 1.0))
         self.chi2[at] += np.where(told, ratio * (d - 2.0) / np.maximum(d, 1.0), 0.0)
         self.count[at] += np.where(told, n, 0.0)
-        self.fisher[at] += np.where(told, -2.0 * np.log(np.maximum(chance, LEAST_CHANCE)), 0.0)
+        self.fisher[at] += np.where(told, -2.0 * np.log(np.maximum(chance, MIN_RUN_P_VALUE)), 0.0)
         self.runs[at] += told
-        self.extra[at] += np.where(told, np.maximum(one.power - n * one.usual, 0.0), 0.0)
+        self.excess_power[at] += np.where(told, np.maximum(departure.power - n * departure.neighbor_power, 0.0), 0.0)
 
-    def probabilities(self) -> Array:
+    def fisher_p_values(self) -> Array:
         """Probability of each multiple and channel, all runs together."""
         from scipy.stats import chi2
 

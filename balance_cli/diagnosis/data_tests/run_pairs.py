@@ -15,31 +15,41 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.data_tests.channel_pairs import declared_paths
-from balance_cli.diagnosis.data_tests.high_pass_transient import ringing, usual_ringing, without_ringing
+from balance_cli.diagnosis.data_tests.high_pass_transient import (
+    high_pass_transient,
+    remove_transients,
+    typical_transient_rms,
+)
 from balance_cli.diagnosis.result import ModelFreeTest
-from balance_cli.diagnosis.significance import invertible, noise_factor, of_several_looks, probability, shared_dof
+from balance_cli.diagnosis.significance import (
+    bonferroni_min_p_value,
+    chi2_p_value,
+    combined_dof,
+    is_invertible,
+    noise_factor,
+)
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.signals.run_spectrum import Lines
+from balance_cli.signals.run_spectrum import RunSpectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-LEVEL = "low against high level"
-SPIN = "rest against spin"
-IMPROBABLE = 1e-3
+LEVEL_TEST_NAME = "low against high level"
+SPIN_TEST_NAME = "rest against spin"
+DATA_TEST_LEVEL = 1e-3
 # Bands in which a change is looked for by itself, and lines that a run must share to be compared at all.
-BANDS = 20
-FEWEST_LINES = 10
+CHANGE_BANDS = 20
+MIN_SHARED_LINES = 10
 # Of the load that is driven, what another may have at the same line; or this many sigma of its noise.
-OTHER_SHARE = 1e-3
-OTHER_SIGMA = 5.0
+CROSS_LOAD_SHARE = 1e-3
+CROSS_LOAD_SIGMA = 5.0
 # Times its sigma that a change of frequency or damping must be to be named.
-CLEAR = 5.0
+CLEAR_SIGMA = 5.0
 # Share of one of the two below which the other is held to come from the slope's own error.
-MINOR = 0.3
+MINOR_SHARE = 0.3
 # Times its rms that the ringing of a high-pass may be.
-RINGING = 3.0
+TRANSIENT_FACTOR = 3.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +63,7 @@ class _Responses:
     component: Index
     response: ComplexArray
     covariance: ComplexArray
-    ringing: ComplexArray
+    high_pass_transient: ComplexArray
     dof: float
 
 
@@ -73,51 +83,53 @@ class _Change:
     shift: ComplexArray
 
 
-def level_tests(runs: Sequence[Lines], geometry: Geometry) -> list[ModelFreeTest]:
+def level_tests(runs: Sequence[RunSpectrum], geometry: Geometry) -> list[ModelFreeTest]:
     """One row for each sweep and the one of the highest level among those of its components and rotor speed."""
-    groups: dict[tuple[tuple[str, ...], float], list[Lines]] = {}
+    groups: dict[tuple[tuple[str, ...], float], list[RunSpectrum]] = {}
     for run in runs:
         groups.setdefault((run.components, run.rotor_speed), []).append(run)
     pairs = []
     for group in groups.values():
-        highest = max(group, key=_size)
-        pairs += [(run, highest) for run in group if _size(run) < 0.9 * _size(highest)]
-    return _tests(LEVEL, pairs, geometry, "at the high level")
+        highest = max(group, key=_rms_load)
+        pairs += [(run, highest) for run in group if _rms_load(run) < 0.9 * _rms_load(highest)]
+    return _pair_tests(LEVEL_TEST_NAME, pairs, geometry, "at the high level")
 
 
-def spin_tests(runs: Sequence[Lines], geometry: Geometry) -> list[ModelFreeTest]:
+def spin_tests(runs: Sequence[RunSpectrum], geometry: Geometry) -> list[ModelFreeTest]:
     """One row for each sweep with a turning rotor and the one at rest that is nearest to it in level."""
     pairs = []
     for run in runs:
         resting = [other for other in runs if other.components == run.components and other.rotor_speed == 0.0]
         if run.rotor_speed > 0 and resting:
-            pairs.append((min(resting, key=lambda other: abs(np.log(_size(other) / _size(run)))), run))
-    return _tests(SPIN, pairs, geometry, "with the rotor turning")
+            pairs.append((min(resting, key=lambda other: abs(np.log(_rms_load(other) / _rms_load(run)))), run))
+    return _pair_tests(SPIN_TEST_NAME, pairs, geometry, "with the rotor turning")
 
 
-def _size(run: Lines) -> float:
+def _rms_load(run: RunSpectrum) -> float:
     """Rms of the loads."""
     return float(np.sqrt(np.mean(np.sum(np.abs(run.loads[run.frequency > 0]) ** 2, axis=1))))
 
 
-def _tests(name: str, pairs: Sequence[tuple[Lines, Lines]], geometry: Geometry, when: str) -> list[ModelFreeTest]:
+def _pair_tests(
+    name: str, pairs: Sequence[tuple[RunSpectrum, RunSpectrum]], geometry: Geometry, finding_suffix: str
+) -> list[ModelFreeTest]:
     paths = {path.channel: path for path in declared_paths(geometry)}
     found = []
     for first, second in pairs:
-        change = _compared(first, second, paths)
+        change = _compare_runs(first, second, paths)
         if change is not None:
-            found.append(_test(name, f"{first.run}, {second.run}", change, when))
+            found.append(_test(name, f"{first.run}, {second.run}", change, finding_suffix))
     return found
 
 
-def _responses(run: Lines, paths: Sequence[ChannelPath]) -> _Responses:
+def _responses(run: RunSpectrum, paths: Sequence[ChannelPath]) -> _Responses:
     """Where one component alone is driven."""
     c = len(run.channel_names)
     amplitude = np.abs(run.loads)
     driven = np.argmax(amplitude, axis=1)
     noise = np.sqrt(np.maximum(np.diagonal(run.covariance, axis1=1, axis2=2).real[:, c:], 0.0))
     largest = amplitude.max(axis=1)
-    others = amplitude > np.maximum(OTHER_SHARE * largest[:, None], OTHER_SIGMA * noise)
+    others = amplitude > np.maximum(CROSS_LOAD_SHARE * largest[:, None], CROSS_LOAD_SIGMA * noise)
     others[np.arange(len(driven)), driven] = False
     kept = np.flatnonzero((run.frequency > 0) & (largest > 0) & ~others.any(axis=1))
     places = np.array([run.channel_names.index(path.channel) for path in paths], dtype=np.intp)
@@ -128,24 +140,28 @@ def _responses(run: Lines, paths: Sequence[ChannelPath]) -> _Responses:
     identity = np.broadcast_to(np.eye(len(places)), (len(kept), len(places), len(places)))
     combine = np.concatenate([identity, -H[:, :, None]], axis=2) / U[:, None, None]
     noise_of_response = combine @ covariance @ combine.conj().swapaxes(1, 2)
-    rung = [RINGING * usual_ringing(run, path) * ringing(run, path, kept) / U for path in paths]
+    rung = [
+        TRANSIENT_FACTOR * typical_transient_rms(run, path) * high_pass_transient(run, path, kept) / U for path in paths
+    ]
     return _Responses(run.frequency[kept], driven[kept], H, noise_of_response, np.stack(rung, axis=1), run.dof)
 
 
-def _compared(first: Lines, second: Lines, paths: Mapping[str, ChannelPath]) -> _Change | None:
+def _compare_runs(first: RunSpectrum, second: RunSpectrum, paths: Mapping[str, ChannelPath]) -> _Change | None:
     """What changes from the first run to the second; None where they share next to nothing."""
     names = tuple(name for name in first.channel_names if name in second.channel_names)
     if not names:
         return None
     one, other = (_responses(run, [paths[name] for name in names]) for run in (first, second))
-    i, j = _shared(one, other)
-    if len(i) < FEWEST_LINES:
+    i, j = _shared_lines(one, other)
+    if len(i) < MIN_SHARED_LINES:
         return None
     covariance = one.covariance[i] + other.covariance[j]
     share = np.trace(np.linalg.solve(covariance, one.covariance[i]), axis1=1, axis2=2).real.mean() / len(names)
-    dof = shared_dof((float(share), 1.0 - float(share)), (one.dof, other.dof))
+    dof = combined_dof((float(share), 1.0 - float(share)), (one.dof, other.dof))
     precision = _precision(covariance, dof)
-    change = without_ringing(other.response[j] - one.response[i], precision, (one.ringing[i], other.ringing[j]))
+    change = remove_transients(
+        other.response[j] - one.response[i], precision, (one.high_pass_transient[i], other.high_pass_transient[j])
+    )
     response = 0.5 * (one.response[i] + other.response[j])
     return _Change(
         channels=names,
@@ -158,7 +174,7 @@ def _compared(first: Lines, second: Lines, paths: Mapping[str, ChannelPath]) -> 
     )
 
 
-def _shared(one: _Responses, other: _Responses) -> tuple[Index, Index]:
+def _shared_lines(one: _Responses, other: _Responses) -> tuple[Index, Index]:
     """Lines of the same frequency and component in both."""
     first, second = (np.rint(run.frequency * 1e6) * 8 + run.component for run in (one, other))
     _, i, j = np.intersect1d(first, second, return_indices=True)
@@ -167,7 +183,7 @@ def _shared(one: _Responses, other: _Responses) -> tuple[Index, Index]:
 
 def _precision(covariance: ComplexArray, dof: float) -> ComplexArray:
     c = covariance.shape[1]
-    if invertible(dof, c):
+    if is_invertible(dof, c):
         return np.asarray(np.linalg.inv(covariance) * noise_factor(dof, c))
     variance = np.diagonal(covariance, axis1=1, axis2=2).real
     return np.asarray(noise_factor(dof, 1) / variance[:, :, None] * np.eye(c), complex)
@@ -183,29 +199,31 @@ def _shift(frequency: Array, component: Index, response: ComplexArray) -> Comple
     return shift
 
 
-def _test(name: str, place: str, change: _Change, when: str) -> ModelFreeTest:
+def _test(name: str, place: str, change: _Change, finding_suffix: str) -> ModelFreeTest:
     """Chi-square against no change; looked at as a whole, band by band, and for a change of the modes in each band."""
     c = len(change.channels)
     weighted = np.matmul(change.precision, change.change[:, :, None])[:, :, 0]
     chi2 = 2.0 * np.sum(change.change.conj() * weighted, axis=1).real
-    noise = 2.0 * (c * max(change.dof - c, 1.0) if invertible(change.dof, c) else change.dof)
-    bands = np.array_split(np.arange(len(chi2)), min(BANDS, max(1, len(chi2) // FEWEST_LINES)))
+    noise = 2.0 * (c * max(change.dof - c, 1.0) if is_invertible(change.dof, c) else change.dof)
+    bands = np.array_split(np.arange(len(chi2)), min(CHANGE_BANDS, max(1, len(chi2) // MIN_SHARED_LINES)))
     modal, sigma = _modal_changes(change, weighted, bands)
-    looks = [probability(float(chi2.sum()), (2.0 * c * len(chi2),), (noise,))]
-    looks += [probability(float(chi2[band].sum()), (2.0 * c * len(band),), (noise,)) for band in bands]
+    looks = [chi2_p_value(float(chi2.sum()), (2.0 * c * len(chi2),), (noise,))]
+    looks += [chi2_p_value(float(chi2[band].sum()), (2.0 * c * len(band),), (noise,)) for band in bands]
     looks += [
-        probability(2.0 * abs(one) ** 2 / s**2, (2.0,), (noise,)) for one, s in zip(modal, sigma, strict=True) if s
+        chi2_p_value(2.0 * abs(one) ** 2 / s**2, (2.0,), (noise,)) for one, s in zip(modal, sigma, strict=True) if s
     ]
-    p_value = of_several_looks(looks)
-    if p_value > IMPROBABLE:
+    p_value = bonferroni_min_p_value(looks)
+    if p_value > DATA_TEST_LEVEL:
         return ModelFreeTest(name, place, float(chi2.sum()), 2.0 * c * len(chi2), p_value, "equal")
     excess = np.array([chi2[band].sum() / (2.0 * c * len(band)) for band in bands])
     gains = 2.0 * np.abs(modal) ** 2 / np.where(sigma > 0, sigma, np.inf) ** 2
-    finding = _where(change, bands[int(np.argmax(excess))])
+    finding = _describe_location(change, bands[int(np.argmax(excess))])
     best = int(np.argmax(gains))
     # What the change leaves, its derivative being taken at one place, widens sigma (Birge).
     left = (chi2[bands[best]].sum() - gains[best]) / (2.0 * c * len(bands[best]))
-    of_modes = _of_modes(change.frequency[bands[best]], modal[best], sigma[best] * np.sqrt(max(left, 1.0)), when)
+    of_modes = _describe_mode_change(
+        change.frequency[bands[best]], modal[best], sigma[best] * np.sqrt(max(left, 1.0)), finding_suffix
+    )
     finding = "; ".join(part for part in (finding, of_modes) if part)
     return ModelFreeTest(name, place, float(chi2.sum()), 2.0 * c * len(chi2), p_value, finding)
 
@@ -221,7 +239,7 @@ def _modal_changes(change: _Change, weighted: ComplexArray, bands: Sequence[Inde
     return np.asarray(value, complex), sigma
 
 
-def _where(change: _Change, band: Index) -> str:
+def _describe_location(change: _Change, band: Index) -> str:
     """How much the response changes, noise taken off, and where most."""
     per_channel = 2.0 * np.abs(change.change[band]) ** 2 * np.diagonal(change.precision[band], axis1=1, axis2=2).real
     channel = change.channels[int(np.argmax(per_channel.sum(axis=0)))]
@@ -230,16 +248,16 @@ def _where(change: _Change, band: Index) -> str:
     return f"differ most from {low:.4g} to {high:.4g} Hz, by {100 * size:.2g} %, in {channel}"
 
 
-def _of_modes(frequency: Array, change: complex, sigma: float, when: str) -> str:
+def _describe_mode_change(frequency: Array, change: complex, sigma: float, finding_suffix: str) -> str:
     """In words what happens to frequency and damping; from slopes between lines, so in round figures."""
-    half = CLEAR * sigma / np.sqrt(2.0)
+    half = CLEAR_SIGMA * sigma / np.sqrt(2.0)
     parts = []
-    if abs(change.real) > max(half, MINOR * abs(change.imag)):
+    if abs(change.real) > max(half, MINOR_SHARE * abs(change.imag)):
         sense = "higher" if change.real > 0 else "lower"
         parts.append(f"frequencies about {100 * abs(change.real):.2g} % {sense}")
-    if abs(change.imag) > max(half, MINOR * abs(change.real)):
+    if abs(change.imag) > max(half, MINOR_SHARE * abs(change.real)):
         sense = "larger" if change.imag > 0 else "smaller"
         parts.append(f"damping ratios about {abs(change.imag):.2g} {sense}")
     if not parts:
         return ""
-    return f"from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz {' and '.join(parts)} {when}"
+    return f"from {frequency[0]:.4g} to {frequency[-1]:.4g} Hz {' and '.join(parts)} {finding_suffix}"

@@ -20,28 +20,28 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.data_tests.channel_pairs import declared_paths
 from balance_cli.diagnosis.result import ModelFreeTest
-from balance_cli.diagnosis.significance import shared_dof, with_sigma
+from balance_cli.diagnosis.significance import combined_dof, format_with_sigma
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.signals.run_spectrum import Lines, StaticPoints
+from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-NAME = "static against low frequency"
+STATIC_TEST_NAME = "static against low frequency"
 # Share of the lowest mode's frequency up to which lines serve, and how many there must be.
-REACH = 0.4
-FEWEST_LINES = 6
+MAX_FREQUENCY_SHARE = 0.4
+MIN_LOW_LINES = 6
 # Terms of the series, and how many of them are free.
 TERMS = 6
 FREE_TERMS = 2
-IMPROBABLE = 1e-3
+DATA_TEST_LEVEL = 1e-3
 # Degrees of freedom beyond which a covariance is as good as known.
-KNOWN = 1e9
+MAX_DOF = 1e9
 
 
 @dataclass(frozen=True)
-class _Response:
+class _StaticResponse:
     """Response at rest to one component, forces per unit load: value (c,), covariance (c, c), dof of the noise."""
 
     channels: tuple[str, ...]
@@ -51,19 +51,19 @@ class _Response:
 
 
 def static_tests(
-    runs: Sequence[Lines], statics: Sequence[StaticPoints], geometry: Geometry, lowest_mode: float
+    runs: Sequence[RunSpectrum], statics: Sequence[StaticPoints], geometry: Geometry, lowest_mode: float
 ) -> list[ModelFreeTest]:
     """One row for each static run and component that both it and a sweep have."""
-    dynamic = _extrapolated(runs, geometry, lowest_mode)
+    dynamic = _extrapolate_responses(runs, geometry, lowest_mode)
     rows = []
     for points in statics:
-        for component, response in _at_rest(points, geometry).items():
+        for component, response in _static_responses(points, geometry).items():
             if component in dynamic:
                 rows.append(_test(f"{points.run}: {component}", response, dynamic[component]))
     return rows
 
 
-def _at_rest(points: StaticPoints, geometry: Geometry) -> dict[str, _Response]:
+def _static_responses(points: StaticPoints, geometry: Geometry) -> dict[str, _StaticResponse]:
     """The straight part of a static run."""
     varied = np.flatnonzero(np.ptp(points.loads, axis=0) > 0)
     gain = {channel.name: channel.sensitivity for channel in geometry.channels}
@@ -75,43 +75,47 @@ def _at_rest(points: StaticPoints, geometry: Geometry) -> dict[str, _Response]:
     slopes = inverse @ (Q.T @ (points.channels / gains))
     noise = points.covariance / np.outer(gains, gains)
     return {
-        COMPONENTS[j]: _Response(points.channel_names, slopes[i], inverse[i] @ inverse[i] * noise, points.dof)
+        COMPONENTS[j]: _StaticResponse(points.channel_names, slopes[i], inverse[i] @ inverse[i] * noise, points.dof)
         for i, j in enumerate(varied)
     }
 
 
-def _extrapolated(runs: Sequence[Lines], geometry: Geometry, lowest_mode: float) -> dict[str, _Response]:
+def _extrapolate_responses(
+    runs: Sequence[RunSpectrum], geometry: Geometry, lowest_mode: float
+) -> dict[str, _StaticResponse]:
     """Responses at frequency zero to each component that was swept; of several runs their weighted mean."""
-    found: dict[str, list[_Response]] = {}
+    found: dict[str, list[_StaticResponse]] = {}
     dc = [path for path in declared_paths(geometry) if not path.high_pass]
     for run in runs:
-        alike = sum(other.components == run.components for other in runs)
-        for component, response in _of_run(run, dc, lowest_mode, alike).items():
+        similar_runs = sum(other.components == run.components for other in runs)
+        for component, response in _extrapolate_run(run, dc, lowest_mode, similar_runs).items():
             found.setdefault(component, []).append(response)
     return {component: _mean(responses) for component, responses in found.items()}
 
 
-def _of_run(run: Lines, dc: Sequence[ChannelPath], lowest_mode: float, alike: int) -> dict[str, _Response]:
+def _extrapolate_run(
+    run: RunSpectrum, dc: Sequence[ChannelPath], lowest_mode: float, similar_runs: int
+) -> dict[str, _StaticResponse]:
     """What higher terms may do is the same in all `alike` runs: no mean makes it less."""
-    low = np.flatnonzero((run.frequency > 0) & (run.frequency <= REACH * lowest_mode))
+    low = np.flatnonzero((run.frequency > 0) & (run.frequency <= MAX_FREQUENCY_SHARE * lowest_mode))
     dc = [path for path in dc if path.channel in run.channel_names]
     u = len(run.components)
-    if len(low) < FEWEST_LINES * u or not dc:
+    if len(low) < MIN_LOW_LINES * u or not dc:
         return {}
     c = len(run.channel_names)
     signals = np.array([*(run.channel_names.index(path.channel) for path in dc), *range(c, c + u)])
     gains = np.concatenate([channel_gains(dc, run.frequency[low]), np.ones((len(low), u))], axis=1)
     z = np.concatenate([run.channels, run.loads], axis=1)[low[:, None], signals] / gains
     noise = run.covariance[low[:, None, None], signals[:, None], signals] / (gains[:, :, None] * gains[:, None].conj())
-    value, covariance = _series(run.frequency[low] / lowest_mode, z, noise, u, alike)
+    value, covariance = _fit_power_series(run.frequency[low] / lowest_mode, z, noise, u, similar_runs)
     names = tuple(path.channel for path in dc)
     return {
-        component: _Response(names, value[j], covariance[j], 2.0 * run.dof)
+        component: _StaticResponse(names, value[j], covariance[j], 2.0 * run.dof)
         for j, component in enumerate(run.components)
     }
 
 
-def _series(x: Array, z: ComplexArray, noise: ComplexArray, u: int, alike: int) -> tuple[Array, Array]:
+def _fit_power_series(x: Array, z: ComplexArray, noise: ComplexArray, u: int, similar_runs: int) -> tuple[Array, Array]:
     """Terms of order zero (u, c) and their covariance (u, c, c) from forces and loads z (K, c+u) at x = f/f1 (K,).
 
     Noise of the loads counts by the response that a first fit gives.
@@ -122,15 +126,15 @@ def _series(x: Array, z: ComplexArray, noise: ComplexArray, u: int, alike: int) 
     own = noise[:, :c, :c]
     size = np.sqrt(np.mean(np.abs(forces) ** 2) / np.mean(np.sum(np.abs(loads) ** 2, axis=1)))
     for _ in range(2):
-        _, _, value = _solved(columns, forces, own, size, u)
+        _, _, value = _solve_series(columns, forces, own, size, u)
         response = np.einsum("kn,ujnc->kcu", x[:, None] ** (2 * np.arange(TERMS)), value.reshape(u, 2, TERMS, c)[:, :1])
         combine = np.concatenate([np.broadcast_to(np.eye(c), (len(x), c, c)), -response], axis=2)
         own = combine @ noise @ combine.swapaxes(1, 2)
         size = max(float(np.abs(value.reshape(u, 2, TERMS, c)[:, 0, 0]).max()), np.finfo(float).tiny)
-    kernel, prior, value = _solved(columns, forces, own, size, u)
+    kernel, prior, value = _solve_series(columns, forces, own, size, u)
     rest = [2 * TERMS * j for j in range(u)]
     covariance = 0.5 * np.einsum("cjk,kcd,djk->jcd", kernel[:, rest].conj(), own, kernel[:, rest], optimize=True).real
-    covariance += alike * np.stack([np.diag(prior[:, place]) for place in rest])
+    covariance += similar_runs * np.stack([np.diag(prior[:, place]) for place in rest])
     return value[rest], covariance
 
 
@@ -141,7 +145,7 @@ def _columns(x: Array, loads: ComplexArray) -> ComplexArray:
     return np.asarray((loads[:, :, None] * terms[:, None, :]).reshape(len(x), -1))
 
 
-def _solved(
+def _solve_series(
     columns: ComplexArray, forces: ComplexArray, noise: ComplexArray, size: float, u: int
 ) -> tuple[ComplexArray, Array, Array]:
     """Coefficients (q, c) as Re sum_k kernel* force, kernel (c, q, K), and the share (c, q) of their variance that the
@@ -161,34 +165,34 @@ def _solved(
     return kernel, prior, value
 
 
-def _mean(responses: Sequence[_Response]) -> _Response:
+def _mean(responses: Sequence[_StaticResponse]) -> _StaticResponse:
     """The mean, weighted by noise, of responses with the same channels (the first ones') ."""
     same = [one for one in responses if one.channels == responses[0].channels]
     precision = [np.linalg.inv(one.covariance) for one in same]
     covariance = np.linalg.inv(sum(precision))
     value = covariance @ sum(P @ one.value for P, one in zip(precision, same, strict=True))
-    return _Response(same[0].channels, value, covariance, sum(one.dof for one in same))
+    return _StaticResponse(same[0].channels, value, covariance, sum(one.dof for one in same))
 
 
-def _test(place: str, static: _Response, dynamic: _Response) -> ModelFreeTest:
+def _test(place: str, static: _StaticResponse, dynamic: _StaticResponse) -> ModelFreeTest:
     """Hotelling's test of the difference, over the channels that both have."""
     from scipy.stats import f
 
     names = [name for name in static.channels if name in dynamic.channels]
     c = len(names)
-    parts = [_picked(one, names) for one in (static, dynamic)]
+    parts = [_extract_channels(one, names) for one in (static, dynamic)]
     covariance = parts[0][1] + parts[1][1]
     difference = parts[0][0] - parts[1][0]
     share = float(np.trace(np.linalg.solve(covariance, parts[0][1]))) / c
-    dof = min(shared_dof((share, 1.0 - share), (static.dof, dynamic.dof)), KNOWN)
+    dof = min(combined_dof((share, 1.0 - share), (static.dof, dynamic.dof)), MAX_DOF)
     squared = float(difference @ np.linalg.solve(covariance, difference))
     free = max(dof - c + 1.0, 1.0)
     p_value = float(f.sf(squared * free / (dof * c), c, free))
-    finding = "equal" if p_value > IMPROBABLE else _finding(names, parts, covariance)
-    return ModelFreeTest(NAME, place, squared * max(dof - c - 1.0, 1.0) / dof, float(c), p_value, finding)
+    finding = "equal" if p_value > DATA_TEST_LEVEL else _finding(names, parts, covariance)
+    return ModelFreeTest(STATIC_TEST_NAME, place, squared * max(dof - c - 1.0, 1.0) / dof, float(c), p_value, finding)
 
 
-def _picked(one: _Response, names: Sequence[str]) -> tuple[Array, Array]:
+def _extract_channels(one: _StaticResponse, names: Sequence[str]) -> tuple[Array, Array]:
     places = [one.channels.index(name) for name in names]
     return one.value[places], one.covariance[np.ix_(places, places)]
 
@@ -199,5 +203,5 @@ def _finding(names: Sequence[str], parts: Sequence[tuple[Array, Array]], covaria
     sigma = np.sqrt(np.diag(covariance))
     worst = int(np.argmax(np.abs(static - dynamic) / sigma))
     whole = float(np.linalg.norm(static - dynamic) / np.linalg.norm(static))
-    change = with_sigma(static[worst] - dynamic[worst], sigma[worst])
+    change = format_with_sigma(static[worst] - dynamic[worst], sigma[worst])
     return f"differs by {100 * whole:.2g} %; most in {names[worst]}: {change} of {static[worst]:.4g}"

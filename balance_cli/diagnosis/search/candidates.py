@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.model import effects
 from balance_cli.model.effects import Effect, EffectParameter, Where
-from balance_cli.model.placed_effects import PlacedEffect, declared_effects, placed
+from balance_cli.model.placed_effects import PlacedEffect, declared_effects, place_effect
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Candidate:
     def at_null(self, start: Mapping[str, float]) -> DeclaredEffect:
         """The effect doing nothing; parameters that only shape what the others do are where the search begins."""
         values = {
-            one.name: start.get(one.fitted_name, one.fitted_start) if one.secondary else one.fitted_null
+            one.name: start.get(one.fitted_name, one.fitted_start) if one.nuisance else one.fitted_null
             for one in self.one.parameters
         }
         return self._declared(values)
@@ -44,28 +44,33 @@ class Candidate:
         """The effect where a fit begins."""
         return self._declared({one.name: start.get(one.fitted_name, one.fitted_start) for one in self.one.parameters})
 
-    def scanned(self, geometry: Geometry) -> Candidate:
+    def extra_starts(self, geometry: Geometry) -> Candidate:
         """The candidate with the further starts that a search scores."""
-        scanned = self.effect.scanned
-        return self if scanned is None else replace(self, starts=(*self.starts, *scanned(geometry, self.one.where)))
+        extra_starts = self.effect.extra_starts
+        return (
+            self
+            if extra_starts is None
+            else replace(self, starts=(*self.starts, *extra_starts(geometry, self.one.where)))
+        )
 
-    def sized(self, geometry: Geometry, number: int, step: Sequence[float]) -> Mapping[str, float]:
+    def start_from_score(self, geometry: Geometry, number: int, step: Sequence[float]) -> Mapping[str, float]:
         """Values from which to begin at a start, where the score has found this `step` from the null."""
         own = {
-            item.fitted_name: item.fitted_null + d for item, d in zip(tested(self.one.parameters), step, strict=True)
+            item.fitted_name: item.fitted_null + d
+            for item, d in zip(parameters_of_interest(self.one.parameters), step, strict=True)
         }
-        sized, start = self.effect.sized, self.starts[number]
-        return start if sized is None else sized(geometry, self.one.where, start, own)
+        start_from_score, start = self.effect.start_from_score, self.starts[number]
+        return start if start_from_score is None else start_from_score(geometry, self.one.where, start, own)
 
     def _declared(self, fitted: Mapping[str, float]) -> DeclaredEffect:
-        values = {one.name: one.natural(fitted[one.name]) for one in self.one.parameters}
+        values = {one.name: one.physical_value(fitted[one.name]) for one in self.one.parameters}
         finite = {name: float(value) for name, value in values.items() if abs(value) != float("inf")}
         return DeclaredEffect(name=self.effect.name, where=self.one.where, parameters=finite)
 
 
-def tested(parameters: tuple[EffectParameter, ...]) -> tuple[EffectParameter, ...]:
+def parameters_of_interest(parameters: tuple[EffectParameter, ...]) -> tuple[EffectParameter, ...]:
     """Those that do something by themselves, of which the score test speaks."""
-    return tuple(one for one in parameters if not one.secondary)
+    return tuple(one for one in parameters if not one.nuisance)
 
 
 def candidates(geometry: Geometry, empirical: bool = False) -> tuple[Candidate, ...]:
@@ -76,16 +81,16 @@ def candidates(geometry: Geometry, empirical: bool = False) -> tuple[Candidate, 
     for effect in effects.EFFECTS:
         if effect.empirical and not empirical:
             continue
-        if effect.once and effect.name in names:
+        if effect.at_most_once and effect.name in names:
             continue
-        places = effect.places(geometry) if effect.searched is None else effect.searched(geometry)
+        places = effect.places(geometry) if effect.search_places is None else effect.search_places(geometry)
         found += [candidate_at(effect.name, where, geometry) for where in places if (effect.name, where) not in taken]
     return tuple(found)
 
 
 def candidate_at(name: str, where: Where, geometry: Geometry) -> Candidate:
     """The candidate of this name at this place. UserError where there is none."""
-    one = placed(name, where, geometry)
+    one = place_effect(name, where, geometry)
     starts = ({},) if one.effect.starts is None else one.effect.starts(geometry, where)
     return Candidate(one, tuple(starts))
 

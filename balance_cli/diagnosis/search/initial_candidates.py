@@ -12,32 +12,36 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.data_tests.channel_pairs import LEAST_GAIN, PairFit, differing_pairs
+from balance_cli.diagnosis.data_tests.channel_pairs import (
+    MIN_DIFFERENCE_GAIN,
+    ChannelDifference,
+    find_channel_differences,
+)
 from balance_cli.diagnosis.search.candidates import Candidate, candidate_at
 from balance_cli.io.errors import UserError
-from balance_cli.signals.run_spectrum import Lines
+from balance_cli.signals.run_spectrum import RunSpectrum
 
 
 @dataclass(frozen=True)
-class Seed:
+class InitialCandidates:
     """Candidates of which one must be there, each begun at the value that the pair gives; what it gains there."""
 
     candidates: tuple[Candidate, ...]
     gain: float
 
 
-def seeds(runs: Sequence[Lines], geometry: Geometry) -> tuple[Seed, ...]:
+def initial_candidates(runs: Sequence[RunSpectrum], geometry: Geometry) -> tuple[InitialCandidates, ...]:
     """One for each way in which a pair of channels differs, the clearest first; none that the geometry declares."""
     found = []
-    for pair in differing_pairs(runs, geometry):
+    for pair in find_channel_differences(runs, geometry):
         each = [_candidate(pair, *kind, own, geometry) for kind in pair.kinds for own in (1, 0)]
         chosen = tuple(one for one in each if one is not None)
-        if chosen and pair.gain > LEAST_GAIN:
-            found.append(Seed(chosen, pair.gain))
+        if chosen and pair.gain > MIN_DIFFERENCE_GAIN:
+            found.append(InitialCandidates(chosen, pair.gain))
     return tuple(sorted(found, key=lambda seed: -seed.gain))
 
 
-def _candidate(pair: PairFit, kind: str, value: float, which: int, geometry: Geometry) -> Candidate | None:
+def _candidate(pair: ChannelDifference, kind: str, value: float, which: int, geometry: Geometry) -> Candidate | None:
     """The effect at the first (0) or second (1) channel that makes the pair's difference; None where it cannot."""
     channel = (pair.first, pair.second)[which]
     sign = 1.0 if which == 1 else -1.0

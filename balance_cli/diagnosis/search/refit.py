@@ -14,20 +14,26 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.search.candidates import Candidate
-from balance_cli.diagnosis.search.point_mass import settled_mass
-from balance_cli.diagnosis.search.score_statistics import Score, extended, has_shape, with_begun, with_candidates
+from balance_cli.diagnosis.search.point_mass import refine_point_mass
+from balance_cli.diagnosis.search.score_statistics import (
+    Score,
+    add_candidates,
+    add_scored_candidate,
+    extend_model,
+    has_nuisance_parameters,
+)
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2
-from balance_cli.estimation.maximum_likelihood import first_steps, penalised_chi2
+from balance_cli.estimation.maximum_likelihood import penalized_chi2, take_first_steps
 from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.model_error import (
-    Shares,
-    log_volume,
-    shares_that_explain,
-    with_model_error,
+    ModelErrors,
+    add_model_error,
+    estimate_model_error,
+    log_determinant_inflation,
 )
-from balance_cli.estimation.starting_values import NEAR, by_equations_of_motion
+from balance_cli.estimation.starting_values import REGRESSION_PRIOR_SCALES, start_from_equations_of_motion
 from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
@@ -39,13 +45,13 @@ FIRST_STEPS = 3
 STEPS = 12
 ROUNDS = 8
 # A step that promises less chi-square is the last.
-PROMISED = 4.0
+MIN_STEP_GAIN = 4.0
 # A model error that shrinks by less than this share in a round has settled.
-SETTLED = 0.1
+MIN_ERROR_DECREASE = 0.1
 
 
 @dataclass(frozen=True)
-class State:
+class SearchState:
     """A model during the search: its parameters, the model error by run, -2 ln likelihood of fitted and judging lines.
 
     `error`: rms of the model error over the runs.
@@ -53,7 +59,7 @@ class State:
 
     model: BalanceModel
     theta: Array
-    shares: Shares
+    shares: ModelErrors
     fitted: float
     folds: float
 
@@ -68,32 +74,36 @@ class State:
         return float(np.sqrt(np.mean(np.square(list(self.shares.values())))))
 
 
-def settled(model: BalanceModel, theta: Array, lines: SearchLines, near: Shares | None = None) -> State:
+def fit_until_stable(
+    model: BalanceModel, theta: Array, lines: SearchLines, near: ModelErrors | None = None
+) -> SearchState:
     """Fit and model error in turn, until the error no longer shrinks."""
-    shares = shares_that_explain(lines.fitted, model.system(theta), near)
+    shares = estimate_model_error(lines.fitted, model.system(theta), near)
     for _ in range(ROUNDS):
-        theta = steps(model, theta, with_model_error(lines.fitted, shares), STEPS)
-        before, shares = shares, shares_that_explain(lines.fitted, model.system(theta), shares)
-        if all(shares[run] >= (1.0 - SETTLED) * before[run] for run in shares):
+        theta = take_steps(model, theta, add_model_error(lines.fitted, shares), STEPS)
+        before, shares = shares, estimate_model_error(lines.fitted, model.system(theta), shares)
+        if all(shares[run] >= (1.0 - MIN_ERROR_DECREASE) * before[run] for run in shares):
             break
     prior = prior_curvature(model.parameters, theta).chi2
-    other = shares_that_explain(lines.folds, model.system(theta), shares)
-    fitted, folds = (criterion(model, theta, *pair) + prior for pair in ((lines.fitted, shares), (lines.folds, other)))
-    return State(model, theta, shares, fitted, folds)
+    other = estimate_model_error(lines.folds, model.system(theta), shares)
+    fitted, folds = (
+        minus_two_log_likelihood(model, theta, *pair) + prior for pair in ((lines.fitted, shares), (lines.folds, other))
+    )
+    return SearchState(model, theta, shares, fitted, folds)
 
 
-def steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int) -> Array:
+def take_steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int) -> Array:
     """At most `count` steps of the maximum likelihood from `theta`; what the data hardly tell stays near it."""
-    return first_steps(model, theta, batches, count, NEAR, PROMISED).theta
+    return take_first_steps(model, theta, batches, count, REGRESSION_PRIOR_SCALES, MIN_STEP_GAIN).theta
 
 
-def criterion(model: BalanceModel, theta: Array, batches: Sequence[Batch], shares: Shares) -> float:
+def minus_two_log_likelihood(model: BalanceModel, theta: Array, batches: Sequence[Batch], shares: ModelErrors) -> float:
     """-2 ln likelihood (up to a constant of the data) of these lines, with this model error."""
-    return data_chi2(with_model_error(batches, shares), model.system(theta)) + log_volume(batches, shares)
+    return data_chi2(add_model_error(batches, shares), model.system(theta)) + log_determinant_inflation(batches, shares)
 
 
 @dataclass(frozen=True)
-class Attempt:
+class PartialFit:
     """A few steps of a candidate's fit, with the model error as it was, and where they led.
 
     `gain`: -2 ln likelihood that is gained if the model error shrinks with chi-square, n ln(chi2 / chi2).
@@ -104,29 +114,33 @@ class Attempt:
     gain: float
 
 
-def attempt(state: State, score: Score, lines: SearchLines) -> Attempt:
+def fit_partially(state: SearchState, score: Score, lines: SearchLines) -> PartialFit:
     """The model with the candidate, some steps from where it begins or, if that leads further, from a regression.
 
     The equations of motion with the cells' forces have no resonances to get wrong (`estimation.starting_values`). They
     are asked where the candidate has values that nobody knows.
     """
-    model, theta = extended(state.model, state.theta, with_begun(state.geometry, score))
+    model, theta = extend_model(state.model, state.theta, add_scored_candidate(state.geometry, score))
     if score.candidate.chosen:
-        _, null = extended(state.model, state.theta, with_candidates(state.geometry, [(score.candidate, score.start)]))
-        theta = settled_mass(model, null, with_model_error(lines.fitted, state.shares))
+        _, null = extend_model(
+            state.model, state.theta, add_candidates(state.geometry, [(score.candidate, score.start)])
+        )
+        theta = refine_point_mass(model, null, add_model_error(lines.fitted, state.shares))
     starts = [theta]
-    if has_shape(score):
-        starts.append(by_equations_of_motion(model.parameters, lines.fitted, model.system, theta))
-    return _further(model, starts, state, lines)
+    if has_nuisance_parameters(score):
+        starts.append(start_from_equations_of_motion(model.parameters, lines.fitted, model.system, theta))
+    return _best_partial_fit(model, starts, state, lines)
 
 
-def _further(model: BalanceModel, starts: Sequence[Array], state: State, lines: SearchLines) -> Attempt:
-    batches = with_model_error(lines.fitted, state.shares)
-    before = penalised_chi2(state.model, state.theta, batches)
-    ends = [steps(model, start, batches, FIRST_STEPS) for start in starts]
-    best = steps(model, min(ends, key=lambda end: penalised_chi2(model, end, batches)), batches, FIRST_STEPS)
-    chi2 = penalised_chi2(model, best, batches)
-    return Attempt(model, best, data_count(batches) * float(np.log(before / chi2)))
+def _best_partial_fit(
+    model: BalanceModel, starts: Sequence[Array], state: SearchState, lines: SearchLines
+) -> PartialFit:
+    batches = add_model_error(lines.fitted, state.shares)
+    before = penalized_chi2(state.model, state.theta, batches)
+    ends = [take_steps(model, start, batches, FIRST_STEPS) for start in starts]
+    best = take_steps(model, min(ends, key=lambda end: penalized_chi2(model, end, batches)), batches, FIRST_STEPS)
+    chi2 = penalized_chi2(model, best, batches)
+    return PartialFit(model, best, data_count(batches) * float(np.log(before / chi2)))
 
 
 def data_count(batches: Sequence[Batch]) -> float:
@@ -134,13 +148,13 @@ def data_count(batches: Sequence[Batch]) -> float:
     return float(sum(np.sum(batch.count) for batch in batches))
 
 
-def with_candidate(state: State, candidate: Candidate, lines: SearchLines) -> State:
+def fit_with_candidate(state: SearchState, candidate: Candidate, lines: SearchLines) -> SearchState:
     """The model with the candidate, fitted from its first start."""
-    geometry = with_candidates(state.geometry, [(candidate, 0)], started=True)
-    return settled(*extended(state.model, state.theta, geometry), lines, state.shares)
+    geometry = add_candidates(state.geometry, [(candidate, 0)], at_start_values=True)
+    return fit_until_stable(*extend_model(state.model, state.theta, geometry), lines, state.shares)
 
 
-def begun_anew(state: State, lines: SearchLines) -> State:
+def restart(state: SearchState, lines: SearchLines) -> SearchState:
     """The same model, everything fitted once more from the regression."""
-    theta = by_equations_of_motion(state.model.parameters, lines.fitted, state.model.system, state.theta)
-    return settled(state.model, theta, lines)
+    theta = start_from_equations_of_motion(state.model.parameters, lines.fitted, state.model.system, state.theta)
+    return fit_until_stable(state.model, theta, lines)

@@ -6,7 +6,7 @@ from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.score_statistics import Score
 
 
-def trial(
+def make_trial(
     number: int, score: Score, count: int, gain: float, accepted: bool, why: str, folds: float = float("nan")
 ) -> Trial:
     """One of `count` candidates in round `number`, with what its refit gained, there and on other lines."""

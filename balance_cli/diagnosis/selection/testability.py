@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.result import Untestable
+from balance_cli.diagnosis.result import UntestableEffect
 from balance_cli.diagnosis.search.score_statistics import Score
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.model import effects
 from balance_cli.model.effects import Effect
 
-BLIND = 1e-3
+INVISIBLE_CHI2 = 1e-3
 """Chi-square by which a change that matters is no change at all."""
-WEAK = 4.0
+DETECTABLE_CHI2 = 4.0
 """Chi-square below which a change that matters cannot be told from noise."""
 
 
-def not_testable(scores: Sequence[Score], spectra: Spectra, geometry: Geometry) -> tuple[Untestable, ...]:
+def not_testable(scores: Sequence[Score], spectra: Spectra, geometry: Geometry) -> tuple[UntestableEffect, ...]:
     """Each effect that has no place in the rig, or that was a candidate and could not show at any of its places.
 
     The empirical ones are left out, and what the geometry has of the closed model: that has shown.
@@ -29,9 +29,9 @@ def not_testable(scores: Sequence[Score], spectra: Spectra, geometry: Geometry) 
         if effect.empirical or effect.name in there:
             continue
         if not effect.places(geometry):
-            found.append(Untestable(effect.name, _no_place(geometry)))
-        elif expected and max(expected) < WEAK:
-            found.append(Untestable(effect.name, _why(effect, max(expected), spectra)))
+            found.append(UntestableEffect(effect.name, _no_place(geometry)))
+        elif expected and max(expected) < DETECTABLE_CHI2:
+            found.append(UntestableEffect(effect.name, _untestable_reason(effect, max(expected), spectra)))
     return tuple(found)
 
 
@@ -41,8 +41,8 @@ def _no_place(geometry: Geometry) -> str:
     return f"a rig with {counted} that moves in {', '.join(geometry.freedom)} has no place for it"
 
 
-def _why(effect: Effect, expected: float, spectra: Spectra) -> str:
-    if expected >= BLIND:
+def _untestable_reason(effect: Effect, expected: float, spectra: Spectra) -> str:
+    if expected >= INVISIBLE_CHI2:
         return f"a change that matters would change chi-square by {expected:.1g} only"
     if effect.needs_spin and not any(run.rotor_speed for run in spectra.lines):
         return "all runs were recorded at rest; it needs sweeps with the rotor turning"

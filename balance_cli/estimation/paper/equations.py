@@ -30,7 +30,7 @@ class Coefficients:
         return np.hstack([self.D, self.K, self.B_F])
 
 
-def from_table(table: Array) -> Coefficients:
+def coefficients_from_table(table: Array) -> Coefficients:
     """Coefficients from [D, K, B_F] (n, 2n+m)."""
     n = len(table)
     return Coefficients(table[:, :n], table[:, n : 2 * n], table[:, 2 * n :])
@@ -98,7 +98,7 @@ def is_stable(model: Coefficients) -> bool:
     return bool(np.all(np.isfinite(A)) and np.max(np.linalg.eigvals(A).real) < 0.0)
 
 
-def stabilised(model: Coefficients, full_damping: bool) -> Coefficients | None:
+def stabilize(model: Coefficients, full_damping: bool) -> Coefficients | None:
     """The model with unstable eigenvalues reflected into the left half plane, eigenvectors kept; None where that fails.
 
     With the eigenvectors V and eigenvalues Lambda of the quadratic problem, [D, K] solves

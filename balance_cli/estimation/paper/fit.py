@@ -15,22 +15,24 @@ from balance_cli.estimation.paper.equations import (
     model_response_jacobian,
     modes,
 )
-from balance_cli.estimation.paper.initial_models import best_start
-from balance_cli.estimation.paper.least_squares import equation_error_fit
-from balance_cli.estimation.paper.likelihood import OutputErrorFit, maximum_likelihood
+from balance_cli.estimation.paper.initial_models import select_initial_model
+from balance_cli.estimation.paper.least_squares import fit_linear_equations
+from balance_cli.estimation.paper.likelihood import OutputErrorFit, maximize_likelihood
 from balance_cli.estimation.paper.misfit import misfit
-from balance_cli.estimation.paper.output_error import grouped
+from balance_cli.estimation.paper.output_error import group_by_frequency
 from balance_cli.estimation.paper.result import PaperFit, PaperOptions
 from balance_cli.estimation.paper.sensors import SensorRule, sensor_rule
 from balance_cli.estimation.paper.spectra import SensorSpectra, sensor_spectra
 from balance_cli.io.errors import UserError
-from balance_cli.signals.run_spectrum import Lines
+from balance_cli.signals.run_spectrum import RunSpectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-def identify_paper_form(geometry: Geometry, runs: Sequence[Lines], options: PaperOptions | None = None) -> PaperFit:
+def identify_paper_form(
+    geometry: Geometry, runs: Sequence[RunSpectrum], options: PaperOptions | None = None
+) -> PaperFit:
     """Identify the balance in the paper's form from the lines of sweep runs.
 
     Runs that leave the plate alone are not used. Raises UserError where the cells do not fit the form, a cell has no
@@ -38,58 +40,58 @@ def identify_paper_form(geometry: Geometry, runs: Sequence[Lines], options: Pape
     """
     options = options or PaperOptions()
     rule = sensor_rule(geometry)
-    everything = sensor_spectra(geometry, rule, runs)
-    spectra = everything.within(options.band)
+    all_spectra = sensor_spectra(geometry, rule, runs)
+    spectra = all_spectra.in_band(options.band)
     if not len(spectra.frequency):
         raise UserError(f"no line from {options.band[0]:g} to {options.band[1]:g} Hz", remedy="Widen the band")
     free = free_coefficients(len(rule.names), len(spectra.inputs), options.damping == "full")
     if options.method == "ls":
         weight = None if options.line_weighting == "plain" else 1.0 / spectra.frequency**2
-        first = equation_error_fit(spectra, free, weight)
-        found = OutputErrorFit(first.model, first.covariance, first.residual_covariance, "full", np.nan, 0, True)
-        return _described(rule, everything, spectra, free, found, "", options)
-    found, start = _maximum_likelihood(geometry, rule, spectra, free, options)
-    return _described(rule, everything, spectra, free, found, start, options)
+        first = fit_linear_equations(spectra, free, weight)
+        estimate = OutputErrorFit(first.model, first.covariance, first.residual_covariance, "full", np.nan, 0, True)
+        return _build_fit(rule, all_spectra, spectra, free, estimate, "", options)
+    estimate, start = _fit_maximum_likelihood(geometry, rule, spectra, free, options)
+    return _build_fit(rule, all_spectra, spectra, free, estimate, start, options)
 
 
-def _maximum_likelihood(
+def _fit_maximum_likelihood(
     geometry: Geometry, rule: SensorRule, spectra: SensorSpectra, free: NDArray[np.bool_], options: PaperOptions
 ) -> tuple[OutputErrorFit, str]:
-    data, full = grouped(spectra), free_coefficients(len(rule.names), len(spectra.inputs), True)
+    data, full = group_by_frequency(spectra), free_coefficients(len(rule.names), len(spectra.inputs), True)
     starts = {"geometry": declared_coefficients(geometry, rule, spectra.inputs)}
     # Least squares also finds out where lines or sweeps are too few, whatever the start.
-    first = equation_error_fit(spectra, full)
+    first = fit_linear_equations(spectra, full)
     if options.method == "ls+ml":
         starts["least squares"] = first.model
-    model, origin = best_start(data, starts, options.damping == "full")
-    return maximum_likelihood(data, free, model, options.noise, options.max_iterations), origin
+    model, origin = select_initial_model(data, starts, options.damping == "full")
+    return maximize_likelihood(data, free, model, options.noise, options.max_iterations), origin
 
 
-def _described(
+def _build_fit(
     rule: SensorRule,
-    everything: SensorSpectra,
+    all_spectra: SensorSpectra,
     spectra: SensorSpectra,
     free: NDArray[np.bool_],
-    found: OutputErrorFit,
+    estimate: OutputErrorFit,
     start: str,
     options: PaperOptions,
 ) -> PaperFit:
     return PaperFit(
         rule=rule,
         inputs=spectra.inputs,
-        model=found.model,
+        model=estimate.model,
         free=free,
-        covariance=found.covariance,
-        S=found.S,
-        noise=found.noise,
-        modes=modes(found.model, free, found.covariance),
-        misfit=misfit(everything, spectra, found.model, int(free.sum())),
+        covariance=estimate.covariance,
+        S=estimate.S,
+        noise=estimate.noise,
+        modes=modes(estimate.model, free, estimate.covariance),
+        misfit=misfit(all_spectra, spectra, estimate.model, int(free.sum())),
         options=options,
         lines=len(spectra.frequency),
         start=start,
-        cost=found.cost,
-        iterations=found.iterations,
-        converged=found.converged,
+        cost=estimate.cost,
+        iterations=estimate.iterations,
+        converged=estimate.converged,
     )
 
 

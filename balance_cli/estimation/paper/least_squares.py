@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.paper.equations import Coefficients, from_table, regressors
+from balance_cli.estimation.paper.equations import Coefficients, coefficients_from_table, regressors
 from balance_cli.estimation.paper.spectra import SensorSpectra
 from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-RANK = 1e-10
+RANK_TOLERANCE = 1e-10
 """Singular values of the scaled regressors below this fraction of the largest count as none."""
 
 
@@ -30,7 +30,7 @@ class EquationErrorFit:
     residual_covariance: ComplexArray
 
 
-def equation_error_fit(
+def fit_linear_equations(
     spectra: SensorSpectra, free: NDArray[np.bool_], weight: Array | None = None
 ) -> EquationErrorFit:
     """Minimise sum |w e|^2, e = -omega^2 s - [D, K, B_F] phi(s, u), over all runs and lines (paper, eq. 1).
@@ -50,18 +50,18 @@ def equation_error_fit(
             remedy="Widen the band or give more sweeps",
         )
     table = np.zeros(free.shape)
-    for row, chosen in enumerate(free):
-        table[row, chosen] = _real_least_squares(phi[:, chosen], target[:, row])
+    for row, free_columns in enumerate(free):
+        table[row, free_columns] = _real_least_squares(phi[:, free_columns], target[:, row])
     error = target - phi @ table.T
     S = error.T @ np.conj(error) / (len(phi) - 0.5 * np.mean(free.sum(axis=1)))
-    return EquationErrorFit(from_table(table), _covariance(phi, free, S), S)
+    return EquationErrorFit(coefficients_from_table(table), _covariance(phi, free, S), S)
 
 
 def _real_least_squares(phi: ComplexArray, target: ComplexArray) -> Array:
     A, b = np.vstack([phi.real, phi.imag]), np.concatenate([target.real, target.imag])
     scale = np.linalg.norm(A, axis=0)
     scale[scale == 0.0] = 1.0
-    solution, _, rank, _ = np.linalg.lstsq(A / scale, b, rcond=RANK)
+    solution, _, rank, _ = np.linalg.lstsq(A / scale, b, rcond=RANK_TOLERANCE)
     if rank < A.shape[1]:
         raise UserError(
             "the runs do not excite every freedom of the plate, so its equations are not determined",
@@ -74,7 +74,7 @@ def _covariance(phi: ComplexArray, free: NDArray[np.bool_], S: ComplexArray) -> 
     """cov(theta_a, theta_b) = N_a^-1 Re(S_ab Phi_a* Phi_b) N_b^-1 / 2, with N_a = Re Phi_a* Phi_a."""
     scale = np.linalg.norm(phi, axis=0)
     gram = np.conj(phi / scale).T @ (phi / scale)
-    columns = [np.flatnonzero(chosen) for chosen in free]
+    columns = [np.flatnonzero(free_columns) for free_columns in free]
     inverse = [np.linalg.inv(gram[np.ix_(c, c)].real) / scale[c] for c in columns]
     blocks = [
         [

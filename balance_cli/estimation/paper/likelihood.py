@@ -7,27 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.paper.equations import Coefficients, from_table, is_stable
+from balance_cli.estimation.paper.equations import Coefficients, coefficients_from_table, is_stable
 from balance_cli.estimation.paper.output_error import (
-    Derivatives,
+    CostDerivatives,
     GroupedLines,
-    Noise,
-    Point,
-    exact,
-    gauss_newton,
-    point,
+    ModelEvaluation,
+    NoiseForm,
+    evaluate_model,
+    exact_derivatives,
+    gauss_newton_derivatives,
 )
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-QUASI_LINEAR = 8
+QUASI_LINEAR_ITERATIONS = 8
 """Gauss-Newton iterations before the exact Hessian takes over; where the model fits they suffice."""
-LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e9
+MIN_DAMPING_RATIO, MAX_DAMPING_RATIO = 1e-9, 1e9
 """Range of the Levenberg-Marquardt damping, as a fraction of the scaled Hessian's unit diagonal."""
 TOLERANCE = 1e-6
 """Newton decrement (in units of the log-likelihood) at which the iteration ends: 0.001 sigma."""
-ROUNDING = 1e-18
+ROUNDING_POWER_RATIO = 1e-18
 """Error power over signal power below which only rounding is left."""
 
 
@@ -42,14 +42,14 @@ class OutputErrorFit:
     model: Coefficients
     covariance: Array
     S: ComplexArray
-    noise: Noise
+    noise: NoiseForm
     cost: float
     iterations: int
     converged: bool
 
 
-def maximum_likelihood(
-    data: GroupedLines, free: NDArray[np.bool_], start: Coefficients, noise: Noise, max_iterations: int
+def maximize_likelihood(
+    data: GroupedLines, free: NDArray[np.bool_], start: Coefficients, noise: NoiseForm, max_iterations: int
 ) -> OutputErrorFit:
     """The output-error fit with the `noise` asked for; a full S begins where the diagonal one ends.
 
@@ -57,17 +57,17 @@ def maximum_likelihood(
     gains at another, and the response gets worse on the way. Then the fit with a diagonal S is returned.
     """
     if noise != "full":
-        return output_error_fit(data, free, start, noise, max_iterations)
-    diagonal = output_error_fit(data, free, start, "diagonal", max_iterations)
-    full = output_error_fit(data, free, diagonal.model, "full", max_iterations)
+        return fit_output_error(data, free, start, noise, max_iterations)
+    diagonal = fit_output_error(data, free, start, "diagonal", max_iterations)
+    full = fit_output_error(data, free, diagonal.model, "full", max_iterations)
     return full if full.converged else diagonal
 
 
-def output_error_fit(
+def fit_output_error(
     data: GroupedLines,
     free: NDArray[np.bool_],
     start: Coefficients,
-    noise: Noise,
+    noise: NoiseForm,
     max_iterations: int,
 ) -> OutputErrorFit:
     """Minimise sum eps* S^-1 eps + N ln det S over the free coefficients and S, from a stable `start`.
@@ -77,33 +77,33 @@ def output_error_fit(
     (quasi-linearisation); afterwards the exact Hessian is used, because where the model cannot fit, Gauss-Newton
     creeps. Steps are damped after Levenberg and Marquardt until the cost falls and the system is stable.
     """
-    at, damping, iterations, converged = point(data, start, noise), 1e-3, 0, False
+    at, damping, iterations, converged = evaluate_model(data, start, noise), 1e-3, 0, False
     while not converged and iterations < max_iterations:
-        use_exact = iterations >= QUASI_LINEAR
+        use_exact = iterations >= QUASI_LINEAR_ITERATIONS
         iterations += 1
-        local = exact(data, free, at, noise) if use_exact else gauss_newton(data, free, at)
-        step = _Step.of(local)
+        local = exact_derivatives(data, free, at, noise) if use_exact else gauss_newton_derivatives(data, free, at)
+        step = _NewtonStep.from_derivatives(local)
         if step.decrement < TOLERANCE and not step.saddle:
             converged = True
             break
-        better, damping = _descend(data, free, at, step, damping, noise)
+        better, damping = _damped_newton_step(data, free, at, step, damping, noise)
         if better is None:
-            converged = step.decrement < 1e3 * TOLERANCE or _only_rounding_left(data, at)
+            converged = step.decrement < 1e3 * TOLERANCE or _is_at_rounding_level(data, at)
             break
         at = better
-    information = gauss_newton(data, free, at).hessian
+    information = gauss_newton_derivatives(data, free, at).hessian
     n, p = len(at.S), len(information)
     correction = 2 * n * data.lines / (2 * n * data.lines - p)
-    covariance = 0.5 * correction * inverse(information)
+    covariance = 0.5 * correction * invert_scaled(information)
     return OutputErrorFit(at.model, covariance, at.S * correction, noise, at.cost, iterations, converged)
 
 
-def _only_rounding_left(data: GroupedLines, at: Point) -> bool:
-    return bool(np.sum(np.abs(at.error) ** 2) < ROUNDING * data.lines * np.sum(data.power))
+def _is_at_rounding_level(data: GroupedLines, at: ModelEvaluation) -> bool:
+    return bool(np.sum(np.abs(at.error) ** 2) < ROUNDING_POWER_RATIO * data.lines * np.sum(data.power))
 
 
 @dataclass(frozen=True)
-class _Step:
+class _NewtonStep:
     """The step as a function of the damping: eigenvectors V of the Hessian scaled to a unit diagonal.
 
     The entries of K are 1e4 times those of D and more, hence the scale. Where the Hessian is not positive the
@@ -117,11 +117,11 @@ class _Step:
     saddle: bool
 
     @staticmethod
-    def of(local: Derivatives) -> _Step:
+    def from_derivatives(local: CostDerivatives) -> _NewtonStep:
         scale = np.sqrt(np.maximum(np.abs(np.diag(local.hessian)), np.finfo(float).tiny))
         eigenvalues, V = np.linalg.eigh(local.hessian / scale / scale[:, None])
         saddle = bool(eigenvalues[0] < -1e-10)
-        return _Step(scale, V, np.maximum(np.abs(eigenvalues), 1e-12), V.T @ (local.gradient / scale), saddle)
+        return _NewtonStep(scale, V, np.maximum(np.abs(eigenvalues), 1e-12), V.T @ (local.gradient / scale), saddle)
 
     @property
     def decrement(self) -> float:
@@ -132,23 +132,28 @@ class _Step:
         return np.asarray(self.V @ (self.gradient / (self.eigenvalues + damping)) / self.scale)
 
 
-def _descend(
-    data: GroupedLines, free: NDArray[np.bool_], at: Point, step: _Step, damping: float, noise: Noise
-) -> tuple[Point | None, float]:
+def _damped_newton_step(
+    data: GroupedLines,
+    free: NDArray[np.bool_],
+    at: ModelEvaluation,
+    step: _NewtonStep,
+    damping: float,
+    noise: NoiseForm,
+) -> tuple[ModelEvaluation | None, float]:
     """The first stable point of lower cost along rising damping, and the damping to begin with next time."""
-    while damping <= MOST_DAMPING:
+    while damping <= MAX_DAMPING_RATIO:
         table = at.model.table
         table[free] += step.at(damping)
-        model = from_table(table)
+        model = coefficients_from_table(table)
         if is_stable(model):
-            trial = point(data, model, noise)
+            trial = evaluate_model(data, model, noise)
             if trial.cost < at.cost:
-                return trial, (damping / 10 if damping > LEAST_DAMPING else 0.0)
-        damping = max(10 * damping, LEAST_DAMPING)
+                return trial, (damping / 10 if damping > MIN_DAMPING_RATIO else 0.0)
+        damping = max(10 * damping, MIN_DAMPING_RATIO)
     return None, damping
 
 
-def inverse(matrix: Array) -> Array:
+def invert_scaled(matrix: Array) -> Array:
     """Inverse of a symmetric positive matrix, scaled to a unit diagonal first."""
     scale = np.sqrt(np.diag(matrix))
     return np.asarray(np.linalg.inv(matrix / scale / scale[:, None]) / scale / scale[:, None])

@@ -35,13 +35,13 @@ class Misfit:
         return self.chi2 / self.dof if self.dof > 0 else float("nan")
 
 
-def misfit(everything: SensorSpectra, fitted: SensorSpectra, model: Coefficients, parameters: int) -> Misfit:
-    """Misfit of `model`: chi2 over the `fitted` lines, relative errors over `everything` in the common band."""
-    errors = frf_errors(everything.within(FRF_BAND), model)
+def misfit(all_spectra: SensorSpectra, fitted_spectra: SensorSpectra, model: Coefficients, parameters: int) -> Misfit:
+    """Misfit of `model`: chi2 over the `fitted` lines, relative errors over `all_spectra` in the common band."""
+    errors = frf_errors(all_spectra.in_band(FRF_BAND), model)
     present = [error for error in errors.values() if np.isfinite(error)]
     frf_error = float(np.sqrt(np.mean(np.square(present)))) if present else float("nan")
-    dof = 2 * fitted.s.size - parameters
-    return Misfit(chi2_against_measured_noise(fitted, model), dof, frf_error, errors)
+    dof = 2 * fitted_spectra.s.size - parameters
+    return Misfit(chi2_against_measured_noise(fitted_spectra, model), dof, frf_error, errors)
 
 
 def chi2_against_measured_noise(spectra: SensorSpectra, model: Coefficients) -> float:

@@ -13,9 +13,9 @@ from balance_cli.estimation.paper.spectra import SensorSpectra
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-Noise = Literal["full", "diagonal", "equal"]
+NoiseForm = Literal["full", "diagonal", "equal"]
 
-FLOOR = 1e-24
+NOISE_POWER_FLOOR = 1e-24
 """Least noise power, as a fraction of a sensor's mean power: rounding. It keeps ln det S finite without noise."""
 
 
@@ -34,7 +34,7 @@ class GroupedLines:
     power: Array
 
 
-def grouped(spectra: SensorSpectra) -> GroupedLines:
+def group_by_frequency(spectra: SensorSpectra) -> GroupedLines:
     """The lines of all runs by distinct frequency."""
     frequency, group, count = np.unique(spectra.frequency, return_inverse=True, return_counts=True)
     order = np.argsort(group, kind="stable")
@@ -47,7 +47,7 @@ def grouped(spectra: SensorSpectra) -> GroupedLines:
 
 
 @dataclass(frozen=True)
-class Point:
+class ModelEvaluation:
     """A model against the data: compliance R (F, n, n), output and error (F, r, n), S (n, n) [N2] and the cost."""
 
     model: Coefficients
@@ -58,7 +58,7 @@ class Point:
     cost: float
 
 
-def point(data: GroupedLines, model: Coefficients, noise: Noise) -> Point:
+def evaluate_model(data: GroupedLines, model: Coefficients, noise: NoiseForm) -> ModelEvaluation:
     """The cost N ln det S with S estimated from the errors (note 10).
 
     `full` takes S for the mean of eps eps*; `diagonal` for its diagonal (independent sensors); `equal` for sigma^2 I.
@@ -66,25 +66,25 @@ def point(data: GroupedLines, model: Coefficients, noise: Noise) -> Point:
     R = compliance(model, data.frequency)
     output = (data.u @ model.B_F.T) @ np.swapaxes(R, 1, 2)
     error = data.s - output
-    mean = np.tensordot(error, np.conj(error), ([0, 1], [0, 1])) / data.lines + np.diag(FLOOR * data.power)
+    mean = np.tensordot(error, np.conj(error), ([0, 1], [0, 1])) / data.lines + np.diag(NOISE_POWER_FLOOR * data.power)
     if noise == "equal":
         S = np.eye(len(mean)) * np.trace(mean).real / len(mean) + 0j
     else:
         S = mean if noise == "full" else np.diag(np.diag(mean))
-    return Point(model, R, output, error, S, data.lines * float(np.linalg.slogdet(S)[1]))
+    return ModelEvaluation(model, R, output, error, S, data.lines * float(np.linalg.slogdet(S)[1]))
 
 
 @dataclass(frozen=True)
-class Derivatives:
+class CostDerivatives:
     """Half of minus the cost's gradient (p,), and half its Hessian (p, p) as far as asked for."""
 
     gradient: Array
     hessian: Array
 
 
-def gauss_newton(
-    data: GroupedLines, free: NDArray[np.bool_], at: Point, regress_on: Literal["model", "measured"] = "model"
-) -> Derivatives:
+def gauss_newton_derivatives(
+    data: GroupedLines, free: NDArray[np.bool_], at: ModelEvaluation, regress_on: Literal["model", "measured"] = "model"
+) -> CostDerivatives:
     """Re sum J* S^-1 eps and Re sum J* S^-1 J with J = d(G u)/d theta, S held.
 
     J has the column R e_a phi_r for the entry in row a and column r of [D, K, B_F] (phi the regressors of the model's
@@ -94,35 +94,37 @@ def gauss_newton(
     phi = _regressors(data, at, regress_on)
     Q = _adjoint(at.R) @ np.linalg.solve(at.S, at.R)
     gram = np.conj(np.swapaxes(phi, 1, 2)) @ phi
-    gradient = np.tensordot(_back_projected(at), np.conj(phi), ([0, 1], [0, 1])).real
-    return Derivatives(gradient[free], _arranged(_contracted(Q, gram).real, "abrq->arbq", free))
+    gradient = np.tensordot(_back_project(at), np.conj(phi), ([0, 1], [0, 1])).real
+    return CostDerivatives(gradient[free], _as_free_matrix(_contract_frequency(Q, gram).real, "abrq->arbq", free))
 
 
-def exact(data: GroupedLines, free: NDArray[np.bool_], at: Point, noise: Noise) -> Derivatives:
+def exact_derivatives(
+    data: GroupedLines, free: NDArray[np.bool_], at: ModelEvaluation, noise: NoiseForm
+) -> CostDerivatives:
     """The gradient, and the exact half Hessian of N ln det S(theta).
 
     To the Gauss-Newton matrix it adds -Re sum eps* S^-1 d2(G u) and -sum_ij tr(S^-1 C_i S^-1 C_j) / 2N, with
     C_i = sum J_i eps* + eps J_i*. With beta = R* S^-1 eps and phi = Psi s + [0, 0, u], the second derivative projects
     to conj(beta_b) phi_r (Psi R)_qa + conj(beta_a) phi_q (Psi R)_rb.
     """
-    first = gauss_newton(data, free, at)
+    first = gauss_newton_derivatives(data, free, at)
     phi = _regressors(data, at, "model")
     n, q = free.shape
     PsiR = regressors(data.frequency, at.R, np.zeros((len(at.R), q - 2 * n, n), complex), axis=1)
-    projected = np.conj(np.swapaxes(_back_projected(at), 1, 2)) @ phi
-    T = _arranged(_contracted(projected, PsiR).real, "brqa->arbq", free)
-    return Derivatives(first.gradient, first.hessian - T - T.T - _noise_term(data, free, at, phi, noise))
+    projected = np.conj(np.swapaxes(_back_project(at), 1, 2)) @ phi
+    T = _as_free_matrix(_contract_frequency(projected, PsiR).real, "brqa->arbq", free)
+    return CostDerivatives(first.gradient, first.hessian - T - T.T - _noise_term(data, free, at, phi, noise))
 
 
 def _noise_term(
-    data: GroupedLines, free: NDArray[np.bool_], at: Point, phi: ComplexArray, noise: Noise
+    data: GroupedLines, free: NDArray[np.bool_], at: ModelEvaluation, phi: ComplexArray, noise: NoiseForm
 ) -> Array | float:
     """tr(S^-1 C_i S^-1 C_j) / 2N: how S follows theta."""
     if noise == "equal":
         # Proportional to the product of two gradients: nothing at the minimum.
         return 0.0
     cross = np.swapaxes(phi, 1, 2) @ np.conj(at.error)
-    A: ComplexArray = np.einsum("iarj->arij", _contracted(at.R, cross))[free]
+    A: ComplexArray = np.einsum("iarj->arij", _contract_frequency(at.R, cross))[free]
     C = A + _adjoint(A)
     if noise == "diagonal":
         C = C * np.eye(len(at.S))
@@ -131,11 +133,11 @@ def _noise_term(
     return np.asarray((U @ np.conj(U).T).real / (2 * data.lines))
 
 
-def _regressors(data: GroupedLines, at: Point, regress_on: str) -> ComplexArray:
+def _regressors(data: GroupedLines, at: ModelEvaluation, regress_on: str) -> ComplexArray:
     return regressors(data.frequency, at.output if regress_on == "model" else data.s, data.u)
 
 
-def _back_projected(at: Point) -> ComplexArray:
+def _back_project(at: ModelEvaluation) -> ComplexArray:
     """Beta = R* S^-1 eps (F, r, n)."""
     return np.asarray(at.error @ np.linalg.inv(at.S).T @ np.conj(at.R))
 
@@ -144,13 +146,13 @@ def _adjoint(x: ComplexArray) -> ComplexArray:
     return np.conj(np.swapaxes(x, -1, -2))
 
 
-def _contracted(x: ComplexArray, y: ComplexArray) -> ComplexArray:
+def _contract_frequency(x: ComplexArray, y: ComplexArray) -> ComplexArray:
     """Sum over frequency of x_f (i, j) times y_f (k, l): (i, j, k, l), as one matrix product."""
     product = x.reshape(len(x), -1).T @ y.reshape(len(y), -1)
     return np.asarray(product.reshape(*x.shape[1:], *y.shape[1:]))
 
 
-def _arranged(x: Array, order: str, free: NDArray[np.bool_]) -> Array:
+def _as_free_matrix(x: Array, order: str, free: NDArray[np.bool_]) -> Array:
     """The four-index array as a matrix (p, p) over the free entries of the table."""
     index = np.flatnonzero(free)
     return np.asarray(np.einsum(order, x).reshape(free.size, free.size)[np.ix_(index, index)], float)

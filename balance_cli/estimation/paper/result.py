@@ -14,7 +14,7 @@ from balance_cli.estimation.paper.equations import (
     is_stable,
 )
 from balance_cli.estimation.paper.misfit import Misfit
-from balance_cli.estimation.paper.output_error import Noise
+from balance_cli.estimation.paper.output_error import NoiseForm
 from balance_cli.estimation.paper.sensors import SensorRule
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class PaperOptions:
     method: Literal["ls", "ml", "ls+ml"] = "ls+ml"
     damping: Literal["diagonal", "full"] = "diagonal"
     band: tuple[float, float] = PAPER_BAND
-    noise: Noise = "full"
+    noise: NoiseForm = "full"
     line_weighting: Literal["plain", "displacement"] = "plain"
     max_iterations: int = 80
 
@@ -59,7 +59,7 @@ class PaperFit:
     free: NDArray[np.bool_]
     covariance: Array
     S: ComplexArray
-    noise: Noise
+    noise: NoiseForm
     modes: tuple[Mode, ...]
     misfit: Misfit
     options: PaperOptions
@@ -82,12 +82,12 @@ class PaperFit:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names such as `D[x,x]`, `K[x,y1]`, `B_F[x,Fx]`, in the order of `parameters`."""
-        return tuple(name for name, _ in _labels(self))
+        return tuple(name for name, _ in _parameter_labels(self))
 
     @property
     def parameter_units(self) -> tuple[str, ...]:
         """Units in the order of `parameters`."""
-        return tuple(unit for _, unit in _labels(self))
+        return tuple(unit for _, unit in _parameter_labels(self))
 
     @property
     def stable(self) -> bool:
@@ -95,7 +95,7 @@ class PaperFit:
         return is_stable(self.model)
 
 
-def _labels(fit: PaperFit) -> list[tuple[str, str]]:
+def _parameter_labels(fit: PaperFit) -> list[tuple[str, str]]:
     sensors = fit.rule.names
     columns = [("D", name, "1/s") for name in sensors] + [("K", name, "1/s2") for name in sensors]
     columns += [("B_F", name, "1/s2" if name.startswith("F") else "1/(m s2)") for name in fit.inputs]

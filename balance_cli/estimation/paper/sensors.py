@@ -14,11 +14,11 @@ from balance_cli.model.plate import PlateMatrices, plate_matrices
 
 Array = NDArray[np.float64]
 
-PARALLEL = 1e-6
+PARALLEL_TOLERANCE = 1e-6
 """Axes whose unit vectors differ by less than this are parallel."""
-NEARLY_BEST = 10.0
+CONDITION_MARGIN = 10.0
 """A pair serves where the condition of its P is within this factor of the best pair's."""
-SINGULAR = 1e6
+MAX_CONDITION = 1e6
 """Condition of the scaled P beyond which the sensors do not determine the motion of the plate."""
 
 
@@ -47,35 +47,35 @@ def sensor_rule(geometry: Geometry) -> SensorRule:
     """
     plate, n, cells = plate_matrices(geometry), len(geometry.freedom), len(geometry.cells)
     if cells == n:
-        best = _rule(geometry, plate, None)
+        best = _build_rule(geometry, plate, None)
     elif cells == n + 1:
-        best = _last_good(geometry, plate)
+        best = _select_merged_pair(geometry, plate)
     else:
-        raise _unfit(f"{cells} cells for {n} freedoms; it needs {n}, or {n + 1} of which two are parallel")
-    if best.condition > SINGULAR:
-        raise _unfit("the cells do not determine the motion of the plate")
+        raise _unsupported_rig(f"{cells} cells for {n} freedoms; it needs {n}, or {n + 1} of which two are parallel")
+    if best.condition > MAX_CONDITION:
+        raise _unsupported_rig("the cells do not determine the motion of the plate")
     return best
 
 
-def _last_good(geometry: Geometry, plate: PlateMatrices) -> SensorRule:
+def _select_merged_pair(geometry: Geometry, plate: PlateMatrices) -> SensorRule:
     axes = [cell.direction for cell in geometry.cells]
     parallel = [(i, j) for j, i in combinations(range(len(axes))[::-1], 2) if _are_parallel(axes[i], axes[j])]
     if not parallel:
-        raise _unfit("one cell more than freedoms, but no two cells have parallel axes to be taken together")
-    rules = [_rule(geometry, plate, pair) for pair in parallel]
+        raise _unsupported_rig("one cell more than freedoms, but no two cells have parallel axes to be taken together")
+    rules = [_build_rule(geometry, plate, pair) for pair in parallel]
     least = min(rule.condition for rule in rules)
-    return next(rule for rule in rules if rule.condition <= NEARLY_BEST * least)
+    return next(rule for rule in rules if rule.condition <= CONDITION_MARGIN * least)
 
 
 def _are_parallel(a: Array, b: Array) -> bool:
-    return bool(np.linalg.norm(np.cross(a, b)) < PARALLEL)
+    return bool(np.linalg.norm(np.cross(a, b)) < PARALLEL_TOLERANCE)
 
 
-def _unfit(fault: str) -> UserError:
+def _unsupported_rig(fault: str) -> UserError:
     return UserError(f"the paper's form does not fit this rig: {fault}", place="cells", remedy="Use `--form physical`")
 
 
-def _rule(geometry: Geometry, plate: PlateMatrices, pair: tuple[int, int] | None) -> SensorRule:
+def _build_rule(geometry: Geometry, plate: PlateMatrices, pair: tuple[int, int] | None) -> SensorRule:
     names, matrix = list(geometry.cell_names), np.eye(len(geometry.cells))
     merged: tuple[str, ...] = ()
     if pair is not None:

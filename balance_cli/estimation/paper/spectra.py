@@ -13,7 +13,7 @@ from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.estimation.paper.sensors import SensorRule
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import plate_matrices
-from balance_cli.signals.run_spectrum import Lines
+from balance_cli.signals.run_spectrum import RunSpectrum
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -37,31 +37,31 @@ class SensorSpectra:
     covariance: ComplexArray
     dof: Array
 
-    def within(self, band: tuple[float, float]) -> SensorSpectra:
+    def in_band(self, band: tuple[float, float]) -> SensorSpectra:
         """The lines from band[0] to band[1] [Hz], both included."""
         return self.subset((self.frequency >= band[0]) & (self.frequency <= band[1]))
 
-    def subset(self, chosen: NDArray[np.bool_]) -> SensorSpectra:
+    def subset(self, mask: NDArray[np.bool_]) -> SensorSpectra:
         """The chosen lines (N,)."""
         return replace(
             self,
-            run=self.run[chosen],
-            frequency=self.frequency[chosen],
-            s=self.s[chosen],
-            u=self.u[chosen],
-            covariance=self.covariance[chosen],
-            dof=self.dof[chosen],
+            run=self.run[mask],
+            frequency=self.frequency[mask],
+            s=self.s[mask],
+            u=self.u[mask],
+            covariance=self.covariance[mask],
+            dof=self.dof[mask],
         )
 
 
-def plate_inputs(geometry: Geometry, runs: Sequence[Lines]) -> tuple[str, ...]:
+def plate_inputs(geometry: Geometry, runs: Sequence[RunSpectrum]) -> tuple[str, ...]:
     """The excited components that act on the plate, in the order of the hub loads (Mz goes beside the plate)."""
     excited = {component for run in runs for component in run.components}
     acts = np.any(plate_matrices(geometry).F != 0.0, axis=0)
     return tuple(name for name, does in zip(COMPONENTS, acts, strict=True) if does and name in excited)
 
 
-def sensor_spectra(geometry: Geometry, rule: SensorRule, runs: Sequence[Lines]) -> SensorSpectra:
+def sensor_spectra(geometry: Geometry, rule: SensorRule, runs: Sequence[RunSpectrum]) -> SensorSpectra:
     """Sensor forces and inputs of the runs that excite the plate; runs that do not are left out.
 
     Each cell is read by its piezo channel, by its strain channel where the run holds no piezo of it (or a non-finite
@@ -73,7 +73,7 @@ def sensor_spectra(geometry: Geometry, rule: SensorRule, runs: Sequence[Lines]) 
     used = [run for run in runs if set(run.components) & set(inputs)]
     if not used:
         raise UserError("no run excites the plate", remedy="Give sweeps of Fx, Fy, Fz, Mx and My")
-    parts = [_forces(geometry, rule, inputs, run) for run in used]
+    parts = [_sensor_forces(geometry, rule, inputs, run) for run in used]
     lengths = [len(run.frequency) for run in used]
     z = np.concatenate([part[0] for part in parts])
     n = len(rule.names)
@@ -90,14 +90,14 @@ def sensor_spectra(geometry: Geometry, rule: SensorRule, runs: Sequence[Lines]) 
     )
 
 
-def _forces(
-    geometry: Geometry, rule: SensorRule, inputs: tuple[str, ...], run: Lines
+def _sensor_forces(
+    geometry: Geometry, rule: SensorRule, inputs: tuple[str, ...], run: RunSpectrum
 ) -> tuple[ComplexArray, ComplexArray]:
     """Z = [s, u] (k, n+m) of one run and its noise covariance: both linear in [channels, loads]."""
     k, c, n = len(run.frequency), len(run.channel_names), len(rule.names)
     L = np.zeros((k, n + len(inputs), c + len(run.components)), complex)
     for j, cell in enumerate(rule.cells):
-        channel = _channel_of(geometry, cell, run)
+        channel = _select_channel(geometry, cell, run)
         column = run.channel_names.index(channel.name)
         L[:, :n, column] += rule.matrix[:, j] / channel_response(channel, run.frequency)[:, None]
     for j, component in enumerate(run.components):
@@ -110,7 +110,7 @@ def _forces(
     return (L @ raw[:, :, None])[:, :, 0], L @ noise @ np.conj(np.swapaxes(L, 1, 2))
 
 
-def _channel_of(geometry: Geometry, cell: str, run: Lines) -> Channel:
+def _select_channel(geometry: Geometry, cell: str, run: RunSpectrum) -> Channel:
     """The channel that reads `cell`: a piezo channel before a strain channel."""
     there = [ch for ch in geometry.channels if ch.cell == cell and _is_usable(run, ch.name)]
     if not there:
@@ -120,7 +120,7 @@ def _channel_of(geometry: Geometry, cell: str, run: Lines) -> Channel:
     return min(there, key=lambda channel: channel.measures_dc)
 
 
-def _is_usable(run: Lines, name: str) -> bool:
+def _is_usable(run: RunSpectrum, name: str) -> bool:
     return name in run.channel_names and bool(np.all(np.isfinite(run.channels[:, run.channel_names.index(name)])))
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.kinematics import motion_at
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 Where = tuple[str, ...]
@@ -27,7 +27,7 @@ class EffectParameter:
     """One parameter: unit, the value at which it does nothing, bounds, the size of a change that matters, a sentence.
 
     `start` is where a fit begins when the null itself is singular for other parameters (a mass without compliance
-    does nothing). A `secondary` parameter does nothing by itself: it shapes what the others do once they have left
+    does nothing). A `nuisance` parameter does nothing by itself: it shapes what the others do once they have left
     their nulls, so that at the null the equations do not depend on it; its own null is where it is left then.
 
     A `reciprocal` parameter has an infinite null (the cutoff of a low-pass). What is fitted, and what the effect is
@@ -39,11 +39,11 @@ class EffectParameter:
     unit: str
     null: float
     scale: float
-    sentence: str
+    description: str
     lower: float = -np.inf
     upper: float = np.inf
     start: float | None = None
-    secondary: bool = False
+    nuisance: bool = False
     reciprocal: bool = False
     squared: bool = False
 
@@ -60,7 +60,7 @@ class EffectParameter:
     @property
     def fitted_null(self) -> float:
         """The null of what is fitted."""
-        return float(self.fitted(self.null))
+        return float(self.fitted_value(self.null))
 
     @property
     def fitted_start(self) -> float:
@@ -70,10 +70,10 @@ class EffectParameter:
     @property
     def fitted_bounds(self) -> tuple[float, float]:
         """Bounds of what is fitted, the lower one first."""
-        bounds = (self.fitted(self.lower), self.fitted(self.upper))
+        bounds = (self.fitted_value(self.lower), self.fitted_value(self.upper))
         return (min(bounds), max(bounds))
 
-    def fitted(self, value: float) -> float:
+    def fitted_value(self, value: float) -> float:
         """What is fitted, from the value."""
         if self.squared:
             return value**2
@@ -81,17 +81,17 @@ class EffectParameter:
             return value
         return np.inf if value == 0 else 1.0 / value
 
-    def natural(self, fitted: float) -> float:
+    def physical_value(self, fitted_value: float) -> float:
         """The value, from what is fitted."""
-        return float(np.sqrt(max(fitted, 0.0))) if self.squared else self.fitted(fitted)
+        return float(np.sqrt(max(fitted_value, 0.0))) if self.squared else self.fitted_value(fitted_value)
 
-    def natural_sigma(self, fitted: float, sigma: float) -> float:
+    def physical_sigma(self, fitted_value: float, sigma: float) -> float:
         """Standard deviation of the value where that of what is fitted is `sigma`."""
         if self.squared:
-            return sigma / (2.0 * float(np.sqrt(max(fitted, 0.5 * sigma)))) if sigma > 0 else 0.0
+            return sigma / (2.0 * float(np.sqrt(max(fitted_value, 0.5 * sigma)))) if sigma > 0 else 0.0
         if not self.reciprocal:
             return sigma
-        return np.inf if fitted == 0 else sigma / fitted**2
+        return np.inf if fitted_value == 0 else sigma / fitted_value**2
 
     @property
     def fitted_scale(self) -> float:
@@ -105,7 +105,7 @@ class Choice:
 
     name: str
     words: tuple[str, ...]
-    sentence: str
+    description: str
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Effect:
     says what it leaves in a residual, `separated_by` which measurement tells it from what looks alike. What it adds is
     written as formulas at the head of its file.
 
-    For a search: `searched(geometry)` are the places worth trying where not all are (a large place, that is made
+    For a search: `search_places(geometry)` are the places worth trying where not all are (a large place, that is made
     smaller afterwards); `starts(geometry, where)` fitted values to begin from, several where one start may lead into a
     wrong minimum; `once`: a rig has it once at most; `empirical`: it describes and does not explain. Where what shapes
     an effect counts as much as its size, `scanned(geometry, where)` are further starts at whose nulls a search scores
@@ -136,18 +136,18 @@ class Effect:
     summary: str
     validity: str
     reference: str
-    trace: str
+    signature: str
     separated_by: str
     place: str
     places: Callable[[Geometry], tuple[Where, ...]]
     parameters: Callable[[Geometry, Where], tuple[EffectParameter, ...]]
-    apply: Callable[[Equations, Geometry, Where, Mapping[str, Jet]], Equations]
-    searched: Callable[[Geometry], tuple[Where, ...]] | None = None
+    apply: Callable[[Equations, Geometry, Where, Mapping[str, Dual]], Equations]
+    search_places: Callable[[Geometry], tuple[Where, ...]] | None = None
     starts: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
-    scanned: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
-    sized: Callable[[Geometry, Where, Start, Start], Start] | None = None
+    extra_starts: Callable[[Geometry, Where], tuple[Start, ...]] | None = None
+    start_from_score: Callable[[Geometry, Where, Start, Start], Start] | None = None
     inaccuracy: tuple[float, float] = (0.0, 0.0)
-    once: bool = False
+    at_most_once: bool = False
     needs_spin: bool = False
     empirical: bool = False
     choice: Choice | None = None
@@ -183,12 +183,12 @@ def each_channel(geometry: Geometry) -> tuple[Where, ...]:
     return tuple((channel.name,) for channel in geometry.channels)
 
 
-def nowhere_in_particular(_: Geometry) -> tuple[Where, ...]:
+def whole_rig(_: Geometry) -> tuple[Where, ...]:
     """The one place of an effect of the whole rig."""
     return ((),)
 
 
-def subsets(names: tuple[str, ...]) -> tuple[Where, ...]:
+def nonempty_subsets(names: tuple[str, ...]) -> tuple[Where, ...]:
     """Every choice of at least one of `names`, the small ones first, each in the order of `names`."""
     chosen = [tuple(name for i, name in enumerate(names) if bits >> i & 1) for bits in range(1, 2 ** len(names))]
     return tuple(sorted(chosen, key=lambda where: (len(where), [names.index(name) for name in where])))
@@ -228,13 +228,13 @@ def inertia_by_motion(geometry: Geometry) -> dict[str, float]:
     return dict(zip(FREEDOMS, (mass, mass, mass, *np.diag(inertia)[::-1].tolist()), strict=True))
 
 
-def reach(geometry: Geometry) -> float:
+def position_bound(geometry: Geometry) -> float:
     """Twice the distance [m] from the origin of what lies farthest from it: nothing that matters lies beyond."""
     points = [geometry.hub, *(cell.position for cell in geometry.cells), *(body.position for body in geometry.bodies)]
     return 2.0 * float(np.linalg.norm(np.array(points), axis=1).max()) or np.inf
 
 
-def floored(jet: Jet, floor: float | Array) -> Jet:
+def clip_below(dual: Dual, floor: float | Array) -> Dual:
     """The jet, and `floor` without slope wherever it is less: keeps square roots and reciprocals regular at zero."""
-    above = jet.value > floor
-    return Jet(np.maximum(jet.value, floor), jet.slope * above)
+    above = dual.value > floor
+    return Dual(np.maximum(dual.value, floor), dual.derivative * above)

@@ -17,7 +17,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_cell, transverse_axes
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
@@ -32,7 +32,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     )
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     index = geometry.cell_names.index(where[0])
     cell = geometry.cells[index]
     first, second = transverse_axes(cell.direction)
@@ -41,7 +41,7 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     motion = equations.relative_motion(np.array(cell.position))
     chosen = np.zeros((len(equations.springs), 1))
     chosen[index] = 1.0
-    row = axis.expanded(0) @ motion
+    row = axis.insert_axis(0) @ motion
     return replace(equations, elongation=equations.elongation * (1.0 - chosen) + chosen * row)
 
 
@@ -50,8 +50,8 @@ EFFECT = Effect(
     summary="A cell does not stand along its declared axis.",
     validity="Small angles, the same at every load; the foot of the cell stays where it is declared.",
     reference="AIAA R-091-2003, Calibration and Use of Internal Strain-Gage Balances (linear interactions).",
-    trace="A fixed share of a transverse load in this cell, at rest as in motion, and opposite shares in its "
-    "neighbours: the cells still add up to the load.",
+    signature="A fixed share of a transverse load in this cell, at rest as in motion, and opposite shares in "
+    "its neighbours: the cells still add up to the load.",
     separated_by="A static calibration, with the exciter's own direction checked: an exciter that leans shows in all "
     "cells under one load, a cell that leans in one cell under all loads.",
     place="a cell",

@@ -15,7 +15,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
@@ -23,7 +23,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     return (EffectParameter("offset", "V", 0.0, 1e-3, "What the channel reads without load."),)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     unit = np.array([float(name == where[0]) for name in equations.channel_names])
     return replace(equations, channel_offset=equations.channel_offset + values["offset"] * unit)
 
@@ -33,7 +33,7 @@ EFFECT = Effect(
     summary="The channel does not read zero without load.",
     validity="The same in all runs; a bridge that drifts from run to run has no one offset.",
     reference="Pintelon and Schoukens, System Identification, 2nd ed., 2012, section 2.2 (DC values set apart).",
-    trace="The mean of the channel in every dynamic record, whatever the load; nothing at any other frequency.",
+    signature="The mean of the channel in every dynamic record, whatever the load; nothing at any other frequency.",
     separated_by="A record of the unloaded rig; an offset of a load moves all strain channels in fixed proportion.",
     place="a channel",
     places=each_channel,

@@ -14,7 +14,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where, ordered_pairs
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
@@ -23,11 +23,11 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    sentence = f"Share of {where[1]} that {where[0]} takes up."
-    return (EffectParameter("fraction", "1", 0.0, 0.002, sentence, lower=-1.0, upper=1.0),)
+    description = f"Share of {where[1]} that {where[0]} takes up."
+    return (EffectParameter("fraction", "1", 0.0, 0.002, description, lower=-1.0, upper=1.0),)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     to, source = (equations.channel_names.index(name) for name in where)
     entry = np.zeros((len(equations.paths),) * 2)
     entry[to, source] = 1.0
@@ -39,7 +39,7 @@ EFFECT = Effect(
     summary="A channel picks up part of another channel's signal.",
     validity="A fixed real share: neighbouring leads, a common supply, an amplifier that is not separated.",
     reference="Ott, Electromagnetic Compatibility Engineering, 2009, chapter 2 (cabling).",
-    trace="The residual of one channel is a fixed real share of another's reading, whatever the load.",
+    signature="The residual of one channel is a fixed real share of another's reading, whatever the load.",
     separated_by="Shorting the input of the channel; the other channel of the same cell, which does not have it.",
     place="two channels: the one that takes up, the one that gives",
     places=_places,

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import INSIDE, SIDE, Effect, EffectParameter, Where, each_cell_and_side
-from balance_cli.model.mechanics.dual_numbers import Jet, stack
+from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import CellForce, Equations
 
 
@@ -22,13 +22,13 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     return (EffectParameter("k3", "N/m3", 0.0, scale, "Force over the cube of the elongation; positive hardens."),)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     cell, side = where
     spring = equations.springs.index(cell)
-    return equations.with_force(CellForce(spring, stack([values["k3"]]), _cube, side == INSIDE))
+    return equations.with_force(CellForce(spring, stack([values["k3"]]), _cubic_force, side == INSIDE))
 
 
-def _cube(d: Jet, values: Jet, recurs: bool) -> Jet:
+def _cubic_force(d: Dual, values: Dual, is_periodic: bool) -> Dual:
     return d * d * d
 
 
@@ -38,7 +38,8 @@ EFFECT = Effect(
     validity="The law holds at every frequency; elongations within what the records reached.",
     reference="Wigren and Schoukens, Three free data sets for development and benchmarking in nonlinear system "
     "identification, ECC 2013 (the Silverbox); Kerschen et al., Mech. Syst. Signal Process. 20 (2006) 505.",
-    trace="Resonances shift with the level; static curves bend alike up and down; lines gather distortion around them.",
+    signature="Resonances shift with the level; static curves bend alike up and down; lines gather distortion "
+    "around them.",
     separated_by="Sweeps at two levels, or a static run to the full range; `inside` and `beside` differ in whether the "
     "cells' sum still is the load.",
     place="a cell, then `inside` or `beside` (`inside` where nothing is said)",

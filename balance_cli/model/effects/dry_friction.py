@@ -20,21 +20,21 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Cell, Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Start, Where, each_cell
-from balance_cli.model.mechanics.dual_numbers import Jet, stack
+from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import CellForce, Equations
 
 Array = NDArray[np.float64]
 
-LEAST = 1e-5
-MATTERS = 1e-3
+LEAST_FORCE_SHARE = 1e-5
+RELEVANT_FORCE_SHARE = 1e-3
 INACCURACY = (0.01, 0.05)
 """Shares of its force that the noise of the cell makes uncertain, where periods are averaged and where nothing repeats:
 
 it turns a little early, or late.
 """
-SLIPS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
+SLIP_DISTANCES = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 """Slip distances at which a search scores a contact, shares of the cell's elongation at full range."""
-STIFFNESSES = (1e-3, 10.0)
+STIFFNESS_BOUNDS = (1e-3, 10.0)
 """Shares of the cell's stiffness between which a contact that a search begins with lies."""
 
 
@@ -45,53 +45,53 @@ def _cell(geometry: Geometry, where: Where) -> Cell:
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     cell = _cell(geometry, where)
     k = cell.effective_stiffness
-    force, sentence = MATTERS * cell.full_range, "Stiffness of the contact while it sticks."
+    force, description = RELEVANT_FORCE_SHARE * cell.full_range, "Stiffness of the contact while it sticks."
     return (
         EffectParameter("force", "N", 0.0, force, "Force at which the contact slips.", lower=0.0, start=force),
-        EffectParameter("stick_stiffness", "N/m", k, 0.1 * k, sentence, lower=1e-3 * k, start=k, secondary=True),
+        EffectParameter("stick_stiffness", "N/m", k, 0.1 * k, description, lower=1e-3 * k, start=k, nuisance=True),
     )
 
 
-def _scanned(geometry: Geometry, where: Where) -> tuple[Start, ...]:
+def _extra_starts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
     k = _cell(geometry, where).effective_stiffness
-    return tuple({"stick_stiffness": LEAST / slip * k} for slip in SLIPS)
+    return tuple({"stick_stiffness": LEAST_FORCE_SHARE / slip * k} for slip in SLIP_DISTANCES)
 
 
-def _sized(geometry: Geometry, where: Where, start: Start, own: Start) -> Start:
+def _start_from_score(geometry: Geometry, where: Where, start: Start, own: Start) -> Start:
     """The force that the score found, slipping where it was scored: the stiffness follows."""
     if "stick_stiffness" not in start:
         return start
     cell = _cell(geometry, where)
-    distance = LEAST * cell.full_range / start["stick_stiffness"]
-    lower, upper = (share * cell.effective_stiffness for share in STIFFNESSES)
+    distance = LEAST_FORCE_SHARE * cell.full_range / start["stick_stiffness"]
+    lower, upper = (share * cell.effective_stiffness for share in STIFFNESS_BOUNDS)
     return {"force": own["force"], "stick_stiffness": float(np.clip(own["force"] / distance, lower, upper))}
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     spring = equations.springs.index(where[0])
-    shape = partial(_slipping, least=LEAST * _cell(geometry, where).full_range)
+    shape = partial(_friction_force, least_force=LEAST_FORCE_SHARE * _cell(geometry, where).full_range)
     force = CellForce(spring, stack([values["force"], values["stick_stiffness"]]), shape, read=False)
     return equations.with_force(force)
 
 
-def _slipping(d: Jet, values: Jet, recurs: bool, least: float) -> Jet:
+def _friction_force(d: Dual, values: Dual, is_periodic: bool, least_force: float) -> Dual:
     """Force over the slipping force (n,): since the contact last slipped, in a direction, it has been a spring."""
     force, kappa = values[0], values[1]
-    limit = force if force.value > least else Jet(np.array(least), np.zeros(force.parameters))
+    limit = force if force.value > least_force else Dual(np.array(least_force), np.zeros(force.parameters))
     stiffness = kappa * limit.reciprocal()
-    last, direction = last_slip(d.value, float(1.0 / stiffness.value), recurs)
-    since = Jet(d.value[last], d.slope[:, last]) * (last >= 0)
+    last, direction = find_last_slip(d.value, float(1.0 / stiffness.value), is_periodic)
+    since = Dual(d.value[last], d.derivative[:, last]) * (last >= 0)
     return (d - since) * stiffness + direction
 
 
-def last_slip(d: Array, distance: float, recurs: bool) -> tuple[NDArray[np.intp], Array]:
+def find_last_slip(d: Array, distance: float, is_periodic: bool) -> tuple[NDArray[np.intp], Array]:
     """When (n,) the contact last slipped up to each instant, -1 where it never did, and in which direction (+-1, or 0).
 
     The play operator w_t = min(max(w_{t-1}, d_t - distance), d_t + distance) is a chain of clamps. A chain of clamps is
     a clamp, so that all of them come from sums by doubling. It begins at w = 0; what recurs goes round twice.
     """
     n = len(d)
-    path = np.concatenate([d, d]) if recurs else d
+    path = np.concatenate([d, d]) if is_periodic else d
     low, high = path - distance, path + distance
     step = 1
     while step < len(path):
@@ -114,15 +114,15 @@ EFFECT = Effect(
     "for large ones.",
     validity="One contact, the same limit both ways and at every speed; the rig was unloaded when a record began.",
     reference="Iwan, J. Appl. Mech. 33 (1966) 893; Gaul and Nitsche, Appl. Mech. Rev. 54 (2001) 93.",
-    trace="Static loops: the way up differs from the way down by twice the force. In motion more stiffness and less "
-    "damping at low level than at high.",
+    signature="Static loops: the way up differs from the way down by twice the force. In motion more stiffness "
+    "and less damping at low level than at high.",
     separated_by="Sweeps at a very low level, where it sticks; a slow static loop; structural damping knows no level.",
     place="a cell",
     places=each_cell,
     parameters=_parameters,
     inaccuracy=INACCURACY,
-    scanned=_scanned,
-    sized=_sized,
+    extra_starts=_extra_starts,
+    start_from_score=_start_from_score,
     apply=_apply,
     needs_mean=True,
 )

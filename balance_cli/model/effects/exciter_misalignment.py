@@ -16,7 +16,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where, ordered_pairs
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
@@ -26,15 +26,15 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     unit = {(0, 1): "m", (1, 0): "1/m"}.get((where[0][0] == "M", where[1][0] == "M"), "1")
-    sentence = f"Spilt {where[1]} over measured {where[0]}."
-    return (EffectParameter("fraction", unit, 0.0, 0.005, sentence, lower=-1.0, upper=1.0),)
+    description = f"Spilt {where[1]} over measured {where[0]}."
+    return (EffectParameter("fraction", unit, 0.0, 0.005, description, lower=-1.0, upper=1.0),)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     excited, spilt = (COMPONENTS.index(name) for name in where)
     entry = np.zeros((6, 6))
     entry[spilt, excited] = 1.0
-    return replace(equations, spill=equations.spill + values["fraction"] * entry)
+    return replace(equations, exciter_cross_axis=equations.exciter_cross_axis + values["fraction"] * entry)
 
 
 EFFECT = Effect(
@@ -42,7 +42,8 @@ EFFECT = Effect(
     summary="An exciter (or the weights of a static calibration) does not act along its axis or through the hub.",
     validity="A fixed real share, the same at every frequency and level.",
     reference="Ewins, Modal Testing: Theory, Practice and Application, 2nd ed., 2000, chapter 3 (attaching shakers).",
-    trace="Under one component all channels read as if a fixed share of another one acted too, at rest as in motion.",
+    signature="Under one component all channels read as if a fixed share of another one acted too, at rest as in "
+    "motion.",
     separated_by="Turning the exciter round, or checking its direction with a level and a plumb line.",
     place="two components: the one excited, the one that it spills into",
     places=_places,

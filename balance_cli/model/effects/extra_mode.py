@@ -28,7 +28,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where
-from balance_cli.model.mechanics.dual_numbers import Jet, concatenate, constant, stack
+from balance_cli.model.mechanics.dual_numbers import Dual, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import TORQUE, Equations
 
 AXES = ("x", "y", "z")
@@ -40,29 +40,29 @@ def _springs(geometry: Geometry) -> tuple[str, ...]:
     return geometry.cell_names + ((TORQUE,) if geometry.torque_meter else ())
 
 
-def _motions(geometry: Geometry) -> tuple[Where, ...]:
+def _plate_translations(geometry: Geometry) -> tuple[Where, ...]:
     """The directions in which the plate moves."""
     return tuple((axis,) for axis in AXES if axis in geometry.freedom)
 
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
     """One place for each of them, and one for each load component."""
-    return _motions(geometry) + tuple((name,) for name in COMPONENTS)
+    return _plate_translations(geometry) + tuple((name,) for name in COMPONENTS)
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    frequency = EffectParameter("frequency", "Hz", 60.0, 1.0, "Eigenfrequency of the mode.", lower=1.0, secondary=True)
+    frequency = EffectParameter("frequency", "Hz", 60.0, 1.0, "Eigenfrequency of the mode.", lower=1.0, nuisance=True)
     damping = EffectParameter(
-        "damping_ratio", "1", 0.0, 0.01, "Its damping ratio.", lower=0.0, upper=1.0, start=0.02, secondary=True
+        "damping_ratio", "1", 0.0, 0.01, "Its damping ratio.", lower=0.0, upper=1.0, start=0.02, nuisance=True
     )
-    shape = _carried(geometry, where) if where[0] in AXES else _read(geometry, where)
+    shape = _plate_mode_parameters(geometry, where) if where[0] in AXES else _load_mode_parameters(geometry, where)
     return (frequency, damping, *shape)
 
 
-def _carried(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+def _plate_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     scale = SMALL * sum(body.mass for body in geometry.bodies)
-    sentence = f"Its effective mass along {where[0]}, part of the declared one."
-    mass = EffectParameter("mass", "kg", 0.0, scale, sentence, lower=0.0, start=scale)
+    description = f"Its effective mass along {where[0]}, part of the declared one."
+    mass = EffectParameter("mass", "kg", 0.0, scale, description, lower=0.0, start=scale)
     others = (
         EffectParameter(
             f"shape_{name}",
@@ -70,7 +70,7 @@ def _carried(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
             0.0,
             0.1,
             f"How it takes part in the motion {name} of the centre of gravity; in {where[0]} by one.",
-            secondary=True,
+            nuisance=True,
         )
         for name in geometry.freedom
         if name != where[0]
@@ -78,7 +78,7 @@ def _carried(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     return (mass, *others)
 
 
-def _read(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+def _load_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     moment = where[0][0] == "M"
 
     def unit(spring: str) -> str:
@@ -90,14 +90,14 @@ def _read(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     )
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     rate = (2 * np.pi * values["frequency"]).reciprocal()
     if where[0] in AXES:
-        return _with_carried(equations, where[0], values, rate)
-    return _with_read(equations, geometry, where[0], values, rate)
+        return _add_plate_mode(equations, where[0], values, rate)
+    return _add_load_mode(equations, geometry, where[0], values, rate)
 
 
-def _with_carried(equations: Equations, axis: str, values: Mapping[str, Jet], rate: Jet) -> Equations:
+def _add_plate_mode(equations: Equations, axis: str, values: Mapping[str, Dual], rate: Dual) -> Equations:
     p, n = equations.parameters, len(equations.coordinates)
     moving = [FREEDOMS[index] for index in equations.freedom]
     parts = [constant(1.0, p) if name == axis else values[f"shape_{name}"] for name in moving]
@@ -111,12 +111,12 @@ def _with_carried(equations: Equations, axis: str, values: Mapping[str, Jet], ra
     )
     plate = stack([*parts, *nothing, constant(0.0, p)])
     own = np.eye(n + 1)[:, -1:]
-    pulled = values["mass"] * (plate.expanded(-1) @ own.T)
-    return replace(wide, mass=wide.mass + pulled + rate * rate * (own @ plate.expanded(0)))
+    pulled = values["mass"] * (plate.insert_axis(-1) @ own.T)
+    return replace(wide, mass=wide.mass + pulled + rate * rate * (own @ plate.insert_axis(0)))
 
 
-def _with_read(
-    equations: Equations, geometry: Geometry, component: str, values: Mapping[str, Jet], rate: Jet
+def _add_load_mode(
+    equations: Equations, geometry: Geometry, component: str, values: Mapping[str, Dual], rate: Dual
 ) -> Equations:
     p, n = equations.parameters, len(equations.coordinates)
     drive = np.zeros((2, 6))
@@ -128,7 +128,7 @@ def _with_read(
         inputs=constant(drive, p),
         compliance=constant(np.ones(2), p),
     )
-    shape = stack([values[f"shape_{name}"] for name in _springs(geometry)]).expanded(-1)
+    shape = stack([values[f"shape_{name}"] for name in _springs(geometry)]).insert_axis(-1)
     nothing = constant(np.zeros((len(equations.springs), n + 1)), p)
     return replace(wide, extra_readings=wide.extra_readings + concatenate([nothing, shape], axis=1))
 
@@ -140,12 +140,12 @@ EFFECT = Effect(
     "component it holds for that load alone and says nothing of the others.",
     reference="Ewins, Modal Testing: Theory, Practice and Application, 2nd ed., 2000, chapter 4 (modal constants). "
     "Den Hartog, Mechanical Vibrations, 1956, chapter 3 (a mass on a spring, carried).",
-    trace="A peak at one frequency in several channels, where the model has none.",
+    signature="A peak at one frequency in several channels, where the model has none.",
     separated_by="Looking for what resonates: a roving accelerometer at the frequency found.",
     place="the motion x, y or z of the moving part that carries it, or the load component in whose response it is seen",
     places=_places,
     parameters=_parameters,
     apply=_apply,
     empirical=True,
-    searched=_motions,
+    search_places=_plate_translations,
 )

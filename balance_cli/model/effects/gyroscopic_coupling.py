@@ -18,7 +18,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
@@ -40,7 +40,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     )
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     phi, theta = equations.coordinates.index("phi"), equations.coordinates.index("theta")
     G = np.zeros((len(equations.coordinates),) * 2)
     G[phi, theta], G[theta, phi] = 1.0, -1.0
@@ -52,7 +52,7 @@ EFFECT = Effect(
     summary="The spinning shaft and hub couple pitch and roll of the plate.",
     validity="Small tilts; a symmetrical spinning part whose axis stays that of the plate.",
     reference="Den Hartog, Mechanical Vibrations, 4th ed., 1956, chapter 6 (rotating machinery).",
-    trace="Nothing at rest. With the rotor turning, the two tilt modes part and whirl, and Mx shows in pitch.",
+    signature="Nothing at rest. With the rotor turning, the two tilt modes part and whirl, and Mx shows in pitch.",
     separated_by="The same sweep at rest and with the rotor turning.",
     place="none",
     places=_places,

@@ -14,16 +14,16 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    sentence = "Frequency at which the amplitude is down by half the power."
-    return (EffectParameter("cutoff", "Hz", 0.0, 0.01, sentence, lower=0.0),)
+    description = "Frequency at which the amplitude is down by half the power."
+    return (EffectParameter("cutoff", "Hz", 0.0, 0.01, description, lower=0.0),)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     rate = values["cutoff"] * (2 * np.pi)
     paths = tuple(
         replace(path, high_pass=(*path.high_pass, rate)) if path.channel == where[0] else path
@@ -37,7 +37,7 @@ EFFECT = Effect(
     summary="A channel forgets slow changes sooner than declared, as a leaking charge amplifier does.",
     validity="One first-order high-pass, besides the declared one.",
     reference="Bendat and Piersol, Random Data, 4th ed., chapter 2 (frequency responses of linear systems).",
-    trace="One channel leads and reads too little at the lowest frequencies, and reads nothing at rest.",
+    signature="One channel leads and reads too little at the lowest frequencies, and reads nothing at rest.",
     separated_by="The other channel of the same cell at low frequency; a step of load.",
     place="a channel",
     places=each_channel,

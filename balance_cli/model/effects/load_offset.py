@@ -15,7 +15,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
@@ -28,7 +28,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     return (EffectParameter("offset", unit, 0.0, 0.1, "Recorded load without a true one."),)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     unit = np.array([float(name == where[0]) for name in COMPONENTS])
     return replace(equations, load_offset=equations.load_offset + values["offset"] * unit)
 
@@ -39,8 +39,8 @@ EFFECT = Effect(
     validity="The same in all runs in which the component is applied.",
     reference="Wigren and Schoukens, Three free data sets for development and benchmarking in nonlinear system "
     "identification, ECC 2013 (offset of the Silverbox's input).",
-    trace="The means of all strain channels shift in the proportions that the load itself has; in a static run a jump "
-    "where the load sets in.",
+    signature="The means of all strain channels shift in the proportions that the load itself has; in a static "
+    "run a jump where the load sets in.",
     separated_by="A record with the exciter coupled and at rest; an offset of a channel is in that channel alone.",
     place="a load component",
     places=_places,

@@ -14,16 +14,16 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    sentence = "Frequency at which the amplitude is down by half the power."
-    return (EffectParameter("cutoff", "Hz", np.inf, 1e-4, sentence, lower=0.0, reciprocal=True),)
+    description = "Frequency at which the amplitude is down by half the power."
+    return (EffectParameter("cutoff", "Hz", np.inf, 1e-4, description, lower=0.0, reciprocal=True),)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     tau = values["1/cutoff"] * (1.0 / (2 * np.pi))
     paths = tuple(
         replace(path, low_pass=(*path.low_pass, tau)) if path.channel == where[0] else path for path in equations.paths
@@ -36,7 +36,8 @@ EFFECT = Effect(
     summary="An amplifier or a long cable rounds off the channel at high frequencies.",
     validity="One first-order low-pass, besides the declared one.",
     reference="Bendat and Piersol, Random Data, 4th ed., chapter 2 (frequency responses of linear systems).",
-    trace="Amplitude and phase of one channel fall together towards high frequencies; the reading at rest is right.",
+    signature="Amplitude and phase of one channel fall together towards high frequencies; the reading at rest is "
+    "right.",
     separated_by="The other channel of the same cell; a low-pass differs from a delay in that its amplitude falls too.",
     place="a channel",
     places=each_channel,

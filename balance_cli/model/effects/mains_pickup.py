@@ -12,21 +12,21 @@ from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
-from balance_cli.model.mechanics.dual_numbers import Jet
-from balance_cli.model.mechanics.equations import Equations, Pickup
+from balance_cli.model.mechanics.dual_numbers import Dual
+from balance_cli.model.mechanics.equations import Equations, InterferenceTone
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     return (
         EffectParameter("amplitude", "V", 0.0, 1e-3, "Amplitude before the anti-alias filter.", 0.0, squared=True),
-        EffectParameter("frequency", "Hz", 50.0, 0.01, "Frequency of the mains.", 40.0, 70.0, secondary=True),
+        EffectParameter("frequency", "Hz", 50.0, 0.01, "Frequency of the mains.", 40.0, 70.0, nuisance=True),
     )
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     channel = equations.channel_names.index(where[0])
-    pickup = Pickup(channel, values["amplitude^2"], values["frequency"])
-    return replace(equations, pickups=(*equations.pickups, pickup))
+    pickup = InterferenceTone(channel, values["amplitude^2"], values["frequency"])
+    return replace(equations, interference_tones=(*equations.interference_tones, pickup))
 
 
 EFFECT = Effect(
@@ -35,7 +35,8 @@ EFFECT = Effect(
     validity="One frequency and amplitude in all runs; readings at rest are long enough to average it away.",
     reference="Ott, Electromagnetic Compatibility Engineering, 2009, chapter 2; the phase as in Rice, Bell Syst. Tech. "
     "J. 24 (1945) 46.",
-    trace="A line at the mains' frequency, and its neighbours where the period is no whole number of cycles, in one "
+    signature="A line at the mains' frequency, and its neighbours where the period is no whole number of "
+    "cycles, in one "
     "channel whatever the load.",
     separated_by="A record with the exciter off.",
     place="a channel",

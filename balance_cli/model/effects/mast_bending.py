@@ -21,8 +21,15 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, floored, stiffness_by_motion, subsets
-from balance_cli.model.mechanics.dual_numbers import Jet, concatenate, constant, stack
+from balance_cli.model.effects.base import (
+    Effect,
+    EffectParameter,
+    Where,
+    clip_below,
+    nonempty_subsets,
+    stiffness_by_motion,
+)
+from balance_cli.model.mechanics.dual_numbers import Dual, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import Equations
 
 AXES = ("x", "y")
@@ -35,7 +42,7 @@ FLOOR = 1e-6
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
     """The sideways motions that the plate has."""
-    return subsets(tuple(axis for axis in AXES if axis in geometry.freedom))
+    return nonempty_subsets(tuple(axis for axis in AXES if axis in geometry.freedom))
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -49,7 +56,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         "Mass that goes with the hub; part of the declared mass of the moving part.",
         lower=0.0,
         start=0.5 * hub.mass,
-        secondary=True,
+        nuisance=True,
     )
     compliances = (
         EffectParameter(
@@ -72,24 +79,24 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         lower=0.0,
         upper=1.0,
         start=0.01,
-        secondary=True,
+        nuisance=True,
     )
     return (mass, *compliances, damping)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     p, m, n = equations.parameters, len(where), len(equations.coordinates)
     mass, compliance = values["mass"], stack([values[f"compliance_{axis}"] for axis in where])
     scale = {item.name: FLOOR * item.scale for item in _parameters(geometry, where)}
     floors = np.array([scale[f"compliance_{axis}"] for axis in where])
-    ratio = floored(mass, scale["mass"]) * floored(compliance, floors).reciprocal()
+    ratio = clip_below(mass, scale["mass"]) * clip_below(compliance, floors).reciprocal()
     damping = 2.0 * values["damping_ratio"] * ratio.sqrt()
     moving = equations.motion(np.array(geometry.hub))[["xyz".index(axis) for axis in where]]
     unit = np.eye(6)[[COMPONENTS.index(f"F{axis}") for axis in where]]
     wide = equations.with_coordinates(
         names=tuple(f"hub {axis}" for axis in where),
         mass=mass * np.eye(m),
-        damping=damping.expanded(-1) * np.eye(m),
+        damping=damping.insert_axis(-1) * np.eye(m),
         inputs=constant(unit, p),
         compliance=compliance,
     )
@@ -104,7 +111,8 @@ EFFECT = Effect(
     validity="A point mass at the hub and small deflections; the tilt of the hub, and with it what hub moments do, "
     "is left out.",
     reference="Den Hartog, Mechanical Vibrations, 4th ed., 1956, chapter 3 (a small mass on a large one).",
-    trace="Responses to Fx or Fy rise above the rigid ones with the square of the frequency, all cells alike; those to "
+    signature="Responses to Fx or Fy rise above the rigid ones with the square of the frequency, all cells "
+    "alike; those to "
     "moments do so much less. The static calibration stays as it is.",
     separated_by="An accelerometer at the hub, or a sweep with a known mass added there.",
     place="x, y or both: the directions in which the mast bends",

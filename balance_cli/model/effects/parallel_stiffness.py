@@ -18,11 +18,11 @@ from balance_cli.model.effects.base import (
     Effect,
     EffectParameter,
     Where,
-    nowhere_in_particular,
-    reach,
+    position_bound,
     stiffness_by_motion,
+    whole_rig,
 )
-from balance_cli.model.mechanics.dual_numbers import Jet, stack
+from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import Equations
 
 # A share of the cells' stiffness that matters, and one with which a fit may begin.
@@ -33,10 +33,10 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     cells = stiffness_by_motion(geometry)
     largest = max(cells[axis] for axis in "xyz")
     # Half way up to the hub: at the origin itself the moments of the springs would have no slope to begin with.
-    far = reach(geometry)
+    far = position_bound(geometry)
     point = (
         EffectParameter(
-            axis, "m", 0.0, 0.1, f"The point where it holds the plate, {axis}.", -far, far, 0.5 * at, secondary=True
+            axis, "m", 0.0, 0.1, f"The point where it holds the plate, {axis}.", -far, far, 0.5 * at, nuisance=True
         )
         for axis, at in zip("xyz", geometry.hub, strict=True)
     )
@@ -60,15 +60,15 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         "Dashpot over spring: the loss factor at angular frequency w is w times this.",
         lower=0.0,
         start=1e-4,
-        secondary=True,
+        nuisance=True,
     )
     return (*point, *springs, damping)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     motion = equations.motion(stack([values[axis] for axis in "xyz"]))
     stiffness = stack([values[f"stiffness_{axis}"] for axis in "xyz"])
-    dashpots = motion.T @ ((values["damping_time"] * stiffness).expanded(-1) * motion)
+    dashpots = motion.T @ ((values["damping_time"] * stiffness).insert_axis(-1) * motion)
     return replace(equations.with_springs(motion, stiffness), damping=equations.damping + dashpots)
 
 
@@ -78,10 +78,10 @@ EFFECT = Effect(
     validity="Massless linear springs and dashpots at one point, their axes along the rig's.",
     reference="Tropea, Yarin and Foss (eds.), Springer Handbook of Experimental Fluid Mechanics, 2007, chapter 8 "
     "(force and moment measurement).",
-    trace="At rest the cells carry less than is applied, by a fixed share; the eigenfrequencies lie higher.",
+    signature="At rest the cells carry less than is applied, by a fixed share; the eigenfrequencies lie higher.",
     separated_by="A static calibration with and without the hose, cable or fouling.",
     place="none",
-    places=nowhere_in_particular,
+    places=whole_rig,
     parameters=_parameters,
     apply=_apply,
 )

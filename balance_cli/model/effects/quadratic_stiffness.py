@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import INSIDE, SIDE, Effect, EffectParameter, Where, each_cell_and_side
-from balance_cli.model.mechanics.dual_numbers import Jet, stack
+from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import CellForce, Equations
 
 
@@ -22,13 +22,13 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     return (EffectParameter("k2", "N/m2", 0.0, scale, "Force over the square of the elongation."),)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     cell, side = where
     spring = equations.springs.index(cell)
-    return equations.with_force(CellForce(spring, stack([values["k2"]]), _square, side == INSIDE))
+    return equations.with_force(CellForce(spring, stack([values["k2"]]), _quadratic_force, side == INSIDE))
 
 
-def _square(d: Jet, values: Jet, recurs: bool) -> Jet:
+def _quadratic_force(d: Dual, values: Dual, is_periodic: bool) -> Dual:
     return d * d
 
 
@@ -37,7 +37,7 @@ EFFECT = Effect(
     summary="The force along a cell holds a part that grows with the square of its elongation.",
     validity="The law holds at every frequency; elongations within what the records reached.",
     reference="Nayfeh and Mook, Nonlinear Oscillations, 1979, section 2.3 (quadratic and cubic restoring forces).",
-    trace="Static curves bend one way; a motion shifts the mean, and stiffness depends on the steady load.",
+    signature="Static curves bend one way; a motion shifts the mean, and stiffness depends on the steady load.",
     separated_by="A static run to the full range both ways; sweeps about two steady loads; `inside` and `beside` "
     "differ in whether the cells' sum still is the load.",
     place="a cell, then `inside` or `beside` (`inside` where nothing is said)",

@@ -16,7 +16,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where, cells_at, each_cell_or_all
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
@@ -32,17 +32,17 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
             lower=0.0,
             upper=1.0,
             start=1.0,
-            secondary=True,
+            nuisance=True,
         ),
     )
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     chosen = np.zeros(len(equations.springs))
     chosen[cells_at(geometry, where)] = 1.0
     loss = values["loss_factor"] * chosen
     rising = (2.0 / np.pi) * values["causality"] * loss
-    return replace(equations, loss=equations.loss + loss, stiffening=equations.stiffening + rising)
+    return replace(equations, loss=equations.loss + loss, frequency_stiffness=equations.frequency_stiffness + rising)
 
 
 def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
@@ -56,8 +56,8 @@ EFFECT = Effect(
     validity="A small loss factor; the modes' own frequencies feel the stiffening to first order.",
     reference="Crandall, The role of damping in vibration theory, J. Sound Vib. 11 (1970) 3-18. Bishop and Johnson, "
     "The Mechanics of Vibration, 1960. Makris, Causal hysteretic element, J. Eng. Mech. 123 (1997) 1209-1214.",
-    trace="Damping ratios that do not follow from one damping matrix, and a phase between two cells under one load "
-    "that does not vanish at low frequency.",
+    signature="Damping ratios that do not follow from one damping matrix, and a phase between two cells under "
+    "one load that does not vanish at low frequency.",
     separated_by="Damping at low frequency: a viscous force vanishes there, this one does not.",
     place="a cell, or `all`",
     places=each_cell_or_all,

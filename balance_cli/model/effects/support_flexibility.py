@@ -27,14 +27,14 @@ from balance_cli.model.effects.base import (
     Effect,
     EffectParameter,
     Where,
-    floored,
+    clip_below,
     inertia_by_motion,
-    reach,
+    nonempty_subsets,
+    position_bound,
     stiffness_by_motion,
-    subsets,
 )
-from balance_cli.model.mechanics.dual_numbers import Jet, block_diagonal, concatenate, constant, stack
-from balance_cli.model.mechanics.equations import Equations, motion_of
+from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack
+from balance_cli.model.mechanics.equations import Equations, dual_motion_at
 
 TRANSLATIONS = FREEDOMS[:3]
 
@@ -44,14 +44,14 @@ SMALL = 1e-2
 FLOOR = 1e-6
 # Where a search begins: compliances relative to those of the cells, and the depth of the lower body's centre below the
 # lowest cell, relative to the height of the hub over it.
-SOFTNESS = 0.1
+START_COMPLIANCE_SHARE = 0.1
 START_DEPTH = 0.2
 
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
     """Any motions that the cells resist."""
     stiffness = stiffness_by_motion(geometry)
-    return subsets(tuple(name for name in FREEDOMS if stiffness[name] > 0))
+    return nonempty_subsets(tuple(name for name in FREEDOMS if stiffness[name] > 0))
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -77,18 +77,18 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         lower=0.0,
         upper=1.0,
         start=0.02,
-        secondary=True,
+        nuisance=True,
     )
-    return (*_inertias(geometry, where), *compliances, damping, *_centre(geometry, where))
+    return (*_inertia_parameters(geometry, where), *compliances, damping, *_center_parameters(geometry, where))
 
 
-def _centre(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+def _center_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     """Position of the centre, as far as the rotations of the lower body show it."""
     shown = {"psi": "xy", "theta": "xz", "phi": "yz"}
     axes = sorted({axis for name in where for axis in shown.get(name, "")})
-    far = reach(geometry)
+    far = position_bound(geometry)
     return tuple(
-        EffectParameter(axis, "m", 0.0, 0.05, f"Position {axis} of its centre.", -far, far, secondary=True)
+        EffectParameter(axis, "m", 0.0, 0.05, f"Position {axis} of its centre.", -far, far, nuisance=True)
         for axis in axes
     )
 
@@ -97,7 +97,7 @@ def _inertia_name(motion: str) -> str:
     return "mass" if motion in TRANSLATIONS else f"inertia_{motion}"
 
 
-def _inertias(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+def _inertia_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     """One mass for all translations, one inertia for each rotation; of the size of the moving part's."""
     moving = {_inertia_name(name): inertia for name, inertia in inertia_by_motion(geometry).items()}
     sentences = {"mass": "Mass of the lower body."}
@@ -110,33 +110,33 @@ def _inertias(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
             sentences.get(name, f"Inertia of the lower body against {name[8:]}, about its centre."),
             lower=0.0,
             start=moving[name],
-            secondary=True,
+            nuisance=True,
         )
         for name in dict.fromkeys(_inertia_name(motion) for motion in where)
     )
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     p, m, n = equations.parameters, len(where), len(equations.coordinates)
     inertia = stack([values[_inertia_name(name)] for name in where])
     compliance = stack([values[f"compliance_{name}"] for name in where])
-    damping = 2.0 * values["damping_ratio"] * _at_least(inertia, compliance, geometry, where).sqrt()
+    damping = 2.0 * values["damping_ratio"] * _bounded_stiffness_ratios(inertia, compliance, geometry, where).sqrt()
     nothing = constant(np.zeros((m, m)), p)
     wide = equations.with_coordinates(
         names=tuple(f"lower {name}" for name in where),
-        mass=inertia.expanded(-1) * np.eye(m),
+        mass=inertia.insert_axis(-1) * np.eye(m),
         damping=nothing,
         inputs=constant(np.zeros((m, 6)), p),
         compliance=compliance,
     )
-    lower = _at_origin(values, where, p)
+    lower = _motion_at_origin(values, where, p)
     wide = replace(wide, base=concatenate([equations.base, lower], axis=1))
     directions = np.array([cell.direction for cell in geometry.cells])
     motion = wide.relative_motion(np.array([cell.position for cell in geometry.cells]))
     cells = (directions[:, None, :] @ motion)[:, 0]
     torque = wide.elongation[len(directions) :]
-    relative = concatenate([constant(np.eye(n), p), -_carried(equations, lower)], axis=1)
-    own = block_diagonal(constant(np.zeros((n, n)), p), damping.expanded(-1) * np.eye(m))
+    relative = concatenate([constant(np.eye(n), p), -_plate_motion_with_non_metric_side(equations, lower)], axis=1)
+    own = block_diagonal(constant(np.zeros((n, n)), p), damping.insert_axis(-1) * np.eye(m))
     return replace(
         wide,
         elongation=concatenate([cells, torque]),
@@ -144,21 +144,21 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     )
 
 
-def _at_origin(values: Mapping[str, Jet], where: Where, p: int) -> Jet:
+def _motion_at_origin(values: Mapping[str, Dual], where: Where, p: int) -> Dual:
     """Motion (6, m) of the lower body at the rig's origin per motion of its centre."""
-    centre = stack([values[axis] if axis in values else constant(0.0, p) for axis in "xyz"])
-    whole = concatenate([motion_of(-centre), constant(np.eye(6)[3:], p)])
+    center = stack([values[axis] if axis in values else constant(0.0, p) for axis in "xyz"])
+    whole = concatenate([dual_motion_at(-center), constant(np.eye(6)[3:], p)])
     return whole[:, [FREEDOMS.index(name) for name in where]]
 
 
-def _carried(equations: Equations, lower: Jet) -> Jet:
+def _plate_motion_with_non_metric_side(equations: Equations, lower: Dual) -> Dual:
     """Motion (n, m) of each coordinate when the plate goes along with the lower body; the shaft does not."""
     p, others = equations.parameters, len(equations.coordinates) - len(equations.freedom)
-    along = concatenate([motion_of(equations.centre), constant(np.eye(6)[3:], p)]) @ lower
+    along = concatenate([dual_motion_at(equations.center), constant(np.eye(6)[3:], p)]) @ lower
     return concatenate([along[list(equations.freedom)], constant(np.zeros((others, lower.value.shape[1])), p)])
 
 
-def _searched(geometry: Geometry) -> tuple[Where, ...]:
+def _search_places(geometry: Geometry) -> tuple[Where, ...]:
     """All motions at once; those that turn out stiff are taken out afterwards."""
     return _places(geometry)[-1:]
 
@@ -168,16 +168,16 @@ def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]
     stiffness = stiffness_by_motion(geometry)
     lowest = min(cell.position[2] for cell in geometry.cells)
     depth = START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3)
-    softness = {f"compliance_{name}": SOFTNESS / stiffness[name] for name in where}
+    softness = {f"compliance_{name}": START_COMPLIANCE_SHARE / stiffness[name] for name in where}
     return tuple({"z": lowest - times * depth, **softness} for times in (1.0, 0.0, 2.0))
 
 
-def _at_least(inertia: Jet, compliance: Jet, geometry: Geometry, where: Where) -> Jet:
+def _bounded_stiffness_ratios(inertia: Dual, compliance: Dual, geometry: Geometry, where: Where) -> Dual:
     """Inertia over compliance (m,), both kept off zero, where the square root of either has no derivative."""
     parameters = {item.name: item for item in _parameters(geometry, where)}
     ratios = [
-        floored(inertia[i], FLOOR * parameters[_inertia_name(name)].scale)
-        * floored(compliance[i], FLOOR * parameters[f"compliance_{name}"].scale).reciprocal()
+        clip_below(inertia[i], FLOOR * parameters[_inertia_name(name)].scale)
+        * clip_below(compliance[i], FLOOR * parameters[f"compliance_{name}"].scale).reciprocal()
         for i, name in enumerate(where)
     ]
     return stack(ratios)
@@ -190,14 +190,14 @@ EFFECT = Effect(
     "rig's axes, without coupling between them.",
     reference="The 1985 paper, section 3, assumes it away (`the eigenfrequencies of the support do not influence the "
     "balance dynamics`). Den Hartog, Mechanical Vibrations, 4th ed., 1956, chapter 3 (two degrees of freedom).",
-    trace="Eigenfrequencies lower than computed and further resonances above them, while the static calibration "
-    "stays as it is: at rest the cells carry the loads whatever they stand on.",
+    signature="Eigenfrequencies lower than computed and further resonances above them, while the static "
+    "calibration stays as it is: at rest the cells carry the loads whatever they stand on.",
     separated_by="Accelerometers on the lower body; a sweep with the lower body clamped or loaded with a known mass.",
     place="the motions of the lower body that are flexible, any of x y z psi theta phi",
     places=_places,
     parameters=_parameters,
     apply=_apply,
-    searched=_searched,
+    search_places=_search_places,
     starts=_starts,
-    once=True,
+    at_most_once=True,
 )

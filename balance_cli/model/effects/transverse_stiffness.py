@@ -13,17 +13,19 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter, Where, cells_at, each_cell_or_all, transverse_axes
-from balance_cli.model.mechanics.dual_numbers import Jet
+from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     own = [geometry.cells[i].effective_stiffness for i in cells_at(geometry, where)]
-    sentence = "Stiffness across the axis, the same in both directions" + (", of each cell." if len(own) > 1 else ".")
-    return (EffectParameter("stiffness", "N/m", 0.0, 1e-2 * float(np.mean(own)), sentence, lower=0.0),)
+    description = "Stiffness across the axis, the same in both directions" + (
+        ", of each cell." if len(own) > 1 else "."
+    )
+    return (EffectParameter("stiffness", "N/m", 0.0, 1e-2 * float(np.mean(own)), description, lower=0.0),)
 
 
-def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Jet]) -> Equations:
+def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     for index in cells_at(geometry, where):
         cell = geometry.cells[index]
         across = np.array(transverse_axes(cell.direction))
@@ -37,7 +39,8 @@ EFFECT = Effect(
     summary="A cell, with its flexible beam, resists sideways motion and so takes load away from the others.",
     validity="Small motions; the same stiffness in both directions across the axis, none against turning.",
     reference="The 1985 paper, section 2, fits flexible beams so that the influence of shear forces is eliminated.",
-    trace="At rest the cells carry less than is applied, most where few cells face many; the eigenfrequencies lie "
+    signature="At rest the cells carry less than is applied, most where few cells face many; the "
+    "eigenfrequencies lie "
     "higher.",
     separated_by="A shear test of one cell with its beam; a static calibration with the cell taken out.",
     place="a cell, or `all`",

@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.rig.kinematics import AT_CENTRE, PER_ARM, motion_at
-from balance_cli.model.mechanics.dual_numbers import Jet, block_diagonal, concatenate, constant
+from balance_cli.campaign.rig.kinematics import MOTION_AT_CENTER, MOTION_PER_ARM, motion_at
+from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant
 
 Array = NDArray[np.float64]
 
@@ -43,10 +43,10 @@ class ChannelPath:
 
     channel: str
     spring: int
-    gain: Jet
-    low_pass: tuple[Jet, ...] = ()
-    high_pass: tuple[Jet, ...] = ()
-    delay: Jet | None = None
+    gain: Dual
+    low_pass: tuple[Dual, ...] = ()
+    high_pass: tuple[Dual, ...] = ()
+    delay: Dual | None = None
 
 
 @dataclass(frozen=True)
@@ -59,18 +59,18 @@ class CellForce:
     """
 
     spring: int
-    values: Jet
-    shape: Callable[[Jet, Jet, bool], Jet]
+    values: Dual
+    shape: Callable[[Dual, Dual, bool], Dual]
     read: bool
 
 
 @dataclass(frozen=True)
-class Pickup:
+class InterferenceTone:
     """A tone in one channel (its index): square of its amplitude [V2], its frequency [Hz]; any phase in each run."""
 
     channel: int
-    power: Jet
-    frequency: Jet
+    power: Dual
+    frequency: Dual
 
 
 @dataclass(frozen=True)
@@ -89,28 +89,28 @@ class Equations:
 
     coordinates: tuple[str, ...]
     springs: tuple[str, ...]
-    mass: Jet
-    damping: Jet
-    gyroscopic: Jet
-    extra_stiffness: Jet
-    elongation: Jet
-    stiffness: Jet
-    loss: Jet
-    stiffening: Jet
-    extra_readings: Jet
-    inputs: Jet
+    mass: Dual
+    damping: Dual
+    gyroscopic: Dual
+    extra_stiffness: Dual
+    elongation: Dual
+    stiffness: Dual
+    loss: Dual
+    frequency_stiffness: Dual
+    extra_readings: Dual
+    inputs: Dual
     paths: tuple[ChannelPath, ...]
-    spill: Jet
-    mixing: Jet
-    centre: Jet
+    exciter_cross_axis: Dual
+    mixing: Dual
+    center: Dual
     freedom: tuple[int, ...]
-    base: Jet
-    row_factor: Jet
+    base: Dual
+    row_factor: Dual
     own_stiffness: Array
-    channel_offset: Jet
-    load_offset: Jet
+    channel_offset: Dual
+    load_offset: Dual
     forces: tuple[CellForce, ...] = ()
-    pickups: tuple[Pickup, ...] = ()
+    interference_tones: tuple[InterferenceTone, ...] = ()
 
     @property
     def parameters(self) -> int:
@@ -122,18 +122,18 @@ class Equations:
         """Names of the channels in order."""
         return tuple(path.channel for path in self.paths)
 
-    def motion(self, point: Jet | Array) -> Jet:
+    def motion(self, point: Dual | Array) -> Dual:
         """Motion (..., 3, n) of points (..., 3) [m] of the moving part, rig axes, per unit of each coordinate."""
-        rows = motion_of(point - self.centre)[..., list(self.freedom)]
+        rows = dual_motion_at(point - self.center)[..., list(self.freedom)]
         others = len(self.coordinates) - len(self.freedom)
         return concatenate([rows, constant(np.zeros((*rows.value.shape[:-1], others)), self.parameters)], axis=-1)
 
-    def relative_motion(self, point: Array) -> Jet:
+    def relative_motion(self, point: Array) -> Dual:
         """Motion (..., 3, n) of points (..., 3) [m] of the moving part against the lower body."""
         return self.motion(point) - motion_at(point) @ self.base
 
     def with_coordinates(
-        self, names: tuple[str, ...], mass: Jet, damping: Jet, inputs: Jet, compliance: Jet
+        self, names: tuple[str, ...], mass: Dual, damping: Dual, inputs: Dual, compliance: Dual
     ) -> Equations:
         """Further flexible coordinates: mass and damping (m, m), inputs (m, 6), compliance (m,) of their springs.
 
@@ -161,11 +161,11 @@ class Equations:
         """A further force along a spring."""
         return replace(self, forces=(*self.forces, force))
 
-    def with_springs(self, motion: Jet, stiffness: Jet) -> Equations:
+    def with_springs(self, motion: Dual, stiffness: Dual) -> Equations:
         """Springs that no channel reads: elongation (m, n) per coordinate and stiffness (m,)."""
-        return replace(self, extra_stiffness=self.extra_stiffness + motion.T @ (stiffness.expanded(-1) * motion))
+        return replace(self, extra_stiffness=self.extra_stiffness + motion.T @ (stiffness.insert_axis(-1) * motion))
 
 
-def motion_of(arm: Jet) -> Jet:
+def dual_motion_at(arm: Dual) -> Dual:
     """Motion (..., 3, 6) of points at `arm` (..., 3) [m] from the centre of gravity, per unit q; linear in the arm."""
-    return arm.dot(PER_ARM) + AT_CENTRE
+    return arm.dot(MOTION_PER_ARM) + MOTION_AT_CENTER

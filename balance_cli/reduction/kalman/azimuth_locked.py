@@ -15,22 +15,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.reduction.kalman.steady_filter import Marks, Outputs, Piece, SteadyFilter
+from balance_cli.reduction.kalman.steady_filter import FilterBlock, MarkedOutputs, Outputs, SteadyFilter
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-EVEN = 0.2
+MAX_PHASE_DEVIATION = 0.2
 """Departure [rad] of the fastest oscillator from an even turning that the information of a part is indifferent to."""
-SHORTEST = 64
+MIN_PART_SAMPLES = 64
 """Samples of a part."""
-FINER = 32
+SPEED_SUBDIVISIONS = 32
 """Steps of speed for each of the grid of filters: matrices in between are on the straight line, but on no other."""
 
 
 @dataclass(frozen=True)
-class Turning:
+class OscillatorStates:
     """Oscillators among the states: pairs from `first` on, of the harmonics `orders` (h,), in units of `size` (2 h,).
 
     `azimuth` gives psi [rad] at sample numbers, also a little beyond the record; `step` [s] between samples.
@@ -58,7 +58,7 @@ class Turning:
         return np.asarray(steps / (2 * np.pi * self.step))
 
 
-def rotations(phasors: ComplexArray) -> Array:
+def rotation_matrix(phasors: ComplexArray) -> Array:
     """Block diagonal matrix (2 h, 2 h) that multiplies each p + j q by one of the phasors (h,)."""
     blocks = np.zeros((2 * len(phasors),) * 2)
     even = np.arange(0, 2 * len(phasors), 2)
@@ -67,21 +67,21 @@ def rotations(phasors: ComplexArray) -> Array:
     return blocks
 
 
-class _Between:
+class _InterpolatedMatrices:
     """Matrices (a, b) at every step of speed, from those (g, a, b) of the grid: made when they are first asked for."""
 
     def __init__(self, matrices: Array) -> None:
         self._matrices = matrices
-        self._made: dict[int, Array] = {}
+        self._cache: dict[int, Array] = {}
 
     def __getitem__(self, step: int) -> Array:
-        found = self._made.get(step)
+        found = self._cache.get(step)
         if found is None:
-            cell, share = divmod(step, FINER)
+            cell, share = divmod(step, SPEED_SUBDIVISIONS)
             found = self._matrices[cell]
             if share:
-                found = found + share / FINER * (self._matrices[cell + 1] - found)
-            self._made[step] = found
+                found = found + share / SPEED_SUBDIVISIONS * (self._matrices[cell + 1] - found)
+            self._cache[step] = found
         return found
 
 
@@ -94,7 +94,7 @@ class AzimuthLockedFilter:
 
     filters: tuple[SteadyFilter, ...]
     speeds: Array
-    turning: Turning
+    oscillator_states: OscillatorStates
     marked: Index
 
     @property
@@ -103,31 +103,31 @@ class AzimuthLockedFilter:
         return self.filters[0].outputs
 
     @property
-    def invariant(self) -> bool:
+    def time_invariant(self) -> bool:
         """It is not."""
         return False
 
     def at(self, first: int, count: int = 1) -> SteadyFilter:
         """The filter of the speed nearest to the mean of so many samples; its pairs turn by just what these turn."""
-        turn = (self.turning.azimuth(np.array([first, first + count], float)) @ [-1.0, 1.0]) / count
-        near = int(np.argmin(np.abs(self.speeds - turn / (2 * np.pi * self.turning.step))))
-        L, s = self._still[near].copy(), self.turning.states
-        L[s, s] += rotations(np.exp(-1j * turn * self.turning.orders))
+        turn = (self.oscillator_states.azimuth(np.array([first, first + count], float)) @ [-1.0, 1.0]) / count
+        near = int(np.argmin(np.abs(self.speeds - turn / (2 * np.pi * self.oscillator_states.step))))
+        L, s = self._transition_without_rotation[near].copy(), self.oscillator_states.states
+        L[s, s] += rotation_matrix(np.exp(-1j * turn * self.oscillator_states.orders))
         return self.filters[near].with_transition(L)
 
-    def even_parts(self, first: int, count: int) -> list[tuple[int, int]]:
-        """Halves of halves, until no oscillator departs from an even turning by more than `EVEN`."""
-        psi = self.turning.azimuth(np.arange(first, first + count + 1, dtype=float))
-        bend = np.abs(psi - np.linspace(psi[0], psi[-1], count + 1)).max() * self.turning.orders.max()
-        if bend <= EVEN or count < 2 * SHORTEST:
+    def quasi_steady_parts(self, first: int, count: int) -> list[tuple[int, int]]:
+        """Halves of halves, until no oscillator departs from an even turning by more than `MAX_PHASE_DEVIATION`."""
+        psi = self.oscillator_states.azimuth(np.arange(first, first + count + 1, dtype=float))
+        bend = np.abs(psi - np.linspace(psi[0], psi[-1], count + 1)).max() * self.oscillator_states.orders.max()
+        if bend <= MAX_PHASE_DEVIATION or count < 2 * MIN_PART_SAMPLES:
             return [(first, count)]
         half = count // 2
-        return self.even_parts(first, half) + self.even_parts(first + half, count - half)
+        return self.quasi_steady_parts(first, half) + self.quasi_steady_parts(first + half, count - half)
 
     @cached_property
-    def _still(self) -> Array:
+    def _transition_without_rotation(self) -> Array:
         """L without the turning itself (g, N, N), which is done apart."""
-        s = self.turning.states
+        s = self.oscillator_states.states
         parts = []
         for one in self.filters:
             L = one.L.copy()
@@ -135,18 +135,22 @@ class AzimuthLockedFilter:
             parts.append(L)
         return np.stack(parts)
 
-    def _steps(self, first: int, count: int) -> Index:
-        """Place (count,) of the speed at each sample in a grid that is `FINER` than that of the filters."""
-        place = np.interp(self.turning.speed(first, count), self.speeds, np.arange(len(self.speeds), dtype=float))
-        return np.asarray(np.rint(FINER * place), np.intp)
+    def _grid_steps(self, first: int, count: int) -> Index:
+        """Place (count,) of the speed at each sample in a grid that is `SPEED_SUBDIVISIONS` than that of the
+        filters.
+        """
+        place = np.interp(
+            self.oscillator_states.speed(first, count), self.speeds, np.arange(len(self.speeds), dtype=float)
+        )
+        return np.asarray(np.rint(SPEED_SUBDIVISIONS * place), np.intp)
 
     @cached_property
-    def _transitions(self) -> _Between:
-        return _Between(self._still)
+    def _transitions(self) -> _InterpolatedMatrices:
+        return _InterpolatedMatrices(self._transition_without_rotation)
 
-    def _weighed(self, rows: Array, first: int, matrices: Array) -> Array:
+    def _apply_scheduled_gain(self, rows: Array, first: int, matrices: Array) -> Array:
         """Rows (n, a) times the matrices (g, a, b) of the speed at each sample: (n, b)."""
-        steps, between = self._steps(first, len(rows)), _Between(matrices)
+        steps, between = self._grid_steps(first, len(rows)), _InterpolatedMatrices(matrices)
         here = np.unique(steps)
         if len(here) == 1:
             return np.asarray(rows @ between[int(here[0])])
@@ -156,85 +160,100 @@ class AzimuthLockedFilter:
             total[mine] = rows[mine] @ between[int(step)]
         return total
 
-    def forward(self, first: int, y: Array, start: Array) -> Piece:
+    def forward_pass(self, first: int, y: Array, start: Array) -> FilterBlock:
         """Innovations (n, c) and predicted outputs, sample by sample."""
-        driven = self._weighed(y, first, np.stack([one.K.T for one in self.filters]))
-        states = self._run(first, driven, start)
+        inputs = self._apply_scheduled_gain(y, first, np.stack([one.K.T for one in self.filters]))
+        states = self._run_forward(first, inputs, start)
         H = self.filters[0].model.H
-        marked = states[self._marked(first, len(y))] @ self._pairs.T
+        marked = states[self._marked_rows(first, len(y))] @ self._oscillator_rows.T
         # A copy: a view would keep the states of all samples as long as the piece itself.
-        return Piece(first, y - states[:-1] @ H.T, states[:-1] @ self.outputs.T, states[-1].copy(), marked)
+        return FilterBlock(first, y - states[:-1] @ H.T, states[:-1] @ self.outputs.T, states[-1].copy(), marked)
 
-    def _marked(self, first: int, count: int) -> Index:
+    def _marked_rows(self, first: int, count: int) -> Index:
         low, high = np.searchsorted(self.marked, [first, first + count])
         return self.marked[low:high] - first
 
     @cached_property
-    def _pairs(self) -> Array:
+    def _oscillator_rows(self) -> Array:
         """The rows (2 h, N) of the pairs."""
-        return np.asarray(self.turning.size[:, None] * np.eye(len(self.filters[0].L))[self.turning.states])
+        return np.asarray(
+            self.oscillator_states.size[:, None] * np.eye(len(self.filters[0].L))[self.oscillator_states.states]
+        )
 
-    def marks(self, first: int, count: int) -> Marks | None:
+    def marked_outputs(self, first: int, count: int) -> MarkedOutputs | None:
         """Where the pairs are given out."""
-        near, pairs = self.at(first), self._pairs
-        updated, smoothed = near.variances_of(pairs)
-        return Marks(self._marked(first, count), pairs, updated, smoothed)
+        near, pairs = self.at(first), self._oscillator_rows
+        updated, smoothed = near.output_variances(pairs)
+        return MarkedOutputs(self._marked_rows(first, count), pairs, updated, smoothed)
 
-    def _run(self, first: int, driven: Array, start: Array) -> Array:
+    def _run_forward(self, first: int, inputs: Array, start: Array) -> Array:
         """States (n + 1, N)."""
-        steps, transitions = self._steps(first, len(driven)).tolist(), self._transitions
-        phasors, turned = self.turning.phasors(first, len(driven)), self.turning.states
-        states = np.empty((len(driven) + 1, len(start)))
+        steps, transitions = self._grid_steps(first, len(inputs)).tolist(), self._transitions
+        phasors, turned = self.oscillator_states.phasors(first, len(inputs)), self.oscillator_states.states
+        states = np.empty((len(inputs) + 1, len(start)))
         states[0] = start
         for k, step in enumerate(steps):
             x = states[k]
             new = transitions[step] @ x
-            new += driven[k]
+            new += inputs[k]
             new[turned] += (phasors[k] * x[turned].view(complex)).view(float)
             states[k + 1] = new
         return states
 
-    def updated(self, piece: Piece) -> Outputs:
+    def updated(self, filter_block: FilterBlock) -> Outputs:
         """Given y up to the sample itself."""
         gains = np.stack([(one.outputs @ one.update_gain).T for one in self.filters])
-        loads = piece.predicted + self._weighed(piece.innovation, piece.first, gains)
-        assert piece.marked is not None
-        at, near = self._marked(piece.first, len(loads)), self.at(piece.first)
-        return Outputs(loads, piece.marked + piece.innovation[at] @ (self._pairs @ near.update_gain).T)
+        loads = filter_block.predicted + self._apply_scheduled_gain(filter_block.innovation, filter_block.first, gains)
+        assert filter_block.marked is not None
+        at, near = self._marked_rows(filter_block.first, len(loads)), self.at(filter_block.first)
+        return Outputs(
+            loads, filter_block.marked + filter_block.innovation[at] @ (self._oscillator_rows @ near.update_gain).T
+        )
 
-    def backward(self, piece: Piece, after: Array) -> tuple[Outputs, Array]:
+    def backward_pass(self, filter_block: FilterBlock, adjoint_after: Array) -> tuple[Outputs, Array]:
         """Given y after them too, and rho at the first sample."""
-        told = self._weighed(piece.innovation, piece.first, np.stack([one.weighted for one in self.filters]))
-        adjoint = self._run_back(piece.first, told, after)
-        return self._smoothed(piece, adjoint), adjoint[0].copy()
+        weighted_innovations = self._apply_scheduled_gain(
+            filter_block.innovation, filter_block.first, np.stack([one.weighted for one in self.filters])
+        )
+        adjoint = self._run_backward(filter_block.first, weighted_innovations, adjoint_after)
+        return self._smooth_outputs(filter_block, adjoint), adjoint[0].copy()
 
-    def backward_with_lag(self, piece: Piece, count: int, lag: int) -> Outputs:
+    def fixed_lag_pass(self, filter_block: FilterBlock, count: int, lag: int) -> Outputs:
         """Each sample given `lag` innovations after it, and up to twice as many: stretches of `lag` at a time."""
-        told = self._weighed(piece.innovation, piece.first, np.stack([one.weighted for one in self.filters]))
-        adjoint = np.empty((count, told.shape[1]))
+        weighted_innovations = self._apply_scheduled_gain(
+            filter_block.innovation, filter_block.first, np.stack([one.weighted for one in self.filters])
+        )
+        adjoint = np.empty((count, weighted_innovations.shape[1]))
         for start in range(0, count, lag):
             stop = min(start + lag, count)
-            back = self._run_back(piece.first + start, told[start : stop + lag], np.zeros(told.shape[1]))
+            back = self._run_backward(
+                filter_block.first + start,
+                weighted_innovations[start : stop + lag],
+                np.zeros(weighted_innovations.shape[1]),
+            )
             adjoint[start:stop] = back[: stop - start]
-        return self._smoothed(piece, adjoint)
+        return self._smooth_outputs(filter_block, adjoint)
 
-    def _smoothed(self, piece: Piece, adjoint: Array) -> Outputs:
+    def _smooth_outputs(self, filter_block: FilterBlock, adjoint: Array) -> Outputs:
         """X + P rho at every sample."""
         spread = np.stack([(one.outputs @ one.P).T for one in self.filters])
-        loads = piece.predicted + self._weighed(adjoint, piece.first, spread)
-        assert piece.marked is not None
-        at, near = self._marked(piece.first, len(loads)), self.at(piece.first)
-        return Outputs(loads, piece.marked + adjoint[at] @ (self._pairs @ near.P).T)
+        loads = filter_block.predicted + self._apply_scheduled_gain(adjoint, filter_block.first, spread)
+        assert filter_block.marked is not None
+        at, near = self._marked_rows(filter_block.first, len(loads)), self.at(filter_block.first)
+        return Outputs(loads, filter_block.marked + adjoint[at] @ (self._oscillator_rows @ near.P).T)
 
-    def _run_back(self, first: int, told: Array, after: Array) -> Array:
+    def _run_backward(self, first: int, weighted_innovations: Array, adjoint_after: Array) -> Array:
         """Rho (n, N) at each sample."""
-        steps, transitions = self._steps(first, len(told)).tolist(), self._transitions
-        phasors, turned = self.turning.phasors(first, len(told)).conj(), self.turning.states
-        adjoint = np.empty((len(told), len(after)))
-        rho = after
-        for k in range(len(told) - 1, -1, -1):
+        steps, transitions = self._grid_steps(first, len(weighted_innovations)).tolist(), self._transitions
+        phasors, turned = (
+            self.oscillator_states.phasors(first, len(weighted_innovations)).conj(),
+            self.oscillator_states.states,
+        )
+        adjoint = np.empty((len(weighted_innovations), len(adjoint_after)))
+        rho = adjoint_after
+        for k in range(len(weighted_innovations) - 1, -1, -1):
             new = rho @ transitions[steps[k]]
-            new += told[k]
+            new += weighted_innovations[k]
             new[turned] += (phasors[k] * rho[turned].view(complex)).view(float)
             adjoint[k] = rho = new
         return adjoint
@@ -242,8 +261,10 @@ class AzimuthLockedFilter:
     def variance(self, first: int, count: int, smoothed: bool) -> Array:
         """That of the speed at each sample."""
         each = np.stack([one.variance(first, 1, smoothed) for one in self.filters])
-        return self._weighed(np.ones((count, 1)), first, each)
+        return self._apply_scheduled_gain(np.ones((count, 1)), first, each)
 
-    def whitened(self, piece: Piece) -> Array:
+    def whiten_innovations(self, filter_block: FilterBlock) -> Array:
         """V e (n, c), V that of the speed."""
-        return self._weighed(piece.innovation, piece.first, np.stack([one.whitening.T for one in self.filters]))
+        return self._apply_scheduled_gain(
+            filter_block.innovation, filter_block.first, np.stack([one.whitening_matrix.T for one in self.filters])
+        )

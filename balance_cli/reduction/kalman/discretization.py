@@ -12,13 +12,13 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from balance_cli.reduction.kalman.riccati import symmetric
+from balance_cli.reduction.kalman.riccati import symmetrize
 
 Array = NDArray[np.float64]
 
 SMALL_STEP = 0.25
 """Largest norm of A h for which the series of a step are summed."""
-TERMS = 18
+SERIES_TERMS = 18
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class SampledModel:
         """The same with states in units of `size` (n,)."""
         return SampledModel(self.F * size / size[:, None], self.Q / np.outer(size, size), self.H * size, self.U * size)
 
-    def seen_by(self, channels: Array) -> SampledModel:
+    def with_channels(self, channels: Array) -> SampledModel:
         """The same with some of the channels, or with combinations `channels` (r, c) of them."""
         return replace(self, H=channels @ self.H)
 
 
-def step_of(A: Array, W: Array, time: float) -> tuple[Array, Array]:
+def discretize_step(A: Array, W: Array, time: float) -> tuple[Array, Array]:
     """exp(A t) and the noise covariance int exp(A s) W exp(A s)' ds (n, n) of a step.
 
     The series for a short step, then doubling: Q(2h) = Q(h) + Phi(h) Q(h) Phi(h)', which no fast decay can harm.
@@ -68,16 +68,16 @@ def step_of(A: Array, W: Array, time: float) -> tuple[Array, Array]:
     h = time / 2**halvings
     term = W * h
     Q = term.copy()
-    for i in range(2, TERMS):
+    for i in range(2, SERIES_TERMS):
         term = (A @ term + term @ A.T) * (h / i)
         Q = Q + term
     Phi = np.asarray(scipy.linalg.expm(A * h), float)
     for _ in range(halvings):
-        Q, Phi = symmetric(Q + Phi @ Q @ Phi.T), Phi @ Phi
-    return Phi, symmetric(Q)
+        Q, Phi = symmetrize(Q + Phi @ Q @ Phi.T), Phi @ Phi
+    return Phi, symmetrize(Q)
 
 
-def sampled(model: ContinuousModel, step: float) -> SampledModel:
+def discretize(model: ContinuousModel, step: float) -> SampledModel:
     """The model at samples `step` [s] apart; outputs that are late are further states."""
     whole, part = np.divmod(np.round(model.delay / step, 9), 1.0)
     n, c = len(model.A), len(model.C)
@@ -87,14 +87,14 @@ def sampled(model: ContinuousModel, step: float) -> SampledModel:
     first = n + np.concatenate([[0], np.cumsum(counts)[:-1]])
     total = n + int(counts.sum())
     F, Q = np.eye(total), np.zeros((total, total))
-    F, Q = _shifted(F, Q, first, counts)
+    F, Q = _shift_delay_states(F, Q, first, counts)
     at = 0.0
     for instant in [*sorted({1.0 - p for p in part[late] if p > 0}), 1.0]:
-        F, Q = _advanced(F, Q, model, (instant - at) * step)
+        F, Q = _advance(F, Q, model, (instant - at) * step)
         at = instant
         for channel in late:
             if part[channel] > 0 and np.isclose(1.0 - part[channel], instant, rtol=0.0, atol=1e-10):
-                F, Q = _recorded(F, Q, int(first[channel]), model.C[channel])
+                F, Q = _store_output(F, Q, int(first[channel]), model.C[channel])
     H = np.zeros((c, total))
     for i in range(c):
         if counts[i]:
@@ -103,14 +103,14 @@ def sampled(model: ContinuousModel, step: float) -> SampledModel:
             H[i, :n] = model.C[i]
     for channel in late:
         if part[channel] == 0:
-            F, Q = _recorded_before(F, Q, int(first[channel]), model.C[channel])
+            F, Q = _store_previous_output(F, Q, int(first[channel]), model.C[channel])
     return SampledModel(F, Q, H, np.hstack([model.U, np.zeros((len(model.U), total - n))]))
 
 
-def _advanced(F: Array, Q: Array, model: ContinuousModel, time: float) -> tuple[Array, Array]:
+def _advance(F: Array, Q: Array, model: ContinuousModel, time: float) -> tuple[Array, Array]:
     """The map and its noise, continued by a time through which only the states proper move."""
     n = len(model.A)
-    Phi, noise = step_of(model.A, model.W, time)
+    Phi, noise = discretize_step(model.A, model.W, time)
     F, Q = F.copy(), Q.copy()
     F[:n] = Phi @ F[:n]
     Q[:n] = Phi @ Q[:n]
@@ -119,7 +119,7 @@ def _advanced(F: Array, Q: Array, model: ContinuousModel, time: float) -> tuple[
     return F, Q
 
 
-def _recorded(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]:
+def _store_output(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]:
     """What an output is at this instant, kept in a state."""
     n = len(C)
     F, Q = F.copy(), Q.copy()
@@ -129,7 +129,7 @@ def _recorded(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]:
     return F, Q
 
 
-def _recorded_before(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]:
+def _store_previous_output(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]:
     """What an output was at the last sample, kept in a state: late by whole steps."""
     F, Q = F.copy(), Q.copy()
     F[row], Q[row], Q[:, row] = 0.0, 0.0, 0.0
@@ -137,7 +137,7 @@ def _recorded_before(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Arr
     return F, Q
 
 
-def _shifted(F: Array, Q: Array, first: Array, counts: Array) -> tuple[Array, Array]:
+def _shift_delay_states(F: Array, Q: Array, first: Array, counts: Array) -> tuple[Array, Array]:
     """What was kept moves on by one place; the first place of each output is free."""
     F = F.copy()
     for start, count in zip(first, counts, strict=True):

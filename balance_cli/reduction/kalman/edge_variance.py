@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 STRIDES = (1, 8, 64, 512)
-PLACES = 16
+POINTS_PER_STRIDE = 16
 """Samples of each stride at which a decay is evaluated; straight lines between."""
-NEGLIGIBLE = 1e-4
+NEGLIGIBLE_SHARE = 1e-4
 """Of the steady variance: a smaller addition is left out."""
 
 
-class Steadied(Protocol):
+class SteadyMatrices(Protocol):
     """A steady filter: P, L and O (N, N)."""
 
     @property
@@ -54,7 +54,7 @@ class Decay:
         return np.stack([np.interp(samples, self.at, column, right=last) for column in self.value.T], axis=1)
 
 
-def decay(rows: Array, transition: Array, spread: Array, count: int, floor: Array) -> Decay:
+def variance_decay(rows: Array, transition: Array, spread: Array, count: int, floor: Array) -> Decay:
     """diag(rows A^k spread (rows A^k)') for k = 0 .. count - 1, until it is negligible beside `floor` (o,).
 
     rows (o, N), transition A and spread (N, N).
@@ -65,16 +65,16 @@ def decay(rows: Array, transition: Array, spread: Array, count: int, floor: Arra
     for i, stride in enumerate(STRIDES):
         if i:
             power = np.linalg.matrix_power(power, STRIDES[i] // STRIDES[i - 1])
-        for _ in range(PLACES):
+        for _ in range(POINTS_PER_STRIDE):
             at.append(k)
             found.append(np.einsum("on,on->o", rows @ spread, rows))
-            if k >= count or np.all(np.abs(found[-1]) <= NEGLIGIBLE * floor):
+            if k >= count or np.all(np.abs(found[-1]) <= NEGLIGIBLE_SHARE * floor):
                 return Decay(np.array(at, float), np.array(found))
             rows, k = rows @ power, k + stride
     return Decay(np.array(at, float), np.array(found))
 
 
-def between_edges(rows: Array, steady: Steadied, missing: Array, start: Array, count: int) -> Decay:
+def smoother_edge_variance(rows: Array, steady: SteadyMatrices, missing: Array, start: Array, count: int) -> Decay:
     """What both edges of a stretch add to the steady variance of a smoother, and each to what the other adds.
 
     `missing` O - J (N, N) at its end, `start` (N, N) the covariance of what its first state was wrong by, given all:
@@ -83,9 +83,12 @@ def between_edges(rows: Array, steady: Steadied, missing: Array, start: Array, c
         diag(B (O - J) B' + R start R').
     """
     at = _dense_at_both_ends(count)
-    powers = _Powers(steady.L)
-    through = missing @ powers.of(count)
-    first, last = rows - (rows @ steady.P) @ steady.all_information, rows @ steady.P @ powers.of(count - int(at[-1])).T
+    powers = _MatrixPowers(steady.L)
+    through = missing @ powers.to_power(count)
+    first, last = (
+        rows - (rows @ steady.P) @ steady.all_information,
+        rows @ steady.P @ powers.to_power(count - int(at[-1])).T,
+    )
     begun, ended = [first], [last]
     for step in np.diff(at):
         begun.append(powers.after(begun[-1], int(step)))
@@ -100,54 +103,58 @@ def between_edges(rows: Array, steady: Steadied, missing: Array, start: Array, c
 
 def _dense_at_both_ends(count: int) -> NDArray[np.intp]:
     """Samples from 0 to `count` - 1, all of them near either end, ever fewer towards the middle."""
-    strides = np.repeat(2 ** np.arange(20), [PLACES, *[PLACES // 2] * 19])
+    strides = np.repeat(2 ** np.arange(20), [POINTS_PER_STRIDE, *[POINTS_PER_STRIDE // 2] * 19])
     near = np.concatenate([[0], np.cumsum(strides)])
     near = near[near <= (count - 1) / 2]
     return np.unique(np.concatenate([near, count - 1 - near])).astype(np.intp)
 
 
-class _Powers:
+class _MatrixPowers:
     """Powers of L, those of two kept."""
 
     def __init__(self, L: Array) -> None:
         self._doubled = [L]
 
-    def _bits(self, exponent: int) -> list[Array]:
+    def _binary_factors(self, exponent: int) -> list[Array]:
         while 2 ** len(self._doubled) <= exponent:
             self._doubled.append(self._doubled[-1] @ self._doubled[-1])
         return [power for i, power in enumerate(self._doubled) if exponent >> i & 1]
 
     def after(self, rows: Array, exponent: int) -> Array:
         """Rows L^exponent."""
-        for power in self._bits(exponent):
+        for power in self._binary_factors(exponent):
             rows = rows @ power
         return rows
 
     def before(self, rows: Array, exponent: int) -> Array:
         """Rows L'^exponent."""
-        for power in self._bits(exponent):
+        for power in self._binary_factors(exponent):
             rows = rows @ power.T
         return rows
 
-    def of(self, exponent: int) -> Array:
+    def to_power(self, exponent: int) -> Array:
         """L^exponent."""
         return self.after(np.eye(len(self._doubled[0])), exponent)
 
 
-def beside_the_steady(excess: Array, rho: Array, information: Array) -> tuple[Array, Array]:
+def refer_adjoint_to_steady(excess_covariance: Array, rho: Array, information: Array) -> tuple[Array, Array]:
     """Adjoint (N,) and information (N, N) for a state of covariance P, from those for one of P + D.
 
     (1 - J D)^-1 of both: what is to come tells the same of the state whatever is known of it before.
     """
-    together = np.linalg.solve(np.eye(len(excess)) - information @ excess, np.column_stack([rho, information]))
+    together = np.linalg.solve(
+        np.eye(len(excess_covariance)) - information @ excess_covariance, np.column_stack([rho, information])
+    )
     return np.ascontiguousarray(together[:, 0]), np.asarray(together[:, 1:])
 
 
-def told_apart(excess: Array, information: Array) -> Array:
+def posterior_excess(excess_covariance: Array, information: Array) -> Array:
     """D (1 + O D)^-1 (N, N): covariance of what the start was wrong by, given all that follows."""
-    return np.asarray(np.linalg.solve(np.eye(len(excess)) + excess @ information, excess))
+    return np.asarray(
+        np.linalg.solve(np.eye(len(excess_covariance)) + excess_covariance @ information, excess_covariance)
+    )
 
 
-def seen_through(excess: Array, information: Array) -> Array:
+def information_with_excess(excess_covariance: Array, information: Array) -> Array:
     """(1 + O D)^-1 O (N, N): what the samples after an uncertain start tell of the state at it."""
-    return np.asarray(np.linalg.solve(np.eye(len(excess)) + information @ excess, information))
+    return np.asarray(np.linalg.solve(np.eye(len(excess_covariance)) + information @ excess_covariance, information))

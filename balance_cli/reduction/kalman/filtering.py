@@ -9,123 +9,143 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.reduction.kalman.edge_variance import Decay, decay, told_apart
-from balance_cli.reduction.kalman.gaps import GAP_BLOCK, led_on, through_gap
-from balance_cli.reduction.kalman.riccati import symmetric
+from balance_cli.reduction.kalman.edge_variance import Decay, posterior_excess, variance_decay
+from balance_cli.reduction.kalman.gaps import GAP_BLOCK, gap_estimates, predict_through_gap
+from balance_cli.reduction.kalman.riccati import symmetrize
 from balance_cli.reduction.kalman.segments import (
     Estimates,
-    Filters,
     Reader,
-    Stretch,
+    RunFilters,
+    Segment,
+    assemble_estimates,
     blocks,
-    estimates_of,
-    excess_at_end,
+    estimate_initial_state,
     output_rows,
-    settled,
-    told,
-    variance_of,
+    output_variance,
+    propagate_excess,
+    segment_information,
 )
-from balance_cli.reduction.kalman.steady_filter import Engine, Piece
+from balance_cli.reduction.kalman.steady_filter import ChannelFilter, FilterBlock
 
 Array = NDArray[np.float64]
 
 
-def filtered(read: Reader, stretches: Sequence[Stretch], filters: Filters, beginning: int) -> Iterator[Estimates]:
+def filtered_estimates(
+    read: Reader, segments: Sequence[Segment], filters: RunFilters, beginning: int
+) -> Iterator[Estimates]:
     """Loads given each sample and those before it.
 
     The state at the beginning of the record is that which the first `beginning` samples tell: the gain is steady from
     there on, and what a record begins with would take it long to forget.
     """
     x, P = np.zeros(len(filters.prior)), filters.prior
-    for stretch in stretches:
-        if not stretch.channels:
-            for first, stop in blocks(stretch, GAP_BLOCK):
-                passed, P = through_gap(Stretch(first, stop, ()), filters, x, P)
-                yield led_on(passed, filters)
-                x = passed.piece.end
+    for segment in segments:
+        if not segment.channels:
+            for first, stop in blocks(segment, GAP_BLOCK):
+                segment_block, P = predict_through_gap(Segment(first, stop, ()), filters, x, P)
+                yield gap_estimates(segment_block, filters)
+                x = segment_block.filter_block.end
             continue
-        engine = filters.engines[stretch.channels]
-        excess = symmetric(P - engine.at(stretch.start).P)
-        if stretch is stretches[0]:
-            x = settled(read, stretch, engine, x, excess, beginning)
-            excess = told_apart(excess, told(engine, stretch, beginning))
-        for first, stop in blocks(stretch):
-            piece = engine.forward(first, read(first, stop, stretch.channels), x)
-            x = piece.end
-            yield _updated(engine, piece, stretch, excess)
-        P = engine.at(stretch.stop - 1).P + excess_at_end(engine, excess, stretch)
+        channel_filter = filters.channel_filters[segment.channels]
+        excess_covariance = symmetrize(P - channel_filter.at(segment.start).P)
+        if segment is segments[0]:
+            x = estimate_initial_state(read, segment, channel_filter, x, excess_covariance, beginning)
+            excess_covariance = posterior_excess(
+                excess_covariance, segment_information(channel_filter, segment, beginning)
+            )
+        for first, stop in blocks(segment):
+            filter_block = channel_filter.forward_pass(first, read(first, stop, segment.channels), x)
+            x = filter_block.end
+            yield _filter_block_estimates(channel_filter, filter_block, segment, excess_covariance)
+        P = channel_filter.at(segment.stop - 1).P + propagate_excess(channel_filter, excess_covariance, segment)
 
 
-def _updated(engine: Engine, piece: Piece, stretch: Stretch, excess: Array) -> Estimates:
+def _filter_block_estimates(
+    channel_filter: ChannelFilter, filter_block: FilterBlock, segment: Segment, excess_covariance: Array
+) -> Estimates:
     """What the filter says of a block of a stretch that began with this excess."""
-    count = len(piece.predicted)
-    steady = engine.at(stretch.start, count)
-    rows, marks = output_rows(engine, piece)
+    count = len(filter_block.predicted)
+    steady = channel_filter.at(segment.start, count)
+    rows, marked_outputs = output_rows(channel_filter, filter_block)
     after = rows - (rows @ steady.update_gain) @ steady.model.H
-    fading = decay(after, steady.L, excess, piece.first - stretch.start + count, variance_of(rows, steady.P))
-    added = (fading, np.arange(count) + piece.first - stretch.start)
-    return estimates_of(engine, piece, engine.updated(piece), marks, False, stretch, [added])
+    fading = variance_decay(
+        after, steady.L, excess_covariance, filter_block.first - segment.start + count, output_variance(rows, steady.P)
+    )
+    added = (fading, np.arange(count) + filter_block.first - segment.start)
+    return assemble_estimates(
+        channel_filter, filter_block, channel_filter.updated(filter_block), marked_outputs, False, segment, [added]
+    )
 
 
-def lagged(
-    read: Reader, stretches: Sequence[Stretch], filters: Filters, beginning: int, lag: int
+def fixed_lag_estimates(
+    read: Reader, segments: Sequence[Segment], filters: RunFilters, beginning: int, lag: int
 ) -> Iterator[Estimates]:
-    """Loads given each sample and `lag` samples after it, those before it too; as `filtered` otherwise.
+    """Loads given each sample and `lag` samples after it, those before it too; as `filtered_estimates` otherwise.
 
     Of a filter that changes with time each knows up to twice as many. Nobody looks across a gap.
     """
     x, P = np.zeros(len(filters.prior)), filters.prior
-    for stretch in stretches:
-        if not stretch.channels:
-            for first, stop in blocks(stretch, GAP_BLOCK):
-                passed, P = through_gap(Stretch(first, stop, ()), filters, x, P)
-                yield led_on(passed, filters)
-                x = passed.piece.end
+    for segment in segments:
+        if not segment.channels:
+            for first, stop in blocks(segment, GAP_BLOCK):
+                segment_block, P = predict_through_gap(Segment(first, stop, ()), filters, x, P)
+                yield gap_estimates(segment_block, filters)
+                x = segment_block.filter_block.end
             continue
-        engine = filters.engines[stretch.channels]
-        excess = symmetric(P - engine.at(stretch.start).P)
-        x = settled(read, stretch, engine, x, excess, max(beginning, lag))
-        edges = _Edges(engine, stretch, told_apart(excess, told(engine, stretch, max(beginning, lag))), lag)
-        for first, stop in blocks(stretch):
-            piece = engine.forward(first, read(first, stop, stretch.channels), x)
-            x = piece.end
-            if stop < stretch.stop:
-                ahead = engine.forward(stop, read(stop, min(stop + lag, stretch.stop), stretch.channels), x)
-                piece = piece.with_innovations(ahead.innovation)
-            yield edges.looked_back(piece, stop - first)
-        P = engine.at(stretch.stop - 1).P + excess_at_end(engine, edges.excess, stretch)
+        channel_filter = filters.channel_filters[segment.channels]
+        excess_covariance = symmetrize(P - channel_filter.at(segment.start).P)
+        x = estimate_initial_state(read, segment, channel_filter, x, excess_covariance, max(beginning, lag))
+        edges = _SegmentEdges(
+            channel_filter,
+            segment,
+            posterior_excess(excess_covariance, segment_information(channel_filter, segment, max(beginning, lag))),
+            lag,
+        )
+        for first, stop in blocks(segment):
+            filter_block = channel_filter.forward_pass(first, read(first, stop, segment.channels), x)
+            x = filter_block.end
+            if stop < segment.stop:
+                ahead = channel_filter.forward_pass(
+                    stop, read(stop, min(stop + lag, segment.stop), segment.channels), x
+                )
+                filter_block = filter_block.with_innovations(ahead.innovation)
+            yield edges.fixed_lag_block(filter_block, stop - first)
+        P = channel_filter.at(segment.stop - 1).P + propagate_excess(channel_filter, edges.excess_covariance, segment)
 
 
 @dataclass(frozen=True)
-class _Edges:
+class _SegmentEdges:
     """A stretch that is looked at with a lag: what its beginning and its end add to the variance of an output."""
 
-    engine: Engine
-    stretch: Stretch
-    excess: Array
+    channel_filter: ChannelFilter
+    segment: Segment
+    excess_covariance: Array
     lag: int
 
-    def looked_back(self, piece: Piece, count: int) -> Estimates:
+    def fixed_lag_block(self, filter_block: FilterBlock, count: int) -> Estimates:
         """The first `count` samples of a piece, each given `lag` samples more or what there is."""
-        outputs = self.engine.backward_with_lag(piece, count, self.lag)
-        own = replace(piece, innovation=piece.innovation[:count])
-        _, marks = output_rows(self.engine, own)
+        outputs = self.channel_filter.fixed_lag_pass(filter_block, count, self.lag)
+        own = replace(filter_block, innovation=filter_block.innovation[:count])
+        _, marked_outputs = output_rows(self.channel_filter, own)
         at, (ends, starts) = np.arange(count), self._decays
         added = [
-            (ends, np.minimum(len(piece.innovation) - 1 - at, self.lag)),
-            (starts, at + piece.first - self.stretch.start),
+            (ends, np.minimum(len(filter_block.innovation) - 1 - at, self.lag)),
+            (starts, at + filter_block.first - self.segment.start),
         ]
-        return estimates_of(self.engine, own, outputs, marks, True, self.stretch, added)
+        return assemble_estimates(self.channel_filter, own, outputs, marked_outputs, True, self.segment, added)
 
     @cached_property
     def _decays(self) -> tuple[Decay, Decay]:
         """Towards the samples that are not known yet, and from the beginning on, at the mean speed of the stretch."""
-        whole = self.stretch.stop - self.stretch.start
-        steady, marks = self.engine.at(self.stretch.start, whole), self.engine.marks(self.stretch.start, 1)
-        rows = steady.outputs if marks is None else np.vstack([steady.outputs, marks.rows])
+        whole = self.segment.stop - self.segment.start
+        steady, marked_outputs = (
+            self.channel_filter.at(self.segment.start, whole),
+            self.channel_filter.marked_outputs(self.segment.start, 1),
+        )
+        rows = steady.outputs if marked_outputs is None else np.vstack([steady.outputs, marked_outputs.rows])
         P, L, total = steady.P, steady.L, steady.all_information
-        floor = variance_of(rows, P) - variance_of(rows @ P, total)
+        floor = output_variance(rows, P) - output_variance(rows @ P, total)
         return (
-            decay(rows @ P @ L.T, L.T, total, self.lag + 1, floor),
-            decay(rows - (rows @ P) @ total, L, self.excess, whole, floor),
+            variance_decay(rows @ P @ L.T, L.T, total, self.lag + 1, floor),
+            variance_decay(rows - (rows @ P) @ total, L, self.excess_covariance, whole, floor),
         )

@@ -12,7 +12,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
-class History:
+class LoadHistory:
     """Hub loads over time: time (n,) [s from the first sample], loads and sigma (n, 6); NaN where not determined."""
 
     run: str

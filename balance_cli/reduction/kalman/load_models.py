@@ -2,9 +2,10 @@
 
 Each is a linear system driven by white noise, x' = A x + noise of intensity W, u = U x:
 
-- `Wandering`: u' = b (v - u), v' = -a v + noise, a load that drifts and steps;
-- `Flat`: white within a band, a load that fluctuates; large, it is all that joint estimation of inputs and states says;
-- `Gust`: u' = -a u + noise, a load that fluctuates and has no band, as in turbulence;
+- `LowPassDrift`: u' = b (v - u), v' = -a v + noise, a load that drifts and steps;
+- `BandLimitedNoise`: white within a band, a load that fluctuates; large, it is all that joint estimation of inputs and
+states says;
+- `FirstOrderMarkov`: u' = -a u + noise, a load that fluctuates and has no band, as in turbulence;
 - `Oscillators`: harmonics n of the rotor, p' = n Omega q + noise, q' = -n Omega p + noise, u = sum of p, so that at
   azimuth psi p = alpha cos n psi + beta sin n psi with amplitudes alpha, beta that drift.
 """
@@ -23,9 +24,9 @@ from balance_cli.signals.anti_alias import butterworth_poles
 
 Array = NDArray[np.float64]
 
-FLAT_ORDER = 6
+LOW_PASS_ORDER = 6
 """Order of the low-pass that ends a flat band."""
-SLOW = 0.01
+FORGETTING_RATE = 0.01
 """Rate [1/s] at which amplitudes forget where only their size matters."""
 
 
@@ -47,7 +48,7 @@ class LoadLayer(Protocol):
 
 
 @dataclass(frozen=True)
-class Wandering:
+class LowPassDrift:
     """Loads of standard deviation `sigma` (m,): white noise through low-passes at `corner` and `smooth` [Hz].
 
     The second keeps them out of frequencies at which nothing can be measured.
@@ -55,11 +56,11 @@ class Wandering:
 
     sigma: Array
     corner: float
-    smooth: float
+    smoothing_corner: float
 
     @property
     def _rates(self) -> tuple[float, float]:
-        return 2 * np.pi * self.corner, 2 * np.pi * self.smooth
+        return 2 * np.pi * self.corner, 2 * np.pi * self.smoothing_corner
 
     def matrices(self) -> tuple[Array, Array, Array]:
         """Of x = (u, v): u' = b (v - u), v' = -a v + noise."""
@@ -76,40 +77,42 @@ class Wandering:
 
 
 @dataclass(frozen=True)
-class Flat:
+class BandLimitedNoise:
     """Loads of standard deviation `sigma` (m,), white up to `band` [Hz]: white noise through a Butterworth low-pass."""
 
     sigma: Array
     band: float
 
     @property
-    def _power(self) -> float:
+    def _noise_bandwidth(self) -> float:
         """Int 1 / (1 + (f / band)^(2 n)) df over both signs of frequency."""
-        half = np.pi / (2 * FLAT_ORDER)
+        half = np.pi / (2 * LOW_PASS_ORDER)
         return float(2 * self.band * half / np.sin(half))
 
     def matrices(self) -> tuple[Array, Array, Array]:
         """Of x = (u, u' / w, u'' / w^2 ..), w = 2 pi band: the last of them is driven by white noise."""
         w, m = 2 * np.pi * self.band, len(self.sigma)
-        coefficients = np.real(np.poly(butterworth_poles(FLAT_ORDER)))
-        A = np.diag(np.ones(FLAT_ORDER - 1), 1)
+        coefficients = np.real(np.poly(butterworth_poles(LOW_PASS_ORDER)))
+        A = np.diag(np.ones(LOW_PASS_ORDER - 1), 1)
         A[-1] = -coefficients[:0:-1]
-        density = self.sigma**2 / self._power
-        last = np.zeros(FLAT_ORDER)
+        density = self.sigma**2 / self._noise_bandwidth
+        last = np.zeros(LOW_PASS_ORDER)
         last[-1] = 1.0
         W = np.kron(np.diag(density * w**2), np.outer(last, last))
-        U = np.kron(np.eye(m), np.eye(FLAT_ORDER)[:1])
+        U = np.kron(np.eye(m), np.eye(LOW_PASS_ORDER)[:1])
         whole = np.kron(np.eye(m), w * A)
         return np.asarray(whole, np.float64), np.asarray(W, np.float64), np.asarray(U, np.float64)
 
     def spectrum(self, frequency: Array) -> Array:
         """S(f) proportional to 1 / (1 + (f / band)^(2 n))."""
-        density = 1.0 / (1.0 + (np.asarray(frequency, float) / self.band) ** (2 * FLAT_ORDER)) / self._power
+        density = (
+            1.0 / (1.0 + (np.asarray(frequency, float) / self.band) ** (2 * LOW_PASS_ORDER)) / self._noise_bandwidth
+        )
         return np.asarray(density[:, None] * self.sigma**2)
 
 
 @dataclass(frozen=True)
-class Gust:
+class FirstOrderMarkov:
     """Loads of standard deviation `sigma` (m,), correlated exponentially: white noise through a pole at `corner` [Hz].
 
     So is the gust along the wind in Dryden's turbulence.
@@ -152,9 +155,9 @@ class Oscillators:
         """Of each component (m,), all harmonics together."""
         return np.asarray(np.sqrt(np.sum(self.size**2, axis=0)))
 
-    def stationary(self) -> Oscillators:
+    def with_stationary_drift(self) -> Oscillators:
         """Of the same size, but drifting so that they keep it: what is known before anything is measured."""
-        return replace(self, drift=np.sqrt(2 * SLOW) * self.size, decay=SLOW)
+        return replace(self, drift=np.sqrt(2 * FORGETTING_RATE) * self.size, decay=FORGETTING_RATE)
 
     def at(self, speed: float) -> Oscillators:
         """The same at another speed [Hz]."""
@@ -175,7 +178,7 @@ class Oscillators:
         return np.zeros((len(np.asarray(frequency)), self.drift.shape[1]))
 
 
-def joined(layers: Sequence[LoadLayer]) -> tuple[Array, Array, Array]:
+def combine_layers(layers: Sequence[LoadLayer]) -> tuple[Array, Array, Array]:
     """A, W and U of the sum of all layers, their states in turn."""
     parts = [layer.matrices() for layer in layers]
     A = scipy.linalg.block_diag(*(part[0] for part in parts))

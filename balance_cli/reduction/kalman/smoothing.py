@@ -13,98 +13,108 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.reduction.kalman import segments as stretching
-from balance_cli.reduction.kalman.edge_variance import beside_the_steady, between_edges, decay, seen_through, told_apart
-from balance_cli.reduction.kalman.gaps import GAP_BLOCK, smoothed_gap, through_gap
-from balance_cli.reduction.kalman.riccati import symmetric
-from balance_cli.reduction.kalman.segments import (
-    Beginning,
-    Estimates,
-    Filters,
-    Passed,
-    Reader,
-    Stretch,
-    blocks,
-    estimates_of,
-    excess_at_end,
-    output_rows,
-    settled,
-    told,
-    variance_of,
+from balance_cli.reduction.kalman import segments as segments_module
+from balance_cli.reduction.kalman.edge_variance import (
+    information_with_excess,
+    posterior_excess,
+    refer_adjoint_to_steady,
+    smoother_edge_variance,
+    variance_decay,
 )
-from balance_cli.reduction.kalman.steady_filter import Engine, Outputs, Piece, SteadyFilter
+from balance_cli.reduction.kalman.gaps import GAP_BLOCK, predict_through_gap, smooth_gap
+from balance_cli.reduction.kalman.riccati import symmetrize
+from balance_cli.reduction.kalman.segments import (
+    Estimates,
+    InitialCorrection,
+    Reader,
+    RunFilters,
+    Segment,
+    SegmentBlock,
+    assemble_estimates,
+    blocks,
+    estimate_initial_state,
+    output_rows,
+    output_variance,
+    propagate_excess,
+    segment_information,
+)
+from balance_cli.reduction.kalman.steady_filter import ChannelFilter, FilterBlock, Outputs, SteadyFilter
 
 Array = NDArray[np.float64]
 
-FORGOTTEN = 1e-8
+NEGLIGIBLE_INFORMATION = 1e-8
 """Share of the variance of the outputs that what lies beyond the memory would take away."""
 LONGEST_MEMORY = 2**17
 
 
-def smoothed(read: Reader, stretches: Sequence[Stretch], filters: Filters, beginning: int) -> Iterator[Estimates]:
+def smoothed_estimates(
+    read: Reader, segments: Sequence[Segment], filters: RunFilters, beginning: int
+) -> Iterator[Estimates]:
     """Loads given the whole record.
 
     The state at the beginning of a stretch is told by all of it, at first by the memory of the filter and no less than
     `beginning` samples where the filter does not change with time, by `beginning` samples where it does; then that is
     made good in the first block, so many samples.
     """
-    ahead = max((_memory(filters.engines[s.channels].at(s.start)) for s in stretches if s.channels), default=1)
-    waiting: deque[Passed] = deque()
-    for passed in _forward(read, stretches, filters, ahead, beginning):
-        waiting.append(passed)
-        while _length(waiting) - len(waiting[0].piece.predicted) >= max(ahead, stretching.BLOCK):
-            yield _first_smoothed(waiting, filters)
-    yield from _all_smoothed(waiting, filters)
+    ahead = max(
+        (_memory_samples(filters.channel_filters[s.channels].at(s.start)) for s in segments if s.channels), default=1
+    )
+    pending: deque[SegmentBlock] = deque()
+    for segment_block in _run_forward_pass(read, segments, filters, ahead, beginning):
+        pending.append(segment_block)
+        while _sample_count(pending) - len(pending[0].filter_block.predicted) >= max(ahead, segments_module.BLOCK):
+            yield _smooth_first(pending, filters)
+    yield from _smooth_all(pending, filters)
 
 
-def _length(waiting: Iterable[Passed]) -> int:
-    return sum(len(one.piece.predicted) for one in waiting)
+def _sample_count(pending: Iterable[SegmentBlock]) -> int:
+    return sum(len(one.filter_block.predicted) for one in pending)
 
 
-def _memory(steady: SteadyFilter) -> int:
+def _memory_samples(steady: SteadyFilter) -> int:
     """Samples beyond which nothing tells of an output any more."""
     rows = steady.outputs @ steady.P
     base = np.diag(rows @ steady.outputs.T)
     power, count = steady.L, 1
     while count < LONGEST_MEMORY:
         there = rows @ power.T
-        if np.all(variance_of(there, steady.all_information) <= FORGOTTEN * base):
+        if np.all(output_variance(there, steady.all_information) <= NEGLIGIBLE_INFORMATION * base):
             break
         power, count = power @ power, 2 * count
     return count
 
 
-def _forward(
-    read: Reader, stretches: Sequence[Stretch], filters: Filters, ahead: int, beginning: int
-) -> Iterator[Passed]:
+def _run_forward_pass(
+    read: Reader, segments: Sequence[Segment], filters: RunFilters, ahead: int, beginning: int
+) -> Iterator[SegmentBlock]:
     x, P = np.zeros(len(filters.prior)), filters.prior
-    for stretch in stretches:
-        if not stretch.channels:
-            for first, stop in blocks(stretch, GAP_BLOCK):
-                passed, P = through_gap(Stretch(first, stop, ()), filters, x, P)
-                yield passed
-                x = passed.piece.end
+    for segment in segments:
+        if not segment.channels:
+            for first, stop in blocks(segment, GAP_BLOCK):
+                segment_block, P = predict_through_gap(Segment(first, stop, ()), filters, x, P)
+                yield segment_block
+                x = segment_block.filter_block.end
             continue
-        engine = filters.engines[stretch.channels]
-        known = symmetric(P - engine.at(stretch.start).P)
+        channel_filter = filters.channel_filters[segment.channels]
+        known = symmetrize(P - channel_filter.at(segment.start).P)
         # The memory of the loads says nothing of offsets, which take the steady gain far longer to find.
-        early = max(ahead, beginning) if engine.invariant else beginning
-        start = settled(read, stretch, engine, x, known, early, steps=1)
-        begun: Beginning | None = Beginning(known, start - x)
-        end_excess = None
-        if stretch is not stretches[-1]:
-            left = told_apart(known, told(engine, stretch, stretch.stop - stretch.start))
-            end_excess = excess_at_end(engine, left, stretch)
-            P = engine.at(stretch.stop - 1).P + end_excess
+        early = max(ahead, beginning) if channel_filter.time_invariant else beginning
+        start = estimate_initial_state(read, segment, channel_filter, x, known, early, steps=1)
+        begun: InitialCorrection | None = InitialCorrection(known, start - x)
+        final_excess_covariance = None
+        if segment is not segments[-1]:
+            left = posterior_excess(known, segment_information(channel_filter, segment, segment.stop - segment.start))
+            final_excess_covariance = propagate_excess(channel_filter, left, segment)
+            P = channel_filter.at(segment.stop - 1).P + final_excess_covariance
         x = start
-        for first, stop in blocks(stretch, head=beginning):
-            piece = engine.forward(first, read(first, stop, stretch.channels), x)
-            yield Passed(stretch, piece, begun, end_excess if stop == stretch.stop else None)
-            x, begun = piece.end, None
+        for first, stop in blocks(segment, head=beginning):
+            filter_block = channel_filter.forward_pass(first, read(first, stop, segment.channels), x)
+            yield SegmentBlock(segment, filter_block, begun, final_excess_covariance if stop == segment.stop else None)
+            x, begun = filter_block.end, None
 
 
 @dataclass(frozen=True)
-class _Later:
+class _BackwardState:
     """What follows a sample: rho (N,), the information J (N, N), and within a stretch what that lacks of O, `missing`.
 
     O is that of the speed at hand; what is missing of it stays nothing where all that tells anything follows.
@@ -114,71 +124,94 @@ class _Later:
     J: Array
     missing: Array | None = None
 
-    def lacks(self, steady: SteadyFilter) -> Array:
+    def missing_information(self, steady: SteadyFilter) -> Array:
         """O - J (N, N)."""
         return steady.all_information - self.J if self.missing is None else self.missing
 
 
-def _first_smoothed(waiting: deque[Passed], filters: Filters) -> Estimates:
+def _smooth_first(pending: deque[SegmentBlock], filters: RunFilters) -> Estimates:
     """The first block that waits, smoothed by all of them, and forgotten."""
-    later, estimates = _nothing(filters), None
-    for passed in reversed(waiting):
-        estimates, later = _smoothed_block(passed, filters, later)
-    waiting.popleft()
+    backward_state, estimates = _end_of_record_state(filters), None
+    for segment_block in reversed(pending):
+        estimates, backward_state = _smooth_block(segment_block, filters, backward_state)
+    pending.popleft()
     assert estimates is not None
     return estimates
 
 
-def _all_smoothed(waiting: deque[Passed], filters: Filters) -> Iterator[Estimates]:
-    later, found = _nothing(filters), []
-    for passed in reversed(waiting):
-        estimates, later = _smoothed_block(passed, filters, later)
+def _smooth_all(pending: deque[SegmentBlock], filters: RunFilters) -> Iterator[Estimates]:
+    backward_state, found = _end_of_record_state(filters), []
+    for segment_block in reversed(pending):
+        estimates, backward_state = _smooth_block(segment_block, filters, backward_state)
         found.append(estimates)
     yield from reversed(found)
 
 
-def _nothing(filters: Filters) -> _Later:
-    return _Later(np.zeros(len(filters.prior)), np.zeros_like(filters.prior))
+def _end_of_record_state(filters: RunFilters) -> _BackwardState:
+    return _BackwardState(np.zeros(len(filters.prior)), np.zeros_like(filters.prior))
 
 
-def _smoothed_block(passed: Passed, filters: Filters, later: _Later) -> tuple[Estimates, _Later]:
+def _smooth_block(
+    segment_block: SegmentBlock, filters: RunFilters, backward_state: _BackwardState
+) -> tuple[Estimates, _BackwardState]:
     """One block, with what follows it; and what follows its start."""
-    if passed.covariance is not None:
-        estimates, rho, J = smoothed_gap(passed, filters, later.rho, later.J)
-        return estimates, _Later(rho, J)
-    engine, piece = filters.engines[passed.stretch.channels], passed.piece
-    count = len(piece.predicted)
-    steady, at = engine.at(piece.first, count), np.arange(count)
-    if passed.end_excess is not None:
-        later = _Later(*beside_the_steady(passed.end_excess, later.rho, later.J))
-    rows, marks = output_rows(engine, piece)
-    missing, power = later.lacks(steady), np.linalg.matrix_power(steady.L, count)
-    missing_at_start = symmetric(power.T @ missing @ power)
-    told_at_start = steady.all_information - missing_at_start
-    if passed.beginning is None:
-        outputs, rho = engine.backward(piece, later.rho)
-        floor = variance_of(rows, steady.P) - variance_of(rows @ steady.P, steady.all_information)
-        added = [(decay(rows @ steady.P @ steady.L.T, steady.L.T, missing, count, floor), at[::-1])]
-        estimates = estimates_of(engine, piece, outputs, marks, True, passed.stretch, added)
-        return estimates, _Later(rho, told_at_start, missing_at_start)
-    excess = passed.beginning.excess
-    piece, outputs, rho = _begun_again(engine, piece, passed.beginning, later, told_at_start)
-    added = [(between_edges(rows, steady, missing, told_apart(excess, told_at_start), count), at)]
-    estimates = estimates_of(engine, piece, outputs, marks, True, passed.stretch, added)
-    return estimates, _Later(rho, symmetric(seen_through(excess, told_at_start)))
+    if segment_block.covariance is not None:
+        estimates, rho, J = smooth_gap(segment_block, filters, backward_state.rho, backward_state.J)
+        return estimates, _BackwardState(rho, J)
+    channel_filter, filter_block = filters.channel_filters[segment_block.segment.channels], segment_block.filter_block
+    count = len(filter_block.predicted)
+    steady, at = channel_filter.at(filter_block.first, count), np.arange(count)
+    if segment_block.final_excess_covariance is not None:
+        backward_state = _BackwardState(
+            *refer_adjoint_to_steady(segment_block.final_excess_covariance, backward_state.rho, backward_state.J)
+        )
+    rows, marked_outputs = output_rows(channel_filter, filter_block)
+    missing, power = backward_state.missing_information(steady), np.linalg.matrix_power(steady.L, count)
+    missing_at_start = symmetrize(power.T @ missing @ power)
+    information_at_start = steady.all_information - missing_at_start
+    if segment_block.beginning is None:
+        outputs, rho = channel_filter.backward_pass(filter_block, backward_state.rho)
+        floor = output_variance(rows, steady.P) - output_variance(rows @ steady.P, steady.all_information)
+        added = [(variance_decay(rows @ steady.P @ steady.L.T, steady.L.T, missing, count, floor), at[::-1])]
+        estimates = assemble_estimates(
+            channel_filter, filter_block, outputs, marked_outputs, True, segment_block.segment, added
+        )
+        return estimates, _BackwardState(rho, information_at_start, missing_at_start)
+    excess_covariance = segment_block.beginning.excess_covariance
+    filter_block, outputs, rho = _correct_initial_state(
+        channel_filter, filter_block, segment_block.beginning, backward_state, information_at_start
+    )
+    added = [
+        (
+            smoother_edge_variance(
+                rows, steady, missing, posterior_excess(excess_covariance, information_at_start), count
+            ),
+            at,
+        )
+    ]
+    estimates = assemble_estimates(
+        channel_filter, filter_block, outputs, marked_outputs, True, segment_block.segment, added
+    )
+    return estimates, _BackwardState(rho, symmetrize(information_with_excess(excess_covariance, information_at_start)))
 
 
-def _begun_again(
-    engine: Engine, piece: Piece, beginning: Beginning, later: _Later, told_at_start: Array
-) -> tuple[Piece, Outputs, Array]:
+def _correct_initial_state(
+    channel_filter: ChannelFilter,
+    filter_block: FilterBlock,
+    beginning: InitialCorrection,
+    backward_state: _BackwardState,
+    information_at_start: Array,
+) -> tuple[FilterBlock, Outputs, Array]:
     """The first block of a stretch, as all that follows has its first state: what lies behind that stretch, too.
 
     The first state was moved by d = D rho[0] for the samples of the stretch alone. With those behind it d is off by
     (1 + D O)^-1 (D rho[0] - d), and that runs through the block as a state does where nothing is read.
     """
-    _, at_start = engine.backward(piece, later.rho)
-    D = beginning.excess
-    off = np.linalg.solve(np.eye(len(D)) + D @ told_at_start, D @ at_start - beginning.moved)
-    change = engine.forward(piece.first, np.zeros_like(piece.innovation), np.asarray(off, float))
-    piece = piece.plus(change)
-    return piece, *engine.backward(piece, later.rho - later.J @ change.end)
+    _, at_start = channel_filter.backward_pass(filter_block, backward_state.rho)
+    D = beginning.excess_covariance
+    off = np.linalg.solve(np.eye(len(D)) + D @ information_at_start, D @ at_start - beginning.moved)
+    change = channel_filter.forward_pass(
+        filter_block.first, np.zeros_like(filter_block.innovation), np.asarray(off, float)
+    )
+    filter_block = filter_block.superpose(change)
+    return filter_block, *channel_filter.backward_pass(filter_block, backward_state.rho - backward_state.J @ change.end)

@@ -20,14 +20,14 @@ import scipy.signal
 from numpy.typing import NDArray
 
 from balance_cli.reduction.kalman.discretization import SampledModel
-from balance_cli.reduction.kalman.riccati import accumulated, steady_covariance
+from balance_cli.reduction.kalman.riccati import discrete_gramian, steady_covariance
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
-class Piece:
+class FilterBlock:
     """Consecutive samples after the forward pass, from sample `first` on.
 
     `innovation` (n, c), `predicted` (n, m): the loads U x[k] before y[k] was known; `end` (N,): x after the last.
@@ -40,15 +40,15 @@ class Piece:
     end: Array
     marked: Array | None = None
 
-    def with_innovations(self, later: Array) -> Piece:
+    def with_innovations(self, later: Array) -> FilterBlock:
         """The same, known to be followed by these innovations (l, c)."""
         return replace(self, innovation=np.concatenate([self.innovation, later]))
 
-    def plus(self, other: Piece) -> Piece:
+    def superpose(self, other: FilterBlock) -> FilterBlock:
         """The sum of two: the recursions are linear."""
         marked = None if self.marked is None or other.marked is None else self.marked + other.marked
         innovation, predicted = self.innovation + other.innovation, self.predicted + other.predicted
-        return Piece(self.first, innovation, predicted, self.end + other.end, marked)
+        return FilterBlock(self.first, innovation, predicted, self.end + other.end, marked)
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Outputs:
 
 
 @dataclass(frozen=True)
-class Marks:
+class MarkedOutputs:
     """Samples (r,), counted from the first of a piece, with further outputs of the states, `rows` (q, N), and their
 
     steady variance: `updated` and `smoothed` (q,).
@@ -72,11 +72,11 @@ class Marks:
     smoothed: Array
 
 
-class Engine(Protocol):
+class ChannelFilter(Protocol):
     """A filter and its smoother for one set of channels, block by block; matrices are those at sample `first`."""
 
     @property
-    def invariant(self) -> bool:
+    def time_invariant(self) -> bool:
         """Whether the matrices are the same at all times."""
         ...
 
@@ -84,23 +84,23 @@ class Engine(Protocol):
         """The steady filter whose matrices hold from sample `first` on, L those of so many samples' mean."""
         ...
 
-    def even_parts(self, first: int, count: int) -> list[tuple[int, int]]:
+    def quasi_steady_parts(self, first: int, count: int) -> list[tuple[int, int]]:
         """First sample and count of parts over each of which the matrices hardly change."""
         ...
 
-    def forward(self, first: int, y: Array, start: Array) -> Piece:
+    def forward_pass(self, first: int, y: Array, start: Array) -> FilterBlock:
         """Innovations of y (n, c) and predictions, from the state `start` (N,) at sample `first`."""
         ...
 
-    def updated(self, piece: Piece) -> Outputs:
+    def updated(self, filter_block: FilterBlock) -> Outputs:
         """Given y up to the sample itself."""
         ...
 
-    def backward(self, piece: Piece, after: Array) -> tuple[Outputs, Array]:
+    def backward_pass(self, filter_block: FilterBlock, adjoint_after: Array) -> tuple[Outputs, Array]:
         """Given y after them too, and rho (N,) at the first sample, from rho `after` the last."""
         ...
 
-    def backward_with_lag(self, piece: Piece, count: int, lag: int) -> Outputs:
+    def fixed_lag_pass(self, filter_block: FilterBlock, count: int, lag: int) -> Outputs:
         """The `count` samples of a piece given `lag` innovations after each, as far as they go."""
         ...
 
@@ -108,11 +108,11 @@ class Engine(Protocol):
         """Steady variance (count, m) of the loads, given y up to the sample or after it too."""
         ...
 
-    def marks(self, first: int, count: int) -> Marks | None:
+    def marked_outputs(self, first: int, count: int) -> MarkedOutputs | None:
         """The samples with further outputs, and what these are."""
         ...
 
-    def whitened(self, piece: Piece) -> Array:
+    def whiten_innovations(self, filter_block: FilterBlock) -> Array:
         """Innovations (n, c) in units in which their covariance is one."""
         ...
 
@@ -165,7 +165,7 @@ class SteadyFilter:
         return self.model.U
 
     @property
-    def invariant(self) -> bool:
+    def time_invariant(self) -> bool:
         """It is."""
         return True
 
@@ -173,7 +173,7 @@ class SteadyFilter:
         """Itself."""
         return self
 
-    def even_parts(self, first: int, count: int) -> list[tuple[int, int]]:
+    def quasi_steady_parts(self, first: int, count: int) -> list[tuple[int, int]]:
         """One."""
         return [(first, count)]
 
@@ -192,60 +192,63 @@ class SteadyFilter:
     @cached_property
     def all_information(self) -> Array:
         """O = sum L^j' H' S^-1 H L^j (N, N): what all innovations tell of the state at the first."""
-        return accumulated(self.L, self.information)
+        return discrete_gramian(self.L, self.information)
 
-    def forward(self, first: int, y: Array, start: Array) -> Piece:
+    def forward_pass(self, first: int, y: Array, start: Array) -> FilterBlock:
         """Innovations (n, c) and predicted outputs, every mode a compiled recursion."""
         modes = self.modes
-        driven = np.concatenate([(modes.left @ start)[None], y @ (modes.left @ self.K).T])
-        states = _recursions(modes.values, driven)
-        innovation = y - _real(states[:-1], self.model.H @ modes.right)
-        return Piece(
-            first, innovation, _real(states[:-1], self.outputs @ modes.right), _real(states[-1:], modes.right)[0]
+        inputs = np.concatenate([(modes.left @ start)[None], y @ (modes.left @ self.K).T])
+        states = _run_recursions(modes.values, inputs)
+        innovation = y - _real_product(states[:-1], self.model.H @ modes.right)
+        return FilterBlock(
+            first,
+            innovation,
+            _real_product(states[:-1], self.outputs @ modes.right),
+            _real_product(states[-1:], modes.right)[0],
         )
 
-    def updated(self, piece: Piece) -> Outputs:
+    def updated(self, filter_block: FilterBlock) -> Outputs:
         """U x[k] given y up to y[k]."""
-        return Outputs(piece.predicted + piece.innovation @ (self.outputs @ self.update_gain).T)
+        return Outputs(filter_block.predicted + filter_block.innovation @ (self.outputs @ self.update_gain).T)
 
-    def backward(self, piece: Piece, after: Array) -> tuple[Outputs, Array]:
+    def backward_pass(self, filter_block: FilterBlock, adjoint_after: Array) -> tuple[Outputs, Array]:
         """Smoothed loads, and rho at the first sample."""
-        adjoint = self._adjoint(piece, after)
+        adjoint = self._adjoint(filter_block, adjoint_after)
         modes = self.modes
-        smoothed = piece.predicted + _real(adjoint[:-1], self.outputs @ self.P @ modes.left.T)
-        return Outputs(smoothed), _real(adjoint[:1], modes.left.T)[0]
+        smoothed = filter_block.predicted + _real_product(adjoint[:-1], self.outputs @ self.P @ modes.left.T)
+        return Outputs(smoothed), _real_product(adjoint[:1], modes.left.T)[0]
 
-    def backward_with_lag(self, piece: Piece, count: int, lag: int) -> Outputs:
+    def fixed_lag_pass(self, filter_block: FilterBlock, count: int, lag: int) -> Outputs:
         """Without what comes later: rho[k] - L'^(lag+1) rho[k+lag+1]."""
         modes = self.modes
-        adjoint = self._adjoint(piece, np.zeros(self.model.order))
+        adjoint = self._adjoint(filter_block, np.zeros(self.model.order))
         early, later = adjoint[:count].copy(), adjoint[lag + 1 : lag + 1 + count]
         early[: len(later)] -= modes.values ** (lag + 1) * later
-        return Outputs(piece.predicted + _real(early, self.outputs @ self.P @ modes.left.T))
+        return Outputs(filter_block.predicted + _real_product(early, self.outputs @ self.P @ modes.left.T))
 
-    def marks(self, first: int, count: int) -> Marks | None:
+    def marked_outputs(self, first: int, count: int) -> MarkedOutputs | None:
         """There are none."""
         return None
 
-    def _adjoint(self, piece: Piece, after: Array) -> ComplexArray:
+    def _adjoint(self, filter_block: FilterBlock, adjoint_after: Array) -> ComplexArray:
         """The adjoint in modes (n + 1, modes), V' rho[k], the last row that after the piece."""
         modes = self.modes
-        told = piece.innovation @ (self.weighted @ modes.right)
-        driven = np.concatenate([(after @ modes.right)[None], told[::-1]])
-        return _recursions(modes.values, driven)[::-1]
+        told = filter_block.innovation @ (self.weighted @ modes.right)
+        inputs = np.concatenate([(adjoint_after @ modes.right)[None], told[::-1]])
+        return _run_recursions(modes.values, inputs)[::-1]
 
     def smoothed_covariance(self, lag: float = np.inf) -> Array:
         """Covariance (o, o) of the outputs given y up to `lag` samples after them (-1: before them)."""
         P, U = self.P, self.outputs
-        told = accumulated(self.L, self.information, lag + 1) if lag >= 0 else np.zeros_like(P)
+        told = discrete_gramian(self.L, self.information, lag + 1) if lag >= 0 else np.zeros_like(P)
         return np.asarray(U @ (P - P @ told @ P) @ U.T)
 
     @cached_property
     def _variances(self) -> tuple[Array, Array]:
         """Of the outputs (o,): updated, and smoothed."""
-        return self.variances_of(self.outputs)
+        return self.output_variances(self.outputs)
 
-    def variances_of(self, rows: Array) -> tuple[Array, Array]:
+    def output_variances(self, rows: Array) -> tuple[Array, Array]:
         """Of outputs (q, N) of the states (q,): updated, and smoothed."""
         spread = rows @ self.P
         told = [np.sum((spread @ J) * spread, axis=1) for J in (self.information, self.all_information)]
@@ -257,13 +260,13 @@ class SteadyFilter:
         return np.tile(self._variances[int(smoothed)], (count, 1))
 
     @cached_property
-    def whitening(self) -> Array:
+    def whitening_matrix(self) -> Array:
         """V (c, c) with V S V' = 1."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.S)), float)
 
-    def whitened(self, piece: Piece) -> Array:
+    def whiten_innovations(self, filter_block: FilterBlock) -> Array:
         """V e (n, c)."""
-        return np.asarray(piece.innovation @ self.whitening.T)
+        return np.asarray(filter_block.innovation @ self.whitening_matrix.T)
 
 
 @dataclass(frozen=True)
@@ -288,15 +291,15 @@ def _modes(L: Array) -> _Modes:
     return _Modes(values[kept].astype(complex), vectors[:, kept] * root, left[kept] * root[:, None])
 
 
-def _recursions(values: ComplexArray, driven: ComplexArray) -> ComplexArray:
+def _run_recursions(values: ComplexArray, inputs: ComplexArray) -> ComplexArray:
     """s[0] = driven[0], s[k] = value s[k-1] + driven[k] for each mode (column); real modes in real arithmetic."""
-    rows = np.ascontiguousarray(driven.T, dtype=complex)
+    rows = np.ascontiguousarray(inputs.T, dtype=complex)
     for i, value in enumerate(values):
         row, decay = (rows[i], value) if value.imag else (rows[i].real.copy(), value.real)
         rows[i] = scipy.signal.lfilter([1.0], [1.0, -decay], row)
     return rows.T
 
 
-def _real(states: ComplexArray, rows: ComplexArray) -> Array:
+def _real_product(states: ComplexArray, rows: ComplexArray) -> Array:
     """Re(states rows') (n, o) as one real product."""
     return np.asarray(states.real @ rows.real.T - states.imag @ rows.imag.T)

@@ -25,34 +25,34 @@ from balance_cli.signals.cross_spectra import CrossSpectra
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-OWN = 0.37
+INDEPENDENT_PER_BIN = 0.37
 """What a line tells that its neighbours do not: so much that n samples make n / 2 independent lines in all."""
-STEPS = 40
-SETTLED = 1e-2
+MAX_ITERATIONS = 40
+LN_VARIANCE_TOLERANCE = 1e-2
 """Change of ln variance at which the maximum is reached; sizes need no more."""
-WORTH = 0.1
+LOG_LIKELIHOOD_TOLERANCE = 0.1
 """Gain in -ln L that a further step is worth."""
 LONGEST_STEP = 2.0
-LEAST = 1e-3
+NEGLIGIBLE_DENSITY = 1e-3
 """Density over that of the noise at which a load does nothing any more."""
 
 
 @dataclass(frozen=True)
-class Variances:
+class LayerVariances:
     """`values` (l, m) of the layers of each load, and -ln L at them, up to a constant."""
 
     values: Array
     misfit: float
 
 
-def most_likely_variances(
+def estimate_layer_variances(
     spectra: CrossSpectra,
     response: ComplexArray,
     shapes: Array,
     step: float,
     noise: Array,
     start: Array | None = None,
-) -> Variances:
+) -> LayerVariances:
     """Variances of the layers of each load that make the spectra most likely, by Fisher scoring in ln v.
 
     `response` (k, c, m) volts per load at the lines, `shapes` (l, k) densities of the layers for unit variance, `noise`
@@ -63,29 +63,29 @@ def most_likely_variances(
     Q, response = np.linalg.qr(response / size[:, None])
     reduced = Q.conj().swapaxes(1, 2) @ (spectra.density / np.outer(size, size)) @ Q
     terms = np.concatenate([response * np.sqrt(shape)[:, None, None] for shape in shapes], axis=2)
-    likelihood = _Likelihood(reduced, terms, OWN * spectra.averages)
-    largest, least = _largest(reduced, terms)
+    likelihood = _WhittleLikelihood(reduced, terms, INDEPENDENT_PER_BIN * spectra.averages)
+    largest, least = _variance_bounds(reduced, terms)
     begun = 0.1 * largest if start is None else start.ravel()
-    ln_v = _maximum(likelihood, np.log(np.maximum(begun, least)), np.log(least))
-    return Variances(np.exp(ln_v).reshape(len(shapes), -1), likelihood.at(ln_v)[0])
+    ln_v = _maximize_likelihood(likelihood, np.log(np.maximum(begun, least)), np.log(least))
+    return LayerVariances(np.exp(ln_v).reshape(len(shapes), -1), likelihood.at(ln_v)[0])
 
 
-def _largest(density: ComplexArray, terms: ComplexArray) -> tuple[Array, Array]:
+def _variance_bounds(density: ComplexArray, terms: ComplexArray) -> tuple[Array, Array]:
     """Variances (j,) of each term that alone would have all the power that is there, in the best of cases; and that
 
-    at which it is nowhere more than `LEAST` of the noise.
+    at which it is nowhere more than `NEGLIGIBLE_DENSITY` of the noise.
     """
     power = np.einsum("kcc->k", density).real
     own = np.maximum(np.sum(np.abs(terms) ** 2, axis=1), 1e-300)
-    return np.max(power[:, None] / own, axis=0), LEAST / np.max(own, axis=0)
+    return np.max(power[:, None] / own, axis=0), NEGLIGIBLE_DENSITY / np.max(own, axis=0)
 
 
-def _maximum(likelihood: _Likelihood, ln_v: Array, lower: Array) -> Array:
+def _maximize_likelihood(likelihood: _WhittleLikelihood, ln_v: Array, lower: Array) -> Array:
     """Where the likelihood is largest, from `ln_v` (j,) on and not below `lower`."""
     value, gradient, information = likelihood.at(ln_v)
     damping = 1e-3
-    for _ in range(STEPS):
-        change = _step(gradient, information, damping, ln_v <= lower)
+    for _ in range(MAX_ITERATIONS):
+        change = _scoring_step(gradient, information, damping, ln_v <= lower)
         tried = np.maximum(ln_v + change, lower)
         found = likelihood.at(tried)
         if found[0] > value:
@@ -95,12 +95,12 @@ def _maximum(likelihood: _Likelihood, ln_v: Array, lower: Array) -> Array:
             continue
         moved, gained, damping = float(np.abs(tried - ln_v).max()), value - found[0], damping / 10.0
         ln_v, (value, gradient, information) = tried, found
-        if moved < SETTLED or gained < WORTH:
+        if moved < LN_VARIANCE_TOLERANCE or gained < LOG_LIKELIHOOD_TOLERANCE:
             break
     return ln_v
 
 
-def _step(gradient: Array, information: Array, damping: float, held: NDArray[np.bool_]) -> Array:
+def _scoring_step(gradient: Array, information: Array, damping: float, held: NDArray[np.bool_]) -> Array:
     """Step in ln v; a variance at its bound stays where it would go further down."""
     free = ~(held & (gradient > 0))
     size = np.sqrt(np.diag(information)) + 1e-300
@@ -111,7 +111,7 @@ def _step(gradient: Array, information: Array, damping: float, held: NDArray[np.
 
 
 @dataclass(frozen=True)
-class _Likelihood:
+class _WhittleLikelihood:
     """Of densities (k, m, m), measured with noise of unit density, when terms (k, m, j) make up the rest."""
 
     measured: ComplexArray

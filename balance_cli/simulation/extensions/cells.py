@@ -11,20 +11,22 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
-from balance_cli.simulation.mechanics import Branch, CellForce, Mechanics
+from balance_cli.simulation.mechanics import MaxwellBranch, Mechanics, NonlinearCellForce
 
 Array = NDArray[np.float64]
 INSIDE, BESIDE = "inside", "beside"
 
 
-def felt(side: str) -> bool:
+def read_by_channels(side: str) -> bool:
     """Whether the cell's channels read a force on this `side`. UserError for a side that is none."""
     if side not in (INSIDE, BESIDE):
         raise UserError(f"`side` is `{side}`, not `{INSIDE}` or `{BESIDE}`", place="effects")
     return side == INSIDE
 
 
-def _with_forces(extension: Extension, mechanics: Mechanics, geometry: Geometry, force: CellForce) -> Mechanics:
+def _with_forces(
+    extension: Extension, mechanics: Mechanics, geometry: Geometry, force: NonlinearCellForce
+) -> Mechanics:
     cells = extension.places(geometry.cell_names)
     return replace(mechanics, forces=mechanics.forces + tuple(replace(force, cell=cell) for cell in cells))
 
@@ -39,7 +41,9 @@ class CubicStiffness(Extension):
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the force at every place."""
-        return _with_forces(self, mechanics, geometry, CellForce(0, k3=self.k3, felt=felt(self.side)))
+        return _with_forces(
+            self, mechanics, geometry, NonlinearCellForce(0, k3=self.k3, read_by_channels=read_by_channels(self.side))
+        )
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,9 @@ class QuadraticStiffness(Extension):
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the force at every place."""
-        return _with_forces(self, mechanics, geometry, CellForce(0, k2=self.k2, felt=felt(self.side)))
+        return _with_forces(
+            self, mechanics, geometry, NonlinearCellForce(0, k2=self.k2, read_by_channels=read_by_channels(self.side))
+        )
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ class DryFriction(Extension):
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the contact at every place."""
-        contact = CellForce(0, stick_stiffness=self.stick_stiffness, limit=self.force)
+        contact = NonlinearCellForce(0, stick_stiffness=self.stick_stiffness, limit=self.force)
         return _with_forces(self, mechanics, geometry, contact)
 
 
@@ -95,7 +101,7 @@ class CellMisalignment(Extension):
             cell = geometry.cells[index]
             first, second = transverse_axes(cell.direction)
             axis = cell.direction + self.angle_1 * first + self.angle_2 * second
-            relative = mechanics.plate_point(cell.position) - mechanics.base_point(cell.position)
+            relative = mechanics.plate_displacement(cell.position) - mechanics.non_metric_displacement(cell.position)
             rows[index] = axis / np.linalg.norm(axis) @ relative
         return replace(mechanics, cell_rows=rows)
 
@@ -112,15 +118,15 @@ class TransverseStiffness(Extension):
         for index in self.places(geometry.cell_names):
             cell = geometry.cells[index]
             across = np.array(transverse_axes(cell.direction))
-            relative = mechanics.plate_point(cell.position) - mechanics.base_point(cell.position)
-            mechanics = mechanics.stiffened(across @ relative, np.full(2, self.stiffness))
+            relative = mechanics.plate_displacement(cell.position) - mechanics.non_metric_displacement(cell.position)
+            mechanics = mechanics.with_springs(across @ relative, np.full(2, self.stiffness))
         return mechanics
 
 
-CHAIN = np.geomspace(0.1, 3000.0, 10)
+RELAXATION_FREQUENCIES = np.geomspace(0.1, 3000.0, 10)
 """Relaxation frequencies [Hz] of the Maxwell branches, about two to a decade."""
 
-REFERENCE = 20.0
+REFERENCE_FREQUENCY = 20.0
 """Frequency [Hz] at which the chain leaves the cell's stiffness as it is."""
 
 
@@ -140,13 +146,13 @@ class StructuralDamping(Extension):
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the branches of each cell."""
-        share = 2 / np.pi * self.loss_factor * np.log(CHAIN[1] / CHAIN[0])
-        stored = share * np.sum(1 / (1 + (CHAIN / REFERENCE) ** 2))
+        share = 2 / np.pi * self.loss_factor * np.log(RELAXATION_FREQUENCIES[1] / RELAXATION_FREQUENCIES[0])
+        stored = share * np.sum(1 / (1 + (RELAXATION_FREQUENCIES / REFERENCE_FREQUENCY) ** 2))
         stiffness = mechanics.cell_stiffness.copy()
         branches = []
         for index in self.places(geometry.cell_names):
             k = mechanics.cell_stiffness[index]
             stiffness[index] = k * (1 - stored)
-            taus = 1 / (2 * np.pi * CHAIN)
-            branches += [Branch(mechanics.cell_rows[index], float(share * k), float(tau), index) for tau in taus]
+            taus = 1 / (2 * np.pi * RELAXATION_FREQUENCIES)
+            branches += [MaxwellBranch(mechanics.cell_rows[index], float(share * k), float(tau), index) for tau in taus]
         return replace(mechanics, cell_stiffness=stiffness, branches=(*mechanics.branches, *branches))

@@ -35,7 +35,7 @@ from balance_cli.simulation.extensions.structure import (
     SupportFlexibility,
 )
 
-_IN_ORDER: tuple[type[Extension], ...] = (
+_EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     SupportFlexibility,
     MastBending,
     AddedMass,
@@ -57,7 +57,7 @@ _IN_ORDER: tuple[type[Extension], ...] = (
     MainsPickup,
     ChannelOffset,
 )
-EXTENSIONS: dict[str, type[Extension]] = {kind.name: kind for kind in _IN_ORDER}
+EXTENSIONS: dict[str, type[Extension]] = {kind.name: kind for kind in _EXTENSION_CLASSES}
 
 
 def parameter_names(kind: type[Extension]) -> tuple[str, ...]:

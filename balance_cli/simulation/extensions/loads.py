@@ -13,7 +13,7 @@ from balance_cli.simulation.extensions.base import Extension
 
 Array = NDArray[np.float64]
 
-APPLIED = ("static", "sweep", "check")
+KINDS_WITH_EXCITERS = ("static", "sweep", "check")
 """Kinds of run in which exciters apply the loads."""
 
 
@@ -26,7 +26,7 @@ class ExciterMisalignment(Extension):
 
     def true_loads(self, loads: Array, kind: str) -> Array:
         """With the spilt part."""
-        if kind not in APPLIED:
+        if kind not in KINDS_WITH_EXCITERS:
             return loads
         excited, spilt = self.pair(COMPONENTS)
         loads = loads.copy()

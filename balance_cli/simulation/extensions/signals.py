@@ -15,7 +15,7 @@ from balance_cli.simulation.extensions.base import Extension, Signals
 Array = NDArray[np.float64]
 
 
-def _each(extension: Extension, signals: Signals, change: Callable[[Array], Array]) -> Array:
+def _map_channels(extension: Extension, signals: Signals, change: Callable[[Array], Array]) -> Array:
     """Volts in which `change` has been applied to each channel (n,) where the extension acts."""
     volts = signals.volts.copy()
     for index in extension.places(signals.names):
@@ -33,7 +33,7 @@ class TimeDelay(Extension):
     def volts(self, signals: Signals) -> Array:
         """Shifted; before the record the rig stood still."""
         step = signals.step
-        return _each(self, signals, lambda v: v if step is None else filters.delayed(v, self.delay, step))
+        return _map_channels(self, signals, lambda v: v if step is None else filters.delay_signal(v, self.delay, step))
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class LowPass(Extension):
         step = signals.step
         if step is None or np.isinf(self.cutoff):
             return signals.volts
-        return _each(self, signals, lambda v: filters.low_pass(v, self.cutoff, step))
+        return _map_channels(self, signals, lambda v: filters.low_pass(v, self.cutoff, step))
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,9 @@ class HighPass(Extension):
         if self.cutoff == 0:
             return signals.volts
         tau = 1 / (2 * np.pi * self.cutoff)
-        return _each(self, signals, lambda v: np.zeros_like(v) if step is None else filters.high_pass(v, tau, step))
+        return _map_channels(
+            self, signals, lambda v: np.zeros_like(v) if step is None else filters.high_pass(v, tau, step)
+        )
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class ChannelGain(Extension):
 
     def volts(self, signals: Signals) -> Array:
         """Scaled."""
-        return _each(self, signals, lambda v: self.gain * v)
+        return _map_channels(self, signals, lambda v: self.gain * v)
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ class ChannelOffset(Extension):
 
     def volts(self, signals: Signals) -> Array:
         """Shifted."""
-        return _each(self, signals, lambda v: v + self.offset)
+        return _map_channels(self, signals, lambda v: v + self.offset)
 
 
 @dataclass(frozen=True)
@@ -120,4 +122,4 @@ class MainsPickup(Extension):
             return signals.volts
         time = np.arange(len(signals.volts)) * signals.step
         pickup = self.amplitude * np.cos(2 * np.pi * (self.frequency * time + signals.rng.random()))
-        return _each(self, signals, lambda v: v + pickup)
+        return _map_channels(self, signals, lambda v: v + pickup)

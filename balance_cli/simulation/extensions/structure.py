@@ -17,7 +17,7 @@ from balance_cli.simulation.mechanics import Mechanics, displacement_rows
 Array = NDArray[np.float64]
 
 
-def _on_ground(mechanics: Mechanics, start: int, masses: Array, compliances: Array, ratio: float) -> Mechanics:
+def _attach_to_ground(mechanics: Mechanics, start: int, masses: Array, compliances: Array, ratio: float) -> Mechanics:
     """New coordinates from `start` on with their own masses on springs, `d = 2 zeta sqrt(k m)` beside each."""
     springs = 1 / compliances
     for matrix, diagonal in (
@@ -29,7 +29,7 @@ def _on_ground(mechanics: Mechanics, start: int, masses: Array, compliances: Arr
     return mechanics
 
 
-def _flexible(extension: Extension, known: tuple[str, ...]) -> tuple[str, ...]:
+def _flexible_motions(extension: Extension, known: tuple[str, ...]) -> tuple[str, ...]:
     """The motions of `where` that have a compliance. UserError for a motion that is none."""
     chosen = [known[index] for index in extension.places(known)]
     return tuple(name for name in known if name in chosen and getattr(extension, f"compliance_{name}") > 0)
@@ -63,7 +63,7 @@ class SupportFlexibility(Extension):
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the lower body's motions as further coordinates."""
-        motions = _flexible(self, FREEDOMS)
+        motions = _flexible_motions(self, FREEDOMS)
         masses = np.array([self.mass if name in "xyz" else getattr(self, f"inertia_{name}") for name in motions])
         if not np.all(masses > 0):
             raise UserError("the lower body needs a mass or inertia for each motion", place="effects")
@@ -74,14 +74,14 @@ class SupportFlexibility(Extension):
         # the motion of the plate's centre of gravity when the plate goes along with the lower body
         along = np.vstack([displacement_rows(mechanics.cg), np.eye(6)[3:]]) @ base
         relative = np.hstack([np.eye(start), -mechanics.plate.T @ along])
-        wide = mechanics.widened(tuple(f"base {name}" for name in motions))
+        wide = mechanics.with_coordinates(tuple(f"base {name}" for name in motions))
         wide = replace(wide, base=np.hstack([np.zeros((6, start)), base]))
-        lower = [cell.direction @ wide.base_point(cell.position) for cell in geometry.cells]
+        lower = [cell.direction @ wide.non_metric_displacement(cell.position) for cell in geometry.cells]
         wide = replace(
             wide, cell_rows=wide.cell_rows - np.array(lower), damping=relative.T @ mechanics.damping @ relative
         )
         compliances = np.array([getattr(self, f"compliance_{name}") for name in motions])
-        return _on_ground(wide, start, masses, compliances, self.damping_ratio)
+        return _attach_to_ground(wide, start, masses, compliances, self.damping_ratio)
 
 
 @dataclass(frozen=True)
@@ -100,18 +100,18 @@ class MastBending(Extension):
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the hub's deflections as further coordinates."""
-        motions = _flexible(self, ("x", "y"))
+        motions = _flexible_motions(self, ("x", "y"))
         if motions and self.mass <= 0:
             raise UserError("the hub on a flexible mast needs a mass", place="effects")
         start = mechanics.size
         axes = ["xyz".index(name) for name in motions]
-        wide = mechanics.widened(tuple(f"hub {name}" for name in motions))
-        carried = wide.plate_point(geometry.hub)[axes]
+        wide = mechanics.with_coordinates(tuple(f"hub {name}" for name in motions))
+        carried = wide.plate_displacement(geometry.hub)[axes]
         wide.mass[start:] += self.mass * carried
         wide.mass[:, start:] += self.mass * carried.T
         wide.loads[start:, [COMPONENTS.index(f"F{name}") for name in motions]] += np.eye(len(motions))
         compliances = np.array([getattr(self, f"compliance_{name}") for name in motions])
-        return _on_ground(wide, start, np.full(len(motions), self.mass), compliances, self.damping_ratio)
+        return _attach_to_ground(wide, start, np.full(len(motions), self.mass), compliances, self.damping_ratio)
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class AddedMass(Extension):
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the mass; the damping matrix stays as it was."""
-        rows = mechanics.plate_point((self.x, self.y, self.z))
+        rows = mechanics.plate_displacement((self.x, self.y, self.z))
         return replace(mechanics, mass=mechanics.mass + self.mass * rows.T @ rows)
 
 
@@ -149,9 +149,9 @@ class ParallelStiffness(Extension):
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
         """With the three springs and their dashpots."""
         springs = np.array([self.stiffness_x, self.stiffness_y, self.stiffness_z])
-        rows = mechanics.plate_point((self.x, self.y, self.z))
+        rows = mechanics.plate_displacement((self.x, self.y, self.z))
         dashpots = rows.T @ ((self.damping_time * springs)[:, None] * rows)
-        return replace(mechanics.stiffened(rows, springs), damping=mechanics.damping + dashpots)
+        return replace(mechanics.with_springs(rows, springs), damping=mechanics.damping + dashpots)
 
 
 @dataclass(frozen=True)

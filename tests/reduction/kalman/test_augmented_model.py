@@ -11,8 +11,8 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.model.balance import balance_model
 from balance_cli.model.state_space import state_space, with_anti_alias
-from balance_cli.reduction.kalman.augmented_model import MeasuredSystem, first_covariance, sampled_system
-from balance_cli.reduction.kalman.load_models import Oscillators, Wandering
+from balance_cli.reduction.kalman.augmented_model import MeasuredSystem, initial_covariance, sampled_system
+from balance_cli.reduction.kalman.load_models import LowPassDrift, Oscillators
 from balance_cli.signals.anti_alias import anti_alias
 from tests.support.kalman_models import Array
 from tests.support.rigs import rotor_balance
@@ -66,7 +66,7 @@ def test_response_to_a_harmonic_is_that_of_the_balance(effects, order):
     frequency = order * speed
     exact = system.space.response(frequency)[0]
     # The states refer to an instant after the sample where a channel runs early.
-    exact = exact * np.exp(-2j * np.pi * frequency * system.ahead)
+    exact = exact * np.exp(-2j * np.pi * frequency * system.state_lead_time)
     size = np.abs(exact).max(axis=0)
     assert (np.abs(_sampled_response(system, speed, order) - exact) / size).max() < 1e-9
 
@@ -82,8 +82,8 @@ def test_the_response_has_the_anti_alias_filter_in_it():
 
 
 def test_ahead_is_how_early_the_earliest_channel_runs():
-    assert _system((LATE,)).ahead == 0.0
-    assert _system((LATE, EARLY)).ahead == 2e-3
+    assert _system((LATE,)).state_lead_time == 0.0
+    assert _system((LATE, EARLY)).state_lead_time == 2e-3
 
 
 def test_loads_that_the_balance_does_not_carry_are_left_out():
@@ -93,10 +93,10 @@ def test_loads_that_the_balance_does_not_carry_are_left_out():
 
 
 LAYERS = (
-    Wandering(np.array([100.0, 80.0, 200.0, 20.0, 30.0, 10.0]), 0.1, 5.0),
-    Wandering(np.full(6, 5.0), 100.0, 150.0),
+    LowPassDrift(np.array([100.0, 80.0, 200.0, 20.0, 30.0, 10.0]), 0.1, 5.0),
+    LowPassDrift(np.full(6, 5.0), 100.0, 150.0),
 )
-OSCILLATORS = Oscillators(np.full((3, 6), 1.0), np.full((3, 6), 20.0), (1, 2, 4), 17.5).stationary()
+OSCILLATORS = Oscillators(np.full((3, 6), 1.0), np.full((3, 6), 20.0), (1, 2, 4), 17.5).with_stationary_drift()
 HELD = np.array([500.0, 300.0, 2000.0, 100.0, 200.0, 150.0])
 
 
@@ -106,7 +106,7 @@ def test_first_covariance_is_one(effects, offset):
     """It is positive semidefinite, in units of its own sizes, and no size is nil."""
     system = _system(effects)
     system = replace(system, offset=np.where(np.arange(len(system.offset)) == 2, offset, 0.0))
-    P = first_covariance(system, [*LAYERS, OSCILLATORS], HELD)
+    P = initial_covariance(system, [*LAYERS, OSCILLATORS], HELD)
     size = np.sqrt(np.diag(P))
     assert size.min() > 0.0
     assert np.abs(P - P.T).max() < 1e-12 * np.abs(P).max()
@@ -120,6 +120,6 @@ def test_first_covariance_is_one(effects, offset):
 def test_loads_are_as_large_at_first_as_their_layers_say():
     system = _system((LATE,))
     layers = [*LAYERS, OSCILLATORS]
-    P, U = first_covariance(system, layers, HELD), sampled_system(system, layers).U
+    P, U = initial_covariance(system, layers, HELD), sampled_system(system, layers).U
     expected = sum(layer.sigma**2 for layer in layers)
     assert np.allclose(np.diag(U @ P @ U.T), expected, rtol=1e-6)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from balance_cli.reduction.kalman.augmented_model import sampled_system
-from balance_cli.reduction.kalman.azimuth_locked import FINER, AzimuthLockedFilter
-from balance_cli.reduction.kalman.filtering import filtered, lagged
-from balance_cli.reduction.kalman.segments import told
-from balance_cli.reduction.kalman.smoothing import smoothed
+from balance_cli.reduction.kalman.azimuth_locked import SPEED_SUBDIVISIONS, AzimuthLockedFilter
+from balance_cli.reduction.kalman.filtering import filtered_estimates, fixed_lag_estimates
+from balance_cli.reduction.kalman.segments import segment_information
+from balance_cli.reduction.kalman.smoothing import smoothed_estimates
 from balance_cli.reduction.kalman.steady_filter import SteadyFilter
 from tests.support.kalman_models import Array
 from tests.support.turning_models import (
@@ -19,30 +19,30 @@ from tests.support.turning_models import (
     OSCILLATORS,
     STEP,
     SYSTEM,
-    azimuth_of,
-    drawn_through_time,
+    accelerating_azimuth,
+    draw_records,
     exact_estimates,
     locked_filters,
-    models_through_time,
-    prior_of,
+    prior_covariance,
+    time_varying_models,
 )
 
 SAMPLES, BEGINNING = 1200, 400
 
 
-def _engine(speed: float, rate: float) -> AzimuthLockedFilter:
-    filters, stretches = locked_filters(azimuth_of(speed, rate, SAMPLES * STEP), SAMPLES)
-    engine = filters.engines[stretches[0].channels]
-    assert isinstance(engine, AzimuthLockedFilter)
-    return engine
+def _channel_filter(speed: float, rate: float) -> AzimuthLockedFilter:
+    filters, segments = locked_filters(accelerating_azimuth(speed, rate, SAMPLES * STEP), SAMPLES)
+    channel_filter = filters.channel_filters[segments[0].channels]
+    assert isinstance(channel_filter, AzimuthLockedFilter)
+    return channel_filter
 
 
 @pytest.fixture(scope="module")
 def moving():
     """Speed from 9.4 to 10.6 Hz: its second harmonic passes the mode at 20 Hz."""
-    azimuth = azimuth_of(9.4, 0.2, SAMPLES * STEP)
-    models, prior = models_through_time(azimuth, SAMPLES), prior_of(azimuth)
-    return locked_filters(azimuth, SAMPLES), models, prior, drawn_through_time(models, prior, 24)
+    azimuth = accelerating_azimuth(9.4, 0.2, SAMPLES * STEP)
+    models, prior = time_varying_models(azimuth, SAMPLES), prior_covariance(azimuth)
+    return locked_filters(azimuth, SAMPLES), models, prior, draw_records(models, prior, 24)
 
 
 def _read(y: Array):
@@ -57,25 +57,25 @@ def _joined(estimates) -> tuple[Array, Array]:
 @pytest.fixture(scope="module")
 def still() -> tuple[AzimuthLockedFilter, SteadyFilter]:
     """At 10 Hz, a speed of the grid, and the filter of that speed's own model."""
-    azimuth = azimuth_of(10.0, 0.0, SAMPLES * STEP)
-    engine, size = _engine(10.0, 0.0), np.sqrt(np.diag(prior_of(azimuth)))
-    own = SteadyFilter(models_through_time(azimuth, 1)[0].scaled(size))
+    azimuth = accelerating_azimuth(10.0, 0.0, SAMPLES * STEP)
+    channel_filter, size = _channel_filter(10.0, 0.0), np.sqrt(np.diag(prior_covariance(azimuth)))
+    own = SteadyFilter(time_varying_models(azimuth, 1)[0].scaled(size))
     near = SteadyFilter(sampled_system(SYSTEM, [*LAYERS, OSCILLATORS.at(10.5)]).scaled(size))
-    return replace(engine, filters=(own, near), speeds=np.array([10.0, 10.5])), own
+    return replace(channel_filter, filters=(own, near), speeds=np.array([10.0, 10.5])), own
 
 
 def test_at_one_speed_it_is_the_steady_filter(still):
     locked, steady = still
     rng = np.random.default_rng(0)
     y, start = 3.0 * rng.standard_normal((300, 3)), rng.standard_normal(steady.model.order)
-    one, other = locked.forward(7, y, start), steady.forward(7, y, start)
+    one, other = locked.forward_pass(7, y, start), steady.forward_pass(7, y, start)
     assert np.abs(one.innovation - other.innovation).max() < 1e-9
     assert np.abs(one.predicted - other.predicted).max() < 1e-9
     assert np.abs(one.end - other.end).max() < 1e-9
     assert np.abs(locked.updated(one).loads - steady.updated(other).loads).max() < 1e-9
-    assert np.abs(locked.whitened(one) - steady.whitened(other)).max() < 1e-9
+    assert np.abs(locked.whiten_innovations(one) - steady.whiten_innovations(other)).max() < 1e-9
     after = rng.standard_normal(steady.model.order)
-    (loads, rho), (own, steady_rho) = locked.backward(one, after), steady.backward(other, after)
+    (loads, rho), (own, steady_rho) = locked.backward_pass(one, after), steady.backward_pass(other, after)
     assert np.abs(loads.loads - own.loads).max() < 1e-9
     assert np.abs(rho - steady_rho).max() < 1e-9
     for smooth in (False, True):
@@ -85,31 +85,37 @@ def test_at_one_speed_it_is_the_steady_filter(still):
 def test_a_piece_holds_no_states_but_the_last(still):
     """Pieces wait for the smoother by the dozen; the states of all their samples would fill the memory."""
     locked, steady = still
-    piece = locked.forward(0, np.zeros((300, 3)), np.ones(steady.model.order))
-    rho = locked.backward(piece, np.ones(steady.model.order))[1]
-    assert all(one.base is None or one.base.size <= 300 * 3 for one in (piece.innovation, piece.predicted, piece.end))
+    filter_block = locked.forward_pass(0, np.zeros((300, 3)), np.ones(steady.model.order))
+    rho = locked.backward_pass(filter_block, np.ones(steady.model.order))[1]
+    assert all(
+        one.base is None or one.base.size <= 300 * 3
+        for one in (filter_block.innovation, filter_block.predicted, filter_block.end)
+    )
     assert rho.base is None
 
 
 def test_marked_pairs_add_up_to_the_loads_of_the_oscillators(still):
     """Loads that are nothing but oscillators are the sum of p over the harmonics: updated and smoothed."""
     locked, steady = still
-    turning = np.zeros_like(steady.model.U)
-    turning[:, locked.turning.states] = steady.model.U[:, locked.turning.states]
-    alone, at = SteadyFilter(replace(steady.model, U=turning)), np.arange(0, 300, 20)
+    oscillator_states = np.zeros_like(steady.model.U)
+    oscillator_states[:, locked.oscillator_states.states] = steady.model.U[:, locked.oscillator_states.states]
+    alone, at = SteadyFilter(replace(steady.model, U=oscillator_states)), np.arange(0, 300, 20)
     locked = replace(locked, filters=(alone, alone), marked=at + 50)
     rng = np.random.default_rng(1)
-    piece = locked.forward(50, rng.standard_normal((300, 3)), rng.standard_normal(steady.model.order))
-    for outputs in (locked.updated(piece), locked.backward(piece, np.zeros_like(piece.end))[0]):
+    filter_block = locked.forward_pass(50, rng.standard_normal((300, 3)), rng.standard_normal(steady.model.order))
+    for outputs in (
+        locked.updated(filter_block),
+        locked.backward_pass(filter_block, np.zeros_like(filter_block.end))[0],
+    ):
         p = outputs.marked.reshape(len(at), 2, 2, 2)[..., 0]
         assert np.abs(outputs.loads[at] - p.sum(axis=2)).max() < 1e-9
 
 
 def test_filter_is_close_to_the_exact_one_while_the_speed_moves(moving):
     """By 0.2 Hz in a second: gains of a grid of speeds are 0.2 % of a standard deviation off, 1 % at most."""
-    (filters, stretches), models, prior, (y, _, _) = moving
+    (filters, segments), models, prior, (y, _, _) = moving
     exact = exact_estimates(models, prior, y[0])
-    loads, variance = _joined(filtered(_read(y[0]), stretches, filters, BEGINNING))
+    loads, variance = _joined(filtered_estimates(_read(y[0]), segments, filters, BEGINNING))
     off = ((loads - exact.updated) / np.sqrt(exact.updated_variance))[BEGINNING:]
     assert np.sqrt(np.mean(off**2)) < 2e-3
     assert np.abs(off).max() < 1e-2
@@ -119,22 +125,22 @@ def test_filter_is_close_to_the_exact_one_while_the_speed_moves(moving):
 @pytest.mark.parametrize("count", [200, SAMPLES])
 def test_information_of_a_stretch_is_that_of_its_samples_one_by_one(moving, count):
     """The adjoint of channels that read nothing is -O d from the start d, sample by sample at their own speeds."""
-    (filters, stretches), _, prior, _ = moving
-    engine = filters.engines[stretches[0].channels]
-    found, order = told(engine, stretches[0], count), len(prior)
+    (filters, segments), _, prior, _ = moving
+    channel_filter = filters.channel_filters[segments[0].channels]
+    found, order = segment_information(channel_filter, segments[0], count), len(prior)
     columns = []
     for d in np.eye(order):
-        piece = engine.forward(0, np.zeros((count, 3)), d)
-        columns.append(-engine.backward(piece, np.zeros(order))[1])
+        filter_block = channel_filter.forward_pass(0, np.zeros((count, 3)), d)
+        columns.append(-channel_filter.backward_pass(filter_block, np.zeros(order))[1])
     size = np.sqrt(np.diag(found))
     assert np.abs((found - np.column_stack(columns)) / np.outer(size, size)).max() < 0.02
 
 
 def test_smoother_is_close_to_the_exact_one_while_the_speed_moves(moving):
-    (filters, stretches), models, prior, (y, _, _) = moving
+    (filters, segments), models, prior, (y, _, _) = moving
     exact = exact_estimates(models, prior, y[0])
-    loads, variance = _joined(smoothed(_read(y[0]), stretches, filters, BEGINNING))
-    off = (loads - exact.smoothed) / np.sqrt(exact.smoothed_variance)
+    loads, variance = _joined(smoothed_estimates(_read(y[0]), segments, filters, BEGINNING))
+    off = (loads - exact.smoothed_estimates) / np.sqrt(exact.smoothed_variance)
     assert np.sqrt(np.mean(off**2)) < 2e-3
     assert np.abs(off).max() < 1e-2
     assert np.abs(variance / exact.smoothed_variance - 1.0).max() < 0.1
@@ -143,15 +149,15 @@ def test_smoother_is_close_to_the_exact_one_while_the_speed_moves(moving):
 
 @pytest.mark.parametrize("kind", ["filter", "lag", "smoother"])
 def test_errors_are_as_large_as_stated_while_the_speed_moves(moving, kind):
-    (filters, stretches), _, _, (y, u, _) = moving
+    (filters, segments), _, _, (y, u, _) = moving
     errors = []
     for channels, loads in zip(y, u, strict=True):
         if kind == "smoother":
-            estimates = smoothed(_read(channels), stretches, filters, BEGINNING)
+            estimates = smoothed_estimates(_read(channels), segments, filters, BEGINNING)
         elif kind == "lag":
-            estimates = lagged(_read(channels), stretches, filters, BEGINNING, 100)
+            estimates = fixed_lag_estimates(_read(channels), segments, filters, BEGINNING, 100)
         else:
-            estimates = filtered(_read(channels), stretches, filters, BEGINNING)
+            estimates = filtered_estimates(_read(channels), segments, filters, BEGINNING)
         found, variance = _joined(estimates)
         errors.append(((found - loads) / np.sqrt(variance))[BEGINNING:])
     errors = np.array(errors)
@@ -160,9 +166,9 @@ def test_errors_are_as_large_as_stated_while_the_speed_moves(moving, kind):
 
 
 def test_innovations_are_white_and_of_unit_size_while_the_speed_moves(moving):
-    (filters, stretches), _, _, (y, _, _) = moving
+    (filters, segments), _, _, (y, _, _) = moving
     parts = [
-        np.concatenate([part.innovations for part in filtered(_read(one), stretches, filters, BEGINNING)])
+        np.concatenate([part.innovations for part in filtered_estimates(_read(one), segments, filters, BEGINNING)])
         for one in y[:8]
     ]
     white = np.array(parts)[:, BEGINNING:]
@@ -176,27 +182,27 @@ def test_innovations_are_white_and_of_unit_size_while_the_speed_moves(moving):
 @pytest.mark.parametrize("rate", [0.0, 0.2])
 def test_backward_is_the_adjoint_of_forward(rate):
     """rho[0]' x[0] = sum of e[k]' S[k]^-1 H x[k] for any e, x[k] being what x[0] becomes where nothing is read."""
-    engine = _engine(9.4, rate)
+    channel_filter = _channel_filter(9.4, rate)
     rng = np.random.default_rng(2)
-    order = engine.filters[0].model.order
+    order = channel_filter.filters[0].model.order
     start, after, e = rng.standard_normal(order), rng.standard_normal(order), rng.standard_normal((500, 3))
-    led_on = engine.forward(100, np.zeros((500, 3)), start)
-    rho = engine.backward(replace(led_on, innovation=e), after)[1]
-    inverse = np.stack([np.linalg.inv(one.S) for one in engine.filters])
-    place = np.interp(engine.turning.speed(100, 500), engine.speeds, np.arange(len(inverse)))
-    share = np.rint(FINER * place) / FINER
+    led_on = channel_filter.forward_pass(100, np.zeros((500, 3)), start)
+    rho = channel_filter.backward_pass(replace(led_on, innovation=e), after)[1]
+    inverse = np.stack([np.linalg.inv(one.S) for one in channel_filter.filters])
+    place = np.interp(channel_filter.oscillator_states.speed(100, 500), channel_filter.speeds, np.arange(len(inverse)))
+    share = np.rint(SPEED_SUBDIVISIONS * place) / SPEED_SUBDIVISIONS
     weights = np.stack(
         [np.interp(share, np.arange(len(inverse)), column) for column in inverse.reshape(len(inverse), -1).T], axis=1
     ).reshape(-1, 3, 3)
-    told = -np.einsum("ka,kab,kb->", e, weights, led_on.innovation)
-    assert np.isclose(rho @ start, told + after @ led_on.end, rtol=1e-10)
+    segment_information = -np.einsum("ka,kab,kb->", e, weights, led_on.innovation)
+    assert np.isclose(rho @ start, segment_information + after @ led_on.end, rtol=1e-10)
 
 
 def test_lag_knows_no_more_than_its_samples(moving):
     """What comes later than twice the lag changes nothing."""
-    (filters, stretches), _, _, (y, _, _) = moving
+    (filters, segments), _, _, (y, _, _) = moving
     changed = y[0].copy()
     changed[1000:] += 100.0
-    one, other = (_joined(lagged(_read(v), stretches, filters, BEGINNING, 40))[0] for v in (y[0], changed))
+    one, other = (_joined(fixed_lag_estimates(_read(v), segments, filters, BEGINNING, 40))[0] for v in (y[0], changed))
     assert np.array_equal(one[:920], other[:920])
     assert np.abs(one[999] - other[999]).max() > 1.0

@@ -14,14 +14,14 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.kalman.data_quality import (
-    JOINED,
-    LARGEST_SHARE,
     LONGEST_GAP,
-    RECOVERY,
-    Soundness,
-    sound_stretches,
+    MAX_BAD_SHARE,
+    MERGE_TIME,
+    RECOVERY_TIME,
+    DataQuality,
+    assess_data_quality,
 )
-from balance_cli.reduction.kalman.segments import Stretch
+from balance_cli.reduction.kalman.segments import Segment
 from tests.support.simulation_rig import rig_geometry
 
 RATE = 400.0
@@ -33,7 +33,7 @@ GEOMETRY = GEOMETRY.model_copy(
 )
 NAMES = GEOMETRY.channel_names
 EVERY = tuple(range(len(NAMES)))
-BEFORE, AFTER = 1, int(np.ceil(RECOVERY * RATE))
+BEFORE, AFTER = 1, int(np.ceil(RECOVERY_TIME * RATE))
 """Samples left out beside bad ones."""
 
 Array = NDArray[np.float64]
@@ -43,15 +43,15 @@ def _quiet() -> Array:
     return 0.1 * np.random.default_rng(0).standard_normal((SAMPLES, len(NAMES)))
 
 
-def _found(y: Array) -> Soundness:
+def _found(y: Array) -> DataQuality:
     source = MemorySource(y, None)
     run = Run("r", "R", "wind", NAMES, len(y), source, has_loads=False, sample_rate=RATE)
-    return sound_stretches(run, GEOMETRY, live_channels(run, GEOMETRY), 0, len(y))
+    return assess_data_quality(run, GEOMETRY, live_channels(run, GEOMETRY), 0, len(y))
 
 
 def test_a_sound_record_is_one_stretch():
     found = _found(_quiet())
-    assert found == Soundness(NAMES, (Stretch(0, SAMPLES, EVERY),), ())
+    assert found == DataQuality(NAMES, (Segment(0, SAMPLES, EVERY),), ())
     assert found.spans == ((0, SAMPLES),)
     assert found.gaps == ()
 
@@ -64,7 +64,7 @@ def test_a_channel_is_left_out_where_it_is_bad(bad):
     low, high = 1000 - BEFORE, 1040 + AFTER
     others = (0, 1, 3)
     assert found.names == NAMES
-    assert found.stretches == (Stretch(0, low, EVERY), Stretch(low, high, others), Stretch(high, SAMPLES, EVERY))
+    assert found.segments == (Segment(0, low, EVERY), Segment(low, high, others), Segment(high, SAMPLES, EVERY))
     assert found.spans == ((0, low), (high, SAMPLES))
     assert found.gaps == ()
     assert found.notes == (f"channel {NAMES[2]} not used from {low / RATE:.3f} to {high / RATE:.3f} s",)
@@ -75,7 +75,7 @@ def test_a_gap_is_where_all_channels_are_bad():
     y[1000:1040] = np.nan
     y[990:1060, 1] = np.nan
     found = _found(y)
-    gap = Stretch(1000 - BEFORE, 1040 + AFTER, ())
+    gap = Segment(1000 - BEFORE, 1040 + AFTER, ())
     assert found.gaps == (gap,)
     assert found.notes[0] == f"gap from {gap.start / RATE:.3f} to {gap.stop / RATE:.3f} s bridged"
     assert found.notes[1] == f"channel {NAMES[1]} not used from {(990 - BEFORE) / RATE:.3f} to 2.655 s"
@@ -89,29 +89,29 @@ def test_a_gap_is_told_of_once_not_channel_by_channel():
 
 
 def test_places_close_to_each_other_are_joined():
-    apart = int(JOINED * RATE)
+    apart = int(MERGE_TIME * RATE)
     y = _quiet()
     y[[1000, 1000 + apart - 1], 0] = np.nan
-    assert len(_found(y).stretches) == 3
+    assert len(_found(y).segments) == 3
     y = _quiet()
     y[[1000, 1000 + apart + BEFORE + AFTER + 1], 0] = np.nan
-    assert len(_found(y).stretches) == 5
+    assert len(_found(y).segments) == 5
 
 
 def test_bad_samples_at_either_end_are_left_out():
     y = _quiet()
     y[0, 1], y[-1, 3] = np.nan, np.nan
     found = _found(y)
-    assert found.stretches[0] == Stretch(0, 1 + AFTER, (0, 2, 3))
-    assert found.stretches[-1] == Stretch(SAMPLES - 1 - BEFORE, SAMPLES, (0, 1, 2))
+    assert found.segments[0] == Segment(0, 1 + AFTER, (0, 2, 3))
+    assert found.segments[-1] == Segment(SAMPLES - 1 - BEFORE, SAMPLES, (0, 1, 2))
 
 
 def test_a_channel_that_is_mostly_bad_is_left_out_of_all_of_the_record():
     y = _quiet()
-    y[: int(1.01 * LARGEST_SHARE * SAMPLES), 0] = np.nan
+    y[: int(1.01 * MAX_BAD_SHARE * SAMPLES), 0] = np.nan
     found = _found(y)
     assert found.names == NAMES[1:]
-    assert found.stretches == (Stretch(0, SAMPLES, (0, 1, 2)),)
+    assert found.segments == (Segment(0, SAMPLES, (0, 1, 2)),)
 
 
 def test_a_channel_bad_in_many_places_is_left_out_of_all_of_the_record():
@@ -119,7 +119,7 @@ def test_a_channel_bad_in_many_places_is_left_out_of_all_of_the_record():
     y[100::400, 0] = np.nan
     found = _found(y)
     assert found.names == NAMES[1:]
-    assert len(found.stretches) == 1
+    assert len(found.segments) == 1
 
 
 def test_a_long_gap_is_refused():
@@ -150,7 +150,7 @@ def test_channels_that_are_never_sound_together_are_refused():
     run = Run("r", "R", "wind", tuple(c.name for c in many), SAMPLES, MemorySource(y, None), sample_rate=RATE)
     geometry = geometry.model_copy(update={"channels": many})
     with pytest.raises(UserError, match="sound at once"):
-        sound_stretches(run, geometry, live_channels(run, geometry), 0, SAMPLES)
+        assess_data_quality(run, geometry, live_channels(run, geometry), 0, SAMPLES)
 
 
 @settings(max_examples=60, deadline=None)
@@ -168,16 +168,16 @@ def test_no_bad_sample_is_read_and_none_is_lost(faults):
         found = _found(y)
     except UserError:
         return
-    edges = [(s.start, s.stop) for s in found.stretches]
+    edges = [(s.start, s.stop) for s in found.segments]
     assert edges[0][0] == 0
     assert edges[-1][1] == SAMPLES
     assert all(stop == start for (_, stop), (start, _) in pairwise(edges))
-    assert all(one.channels != other.channels for one, other in pairwise(found.stretches))
+    assert all(one.channels != other.channels for one, other in pairwise(found.segments))
     columns = [NAMES.index(name) for name in found.names]
     bad = ~np.isfinite(y[:, columns])
-    near = np.array([np.convolve(column, np.ones(2 * int(JOINED * RATE)), "same") > 0 for column in bad.T]).T
-    for s in found.stretches:
+    near = np.array([np.convolve(column, np.ones(2 * int(MERGE_TIME * RATE)), "same") > 0 for column in bad.T]).T
+    for s in found.segments:
         assert not bad[s.start : s.stop, list(s.channels)].any()
         unread = sorted(set(range(len(columns))) - set(s.channels))
         assert near[s.start : s.stop, unread].all()
-    assert bool(found.notes) == (len(found.stretches) > 1)
+    assert bool(found.notes) == (len(found.segments) > 1)

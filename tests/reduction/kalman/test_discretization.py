@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad_vec
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from balance_cli.reduction.kalman.discretization import ContinuousModel, sampled, step_of
-from balance_cli.reduction.kalman.riccati import accumulated
+from balance_cli.reduction.kalman.discretization import ContinuousModel, discretize, discretize_step
+from balance_cli.reduction.kalman.riccati import discrete_gramian
 from tests.support.kalman_models import Array
 
 STEP = 0.01
@@ -28,7 +28,7 @@ def test_a_step_is_van_loans_matrix_exponential(time):
     A, W = _stable(5, 1, 8.0)
     n = len(A)
     block = expm(np.block([[-A, W], [np.zeros((n, n)), A.T]]) * time)
-    Phi, Q = step_of(A, W, time)
+    Phi, Q = discretize_step(A, W, time)
     exact = block[n:, n:].T @ block[:n, n:]
     assert np.abs(Phi - block[n:, n:].T).max() < 1e-11
     assert np.abs(Q - exact).max() < 1e-10 * np.abs(exact).max()
@@ -36,7 +36,7 @@ def test_a_step_is_van_loans_matrix_exponential(time):
 
 def test_the_noise_of_a_step_is_the_integral_over_it():
     A, W = _stable(4, 2)
-    Q = step_of(A, W, 0.02)[1]
+    Q = discretize_step(A, W, 0.02)[1]
     exact = quad_vec(lambda s: expm(A * s) @ W @ expm(A * s).T, 0.0, 0.02, epsrel=1e-12)[0]
     assert np.abs(Q - exact).max() < 1e-11 * np.abs(exact).max()
 
@@ -49,14 +49,14 @@ def test_a_stiff_step_is_that_of_its_decays(time):
     V = np.linalg.qr(rng.standard_normal((4, 4)))[0] @ np.diag([1.0, 2.0, 0.5, 1.5])
     root = rng.standard_normal((4, 4))
     sums = rates[:, None] + rates
-    Phi, Q = step_of(V @ np.diag(rates) @ np.linalg.inv(V), V @ root @ root.T @ V.T, time)
+    Phi, Q = discretize_step(V @ np.diag(rates) @ np.linalg.inv(V), V @ root @ root.T @ V.T, time)
     exact = V @ (root @ root.T * np.expm1(sums * time) / sums) @ V.T
     assert np.abs(Phi - V @ np.diag(np.exp(rates * time)) @ np.linalg.inv(V)).max() < 1e-9
     assert np.abs(Q - exact).max() < 1e-9 * np.abs(exact).max()
 
 
 def test_a_step_without_dynamics_only_gathers_noise():
-    Phi, Q = step_of(np.zeros((2, 2)), np.diag([1.0, 3.0]), 0.5)
+    Phi, Q = discretize_step(np.zeros((2, 2)), np.diag([1.0, 3.0]), 0.5)
     assert np.allclose(Phi, np.eye(2), rtol=0, atol=1e-15)
     assert np.allclose(Q, np.diag([0.5, 1.5]), rtol=0, atol=1e-15)
 
@@ -90,8 +90,8 @@ def test_late_outputs_have_the_covariances_of_the_continuous_model(delays):
     A, W = _stable(4, 5)
     rng = np.random.default_rng(6)
     model = ContinuousModel(A, W, rng.standard_normal((3, 4)), np.array(delays) * STEP, rng.standard_normal((2, 4)))
-    one = sampled(model, STEP)
-    X = accumulated(one.F.T, one.Q)
+    one = discretize(model, STEP)
+    X = discrete_gramian(one.F.T, one.Q)
     F, size = np.eye(one.order), np.abs(_continuous_covariance(model, model.C, model.delay, 0)).max()
     for lag in range(6):
         outputs = _continuous_covariance(model, model.C, model.delay, lag)
@@ -104,7 +104,7 @@ def test_late_outputs_have_the_covariances_of_the_continuous_model(delays):
 def test_no_state_is_kept_of_an_output_that_is_not_late():
     A, W = _stable(3, 7)
     model = ContinuousModel(A, W, np.eye(3), np.array([0.0, 1.5, 2.0]) * STEP, np.eye(3))
-    assert sampled(model, STEP).order == 3 + 2 + 2
+    assert discretize(model, STEP).order == 3 + 2 + 2
 
 
 @pytest.mark.parametrize("place", [0, 1])
@@ -112,9 +112,9 @@ def test_a_delay_of_rounding_alone_is_none(place):
     A, W = _stable(2, 8)
     delay = np.full(2, 0.5 * STEP)
     delay[place] = 0.0
-    plain = sampled(ContinuousModel(A, W, np.eye(2), delay, np.eye(2)), STEP)
+    plain = discretize(ContinuousModel(A, W, np.eye(2), delay, np.eye(2)), STEP)
     delay[place] = 1e-18
-    rounded = sampled(ContinuousModel(A, W, np.eye(2), delay, np.eye(2)), STEP)
+    rounded = discretize(ContinuousModel(A, W, np.eye(2), delay, np.eye(2)), STEP)
     assert np.array_equal(plain.F, rounded.F)
     assert np.array_equal(plain.Q, rounded.Q)
     assert np.array_equal(plain.H, rounded.H)
@@ -122,7 +122,7 @@ def test_a_delay_of_rounding_alone_is_none(place):
 
 def test_scaled_states_leave_the_channels_as_they_are():
     A, W = _stable(3, 9)
-    model = sampled(ContinuousModel(A, W, np.eye(3), np.array([0.0, 0.3, 1.2]) * STEP, np.eye(3)), STEP)
+    model = discretize(ContinuousModel(A, W, np.eye(3), np.array([0.0, 0.3, 1.2]) * STEP, np.eye(3)), STEP)
     size = np.geomspace(1e-3, 1e3, model.order)
     scaled = model.scaled(size)
     for lag in range(3):

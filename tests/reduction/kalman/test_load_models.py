@@ -6,15 +6,21 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from balance_cli.reduction.kalman.load_models import Flat, Gust, Oscillators, Wandering, joined
+from balance_cli.reduction.kalman.load_models import (
+    BandLimitedNoise,
+    FirstOrderMarkov,
+    LowPassDrift,
+    Oscillators,
+    combine_layers,
+)
 from tests.support.kalman_models import Array
 
 SIGMA = np.array([2.0, 0.5, 30.0])
 LAYERS = {
-    "wandering": Wandering(SIGMA, 0.3, 5.0),
-    "fluctuating": Wandering(SIGMA, 50.0, 80.0),
-    "flat": Flat(SIGMA, 40.0),
-    "gust": Gust(SIGMA, 25.0),
+    "wandering": LowPassDrift(SIGMA, 0.3, 5.0),
+    "fluctuating": LowPassDrift(SIGMA, 50.0, 80.0),
+    "flat": BandLimitedNoise(SIGMA, 40.0),
+    "gust": FirstOrderMarkov(SIGMA, 25.0),
 }
 
 
@@ -40,7 +46,7 @@ def test_loads_are_as_large_as_stated(layer):
 
 
 def test_flat_loads_are_flat_up_to_their_band():
-    density = Flat(SIGMA, 40.0).spectrum(np.array([0.0, 10.0, 40.0, 400.0]))[:, 0]
+    density = BandLimitedNoise(SIGMA, 40.0).spectrum(np.array([0.0, 10.0, 40.0, 400.0]))[:, 0]
     assert density[1] > 0.99 * density[0]
     assert np.isclose(density[2], 0.5 * density[0], rtol=1e-12)
     assert density[3] < 2e-4 * density[0]
@@ -78,14 +84,14 @@ def test_oscillators_drift_alike_in_cosine_and_sine():
 
 
 def test_stationary_oscillators_keep_their_size():
-    A, W, U = OSCILLATORS.stationary().matrices()
+    A, W, U = OSCILLATORS.with_stationary_drift().matrices()
     covariance = solve_continuous_lyapunov(A, -W)
     assert np.allclose(np.diag(covariance), np.repeat(OSCILLATORS.size.T.ravel() ** 2, 2), rtol=1e-9)
     assert np.allclose(np.diag(U @ covariance @ U.T), OSCILLATORS.sigma**2, rtol=1e-9)
 
 
 def test_layers_together_are_the_sum_of_their_loads():
-    first, second = Wandering(SIGMA, 0.3, 5.0), Flat(SIGMA, 40.0)
+    first, second = LowPassDrift(SIGMA, 0.3, 5.0), BandLimitedNoise(SIGMA, 40.0)
     frequency = np.geomspace(0.01, 100.0, 20)
-    both = _density(joined([first, second]), frequency)
+    both = _density(combine_layers([first, second]), frequency)
     assert np.allclose(both, first.spectrum(frequency) + second.spectrum(frequency), rtol=1e-9, atol=0)

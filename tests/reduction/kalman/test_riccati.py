@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, solve_discrete_are
 
-from balance_cli.reduction.kalman.riccati import accumulated, steady_covariance
+from balance_cli.reduction.kalman.riccati import discrete_gramian, steady_covariance
 from tests.support.kalman_models import Array
 
 
@@ -74,7 +74,7 @@ def test_a_finite_sum_is_that_of_its_terms(steps):
     L, W, _ = _system(_random(7, 0.99), 7, 3)
     terms = [np.linalg.matrix_power(L, j) for j in range(steps)]
     exact = sum((power.T @ W @ power for power in terms), np.zeros_like(W))
-    assert np.abs(accumulated(L, W, steps) - exact).max() <= 1e-11 * np.abs(exact).max()
+    assert np.abs(discrete_gramian(L, W, steps) - exact).max() <= 1e-11 * np.abs(exact).max()
 
 
 @pytest.mark.parametrize("radius", [0.5, 0.999])
@@ -84,11 +84,11 @@ def test_an_endless_sum_is_that_of_many_terms(radius):
     for _ in range(int(40.0 / (1.0 - radius))):
         exact += power.T @ W @ power
         power = power @ L
-    assert np.abs(accumulated(L, W) - exact).max() < 1e-10 * np.abs(exact).max()
+    assert np.abs(discrete_gramian(L, W) - exact).max() < 1e-10 * np.abs(exact).max()
 
 
 def test_an_endless_sum_reaches_through_a_chain_of_delays():
     """A chain passes its first place's noise on to every place, however little each step adds elsewhere."""
     L = np.eye(5, k=1)
     W = np.diag([1.0, 0.0, 0.0, 0.0, 0.0])
-    assert np.array_equal(accumulated(L, W), np.eye(5))
+    assert np.array_equal(discrete_gramian(L, W), np.eye(5))

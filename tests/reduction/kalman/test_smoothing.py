@@ -5,22 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from balance_cli.reduction.kalman import segments as stretching
+from balance_cli.reduction.kalman import segments as segments_module
 from balance_cli.reduction.kalman.discretization import SampledModel
-from balance_cli.reduction.kalman.filtering import filtered, lagged
-from balance_cli.reduction.kalman.segments import Stretch
-from balance_cli.reduction.kalman.smoothing import smoothed
-from tests.support.kalman_models import Array, conditioned, drawn, filters_of, small_model
+from balance_cli.reduction.kalman.filtering import filtered_estimates, fixed_lag_estimates
+from balance_cli.reduction.kalman.segments import Segment
+from balance_cli.reduction.kalman.smoothing import smoothed_estimates
+from tests.support.kalman_models import Array, condition_on_samples, draw_samples, small_model, steady_filters
 
 MODEL = small_model()
-WHOLE = (Stretch(0, 160, (0, 1, 2)),)
-LONG = (Stretch(0, 400, (0, 1, 2)),)
+WHOLE = (Segment(0, 160, (0, 1, 2)),)
+LONG = (Segment(0, 400, (0, 1, 2)),)
 BROKEN = (
-    Stretch(0, 60, (0, 1, 2)),
-    Stretch(60, 72, ()),
-    Stretch(72, 110, (0, 1, 2)),
-    Stretch(110, 140, (0, 2)),
-    Stretch(140, 200, (0, 1, 2)),
+    Segment(0, 60, (0, 1, 2)),
+    Segment(60, 72, ()),
+    Segment(72, 110, (0, 1, 2)),
+    Segment(110, 140, (0, 2)),
+    Segment(140, 200, (0, 1, 2)),
 )
 
 
@@ -28,7 +28,7 @@ def _read(y: Array):
     return lambda start, stop, channels: y[start:stop][:, list(channels)]
 
 
-def _mask(stretches: tuple[Stretch, ...]):
+def _mask(stretches: tuple[Segment, ...]):
     read = np.zeros((stretches[-1].stop, 3), bool)
     for s in stretches:
         read[s.start : s.stop, list(s.channels)] = True
@@ -44,10 +44,10 @@ def _joined(estimates):
 @pytest.mark.parametrize("stretches", [WHOLE, BROKEN], ids=["whole", "broken"])
 @pytest.mark.parametrize("block", [8192, 17])
 def test_smoother_is_conditioning(stretches, block, monkeypatch):
-    monkeypatch.setattr(stretching, "BLOCK", block)
-    y, _ = drawn(MODEL, stretches[-1].stop)
-    outputs, variance = _joined(smoothed(_read(y), stretches, filters_of(MODEL, stretches), 200))
-    mean, exact = conditioned(MODEL, y, _mask(stretches))
+    monkeypatch.setattr(segments_module, "BLOCK", block)
+    y, _ = draw_samples(MODEL, stretches[-1].stop)
+    outputs, variance = _joined(smoothed_estimates(_read(y), stretches, steady_filters(MODEL, stretches), 200))
+    mean, exact = condition_on_samples(MODEL, y, _mask(stretches))
     assert np.abs(outputs - mean).max() < 1e-3 * np.sqrt(exact.min())
     assert np.abs(variance / exact - 1.0).max() < 2e-3
 
@@ -58,17 +58,17 @@ def test_smoother_is_conditioning_where_a_beginning_is_remembered_through_a_gap(
     F[2], F[0, 3] = [0.0, 0.0, 0.9995, 0.0], 0.0
     G = np.array([[0.1, 0.0], [0.0, 0.1], [0.02, 0.0], [0.2, 0.4]])
     slow = SampledModel(F, G @ G.T + 1e-9 * np.eye(4), H, MODEL.U)
-    y, _ = drawn(slow, BROKEN[-1].stop)
-    outputs, variance = _joined(smoothed(_read(y), BROKEN, filters_of(slow, BROKEN), 200))
-    mean, exact = conditioned(slow, y, _mask(BROKEN))
+    y, _ = draw_samples(slow, BROKEN[-1].stop)
+    outputs, variance = _joined(smoothed_estimates(_read(y), BROKEN, steady_filters(slow, BROKEN), 200))
+    mean, exact = condition_on_samples(slow, y, _mask(BROKEN))
     assert np.abs(outputs - mean).max() < 1e-9 * np.sqrt(exact.min())
     assert np.abs(variance / exact - 1.0).max() < 1e-3
 
 
 def test_filter_is_conditioning_on_the_past_once_it_is_steady():
-    y, _ = drawn(MODEL, 160)
-    outputs, variance = _joined(filtered(_read(y), WHOLE, filters_of(MODEL, WHOLE), 60))
-    mean, exact = conditioned(MODEL, y, _mask(WHOLE), until=np.arange(160))
+    y, _ = draw_samples(MODEL, 160)
+    outputs, variance = _joined(filtered_estimates(_read(y), WHOLE, steady_filters(MODEL, WHOLE), 60))
+    mean, exact = condition_on_samples(MODEL, y, _mask(WHOLE), until=np.arange(160))
     assert np.abs(outputs - mean)[60:].max() < 1e-3 * np.sqrt(exact.min())
     assert np.abs(variance / exact - 1.0)[60:].max() < 1e-3
     assert np.all(variance[60:] >= exact[60:] * (1 - 1e-6))
@@ -77,8 +77,8 @@ def test_filter_is_conditioning_on_the_past_once_it_is_steady():
 def test_filter_states_how_far_it_errs_after_a_gap():
     errors, stated = [], None
     for seed in range(300):
-        y, u = drawn(MODEL, 200, seed)
-        outputs, stated = _joined(filtered(_read(y), BROKEN, filters_of(MODEL, BROKEN), 40))
+        y, u = draw_samples(MODEL, 200, seed)
+        outputs, stated = _joined(filtered_estimates(_read(y), BROKEN, steady_filters(MODEL, BROKEN), 40))
         errors.append(outputs - u)
     scatter = np.mean(np.square(errors), axis=0)
     ratio = scatter / stated
@@ -87,10 +87,10 @@ def test_filter_states_how_far_it_errs_after_a_gap():
 
 
 def test_lag_is_conditioning_on_so_many_samples_more(monkeypatch):
-    monkeypatch.setattr(stretching, "BLOCK", 50)
-    y, _ = drawn(MODEL, 160)
-    outputs, variance = _joined(lagged(_read(y), WHOLE, filters_of(MODEL, WHOLE), 60, 3))
-    mean, exact = conditioned(MODEL, y, _mask(WHOLE), until=np.minimum(np.arange(160) + 3, 159))
+    monkeypatch.setattr(segments_module, "BLOCK", 50)
+    y, _ = draw_samples(MODEL, 160)
+    outputs, variance = _joined(fixed_lag_estimates(_read(y), WHOLE, steady_filters(MODEL, WHOLE), 60, 3))
+    mean, exact = condition_on_samples(MODEL, y, _mask(WHOLE), until=np.minimum(np.arange(160) + 3, 159))
     assert np.abs(outputs - mean)[60:].max() < 1e-3 * np.sqrt(exact.min())
     assert np.abs(variance / exact - 1.0)[60:].max() < 1e-3
 
@@ -114,9 +114,9 @@ def test_large_free_inputs_are_joint_estimation_of_inputs_and_states():
     H = 30.0 * MODEL.H[:, :2]
     joint = np.block([[F, B], [np.zeros((1, 3))]])
     model = SampledModel(joint, np.diag([1e-9, 1e-9, 100.0]), np.hstack([H, np.zeros((3, 1))]), np.eye(3)[2:])
-    y, _ = drawn(SampledModel(joint, np.diag([1e-9, 1e-9, 4.0]), model.H, model.U), 400, seed=3)
+    y, _ = draw_samples(SampledModel(joint, np.diag([1e-9, 1e-9, 4.0]), model.H, model.U), 400, seed=3)
     lag = 4
-    outputs, variance = _joined(lagged(_read(y), LONG, filters_of(model, LONG), 10, lag))
+    outputs, variance = _joined(fixed_lag_estimates(_read(y), LONG, steady_filters(model, LONG), 10, lag))
     for k in (340, 370, 390):
         unbiased = _unbiased_inputs(F, B, H, y, k + lag)[k]
         assert np.abs(outputs[k] - unbiased).max() < 1e-3 * np.sqrt(variance[k]).max()
