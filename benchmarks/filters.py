@@ -38,7 +38,7 @@ from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, tim
 from balance_cli.reduction.kalman.segments import RunFilters, Segment
 from balance_cli.reduction.kalman.steady_filter import ChannelFilter, SteadyFilter
 from balance_cli.reduction.response_sources import ModelSource
-from balance_cli.signals.azimuth import Azimuth
+from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import identify
 from balance_cli.steps.reduce_in_time import reduce_run_in_time

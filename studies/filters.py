@@ -22,7 +22,7 @@ from balance_cli.reduction.kalman.load_history import LoadHistory
 from balance_cli.reduction.response_sources import ModelSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.anti_alias import anti_alias
-from balance_cli.signals.azimuth import azimuth_from_pulses
+from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.simulation import RunTruth, simulate_run
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import IdentifyOptions, identify

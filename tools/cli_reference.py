@@ -39,7 +39,7 @@ def _command(root: click.Context, name: str) -> str:
     command = balance.get_command(root, name)
     assert command is not None
     arguments = [item for item in command.params if isinstance(item, click.Argument)]
-    options = [item for item in command.params if isinstance(item, click.Option)]
+    options = [item for item in command.params if isinstance(item, click.Option) and not item.hidden]
     required = [f"{item.opts[0]} {_value(item)}".strip() for item in options if item.required]
     usage = " ".join(["balance", name, "[OPTIONS]", *required, *(_place(item) for item in arguments)])
     rows = [f"| {_names(item)} | {_meaning(item)} |" for item in sorted(options, key=_is_common_option)]

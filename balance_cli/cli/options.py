@@ -72,6 +72,26 @@ def verbose_option(function: F) -> F:
     return click.option("-v", "--verbose", is_flag=True, help=text)(function)
 
 
+def deprecated_option(former: str, current: str, parameter: str, **attributes: Any) -> Callable[[F], F]:
+    """The former name of an option, hidden; it sets `parameter` as `current` does, with a warning on stderr.
+
+    `attributes` are those of the current option that say how its value is read (`type`, `is_flag`). Where both names
+    are given the current one counts. A former name is understood for one release.
+    """
+
+    def use_former(context: click.Context, option: click.Parameter, value: Any) -> None:
+        if context.get_parameter_source(option.name or "") is not click.core.ParameterSource.COMMANDLINE:
+            return
+        click.echo(f"warning: {former} is deprecated; use {current}", err=True)
+        context.params[parameter] = value
+        context.set_parameter_source(parameter, click.core.ParameterSource.COMMANDLINE)
+
+    # Eager: before the current option, whose default does not replace a value from the command line.
+    return click.option(
+        former, f"former_{parameter}", hidden=True, is_eager=True, expose_value=False, callback=use_former, **attributes
+    )
+
+
 def paths_of_type(context: click.Context, *types: type[click.Path]) -> Iterator[Path]:
     """All paths given in the call whose parameter has one of these types (`-` is none)."""
     for parameter in context.command.params:

@@ -142,7 +142,7 @@ def _response_source(
         _check_geometry(identified.geometry, calibration, model)
         return responses.model_source(identified)
     if transfer is not None:
-        from balance_cli.signals.transfer import Transfer
+        from balance_cli.signals.response.transfer import Transfer
 
         measured: Transfer = session.artefact(transfer, {"balance-transfer/1": Transfer}, "transfer").content
         _check_geometry(measured.geometry, calibration, transfer)

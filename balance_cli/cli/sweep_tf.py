@@ -18,8 +18,8 @@ from balance_cli.cli.common import (
 )
 
 if TYPE_CHECKING:
+    from balance_cli.signals.response.transfer import Transfer
     from balance_cli.signals.run_spectrum import FrequencyResponse
-    from balance_cli.signals.transfer import Transfer
 
 FORMAT = "balance-transfer/1"
 ESTIMATORS = ("auto", "periodic", "lrm", "lpm", "h1", "h2", "hv")
@@ -69,7 +69,7 @@ def command(
 
 
 def _summary(transfer: Transfer) -> dict[str, Any]:
-    from balance_cli.signals.transfer import least_coherence, response_components
+    from balance_cli.signals.response.transfer import least_coherence, response_components
 
     return {
         "geometry": transfer.geometry.name,
@@ -98,13 +98,13 @@ def _median_relative_sigma(transfer: Transfer, component: str) -> float:
     """Median over the lines of sigma over amplitude, in the best channel, at the highest level."""
     import numpy as np
 
-    from balance_cli.signals.transfer import relative_sigma, response_to_component
+    from balance_cli.signals.response.transfer import relative_sigma, response_to_component
 
     return float(np.median(relative_sigma(response_to_component(transfer, component))))
 
 
 def _text(transfer: Transfer) -> Iterator[str]:
-    from balance_cli.signals.transfer import least_coherence, response_components
+    from balance_cli.signals.response.transfer import least_coherence, response_components
 
     for response in transfer.responses:
         low, high = response.frequency[0], response.frequency[-1]

@@ -10,7 +10,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.placed_effects import needs_mean
-from balance_cli.signals.nonperiodic_spectrum import nonperiodic_spectrum
+from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_spectrum
 from balance_cli.signals.periodic import has_whole_periods, periodic_spectrum
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 from balance_cli.signals.static_noise import static_points

@@ -11,7 +11,7 @@ from balance_cli.model.plate import moment_reference_length
 from balance_cli.reduction.result import CheckErrors
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 from balance_cli.signals.anti_alias import anti_alias
-from balance_cli.signals.harmonics import Harmonics
+from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

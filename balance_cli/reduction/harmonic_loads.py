@@ -16,10 +16,10 @@ from balance_cli.model.plate import carried_components
 from balance_cli.reduction.response_sources import ModelSource, ResponseSource, circular_real, load_scale, stacked_real
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
 from balance_cli.signals.anti_alias import anti_alias
-from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
-from balance_cli.signals.harmonic_spectrum import harmonic_lines
-from balance_cli.signals.harmonics import FEWEST_REVOLUTIONS, Harmonics, harmonics
+from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
+from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
+from balance_cli.signals.rotor.harmonics import FEWEST_REVOLUTIONS, Harmonics, harmonics
 from balance_cli.signals.transient_end import transient_end
 
 Array = NDArray[np.float64]

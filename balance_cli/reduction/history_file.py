@@ -15,7 +15,7 @@ from balance_cli.campaign.rig.components import COMPONENTS, UNITS
 from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.reduction.kalman.load_history import LoadHistory, LoadTrack
 from balance_cli.reduction.result import RunLoads
-from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
+from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 
 Array = NDArray[np.float64]
 

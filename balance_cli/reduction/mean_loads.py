@@ -17,7 +17,7 @@ from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
-from balance_cli.signals.harmonics import Harmonics
+from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
 

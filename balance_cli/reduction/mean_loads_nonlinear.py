@@ -24,7 +24,7 @@ from balance_cli.reduction.mean_loads import (
     run_flags,
     undetermined_loads_error,
 )
-from balance_cli.signals.harmonics import Harmonics
+from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -27,9 +27,9 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.plate import moment_reference_length
 from balance_cli.model.system import output_jacobian, response, solve
-from balance_cli.signals.response_interpolation import interpolate_response, interpolate_values
+from balance_cli.signals.response.interpolation import interpolate_response, interpolate_values
+from balance_cli.signals.response.transfer import Transfer, response_to_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
-from balance_cli.signals.transfer import Transfer, response_to_component
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -38,8 +38,8 @@ from balance_cli.report.force_responses import (
 from balance_cli.report.number_format import format_percent, join_names
 from balance_cli.report.response_figures import Panel, component_figure, detail_figure
 from balance_cli.report.sources import Source, Sources
+from balance_cli.signals.response.transfer import Transfer, response_components, response_to_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
-from balance_cli.signals.transfer import Transfer, response_components, response_to_component
 
 PLOT_BAND = (2.0, 150.0)
 RESPONSE_NOISE_FACTOR = 1.5

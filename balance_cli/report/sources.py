@@ -26,7 +26,7 @@ from balance_cli.report.figure_style import (
     VERMILION,
     PlotStyle,
 )
-from balance_cli.signals.transfer import Transfer
+from balance_cli.signals.response.transfer import Transfer
 
 FORMATS: Mapping[str, type[Any]] = {
     "balance-calibration/1": Calibration,

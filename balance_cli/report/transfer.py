@@ -20,8 +20,8 @@ from balance_cli.report.force_responses import (
 from balance_cli.report.number_format import format_percent, format_significant, join_names
 from balance_cli.report.sources import Source, Sources
 from balance_cli.report.sweep_figures import cell_channel_pairs, coherence_figure, ratio_figure
+from balance_cli.signals.response.transfer import Transfer, select_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
-from balance_cli.signals.transfer import Transfer, select_component
 
 LEVEL_NOISE_FACTOR = 1.5
 """A difference between levels above so many times the noise is marked."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.azimuth import Azimuth
+from balance_cli.signals.rotor.azimuth import Azimuth
 
 Array = NDArray[np.float64]
 

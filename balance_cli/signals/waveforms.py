@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.signals.anti_alias import anti_alias
-from balance_cli.signals.nonperiodic_spectrum import local_lines
+from balance_cli.signals.local.nonperiodic_spectrum import local_lines
 from balance_cli.signals.periodic import samples_per_period
 from balance_cli.signals.run_samples import load_columns, read_samples, sample_rate
 from balance_cli.signals.run_spectrum import RecordWaveform, RunSpectrum, StaticPoints, Waveform, hann_mean

@@ -39,8 +39,8 @@ from balance_cli.reduction.kalman.smoothing import smoothed_estimates
 from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.response_sources import ModelSource
 from balance_cli.reduction.result import RunLoads
-from balance_cli.signals.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
+from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.steps.reduce import reduce_record
 
 Array = NDArray[np.float64]

@@ -15,13 +15,13 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
-from balance_cli.signals.averaged_spectra import ESTIMATORS as AVERAGED
-from balance_cli.signals.averaged_spectra import averaged_response
-from balance_cli.signals.local_response import local_response
+from balance_cli.signals.local.response import local_response
 from balance_cli.signals.periodic import PeriodicRecord, has_whole_periods, periodic_record
-from balance_cli.signals.periodic_response import joint_response, response_from_one_run
+from balance_cli.signals.response.averaged_spectra import ESTIMATORS as AVERAGED
+from balance_cli.signals.response.averaged_spectra import averaged_response
+from balance_cli.signals.response.periodic_response import joint_response, response_from_one_run
+from balance_cli.signals.response.transfer import SteadyPart, Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
-from balance_cli.signals.transfer import SteadyPart, Transfer
 
 ESTIMATORS = ("auto", "periodic", "lrm", "lpm", *AVERAGED)
 

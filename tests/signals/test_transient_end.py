@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource, Run
-from balance_cli.signals.azimuth import azimuth_from_pulses
+from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.signals.transient_end import transient_end
 
 SAMPLE_RATE, RATE = 800.0, 17.5

@@ -13,7 +13,7 @@ from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.cli import balance
 from balance_cli.io.artefacts import Provenance, load_artefact, save_artefact
 from balance_cli.reduction.result import HubLoads
-from balance_cli.signals.azimuth import azimuth_from_pulses
+from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 
 FORMATS = {"balance-loads/1": HubLoads}
 MADE = Provenance("a-test", {}, (), {}, "2026-01-02T03:04:05+00:00")
@@ -278,7 +278,7 @@ def test_options_that_do_not_go_together(folder, tmp_path, words, message):
 
 @pytest.mark.parametrize("method", ["kalman", "smoother"])
 def test_only_a_physical_model_has_a_state_space(campaign, folder, tmp_path, method):
-    from balance_cli.signals.transfer import Transfer
+    from balance_cli.signals.response.transfer import Transfer
 
     save_artefact(tmp_path / "tf.h5", "balance-transfer/1", Transfer(campaign.geometry, ()), MADE)
     for response in (("--static",), ("--transfer", tmp_path / "tf.h5")):

@@ -14,7 +14,7 @@ from balance_cli.cli import balance
 from balance_cli.io.artefacts import load_artefact
 from balance_cli.io.errors import UserError
 from balance_cli.signals.periodic import periodic_record
-from balance_cli.signals.transfer import (
+from balance_cli.signals.response.transfer import (
     Transfer,
     least_coherence,
     relative_sigma,

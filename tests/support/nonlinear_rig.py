@@ -7,7 +7,7 @@ import numpy as np
 from balance_cli.calibration.terms import Term, columns, term_from_name
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.signals.harmonics import Harmonics
+from balance_cli.signals.rotor.harmonics import Harmonics
 from balance_cli.steps.calibrate import calibrate
 from tests.support.static_runs import AMPLITUDE, C0, RIG, loading
 

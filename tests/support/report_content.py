@@ -17,8 +17,8 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
 from balance_cli.model.system import response, solve
 from balance_cli.reduction.result import CheckErrors, HubLoads, RunLoads
+from balance_cli.signals.response.transfer import Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
-from balance_cli.signals.transfer import Transfer
 from balance_cli.steps.calibrate import calibrate
 from tests.support.rigs import rotor_balance
 

@@ -13,7 +13,7 @@ from balance_cli.reduction.kalman.discretization import SampledModel
 from balance_cli.reduction.kalman.load_models import LowPassDrift, Oscillators
 from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters
 from balance_cli.reduction.kalman.segments import RunFilters, Segment
-from balance_cli.signals.azimuth import Azimuth
+from balance_cli.signals.rotor.azimuth import Azimuth
 from tests.support.kalman_models import Array
 
 STEP = 1.0 / 200.0

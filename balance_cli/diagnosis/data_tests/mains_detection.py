@@ -1,6 +1,6 @@
 """Lines at the mains' frequencies and their multiples: do they stand out from what their neighbours say?
 
-In a window around a line a local rational model (see `signals.local_fit`) is fitted to all but the lines within one of
+In a window around a line a local rational model (see `signals.local.fit`) is fitted to all but the lines within one of
 the middle, and what the left-out ones are away from it is counted. The same is done around neighbouring lines, where no
 mains is; the ratio of the two is about one, whatever the local model cannot follow.
 """
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import ModelFreeTest
 from balance_cli.diagnosis.significance import bonferroni_min_p_value
-from balance_cli.signals.local_fit import LocalFit, ModelOrders, WindowedData, fit_windows
+from balance_cli.signals.local.fit import LocalFit, ModelOrders, WindowedData, fit_windows
 from balance_cli.signals.run_spectrum import RunSpectrum
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ from balance_cli.campaign.recording.run import read_channels
 from balance_cli.io.errors import UserError
 from balance_cli.model.state_space import StateSpace
 from balance_cli.reduction.kalman.load_models import LoadLayer, Oscillators
-from balance_cli.signals.azimuth import Azimuth
 from balance_cli.signals.channel_noise import CleanRecord
+from balance_cli.signals.rotor.azimuth import Azimuth
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

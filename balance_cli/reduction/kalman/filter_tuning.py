@@ -12,9 +12,9 @@ from scipy.optimize import minimize_scalar
 from balance_cli.model.state_space import StateSpace
 from balance_cli.reduction.kalman.load_models import BandLimitedNoise, FirstOrderMarkov, LoadLayer, LowPassDrift
 from balance_cli.reduction.kalman.whittle_likelihood import estimate_layer_variances
-from balance_cli.signals.azimuth import Azimuth
 from balance_cli.signals.channel_noise import WINDOW_TIME, CleanRecord
 from balance_cli.signals.cross_spectra import MAIN_LOBE, CrossSpectra, cross_spectra
+from balance_cli.signals.rotor.azimuth import Azimuth
 
 Array = NDArray[np.float64]
 Kind = Callable[[Array], LoadLayer]

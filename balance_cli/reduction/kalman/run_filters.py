@@ -14,7 +14,7 @@ from balance_cli.reduction.kalman.discretization import SampledModel
 from balance_cli.reduction.kalman.load_models import LoadLayer, Oscillators
 from balance_cli.reduction.kalman.segments import RunFilters, Segment
 from balance_cli.reduction.kalman.steady_filter import ChannelFilter, SteadyFilter
-from balance_cli.signals.azimuth import Azimuth
+from balance_cli.signals.rotor.azimuth import Azimuth
 
 Array = NDArray[np.float64]
 

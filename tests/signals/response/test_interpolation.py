@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from balance_cli.io.errors import UserError
-from balance_cli.signals.response_interpolation import INTERPOLATION_METHODS, interpolate_response, interpolate_values
+from balance_cli.signals.response.interpolation import INTERPOLATION_METHODS, interpolate_response, interpolate_values
 from balance_cli.signals.run_spectrum import FrequencyResponse
 from tests.support.swept_rig import LOAD_NOISE, MODES, NOISE, SweptRig, relative_error
 

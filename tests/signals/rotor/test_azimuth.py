@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from balance_cli.io.errors import UserError
-from balance_cli.signals.azimuth import azimuth_from_pulses
+from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 
 RATE = 17.5
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from balance_cli.signals.local_fit import LocalFit, ModelOrders, WindowedData
+from balance_cli.signals.local.fit import LocalFit, ModelOrders, WindowedData
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from balance_cli.io.errors import UserError
-from balance_cli.signals.averaged_spectra import averaged_response
-from balance_cli.signals.local_fit import ModelOrders, WindowedData, fit_windows
-from balance_cli.signals.local_models import local_models, record_spectrum
-from balance_cli.signals.local_response import local_response, response_from_models
-from balance_cli.signals.local_window import (
+from balance_cli.signals.local.fit import ModelOrders, WindowedData, fit_windows
+from balance_cli.signals.local.models import local_models, record_spectrum
+from balance_cli.signals.local.nonperiodic_spectrum import local_lines, nonperiodic_spectrum
+from balance_cli.signals.local.response import local_response, response_from_models
+from balance_cli.signals.local.window import (
     derivative_rows,
     design_pseudoinverse,
     pole_uncertainty,
@@ -18,7 +18,7 @@ from balance_cli.signals.local_window import (
     response_rows,
     split_windows,
 )
-from balance_cli.signals.nonperiodic_spectrum import local_lines, nonperiodic_spectrum
+from balance_cli.signals.response.averaged_spectra import averaged_response
 from balance_cli.signals.run_samples import read_samples
 from balance_cli.simulation import Noise, SweepPlan, draw_rig, simulate_run
 from balance_cli.simulation.assembly import equations_of_motion

@@ -5,7 +5,7 @@ import pytest
 
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
-from balance_cli.signals.averaged_spectra import averaged_response, spectral_matrix
+from balance_cli.signals.response.averaged_spectra import averaged_response, spectral_matrix
 
 RATE = 200.0
 GAIN = np.array([[2.0, -1.0], [0.5, 3.0], [1.0, 1.0]])

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.covariance_pooling import RELATIVE_NOISE_FLOOR, window_sums
-from balance_cli.signals.local_fit import ModelOrders, WindowedData, fit_windows
-from balance_cli.signals.local_noise import NoiseCovariances, estimate_noise_covariances
-from balance_cli.signals.local_window import (
+from balance_cli.signals.local.fit import ModelOrders, WindowedData, fit_windows
+from balance_cli.signals.local.noise import NoiseCovariances, estimate_noise_covariances
+from balance_cli.signals.local.tones import tone_lines
+from balance_cli.signals.local.window import (
     WindowFit,
     design_matrix,
     design_pseudoinverse,
@@ -30,7 +31,6 @@ from balance_cli.signals.local_window import (
     split_windows,
 )
 from balance_cli.signals.run_samples import load_columns, measured_components, read_samples, run_error, sample_rate
-from balance_cli.signals.tones import tone_lines
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -4,8 +4,8 @@ from scipy.signal import lfilter
 
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
-from balance_cli.signals.azimuth import azimuth_from_pulses
-from balance_cli.signals.harmonics import edge_weight, harmonics
+from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
+from balance_cli.signals.rotor.harmonics import edge_weight, harmonics
 
 RATE, SAMPLE_RATE = 17.5, 800.0
 

@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.local_fit import WindowedData
-from balance_cli.signals.local_window import WindowFit, design_matrix, poles
+from balance_cli.signals.local.fit import WindowedData
+from balance_cli.signals.local.window import WindowFit, design_matrix, poles
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
-from balance_cli.signals.local_fit import LocalFit, ModelOrders, WindowedData, fit_windows
-from balance_cli.signals.local_window import (
+from balance_cli.signals.local.fit import LocalFit, ModelOrders, WindowedData, fit_windows
+from balance_cli.signals.local.window import (
     WindowFit,
     derivative_rows,
     design_pseudoinverse,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
-from balance_cli.signals.azimuth import Azimuth
-from balance_cli.signals.harmonic_noise import PooledNoise, blackman_taper, line_offsets, pooled_noise
+from balance_cli.signals.rotor.azimuth import Azimuth
+from balance_cli.signals.rotor.harmonic_noise import PooledNoise, blackman_taper, line_offsets, pooled_noise
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

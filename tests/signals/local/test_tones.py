@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
-from balance_cli.signals.local_models import local_models, record_spectrum
-from balance_cli.signals.local_response import response_from_models
-from balance_cli.signals.nonperiodic_spectrum import local_lines
+from balance_cli.signals.local.models import local_models, record_spectrum
+from balance_cli.signals.local.nonperiodic_spectrum import local_lines
+from balance_cli.signals.local.response import response_from_models
 from balance_cli.simulation import SweepPlan, simulate_run, true_rig
 from tests.support.rigs import rotor_balance
 from tests.support.swept_rig import SweptRig

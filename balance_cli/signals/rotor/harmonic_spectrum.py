@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.signals.azimuth import Azimuth
-from balance_cli.signals.harmonics import Harmonics, edge_weight
+from balance_cli.signals.rotor.azimuth import Azimuth
+from balance_cli.signals.rotor.harmonics import Harmonics, edge_weight
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -1,0 +1,1 @@
+"""Local rational and polynomial models of a spectrum, for records that do not repeat."""

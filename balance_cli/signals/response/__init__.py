@@ -1,0 +1,1 @@
+"""Frequency responses: estimators, interpolation between lines, and the result of `sweep-tf`."""

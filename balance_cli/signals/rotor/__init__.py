@@ -1,0 +1,1 @@
+"""Azimuth of the rotor, and the harmonics of a run with their noise."""
