@@ -21,7 +21,7 @@ from balance_cli.reduction.harmonic_loads import rotor_record
 from balance_cli.reduction.kalman.load_history import LoadHistory
 from balance_cli.reduction.response_sources import ModelSource
 from balance_cli.reduction.result import RunLoads
-from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.simulation import RunTruth, simulate_run
 from balance_cli.steps.calibrate import calibrate
@@ -124,7 +124,7 @@ def loads_at_nominal_harmonics(record: SimulatedRecord) -> ComplexArray:
     C = record.source.at(nominal, NOMINAL_SPEED)[:, :, COLUMNS]
     spectra = rotor.spectra
     s = spectra.amplitude[1:, spectra.columns(record.geometry.channel_names)]
-    s = s / anti_alias(record.geometry.acquisition, nominal)[:, None]
+    s = s / anti_alias_response(record.geometry.acquisition, nominal)[:, None]
     return np.asarray(np.einsum("hmc,hc->hm", np.linalg.pinv(C), s))
 
 

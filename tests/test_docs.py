@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.cli import COMMANDS, balance
 from balance_cli.reduction.result import LOAD_TABLE_COLUMNS
-from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.simulation.plans import RotorPlan, StaticPlan, SweepPlan, ZeroPlan
 from balance_cli.steps.modes import computed_modes
 from tests.support.diagnosis_content import fake_diagnose_module
@@ -241,7 +241,7 @@ def test_keys_are_collected_below_names():
 
 def test_what_the_manual_says_of_the_filter():
     text = (ROOT / "docs" / "theory" / "balance.md").read_text(encoding="utf-8")
-    forgotten = 100 * np.abs(anti_alias(rotor_balance().acquisition, [17.5, 140.0]) - 1)
+    forgotten = 100 * np.abs(anti_alias_response(rotor_balance().acquisition, [17.5, 140.0]) - 1)
     first, eighth = re.search(r"(\d+) % at 1/rev and (\d+) % at 8/rev", " ".join(text.split())).groups()
     assert [int(first), int(eighth)] == np.rint(forgotten).tolist()
 

@@ -6,16 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from balance_cli.calibration.matrix_text import FORMAT as MATRIX_FORMAT
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
-from balance_cli.campaign.recording.run_schema import FORMAT as RUN_FORMAT
-from balance_cli.campaign.rig.geometry import FORMAT as GEOMETRY_FORMAT
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import geometry_digest, read_geometry
-from balance_cli.io.artefacts import FORMATS, StoredArtefact, read_stored
+from balance_cli.io.artefacts import StoredArtefact, read_stored
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import ARTEFACT_FORMATS, GEOMETRY_FORMAT, MATRIX_FORMAT, RUN_FORMAT
 from balance_cli.io.sniff import describe_file, require_file, sniff_format
 
 LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
@@ -45,7 +43,7 @@ def examine(path: Path, geometry: Geometry | None) -> FileFinding:
     readers: dict[str, Callable[[Path, Geometry | None], FileFinding]] = {
         GEOMETRY_FORMAT: _check_geometry_file,
         RUN_FORMAT: _check_run_file,
-        **dict.fromkeys(FORMATS, _check_artefact_file),
+        **dict.fromkeys(ARTEFACT_FORMATS, _check_artefact_file),
     }
     if declared in readers:
         return readers[declared](path, geometry)
@@ -124,7 +122,7 @@ def _check_artefact_file(path: Path, geometry: Geometry | None) -> FileFinding:
         stored = read_stored(path)
         made_from = _stored_geometry(stored)
     except UserError as error:
-        return FileFinding(format, "artefact", faults=(error.at(file=str(path)),))
+        return FileFinding(format, "artefact", faults=(error.with_location(file=str(path)),))
     about = f"{format} made by `balance {stored.provenance.command}` at {stored.provenance.created}"
     about += f" from {len(stored.provenance.inputs)} inputs"
     faults: tuple[UserError, ...] = ()
@@ -149,7 +147,7 @@ def _check_matrix_file(path: Path, geometry: Geometry | None) -> FileFinding:
         if geometry is not None:
             calibration_from_matrix(stated, geometry)
     except UserError as error:
-        return FileFinding(MATRIX_FORMAT, "calibration matrix", faults=(error.at(file=str(path)),))
+        return FileFinding(MATRIX_FORMAT, "calibration matrix", faults=(error.with_location(file=str(path)),))
     matrix = stated.matrix
     about = f"calibration matrix of {len(matrix.channel_names)} channels for {', '.join(matrix.components)}"
     return FileFinding(MATRIX_FORMAT, about, path.name, matrix.rig, digest)

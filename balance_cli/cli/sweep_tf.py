@@ -16,12 +16,12 @@ from balance_cli.cli.common import (
     runs_argument,
     skip_bad_option,
 )
+from balance_cli.io.formats import TRANSFER_FORMAT
 
 if TYPE_CHECKING:
     from balance_cli.signals.response.transfer import Transfer
     from balance_cli.signals.run_spectrum import FrequencyResponse
 
-FORMAT = "balance-transfer/1"
 ESTIMATORS = ("auto", "periodic", "lrm", "lpm", "h1", "h2", "hv")
 
 
@@ -56,15 +56,15 @@ def command(
     opened = session.runs(runs, rig, skip_bad)
     band = (lowest or 0.0, float("inf") if highest is None else highest)
     transfer = estimate_responses(session.progress(opened, "runs"), rig, estimator, band)
-    for name, reason in transfer.unused.items():
-        session.left_out(name, reason)
+    for name, reason in transfer.unused_runs.items():
+        session.report_left_out(name, reason)
     for run, channels in transfer.channels_left_out.items():
         for name, reason in channels.items():
             session.warn(f"run {run}: channel {name} left out: {reason}")
-    for run, part in transfer.steady.items():
+    for run, part in transfer.steady_parts.items():
         if not part.steady:
             session.warn(f"run {run}: still settling in its last two periods; their difference is in the covariance")
-    session.save(output, FORMAT, transfer)
+    session.save(output, TRANSFER_FORMAT, transfer)
     session.finish(_summary(transfer), _text(transfer))
 
 
@@ -75,7 +75,7 @@ def _summary(transfer: Transfer) -> dict[str, Any]:
         "geometry": transfer.geometry.name,
         "estimator": transfer.estimator,
         "runs": {response.run: _response_summary(response) for response in transfer.responses},
-        "steady": transfer.steady,
+        "steady": transfer.steady_parts,
         "channels_left_out": transfer.channels_left_out,
         "coherence_min": least_coherence(transfer),
         "relative_sigma": {name: _median_relative_sigma(transfer, name) for name in response_components(transfer)},
@@ -108,7 +108,7 @@ def _text(transfer: Transfer) -> Iterator[str]:
 
     for response in transfer.responses:
         low, high = response.frequency[0], response.frequency[-1]
-        part = transfer.steady.get(response.run)
+        part = transfer.steady_parts.get(response.run)
         steady = f", steady after {part.first} to {part.last} of {part.periods} periods" if part else ""
         yield (
             f"{response.run}: {' '.join(response.components)}, {response.estimator}, "

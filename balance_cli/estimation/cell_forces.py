@@ -145,10 +145,10 @@ def _force_histories(
         d = _elongation(waveform, system, spring, present, columns)
         for force in forces:
             if force.values.value[0] != 0.0:
-                yield force, _force_history(force, d, columns, waveform.recurs), columns
+                yield force, _force_history(force, d, columns, waveform.is_periodic), columns
             elif derivatives:
                 own = np.flatnonzero(force.values.derivative[:, 0])
-                yield force, _force_history(force, constant(d.value, len(own)), own, waveform.recurs), own
+                yield force, _force_history(force, constant(d.value, len(own)), own, waveform.is_periodic), own
 
 
 def _force_history(force: CellForce, d: Dual, columns: Index, recurs: bool) -> Dual:
@@ -201,12 +201,14 @@ def _elongation(
     internal_forces = [one for one in forces if one.read]
     if not internal_forces:
         return force * k.reciprocal()
-    value = _solve_elongation(force.value, float(k.value), internal_forces, waveform.recurs)
+    value = _solve_elongation(force.value, float(k.value), internal_forces, waveform.is_periodic)
     at = constant(value, len(columns))
     error = k * at - force
     for one in internal_forces:
-        error = error + _force_history(one, at, columns, waveform.recurs)
-    return Dual(value, -error.derivative / (k.value + _force_and_stiffness(internal_forces, value, waveform.recurs)[1]))
+        error = error + _force_history(one, at, columns, waveform.is_periodic)
+    return Dual(
+        value, -error.derivative / (k.value + _force_and_stiffness(internal_forces, value, waveform.is_periodic)[1])
+    )
 
 
 def _solve_elongation(reading: Array, k: float, internal_forces: Sequence[CellForce], recurs: bool) -> Array:

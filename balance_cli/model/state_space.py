@@ -72,7 +72,7 @@ def state_space(system: System, spin: float = 0.0) -> StateSpace:
 def with_anti_alias(space: StateSpace, acquisition: Acquisition) -> StateSpace:
     """The same with the anti-alias filter before every load, so that T becomes H T: the response of the samples.
 
-    The filter is that of `anti_alias`, the same for every channel: before the loads it is wanted six times only.
+    The filter is that of `anti_alias_response`, the same for every channel: before the loads it is wanted six times only.
     """
     if acquisition.filter is None:
         return space

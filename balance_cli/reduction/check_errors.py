@@ -10,7 +10,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.plate import moment_reference_length
 from balance_cli.reduction.result import CheckErrors
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
-from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ def check_errors(
     A component was applied where its column of the loads is not all zeros. `spill` (6, 6): what acts for each load that
     the exciter's force cells measure, where a model knows; the error is that against the loads that act.
     """
-    H = anti_alias(geometry.acquisition, spectra.frequency_hz)
+    H = anti_alias_response(geometry.acquisition, spectra.frequency_hz)
     mine = spectra.columns(components)
     was_applied = np.any(spectra.amplitude[:, mine] != 0, axis=0)
     applied, variance = spectra.amplitude[:, mine], np.real(np.diagonal(spectra.covariance, axis1=1, axis2=2))[:, mine]

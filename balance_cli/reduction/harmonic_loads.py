@@ -15,11 +15,11 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
 from balance_cli.reduction.response_sources import ModelSource, ResponseSource, circular_real, load_scale, stacked_real
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
-from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
-from balance_cli.signals.rotor.harmonics import FEWEST_REVOLUTIONS, Harmonics, harmonics
+from balance_cli.signals.rotor.harmonics import FEWEST_REVOLUTIONS, Harmonics, estimate_harmonics
 from balance_cli.signals.transient_end import transient_end
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def rotor_record(run: Run, geometry: Geometry, source: ResponseSource, max_harmo
     limit = max(TRANSIENT_TIME_CONSTANTS * source.slowest_decay, MIN_TRANSIENT_TIME)
     start = transient_end(run, azimuth, limit, health.live)
     signals = health.live + (COMPONENTS if run.has_loads else ())
-    spectra = harmonics(run, azimuth, max_harmonic, names=signals, first_revolution=start.first_revolution)
+    spectra = estimate_harmonics(run, azimuth, max_harmonic, names=signals, first_revolution=start.first_revolution)
     return RotorRecord(run, health, azimuth, spectra, carried_components(geometry))
 
 
@@ -97,7 +97,7 @@ def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSour
     T = harmonic_response(record, geometry, source)[:, channel_combination.rows][:, :, columns]
     _check_determined(T, record)
     mine = spectra.columns(health.live)
-    combination = channel_combination.combination / anti_alias(geometry.acquisition, frequency)[:, None, None]
+    combination = channel_combination.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
     y = np.einsum("hrc,hc->hr", combination, spectra.amplitude[1:, mine])
     noise = combination @ spectra.covariance[1:][:, mine][:, :, mine] @ combination.conj().swapaxes(1, 2)
     count = source.at(frequency[:1], record.spin).shape[1]
@@ -139,7 +139,9 @@ def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseS
     parts = np.split(at, np.cumsum([len(item.frequency) for item in lines])[:-1])
     averages = []
     for item, value, centre in zip(lines, parts, spectra.frequency_hz[1:], strict=True):
-        H = anti_alias(geometry.acquisition, item.frequency) / anti_alias(geometry.acquisition, centre)
+        H = anti_alias_response(geometry.acquisition, item.frequency) / anti_alias_response(
+            geometry.acquisition, centre
+        )
         averages.append(np.einsum("g,grj->rj", item.weight * H, value))
     return np.stack(averages)
 

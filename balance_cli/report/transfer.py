@@ -54,11 +54,11 @@ def _transfer_blocks(source: Source[Transfer], several: bool) -> Iterator[PageBl
     for run, channels in transfer.channels_left_out.items():
         for channel, reason in channels.items():
             yield WarningText(f"Run {run}, channel {channel} left out: {reason}.")
-    for run, part in transfer.steady.items():
+    for run, part in transfer.steady_parts.items():
         if not part.steady:
             yield WarningText(f"Run {run} did not become steady by test before its last two periods.")
-    if transfer.unused:
-        yield Paragraph(f"Not used: {join_names(list(transfer.unused))}.")
+    if transfer.unused_runs:
+        yield Paragraph(f"Not used: {join_names(list(transfer.unused_runs))}.")
     yield run_table(transfer)
     name = f"coherence-{source.file}" if several else "coherence"
     caption = f"1 - coherence of the best-responding channel of every line; light: lower levels{suffix}."
@@ -115,7 +115,7 @@ def _run_row(transfer: Transfer, response: FrequencyResponse, full_response: Fre
 
 def _steady_cell(transfer: Transfer, run: str) -> TableCell:
     """The part used of the first of the runs that were solved together (`a+b`)."""
-    part = transfer.steady.get(run) or transfer.steady.get(run.partition("+")[0])
+    part = transfer.steady_parts.get(run) or transfer.steady_parts.get(run.partition("+")[0])
     if part is None:
         return TableCell("")
     earliest = f"{part.first + 1}" if part.first == part.last else f"{part.first + 1} to {part.last + 1}"

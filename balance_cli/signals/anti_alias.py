@@ -19,7 +19,7 @@ def butterworth_poles(order: int) -> ComplexArray:
     return np.asarray(np.exp(1j * np.pi * (2 * k + order - 1) / (2 * order)), complex)
 
 
-def anti_alias(acquisition: Acquisition, frequency_hz: ArrayLike) -> ComplexArray:
+def anti_alias_response(acquisition: Acquisition, frequency_hz: ArrayLike) -> ComplexArray:
     """Response H(j 2 pi f) of the anti-alias filter, of the shape of `frequency_hz` [Hz]; 1 where there is none.
 
     H(s) = prod_k -p_k / (s/omega_c - p_k): unit gain at f = 0, falling phase.

@@ -30,7 +30,8 @@ from balance_cli.signals.run_samples import (
     run_error,
     sample_rate,
 )
-from balance_cli.signals.run_spectrum import AnalysisWindow, RunSpectrum
+from balance_cli.signals.run_spectrum import RunSpectrum
+from balance_cli.signals.waveform_types import AnalysisWindow
 
 __all__ = [
     "PeriodicRecord",
@@ -64,7 +65,7 @@ class PeriodicRecord:
     every line, `steady`: whether a test says so, or two periods had to be kept for want of more.
     """
 
-    lines: RunSpectrum
+    spectrum: RunSpectrum
     period: float
     periods: int
     first: Counts
@@ -75,7 +76,7 @@ class PeriodicRecord:
 
 def periodic_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> RunSpectrum:
     """Lines of a periodic run at the frequencies that were excited, within `band` [Hz]; see `periodic_record`."""
-    return periodic_record(run, channel_names, band).lines
+    return periodic_record(run, channel_names, band).spectrum
 
 
 def periodic_record(
@@ -84,7 +85,7 @@ def periodic_record(
     """Cut a periodic run in whole periods (the last ends with the record), leave the start transient out, average.
 
     Spectra are amplitudes, `x(t) = Re sum X exp(+j 2 pi f t)`. The covariance is that of the mean over the steady
-    periods, pooled over neighbouring lines; a line with improbably large scatter has its own, larger one. `lines.dof`
+    periods, pooled over neighbouring lines; a line with improbably large scatter has its own, larger one. `spectrum.dof`
     belongs to the pooled covariance: consumers that invert it multiply the inverse by `inverse_bias_factor(dof, n)`,
     n = channels + components. UserError: no period, fewer than two whole periods, or nothing that repeats.
     """
@@ -273,7 +274,7 @@ def _periodic_record_of(
     periods = len(spectra)
     offset = run.samples - periods * samples
     return PeriodicRecord(
-        lines=lines,
+        spectrum=lines,
         period=samples / rate,
         periods=periods,
         first=first,

@@ -2,141 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.signals.waveform_types import AnalysisWindow, Waveform
+
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-# A cube of a signal has three times its bandwidth; what a contact does has more.
-OVERSAMPLING = 4
-
-
-@dataclass(frozen=True)
-class AnalysisWindow:
-    """The samples that each of k lines was taken from: whole periods of the record, no taper.
-
-    `start` (k,) and `stop` [s] from the first sample, `step` [s] between samples. `covariance` (k, c+u, c+u) and `dof`
-    are those of the noise alone, for who models the free motion that still rings in the lines; what the lines state
-    themselves holds its scatter too.
-    """
-
-    start: Array
-    stop: float
-    step: float
-    covariance: ComplexArray
-    dof: float
-
-
-def hann_mean(values: Array) -> Array:
-    """Mean (...) of values (n, ...), the ends of the record faded out."""
-    n = len(values)
-    return np.asarray(np.tensordot((1.0 - np.cos(2 * np.pi * np.arange(n) / n)) / n, values, axes=1))
-
-
-@dataclass(frozen=True)
-class Waveform:
-    """Channels of a run through time, from which forces can be told that are no linear function of them.
-
-    `volts` (F, c) and `share` (F, c): amplitudes before the anti-alias filter at `frequency` (F,) [Hz], the harmonics
-    0, 1, 2 ... of 1/T, and the weight of each channel among those of its spring. A period T of `samples` samples recurs
-    for ever. `number` (K,): which of the F a line is; `behind` (K,): the filter that it then has passed. Where it does
-    not `recur`, it is all that there was.
-    """
-
-    frequency: Array
-    volts: ComplexArray
-    share: Array
-    samples: int
-    bin_index: NDArray[np.intp]
-    filter_response: ComplexArray
-    recurs: bool = True
-
-    @property
-    def step(self) -> float:
-        """Time between samples [s]."""
-        return 1.0 / (float(self.frequency[1]) * self.samples)
-
-    def to_time_domain(self, amplitudes: ComplexArray) -> Array:
-        """Amplitudes (F, ...) as a function of time (n, ...), finely sampled; at frequency zero twice the mean."""
-        n = OVERSAMPLING * self.samples
-        return np.asarray(np.fft.irfft(amplitudes * (n / 2.0), n, axis=0))
-
-    def select(self, keep: NDArray[np.bool_]) -> Waveform:
-        """For the lines (K,) that are kept."""
-        return replace(self, bin_index=self.bin_index[keep], filter_response=self.filter_response[keep])
-
-    def to_spectral_lines(self, force: Array) -> ComplexArray:
-        """A function of time (n, ...) at the lines (K, ...), behind the anti-alias filter."""
-        spectrum = np.fft.rfft(force, axis=0)[self.bin_index] * (2.0 / len(force))
-        return np.asarray((spectrum.T * self.filter_response).T)
-
-
-@dataclass(frozen=True)
-class RecordWaveform(Waveform):
-    """The waveform of a record that does not recur, whose lines are weighted sums of neighbouring ones of it.
-
-    `number` and `behind` are those of the neighbours, R in all; a line is the sum over `weight` (K, M) times those from
-    `first` (K,) on. The last neighbour is the mean, weighted by a Hann window.
-    """
-
-    first: NDArray[np.intp] = field(kw_only=True)
-    weight: ComplexArray = field(kw_only=True)
-
-    def select(self, keep: NDArray[np.bool_]) -> RecordWaveform:
-        """For the lines (K,) that are kept."""
-        return replace(self, first=self.first[keep], weight=self.weight[keep])
-
-    def to_spectral_lines(self, force: Array) -> ComplexArray:
-        """A function of time (n, ...) at the neighbours (R, ...), behind the anti-alias filter."""
-        neighbours = super().to_spectral_lines(force)
-        neighbours[-1] = 2.0 * hann_mean(force)
-        return neighbours
-
-    def combine_neighbors(self, values: ComplexArray) -> ComplexArray:
-        """Values (R, ...) at the neighbours as lines (K, ...)."""
-        from scipy.sparse import csr_array
-
-        K, M = self.weight.shape
-        neighbours = (self.first[:, None] + np.arange(M)).ravel()
-        rows = csr_array((self.weight.ravel(), neighbours, np.arange(K + 1) * M), (K, len(values)))
-        return np.asarray(rows @ values.reshape(len(values), -1)).reshape(K, *values.shape[1:])
-
-
-@dataclass(frozen=True)
-class StaticWaveform:
-    """Channels of a static run point by point, as a waveform: `volts` (m, c) and `share` (m, c) at frequency zero.
-
-    `projection` (K, m) takes a value at each point to the lines.
-    """
-
-    volts: ComplexArray
-    share: Array
-    projection: Array
-
-    @property
-    def frequency(self) -> Array:
-        """Zero (m,) [Hz]."""
-        return np.zeros(len(self.volts))
-
-    @property
-    def recurs(self) -> bool:
-        """The first point follows on the unloaded rig."""
-        return False
-
-    def select(self, keep: NDArray[np.bool_]) -> StaticWaveform:
-        """For the lines (K,) that are kept."""
-        return replace(self, projection=self.projection[keep])
-
-    def to_time_domain(self, amplitudes: ComplexArray) -> Array:
-        """The points (m, ...) themselves."""
-        return np.asarray(amplitudes.real)
-
-    def to_spectral_lines(self, force: Array) -> ComplexArray:
-        """Values at the points (m, ...) as lines (K, ...)."""
-        return np.tensordot(self.projection, force, axes=1).astype(complex)
 
 
 @dataclass(frozen=True)
@@ -195,21 +69,18 @@ class RunSpectrum:
     window: AnalysisWindow | None = None
     constant_volts: Array | None = None
     constant_loads: Array | None = None
-    waveform: Waveform | StaticWaveform | None = None
+    waveform: Waveform | None = None
     noise_parts: tuple[NoisePart, ...] = ()
 
     def select(self, keep: NDArray[np.bool_]) -> RunSpectrum:
         """Only the lines (k,) that are kept."""
-        window = self.window
-        if window is not None:
-            window = replace(window, start=window.start[keep], covariance=window.covariance[keep])
         return replace(
             self,
             frequency=self.frequency[keep],
             channels=self.channels[keep],
             loads=self.loads[keep],
             covariance=self.covariance[keep],
-            window=window,
+            window=None if self.window is None else self.window.select(keep),
             constant_volts=None if self.constant_volts is None else self.constant_volts[keep],
             constant_loads=None if self.constant_loads is None else self.constant_loads[keep],
             waveform=None if self.waveform is None else self.waveform.select(keep),

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Channel, Geometry
-from balance_cli.signals.anti_alias import anti_alias
-from balance_cli.signals.local.nonperiodic_spectrum import local_lines
+from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record
 from balance_cli.signals.periodic import samples_per_period
 from balance_cli.signals.run_samples import load_columns, read_samples, sample_rate
 from balance_cli.signals.run_spectrum import RecordWaveform, RunSpectrum, StaticPoints, Waveform, hann_mean
@@ -67,18 +67,18 @@ def nonperiodic_spectrum_with_waveform(run: Run, channel_names: Sequence[str], g
     The mean is weighted by a Hann window, so that the ends of the record do not matter; its noise is 3/2 times that of
     the plain one.
     """
-    local = local_lines(run, channel_names)
+    local = nonperiodic_record(run, channel_names)
     channels, loads = read_samples(run, channel_names)
-    mean = hann_mean(np.hstack([channels, loads[:, load_columns(local.lines.components)]]))
+    mean = hann_mean(np.hstack([channels, loads[:, load_columns(local.spectrum.components)]]))
     bin_index = np.append(local.bin_index, 0)
-    whole = waveform_from_samples(channels, sample_rate(run), local.lines, bin_index, geometry, SMOOTHING_LINES)
+    whole = waveform_from_samples(channels, sample_rate(run), local.spectrum, bin_index, geometry, SMOOTHING_LINES)
     M = local.weight.shape[1]
     waveform = RecordWaveform(
-        **{**vars(whole), "recurs": False},
+        **{**vars(whole), "is_periodic": False},
         first=np.append(local.first, len(bin_index) - M),
         weight=np.vstack([local.weight, np.eye(M)[-1]]),
     )
-    return replace(_append_mean(local.lines, mean, 1.5, 0.0, geometry), waveform=waveform)
+    return replace(_append_mean(local.spectrum, mean, 1.5, 0.0, geometry), waveform=waveform)
 
 
 def waveform_from_samples(
@@ -128,7 +128,7 @@ def _undo_anti_alias_filter(
     """Amplitudes (F, c) of samples (n, c), those before the anti-alias filter, frequency (F,) [Hz], and the filter."""
     n = len(samples)
     frequency = np.asarray(np.arange((n + 1) // 2) * (rate / n), float)
-    passed = anti_alias(geometry.acquisition, frequency)
+    passed = anti_alias_response(geometry.acquisition, frequency)
     heard = np.abs(passed) >= LEAST_FILTER_GAIN
     amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
     volts = np.where(heard[:, None], amplitudes / np.where(heard, passed, 1.0)[:, None], 0.0)
@@ -146,7 +146,7 @@ def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: 
     wide = np.zeros((len(volts), len(geometry.channels)), complex)
     wide_share = np.zeros(wide.shape)
     wide[:, places], wide_share[:, places] = volts, share
-    return Waveform(frequency, wide, wide_share, len(samples), np.arange(len(frequency)), passed, recurs=False)
+    return Waveform(frequency, wide, wide_share, len(samples), np.arange(len(frequency)), passed, is_periodic=False)
 
 
 def channel_shares(geometry: Geometry, names: Sequence[str], frequency: Array, variance: Array) -> Array:

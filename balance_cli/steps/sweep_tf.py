@@ -50,9 +50,9 @@ def estimate_responses(
             *(_nonperiodic_response(run, live[run.name], estimator, band) for run in rest),
         ),
         estimator=estimator,
-        steady={run.name: _steady_part(record) for run, record in records},
+        steady_parts={run.name: _steady_part(record) for run, record in records},
         channels_left_out=left_out,
-        unused={run.name: f"a {run.kind} run; only sweeps are used" for run in given if run.kind != "sweep"},
+        unused_runs={run.name: f"a {run.kind} run; only sweeps are used" for run in given if run.kind != "sweep"},
     )
 
 
@@ -88,21 +88,21 @@ def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[F
         groups.setdefault(_group_key(run, record), []).append((run, record))
     responses = []
     for members in groups.values():
-        inputs = len(members[0][1].lines.components)
+        inputs = len(members[0][1].spectrum.components)
         if inputs == 1:
             responses += [joint_response([record]) for _, record in members]
         elif len(members) >= inputs:
             responses.append(_with_levels(joint_response([record for _, record in members]), members))
         else:
             responses += [
-                _with_levels(response_from_one_run(run, record.lines), [(run, record)]) for run, record in members
+                _with_levels(response_from_one_run(run, record.spectrum), [(run, record)]) for run, record in members
             ]
     return responses
 
 
 def _group_key(run: Run, record: PeriodicRecord) -> tuple[object, ...]:
     """What runs must share to be solved together."""
-    lines = record.lines
+    lines = record.spectrum
     level = run.level if set(run.excited) == set(lines.components) else ()
     return (lines.components, level, lines.rotor_speed, lines.channel_names, lines.frequency.tobytes())
 

@@ -333,7 +333,7 @@ def test_noise_of_ringing_lines_is_that_of_the_record():
         noise = []
         for one in (run, quiet):
             record = periodic_record(one, geometry.channel_names)
-            window = record.lines.window
+            window = record.spectrum.window
             assert window is not None
             noise.append(np.median(window.covariance[:, 0, 0].real * (record.periods - record.first)))
         ratios.append(noise[0] / noise[1])

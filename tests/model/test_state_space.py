@@ -13,7 +13,7 @@ from balance_cli.model.realization import Realization, modal_form
 from balance_cli.model.relaxation import BAND, hysteretic_law, relaxation_chain
 from balance_cli.model.state_space import realization_error, state_space, with_anti_alias
 from balance_cli.model.system import REFERENCE_FREQUENCY, response, solve
-from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.anti_alias import anti_alias_response
 from tests.support.effect_checks import RIG, SPIN, model_with_effect
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 
@@ -264,7 +264,7 @@ def test_anti_alias_filter(order):
     acquisition = Acquisition(filter=AnalogFilter(type="butterworth", order=order, cutoff=170.0))
     system = system_of(LATE, CROSSTALK, READ)
     space = with_anti_alias(state_space(system), acquisition)
-    filtered = anti_alias(acquisition, FREQUENCY)[:, None, None] * expected(system)
+    filtered = anti_alias_response(acquisition, FREQUENCY)[:, None, None] * expected(system)
     assert error(space.response(FREQUENCY), filtered) < 1e-9
     assert len(space.A) == len(state_space(system).A) + 6 * order
     assert poles(space).real.max() < 0.0

@@ -22,7 +22,7 @@ def records():
 
 
 def test_lines_are_those_excited(records):
-    lines = records[0].lines
+    lines = records[0].spectrum
     assert lines.frequency == pytest.approx(np.arange(2, 150.1, 0.25))
     assert lines.components == ("Fx",)
     # 593 lines of equal amplitude a carry rms 40: 593 a^2 / 2 = 1600.
@@ -31,8 +31,8 @@ def test_lines_are_those_excited(records):
 
 def test_chi_square_of_the_true_response_is_one_everywhere(records):
     """5 channels, 593 lines, 6 runs: 17 790 complex values, so 1 +- 0.0075; beside the modes 1 +- 0.03."""
-    values = np.concatenate([chi2_per_dof(RIG, record.lines) for record in records])
-    near = np.concatenate([near_mode(record.lines.frequency, 0.5) for record in records])
+    values = np.concatenate([chi2_per_dof(RIG, record.spectrum) for record in records])
+    near = np.concatenate([near_mode(record.spectrum.frequency, 0.5) for record in records])
     assert values.mean() == pytest.approx(1.0, abs=0.04)
     assert values[near].mean() == pytest.approx(1.0, abs=0.12)
 
@@ -42,7 +42,7 @@ def test_noise_is_measured_within_a_few_percent(records):
     ratios = []
     for record in records:
         m = (record.periods - record.first)[:, None]
-        variance = np.diagonal(record.lines.covariance, axis1=1, axis2=2).real * m
+        variance = np.diagonal(record.spectrum.covariance, axis1=1, axis2=2).real * m
         expected = 4 * np.array([NOISE] * 5 + [LOAD_NOISE]) ** 2 / 1600
         ratios.append((variance / expected).mean(axis=0))
     assert np.mean(ratios, axis=0) == pytest.approx(np.ones(6), abs=0.05)
@@ -50,7 +50,7 @@ def test_noise_is_measured_within_a_few_percent(records):
 
 def test_periods_are_discarded_where_a_mode_still_rings(records):
     for record in records:
-        slowest = np.abs(record.lines.frequency - 20.3) < 0.3
+        slowest = np.abs(record.spectrum.frequency - 20.3) < 0.3
         assert record.first[slowest].min() > np.median(record.first)
         assert record.steady
         assert record.start == pytest.approx(record.first.max() * 4.0)
@@ -71,7 +71,7 @@ def test_two_periods_remain_however_long_the_transient():
 
 def test_transient_that_has_to_stay_is_in_the_covariance():
     short = periodic_record(RIG.multisine(periods=3), RIG.names)
-    assert chi2_per_dof(RIG, short.lines).mean() < 1.3
+    assert chi2_per_dof(RIG, short.spectrum).mean() < 1.3
 
 
 def test_record_need_not_begin_with_a_period():
@@ -80,7 +80,7 @@ def test_record_need_not_begin_with_a_period():
     cut = replace(run, samples=len(block.channels), source=MemorySource(block.channels, block.loads))
     record = periodic_record(cut, RIG.names)
     assert record.periods == 6
-    assert chi2_per_dof(RIG, record.lines).mean() == pytest.approx(1.0, abs=0.1)
+    assert chi2_per_dof(RIG, record.spectrum).mean() == pytest.approx(1.0, abs=0.1)
 
 
 def test_period_that_is_no_whole_number_of_samples():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from balance_cli.signals import waveforms
-from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.waveforms import LEAST_FILTER_GAIN, SMOOTHING_LINES, nonperiodic_spectrum_with_waveform
 from balance_cli.simulation import Noise, SweepPlan, simulate_run, true_rig
 from tests.support.rigs import rotor_balance
@@ -54,6 +54,6 @@ def test_a_stepped_record_comes_nearer_the_one_without_noise():
 
 def before_filter(run, frequency, geometry):
     """Amplitudes (F, c) of a record with the anti-alias filter taken out, where it passes enough."""
-    gain = anti_alias(geometry.acquisition, frequency)
+    gain = anti_alias_response(geometry.acquisition, frequency)
     amplitudes = np.fft.rfft(run.read().channels, axis=0)[: len(frequency)] * (2.0 / run.samples)
     return amplitudes / np.where(np.abs(gain) >= LEAST_FILTER_GAIN, gain, np.inf)[:, None]

@@ -45,9 +45,9 @@ def periodic():
 def test_periodic_runs_need_no_model(periodic):
     assert [response.run for response in periodic.responses] == ["high", "low"]
     assert {response.estimator for response in periodic.responses} == {"periodic"}
-    assert periodic.unused == {"zero": "a zero run; only sweeps are used"}
-    assert periodic.steady["high"].steady
-    assert periodic.steady["high"].stop == pytest.approx(28.0)
+    assert periodic.unused_runs == {"zero": "a zero run; only sweeps are used"}
+    assert periodic.steady_parts["high"].steady
+    assert periodic.steady_parts["high"].stop == pytest.approx(28.0)
     for response in periodic.responses:
         assert np.percentile(relative_error(RIG, response.frequency, response.response), 95) < 2e-3
 
@@ -151,7 +151,7 @@ def test_dead_channels_and_runs_without_any():
 
 def test_lines_and_response_of_a_run_agree():
     run = RIG.multisine(periods=4)
-    lines = periodic_record(run, RIG.names).lines
+    lines = periodic_record(run, RIG.names).spectrum
     (response,) = estimate_responses([run], GEOMETRY).responses
     assert response.response[:, :, 0] == pytest.approx(lines.channels / lines.loads)
 
@@ -178,7 +178,7 @@ def test_command(tmp_path):
     assert said["left_out"] == {"wind-1": "a wind run; only sweeps are used"}
     transfer = load_artefact(out, {"balance-transfer/1": Transfer}).content
     assert transfer.responses[0].frequency[[0, -1]] == pytest.approx([2.0, 150.0])
-    assert transfer.steady["sweep-Mz-low"].steady
+    assert transfer.steady_parts["sweep-Mz-low"].steady
 
 
 def test_same_inputs_same_digest(tmp_path):

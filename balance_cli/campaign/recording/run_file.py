@@ -14,7 +14,6 @@ import numpy as np
 
 from balance_cli.campaign.recording.run import Array, Run, SampleBlock, run_digest
 from balance_cli.campaign.recording.run_schema import (
-    FORMAT,
     DatasetLayout,
     RunFileContents,
     load_sample_faults,
@@ -26,6 +25,7 @@ from balance_cli.campaign.rig.components import COMPONENTS, UNITS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import RUN_FORMAT
 from balance_cli.io.sniff import attribute_text, describe_file, is_hdf5, require_file
 
 CHUNK_ROWS = 4096
@@ -68,13 +68,13 @@ def read_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
         contents = _read_contents(path)
         faults = tuple(run_file_faults(contents))
         if faults:
-            return None, tuple(fault.at(file=str(path)) for fault in faults)
+            return None, tuple(fault.with_location(file=str(path)) for fault in faults)
         order = None if contents.loads is None else tuple(contents.loads.names.index(name) for name in COMPONENTS)
         run = run_from_contents(contents, Hdf5Source(path, order), path)
         faults = tuple(load_sample_faults(run))
-        return replace(run, digest=run_digest(run)), tuple(fault.at(file=str(path)) for fault in faults)
+        return replace(run, digest=run_digest(run)), tuple(fault.with_location(file=str(path)) for fault in faults)
     except UserError as error:
-        return None, (error.at(file=str(path)),)
+        return None, (error.with_location(file=str(path)),)
 
 
 def open_runs(
@@ -163,7 +163,7 @@ def _attributes(run: Run) -> dict[str, Any]:
     several = len(run.excited) > 1
     excited = np.array(run.excited, h5py.string_dtype()) if several else "".join(run.excited)
     values = {
-        "format": FORMAT,
+        "format": RUN_FORMAT,
         "kind": run.kind,
         "run": run.name,
         "rig": run.rig,
@@ -214,7 +214,7 @@ def _read_contents(path: Path) -> RunFileContents:
         raise _not_a_run_error(path)
     with report_damage(path), h5py.File(path, "r") as file:
         attributes = _read_attributes(file, RUN_ATTRIBUTES)
-        if attributes.get("format") != FORMAT:
+        if attributes.get("format") != RUN_FORMAT:
             raise _not_a_run_error(path)
         pulses, attitude = file.get("rotor/pulse_times"), _read_table(file, "attitude", "unit")
         return RunFileContents(
@@ -228,7 +228,9 @@ def _read_contents(path: Path) -> RunFileContents:
 
 
 def _not_a_run_error(path: Path) -> UserError:
-    return UserError(f"is {describe_file(path)}, where a run file (`{FORMAT}`) was expected", remedy="Give a run file")
+    return UserError(
+        f"is {describe_file(path)}, where a run file (`{RUN_FORMAT}`) was expected", remedy="Give a run file"
+    )
 
 
 def _read_table(file: h5py.File, name: str, units: str) -> DatasetLayout | None:

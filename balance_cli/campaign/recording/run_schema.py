@@ -15,7 +15,6 @@ from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS, EXCITATIONS, RUN_KINDS, UNIT_OF
 from balance_cli.io.errors import UserError
 
-FORMAT = "balance-run/1"
 KINDS_WITH_LOADS = ("static", "sweep", "check")
 KINDS_WITH_PULSES = ("check", "wind")
 

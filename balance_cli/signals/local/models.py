@@ -125,7 +125,7 @@ def record_spectrum(
     )
 
 
-def local_models(spectrum: ScaledSpectrum, estimator: str = "lrm") -> LocalModels:
+def fit_local_models(spectrum: ScaledSpectrum, estimator: str = "lrm") -> LocalModels:
     """Fit the sliding windows twice: for the noise of channels and loads, then weighted with it."""
     u = spectrum.loads.shape[1]
     candidates, M, hop = _window_layout(estimator, u, spectrum.frequency)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.local.models import LocalModels, local_models, record_spectrum
+from balance_cli.signals.local.models import LocalModels, fit_local_models, record_spectrum
 from balance_cli.signals.local.window import design_matrix, design_pseudoinverse, poles, response_rows
 from balance_cli.signals.run_samples import run_error, sample_rate
 from balance_cli.signals.run_spectrum import RunSpectrum
@@ -56,7 +56,7 @@ class NonperiodicRecord:
     `number` (R,) are those of the neighbours to which `first` (K,) refers.
     """
 
-    lines: RunSpectrum
+    spectrum: RunSpectrum
     bin_index: Index
     first: Index
     weight: ComplexArray
@@ -65,18 +65,20 @@ class NonperiodicRecord:
 def nonperiodic_spectrum(
     run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
 ) -> RunSpectrum:
-    """The lines of `local_lines`."""
-    return local_lines(run, channel_names, band).lines
+    """The lines of `nonperiodic_record`."""
+    return nonperiodic_record(run, channel_names, band).spectrum
 
 
-def local_lines(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> NonperiodicRecord:
+def nonperiodic_record(
+    run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
+) -> NonperiodicRecord:
     """Independent lines of a random, sine-sweep or stepped record within `band` [Hz].
 
     Each group of neighbouring lines gives as many experiments as components were excited, one after the other at the
     same frequency. The covariance holds the channels' noise and the loads', without correlation between them.
     UserError: no loads, record too short, or no line at which the loads stand above their noise.
     """
-    models = local_models(record_spectrum(run, channel_names, band))
+    models = fit_local_models(record_spectrum(run, channel_names, band))
     everything = [group for w in range(len(models.fit)) for group in _line_groups(models, w)]
     noise = models.noise.loads
     kept = [group for group in everything if _exceeds_noise(group.loads, noise)]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.local.models import LocalModels, decimate_lines, local_models, local_power, record_spectrum
+from balance_cli.signals.local.models import LocalModels, decimate_lines, fit_local_models, local_power, record_spectrum
 from balance_cli.signals.local.window import design_pseudoinverse, pole_uncertainty, response_rows
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
@@ -24,7 +24,7 @@ def local_response(
 
     Several components excited at once are told apart where their spectra differ. UserError: no loads, record too short.
     """
-    models = local_models(record_spectrum(run, channel_names, band), estimator)
+    models = fit_local_models(record_spectrum(run, channel_names, band), estimator)
     return response_from_models(models, estimator)
 
 

@@ -35,7 +35,7 @@ def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
     Runs are weighed alike; the noise of the channels is the mean over the runs. UserError where the runs do not tell
     the components apart (their loads are in proportion to each other).
     """
-    lines = [record.lines for record in records]
+    lines = [record.spectrum for record in records]
     U = np.stack([each.loads for each in lines], axis=2)
     Y = np.stack([each.channels for each in lines], axis=2)
     size = np.sqrt(np.mean(np.abs(U) ** 2, axis=(0, 2)))

@@ -32,16 +32,16 @@ class SteadyPart:
 class Transfer:
     """Measured responses of a rig, one per run and level (or one for runs that were solved together).
 
-    `estimator` is what was asked for; each response names its own. `steady` {run: part used}; `channels_left_out`
-    {run: {channel: why}}; `unused` {run: why}.
+    `estimator` is what was asked for; each response names its own. `steady_parts` {run: part used}; `channels_left_out`
+    {run: {channel: why}}; `unused_runs` {run: why}.
     """
 
     geometry: Geometry
     responses: tuple[FrequencyResponse, ...]
     estimator: str = "auto"
-    steady: dict[str, SteadyPart] = field(default_factory=dict)
+    steady_parts: dict[str, SteadyPart] = field(default_factory=dict, metadata={"stored_as": "steady"})
     channels_left_out: dict[str, dict[str, str]] = field(default_factory=dict)
-    unused: dict[str, str] = field(default_factory=dict)
+    unused_runs: dict[str, str] = field(default_factory=dict, metadata={"stored_as": "unused"})
 
 
 def response_to_component(transfer: Transfer, component: str, level: str = "highest") -> FrequencyResponse:

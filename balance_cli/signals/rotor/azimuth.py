@@ -49,7 +49,7 @@ class Azimuth:
     notes: tuple[str, ...] = ()
 
     @cached_property
-    def count(self) -> BSpline:
+    def revolution_count(self) -> BSpline:
         """Revolutions since the first pulse, a spline over time [s]."""
         from scipy.interpolate import make_interp_spline
 
@@ -78,25 +78,29 @@ class Azimuth:
 
     def psi(self, time: ArrayLike) -> Array:
         """Azimuth [rad] at `time` [s], 0 at the first pulse and a multiple of 2 pi at each, NaN outside the pulses."""
-        return 2.0 * np.pi * self._evaluate_within_pulses(time, self.count)
+        return 2.0 * np.pi * self._evaluate_within_pulses(time, self.revolution_count)
 
     def speed(self, time: ArrayLike) -> Array:
         """Rotor speed [Hz] at `time` [s], NaN outside the pulses."""
-        return self._evaluate_within_pulses(time, self.count.derivative())
+        return self._evaluate_within_pulses(time, self.revolution_count.derivative())
 
     def extrapolated_count(self, time: ArrayLike) -> Array:
         """Revolutions since the first pulse at any `time` [s], before and after the pulses at the speed there."""
         t = np.asarray(time, float)
         inside = np.clip(t, self.first, self.last)
-        first, last = self.count.derivative()(np.array([self.first, self.last]))
-        return np.asarray(self.count(inside) + np.where(t < self.first, first, last) * (t - inside))
+        first, last = self.revolution_count.derivative()(np.array([self.first, self.last]))
+        return np.asarray(self.revolution_count(inside) + np.where(t < self.first, first, last) * (t - inside))
 
     def time_of(self, revolution: ArrayLike) -> Array:
         """Time [s] at which the count of revolutions reaches `revolution` (between 0 and `turns`)."""
         target = np.asarray(revolution, float)
         time = np.interp(target, self.revolutions, self.pulse_times)
         for _ in range(4):
-            time = np.clip(time - (self.count(time) - target) / self.count.derivative()(time), self.first, self.last)
+            time = np.clip(
+                time - (self.revolution_count(time) - target) / self.revolution_count.derivative()(time),
+                self.first,
+                self.last,
+            )
         return np.asarray(time, float)
 
     def _evaluate_within_pulses(self, time: ArrayLike, curve: BSpline) -> Array:

@@ -105,7 +105,7 @@ class _NormalEquations:
     samples: int = 0
 
 
-def harmonics(
+def estimate_harmonics(
     run: Run,
     azimuth: Azimuth,
     n: int = 8,

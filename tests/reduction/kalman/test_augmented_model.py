@@ -13,7 +13,7 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.reduction.kalman.augmented_model import MeasuredSystem, initial_covariance, sampled_system
 from balance_cli.reduction.kalman.load_models import LowPassDrift, Oscillators
-from balance_cli.signals.anti_alias import anti_alias
+from balance_cli.signals.anti_alias import anti_alias_response
 from tests.support.kalman_models import Array
 from tests.support.rigs import rotor_balance
 
@@ -76,7 +76,7 @@ def test_the_response_has_the_anti_alias_filter_in_it():
     bare = balance_model(
         geometry.model_copy(update={"effects": (DeclaredEffect(name=LATE[0], where=LATE[1], parameters=LATE[2]),)})
     ).system()
-    exact = anti_alias(geometry.acquisition, 140.0) * state_space(bare, 17.5).response(140.0)[0]
+    exact = anti_alias_response(geometry.acquisition, 140.0) * state_space(bare, 17.5).response(140.0)[0]
     size = np.abs(exact).max(axis=0)
     assert (np.abs(_sampled_response(system, 17.5, 8) - exact) / size).max() < 1e-9
 

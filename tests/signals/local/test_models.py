@@ -7,8 +7,8 @@ import pytest
 
 from balance_cli.io.errors import UserError
 from balance_cli.signals.local.fit import ModelOrders, WindowedData, fit_windows
-from balance_cli.signals.local.models import local_models, record_spectrum
-from balance_cli.signals.local.nonperiodic_spectrum import local_lines, nonperiodic_spectrum
+from balance_cli.signals.local.models import fit_local_models, record_spectrum
+from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record, nonperiodic_spectrum
 from balance_cli.signals.local.response import local_response, response_from_models
 from balance_cli.signals.local.window import (
     derivative_rows,
@@ -37,7 +37,7 @@ def run(request):
 
 @pytest.fixture(scope="module")
 def models(run):
-    return local_models(record_spectrum(run, RIG.names, BAND))
+    return fit_local_models(record_spectrum(run, RIG.names, BAND))
 
 
 @pytest.fixture(scope="module")
@@ -234,12 +234,12 @@ def test_lines_of_a_stepped_record_are_wrong_by_little_beside_their_noise():
     plan = SweepPlan(run="sweep-Fx", excited=("Fx",), level=(40.0,), excitation="stepped", period=2.0, periods=5)
     noisy, _ = simulate_run(rig, plan, seed=2)
     clean, _ = simulate_run(rig, plan, Noise().scaled(0.0), seed=2)
-    found = local_lines(noisy, geometry.channel_names)
+    found = nonperiodic_record(noisy, geometry.channel_names)
     window = found.first[:, None] + np.arange(found.weight.shape[1])
     channels, loads = read_samples(clean, geometry.channel_names)
     spectrum = np.fft.rfft(np.hstack([channels, loads[:, :1]]), axis=0)[found.bin_index] * (2.0 / len(channels))
     exact = np.matmul(found.weight[:, None, :], spectrum[window])[:, 0]
-    lines = found.lines
+    lines = found.spectrum
     T = identified_response(rig, lines.frequency)
     left = exact[:, :-1] - T * exact[:, -1:]
     noise = lines.covariance[:, :-1, :-1] + T[:, :, None] * T[:, None, :].conj() * lines.covariance[:, -1:, -1:].real

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
-from balance_cli.signals.local.models import local_models, record_spectrum
-from balance_cli.signals.local.nonperiodic_spectrum import local_lines
+from balance_cli.signals.local.models import fit_local_models, record_spectrum
+from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record
 from balance_cli.signals.local.response import response_from_models
 from balance_cli.simulation import SweepPlan, simulate_run, true_rig
 from tests.support.rigs import rotor_balance
@@ -45,7 +45,7 @@ def spectrum_of(signal):
 
 
 def models_of(run):
-    return local_models(record_spectrum(run, run.channel_names, BAND))
+    return fit_local_models(record_spectrum(run, run.channel_names, BAND))
 
 
 def numbers(models):
@@ -121,11 +121,11 @@ def test_lines_for_identification_still_hold_the_tone(record):
     """They are sums over the lines of the whole record, by weights that do not take a tone out."""
     run, frequency, _, _ = record
     both = with_tone(run, frequency)
-    found = local_lines(both, run.channel_names, BAND)
+    found = nonperiodic_record(both, run.channel_names, BAND)
     expected = summed(found, run.read().channels)
     expected[:, CHANNEL] += summed(found, tone_of(run, frequency))
-    np.testing.assert_allclose(found.lines.channels, expected, atol=1e-9 * np.abs(expected).max())
-    taken_out = local_lines(replace(both, rotor_speed=17.5), run.channel_names, BAND)
+    np.testing.assert_allclose(found.spectrum.channels, expected, atol=1e-9 * np.abs(expected).max())
+    taken_out = nonperiodic_record(replace(both, rotor_speed=17.5), run.channel_names, BAND)
     assert heard(found, tone_of(run, frequency)) > 300.0
     assert heard(taken_out, tone_of(run, frequency)) < 10.0
 
@@ -139,7 +139,7 @@ def summed(lines, signal):
 
 def heard(lines, tone):
     """The chi-square of a tone in the channel's lines."""
-    variance = lines.lines.covariance[:, CHANNEL, CHANNEL].real
+    variance = lines.spectrum.covariance[:, CHANNEL, CHANNEL].real
     return float(np.sum(np.abs(summed(lines, tone)) ** 2 / variance))
 
 

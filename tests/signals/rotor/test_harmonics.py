@@ -5,7 +5,7 @@ from scipy.signal import lfilter
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
-from balance_cli.signals.rotor.harmonics import edge_weight, harmonics
+from balance_cli.signals.rotor.harmonics import edge_weight, estimate_harmonics
 
 RATE, SAMPLE_RATE = 17.5, 800.0
 
@@ -54,7 +54,7 @@ def test_periodic_signals_come_out_exactly_whatever_the_speed_does(drift, block)
     truth = amplitudes(1, 12, 3)
     time = time_of(20)
     azimuth = azimuth_from_pulses(pulse_times(20, drift))
-    found = harmonics(run_of(periodic(truth, 2 * np.pi * (count(time, drift) - 1))), azimuth, block=block)
+    found = estimate_harmonics(run_of(periodic(truth, 2 * np.pi * (count(time, drift) - 1))), azimuth, block=block)
     # 1e-8 revolutions at worst from the spline through the pulses of this quick drift, none without drift.
     np.testing.assert_allclose(found.amplitude, truth[:9], atol=1e-10 if drift == 0.0 else 1e-8)
     np.testing.assert_allclose(found.frequency_hz, np.arange(9) * azimuth.mean_rate, rtol=1e-9)
@@ -66,14 +66,14 @@ def test_exact_where_the_azimuth_is_exact():
     azimuth = azimuth_from_pulses(pulse_times(20, 0.05))
     time = time_of(20)
     inside = np.clip(time, azimuth.first, azimuth.last)
-    found = harmonics(run_of(periodic(truth, azimuth.psi(inside))), azimuth)
+    found = estimate_harmonics(run_of(periodic(truth, azimuth.psi(inside))), azimuth)
     np.testing.assert_allclose(found.amplitude, truth[:9], atol=1e-10)
 
 
 def test_cosine_sine_and_phase_follow_the_convention():
     azimuth = azimuth_from_pulses(pulse_times(20, 0.0))
     psi = 2 * np.pi * (count(time_of(20), 0.0) - 1)
-    found = harmonics(run_of((3 * np.cos(2 * psi) + 4 * np.sin(2 * psi))[:, None]), azimuth, n=3)
+    found = estimate_harmonics(run_of((3 * np.cos(2 * psi) + 4 * np.sin(2 * psi))[:, None]), azimuth, n=3)
     assert found.cosine[2, 0] == pytest.approx(3) and found.sine[2, 0] == pytest.approx(4)
     assert np.abs(found.amplitude[2, 0]) == pytest.approx(5)
 
@@ -82,7 +82,7 @@ def test_an_amplitude_that_moves_does_not_leak_into_its_neighbours():
     time, azimuth = time_of(30), azimuth_from_pulses(pulse_times(30, 0.03))
     psi = 2 * np.pi * (count(time, 0.03) - 1)
     moving = 1.0 + 0.2 * (time / 30) + 0.3 * np.sin(2 * np.pi * time / 13)
-    found = harmonics(run_of((moving * np.cos(4 * psi))[:, None]), azimuth, n=8)
+    found = estimate_harmonics(run_of((moving * np.cos(4 * psi))[:, None]), azimuth, n=8)
     inside = (time >= azimuth.first) & (time <= azimuth.last)
     assert found.amplitude[4, 0] == pytest.approx(np.mean(moving[inside]), rel=1e-4)
     others = np.delete(np.abs(found.amplitude[:, 0]), 4)
@@ -100,7 +100,7 @@ def test_loads_are_fitted_with_the_channels_and_unmeasured_ones_stay_zero():
     channels = periodic(amplitudes(4, 8, 2), psi) + shared
     loads = np.zeros((len(psi), 6))
     loads[:, 2:3] = 100 * np.cos(psi)[:, None] - 3 * shared
-    found = harmonics(run_of(channels, loads), azimuth)
+    found = estimate_harmonics(run_of(channels, loads), azimuth)
     assert found.names == ("c0", "c1", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
     fx, fz, c0 = found.columns(["Fx", "Fz", "c0"])
     assert np.all(found.amplitude[:, fx] == 0) and np.all(found.covariance[:, fx] == 0)
@@ -127,7 +127,7 @@ def test_coverage_of_the_sigma_on_coloured_noise(kind):
     signal = periodic(truth, 2 * np.pi * (count(time, 0.02) - 1))
     inside, mean_inside, cross = [], [], []
     for _ in range(6):
-        found = harmonics(run_of(signal + coloured(kind, rng, signal.shape)), azimuth)
+        found = estimate_harmonics(run_of(signal + coloured(kind, rng, signal.shape)), azimuth)
         error = found.amplitude - truth
         variance = np.real(np.diagonal(found.covariance, axis1=1, axis2=2))
         sigma = np.sqrt(variance[1:] / 2)
@@ -149,7 +149,7 @@ def test_mains_beside_a_harmonic_do_not_widen_its_sigma():
     noise = rng.normal(size=(len(time), 4))
     mains = np.zeros_like(noise)
     mains[:, 1] = 0.5 * np.sin(2 * np.pi * 51.6 * time)  # 27 lines from 3/rev
-    quiet, loud = (harmonics(run_of(x), azimuth).covariance[3, 1, 1].real for x in (noise, noise + mains))
+    quiet, loud = (estimate_harmonics(run_of(x), azimuth).covariance[3, 1, 1].real for x in (noise, noise + mains))
     assert loud == pytest.approx(quiet, rel=0.15)
 
 
@@ -159,7 +159,7 @@ def test_a_moving_amplitude_does_not_widen_the_sigma():
     psi = 2 * np.pi * (count(time, 0.0) - 1)
     noise = 1e-3 * rng.normal(size=(len(time), 4))
     moving = (1 + 0.1 * np.sin(2 * np.pi * time / 12)) * np.cos(4 * psi)
-    quiet, moved = (harmonics(run_of(x), azimuth).covariance for x in (noise, noise + moving[:, None]))
+    quiet, moved = (estimate_harmonics(run_of(x), azimuth).covariance for x in (noise, noise + moving[:, None]))
     np.testing.assert_allclose(np.abs(moved[4]).trace(), np.abs(quiet[4]).trace(), rtol=0.3)
 
 
@@ -175,11 +175,11 @@ def test_what_cannot_be_done_is_refused():
     azimuth = azimuth_from_pulses(pulse_times(20, 0.0))
     run = run_of(np.zeros((16000, 1)))
     with pytest.raises(UserError, match="beyond half the sample rate"):
-        harmonics(run, azimuth, n=23)
+        estimate_harmonics(run, azimuth, n=23)
     with pytest.raises(UserError, match="at least 10"):
-        harmonics(run, azimuth, first_revolution=100, last_revolution=105)
+        estimate_harmonics(run, azimuth, first_revolution=100, last_revolution=105)
     spoilt = np.zeros((16000, 2))
     spoilt[5000, 1] = np.nan
     with pytest.raises(UserError, match="channel c1"):
-        harmonics(run_of(spoilt), azimuth)
-    assert harmonics(run_of(spoilt), azimuth, names=["c0"]).names == ("c0",)
+        estimate_harmonics(run_of(spoilt), azimuth)
+    assert estimate_harmonics(run_of(spoilt), azimuth, names=["c0"]).names == ("c0",)
