@@ -1,0 +1,44 @@
+"""How a result shows itself in a console and in a notebook: a summary of a few lines, and a table."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from html import escape
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MAX_HTML_ROWS = 20
+"""Rows of a table in a notebook; pandas shortens a longer one in the middle."""
+
+
+class ResultView:
+    """Base of the results that artefacts hold, for dataclasses with `repr=False`.
+
+    A result writes its summary (`summary_lines`, at most six lines) and its table (`to_frame`) itself; both read stored
+    fields only, so that neither the digest nor the file of a result depends on them.
+    """
+
+    @abstractmethod
+    def summary_lines(self) -> Iterator[str]:
+        """The result in one to six lines: what it is, how many, how good, and what is flagged."""
+
+    @abstractmethod
+    def to_frame(self) -> pd.DataFrame:
+        """The result as one table."""
+
+    def __repr__(self) -> str:
+        return "\n".join(self.summary_lines())
+
+    def _repr_html_(self) -> str:
+        """The summary and the table, for a notebook."""
+        lines = "<br>".join(escape(line) for line in self.summary_lines())
+        table = self.to_frame().to_html(max_rows=MAX_HTML_ROWS, show_dimensions=True, border=0, index=False)
+        return f"<p>{lines}</p>\n{table}"
+
+
+def plural(count: int, noun: str) -> str:
+    """`1 run`, `2 runs`."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
