@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
+from balance_cli.io.result_view import ResultView, plural
 from balance_cli.signals.run_spectrum import FrequencyResponse
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -28,8 +34,8 @@ class SteadyPart:
     steady: bool
 
 
-@dataclass(frozen=True)
-class Transfer:
+@dataclass(frozen=True, repr=False)
+class Transfer(ResultView):
     """Measured responses of a rig, one per run and level (or one for runs that were solved together).
 
     `estimator` is what was asked for; each response names its own. `steady_parts` {run: part used}; `channels_left_out`
@@ -42,6 +48,55 @@ class Transfer:
     steady_parts: dict[str, SteadyPart] = field(default_factory=dict, metadata={"stored_as": "steady"})
     channels_left_out: dict[str, dict[str, str]] = field(default_factory=dict)
     unused_runs: dict[str, str] = field(default_factory=dict, metadata={"stored_as": "unused"})
+
+    def summary_lines(self) -> Iterator[str]:
+        """Runs, components and band, least coherence, channels left out."""
+        components = " ".join(response_components(self))
+        yield f"Frequency responses of {self.geometry.rig}: {plural(len(self.responses), 'response')} to {components}"
+        low = min(float(response.frequency[0]) for response in self.responses)
+        high = max(float(response.frequency[-1]) for response in self.responses)
+        lines = sum(len(response.frequency) for response in self.responses)
+        yield f"  {plural(lines, 'spectral line')} from {low:.4g} to {high:.4g} Hz, estimator {self.estimator}"
+        coherence = least_coherence(self)
+        worst = min(coherence, key=lambda name: coherence[name])
+        yield f"  least coherence {coherence[worst]:.4f} ({worst})"
+        lost = sorted({channel for channels in self.channels_left_out.values() for channel in channels})
+        if lost:
+            yield f"  channels left out: {', '.join(lost)}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row for each run, component, channel and spectral line (long form).
+
+        `response` is complex [V/N, V/(N m)], output/input with exp(+j omega t); `sigma` is the standard deviation of
+        the complex number, sqrt(E|error|^2).
+        """
+        import pandas as pd
+
+        return pd.concat([_response_frame(response) for response in self.responses], ignore_index=True)
+
+
+def _response_frame(response: FrequencyResponse) -> pd.DataFrame:
+    """The rows of one response, by component, channel and spectral line."""
+    import pandas as pd
+
+    k, c, u = response.response.shape
+    channel_variance = np.diagonal(response.channel_covariance, axis1=1, axis2=2).real
+    load_variance = np.diagonal(response.load_covariance, axis1=1, axis2=2).real
+    variance = channel_variance[:, :, None] * load_variance[:, None, :]
+    values = response.response.transpose(2, 1, 0).ravel()
+    return pd.DataFrame(
+        {
+            "run": response.run,
+            "component": np.repeat(response.components, c * k),
+            "channel": np.tile(np.repeat(response.channel_names, k), u),
+            "frequency_hz": np.tile(response.frequency, u * c),
+            "response": values,
+            "magnitude": np.abs(values),
+            "phase_deg": np.degrees(np.angle(values)),
+            "sigma": np.sqrt(variance).transpose(2, 1, 0).ravel(),
+            "coherence": response.coherence.transpose(2, 1, 0).ravel(),
+        }
+    )
 
 
 def response_to_component(transfer: Transfer, component: str, level: str = "highest") -> FrequencyResponse:
