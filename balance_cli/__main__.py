@@ -3,17 +3,17 @@
 import os
 import sys
 
-# The matrices here are many and small: threads in BLAS cost more than they bring, tenfold on a busy machine.
+# With many small matrices BLAS threads cost more than they gain: up to ten times the run time on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from balance_cli.cli import balance
 
-# Two threads that share many short calls of numpy else wait for each other: a tenth of a diagnosis.
+# [s]. With the default of 5 ms, threads that alternate short numpy calls wait for each other: 10 % of `diagnose`.
 SWITCH_INTERVAL = 5e-4
 
 
 def main() -> None:
-    """Run the program on the words of the command line."""
+    """Run the program with the arguments of the command line."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     balance(prog_name="balance")
 

@@ -24,7 +24,7 @@ class SimulatedCampaign:
     runs: tuple
     truths: dict
 
-    def of(self, *kinds):
+    def runs_of_kind(self, *kinds):
         return tuple(run for run in self.runs if run.kind in kinds)
 
 
@@ -62,4 +62,4 @@ def identified(campaign):
 def calibration(campaign):
     from balance_cli.steps.calibrate import calibrate
 
-    return calibrate(campaign.of("static"), campaign.geometry)
+    return calibrate(campaign.runs_of_kind("static"), campaign.geometry)

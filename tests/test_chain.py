@@ -177,7 +177,7 @@ def test_loads_that_the_remaining_channels_do_not_determine_end_with_one_message
 
     from balance_cli.campaign.recording.run import MemorySource
 
-    run = campaign.of("check")[0]
+    run = campaign.runs_of_kind("check")[0]
     block = run.read()
     channels = block.channels.copy()
     channels[:, run.channel_names.index("torque")] = 0.0

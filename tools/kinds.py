@@ -1,8 +1,8 @@
-"""From the summary of `balance check --json`: which runs are of which kind, for the pipeline of a campaign.
+"""Sort the runs of a campaign by kind for its pipeline, from the summary of `balance check --json`.
 
-Writes `kinds.mk`, the make variables STATIC, SWEEP, CHECK, WIND and ZERO; and beside it one list a kind (and one of the
-geometry) with the digest of every file, touched only where it changes: a step depends on the lists of what it uses, so
-that it is made again when their content changes, whatever the files' times.
+Writes `kinds.mk` with the make variables STATIC, SWEEP, CHECK, WIND and ZERO. Beside it, one list per kind (and one for
+the geometry) holds the digest of every file and is rewritten only where it changes. Each step depends on the lists of
+the files that it uses, so that it runs again when their content changes, whatever the modification times.
 """
 
 import json

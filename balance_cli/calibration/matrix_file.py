@@ -34,4 +34,4 @@ def read_matrix_file(path: Path) -> tuple[ParsedMatrix, str]:
     try:
         return read_matrix(text), hashlib.sha256(content).hexdigest()
     except UserError as error:
-        raise error.at(file=str(path)) from error
+        raise error.with_location(file=str(path)) from error

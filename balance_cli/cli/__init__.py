@@ -21,7 +21,7 @@ class LazyGroup(BalanceCommand, click.Group):
     """A group that imports a command's module only when that command is asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The commands there are, in the order in which a campaign uses them."""
+        """The names of the commands, in the order in which a campaign uses them."""
         return [name for name in COMMANDS if importlib.util.find_spec(_module_name(name))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -38,5 +38,5 @@ class LazyGroup(BalanceCommand, click.Group):
 def balance() -> None:
     """From raw volts of a rotor balance to rotor-harmonic hub loads.
 
-    Exit status: 0 done; 1 a fault of ours; 2 the input or the call is wrong, and nothing was written.
+    Exit status: 0 done; 1 internal error; 2 the input or the call is wrong, and nothing was written.
     """

@@ -1,6 +1,6 @@
-"""What all commands share: one session a call, one place for errors and exit status.
+"""What all commands share: one session per call, which reads inputs, writes outputs and reports.
 
-A command reads, does one step, writes, and says what happened:
+A command reads its inputs, runs one step, writes the result and prints a summary:
 
     @balance_command("calibrate")
     @geometry_option
@@ -17,11 +17,11 @@ A command reads, does one step, writes, and says what happened:
         session.save(output, "balance-calibration/1", calibration)
         session.finish(summary={"trims": ...}, text=["2 trims", ...])
 
-`--json` and `-v` come with the decorator. What was read is remembered for the provenance. Outputs (`save`, `stage`,
-`stage_in`) are prepared beside their places and moved there together when the command returns without an exception;
-so is the JSON. `session.warn` and `session.left_out` reach stderr and the JSON. `session.status = 3` sets the exit
-status of a call that otherwise succeeded. Own options: use the types InputFile, OutputFile and OutputFolder of
-`balance_cli.cli.options`, then their paths are checked before the command starts.
+The decorator adds `--json` and `-v`. The session records all inputs for the provenance. Outputs (`save`, `stage`,
+`stage_in`) and the JSON are written beside their final paths and moved there together when the command returns without
+an exception. `session.warn` and `session.report_left_out` write to stderr and to the JSON. `session.status = 3` sets
+the exit status of a call that otherwise succeeded. Declare the options of a command with the types InputFile,
+OutputFile and OutputFolder of `balance_cli.cli.options`: their paths are then checked before the command starts.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from balance_cli.cli.errors import BalanceCommand
-from balance_cli.cli.log_messages import messages
+from balance_cli.cli.log_messages import log_to_stderr
 from balance_cli.cli.options import (
     InputFile,
     OutputFile,
@@ -75,7 +75,7 @@ T = TypeVar("T")
 
 
 class Session:
-    """One call of one command: what it read, what it will write, what it has to say."""
+    """One call of one command: its inputs, outputs, warnings and summary."""
 
     def __init__(self, context: click.Context, json_path: Path | None) -> None:
         self.status = 0
@@ -91,7 +91,7 @@ class Session:
         self._text: tuple[str, ...] = ()
 
     def geometry(self, path: Path) -> Geometry:
-        """Read a geometry, and remember it as an input."""
+        """Read a geometry and record it as an input."""
         from balance_cli.campaign.rig.geometry_file import geometry_digest, load_geometry
 
         geometry = load_geometry(path)
@@ -106,8 +106,9 @@ class Session:
         role: str = "run",
         disjoint_from: Iterable[Run] = (),
     ) -> tuple[Run, ...]:
-        """Open run files of this rig, and remember them as inputs in this role; UserError if one is in
-        `disjoint_from`.
+        """Open run files of this rig and record them as inputs with this role.
+
+        Raises UserError for a run that is also in `disjoint_from` and, unless `skip_bad`, for an unusable file.
         """
         from balance_cli.campaign.recording.run_file import open_runs
 
@@ -115,15 +116,15 @@ class Session:
         for path, reason in skipped.items():
             self._skipped[str(path)] = reason
             self._echo_warning(f"skipped: {reason}")
-        taken = {run.name for run in disjoint_from}
+        used_names = {run.name for run in disjoint_from}
         for run in runs:
-            if run.name in taken:
-                raise UserError(f"run `{run.name}` is in both lists", str(run.path), remedy="Give it in one of them")
+            if run.name in used_names:
+                raise UserError(f"run `{run.name}` is in both lists", str(run.path), remedy="Give it in one list only")
             self._inputs.append((run.name, role, run.digest))
         return runs
 
     def artefact(self, path: Path, types: Mapping[str, type[Any]], role: str = "artefact") -> Artefact:
-        """Read an artefact of one of the formats in `types`, and remember it as an input."""
+        """Read an artefact of one of the formats in `types` and record it as an input."""
         from balance_cli.io.artefacts import load_artefact
 
         artefact = load_artefact(path, types)
@@ -131,15 +132,15 @@ class Session:
         return artefact
 
     def matrix(self, path: Path) -> ParsedMatrix:
-        """Read a matrix, and remember it as an input."""
+        """Read a matrix and record it as an input."""
         from balance_cli.calibration.matrix_file import read_matrix_file
 
-        stated, digest = read_matrix_file(path)
+        matrix, digest = read_matrix_file(path)
         self._inputs.append((path.name, "matrix", digest))
-        return stated
+        return matrix
 
     def progress(self, items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
-        """The same items, with a progress bar on stderr where that is a terminal."""
+        """The same items, with a progress bar where stderr is a terminal."""
         if not sys.stderr.isatty():
             return items
         from tqdm import tqdm
@@ -148,53 +149,53 @@ class Session:
         return bar
 
     def provenance(self) -> Provenance:
-        """Command, options that differ from their defaults, inputs read so far, versions, time."""
+        """Command, non-default options, inputs read so far, package versions and time."""
         from balance_cli.io.artefacts import Input, make_provenance
 
         inputs = tuple(Input(*entry) for entry in self._inputs)
         return make_provenance(self._context.info_name or "", non_default_options(self._context), inputs)
 
     def save(self, path: Path, format: str, content: Any) -> None:
-        """Prepare an artefact of this format at `path`, with the provenance of all that was read so far."""
+        """Stage an artefact of this format for `path`, with the provenance of all inputs read so far."""
         from balance_cli.io.artefacts import save_artefact
 
         save_artefact(self.stage(path), format, content, self.provenance())
 
     def write_text(self, path: Path, text: str) -> None:
-        """Prepare a text file at `path`."""
+        """Stage a text file for `path`."""
         part = self.stage(path)
         with os_errors_as_user_error(path):
             part.write_text(text, encoding="utf-8", newline="\n")
 
     def stage(self, path: Path) -> Path:
-        """The path to write to instead of `path`; moved there when the command has succeeded."""
-        part = self._staged.file(path)
+        """The temporary path to write to; the file is moved to `path` when the command has succeeded."""
+        part = self._staged.stage_file(path)
         self._outputs.append(path)
         return part
 
     def stage_in(self, folder: Path, name: str) -> Path:
-        """As `stage`, for the file `name` in an output folder, made where there is none."""
-        return self.stage(self._staged.folder(folder) / name)
+        """As `stage`, for the file `name` in an output folder, which is created if necessary."""
+        return self.stage(self._staged.stage_folder(folder) / name)
 
     def warn(self, text: str) -> None:
-        """A warning, on stderr and in the summary."""
+        """Print a warning on stderr and add it to the summary."""
         self._warnings.append(text)
         self._echo_warning(text)
 
-    def left_out(self, name: str, reason: str) -> None:
-        """Say that a run (or channel) was read but not used, and why."""
+    def report_left_out(self, name: str, reason: str) -> None:
+        """Report that a run (or channel) was read but not used, and why."""
         self._left_out[name] = reason
         self._echo_warning(f"{name} left out: {reason}")
 
     @contextmanager
     def skip_if_unusable(self, run: Run, skip_bad: bool) -> Iterator[None]:
-        """With `skip_bad`, go on without a run that turns out to be unusable, list it, withdraw its outputs."""
+        """With `skip_bad`, turn a UserError into a skipped run: list it and discard its outputs."""
         before = len(self._outputs)
         try:
             yield
         except UserError as error:
             if not skip_bad:
-                raise error.at(str(run.path or run.name)) from error
+                raise error.with_location(str(run.path or run.name)) from error
             for path in self._outputs[before:]:
                 self._staged.unstage(path)
             del self._outputs[before:]
@@ -202,11 +203,11 @@ class Session:
             self._echo_warning(f"skipped: {error}")
 
     def finish(self, summary: Mapping[str, Any], text: Iterable[str] = ()) -> None:
-        """The summary (one JSON object) and what to tell the user, shown once all outputs are in place."""
+        """Set the summary (one JSON object) and the text for the user, printed once all outputs are in place."""
         self._summary, self._text = summary, tuple(text)
 
     def close(self, failed: bool) -> None:
-        """Put all outputs in place and say what happened; after a failure, remove what was prepared."""
+        """Move all outputs into place and print the result; after a failure, remove the staged files."""
         try:
             if not failed:
                 self._stage_json()
@@ -229,7 +230,7 @@ class Session:
         from balance_cli.cli.summary import json_text
 
         if self._json_path is not None and not self._json_to_stdout:
-            part = self._staged.file(self._json_path)
+            part = self._staged.stage_file(self._json_path)
             with os_errors_as_user_error(self._json_path):
                 part.write_text(json_text(self._full_summary()) + "\n", encoding="utf-8")
 
@@ -252,14 +253,17 @@ class Session:
 
 
 def balance_command(name: str, **attributes: Any) -> Callable[[Callable[..., None]], click.Command]:
-    """As click.command, with `--json` and `-v`; the function gets the Session first, then its own parameters."""
+    """As click.command, with `--json` and `-v` added.
+
+    The function receives the Session first, then its own parameters.
+    """
 
     def decorate(function: Callable[..., None]) -> click.Command:
         def call(json_path: Path | None, verbose: bool, **parameters: Any) -> None:
             context = click.get_current_context()
             check_outputs(context)
             session, failed = Session(context, json_path), True
-            with messages(verbose):
+            with log_to_stderr(verbose):
                 try:
                     function(session, **parameters)
                     failed = False
@@ -268,7 +272,7 @@ def balance_command(name: str, **attributes: Any) -> Callable[[Callable[..., Non
             context.exit(session.status)
 
         functools.update_wrapper(call, function)
-        make = click.command(name, cls=BalanceCommand, **attributes)
-        return make(verbose_option(json_option(call)))
+        make_command = click.command(name, cls=BalanceCommand, **attributes)
+        return make_command(verbose_option(json_option(call)))
 
     return decorate

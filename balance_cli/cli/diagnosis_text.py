@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli.model_summary import effect_summary, modes_summary, parameters_summary
 from balance_cli.diagnosis.result import VERDICT_MEANING, Diagnosis
+from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 
 if TYPE_CHECKING:
     from balance_cli.diagnosis.result import FoundEffect, HoldOut, RunErrors
     from balance_cli.estimation.identified_model import IdentifiedModel
 
-GOOD_FIT_CHI2_PER_DOF = 1.2
-"""Largest chi2/dof of a model that describes its data."""
 COLUMN_WIDTH = 9
 """Width of a component's column."""
 

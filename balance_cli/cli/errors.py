@@ -1,4 +1,4 @@
-"""The one place that turns what went wrong into a message and an exit status."""
+"""Exceptions become one message on stderr and an exit status."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from balance_cli.io.errors import UserError
 EXIT_USER_ERROR = 2
 EXIT_INTERNAL_ERROR = 1
 EXIT_INTERRUPTED = 130
-"""Exit statuses; 130 is what shells report of a process that was interrupted from the keyboard."""
+"""Exit statuses; shells report 130 for a process that was interrupted from the keyboard."""
 
 
 class _ErrorReportingCommand(click.Command):
-    """A command whose errors are one message on stderr and an exit status: 2 the user's fault, 1 ours."""
+    """A command that reports errors as one message on stderr: exit status 2 for user errors, 1 for internal errors."""
 
     def main(
         self,
@@ -28,7 +28,7 @@ class _ErrorReportingCommand(click.Command):
         standalone_mode: bool = True,
         **extra: Any,
     ) -> Any:
-        """As click's; only in standalone mode are exceptions turned into messages."""
+        """Run the command as click does; in standalone mode exceptions become messages."""
         if not standalone_mode:
             return super().main(args, prog_name, complete_var, standalone_mode=False, **extra)
         words = list(sys.argv[1:] if args is None else args)
@@ -44,7 +44,7 @@ class BalanceCommand(_ErrorReportingCommand):
 
 
 def report_error(error: BaseException, verbose: bool) -> int:
-    """Say on stderr what went wrong; returns the exit status. Re-raises SystemExit."""
+    """Print the error on stderr and return the exit status. SystemExit is raised again."""
     if isinstance(error, SystemExit):
         raise error
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
@@ -69,8 +69,8 @@ def _report_internal_error(error: BaseException, verbose: bool) -> int:
     if verbose:
         click.echo("".join(traceback.format_exception(error)), err=True)
     text = " ".join(str(error).split())
-    hint = "" if verbose else ", with what `--verbose` adds"
-    _echo_error(f"internal fault, {type(error).__name__}: {text}. Please report it with the call and its inputs{hint}")
+    hint = "" if verbose else " (`--verbose` shows the traceback)"
+    _echo_error(f"internal error, {type(error).__name__}: {text}. Please report it with the call and its inputs{hint}")
     return EXIT_INTERNAL_ERROR
 
 

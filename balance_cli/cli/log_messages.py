@@ -1,4 +1,4 @@
-"""Log messages of the package on stderr, for the time of one command."""
+"""Log messages of the package on stderr while a command runs."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class _StderrHandler(logging.Handler):
 
 
 @contextmanager
-def messages(verbose: bool) -> Iterator[None]:
-    """Show the package's log: warnings, and with `verbose` everything, Python's own warnings included."""
+def log_to_stderr(verbose: bool) -> Iterator[None]:
+    """Show the warnings of the package's log; with `verbose`, all messages and Python's own warnings too."""
     loggers = [logging.getLogger("balance_cli"), *([logging.getLogger("py.warnings")] if verbose else [])]
     handler = _StderrHandler()
     logging.captureWarnings(verbose)

@@ -1,4 +1,4 @@
-"""Options and arguments that commands share, and the types that tell inputs from outputs."""
+"""Options and arguments that commands share, and the parameter types of inputs and outputs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class InputFile(click.Path):
-    """A file that a command reads; that it exists and is what it should be, its reader says."""
+    """A file that a command reads; its reader checks that it exists and has the right format."""
 
     name = "file"
 
@@ -33,7 +33,7 @@ class OutputFile(click.Path):
 
 
 class OutputFolder(click.Path):
-    """A folder that a command writes files to (made if there is none), checked before anything is computed."""
+    """A folder that a command writes files to, created if necessary and checked before anything is computed."""
 
     name = "folder"
 
@@ -46,7 +46,7 @@ geometry_option: Callable[[F], F] = click.option(
 )
 runs_argument: Callable[[F], F] = click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN...")
 skip_bad_option: Callable[[F], F] = click.option(
-    "--skip-bad", is_flag=True, help="Go on without the runs that cannot be used, and list them."
+    "--skip-bad", is_flag=True, help="Skip the runs that cannot be used, and list them."
 )
 
 
@@ -55,7 +55,7 @@ def hold_out_option(text: str) -> Callable[[F], F]:
     return click.option("--hold-out", "hold_out", type=InputFile(), multiple=True, metavar="RUN", help=text)
 
 
-def output_option(metavar: str, text: str = "Where the result is written.") -> Callable[[F], F]:
+def output_option(metavar: str, text: str = "File to write the result to.") -> Callable[[F], F]:
     """The required option `-o/--output`, passed to the command as `output`."""
     return click.option("-o", "--output", "output", type=OutputFile(), required=True, metavar=metavar, help=text)
 
@@ -68,7 +68,7 @@ def json_option(function: F) -> F:
 
 def verbose_option(function: F) -> F:
     """The option `-v/--verbose` of every command."""
-    text = "Say more; with a fault of ours, show the traceback."
+    text = "Print more details, and the traceback of an internal error."
     return click.option("-v", "--verbose", is_flag=True, help=text)(function)
 
 
@@ -82,18 +82,25 @@ def deprecated_option(former: str, current: str, parameter: str, **attributes: A
     def use_former(context: click.Context, option: click.Parameter, value: Any) -> None:
         if context.get_parameter_source(option.name or "") is not click.core.ParameterSource.COMMANDLINE:
             return
-        click.echo(f"warning: {former} is deprecated; use {current}", err=True)
+        click.echo(f"balance: warning: {former} is deprecated; use {current}", err=True)
         context.params[parameter] = value
         context.set_parameter_source(parameter, click.core.ParameterSource.COMMANDLINE)
 
     # Eager: before the current option, whose default does not replace a value from the command line.
     return click.option(
-        former, f"former_{parameter}", hidden=True, is_eager=True, expose_value=False, callback=use_former, **attributes
+        former,
+        f"former_{parameter}",
+        hidden=True,
+        is_eager=True,
+        expose_value=False,
+        callback=use_former,
+        help=f"Former name of {current}.",
+        **attributes,
     )
 
 
 def paths_of_type(context: click.Context, *types: type[click.Path]) -> Iterator[Path]:
-    """All paths given in the call whose parameter has one of these types (`-` is none)."""
+    """All paths given in the call whose parameter has one of these types; `-` is not a path."""
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
         if value is None or not isinstance(parameter.type, types):
@@ -103,7 +110,7 @@ def paths_of_type(context: click.Context, *types: type[click.Path]) -> Iterator[
 
 
 def non_default_options(context: click.Context) -> dict[str, Any]:
-    """The options of the call that differ from their defaults: no paths, no `--json`, no `--verbose`."""
+    """The options of the call that differ from their defaults, without paths, `--json` and `--verbose`."""
     settings = {}
     for parameter in context.command.params:
         name = parameter.name or ""
@@ -116,15 +123,18 @@ def non_default_options(context: click.Context) -> dict[str, Any]:
 
 
 def check_outputs(context: click.Context) -> None:
-    """Refuse outputs that cannot be written, or would overwrite an input or each other, before anything is computed."""
+    """Check all outputs before anything is computed.
+
+    Raises UserError where an output cannot be written, or would overwrite an input or another output.
+    """
     inputs = {path.resolve() for path in paths_of_type(context, InputFile)}
     outputs: set[Path] = set()
     for path in paths_of_type(context, OutputFile):
         check_output(path)
         if path.resolve() in inputs:
-            raise UserError("is an input of this very command", str(path), remedy="Give the output another name")
+            raise UserError("is also an input of this command", str(path), remedy="Give the output another name")
         if path.resolve() in outputs:
-            raise UserError("two outputs have this name", str(path), remedy="Give each output a name of its own")
+            raise UserError("two outputs have this name", str(path), remedy="Give each output its own name")
         outputs.add(path.resolve())
     for folder in paths_of_type(context, OutputFolder):
         check_output_folder(folder)

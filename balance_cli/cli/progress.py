@@ -1,4 +1,4 @@
-"""A progress bar for a step that says itself how far it is."""
+"""A progress bar for steps that report their own progress."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ BAR_FORMAT = "{desc} {percentage:3.0f} %|{bar}| {elapsed}"
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """What a step calls with what it is at and the share that is done; a bar on stderr where that is a terminal."""
+    """Yield a callback `show(task, fraction)`: it draws a bar where stderr is a terminal, else it does nothing."""
     if not sys.stderr.isatty():
-        yield lambda what, fraction: None
+        yield lambda task, fraction: None
         return
     from tqdm import tqdm
 
     with tqdm(total=1.0, bar_format=BAR_FORMAT, file=sys.stderr, leave=False) as bar:
 
-        def show(what: str, fraction: float) -> None:
-            bar.set_description_str(f"{what:<32.32}", refresh=False)
+        def show(task: str, fraction: float) -> None:
+            bar.set_description_str(f"{task:<32.32}", refresh=False)
             bar.n = min(max(fraction, 0.0), 1.0)
             bar.refresh()
 

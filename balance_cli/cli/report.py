@@ -1,4 +1,4 @@
-"""`balance report`: one page with everything that the artefacts tell."""
+"""`balance report`: one page with the results of all artefacts given."""
 
 from __future__ import annotations
 
@@ -24,36 +24,38 @@ PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
     "--picture",
     type=OutputFile(),
     metavar="FILE",
-    help="Write the comparison of the methods on the check runs as .png, .svg or .pdf, too.",
+    help="Also write the comparison of the methods on the check runs as .png, .svg or .pdf.",
 )
-@output_option("REPORT.html", "The page: one file that needs nothing else.")
+@output_option("REPORT.html", "The page, one self-contained file.")
 def command(session: Session, artefacts: tuple[Path, ...], picture: Path | None, output: Path) -> None:
     """One self-contained page with pictures, from artefacts alone.
 
-    Any artefacts will do; the page has the sections that they give. Models, measured responses and loads given
-    together are compared with each other.
+    Any artefacts can be given; each adds its sections to the page. Models, measured responses and loads given together
+    are compared with each other.
     """
-    from balance_cli.report.page import page
-    from balance_cli.report.sources import FORMATS, sources
+    from balance_cli.report.page import build_page
+    from balance_cli.report.sources import FORMATS, group_sources
 
     _check_names(output, picture)
     paths = session.progress(artefacts, "artefacts", len(artefacts))
-    report_sources = sources([(path, session.artefact(path, FORMATS)) for path in paths])
-    html_page = page(report_sources)
+    report_sources = group_sources([(path, session.artefact(path, FORMATS)) for path in paths])
+    html_page = build_page(report_sources)
     session.stage(output).write_text(html_page.html, encoding="utf-8")
     if picture is not None:
         _draw_comparison(session, picture, report_sources)
     session.finish(
         {"sections": html_page.sections, "figures": html_page.pictures, "artefacts": _source_labels(report_sources)},
-        _text(html_page, report_sources),
+        _report_text(html_page, report_sources),
     )
 
 
 def _check_names(output: Path, picture: Path | None) -> None:
     if output.suffix.lower() not in (".html", ".htm"):
-        raise UserError("the page is written as .html", str(output), remedy="Let its name end so")
+        raise UserError("the page is written as .html", str(output), remedy="Give a name that ends in .html")
     if picture is not None and picture.suffix.lower() not in PICTURE_SUFFIXES:
-        raise UserError("a picture is written as .png, .svg or .pdf", str(picture), remedy="Let its name end so")
+        raise UserError(
+            "a picture is written as .png, .svg or .pdf", str(picture), remedy="Give a name with one of these endings"
+        )
 
 
 def _draw_comparison(session: Session, picture: Path, report_sources: Sources) -> None:
@@ -72,7 +74,7 @@ def _source_labels(report_sources: Sources) -> dict[str, str]:
     return {source.file: source.label for source in report_sources.all_sources}
 
 
-def _text(html_page: Page, report_sources: Sources) -> Iterator[str]:
+def _report_text(html_page: Page, report_sources: Sources) -> Iterator[str]:
     yield (
         f"{len(report_sources.all_sources)} artefacts, {len(html_page.sections)} sections, {len(html_page.pictures)} "
         "pictures"

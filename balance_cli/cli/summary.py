@@ -1,4 +1,4 @@
-"""Summaries as JSON: numpy and dataclass values as plain ones, what is not finite as null."""
+"""Summaries as JSON: numpy and dataclass values become plain ones, non-finite numbers become null."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def json_text(summary: Mapping[str, Any]) -> str:
 
 
 def to_json_value(value: Any) -> Any:
-    """`value` with only dict, list, str, int, float, bool and None in it; NaN and infinities become None.
+    """`value` reduced to dict, list, str, int, float, bool and None.
 
-    A complex number becomes {"real", "imag"}. TypeError for anything that has no plain form.
+    NaN and infinities become None, a complex number becomes {"real", "imag"}. Raises TypeError for any other type.
     """
     if value is None or isinstance(value, bool | str | int):
         return value

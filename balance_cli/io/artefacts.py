@@ -1,4 +1,4 @@
-"""Artefacts: results of the steps as HDF5, with their provenance and a digest of their content.
+"""Artefacts: results of the steps as HDF5, with provenance and a digest of their content.
 
 An artefact holds one frozen dataclass in the group `content` (see `balance_cli.io.hdf5_tree`).
 Root attributes: `format`, `digest`, `command`, `options` (JSON), `inputs` (JSON), `versions` (JSON), `created`
@@ -23,22 +23,16 @@ import h5py
 from balance_cli import __version__
 from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import ARTEFACT_FORMATS
 from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file, sniff_format
 
-FORMATS = (
-    "balance-calibration/1",
-    "balance-transfer/1",
-    "balance-model/1",
-    "balance-diagnosis/1",
-    "balance-loads/1",
-)
 PACKAGES = ("numpy", "scipy", "h5py", "pandas", "pydantic")
 
 
 @dataclass(frozen=True)
 class Input:
-    """What a result was made from: its name, its role there, and the digest of its content."""
+    """One input of a result: its name, its role, and the digest of its content."""
 
     name: str
     role: str
@@ -47,7 +41,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Provenance:
-    """How a result came about. `options` are those that differ from their defaults, as JSON values."""
+    """How a result was made; `options` are the non-default ones, as JSON values."""
 
     command: str
     options: Mapping[str, Any]
@@ -68,7 +62,7 @@ class Artefact:
 
 @dataclass(frozen=True)
 class StoredArtefact:
-    """An artefact as stored, whatever its type: the tree of its content, and the digest that the file states."""
+    """An artefact as stored, of any type: the tree of its content, and the digest stated in the file."""
 
     format: str
     tree: Tree
@@ -77,7 +71,7 @@ class StoredArtefact:
 
 
 def make_provenance(command: str, options: Mapping[str, Any], inputs: tuple[Input, ...]) -> Provenance:
-    """The provenance of a result that is made now, by this installation."""
+    """The provenance of a result made now, by this installation."""
     plain_options = json.loads(json.dumps(dict(options), default=str))
     versions = {"balance-cli": __version__, "python": platform.python_version()}
     versions |= {package: version(package) for package in PACKAGES}
@@ -85,7 +79,7 @@ def make_provenance(command: str, options: Mapping[str, Any], inputs: tuple[Inpu
 
 
 def content_digest(format: str, content: Any, provenance: Provenance) -> str:
-    """Hex SHA-256 of schema, data, options and input digests; not of command, names, paths, versions and time."""
+    """Hex SHA-256 of schema, data, options and input digests, without command, names, paths, versions and time."""
     return _artefact_digest(format, to_tree(content), provenance)
 
 
@@ -96,11 +90,12 @@ def _artefact_digest(format: str, tree: Tree, provenance: Provenance) -> str:
 
 
 def save_artefact(path: Path, format: str, content: Any, provenance: Provenance) -> str:
-    """Write an artefact, whole or not at all; returns its digest.
+    """Write an artefact, whole or not at all, and return its digest.
 
-    Raises UserError where the file cannot be written, TypeError where the content has no place in an artefact.
+    Raises UserError where the file cannot be written, TypeError where the content has a type that
+    cannot be stored.
     """
-    if format not in FORMATS:
+    if format not in ARTEFACT_FORMATS:
         raise ValueError(f"unknown format {format}")
     tree = to_tree(content)
     digest = _artefact_digest(format, tree, provenance)
@@ -142,7 +137,10 @@ def load_artefact(path: Path, types: Mapping[str, type[Any]]) -> Artefact:
 
 
 def read_stored(path: Path) -> StoredArtefact:
-    """Read an artefact without knowing its type, and check its digest. UserError as for `load_artefact`."""
+    """Read an artefact without knowing its type, and check its digest.
+
+    Raises UserError as `load_artefact` does.
+    """
     with _damage_as_user_error(path), h5py.File(path, "r") as file:
         attributes = {name: str(value) for name, value in file.attrs.items()}
         provenance = Provenance(
@@ -156,16 +154,16 @@ def read_stored(path: Path) -> StoredArtefact:
         computed = _artefact_digest(stored.format, stored.tree, provenance)
     if computed != stored.digest:
         fault = "its content does not match its digest: it was changed after it was written"
-        raise UserError(fault, str(path), "digest", f"Make it again with `balance {provenance.command}`")
+        raise UserError(fault, str(path), "digest", f"Create it again with `balance {provenance.command}`")
     return stored
 
 
 @contextmanager
 def _damage_as_user_error(path: Path) -> Iterator[None]:
-    """Whatever a damaged file makes the reader say, as a UserError."""
+    """Turn any exception from reading a damaged file into a UserError."""
     try:
         yield
     except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError, MemoryError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        fault = f"does not hold what its format says: {reason}"
-        raise UserError(fault, str(path), remedy="It is damaged; make it again") from error
+        fault = f"does not match its format: {reason}"
+        raise UserError(fault, str(path), remedy="It is damaged; create it again") from error

@@ -1,4 +1,4 @@
-"""What a user can do wrong: one exception, with everything that its one message must name."""
+"""One exception for user errors, with the parts of its message."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 class UserError(Exception):
     """The input or the call is wrong (exit status 2).
 
-    `file` is the file (or option) at fault, `place` the spot in it (key, dataset, row, line), `fault` what is wrong
-    there, `remedy` what the user can do about it.
+    `file` is the file (or option) at fault, `place` the position in it (key, dataset, row, line), `fault` what is wrong
+    there, and `remedy` what the user can do about it.
     """
 
     fault: str
@@ -21,6 +21,6 @@ class UserError(Exception):
         message = f"{where}: {self.fault}" if where else self.fault
         return f"{message}. {self.remedy}" if self.remedy else message
 
-    def at(self, file: str = "", place: str = "") -> "UserError":
-        """The same error with the file or place filled in where it was not known below."""
+    def with_location(self, file: str = "", place: str = "") -> "UserError":
+        """The same error with `file` and `place` filled in where they are empty."""
         return UserError(self.fault, self.file or file, self.place or place, self.remedy)

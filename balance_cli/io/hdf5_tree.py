@@ -1,13 +1,13 @@
 """Frozen dataclasses <-> trees of arrays and scalars, by their type hints; trees <-> HDF5; digest of a tree.
 
-A tree is a dict whose values are trees, numpy arrays, strings, numbers, bools or None. What a hint means:
+A tree is a dict whose values are trees, numpy arrays, strings, numbers, bools or None. Type hints map to trees so:
 
 - `ndarray` (real, complex or text), `str`, `int`, `float`, `complex`, `bool`, `None` and `X | None`: itself;
-- `tuple[X, ...]` of scalars: a one-dimensional array; of anything else: a tree with keys 0, 1, ...;
+- `tuple[X, ...]` of scalars: a one-dimensional array; of any other type: a tree with keys 0, 1, ...;
 - `dict[str, X]` (or with int keys): a tree with those keys, their order kept;
-- a dataclass: a tree of its fields; a field that the tree lacks takes its default;
+- a dataclass: a tree of its fields; a field that is missing in the tree takes its default;
 - `pandas.DataFrame`: a tree of its columns (its index is not kept);
-- a pydantic model (`Geometry`, say): its JSON text.
+- a pydantic model such as `Geometry`: its JSON text.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from pydantic import BaseModel
 Tree = dict[str, Any]
 SCALARS = (bool, int, float, complex, str)
 COMPRESSION_THRESHOLD = 4096
-"""Bytes above which a dataset is compressed."""
+"""Bytes from which a dataset is compressed; below, the overhead of chunks exceeds the gain."""
 
 
 # ---- dataclass -> tree -----------------------------------------------------------------------------------------------
 
 
 def stored_field_name(item: dataclasses.Field[Any]) -> str:
-    """The name of a field in a file: that of `metadata["stored_as"]`, so that a field can be renamed and files stay."""
+    """The name of a field in files: `metadata["stored_as"]`, which stays when the field is renamed, or its own name."""
     return str(item.metadata.get("stored_as", item.name))
 
 
 def to_tree(value: Any) -> Any:
-    """The value as a tree. TypeError for a type that has no place in an artefact."""
+    """The value as a tree. Raises TypeError for a type that cannot be stored in an artefact."""
     if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
         return to_tree(value.item())
     if value is None or isinstance(value, SCALARS):
@@ -61,7 +61,7 @@ def _container_to_tree(value: Any) -> Any:
         return {str(key): to_tree(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
         return _sequence_to_tree(value)
-    raise TypeError(f"{type(value).__name__} has no place in an artefact")
+    raise TypeError(f"{type(value).__name__} cannot be stored in an artefact")
 
 
 def _sequence_to_tree(items: tuple[Any, ...] | list[Any]) -> Any:
@@ -76,7 +76,7 @@ def _require_storable_array(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]
         return array
     if array.dtype.kind in "OU" and all(isinstance(item, str) for item in array.flat):
         return array.astype(object)
-    raise TypeError(f"an array of {array.dtype} has no place in an artefact")
+    raise TypeError(f"an array of {array.dtype} cannot be stored in an artefact")
 
 
 def _column(column: pd.Series[Any]) -> np.ndarray[Any, Any]:
@@ -119,7 +119,7 @@ def _from_union(tree: Any, options: tuple[Any, ...]) -> Any:
 
 
 def _fits_outer_form(option: Any, tree: Any) -> bool:
-    """Whether a tree can be of this type, by its outer form alone."""
+    """Whether a tree can have this type, judged by its outermost level alone."""
     origin = typing.get_origin(option) or option
     if isinstance(tree, dict):
         fields = (
@@ -152,7 +152,7 @@ def _from_class(tree: Any, kind: Any) -> Any:
         return typing.cast(Any, kind)(**values)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return kind.model_validate_json(_require_type(tree, str))
-    raise TypeError(f"{kind} has no place in an artefact")
+    raise TypeError(f"{kind} cannot be stored in an artefact")
 
 
 def _text_column(column: Any) -> Any:
@@ -198,7 +198,7 @@ def write_tree(group: h5py.Group, tree: Tree) -> None:
 
 
 def read_tree(group: h5py.Group) -> Tree:
-    """The inverse of `write_tree`, everything read into memory."""
+    """The inverse of `write_tree`; the whole tree is read into memory."""
     return {_key_of_link(name): _read(item) for name, item in group.items()}
 
 
@@ -217,7 +217,7 @@ def _value(dataset: h5py.Dataset) -> Any:
 
 
 def _link_name(key: str) -> str:
-    """A key as the name of an HDF5 link, which must not be empty, hold `/` or be `.`."""
+    """A key as the name of an HDF5 link, which must not be empty, contain `/` or be `.`."""
     if key in ("", "."):
         return {"": "%", ".": "%2E"}[key]
     return key.replace("%", "%25").replace("/", "%2F")
@@ -231,7 +231,7 @@ def _key_of_link(name: str) -> str:
 
 
 def tree_digest(tree: Tree) -> str:
-    """Hex SHA-256 of a tree, independent of the order of keys and of how the tree was stored."""
+    """Hex SHA-256 of a tree, independent of the order of its keys and of how it was stored."""
     hashed = hashlib.sha256()
     for part in _digest_parts(tree, ""):
         hashed.update(len(part).to_bytes(8, "little"))

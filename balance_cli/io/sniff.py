@@ -1,4 +1,4 @@
-"""What a file is, by its content and not by its name."""
+"""Recognition of files by their content, not by their name."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from balance_cli.io.errors import UserError
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 SNIFF_BYTES = 65536
-"""Where the `format` key of a YAML file is looked for."""
+"""Bytes at the start of a YAML file that are searched for the `format` key."""
 
 
 def sniff_format(path: Path) -> str | None:
-    """The `format` that a file declares of itself (HDF5 root attribute, or key of a YAML file), else None."""
+    """The `format` that a file declares (HDF5 root attribute, or key of a YAML file), else None."""
     if not path.is_file():
         return None
     if is_hdf5(path):
@@ -21,7 +21,7 @@ def sniff_format(path: Path) -> str | None:
 
 
 def is_hdf5(path: Path) -> bool:
-    """Whether the file begins as an HDF5 file does."""
+    """Whether the file begins with the HDF5 signature."""
     try:
         with path.open("rb") as file:
             return file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE
@@ -30,7 +30,7 @@ def is_hdf5(path: Path) -> bool:
 
 
 def describe_file(path: Path) -> str:
-    """A noun phrase for a message: what the file at `path` is."""
+    """A noun phrase for messages that says what the file at `path` is."""
     if path.is_dir():
         return "a folder"
     if not path.is_file():
@@ -44,7 +44,7 @@ def describe_file(path: Path) -> str:
 
 
 def require_file(path: Path) -> None:
-    """UserError where nothing is at `path`."""
+    """Raise UserError where nothing is at `path`."""
     if not path.exists():
         raise UserError("there is no such file", str(path), remedy="Check the name")
 
@@ -73,7 +73,7 @@ def _yaml_format(path: Path) -> str | None:
 
 
 def attribute_text(value: object) -> str | None:
-    """An HDF5 attribute as text (what is not UTF-8 replaced), or None where it is none."""
+    """An HDF5 attribute as text, with invalid UTF-8 replaced; None where it is not text."""
     if isinstance(value, str):
         value = value.encode("utf-8", "surrogateescape")
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else None

@@ -63,6 +63,13 @@ def place_effect(name: str, where: Sequence[str], geometry: Geometry) -> PlacedE
     return PlacedEffect(effect, at, effect.parameters(geometry, at), {})
 
 
+def declare_effect(placed_effect: PlacedEffect, fitted: Mapping[str, float]) -> DeclaredEffect:
+    """The effect declared at these fitted values, by fitted names; an infinite value is its null, and is left out."""
+    values = {item.name: item.physical_value(fitted[item.fitted_name]) for item in placed_effect.parameters}
+    finite = {name: float(value) for name, value in values.items() if abs(value) != float("inf")}
+    return DeclaredEffect(name=placed_effect.effect.name, where=placed_effect.where, parameters=finite)
+
+
 def _resolve_place(effect: Effect, where: Where, geometry: Geometry) -> Where:
     """The place as the effect knows it; where it knows one order of the names only, any order will do."""
     places = effect.places(geometry)
@@ -98,7 +105,7 @@ def check_effects(geometry: Geometry, file: str) -> None:
     try:
         declared_effects(geometry)
     except UserError as error:
-        raise error.at(file) from error
+        raise error.with_location(file) from error
 
 
 def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:

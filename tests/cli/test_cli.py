@@ -62,14 +62,14 @@ def count(session: Session, geometry: Path, runs: tuple[Path, ...], skip_bad: bo
             session.stage_in(rest["folder"], f"{run.name}.txt").write_text(run.kind, encoding="utf-8")
     if rest["fault"] == "user":
         raise UserError("is too heavy", "rig", "cells[0]", "Use a crane")
-    if rest["fault"] == "ours":
+    if rest["fault"] == "internal":
         raise ZeroDivisionError("division by zero\nin line 7")
     if rest["fault"] == "interrupt":
         raise KeyboardInterrupt
     if rest["fault"] == "status":
         session.status = 3
     if "static-bare" in counted.runs:
-        session.left_out("static-bare", "static")
+        session.report_left_out("static-bare", "static")
     session.finish({"count": np.int64(len(opened)), "mean": np.nan}, [f"{len(opened)} runs"])
 
 
@@ -124,7 +124,7 @@ def test_the_provenance_names_command_options_and_inputs(tmp_path: Path) -> None
     ("fault", "status", "words"),
     [
         ("user", 2, "balance: error: rig, cells[0]: is too heavy. Use a crane\n"),
-        ("ours", 1, "balance: error: internal fault, ZeroDivisionError: division by zero in line 7. Please report"),
+        ("internal", 1, "balance: error: internal error, ZeroDivisionError: division by zero in line 7. Please report"),
         ("interrupt", 130, "balance: error: interrupted, nothing written\n"),
     ],
 )
@@ -142,8 +142,8 @@ def test_a_call_that_fails_says_why_in_one_line_and_writes_nothing(
     assert (tmp_path / "count.h5").read_text(encoding="utf-8") == "old"
 
 
-def test_the_traceback_of_our_fault_is_shown_with_verbose_only(tmp_path: Path) -> None:
-    words = ("-g", RIG, WIND, "-o", tmp_path / "count.h5", "--fault", "ours")
+def test_the_traceback_of_an_internal_error_is_shown_with_verbose_only(tmp_path: Path) -> None:
+    words = ("-g", RIG, WIND, "-o", tmp_path / "count.h5", "--fault", "internal")
     assert "Traceback" not in run(*words).stderr
     assert "Traceback" in run(*words, "--verbose").stderr
 
@@ -164,7 +164,7 @@ def test_files_of_a_folder_are_written_with_the_rest(tmp_path: Path) -> None:
     [
         (("-o", "{tmp}/no/count.h5"), "its folder does not exist"),
         (("-o", "{tmp}"), "is a folder"),
-        (("-o", "{run}"), "is an input of this very command"),
+        (("-o", "{run}"), "is also an input of this command"),
         (("-o", "/dev/null"), "not an ordinary file"),
         (("-o", "{tmp}/a", "--second", "{tmp}/./a"), "two outputs have this name"),
         (("-o", "{tmp}/a", "--json", "{tmp}/a"), "two outputs have this name"),

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.io.artefacts import (
-    FORMATS,
     Input,
     Provenance,
     content_digest,
@@ -27,6 +26,7 @@ from balance_cli.io.artefacts import (
     save_artefact,
 )
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import ARTEFACT_FORMATS
 from balance_cli.io.hdf5_tree import from_tree, to_tree, tree_digest
 
 ROOT = Path(__file__).parents[2]
@@ -253,9 +253,9 @@ def test_an_artefact_edited_by_hand_is_refused(tmp_path: Path) -> None:
     assert "balance identify" in edit(lambda file: file["content/parameters/k/value"].write_direct(np.array(2.0)))
     assert "changed after" in edit(lambda file: file.attrs.__setitem__("options", "{}"))
     assert "changed after" in edit(lambda file: file.__delitem__("content/label"))
-    assert "does not hold" in edit(lambda file: file.attrs.__delitem__("inputs"))
-    assert "does not hold" in edit(lambda file: file.attrs.__setitem__("inputs", "no JSON"))
-    assert "does not hold" in edit(lambda file: file.__delitem__("content"))
+    assert "does not match" in edit(lambda file: file.attrs.__delitem__("inputs"))
+    assert "does not match" in edit(lambda file: file.attrs.__setitem__("inputs", "no JSON"))
+    assert "does not match" in edit(lambda file: file.__delitem__("content"))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -277,7 +277,7 @@ def test_a_damaged_artefact_is_refused(tmp_path: Path, seed: int) -> None:
 
 def test_content_of_another_type_is_refused(tmp_path: Path) -> None:
     saved(tmp_path / "model.h5", Parameter(1.0, None))
-    with pytest.raises(UserError, match="does not hold what its format says"):
+    with pytest.raises(UserError, match="does not match its format"):
         load_artefact(tmp_path / "model.h5", {FORMAT: Result})
     assert read_stored(tmp_path / "model.h5").tree == {"value": 1.0, "sigma": None, "unit": "N/m"}
 
@@ -295,4 +295,4 @@ def test_saving_again_replaces_the_whole_file_or_nothing(tmp_path: Path) -> None
 
 def test_the_formats_are_those_of_the_five_results() -> None:
     kinds = ("calibration", "transfer", "model", "diagnosis", "loads")
-    assert tuple(f"balance-{kind}/1" for kind in kinds) == FORMATS
+    assert tuple(f"balance-{kind}/1" for kind in kinds) == ARTEFACT_FORMATS

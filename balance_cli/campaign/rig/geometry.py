@@ -10,8 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from balance_cli.campaign.rig.components import FREEDOMS
 
-FORMAT = "balance-geometry/1"
-
 Name = Annotated[str, Field(min_length=1)]
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]

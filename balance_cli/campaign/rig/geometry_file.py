@@ -15,10 +15,11 @@ import yaml
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from balance_cli.campaign.rig.geometry import FORMAT, Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import geometry_faults
 from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import GEOMETRY_FORMAT
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file
 
 Place = tuple[int | str, ...]
@@ -37,8 +38,8 @@ def read_geometry(path: Path) -> tuple[Geometry | None, tuple[UserError, ...]]:
     try:
         geometry, faults = _parse(_read_yaml(Path(path)))
     except UserError as error:
-        return None, (error.at(file=str(path)),)
-    return geometry, tuple(fault.at(file=str(path)) for fault in faults)
+        return None, (error.with_location(file=str(path)),)
+    return geometry, tuple(fault.with_location(file=str(path)) for fault in faults)
 
 
 def save_geometry(path: Path, geometry: Geometry) -> None:
@@ -70,10 +71,12 @@ def geometry_digest(geometry: Geometry) -> str:
 
 def _parse(declared: object) -> tuple[Geometry | None, tuple[UserError, ...]]:
     if not isinstance(declared, dict):
-        raise UserError("is not a geometry: no keys in it", remedy=f"The first line should be `format: {FORMAT}`")
-    if declared.get("format", FORMAT) != FORMAT or not set(declared) & set(Geometry.model_fields):
+        raise UserError(
+            "is not a geometry: no keys in it", remedy=f"The first line should be `format: {GEOMETRY_FORMAT}`"
+        )
+    if declared.get("format", GEOMETRY_FORMAT) != GEOMETRY_FORMAT or not set(declared) & set(Geometry.model_fields):
         found = f"is `{declared['format']}`" if "format" in declared else "is missing"
-        raise UserError(f"`format` {found}", place="format", remedy=f"It should be `format: {FORMAT}`")
+        raise UserError(f"`format` {found}", place="format", remedy=f"It should be `format: {GEOMETRY_FORMAT}`")
     try:
         geometry = Geometry.model_validate(declared)
     except ValidationError as error:
