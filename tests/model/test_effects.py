@@ -93,11 +93,11 @@ class Pendulum(Extension):
     frequency: float = 90.0
     damping_ratio: float = 0.02
 
-    def mechanics(self, mechanics, rig, rotor_speed):
+    def mechanics(self, mechanics, geometry, rotor_speed):
         wide = mechanics.with_coordinates(("pendulum",))
         row = np.zeros((1, wide.size))
         row[0, -1] = -1.0
-        row += wide.plate_displacement(rig.geometry.hub)[:1]
+        row += wide.plate_displacement(geometry.hub)[:1]
         rate = 2 * np.pi * self.frequency
         wide.mass[-1, -1] = self.mass
         damping = wide.damping + 2 * self.damping_ratio * rate * self.mass * row.T @ row
@@ -209,7 +209,7 @@ IN_RESPONSE = [effect.name for effect in EFFECTS if effect.name in CAUSES and no
 
 @pytest.mark.parametrize("name", IN_RESPONSE)
 def test_simulate_takes_it_as_declared(name, tmp_path):
-    geometry, run = simulated_as_declared(name, tmp_path, 3.0, "--noise", "0", "--double")
+    geometry, run = simulated_as_declared(name, tmp_path, 3.0, "--noise", "0", "--float64")
     error = response_difference(balance_model(geometry).system(), run, 3.0, TRUTHS[name].spin)
     assert error < (CHAIN_ERROR if name == "structural-damping" else 1e-5)
 
