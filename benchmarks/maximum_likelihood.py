@@ -20,7 +20,7 @@ from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, evaluate_batch, exciter_response
-from balance_cli.estimation.maximum_likelihood import maximum_likelihood
+from balance_cli.estimation.maximum_likelihood import fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import Batch, stack_runs
 from balance_cli.model.balance import BalanceModel, balance_model
@@ -77,7 +77,7 @@ def _time_fit(fit: Callable[[], Array], chi2: Callable[[Array], float]) -> Timed
 
 
 def _fit_with_balance_cli(model: BalanceModel, batches: Sequence[Batch]) -> Array:
-    return maximum_likelihood(model, batches, model.parameters.value).theta
+    return fit_maximum_likelihood(model, batches, model.parameters.value).theta
 
 
 def _with_numerical_jacobian(model: BalanceModel, batches: Sequence[Batch]) -> Array:

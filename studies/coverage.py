@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.identifiability import parameter_identifiability
-from balance_cli.estimation.maximum_likelihood import maximum_likelihood
+from balance_cli.estimation.maximum_likelihood import fit_maximum_likelihood
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.signals.covariance_pooling import pooled_covariance
@@ -146,11 +146,11 @@ def coverage_chunk(geometry: Geometry, task: CoverageTask) -> pd.DataFrame:
         points = [item for item in measured if isinstance(item, StaticPoints)]
         declared = truth + parameters.sigma * rng.standard_normal(len(truth))
         shifted = replace(model, parameters=replace(parameters, value=declared))
-        minimum = maximum_likelihood(shifted, stack_runs(lines, points, geometry.channel_names), truth)
+        minimum = fit_maximum_likelihood(shifted, stack_runs(lines, points, geometry.channel_names), truth)
         sigma = np.sqrt(np.diag(np.linalg.inv(minimum.total.information)))
         error = (minimum.theta - truth)[parameters.free] / sigma
         support = parameter_identifiability(parameters, minimum.data.information)
-        rests = [word for word in support.rests_on if word != "exact"]
+        rests = [word for word in support.informed_by if word != "exact"]
         names = [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
         rows += [
             {"seed": task.seed, "fit": fit, "parameter": name, "rests_on": word, "error": value}

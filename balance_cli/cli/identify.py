@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,12 +17,11 @@ from balance_cli.cli.common import (
 )
 from balance_cli.cli.model_summary import effect_summary, modes_summary, parameters_summary
 from balance_cli.cli.options import InputFile
+from balance_cli.estimation.choices import DAMPING_FORMS, FORMS, METHODS, Damping, Form, Method
+from balance_cli.io.formats import MODEL_FORMAT
 
 if TYPE_CHECKING:
-    from balance_cli.estimation.identified_model import IdentifiedModel
-
-FORMAT = "balance-model/1"
-METHODS = ("ls", "ml", "ls+ml", "computed")
+    from balance_cli.estimation.identified_model import IdentifiedModel, RunFit
 
 
 @balance_command("identify")
@@ -38,14 +36,14 @@ METHODS = ("ls", "ml", "ls+ml", "computed")
 )
 @click.option(
     "--form",
-    type=click.Choice(["physical", "paper"]),
+    type=click.Choice(FORMS),
     default="physical",
     show_default=True,
     help="Physical parameters with priors; or the six-sensor state form of the 1985 paper.",
 )
 @click.option(
     "--damping",
-    type=click.Choice(["diagonal", "full"]),
+    type=click.Choice(DAMPING_FORMS),
     default="diagonal",
     show_default=True,
     help="Damping matrix of the paper's form.",
@@ -70,9 +68,9 @@ def command(
     session: Session,
     geometry: Path,
     runs: tuple[Path, ...],
-    method: Literal["ls", "ml", "ls+ml", "computed"],
-    form: Literal["physical", "paper"],
-    damping: Literal["diagonal", "full"],
+    method: Method,
+    form: Form,
+    damping: Damping,
     effects: tuple[str, ...],
     band: tuple[float, float] | None,
     skip_bad: bool,
@@ -92,10 +90,10 @@ def command(
     records = session.runs(runs, rig, skip_bad)
     spectra = measured_spectra(session.progress(records, "spectra", len(records)), rig)
     for name, reason in spectra.unused.items():
-        session.left_out(name, reason)
+        session.report_left_out(name, reason)
     options = IdentifyOptions(method=method, form=form, damping=damping, band=band)
     model = identify(spectra, rig, options)
-    session.save(output, FORMAT, model)
+    session.save(output, MODEL_FORMAT, model)
     session.finish(model_summary(model), model_text(model))
 
 
@@ -113,12 +111,17 @@ def model_summary(model: IdentifiedModel) -> dict[str, Any]:
         "modes": modes_summary(model.modes),
         "chi2_per_dof": quality.chi2_per_dof,
         "frf_error": quality.frf_error,
-        "runs": {name: asdict(run) for name, run in quality.runs.items()},
+        "runs": {name: _run_fit_summary(run) for name, run in quality.runs.items()},
         "parameters": parameters_summary(model.parameters),
         "effects": [effect_summary(effect) for effect in identified_effects(model)],
-        "undetermined": model.undetermined,
+        "undetermined": model.unidentifiable,
         "channels_left_out": model.channels_left_out,
     }
+
+
+def _run_fit_summary(run: RunFit) -> dict[str, float]:
+    """How one run fits, with the JSON keys of docs/json.md."""
+    return {"chi2": run.chi2, "dof": run.dof, "frf_error": run.frf_error, "frf_noise": run.frf_noise_floor}
 
 
 def model_text(model: IdentifiedModel) -> Iterator[str]:
@@ -141,5 +144,5 @@ def model_text(model: IdentifiedModel) -> Iterator[str]:
         yield f"{effect.label}:"
         for item in effect.parameters:
             yield f"   {item.name:<20} {item.value:12.5g} +- {item.sigma:<9.2g} {item.unit}"
-    for direction in model.undetermined:
+    for direction in model.unidentifiable:
         yield f"the data alone leave open: {direction}"

@@ -19,7 +19,7 @@ def modes_summary(modes: ModeTable) -> list[dict[str, float]]:
 
 def parameters_summary(table: ParameterTable) -> dict[str, dict[str, Any]]:
     """Every parameter by its name."""
-    rows = zip(table.names, table.value, table.sigma, table.units, table.rests_on, strict=True)
+    rows = zip(table.names, table.value, table.sigma, table.units, table.informed_by, strict=True)
     return {name: dict(zip(("value", "sigma", "unit", "rests_on"), entry, strict=True)) for name, *entry in rows}
 
 

@@ -30,7 +30,7 @@ from balance_cli.model.system import (
     solve,
     volts_of_forces,
 )
-from balance_cli.signals.run_spectrum import RecordWaveform, StaticWaveform, Waveform
+from balance_cli.signals.waveform_types import Waveform
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -59,7 +59,7 @@ class RunCellForces:
     """
 
     lines: slice
-    waveform: Waveform | StaticWaveform
+    waveform: Waveform
     solution: Solution
     index: Index
     inputs: SpringInputs | None
@@ -84,7 +84,7 @@ class RunCellForces:
                 total[:, :, column] += self._at_lines(volts[self.index] * one.derivative[:, place, None])
 
     def _at_lines(self, values: ComplexArray) -> ComplexArray:
-        return self.waveform.combine_neighbors(values) if isinstance(self.waveform, RecordWaveform) else values
+        return self.waveform.combine_bins(values)
 
 
 def cell_forces(batch: Batch, system: System, solution: Solution, derivatives: bool) -> tuple[RunCellForces, ...]:
@@ -96,8 +96,8 @@ def cell_forces(batch: Batch, system: System, solution: Solution, derivatives: b
     for lines, waveform in zip(batch.parts, batch.waveforms, strict=True):
         if waveform is None or not system.forces:
             continue
-        if isinstance(waveform, RecordWaveform):
-            own = solve(system, waveform.frequency[waveform.bin_index], batch.spin)
+        if waveform.lines_are_bin_sums:
+            own = solve(system, waveform.bin_frequency(), batch.spin)
             found.append(_run_cell_forces(lines, waveform, system, own, np.arange(len(own.frequency)), derivatives))
         else:
             found.append(_run_cell_forces(lines, waveform, system, solution, batch.index[lines], derivatives))
@@ -112,7 +112,7 @@ def record_cell_forces(waveform: Waveform, system: System, solution: Solution) -
 
 def _run_cell_forces(
     lines: slice,
-    waveform: Waveform | StaticWaveform,
+    waveform: Waveform,
     system: System,
     solution: Solution,
     index: Index,
@@ -123,20 +123,18 @@ def _run_cell_forces(
     found: list[ForceDerivatives] = []
     for force, through_time, columns in _force_histories(waveform, system, derivatives):
         if force.values.value[0] != 0.0:
-            to_spectral_lines = waveform.to_spectral_lines(through_time.value)
-            inputs.acting[:, force.spring] += to_spectral_lines
+            amplitudes = waveform.to_bins(through_time.value)
+            inputs.acting[:, force.spring] += amplitudes
             if force.read:
-                inputs.read[:, force.spring] += to_spectral_lines
+                inputs.read[:, force.spring] += amplitudes
         if derivatives and len(columns):
-            derivative = waveform.to_spectral_lines(through_time.derivative.T)
+            derivative = waveform.to_bins(through_time.derivative.T)
             found.append(ForceDerivatives(force.spring, force.read, columns, derivative))
     present = any(force.values.value[0] != 0.0 for force in system.forces)
     return RunCellForces(lines, waveform, solution, index, inputs if present else None, tuple(found))
 
 
-def _force_histories(
-    waveform: Waveform | StaticWaveform, system: System, derivatives: bool
-) -> Iterator[tuple[CellForce, Dual, Index]]:
+def _force_histories(waveform: Waveform, system: System, derivatives: bool) -> Iterator[tuple[CellForce, Dual, Index]]:
     """Each force as a function of time, with slopes for the parameters `columns`."""
     for spring in dict.fromkeys(force.spring for force in system.forces):
         forces = [force for force in system.forces if force.spring == spring]
@@ -181,9 +179,7 @@ def _influencing_parameters(system: System, spring: int, forces: Sequence[CellFo
 # ---- elongation ------------------------------------------------------------------------------------------------------
 
 
-def _elongation(
-    waveform: Waveform | StaticWaveform, system: System, spring: int, forces: Sequence[CellForce], columns: Index
-) -> Dual:
+def _elongation(waveform: Waveform, system: System, spring: int, forces: Sequence[CellForce], columns: Index) -> Dual:
     """The elongation d (n,) of a spring through time, from k d + (forces inside) = what the channels read."""
     reading, derivative = _measured_spring_force(waveform, system, spring, columns)
     # With structural damping k (1 + j eta), stiffening with frequency, where there is motion.
@@ -235,15 +231,14 @@ def _force_and_stiffness(forces: Sequence[CellForce], d: Array, recurs: bool) ->
 
 
 def _measured_spring_force(
-    waveform: Waveform | StaticWaveform, system: System, spring: int, columns: Index
+    waveform: Waveform, system: System, spring: int, columns: Index
 ) -> tuple[ComplexArray, ComplexArray]:
     """The spring's force (F,) as its channels read it, amplitudes at the waveform's lines, and slopes (F, q)."""
     mine = [i for i, path in enumerate(system.paths) if path.spring == spring]
     paths = [system.paths[i] for i in mine]
     gains = channel_gains(paths, waveform.frequency)
     weight = np.where(gains != 0.0, waveform.share[:, mine] / np.where(gains != 0.0, gains, 1.0), 0.0)
-    constants = 1.0 if isinstance(waveform, StaticWaveform) else 2.0
-    still = np.where(waveform.frequency == 0, constants, 0.0)[:, None]
+    still = np.where(waveform.frequency == 0, waveform.mean_factor, 0.0)[:, None]
     unmixing = np.linalg.inv(system.mixing.value)
     volts = (waveform.volts - still * system.channel_offset.value) @ unmixing.T
     parts = weight * volts[:, mine]

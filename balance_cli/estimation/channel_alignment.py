@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-def alignment(batch: Batch, stride: int) -> Callable[[System], RegressionResidual]:
+def alignment_residual(batch: Batch, stride: int) -> Callable[[System], RegressionResidual]:
     """What is left of the channels of each spring once its force has been fitted to them, over their noise."""
     lines = every_nth_line(batch, stride)
     weight = np.sqrt(precision(batch)[lines])

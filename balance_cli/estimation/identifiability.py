@@ -14,11 +14,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Identifiability:
-    """`rests_on` for every parameter; `effective_parameters`: number of directions that the data decide (effective
+    """`informed_by` for every parameter; `effective_parameters`: number of directions that the data decide (effective
     number).
     """
 
-    rests_on: tuple[str, ...]
+    informed_by: tuple[str, ...]
     effective_parameters: float
 
 
@@ -34,8 +34,8 @@ def parameter_identifiability(parameters: ParameterSet, information: Array) -> I
     variance = np.diag(covariance)
     share = np.diag(covariance @ precision @ covariance) / np.where(variance > 0, variance, 1.0)
     words = iter(["prior" if part > 0.5 else "data" for part in share])
-    rests_on = tuple(next(words) if is_free else "exact" for is_free in free)
-    return Identifiability(rests_on, float(np.trace(covariance @ information)))
+    informed_by = tuple(next(words) if is_free else "exact" for is_free in free)
+    return Identifiability(informed_by, float(np.trace(covariance @ information)))
 
 
 def covariance_from_information(information: Array) -> Array:
@@ -54,7 +54,7 @@ def covariance_from_information(information: Array) -> Array:
     return covariance
 
 
-def undetermined(parameters: ParameterSet, information: Array, limit: float = 1.0) -> tuple[str, ...]:
+def unidentifiable_directions(parameters: ParameterSet, information: Array, limit: float = 1.0) -> tuple[str, ...]:
     """Directions in which the data know less than the priors do, each as words: `+0.3 mass +0.3 stiffness.x ...`.
 
     The directions are relative changes of the parameters (of their prior sigma where the value is less); an eigenvalue

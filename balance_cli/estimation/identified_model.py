@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.paper.result import PaperFit
+from balance_cli.io.result_view import ResultView, plural
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import System
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -20,7 +26,7 @@ ComplexArray = NDArray[np.complex128]
 class ParameterTable:
     """Parameters of a fit, in the model's order.
 
-    value, sigma, declared, declared_sigma (p,); unit; `rests_on` is `data`, `prior` (more than half of the variance
+    value, sigma, declared, declared_sigma (p,); unit; `informed_by` is `data`, `prior` (more than half of the variance
     comes from the declared tolerances), or `exact` (declared without tolerance, never fitted).
     """
 
@@ -30,7 +36,7 @@ class ParameterTable:
     sigma: Array
     declared: Array
     declared_sigma: Array
-    rests_on: tuple[str, ...]
+    informed_by: tuple[str, ...] = field(metadata={"stored_as": "rests_on"})
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,7 @@ class RunFit:
     chi2: float
     dof: float
     frf_error: float
-    frf_noise: float
+    frf_noise_floor: float = field(metadata={"stored_as": "frf_noise"})
 
 
 @dataclass(frozen=True)
@@ -70,12 +76,12 @@ class FitQuality:
         return self.chi2 / self.dof if self.dof > 0 else float("nan")
 
 
-@dataclass(frozen=True)
-class IdentifiedModel:
+@dataclass(frozen=True, repr=False)
+class IdentifiedModel(ResultView):
     """A balance model, computed or identified.
 
     `form` is `physical` or `paper`; `method` is `computed`, `ls`, `ml` or `ls+ml`; `start` says where the maximum
-    likelihood began; `covariance` (p, p) is that of all parameters, zero rows for exact ones; `undetermined` says in
+    likelihood began; `covariance` (p, p) is that of all parameters, zero rows for exact ones; `unidentifiable` says in
     words what the data alone leave open; `channels_left_out` {run: {channel: why}}.
     """
 
@@ -87,7 +93,7 @@ class IdentifiedModel:
     covariance: Array
     modes: ModeTable
     quality: FitQuality
-    undetermined: tuple[str, ...]
+    unidentifiable: tuple[str, ...] = field(metadata={"stored_as": "undetermined"})
     channels_left_out: dict[str, dict[str, str]]
     iterations: int
     converged: bool
@@ -98,6 +104,33 @@ class IdentifiedModel:
         """Factor (Birge ratio) on every sigma where the model does not fit: sqrt(chi2/dof), at least 1."""
         ratio = self.quality.chi2_per_dof
         return float(np.sqrt(ratio)) if self.iterations and ratio > 1.0 else 1.0
+
+    def summary_lines(self) -> Iterator[str]:
+        """Form, method, modes, quality of the fit, effects."""
+        frequency = self.modes.frequency
+        yield f"{self.form.capitalize()} model of {self.geometry.rig} ({self.method})"
+        if len(frequency):
+            yield f"  {plural(len(frequency), 'mode')} from {frequency.min():.2f} to {frequency.max():.2f} Hz"
+        if self.quality.runs:
+            error = 100 * self.quality.frf_error
+            yield f"  chi2/dof {self.quality.chi2_per_dof:.4g}, error of all responses {error:.3g} %"
+        if not self.converged:
+            yield "  not converged"
+        if self.geometry.effects:
+            yield f"  effects: {', '.join(effect.name for effect in self.geometry.effects)}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row for each parameter, then two for each mode (`kind` is `parameter` or `mode`)."""
+        import pandas as pd
+
+        table, modes = self.parameters, self.modes
+        parameters = zip(table.names, table.value, table.sigma, table.units, table.informed_by, strict=True)
+        rows = [("parameter", *row) for row in parameters]
+        for i in range(len(modes.frequency)):
+            frequency, damping = f"mode {i + 1} frequency", f"mode {i + 1} damping ratio"
+            rows.append(("mode", frequency, modes.frequency[i], modes.sigma_frequency[i], "Hz", ""))
+            rows.append(("mode", damping, modes.damping_ratio[i], modes.sigma_damping_ratio[i], "1", ""))
+        return pd.DataFrame(rows, columns=["kind", "name", "value", "sigma", "unit", "rests_on"])
 
 
 def identified_system(model: IdentifiedModel) -> System:

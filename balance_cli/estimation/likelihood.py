@@ -27,8 +27,8 @@ from balance_cli.estimation.transients import (
     RunTransient,
     TransientTerms,
     eliminate_transient,
+    fit_transients,
     transient_derivatives,
-    transients,
 )
 from balance_cli.model.system import Solution, System, output_jacobian, response, solve
 
@@ -98,7 +98,7 @@ def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives
     def apply_weight(lines: slice, values: ComplexArray) -> ComplexArray:
         return _apply_weight(batch, downdate, lines, values)
 
-    free = transients(batch, system, residual, apply_weight, derivatives)
+    free = fit_transients(batch, system, residual, apply_weight, derivatives)
     heard, free = mains_tones(batch, system, residual, apply_weight, free) if system.interference_tones else ((), free)
     for one in free:
         residual[one.lines] -= one.columns @ one.x

@@ -23,7 +23,7 @@ TOLERANCE = 1e-4
 TRIAL_ITERATIONS = 12
 
 
-def maximum_likelihood(
+def fit_maximum_likelihood(
     model: BalanceModel,
     batches: Sequence[Batch],
     start: Array,
@@ -84,12 +84,12 @@ def fit_best_start(model: BalanceModel, batches: Sequence[Batch], starts: Mappin
     first = found[best]
     if first.converged:
         return first, best
-    rest = maximum_likelihood(model, batches, first.theta, ITERATIONS - TRIAL_ITERATIONS)
+    rest = fit_maximum_likelihood(model, batches, first.theta, ITERATIONS - TRIAL_ITERATIONS)
     return replace(rest, iterations=first.iterations + rest.iterations), best
 
 
 def _try_start(model: BalanceModel, batches: Sequence[Batch], start: Array) -> Minimum | None:
     try:
-        return maximum_likelihood(model, batches, start, TRIAL_ITERATIONS)
+        return fit_maximum_likelihood(model, batches, start, TRIAL_ITERATIONS)
     except np.linalg.LinAlgError:
         return None

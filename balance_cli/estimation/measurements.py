@@ -12,14 +12,8 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.signals.covariance_pooling import inverse_bias_factor
-from balance_cli.signals.run_spectrum import (
-    AnalysisWindow,
-    NoisePart,
-    RunSpectrum,
-    StaticPoints,
-    StaticWaveform,
-    Waveform,
-)
+from balance_cli.signals.run_spectrum import NoisePart, RunSpectrum, StaticPoints
+from balance_cli.signals.waveform_types import AnalysisWindow, Waveform
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -67,7 +61,7 @@ class Batch:
     windows: tuple[AnalysisWindow | None, ...]
     constant_volts: Array
     constant_loads: Array
-    waveforms: tuple[Waveform | StaticWaveform | None, ...]
+    waveforms: tuple[Waveform | None, ...]
     noise_dof: tuple[float, ...]
     noise_parts: tuple[tuple[NoisePart, ...], ...]
 
@@ -81,11 +75,10 @@ class Batch:
 def select_lines(batch: Batch, mask: NDArray[np.bool_]) -> Batch:
     """The batch with the `chosen` lines (K,) alone; every run keeps at least its name."""
     windows: list[AnalysisWindow | None] = []
-    waveforms: list[Waveform | StaticWaveform | None] = []
+    waveforms: list[Waveform | None] = []
     for part, window, waveform in zip(batch.parts, batch.windows, batch.waveforms, strict=True):
         kept = mask[part]
-        narrowed = window and replace(window, start=window.start[kept], covariance=window.covariance[kept])
-        windows.append(narrowed if kept.any() else None)
+        windows.append(window.select(kept) if window is not None and kept.any() else None)
         waveforms.append(waveform.select(kept) if waveform is not None and kept.any() else None)
     noise_parts = zip(batch.parts, batch.noise_parts, strict=True)
     return replace(
@@ -229,7 +222,7 @@ def _constant_loads(lines: RunSpectrum) -> Array:
     return np.zeros(lines.loads.shape) if lines.constant_loads is None else lines.constant_loads
 
 
-def _expand_waveform(lines: RunSpectrum, channel_names: tuple[str, ...]) -> Waveform | StaticWaveform | None:
+def _expand_waveform(lines: RunSpectrum, channel_names: tuple[str, ...]) -> Waveform | None:
     waveform = lines.waveform
     if waveform is None:
         return None
@@ -237,7 +230,7 @@ def _expand_waveform(lines: RunSpectrum, channel_names: tuple[str, ...]) -> Wave
     share = np.zeros(volts.shape)
     places = _channel_indices(lines, channel_names)
     volts[:, places], share[:, places] = waveform.volts, waveform.share
-    return replace(waveform, volts=volts, share=share)
+    return waveform.with_channels(volts, share)
 
 
 def _component_indices(lines: RunSpectrum) -> Index:

@@ -22,7 +22,7 @@ class RegressionResidual:
     """Errors (K, m) of K lines, and how to get their slopes (K, m, p), which are not always asked for."""
 
     error: ComplexArray
-    slope: Callable[[], ComplexArray]
+    jacobian: Callable[[], ComplexArray]
 
 
 def line_stride(batches: Sequence[Batch], max_frequency: float = np.inf, max_lines: int = MAX_START_LINES) -> int:

@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.channel_alignment import alignment
+from balance_cli.estimation.channel_alignment import alignment_residual
 from balance_cli.estimation.equations_of_motion import motion_residuals
 from balance_cli.estimation.levenberg_marquardt import minimize
 from balance_cli.estimation.likelihood import Curvature
@@ -62,13 +62,13 @@ class StartingPoints:
     effects_free: Array
 
 
-def starting_values(
+def find_starting_values(
     parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], start: Array
 ) -> StartingPoints:
     """Where to begin, from `start`; priors hold what the data leave open."""
     weakly_constrained = add_weak_priors(parameters, start, EFFECT_PRIOR_SCALES)
     aligned = _fit_regression(
-        weakly_constrained, [alignment(batch, line_stride(batches)) for batch in batches], system, start
+        weakly_constrained, [alignment_residual(batch, line_stride(batches)) for batch in batches], system, start
     )
     known = system(aligned)
     effects_fixed = _fit_regression(
@@ -144,7 +144,7 @@ def _fit_regression(
 def _curvature(residuals: Sequence[RegressionResidual], variance: float, p: int) -> Curvature:
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     for item in residuals:
-        slope, error = item.slope().reshape(-1, p), item.error.reshape(-1)
+        slope, error = item.jacobian().reshape(-1, p), item.error.reshape(-1)
         information = 2.0 * np.real(slope.conj().T @ slope) / variance
         gradient = 2.0 * np.real(slope.conj().T @ error) / variance
         total = total + Curvature(2.0 * float(np.sum(np.abs(error) ** 2)) / variance, gradient, information)

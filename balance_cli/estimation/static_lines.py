@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints, StaticWaveform
+from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
+from balance_cli.signals.static_waveform import StaticWaveform
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.system import System, mask_or_full_slice
 from balance_cli.model.transient_modes import TransientModes, divided_differences, transient_modes
-from balance_cli.signals.run_spectrum import AnalysisWindow, RecordWaveform
+from balance_cli.signals.waveform_types import AnalysisWindow
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -74,7 +74,7 @@ class RunTransient:
         return float(read - np.trace(_solve_scaled(self.normal, prior_weight)))
 
 
-def transients(
+def fit_transients(
     batch: Batch, system: System, residual: ComplexArray, apply_weight: WeightFunction, derivatives: bool
 ) -> tuple[RunTransient, ...]:
     """The free motion of every run of the batch that has any, fitted to the residual Y - T U (K, c).
@@ -109,12 +109,10 @@ def _lines_with_transient(batch: Batch, run: int) -> tuple[slice, AnalysisWindow
     lines, window, waveform = batch.parts[run], batch.windows[run], batch.waveforms[run]
     if window is not None:
         return lines, window, 0.5 / window.step
-    if not isinstance(waveform, RecordWaveform) or batch.frequency[batch.index[lines.stop - 1]] > 0:
+    mean_window = None if waveform is None else waveform.mean_window
+    if mean_window is None or batch.frequency[batch.index[lines.stop - 1]] > 0:
         return None
-    whole = AnalysisWindow(
-        np.zeros(1), waveform.samples * waveform.step, waveform.step, np.zeros((1, 0, 0), complex), np.inf
-    )
-    return slice(lines.stop - 1, lines.stop), whole, 0.0
+    return slice(lines.stop - 1, lines.stop), mean_window, 0.0
 
 
 def _fit_transient(

@@ -19,7 +19,8 @@ from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record
 from balance_cli.signals.periodic import samples_per_period
 from balance_cli.signals.run_samples import load_columns, read_samples, sample_rate
-from balance_cli.signals.run_spectrum import RecordWaveform, RunSpectrum, StaticPoints, Waveform, hann_mean
+from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
+from balance_cli.signals.sampled_waveform import RecordWaveform, SampledWaveform, hann_mean
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -88,7 +89,7 @@ def waveform_from_samples(
     bin_index: NDArray[np.intp],
     geometry: Geometry,
     smoothing_lines: int,
-) -> Waveform:
+) -> SampledWaveform:
     """Samples (n, c) of what recurs, as amplitudes before the anti-alias filter, for lines of these numbers (K,).
 
     Each amplitude is lessened by the share of noise in the power of so many `smoothing_lines`, itself in the middle: a
@@ -101,7 +102,7 @@ def waveform_from_samples(
     variance = variance[: len(lines.channel_names)]
     volts = volts * _wiener_gain(amplitudes, variance, smoothing_lines)
     share = channel_shares(geometry, lines.channel_names, frequency, variance)
-    return Waveform(frequency, volts, share, n, bin_index, passed[bin_index])
+    return SampledWaveform(frequency, volts, share, n, bin_index, passed[bin_index])
 
 
 def _wiener_gain(amplitudes: ComplexArray, variance: Array, smoothing_lines: int) -> Array:
@@ -135,7 +136,7 @@ def _undo_anti_alias_filter(
     return amplitudes, volts, frequency, passed
 
 
-def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: Geometry) -> Waveform:
+def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: Geometry) -> SampledWaveform:
     """All of a record's live channels (n, l) [V], among all channels, as a waveform with all its lines.
 
     Of a spring's channels that hears most which gives most volts: their noises are taken for equal.
@@ -146,7 +147,9 @@ def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: 
     wide = np.zeros((len(volts), len(geometry.channels)), complex)
     wide_share = np.zeros(wide.shape)
     wide[:, places], wide_share[:, places] = volts, share
-    return Waveform(frequency, wide, wide_share, len(samples), np.arange(len(frequency)), passed, is_periodic=False)
+    return SampledWaveform(
+        frequency, wide, wide_share, len(samples), np.arange(len(frequency)), passed, is_periodic=False
+    )
 
 
 def channel_shares(geometry: Geometry, names: Sequence[str], frequency: Array, variance: Array) -> Array:

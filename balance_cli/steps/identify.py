@@ -4,30 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.choices import Damping, Form, Method
 from balance_cli.estimation.equation_error import fit_equation_error
 from balance_cli.estimation.fit_quality import fit_quality
-from balance_cli.estimation.identifiability import covariance_from_information, parameter_identifiability, undetermined
+from balance_cli.estimation.identifiability import (
+    covariance_from_information,
+    parameter_identifiability,
+    unidentifiable_directions,
+)
 from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable, ParameterTable
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
-from balance_cli.estimation.maximum_likelihood import fit_best_start, maximum_likelihood
+from balance_cli.estimation.maximum_likelihood import fit_best_start, fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import Batch, stack_runs
 from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
-from balance_cli.estimation.starting_values import start_from_equations_of_motion, starting_values
+from balance_cli.estimation.starting_values import find_starting_values, start_from_equations_of_motion
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.fitted_effects import FittedEffect, declare_fitted_effects, fitted_effects
 from balance_cli.model.modes import modes
 from balance_cli.model.placed_effects import without_effects
 from balance_cli.signals.run_spectrum import RunSpectrum
-from balance_cli.steps.identify_paper_form import paper_form
+from balance_cli.steps.identify_paper_form import identify_in_paper_form
 
 Array = NDArray[np.float64]
 
@@ -43,9 +47,9 @@ class IdentifyOptions:
     Without a band the physical form uses all lines, the paper's those from 10 to 125 Hz.
     """
 
-    method: Literal["ls", "ml", "ls+ml", "computed"] = "ls+ml"
-    form: Literal["physical", "paper"] = "physical"
-    damping: Literal["diagonal", "full"] = "diagonal"
+    method: Method = "ls+ml"
+    form: Form = "physical"
+    damping: Damping = "diagonal"
     band: tuple[float, float] | None = None
 
 
@@ -61,7 +65,7 @@ def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | No
         raise UserError("no sweep run to identify from", remedy="Give at least one sweep run")
     _check_effects(geometry, options)
     if options.form == "paper":
-        return paper_form(spectra, geometry, _paper_options(options))
+        return identify_in_paper_form(spectra, geometry, _paper_options(options))
     band = options.band or FULL_BAND
     lines = tuple(item for item in (_restrict_to_band(run, band) for run in spectra.lines) if len(item.frequency))
     return _identify_physical_form(replace(spectra, lines=lines), geometry, options)
@@ -126,19 +130,19 @@ def _fit_model(
     """
     declared = model.parameters.value
     if options.method == "ml":
-        return maximum_likelihood(model, batches, declared), "geometry"
+        return fit_maximum_likelihood(model, batches, declared), "geometry"
     first = _fit_rigid_equation_error(model, loaded)
     if options.method == "ls":
         data = data_curvature(batches, model.system(first.theta))
         total = data + prior_curvature(model.parameters, first.theta)
         return Minimum(first.theta, data, total, first.iterations, first.converged), "geometry"
     if model.geometry.effects:
-        found = starting_values(model.parameters, loaded, model.system, declared)
+        found = find_starting_values(model.parameters, loaded, model.system, declared)
         return fit_best_start(model, batches, {"least squares": found.effects_free, "geometry": found.effects_fixed})
     motion = start_from_equations_of_motion(model.parameters, loaded, model.system, declared)
     starts = {"equations of motion": motion, "least squares": first.theta, "geometry": declared}
     best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
-    return maximum_likelihood(model, batches, starts[best]), best
+    return fit_maximum_likelihood(model, batches, starts[best]), best
 
 
 def _fit_rigid_equation_error(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
@@ -163,11 +167,13 @@ def build_identified_model(
         method=method,
         start=start,
         geometry=declare_fitted_effects(model.geometry, model.parameters.names, minimum.theta.tolist()),
-        parameters=_parameter_table(model, minimum.theta, covariance, support.rests_on),
+        parameters=_parameter_table(model, minimum.theta, covariance, support.informed_by),
         covariance=_expand_covariance(model, covariance),
         modes=mode_table(model, minimum.theta, covariance),
         quality=fit_quality(batches, model.system(minimum.theta), support.effective_parameters),
-        undetermined=() if method == "computed" else undetermined(model.parameters, minimum.data.information),
+        unidentifiable=()
+        if method == "computed"
+        else unidentifiable_directions(model.parameters, minimum.data.information),
         channels_left_out=left_out,
         iterations=minimum.iterations,
         converged=minimum.converged,
@@ -188,7 +194,9 @@ def _expand_covariance(model: BalanceModel, covariance: Array) -> Array:
     return full
 
 
-def _parameter_table(model: BalanceModel, theta: Array, covariance: Array, rests_on: tuple[str, ...]) -> ParameterTable:
+def _parameter_table(
+    model: BalanceModel, theta: Array, covariance: Array, informed_by: tuple[str, ...]
+) -> ParameterTable:
     parameters = model.parameters
     return ParameterTable(
         names=parameters.names,
@@ -197,7 +205,7 @@ def _parameter_table(model: BalanceModel, theta: Array, covariance: Array, rests
         sigma=np.sqrt(np.diag(_expand_covariance(model, covariance))),
         declared=parameters.value,
         declared_sigma=parameters.sigma,
-        rests_on=rests_on,
+        informed_by=informed_by,
     )
 
 

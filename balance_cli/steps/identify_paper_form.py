@@ -15,7 +15,7 @@ from balance_cli.io.errors import UserError
 Array = NDArray[np.float64]
 
 
-def paper_form(spectra: Spectra, geometry: Geometry, options: PaperOptions) -> IdentifiedModel:
+def identify_in_paper_form(spectra: Spectra, geometry: Geometry, options: PaperOptions) -> IdentifiedModel:
     """Identify in the paper's form (reading notes 3 to 11); static runs and torque sweeps take no part."""
     if not spectra.lines:
         raise UserError("no sweep run to identify from", remedy="Give sweeps of Fx, Fy, Fz, Mx and My")
@@ -29,7 +29,7 @@ def paper_form(spectra: Spectra, geometry: Geometry, options: PaperOptions) -> I
         covariance=fit.covariance,
         modes=_modes(fit),
         quality=_quality(fit),
-        undetermined=("the scale of M, D, K and C: this form holds their quotients only",),
+        unidentifiable=("the scale of M, D, K and C: this form holds their quotients only",),
         channels_left_out=spectra.channels_left_out,
         iterations=fit.iterations,
         converged=fit.converged,
@@ -46,7 +46,7 @@ def _parameters(fit: PaperFit) -> ParameterTable:
         sigma=fit.sigma,
         declared=nothing,
         declared_sigma=np.full(len(fit.parameters), np.inf),
-        rests_on=("data",) * len(fit.parameters),
+        informed_by=("data",) * len(fit.parameters),
     )
 
 

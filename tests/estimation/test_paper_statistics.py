@@ -11,11 +11,11 @@ from balance_cli.estimation.paper.equations import (
     first_order_matrix,
     free_coefficients,
     is_stable,
-    modes,
+    modes_of_coefficients,
     stabilize,
 )
 from balance_cli.estimation.paper.fit import identify_paper_form, response, response_jacobian
-from balance_cli.estimation.paper.misfit import misfit
+from balance_cli.estimation.paper.misfit import compare_with_measurement
 from balance_cli.estimation.paper.output_error import (
     evaluate_model,
     exact_derivatives,
@@ -140,7 +140,7 @@ def test_sigma_of_modes_against_differences(bar):
 def test_real_eigenvalues_are_modes_of_their_own():
     # (lambda + 1)(lambda + 4) = lambda^2 + 5 lambda + 4
     model = Coefficients(np.array([[5.0]]), np.array([[4.0]]), np.array([[1.0]]))
-    found = modes(model, free_coefficients(1, 1, True), np.zeros((3, 3)))
+    found = modes_of_coefficients(model, free_coefficients(1, 1, True), np.zeros((3, 3)))
     np.testing.assert_allclose([m.frequency_hz * 2 * np.pi for m in found], [1.0, 4.0])
     assert [m.damping_ratio for m in found] == [1.0, 1.0]
 
@@ -213,7 +213,7 @@ def test_chi_square_counts_the_noise_of_the_loads(bar):
     for name, lines in (("both", runs), ("forces only", blind)):
         spectra = sensor_spectra(bar.geometry, sensor_rule(bar.geometry), lines)
         true = Coefficients(*bar.coefficients(np.eye(2), spectra.inputs))
-        found = misfit(spectra, spectra, true, 0)
+        found = compare_with_measurement(spectra, spectra, true, 0)
         chi2[name] = found.chi2_per_dof
         dof = found.dof
     assert dof == 2 * 2 * 2 * len(LINES)
@@ -233,7 +233,7 @@ def test_chi_square_allows_for_an_estimated_noise_covariance(bar):
         estimated.append(replace(run, covariance=z @ z.conj().swapaxes(1, 2) / dof, dof=float(dof)))
     spectra = sensor_spectra(bar.geometry, sensor_rule(bar.geometry), estimated)
     true = Coefficients(*bar.coefficients(np.eye(2), spectra.inputs))
-    assert misfit(spectra, spectra, true, 0).chi2_per_dof == pytest.approx(1.0, abs=0.15)
+    assert compare_with_measurement(spectra, spectra, true, 0).chi2_per_dof == pytest.approx(1.0, abs=0.15)
 
 
 def test_unstable_models_are_reflected_with_their_vectors_kept():

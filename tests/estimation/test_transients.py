@@ -17,7 +17,7 @@ from balance_cli.model.placed_effects import add_effects
 from balance_cli.model.system import solve
 from balance_cli.model.transient_modes import divided_differences, transient_modes
 from balance_cli.signals.periodic import periodic_record
-from balance_cli.signals.run_spectrum import AnalysisWindow
+from balance_cli.signals.waveform_types import AnalysisWindow
 from balance_cli.simulation import SweepPlan, draw_rig, simulate_campaign, simulate_run, true_rig
 from balance_cli.simulation.plans import CampaignPlan, short_plan, standard_plan
 from balance_cli.simulation.rig import apply_effects

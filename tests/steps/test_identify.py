@@ -37,18 +37,18 @@ def test_chi2_against_the_measured_noise(identified):
 
 
 def test_what_the_data_leave_open_is_the_scale(identified):
-    rests = dict(zip(identified.parameters.names, identified.parameters.rests_on, strict=True))
+    rests = dict(zip(identified.parameters.names, identified.parameters.informed_by, strict=True))
     assert all(rests[f"stiffness.{cell}"] == "prior" for cell in ("x", "y1", "y2", "z1", "z2", "z3", "z4"))
     assert rests["mass"] == rests["inertia.xx"] == rests["torque_meter.inertia"] == "prior"
     assert all(rests[f"damping_ratio.{i}"] == "data" for i in range(1, 7))
     assert rests["centre_of_gravity.z"] == "data"
     assert rests["sensitivity.x.piezo"] == "exact"
-    assert len(identified.undetermined) == 2
-    assert any("torque_meter.inertia" in words and "mass" not in words for words in identified.undetermined)
+    assert len(identified.unidentifiable) == 2
+    assert any("torque_meter.inertia" in words and "mass" not in words for words in identified.unidentifiable)
 
 
 def test_every_method_and_start_comes_to_the_same_maximum(campaign, identified):
-    spectra = measured_spectra(campaign.of("sweep", "static"), campaign.geometry)
+    spectra = measured_spectra(campaign.runs_of_kind("sweep", "static"), campaign.geometry)
     other = identify(spectra, campaign.geometry, IdentifyOptions(method="ml"))
     assert other.start == "geometry"
     np.testing.assert_allclose(other.modes.frequency, identified.modes.frequency, rtol=1e-6)
@@ -56,7 +56,7 @@ def test_every_method_and_start_comes_to_the_same_maximum(campaign, identified):
 
 
 def test_least_squares_alone_is_near_and_worse(campaign, identified):
-    spectra = measured_spectra(campaign.of("sweep"), campaign.geometry)
+    spectra = measured_spectra(campaign.runs_of_kind("sweep"), campaign.geometry)
     first = identify(spectra, campaign.geometry, IdentifyOptions(method="ls"))
     np.testing.assert_allclose(first.modes.frequency, identified.modes.frequency, rtol=0.02)
     assert first.quality.chi2_per_dof > identified.quality.chi2_per_dof
@@ -105,7 +105,7 @@ def test_nothing_to_identify_from_is_said():
 
 
 def test_the_papers_form_finds_the_same_modes(campaign, identified):
-    spectra = measured_spectra(campaign.of("sweep"), campaign.geometry)
+    spectra = measured_spectra(campaign.runs_of_kind("sweep"), campaign.geometry)
     model = identify(spectra, campaign.geometry, IdentifyOptions(form="paper", damping="full"))
     plate = np.delete(identified.modes.frequency, np.argmin(np.abs(identified.modes.shape[:, :6]).max(axis=1)))
     np.testing.assert_allclose(model.modes.frequency, plate, rtol=2e-3)

@@ -12,7 +12,6 @@ from balance_cli.estimation.coordinates import coordinates
 from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
-from balance_cli.signals.run_spectrum import RecordWaveform
 
 
 def wald_statistic(fit: Fit, names: Iterable[str], nulls: Iterable[float]) -> tuple[float, int]:
@@ -45,7 +44,8 @@ def confounding_limit(fit: Fit, batches: Sequence[Batch]) -> tuple[float, str]:
 
     What gains no more beside it may be what is wrong with it.
     """
-    which = int(any(isinstance(waveform, RecordWaveform) for batch in batches for waveform in batch.waveforms))
-    effects = [(one.effect.inaccuracy[which], one) for one in declared_effects(fit.model.geometry)]
+    waveforms = [waveform for batch in batches for waveform in batch.waveforms if waveform is not None]
+    which = int(any(waveform.lines_are_bin_sums for waveform in waveforms))
+    effects = [(one.effect.search.inaccuracy[which], one) for one in declared_effects(fit.model.geometry)]
     unknown = [(share**2 * effect_wald_statistic(fit, one)[0], one.label) for share, one in effects if share > 0]
     return max(unknown, default=(0.0, ""))

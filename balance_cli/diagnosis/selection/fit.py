@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
-from balance_cli.estimation.maximum_likelihood import maximum_likelihood, take_first_steps
+from balance_cli.estimation.maximum_likelihood import fit_maximum_likelihood, take_first_steps
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.balance import BalanceModel
 
@@ -47,7 +47,7 @@ def fit_all_lines(
     model: BalanceModel, theta: Array, batches: Sequence[Batch], tolerance: float = COMPARISON_TOLERANCE
 ) -> Fit:
     """The maximum likelihood from `theta`, as near as a comparison of chi-squares needs it."""
-    return Fit(model, maximum_likelihood(model, batches, theta, tolerance=tolerance))
+    return Fit(model, fit_maximum_likelihood(model, batches, theta, tolerance=tolerance))
 
 
 def start_fit(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> Fit:

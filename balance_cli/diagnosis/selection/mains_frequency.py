@@ -63,7 +63,7 @@ def _chi2_grid(fit: Fit, label: str, batches: Sequence[Batch], frequency: Array,
     total = np.zeros((len(frequency), len(amplitude)))
     for batch in batches:
         found = fitted_lines(batch, system, solve(system, batch.frequency, batch.spin))
-        for tone in (one for one in found.mains_tones if one.pickup is pickup):
+        for tone in (one for one in found.mains_tones if one.interference is pickup):
             n, size = tone_magnitudes(batch, tone, found.residual[tone.form.lines], frequency)
             x = size[:, None] * amplitude
             total += n[:, None] * amplitude**2 - 2.0 * (x + np.log(i0e(x)))

@@ -134,7 +134,7 @@ class Mode:
     sigma_damping_ratio: float
 
 
-def modes(model: Coefficients, free: NDArray[np.bool_], covariance: Array) -> tuple[Mode, ...]:
+def modes_of_coefficients(model: Coefficients, free: NDArray[np.bool_], covariance: Array) -> tuple[Mode, ...]:
     """Modes by rising frequency, sigma propagated from the covariance (p, p) of the free entries.
 
     With A X = X Lambda and Y = X^-1, d lambda_i / d A_ab = Y_ia X_bi (analytic, eigenvalues assumed distinct); D and

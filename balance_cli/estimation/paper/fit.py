@@ -13,12 +13,12 @@ from balance_cli.estimation.paper.equations import (
     free_coefficients,
     model_response,
     model_response_jacobian,
-    modes,
+    modes_of_coefficients,
 )
 from balance_cli.estimation.paper.initial_models import select_initial_model
 from balance_cli.estimation.paper.least_squares import fit_linear_equations
 from balance_cli.estimation.paper.likelihood import OutputErrorFit, maximize_likelihood
-from balance_cli.estimation.paper.misfit import misfit
+from balance_cli.estimation.paper.misfit import compare_with_measurement
 from balance_cli.estimation.paper.output_error import group_by_frequency
 from balance_cli.estimation.paper.result import PaperFit, PaperOptions
 from balance_cli.estimation.paper.sensors import SensorRule, sensor_rule
@@ -84,10 +84,10 @@ def _build_fit(
         covariance=estimate.covariance,
         S=estimate.S,
         noise=estimate.noise,
-        modes=modes(estimate.model, free, estimate.covariance),
-        misfit=misfit(all_spectra, spectra, estimate.model, int(free.sum())),
+        modes=modes_of_coefficients(estimate.model, free, estimate.covariance),
+        misfit=compare_with_measurement(all_spectra, spectra, estimate.model, int(free.sum())),
         options=options,
-        lines=len(spectra.frequency),
+        line_count=len(spectra.frequency),
         start=start,
         cost=estimate.cost,
         iterations=estimate.iterations,

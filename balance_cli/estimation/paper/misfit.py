@@ -35,7 +35,9 @@ class Misfit:
         return self.chi2 / self.dof if self.dof > 0 else float("nan")
 
 
-def misfit(all_spectra: SensorSpectra, fitted_spectra: SensorSpectra, model: Coefficients, parameters: int) -> Misfit:
+def compare_with_measurement(
+    all_spectra: SensorSpectra, fitted_spectra: SensorSpectra, model: Coefficients, parameters: int
+) -> Misfit:
     """Misfit of `model`: chi2 over the `fitted` lines, relative errors over `all_spectra` in the common band."""
     errors = frf_errors(all_spectra.in_band(FRF_BAND), model)
     present = [error for error in errors.values() if np.isfinite(error)]

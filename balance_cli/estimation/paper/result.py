@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -63,7 +63,7 @@ class PaperFit:
     modes: tuple[Mode, ...]
     misfit: Misfit
     options: PaperOptions
-    lines: int
+    line_count: int = field(metadata={"stored_as": "lines"})
     start: str
     cost: float
     iterations: int

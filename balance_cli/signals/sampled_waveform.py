@@ -1,0 +1,146 @@
+"""Waveforms with a time axis: the period of a periodic record, or a whole record that does not repeat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.signals.waveform_types import AnalysisWindow, BinSampling
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
+# The cube of a signal has three times its bandwidth; the force of a slipping contact has more.
+OVERSAMPLING = 4
+
+
+def hann_mean(values: Array) -> Array:
+    """Mean (...) of values (n, ...) with the weights of a Hann window."""
+    n = len(values)
+    return np.asarray(np.tensordot((1.0 - np.cos(2 * np.pi * np.arange(n) / n)) / n, values, axes=1))
+
+
+@dataclass(frozen=True)
+class SampledWaveform:
+    """A waveform of `samples` samples whose bins are the lines.
+
+    `volts` and `share` (F, c) are at the harmonics 0, 1, 2 ... of 1/T, `frequency` (F,) [Hz], of a period T.
+    `bin_index` (R,) is the position of each bin among the F frequencies, `filter_response` (R,) the anti-alias filter
+    there.
+    """
+
+    frequency: Array
+    volts: ComplexArray
+    share: Array
+    samples: int
+    bin_index: NDArray[np.intp]
+    filter_response: ComplexArray
+    is_periodic: bool = True
+
+    @property
+    def lines_are_bin_sums(self) -> bool:
+        """False: the bins are the lines."""
+        return False
+
+    @property
+    def step(self) -> float:
+        """Time between samples [s]."""
+        return 1.0 / (float(self.frequency[1]) * self.samples)
+
+    @property
+    def mean_factor(self) -> float:
+        """2, as for every one-sided amplitude."""
+        return 2.0
+
+    @property
+    def mean_window(self) -> AnalysisWindow | None:
+        """None: the window of the run holds for all lines."""
+        return None
+
+    def select(self, mask: Mask) -> SampledWaveform:
+        """The waveform for the lines (K,) in the mask."""
+        return replace(self, bin_index=self.bin_index[mask], filter_response=self.filter_response[mask])
+
+    def with_channels(self, volts: ComplexArray, share: Array) -> SampledWaveform:
+        """The waveform with other channels, volts and share (F, c)."""
+        return replace(self, volts=volts, share=share)
+
+    def bin_sampling(self, frequency: Array, window: AnalysisWindow | None) -> BinSampling:
+        """The samples of the window; those of one period where no window is known."""
+        start = np.zeros(len(frequency)) if window is None else window.start
+        length = self.samples * self.step if window is None else window.stop - window.start
+        count = np.broadcast_to(np.rint(length / self.step).astype(int), frequency.shape)
+        return BinSampling(frequency, start, self.step, count, np.ones(len(frequency)))
+
+    def filter_gain(self, frequency: float) -> float:
+        """Magnitude of the anti-alias filter at the bin nearest to a frequency [Hz]."""
+        return float(abs(self.filter_response[np.argmin(np.abs(self.bin_frequency() - frequency))]))
+
+    def bin_frequency(self) -> Array:
+        """Frequencies (R,) [Hz] of the bins."""
+        return self.frequency[self.bin_index]
+
+    def to_time_domain(self, amplitudes: ComplexArray) -> Array:
+        """Amplitudes (F, ...) as a function of time (n, ...), oversampled; at frequency zero twice the mean."""
+        n = OVERSAMPLING * self.samples
+        return np.asarray(np.fft.irfft(amplitudes * (n / 2.0), n, axis=0))
+
+    def to_bins(self, values: Array) -> ComplexArray:
+        """A function of time (n, ...) at the bins (R, ...), after the anti-alias filter."""
+        spectrum = np.fft.rfft(values, axis=0)[self.bin_index] * (2.0 / len(values))
+        return np.asarray((spectrum.T * self.filter_response).T)
+
+    def combine_bins(self, values: ComplexArray) -> ComplexArray:
+        """The values (R, ...) themselves: the bins are the lines."""
+        return values
+
+
+@dataclass(frozen=True)
+class RecordWaveform(SampledWaveform):
+    """The waveform of a record that does not repeat, whose lines are weighted sums of neighboring bins.
+
+    A line is the sum of `weight` (K, M) times the M bins from `first` (K,) on. The last bin is the mean, taken with a
+    Hann window.
+    """
+
+    first: NDArray[np.intp] = field(kw_only=True)
+    weight: ComplexArray = field(kw_only=True)
+
+    @property
+    def lines_are_bin_sums(self) -> bool:
+        """True: the lines are sums of bins."""
+        return True
+
+    @property
+    def mean_window(self) -> AnalysisWindow | None:
+        """The whole record: local models have removed the transient from all lines but the mean."""
+        return AnalysisWindow(np.zeros(1), self.samples * self.step, self.step, np.zeros((1, 0, 0), complex), np.inf)
+
+    def select(self, mask: Mask) -> RecordWaveform:
+        """The waveform for the lines (K,) in the mask; the bins stay."""
+        return replace(self, first=self.first[mask], weight=self.weight[mask])
+
+    def bin_sampling(self, frequency: Array, window: AnalysisWindow | None) -> BinSampling:
+        """All samples of the record for each bin; the Hann window keeps a tone out of the mean."""
+        bins = self.bin_frequency()
+        tone_weight = np.ones(len(bins))
+        tone_weight[-1] = 0.0
+        return BinSampling(bins, np.zeros(len(bins)), self.step, np.full(len(bins), self.samples), tone_weight)
+
+    def to_bins(self, values: Array) -> ComplexArray:
+        """A function of time (n, ...) at the bins (R, ...), after the anti-alias filter; the last is a Hann mean."""
+        bins = super().to_bins(values)
+        bins[-1] = 2.0 * hann_mean(values)
+        return bins
+
+    def combine_bins(self, values: ComplexArray) -> ComplexArray:
+        """Values (R, ...) at the bins as lines (K, ...)."""
+        from scipy.sparse import csr_array
+
+        K, M = self.weight.shape
+        neighbors = (self.first[:, None] + np.arange(M)).ravel()
+        rows = csr_array((self.weight.ravel(), neighbors, np.arange(K + 1) * M), (K, len(values)))
+        return np.asarray(rows @ values.reshape(len(values), -1)).reshape(K, *values.shape[1:])

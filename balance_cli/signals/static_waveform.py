@@ -1,0 +1,83 @@
+"""The load points of a static run as a waveform without a time axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.signals.waveform_types import AnalysisWindow, BinSampling
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class StaticWaveform:
+    """The m load points of a static run: `volts` (m, c) and `share` (m, c), all at frequency zero.
+
+    `projection` (K, m) transforms the values at the points into lines.
+    """
+
+    volts: ComplexArray
+    share: Array
+    projection: Array
+
+    @property
+    def frequency(self) -> Array:
+        """Zero (m,) [Hz]."""
+        return np.zeros(len(self.volts))
+
+    @property
+    def is_periodic(self) -> bool:
+        """False: the first point follows the unloaded rig."""
+        return False
+
+    @property
+    def lines_are_bin_sums(self) -> bool:
+        """False: the bins are the lines."""
+        return False
+
+    @property
+    def mean_factor(self) -> float:
+        """1: the amplitude is the value of the point."""
+        return 1.0
+
+    @property
+    def mean_window(self) -> AnalysisWindow | None:
+        """None: load points hold no transient."""
+        return None
+
+    def select(self, mask: Mask) -> StaticWaveform:
+        """The waveform for the lines (K,) in the mask."""
+        return replace(self, projection=self.projection[mask])
+
+    def with_channels(self, volts: ComplexArray, share: Array) -> StaticWaveform:
+        """The waveform with other channels, volts and share (F, c)."""
+        return replace(self, volts=volts, share=share)
+
+    def bin_sampling(self, frequency: Array, window: AnalysisWindow | None) -> BinSampling | None:
+        """None: load points have no time axis."""
+        return None
+
+    def filter_gain(self, frequency: float) -> float:
+        """1: the filter passes constant voltages."""
+        return 1.0
+
+    def bin_frequency(self) -> Array:
+        """Zero (K,) [Hz]."""
+        return np.zeros(len(self.projection))
+
+    def to_time_domain(self, amplitudes: ComplexArray) -> Array:
+        """The values (m, ...) at the points."""
+        return np.asarray(amplitudes.real)
+
+    def to_bins(self, values: Array) -> ComplexArray:
+        """Values (m, ...) at the points as lines (K, ...)."""
+        return np.tensordot(self.projection, values, axes=1).astype(complex)
+
+    def combine_bins(self, values: ComplexArray) -> ComplexArray:
+        """The values (K, ...) themselves: the bins are the lines."""
+        return values

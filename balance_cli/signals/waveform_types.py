@@ -1,0 +1,123 @@
+"""The channels of a run through time, from which forces that are not linear in the channels are computed.
+
+A waveform is known at *bins*, and the spectral lines of its run follow from these. `SampledWaveform` (the mean period
+of a periodic record) and `StaticWaveform` (load points) have lines that are the bins; the lines of a `RecordWaveform`
+(a record that does not repeat) are weighted sums of neighboring bins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class AnalysisWindow:
+    """The samples from which each of k lines was computed: whole periods of the record, without a taper.
+
+    `start` (k,) and `stop` [s] from the first sample, `step` [s] between samples. `covariance` (k, c+u, c+u) and `dof`
+    are those of the noise alone, for estimators that model the transient that is still in the lines; the covariance of
+    the lines themselves includes the scatter of the transient.
+    """
+
+    start: Array
+    stop: float
+    step: float
+    covariance: ComplexArray
+    dof: float
+
+    def select(self, mask: Mask) -> AnalysisWindow:
+        """The window of the lines (k,) in the mask."""
+        return replace(self, start=self.start[mask], covariance=self.covariance[mask])
+
+
+@dataclass(frozen=True)
+class BinSampling:
+    """How each of R bins was sampled: `count` (R,) samples from `start` (R,) [s] on, `step` [s] apart.
+
+    `frequency` (R,) [Hz]; `tone_weight` (R,) is zero for a bin that a steady tone does not reach.
+    """
+
+    frequency: Array
+    start: Array
+    step: float
+    count: NDArray[np.intp]
+    tone_weight: Array
+
+
+class Waveform(Protocol):
+    """The channels of a run through time: c channels at F frequencies, R bins, K spectral lines."""
+
+    @property
+    def volts(self) -> ComplexArray:
+        """Amplitudes (F, c) [V] before the anti-alias filter."""
+        ...
+
+    @property
+    def share(self) -> Array:
+        """Weight (F, c) of each channel among the channels of its spring."""
+        ...
+
+    @property
+    def frequency(self) -> Array:
+        """Frequencies (F,) [Hz] of the amplitudes."""
+        ...
+
+    @property
+    def is_periodic(self) -> bool:
+        """Whether the waveform repeats forever; if not, the rig was unloaded before it began."""
+        ...
+
+    @property
+    def lines_are_bin_sums(self) -> bool:
+        """Whether the lines are weighted sums of the bins, as for a record that does not repeat, or the bins."""
+        ...
+
+    @property
+    def mean_factor(self) -> float:
+        """Amplitude at frequency zero per unit of the mean."""
+        ...
+
+    @property
+    def mean_window(self) -> AnalysisWindow | None:
+        """The samples of the mean, where the mean is the only line with a transient in it; else None."""
+        ...
+
+    def select(self, mask: Mask) -> Waveform:
+        """The waveform for the lines (K,) in the mask."""
+        ...
+
+    def with_channels(self, volts: ComplexArray, share: Array) -> Waveform:
+        """The waveform with other channels, volts and share (F, c)."""
+        ...
+
+    def bin_sampling(self, frequency: Array, window: AnalysisWindow | None) -> BinSampling | None:
+        """How the bins of lines at `frequency` (K,) [Hz] in a window were sampled; None without a time axis."""
+        ...
+
+    def filter_gain(self, frequency: float) -> float:
+        """Magnitude of the anti-alias filter at the bin nearest to a frequency [Hz]."""
+        ...
+
+    def bin_frequency(self) -> Array:
+        """Frequencies (R,) [Hz] of the bins."""
+        ...
+
+    def to_time_domain(self, amplitudes: ComplexArray) -> Array:
+        """Amplitudes (F, ...) as a function of time (n, ...)."""
+        ...
+
+    def to_bins(self, values: Array) -> ComplexArray:
+        """A function of time (n, ...) at the bins (R, ...), after the anti-alias filter."""
+        ...
+
+    def combine_bins(self, values: ComplexArray) -> ComplexArray:
+        """Values (R, ...) at the bins as lines (K, ...)."""
+        ...
