@@ -1,0 +1,75 @@
+"""Runs and geometries, given as paths or as objects."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.recording.run_file import geometry_mismatches, open_run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.io.errors import UserError
+
+PathLike = str | os.PathLike[str]
+RunLike = Run | PathLike
+GeometryLike = Geometry | PathLike
+
+
+def read_run(path: PathLike) -> Run:
+    """Open a run file (HDF5, `balance-run/1`); its samples are read when they are needed.
+
+    Raises UserError for the first fault of the file.
+
+    >>> import balance_cli as bal
+    >>> run = bal.read_run("sample_data/check-1.h5")
+    >>> run.kind, run.sample_rate, len(run.channel_names)
+    ('check', 800.0, 15)
+    >>> run.read(0, 100).channels.shape
+    (100, 15)
+    """
+    return open_run(Path(path))
+
+
+def read_geometry(path: PathLike) -> Geometry:
+    """Read the geometry of a rig (YAML, `balance-geometry/1`).
+
+    Raises UserError for the first fault of the file.
+
+    >>> import balance_cli as bal
+    >>> geometry = bal.read_geometry("configs/rts-6.yaml")
+    >>> geometry.rig, geometry.cell_names
+    ('RTS-6', ('x', 'y1', 'y2', 'z1', 'z2', 'z3', 'z4'))
+    """
+    return load_geometry(Path(path))
+
+
+def to_geometry(geometry: GeometryLike) -> Geometry:
+    """The geometry itself, or the one in the file."""
+    return geometry if isinstance(geometry, Geometry) else read_geometry(geometry)
+
+
+def to_runs(runs: RunLike | Iterable[RunLike], geometry: Geometry) -> tuple[Run, ...]:
+    """The runs, opened where paths are given.
+
+    Raises UserError where a file cannot be read, a run belongs to another rig, or two runs have one name.
+    """
+    items = [runs] if isinstance(runs, Run | str | os.PathLike) else runs
+    opened: dict[str, Run] = {}
+    for item in items:
+        run = item if isinstance(item, Run) else read_run(item)
+        for mismatch in geometry_mismatches(run, geometry):
+            raise mismatch
+        if run.name in opened:
+            raise UserError(f"two runs are named `{run.name}`", str(run.path or run.name), "run", "Give each run once")
+        opened[run.name] = run
+    return tuple(opened.values())
+
+
+def require_disjoint(runs: Iterable[Run], hold_out: Iterable[Run]) -> None:
+    """Raise UserError where a run is both fitted and held out."""
+    fitted = {run.name for run in runs}
+    for run in hold_out:
+        if run.name in fitted:
+            raise UserError(f"run `{run.name}` is in both lists", str(run.path or ""), remedy="Give it in one of them")
