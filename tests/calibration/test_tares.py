@@ -14,13 +14,13 @@ from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.outliers import screen_outliers
 from balance_cli.calibration.tares import screen_outliers_with_tares, weight_loads
-from balance_cli.calibration.terms import columns
+from balance_cli.calibration.terms import term_values
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.recording.run_file import open_run, read_run, write_run
 from balance_cli.campaign.rig.attitude import attitude_segments, gravity_directions
 from balance_cli.io.errors import UserError
 from balance_cli.report.calibration import section
-from balance_cli.report.sources import sources
+from balance_cli.report.sources import group_sources
 from balance_cli.steps.calibrate import calibrate
 from tests.support.calibration_stand import CHANNELS, COMPONENTS, FULL_RANGE, NOISE, stand_loads, true_model
 from tests.support.page_content import tables, texts
@@ -44,7 +44,7 @@ def tilted_stand(seed, curved, attitudes=SIX, jumps=0.0):
     gravity = gravity_directions(attitudes[sequence % len(attitudes)])
     total = x + weight_loads(gravity) @ TRUE_W / FULL_RANGE
     zeros = NATURAL + jumps * rng.normal(size=(sequence[-1] + 1, 8))[sequence]
-    read = columns(terms, total) @ b + zeros + NOISE * rng.normal(size=(len(x), 8))
+    read = term_values(terms, total) @ b + zeros + NOISE * rng.normal(size=(len(x), 8))
     run = np.zeros(len(x), int)
     return CalibrationPoints(
         CHANNELS, COMPONENTS, ("s",), read, x * FULL_RANGE, run, np.ones(len(x)), FULL_RANGE, gravity
@@ -55,7 +55,7 @@ def quiet_first(points):
     """The first row (8,) without its noise."""
     terms, b = true_model()
     total = points.loads[:1] + weight_loads(points.gravity[:1]) @ TRUE_W
-    return (columns(terms, total / FULL_RANGE) @ b)[0] + NATURAL
+    return (term_values(terms, total / FULL_RANGE) @ b)[0] + NATURAL
 
 
 def off(tares):
@@ -88,10 +88,10 @@ def test_an_attitude_begins_a_stretch_and_a_sequence():
     assert attitude_segments(run, gravity).tolist() == [0, 0, 1, 1, 2, 3]
     points = tilted_stand(0, False)
     same = replace(points, gravity=None)
-    assert np.array_equal(points.sequence, same.sequence)
+    assert np.array_equal(points.load_series, same.load_series)
     turned = np.arange(len(points.loads)) >= 5
     split = replace(points, gravity=np.where(turned[:, None], points.gravity, -points.gravity))
-    assert np.array_equal(split.sequence[5:], points.sequence[5:] + 1)
+    assert np.array_equal(split.load_series[5:], points.load_series[5:] + 1)
 
 
 # ---- what is told ----------------------------------------------------------------------------------------------------
@@ -110,20 +110,20 @@ def test_weight_centre_and_natural_zeros_come_out_with_honest_errors(curved):
 
 def test_the_model_is_that_of_all_loads():
     points = tilted_stand(3, True)
-    gage = calibrate_all_trims(points)
+    all_trims = calibrate_all_trims(points)
     terms, b = true_model()
     added = weight_loads(points.gravity) @ TRUE_W
-    np.testing.assert_allclose(gage.loads - points.loads, added, atol=0.2)
-    assert set(gage.model.terms) == {term.name(COMPONENTS) for term in terms}
-    place = [gage.model.terms.index(term.name(COMPONENTS)) for term in terms]
-    sigma = np.sqrt(np.diagonal(gage.model.covariance, axis1=1, axis2=2)).T[place]
-    assert np.all(np.abs(gage.model.coefficients[place] - b)[sigma > 0] < 5 * sigma[sigma > 0])
-    np.testing.assert_allclose(gage.model.zeros, np.tile(NATURAL, (len(gage.model.zeros), 1)), atol=2e-3)
-    np.testing.assert_allclose(gage.level, [0, 0, -W, *np.cross(W * R, [0, 0, -1])], atol=0.3)
-    assert 0.7 < gage.tares.chi2_per_dof < 1.3 and not gage.limits
+    np.testing.assert_allclose(all_trims.loads - points.loads, added, atol=0.2)
+    assert set(all_trims.model.terms) == {term.name(COMPONENTS) for term in terms}
+    place = [all_trims.model.terms.index(term.name(COMPONENTS)) for term in terms]
+    sigma = np.sqrt(np.diagonal(all_trims.model.covariance, axis1=1, axis2=2)).T[place]
+    assert np.all(np.abs(all_trims.model.coefficients[place] - b)[sigma > 0] < 5 * sigma[sigma > 0])
+    np.testing.assert_allclose(all_trims.model.zeros, np.tile(NATURAL, (len(all_trims.model.zeros), 1)), atol=2e-3)
+    np.testing.assert_allclose(all_trims.level_weight_loads, [0, 0, -W, *np.cross(W * R, [0, 0, -1])], atol=0.3)
+    assert 0.7 < all_trims.tares.chi2_per_dof < 1.3 and not all_trims.screening_notes
     # The applied loads alone leave the curvature of the weight.
     apart = screen_outliers(points).fit.model.coefficients[:6] - b[:6]
-    assert np.max(np.abs(apart)) > 3 * np.max(np.abs(gage.model.coefficients[:6] - b[:6]))
+    assert np.max(np.abs(apart)) > 3 * np.max(np.abs(all_trims.model.coefficients[:6] - b[:6]))
 
 
 def test_zeros_that_jump_widen_the_errors():
@@ -157,26 +157,26 @@ def test_too_few_attitudes_tell_nothing(attitudes):
 
 def test_an_attitude_that_creeps_within_a_sequence_tells_no_zero():
     points = tilted_stand(0, False)
-    sequence = points.sequence
+    sequence = points.load_series
     creep = np.where(sequence == 7, np.linspace(0, 1, len(sequence)) * 40, 0.0)
     tilt = np.column_stack([SIX[sequence % 6, 0], SIX[sequence % 6, 1] + creep])
     rows = np.flatnonzero(sequence == 7)
     tilt[rows, 1] = SIX[1, 1] + np.linspace(0, 1.0, len(rows))
     crept = replace(points, gravity=gravity_directions(tilt))
-    assert np.array_equal(crept.sequence, sequence)
+    assert np.array_equal(crept.load_series, sequence)
     tares = screen_outliers_with_tares(crept, search=False)[2]
-    assert tares.sequences == sequence[-1] and abs(tares.weight - W) < 4 * tares.weight_sigma
+    assert tares.series_count == sequence[-1] and abs(tares.weight - W) < 4 * tares.weight_sigma
 
 
 def test_what_took_no_part_in_the_fit_tells_no_zero():
     points = tilted_stand(0, False)
-    sequence = points.sequence
+    sequence = points.load_series
     channels = points.channels.copy()
     channels[sequence == 5, 2] *= 1.5
     channels[np.flatnonzero(sequence == 9)[4], 1] += 0.008
-    gage = calibrate_all_trims(replace(points, channels=channels), search=False)
-    assert len(gage.bad_sequences) == 1 and len(gage.outliers) == 1
-    assert gage.tares.sequences == sequence[-1] and np.all(np.abs(off(gage.tares)) < 4)
+    all_trims = calibrate_all_trims(replace(points, channels=channels), search=False)
+    assert len(all_trims.suspect_series) == 1 and len(all_trims.outliers) == 1
+    assert all_trims.tares.series_count == sequence[-1] and np.all(np.abs(off(all_trims.tares)) < 4)
 
 
 def test_single_unloaded_rows_tell_the_weight():
@@ -184,7 +184,7 @@ def test_single_unloaded_rows_tell_the_weight():
     rng, (terms, b) = np.random.default_rng(8), true_model()
     gravity = gravity_directions(SIX[1:])
     total = weight_loads(gravity) @ TRUE_W / FULL_RANGE
-    read = columns(terms, total) @ b + NATURAL + NOISE * rng.normal(size=(5, 8))
+    read = term_values(terms, total) @ b + NATURAL + NOISE * rng.normal(size=(5, 8))
     points = replace(
         tilted,
         channels=np.vstack([level.channels, read]),
@@ -193,16 +193,23 @@ def test_single_unloaded_rows_tell_the_weight():
         weight=np.ones(len(level.run) + 5),
         gravity=np.vstack([level.gravity, gravity]),
     )
-    gage = calibrate_all_trims(points)
-    assert np.all(np.abs(off(gage.tares)) < 4) and gage.tares.sequences == len(np.unique(level.sequence)) + 5
+    all_trims = calibrate_all_trims(points)
+    assert (
+        np.all(np.abs(off(all_trims.tares)) < 4)
+        and all_trims.tares.series_count == len(np.unique(level.load_series)) + 5
+    )
 
 
 def test_a_run_without_attitude_is_named():
     points = tilted_stand(0, False)
-    run = (points.sequence > 30).astype(int)
+    run = (points.load_series > 30).astype(int)
     gravity = np.where(run[:, None] == 1, np.nan, points.gravity)
-    gage = calibrate_all_trims(replace(points, run=run, run_names=("a", "b"), gravity=gravity), search=False)
-    assert gage.tares is None and len(gage.limits) == 1 and "run b does not state its attitude" in gage.limits[0]
+    all_trims = calibrate_all_trims(replace(points, run=run, run_names=("a", "b"), gravity=gravity), search=False)
+    assert (
+        all_trims.tares is None
+        and len(all_trims.screening_notes) == 1
+        and "run b does not state its attitude" in all_trims.screening_notes[0]
+    )
 
 
 # ---- run files -------------------------------------------------------------------------------------------------------
@@ -235,7 +242,7 @@ def test_attitude_survives_the_file(tmp_path):
         (np.zeros(100), ["pitch", "roll"], "deg", "has the shape (100,)"),
         (np.full((100, 2), np.nan), ["pitch", "roll"], "deg", "row 1 first"),
         (np.zeros((100, 2)), ["pitch", "yaw"], "deg", "named pitch, yaw"),
-        (np.zeros((100, 2)), ["pitch", "pitch"], "deg", "stands twice"),
+        (np.zeros((100, 2)), ["pitch", "pitch"], "deg", "used twice"),
         (np.zeros((100, 2)), ["pitch", "roll"], "rad", "its unit is rad"),
         (np.zeros((100, 2)), ["pitch", "roll"], None, "its unit is missing"),
         (np.array([[b"a", b"b"]] * 100), ["pitch", "roll"], "deg", "does not hold real numbers"),
@@ -294,7 +301,7 @@ def test_calibrate_tells_the_weight(tmp_path):
 
 def test_the_page_tells_the_weight():
     calibration = calibrate([tilted_runs()], rotor_balance(), search=False)
-    made = section(sources([(Path("c.h5"), artefact("balance-calibration/1", calibration, "1" * 64))]))
+    made = section(group_sources([(Path("c.h5"), artefact("balance-calibration/1", calibration, "1" * 64))]))
     assert "tell the metric part: weight" in texts(made, "text")
     table = next(one for one in tables(made) if "Natural zeros" in one.caption)
-    assert len(table.rows) == len(calibration.gage.model.channel_names)
+    assert len(table.rows) == len(calibration.all_trims.model.channel_names)

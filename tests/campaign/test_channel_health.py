@@ -102,6 +102,14 @@ def test_samples_that_are_not_finite_are_counted() -> None:
     assert fault(channel) == "not finite: 2 of 20000 samples, the first is sample 7"
 
 
+@pytest.mark.parametrize("value", [1e300, -1e10])
+def test_a_channel_of_absurd_values_is_not_plausible(value: float) -> None:
+    channel = noise()
+    channel[7] = value
+    assert fault(channel) == f"not plausible: reaches {value:.6g} V"
+    assert fault(np.full(1000, value)) == f"not plausible: reaches {value:.6g} V"
+
+
 @pytest.mark.parametrize("limits", [(-10.0, 10.0), (-99.0, 10.0), (-10.0, 99.0)])
 def test_a_sample_at_the_declared_range_is_clipped(limits: tuple[float, float]) -> None:
     channel = noise(sigma=2.0)

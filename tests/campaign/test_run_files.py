@@ -1,6 +1,7 @@
 """Run files: what is sound survives writing and reading; what is not is refused by name, never with a traceback."""
 
 import shutil
+import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from balance_cli.campaign.recording.dataset_checks import MOST_PULSES
 from balance_cli.campaign.recording.run import MemorySource, Run, read_channels, run_digest
 from balance_cli.campaign.recording.run_file import open_run, open_runs, read_run, write_run
 from balance_cli.campaign.rig.components import COMPONENTS, EXCITATIONS, UNITS
@@ -148,15 +150,20 @@ def replaced(name: str, change: Any) -> Any:
         ("check", put("run", " "), "attribute run", "' '"),
         ("check", put("sample_rate", -1.0), "attribute sample_rate", "-1.0"),
         ("check", put("sample_rate", np.nan), "attribute sample_rate", "nan"),
+        ("check", put("sample_rate", 1e12), "attribute sample_rate", "1000000000000.0"),
+        ("check", put("rotor_speed", 51.0), "attribute rotor_speed", "51.0"),
         ("wind", drop("rotor_speed"), "attribute rotor_speed", "missing"),
         ("static", drop("trim"), "attribute trim", "missing"),
         ("sweep", put("excited", "Fq"), "attribute excited", "'Fq'"),
         ("sweep", put("excited", ["Fx", "Fx"]), "attribute excited", "Fx"),
         ("sweep", put("excitation", "noise"), "attribute excitation", "'noise'"),
         ("sweep", put("level", [1.0, 2.0]), "attribute level", "2.0"),
+        ("sweep", put("level", 1e300), "attribute level", "1e+300"),
         ("sweep", drop("period"), "attribute period", "missing"),
+        ("sweep", put("period", 1e-300), "attribute period", "1e-300"),
+        ("sweep", put("period", 0.019), "attribute period", "0.019"),
         ("check", drop("names", "channels"), "channels, attribute names", "0 names for 3 columns"),
-        ("check", put("names", ["a", "a", "b"], "channels"), "channels, attribute names", "`a` stands twice"),
+        ("check", put("names", ["a", "a", "b"], "channels"), "channels, attribute names", "`a` is used twice"),
         ("check", put("unit", "mV", "channels"), "channels, attribute unit", "mV"),
         ("check", put("units", ["N"] * 6, "loads"), "loads, attribute units", "N, N"),
         ("check", put("names", list("abcdef"), "loads"), "loads, attribute names", "a, b"),
@@ -172,7 +179,14 @@ def replaced(name: str, change: Any) -> Any:
         ("check", replaced("rotor/pulse_times", lambda data: data * np.nan), "rotor/pulse_times", "not finite"),
         ("check", replaced("rotor/pulse_times", lambda data: data + 9.0), "rotor/pulse_times", "within the record"),
         ("check", replaced("loads", lambda data: data * np.nan), "loads, column Fx", "100 of 100"),
-        ("sweep", replaced("loads", lambda data: data * 0.0), "loads, column Fx", "all zero"),
+        (
+            "check",
+            replaced("rotor/pulse_times", lambda data: data * 1e300),
+            "rotor/pulse_times",
+            "not finite, or beyond",
+        ),
+        ("static", replaced("loads", lambda data: data * 1e300), "loads, column Mz", "100 of 100"),
+        ("sweep", replaced("loads", lambda data: data * 0.0), "loads, column Fx", "all samples are zero"),
     ],
 )
 def test_each_fault_is_named_with_its_place(path: Path, kind: str, change: Any, place: str, words: str) -> None:
@@ -199,6 +213,57 @@ def test_a_record_that_broke_off_is_not_read_as_zeros(path: Path) -> None:
 
     write_run(path, a_run("wind"))
     assert "not all samples" in damage(path, break_off)[0].fault
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "shape", "words"),
+    [
+        ("wind", "rotor/pulse_times", (10**11,), "not all of them were written"),
+        ("static", "attitude", (10**11, 2), "not all samples were written"),
+        ("wind", "channels", (10**11, 3), "not all samples were written"),
+    ],
+)
+def test_sizes_that_are_declared_and_not_stored_are_refused_unread(
+    path: Path, kind: str, name: str, shape: tuple[int, ...], words: str
+) -> None:
+    def declare(file: h5py.File) -> None:
+        attributes = dict(file[name].attrs) if name in file else {"names": ["pitch", "roll"], "unit": "deg"}
+        if name in file:
+            del file[name]
+        file.create_dataset(name, shape, "f8", chunks=(2**16, *shape[1:])).attrs.update(attributes)
+
+    write_run(path, a_run(kind))
+    assert any(fault.place == name and words in fault.fault for fault in damage(path, declare))
+
+
+def test_a_record_of_one_value_that_takes_hardly_any_room_is_refused_unread(path: Path) -> None:
+    rows = 12_000_000
+
+    def fill(file: h5py.File) -> None:
+        attributes = dict(file["channels"].attrs)
+        del file["channels"]
+        chunks = (rows // 12, 3)
+        dataset = file.create_dataset("channels", (rows, 3), "f8", chunks=chunks, compression="gzip")
+        stored = zlib.compress(bytes(8 * chunks[0] * chunks[1]))
+        for start in range(0, rows, chunks[0]):
+            dataset.id.write_direct_chunk((start, 0), stored)
+        dataset.attrs.update(attributes)
+
+    write_run(path, a_run("wind"))
+    (fault,) = damage(path, fill)
+    assert (fault.place, "the same value" in fault.fault) == ("channels", True)
+
+
+def test_too_many_pulses_are_refused_unread(path: Path) -> None:
+    def fill(file: h5py.File) -> None:
+        del file["rotor/pulse_times"]
+        count = MOST_PULSES + 1
+        dataset = file.create_dataset("rotor/pulse_times", (count,), "f8", chunks=(count,), compression="gzip")
+        dataset.id.write_direct_chunk((0,), zlib.compress(bytes(8 * count)))
+
+    write_run(path, a_run("wind"))
+    (fault,) = damage(path, fill)
+    assert (fault.place, "more than" in fault.fault) == ("rotor/pulse_times", True)
 
 
 def test_truncated_foreign_and_missing_files_are_refused(tmp_path: Path) -> None:
@@ -309,7 +374,7 @@ def test_bad_runs_stop_the_call_or_are_skipped_and_listed(campaign: list[Path]) 
     runs, skipped = open_runs(campaign, geometry, skip_bad=True)
     assert [run.name for run in runs] == [path.stem for path in campaign[2:]]
     assert list(skipped) == campaign[:2]
-    with pytest.raises(UserError, match="no run is left"):
+    with pytest.raises(UserError, match="all runs were skipped"):
         open_runs(campaign[:2], geometry, skip_bad=True)
 
 

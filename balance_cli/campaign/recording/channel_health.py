@@ -1,14 +1,14 @@
-"""Which channels of a run can be used, and why the others cannot: absent, not finite, dead, clipped.
+"""Which channels of a run can be used, and why the others cannot: absent, not finite, not plausible, dead, clipped.
 
-Judged from the samples alone, in one pass over blocks. Two things must not be mistaken for faults: coarse quantisation
-of a quiet channel, which repeats values by itself, and a smooth signal, which dwells at its peaks. So both tests for
-faults compare a channel with itself.
+The tests use the samples alone, in one pass over blocks. Two things must not be mistaken for faults: coarse
+quantization of a quiet channel, which repeats values, and a smooth signal, which dwells at its peaks. The tests for
+dead and clipped channels therefore compare a channel with itself.
 
-- Dead for part of the record: one stretch of identical samples far longer than the share p of repeated samples in
-  this very channel lets expect; among n independent samples the longest such stretch is about log n / log(1/p) long
-  (the longest run of heads; Erdos and Renyi, 1970).
-- Clipped: samples at the declared range; where none is declared, the record's extreme is met far more often than the
-  values next to it.
+- Dead for part of the record: a flatline, a stretch of identical samples, is far longer than expected from the share p
+  of repeated samples in the same channel. Among n independent samples the longest such stretch is about
+  log n / log(1/p) long (the longest run of heads; Erdos and Renyi, 1970).
+- Clipped: samples reach the declared range; where none is declared, the extreme value of the record occurs far more
+  often than the values next to it.
 """
 
 from __future__ import annotations
@@ -19,38 +19,46 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.recording.run import Array, Run, pick_channels
+from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, Run, pick_channels
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Channel, Geometry
 
 Integers = NDArray[np.int64]
 
 FLATLINE_FACTOR = 5.0
-"""How many times the expected longest stretch of identical samples makes a channel dead there."""
+"""Length of a flatline that makes a channel dead, over the expected longest one.
+
+The length of the longest run scatters by about 1 / log(1/p), a fraction 1 / log n of its mean: a tenth for 20 000
+samples. Five times the mean leaves room for samples that are not independent.
+"""
 PEAK_DWELL_FACTOR = 2.0
-"""How many mean intervals between turning points a stretch must last; at a peak a smooth signal dwells for less."""
+"""Length of a flatline that makes a channel dead, over the mean interval between turning points.
+
+At a peak a smooth signal dwells for less than one such interval.
+"""
 LEAST_FLATLINE = 20
-"""Samples; a shorter stretch of identical samples is never taken for a fault."""
+"""Samples. A shorter flatline is never a fault: no sensor fails and recovers within so few samples."""
 LEAST_SAMPLES = 3
-"""Below as many samples a constant channel is no evidence."""
+"""Samples below which a constant channel proves nothing: two load points may well have equal readings."""
 EXTREME_VALUES = 8
-"""Distinct values kept at either end of a channel's values."""
+"""Distinct values counted at either end of the range of a channel; the comparison below is made for eight."""
 PLATEAU_FACTOR = 1.5
-"""Clipped: the extreme is met so many times as often as all other values kept at that end together.
+"""A channel is clipped where its extreme occurs so many times as often as the other values counted at its end.
 
 At the peak of a sine, where values are densest, that ratio is 1 / (sqrt(8) - 1) = 0.55 for eight steps of a converter.
+The limit is about three times that.
 """
 LEAST_PLATEAU = 3
-"""Clipped, too: the extreme is met so often in a channel that repeats no other value (load points, say)."""
+"""A channel that repeats no other value (load points, say) is clipped where its extreme occurs so often."""
 AT_RANGE = 1.0 - 1e-6
-"""Share of the declared range from which a sample is clipped."""
+"""Share of the declared range from which a sample is clipped; the margin is that of rounding to float32."""
 
 
 @dataclass(frozen=True)
 class ChannelHealth:
-    """Channels of a run that can be used, in the geometry's order, and the others with the reason (channel -> text).
+    """Channels of a run that can be used, in the order of the geometry, and the others with the reason.
 
-    Channels with a high-pass are no part of a static run: there they are in neither.
+    In a static run channels with a high-pass are in neither.
     """
 
     live: tuple[str, ...]
@@ -58,13 +66,13 @@ class ChannelHealth:
 
 
 def live_channels(run: Run, geometry: Geometry) -> ChannelHealth:
-    """Judge every channel that the geometry declares. Reads all samples of the run, block by block."""
-    wanted = [channel for channel in geometry.channels if run.kind != "static" or channel.measures_dc]
-    present = [channel for channel in wanted if channel.name in run.channel_names]
+    """Test every channel that the geometry declares. Reads all samples of the run, block by block."""
+    declared = [channel for channel in geometry.channels if run.kind != "static" or channel.measures_dc]
+    present = [channel for channel in declared if channel.name in run.channel_names]
     driving_loads = {channel.name: _loads_through_channel(channel, geometry) for channel in present}
     faults = channel_faults(run, {channel.name: channel.range for channel in present}, driving_loads)
-    absent = {channel.name: "absent from the run" for channel in wanted if channel not in present}
-    left_out = {channel.name: {**faults, **absent}.get(channel.name, "") for channel in wanted}
+    absent = {channel.name: "absent from the run" for channel in declared if channel not in present}
+    left_out = {channel.name: {**faults, **absent}.get(channel.name, "") for channel in declared}
     live = tuple(name for name, reason in left_out.items() if not reason)
     return ChannelHealth(live, {name: reason for name, reason in left_out.items() if reason})
 
@@ -72,10 +80,11 @@ def live_channels(run: Run, geometry: Geometry) -> ChannelHealth:
 def channel_faults(
     run: Run, ranges: Mapping[str, float | None], driving_loads: Mapping[str, tuple[str, ...]] | None = None
 ) -> dict[str, str]:
-    """What is wrong with these channels of the run (name -> range at which it clips [V], if declared): name -> text.
+    """Return the faults of these channels of the run (name -> text); sound channels are not in the result.
 
-    Sound channels are not in the result. `driving` names the loads that reach a channel (default: all): in a static
-    run a channel may stand still as long as these do.
+    `ranges` maps each name to the range at which the channel clips [V], None where that is not declared.
+    `driving_loads` maps it to the loads that reach the channel (default: all): in a static run a channel may be
+    constant as long as these are.
     """
     records = dict(zip(ranges, _gather_statistics(run, list(ranges)), strict=True))
     faults = {}
@@ -86,14 +95,14 @@ def channel_faults(
 
 
 def _loads_through_channel(channel: Channel, geometry: Geometry) -> tuple[str, ...]:
-    """With a torque meter Mz goes through it alone, and the other loads through the cells alone."""
+    """Components that reach a channel: with a torque meter, Mz goes through it alone, the others through the cells."""
     if geometry.torque_meter is None:
         return COMPONENTS
     return tuple(name for name in COMPONENTS if (name == "Mz") == channel.torque_meter)
 
 
 def _may_be_constant(run: Run, record: _ChannelStatistics, components: tuple[str, ...]) -> bool:
-    """Whether the loads that reach a channel stood still during its longest stretch of identical load points."""
+    """Whether the loads that reach a channel are constant during its longest flatline."""
     if run.kind != "static" or record.flatline_length < LEAST_SAMPLES:
         return False
     loads = run.read(record.flatline_start, record.flatline_start + record.flatline_length).loads
@@ -101,14 +110,15 @@ def _may_be_constant(run: Run, record: _ChannelStatistics, components: tuple[str
     return loads is not None and not np.ptp(loads[:, columns], axis=0).any()
 
 
-# ---- what one pass gathers of a channel ------------------------------------------------------------------------------
+# ---- statistics of a channel -----------------------------------------------------------------------------------------
 
 
 @dataclass
 class _ChannelStatistics:
-    """What one pass gathers of one channel.
+    """Statistics of one channel, gathered in one pass.
 
-    `lowest` and `highest` are the distinct values nearest either end, outermost first, with how often each was met.
+    `lowest` and `highest` are the distinct values nearest either end, outermost first, with the number of times that
+    each occurs. `current_start` is the first sample of the flatline that is still open.
     """
 
     samples: int = 0
@@ -126,7 +136,7 @@ class _ChannelStatistics:
     last_direction: float = 0.0
 
     def add(self, values: Array) -> None:
-        """Take the next samples of the channel into account."""
+        """Add the next samples of the channel."""
         finite = np.isfinite(values)
         if not finite.all():
             if not self.nonfinite_count:
@@ -137,7 +147,7 @@ class _ChannelStatistics:
         self.samples += len(values)
 
     def _add_flatlines(self, values: Array) -> None:
-        """Stretches of identical samples, the one still open at the end of the last block continued."""
+        """Flatlines; the one still open at the end of the last block is continued."""
         new = np.r_[values[0] != self.last, values[1:] != values[:-1]]
         self.repeated_count += int((~new).sum())
         starts = self.samples + np.flatnonzero(new)
@@ -148,13 +158,13 @@ class _ChannelStatistics:
         if lengths[longest] > self.flatline_length:
             self.flatline_length, self.flatline_start = int(lengths[longest]), int(starts[longest])
             self.flatline_value = float(values[max(self.flatline_start - self.samples, 0)])
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", over="ignore"):
             steps = np.diff(np.r_[self.last, values])
         self._add_turning_points(steps)
         self.current_start, self.last = int(starts[-1]), float(values[-1])
 
     def _add_turning_points(self, steps: Array) -> None:
-        """Turning points: steps against the direction of the step before, stretches of identical samples skipped."""
+        """Turning points: steps against the direction of the step before, flatlines skipped."""
         directions = np.r_[self.last_direction, np.sign(steps[np.isfinite(steps) & (steps != 0.0)])]
         self.turning_points += int((directions[1:] * directions[:-1] < 0).sum())
         self.last_direction = float(directions[-1])
@@ -170,7 +180,7 @@ class _ChannelStatistics:
 def _merge_extremes(
     old_values: Array, old_counts: Integers, new_values: Array, new_counts: Integers, highest: bool = False
 ) -> tuple[Array, Integers]:
-    """The distinct values nearest one end among known and found ones, outermost first, with their summed counts."""
+    """The distinct values nearest one end among old and new ones, outermost first, with their summed counts."""
     values, place = np.unique(np.r_[old_values, new_values], return_inverse=True)
     counts = np.bincount(place, np.r_[old_counts, new_counts], len(values)).astype(np.int64)
     order = slice(None, -EXTREME_VALUES - 1, -1) if highest else slice(EXTREME_VALUES)
@@ -186,16 +196,15 @@ def _gather_statistics(run: Run, names: list[str]) -> list[_ChannelStatistics]:
     return records
 
 
-# ---- what is wrong with it -------------------------------------------------------------------------------------------
+# ---- faults ----------------------------------------------------------------------------------------------------------
 
 
 def _channel_fault(record: _ChannelStatistics, limit: float | None, may_be_constant: bool) -> str:
-    """Why a channel cannot be used, or nothing."""
+    """Why a channel cannot be used; empty where it can."""
+    fault = _nonfinite_fault(record) or _magnitude_fault(record)
     if may_be_constant:
-        return _nonfinite_fault(record) or _clipping_fault(record, limit)
-    return (
-        _nonfinite_fault(record) or _constant_fault(record) or _clipping_fault(record, limit) or _flatline_fault(record)
-    )
+        return fault or _clipping_fault(record, limit)
+    return fault or _constant_fault(record) or _clipping_fault(record, limit) or _flatline_fault(record)
 
 
 def _nonfinite_fault(record: _ChannelStatistics) -> str:
@@ -203,6 +212,12 @@ def _nonfinite_fault(record: _ChannelStatistics) -> str:
         return ""
     share = f"{record.nonfinite_count} of {record.samples} samples"
     return f"not finite: {share}, the first is sample {record.first_nonfinite}"
+
+
+def _magnitude_fault(record: _ChannelStatistics) -> str:
+    extremes = [float(values[0]) for values, _ in (record.lowest, record.highest) if len(values)]
+    peak = max(extremes, key=abs, default=0.0)
+    return f"not plausible: reaches {peak:.6g} V" if abs(peak) > LARGEST_MAGNITUDE else ""
 
 
 def _constant_fault(record: _ChannelStatistics) -> str:
@@ -222,12 +237,12 @@ def _has_flatline(record: _ChannelStatistics) -> bool:
 
 
 def _longest_plausible_flatline(record: _ChannelStatistics) -> float:
-    """Samples; at most half the record, since a channel that mostly stands still measures nothing either."""
+    """Samples; at most half the record, since a channel that is constant for most of it measures nothing either."""
     share = np.clip(record.repeated_count / (record.samples - 1), 1e-9, 1.0 - 1e-9)
     expected = np.log(record.samples) / -np.log(share)
     interval = record.samples / (record.turning_points + 1)
-    credible = max(FLATLINE_FACTOR * expected, PEAK_DWELL_FACTOR * interval)
-    return float(max(LEAST_FLATLINE, min(credible, record.samples / 2)))
+    plausible = max(FLATLINE_FACTOR * expected, PEAK_DWELL_FACTOR * interval)
+    return float(max(LEAST_FLATLINE, min(plausible, record.samples / 2)))
 
 
 def _clipping_fault(record: _ChannelStatistics, limit: float | None) -> str:
@@ -235,14 +250,14 @@ def _clipping_fault(record: _ChannelStatistics, limit: float | None) -> str:
         extreme, times = float(values[0]), int(counts[0])
         if limit is not None and abs(extreme) >= AT_RANGE * limit:
             return f"clipped: reaches {extreme:.6g} V, its range is {limit:g} V"
-        one_stretch = _has_flatline(record) and record.flatline_value == extreme and 2 * record.flatline_length >= times
-        if extreme != 0.0 and _is_clipping_plateau(record, counts) and not one_stretch:
+        in_flatline = _has_flatline(record) and record.flatline_value == extreme and 2 * record.flatline_length >= times
+        if extreme != 0.0 and _is_clipping_plateau(record, counts) and not in_flatline:
             return f"clipped: {times} samples at its extreme of {extreme:.6g} V"
     return ""
 
 
 def _is_clipping_plateau(record: _ChannelStatistics, counts: Integers) -> bool:
-    """Whether the extreme (first count) stands out among its neighbours, in a channel of enough distinct values."""
+    """Whether the extreme (first count) stands out among its neighbors, in a channel of enough distinct values."""
     if len(counts) < EXTREME_VALUES or record.highest[0][-1] <= record.lowest[0][-1]:
         return False
     only_there = 0 < record.repeated_count < counts[0] and counts[1:].max() == 1

@@ -1,4 +1,4 @@
-"""Runs: what one recorded run says of itself, and its samples, whole or in blocks."""
+"""Recorded runs: their metadata, and their samples, whole or in blocks."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+LARGEST_MAGNITUDE = 1e9
+"""Of any sample, time or rate of a run in SI units. No rig comes near it, and fourth powers of it remain accurate."""
+
 
 @dataclass(frozen=True)
 class SampleBlock:
@@ -25,10 +28,10 @@ class SampleBlock:
 
 
 class SampleSource(Protocol):
-    """Where the samples of a run come from (a file, or memory)."""
+    """Source of the samples of a run: a file, or memory."""
 
     def read(self, start: int, stop: int) -> SampleBlock:
-        """Samples start to stop as float64, channels in the order of `Run.channel_names`."""
+        """Return samples start to stop as float64, channels in the order of `Run.channel_names`."""
         ...
 
 
@@ -40,27 +43,27 @@ class MemorySource:
     loads: Array | None
 
     def read(self, start: int, stop: int) -> SampleBlock:
-        """Samples start to stop."""
+        """Return samples start to stop."""
         loads = None if self.loads is None else self.loads[start:stop]
         return SampleBlock(start, self.channels[start:stop], loads)
 
 
 @dataclass(frozen=True)
 class ExcerptSource:
-    """Part of another source, from sample `start` of it on."""
+    """Excerpt of another source, from its sample `start` on."""
 
     parent_source: SampleSource
     start: int
 
     def read(self, start: int, stop: int) -> SampleBlock:
-        """Samples start to stop of the part."""
+        """Return samples start to stop of the excerpt."""
         block = self.parent_source.read(self.start + start, self.start + stop)
         return SampleBlock(start, block.channels, block.loads)
 
 
 @dataclass(frozen=True)
 class Run:
-    """One recorded run: what the file says of itself, and its samples on demand.
+    """One recorded run: its metadata, and its samples on demand.
 
     `excited` and `level` (rms in N or N m) are parallel tuples; `period` [s] where the excitation is periodic;
     `pulse_times` (n_rev,) [s from the first sample]; `attitude` (n, 2) of a static run: pitch and roll [deg] as in
@@ -89,17 +92,17 @@ class Run:
     digest: str = ""
 
     def read(self, start: int = 0, stop: int | None = None) -> SampleBlock:
-        """Samples start to stop (default: all) as one block."""
+        """Return samples start to stop (default: all) as one block."""
         return self.source.read(start, self.samples if stop is None else min(stop, self.samples))
 
     def blocks(self, size: int = 65536) -> Iterator[SampleBlock]:
-        """All samples, in blocks of at most `size`."""
+        """Yield all samples, in blocks of at most `size`."""
         for start in range(0, self.samples, size):
             yield self.read(start, start + size)
 
 
 def excerpt_run(run: Run, start: int, stop: int) -> Run:
-    """Samples start to stop of a sampled run as a run of its own, with the pulses that fall into it."""
+    """Return samples start to stop of a sampled run as a run of its own, with the pulses that fall into it."""
     assert run.sample_rate is not None
     pulses = run.pulse_times
     if pulses is not None:
@@ -109,16 +112,16 @@ def excerpt_run(run: Run, start: int, stop: int) -> Run:
 
 
 def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | None = None) -> Array:
-    """Samples (n, len(names)) [V] of these channels; a channel that the run does not have is NaN throughout."""
+    """Read samples (n, len(names)) [V] of these channels; a channel that the run does not have is NaN throughout."""
     return pick_channels(run.read(start, stop).channels, run.channel_names, names)
 
 
 def pick_channels(channels: Array, present: Sequence[str], names: Sequence[str]) -> Array:
-    """Columns (n, len(names)) of `channels` (n, len(present)) in the order of `names`; NaN where one is absent."""
+    """Pick columns (n, len(names)) of `channels` (n, len(present)) in the order of `names`; NaN where one is absent."""
     column = {name: index for index, name in enumerate(present)}
     picked = np.full((len(channels), len(names)), np.nan)
-    here = [index for index, name in enumerate(names) if name in column]
-    picked[:, here] = channels[:, [column[names[index]] for index in here]]
+    available = [index for index, name in enumerate(names) if name in column]
+    picked[:, available] = channels[:, [column[names[index]] for index in available]]
     return picked
 
 
@@ -126,10 +129,10 @@ _DIGESTED_FIELDS = {item.name for item in fields(Run)} - {"source", "path", "dig
 
 
 def run_digest(run: Run) -> str:
-    """Hex SHA-256 of what the run says of itself and of its samples as float64: not of its path or storage."""
-    about = {name: getattr(run, name) for name in _DIGESTED_FIELDS}
-    about["pulse_times"] = None if run.pulse_times is None else run.pulse_times.tolist()
-    hashed = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    """Return the hex SHA-256 of the metadata and of the samples as float64, independent of path and storage."""
+    metadata = {name: getattr(run, name) for name in _DIGESTED_FIELDS}
+    metadata["pulse_times"] = None if run.pulse_times is None else run.pulse_times.tolist()
+    hashed = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
     if run.attitude is not None:
         hashed.update(b"attitude" + np.ascontiguousarray(run.attitude, "<f8").tobytes())
     for block in run.blocks():

@@ -1,0 +1,50 @@
+"""What must hold in a run file: the faults that show without its samples, and those of the samples of its loads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from balance_cli.campaign.recording.attribute_checks import kind_faults, name_faults
+from balance_cli.campaign.recording.dataset_checks import attitude_faults, channel_faults, load_faults, pulse_faults
+from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Run
+from balance_cli.campaign.recording.run_schema import RunFileContents
+from balance_cli.campaign.rig.components import COMPONENTS, RUN_KINDS
+from balance_cli.io.errors import UserError
+
+
+def run_file_faults(contents: RunFileContents) -> Iterator[UserError]:
+    """Yield all faults of a run file that show without its samples."""
+    kind = contents.attributes.get("kind")
+    yield from name_faults(contents.attributes)
+    yield from channel_faults(contents.channels, 1 if kind == "static" else 2)
+    if kind not in RUN_KINDS:
+        return
+    yield from kind_faults(contents.attributes)
+    yield from load_faults(kind, contents.loads, contents.channels)
+    yield from pulse_faults(kind, contents)
+    yield from attitude_faults(kind, contents)
+
+
+def load_sample_faults(run: Run) -> Iterator[UserError]:
+    """Yield the faults that only the samples of the loads show.
+
+    Either samples are not finite or not plausible, or a load is zero throughout although `excited` names it.
+    """
+    if not run.has_loads:
+        return
+    bad, largest = np.zeros(len(COMPONENTS), int), np.zeros(len(COMPONENTS))
+    for block in run.blocks():
+        assert block.loads is not None
+        sound = np.abs(block.loads) <= LARGEST_MAGNITUDE
+        bad += (~sound).sum(axis=0)
+        largest = np.maximum(largest, np.abs(np.where(sound, block.loads, 0.0)).max(axis=0, initial=0.0))
+    for name, count, peak in zip(COMPONENTS, bad, largest, strict=True):
+        place = f"loads, column {name}"
+        if count:
+            fault = f"{count} of {run.samples} samples of the load are not finite, or beyond {LARGEST_MAGNITUDE:g}"
+            yield UserError(fault, place=place, remedy="Repeat the run, or cut it before these samples")
+        elif name in run.excited and peak == 0.0:
+            fault = "all samples are zero, which declares the load as not measured, but `excited` names it"
+            yield UserError(fault, place=place, remedy="Correct `excited`, or record this load")
