@@ -37,7 +37,7 @@ from balance_cli.reduction.kalman.load_models import BandLimitedNoise, LoadLayer
 from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, time_invariant_filters
 from balance_cli.reduction.kalman.segments import RunFilters, Segment
 from balance_cli.reduction.kalman.steady_filter import ChannelFilter, SteadyFilter
-from balance_cli.reduction.response_sources import ModelSource
+from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import identify

@@ -19,7 +19,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.reduction.harmonic_loads import rotor_record
 from balance_cli.reduction.kalman.load_history import LoadHistory
-from balance_cli.reduction.response_sources import ModelSource
+from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
@@ -53,14 +53,14 @@ Z_95 = 1.959963984540054
 
 NOMINAL_HARMONICS, ACTUAL_HARMONICS = "T at nominal harmonics", "T at actual harmonics"
 IN_TIME = {
-    "harmonics, filter": TimeOptions(smooth=False, loads="harmonics", lag=0.0),
-    "harmonics, filter 0.05 s behind": TimeOptions(smooth=False, loads="harmonics", lag=LAG),
-    "harmonics, smoother": TimeOptions(smooth=True, loads="harmonics"),
-    "random, filter": TimeOptions(smooth=False, loads="random", lag=0.0),
-    "random, filter 0.05 s behind": TimeOptions(smooth=False, loads="random", lag=LAG),
-    "random, smoother": TimeOptions(smooth=True, loads="random"),
-    "free, filter 0.05 s behind": TimeOptions(smooth=False, loads="free", lag=LAG),
-    "free, smoother": TimeOptions(smooth=True, loads="free"),
+    "harmonics, filter": TimeOptions(smooth=False, load_model="harmonics", lag=0.0),
+    "harmonics, filter 0.05 s behind": TimeOptions(smooth=False, load_model="harmonics", lag=LAG),
+    "harmonics, smoother": TimeOptions(smooth=True, load_model="harmonics"),
+    "random, filter": TimeOptions(smooth=False, load_model="random", lag=0.0),
+    "random, filter 0.05 s behind": TimeOptions(smooth=False, load_model="random", lag=LAG),
+    "random, smoother": TimeOptions(smooth=True, load_model="random"),
+    "free, filter 0.05 s behind": TimeOptions(smooth=False, load_model="free", lag=LAG),
+    "free, smoother": TimeOptions(smooth=True, load_model="free"),
 }
 METHODS = (NOMINAL_HARMONICS, ACTUAL_HARMONICS, *IN_TIME)
 

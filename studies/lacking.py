@@ -14,7 +14,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import load_artefact
-from balance_cli.reduction.response_sources import ModelSource
+from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.steps.reduce import reduce_run
 from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
@@ -24,8 +24,8 @@ METHODS = {
     "harmonic": None,
     "kalman, harmonics": TimeOptions(smooth=False),
     "smoother, harmonics": TimeOptions(),
-    "smoother, random": TimeOptions(loads="random"),
-    "smoother, free": TimeOptions(loads="free"),
+    "smoother, random": TimeOptions(load_model="random"),
+    "smoother, free": TimeOptions(load_model="free"),
 }
 
 

@@ -20,7 +20,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.reduction.kalman.load_history import LoadHistory
 from balance_cli.reduction.kalman.load_models import BandLimitedNoise, LowPassDrift, Oscillators
-from balance_cli.reduction.response_sources import model_source
+from balance_cli.reduction.model_sources import model_source
 from balance_cli.simulation import simulate_campaign, simulate_run, true_rig
 from balance_cli.simulation.plans import WIND_ON_LOADS, CampaignPlan, LoadStep, RotorPlan, blade_loads, statics
 from balance_cli.steps import reduce_in_time
@@ -73,7 +73,9 @@ def maneuver_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
         return _figures(parts, truth.loads, run.sample_rate or np.nan).assign(nis=nis)
 
     rows = [
-        reduced(TimeOptions(smooth=smooth, loads=loads)).assign(method="smoother" if smooth else "filter", loads=loads)
+        reduced(TimeOptions(smooth=smooth, load_model=loads)).assign(
+            method="smoother" if smooth else "filter", loads=loads
+        )
         for loads, smooth in (("harmonics", True), ("harmonics", False), ("random", True))
     ]
     with patch.multiple(

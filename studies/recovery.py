@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.reduction.response_sources import model_source
+from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.result import RunLoads
 from balance_cli.simulation import draw_rig, simulate_campaign
 from balance_cli.steps.calibrate import calibrate

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from balance_cli.cli.common import Session, balance_command, output_option, skip_bad_option
-from balance_cli.cli.options import InputFile, OutputFolder
-from balance_cli.cli.reduce_runs import LOAD_MODEL_CHOICES, METHODS, MethodOptions, Reduction, no_state_space_error
+from balance_cli.cli.options import InputFile, OutputFolder, deprecated_option
+from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import LOADS_FORMAT
+from balance_cli.reduction.choices import INTERPOLATIONS, LOAD_MODELS, METHODS, TABLE_SUFFIXES
 
 if TYPE_CHECKING:
     from balance_cli.calibration.result import Calibration
@@ -19,47 +21,52 @@ if TYPE_CHECKING:
     from balance_cli.reduction.response_sources import ResponseSource
     from balance_cli.reduction.result import HubLoads, RunLoads
 
-FORMAT = "balance-loads/1"
-INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
-
 
 @balance_command("reduce")
 @click.option("--calibration", type=InputFile(), required=True, metavar="CAL", help="Static calibration.")
 @click.option("--model", type=InputFile(), metavar="MODEL", help="Response from this model.")
 @click.option("--transfer", type=InputFile(), metavar="TF", help="Response as measured, interpolated.")
-@click.option("--static", "static", is_flag=True, help="The static matrix at every harmonic: no dynamics undone.")
+@click.option(
+    "--static",
+    "static",
+    is_flag=True,
+    help="Response by the static matrix at every harmonic: dynamics are not removed.",
+)
 @click.option(
     "--interpolation",
     type=click.Choice(INTERPOLATIONS),
-    default="local",
+    default=INTERPOLATIONS[0],
     show_default=True,
-    help="How a measured response is taken to the harmonics.",
+    help="How a measured response is interpolated at the harmonics.",
 )
 @click.option(
     "--method",
     type=click.Choice(METHODS),
     default=METHODS[0],
     show_default=True,
-    help="Regression on azimuth over the whole record; loads in time by a Kalman filter, each sample given the past; "
-    "or by a smoother, given the whole record.",
+    help="harmonic: regression on azimuth over the record. kalman: loads in time by a Kalman filter, from the past of "
+    "each sample. smoother: loads in time from the whole record.",
 )
+# The parameter keeps the name under which artefacts store the option, so that digests stay.
 @click.option(
-    "--loads-as",
-    type=click.Choice(LOAD_MODEL_CHOICES),
-    default=LOAD_MODEL_CHOICES[0],
+    "--load-model",
+    "loads_as",
+    type=click.Choice(LOAD_MODELS),
+    default=LOAD_MODELS[0],
     show_default=True,
-    help="What is known of the loads in time: harmonics locked to the azimuth beside random loads; random loads alone; "
-    "nothing within a band.",
+    help="With --method kalman or smoother, what is assumed of the loads. harmonics: locked to the azimuth, and random "
+    "loads. random: random loads only. free: any loads within a band.",
 )
+@deprecated_option("--loads-as", "--load-model", "loads_as", type=click.Choice(LOAD_MODELS))
 @click.option(
     "--lag",
     type=float,
     metavar="SECONDS",
-    help="With --method kalman: each sample given so many seconds after it, too (0: none).  [default: 0.05]",
+    help="With --method kalman: each estimate also uses this much of the record after it (0: none).  [default: 0.05]",
 )
 @click.option("--harmonics", type=click.IntRange(1, 64), default=8, show_default=True, help="Highest rotor harmonic.")
-@click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record that the mean loads count from.")
-@click.option("--history", type=OutputFolder(), metavar="DIR", help="Write load histories RUN.h5 there too.")
+@click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record, the zero of the mean loads.")
+@click.option("--history", type=OutputFolder(), metavar="DIR", help="Also write load histories RUN.h5 to this folder.")
 @click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN...")
 @skip_bad_option
 @output_option("LOADS", "Table of loads, .csv or .h5.")
@@ -80,42 +87,49 @@ def command(
     skip_bad: bool,
     output: Path,
 ) -> None:
-    """Rotor-harmonic hub loads, with the dynamics of the balance undone.
+    """Reduce runs to rotor-harmonic hub loads, with the dynamics of the balance removed.
 
-    The mean comes from the strain and torque channels through the static calibration, the harmonics from all channels
-    through the response of a model or of a measurement, weighted by noise. A zero run among RUN... serves as --zero.
+    Mean loads come from the strain and torque channels through the static calibration. Harmonic loads come from all
+    channels through a modeled or measured response, weighted by noise. A zero run among RUN... serves as --zero.
 
-    For loads that change in time, --method kalman and --method smoother estimate them sample by sample from all
-    channels through a model of the physical form; --history writes them, the table holds their harmonics.
+    Loads that change in time are estimated sample by sample by --method kalman and --method smoother, from all channels
+    through a model of the physical form. --history writes them; the table contains their harmonics.
     """
     from balance_cli.calibration.result import Calibration
     from balance_cli.cli.reduce_text import reduction_text, summary
     from balance_cli.reduction.result import HubLoads
 
     _check_options(model, transfer, static, output)
-    how = MethodOptions(method, loads_as if _is_given("loads_as") else None, lag, harmonics)
-    how.check(model is not None)
+    method_options = MethodOptions(method, loads_as if _is_given("loads_as") else None, lag, harmonics)
+    method_options.check(model is not None)
     cal: Calibration = session.artefact(calibration, {"balance-calibration/1": Calibration}, "calibration").content
     source = _response_source(session, cal, model, transfer, interpolation)
-    _check_source(how, source, model)
+    method_options.check_source(source, model)
     records = session.runs(runs, cal.geometry, skip_bad)
-    reduction = Reduction(how, cal, source, _load_zero_record(session, cal, zero, records), history)
-    reduced: dict[str, RunLoads] = {}
-    used = [run for run in records if _accept_run(session, run)]
-    if not used:
-        raise UserError("no check or wind run among the runs", "RUN...", remedy="Give the runs that are to be reduced")
-    for run in session.progress(used, "runs", len(used)):
-        with session.skip_if_unusable(run, skip_bad):
-            reduced[run.name] = reduction.reduced(session, run)
-            for channel, reason in reduced[run.name].left_out.items():
-                session.warn(f"{run.name}: channel {channel} left out: {reason}")
-    loads = HubLoads(method, source.description, cal.geometry, reduced)
+    reduction = Reduction(method_options, cal, source, _load_zero_record(session, cal, zero, records), history)
+    loads = HubLoads(method, source.description, cal.geometry, _reduce_runs(session, reduction, records, skip_bad))
     _write_load_table(session, output, loads)
     session.finish(summary(loads), reduction_text(loads))
 
 
+def _reduce_runs(
+    session: Session, reduction: Reduction, records: tuple[Run, ...], skip_bad: bool
+) -> dict[str, RunLoads]:
+    """Reduce the check and wind runs among the records. UserError where there are none."""
+    runs = [run for run in records if _accept_run(session, run)]
+    if not runs:
+        raise UserError("no check or wind run among the runs", "RUN...", remedy="Give the runs that are to be reduced")
+    run_loads: dict[str, RunLoads] = {}
+    for run in session.progress(runs, "runs", len(runs)):
+        with session.skip_if_unusable(run, skip_bad):
+            run_loads[run.name] = reduction.reduce_run(session, run)
+            for channel, reason in run_loads[run.name].left_out.items():
+                session.warn(f"{run.name}: channel {channel} left out: {reason}")
+    return run_loads
+
+
 def _is_given(option: str) -> bool:
-    """Whether the user gave this option."""
+    """Return whether the option was given on the command line."""
     source = click.get_current_context().get_parameter_source(option)
     return source is not click.core.ParameterSource.DEFAULT
 
@@ -125,43 +139,37 @@ def _check_options(model: Path | None, transfer: Path | None, static: bool, outp
         raise UserError(
             "exactly one response is needed", "--model, --transfer, --static", remedy="Give one of the three"
         )
-    if output.suffix not in (".csv", ".h5"):
-        raise UserError("the table is written as .csv or .h5", str(output), remedy="Let its name end so")
+    if output.suffix not in TABLE_SUFFIXES:
+        raise UserError("the table is written as .csv or .h5", str(output), remedy="End its name with .csv or .h5")
 
 
 def _response_source(
     session: Session, calibration: Calibration, model: Path | None, transfer: Path | None, interpolation: str
 ) -> ResponseSource:
-    """The response that was asked for. UserError where its geometry is not that of the calibration."""
-    from balance_cli.reduction import response_sources as responses
-
+    """Return the response. UserError where its geometry is not that of the calibration."""
     if model is not None:
         from balance_cli.estimation.identified_model import IdentifiedModel
+        from balance_cli.reduction import model_sources
 
         identified: IdentifiedModel = session.artefact(model, {"balance-model/1": IdentifiedModel}, "model").content
         _check_geometry(identified.geometry, calibration, model)
-        return responses.model_source(identified)
+        return model_sources.model_source(identified)
+    from balance_cli.reduction.response_sources import static_source, transfer_source
+
     if transfer is not None:
         from balance_cli.signals.response.transfer import Transfer
 
         measured: Transfer = session.artefact(transfer, {"balance-transfer/1": Transfer}, "transfer").content
         _check_geometry(measured.geometry, calibration, transfer)
-        return responses.transfer_source(measured, interpolation)
-    return responses.static_source(calibration)
-
-
-def _check_source(method: MethodOptions, source: ResponseSource, model: Path | None) -> None:
-    from balance_cli.reduction.response_sources import ModelSource
-
-    if method.in_time and not isinstance(source, ModelSource):
-        raise no_state_space_error(method.name, str(model))
+        return transfer_source(measured, interpolation)
+    return static_source(calibration)
 
 
 def _check_geometry(geometry: Any, calibration: Calibration, path: Path) -> None:
     from balance_cli.campaign.rig.geometry_file import geometry_digest
 
-    bare, other = (item.model_copy(update={"effects": ()}) for item in (geometry, calibration.geometry))
-    if geometry_digest(bare) != geometry_digest(other):
+    digests = {geometry_digest(item.model_copy(update={"effects": ()})) for item in (geometry, calibration.geometry)}
+    if len(digests) > 1:
         raise UserError(
             f"was made from another geometry (`{geometry.name}`) than the calibration (`{calibration.geometry.name}`)",
             str(path),
@@ -189,22 +197,22 @@ def _load_zero_record(
         )
     if not zeros:
         return None
-    wanted = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
     live = live_channels(zeros[0], calibration.geometry).live
-    return zero_record(zeros[0], [name for name in wanted if name in live])
+    dc_channels = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
+    return zero_record(zeros[0], [name for name in dc_channels if name in live])
 
 
 def _accept_run(session: Session, run: Run) -> bool:
     if run.kind in ("check", "wind"):
         return True
     if run.kind != "zero":
-        session.left_out(run.name, f"a {run.kind} run has no rotor loads to reduce")
+        session.report_left_out(run.name, f"a {run.kind} run contains no rotor loads")
     return False
 
 
 def _write_load_table(session: Session, output: Path, loads: HubLoads) -> None:
     if output.suffix == ".h5":
-        session.save(output, FORMAT, loads)
+        session.save(output, LOADS_FORMAT, loads)
         return
     from balance_cli.reduction.result import load_table
 

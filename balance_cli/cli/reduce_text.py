@@ -1,4 +1,4 @@
-"""What `balance reduce` says of its result: the summary for scripts, the lines for people."""
+"""Summary and text output of `balance reduce`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def summary(loads: HubLoads) -> dict[str, Any]:
-    """The summary of all runs (docs/json.md)."""
+    """Return the summary of all runs (docs/json.md)."""
     return {
         "method": loads.method,
         "response": loads.response,
@@ -38,10 +38,11 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
 
 
 def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
-    """Of a run reduced in time; without tests of the innovations these are null."""
+    """Return the keys of a run reduced in time; without tests of the innovations their keys are null."""
     tests = filter_result.innovations
     return {
-        "loads_as": filter_result.loads_as,
+        "load_model": filter_result.load_model,
+        "loads_as": filter_result.load_model,  # former name, for one release
         "lag_s": filter_result.lag,
         "nis": tests.nis if tests else None,
         "nis_sigma": tests.nis_sigma if tests else None,
@@ -49,20 +50,21 @@ def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
         "whiteness_sigma": tests.whiteness_sigma if tests else None,
         "channels": tests.channels if tests else {},
         "noise_v": filter_result.noise,
-        "bridged": filter_result.bridged,
+        "gap_notes": filter_result.gap_notes,
+        "bridged": filter_result.gap_notes,  # former name, for one release
     }
 
 
 def reduction_text(loads: HubLoads) -> Iterator[str]:
-    """One line a run, errors of check runs, tests of the filter and notes below it."""
+    """Yield one line per run, and below it tests of the filter, errors of check runs and notes."""
     yield f"{len(loads.runs)} runs reduced, {loads.response}"
     for name, run in loads.runs.items():
         yield f"{name}, {run.interval[0]:.2f} to {run.interval[1]:.2f} s: {_residual_test_text(run)}"
         if run.in_time is not None:
             yield f"   {_innovation_tests_text(run.in_time)}"
         if run.check is not None:
-            yield f"   error of the loads applied: {_percent(run.check.load_error)}"
-            yield f"   interaction in the others: {_percent(run.check.interaction)}"
+            yield f"   error of the applied loads: {_percent(run.check.load_error)}"
+            yield f"   interaction in the other loads: {_percent(run.check.interaction)}"
         for note in run.notes:
             yield f"   {note}"
 
@@ -70,17 +72,17 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
 def _residual_test_text(run: RunLoads) -> str:
     worst = max(range(1, len(run.redundancy)), key=lambda n: run.redundancy[n])
     if math.isnan(run.redundancy[worst]):
-        return "no more channels than loads, so that nothing tests the response"
+        return "response not tested: there are no redundant channels"
     return f"redundancy up to {run.redundancy[worst]:.3g} (harmonic {worst}, limit {run.redundancy_limit[worst]:.2f})"
 
 
 def _innovation_tests_text(filter_result: TimeDomainResult) -> str:
     tests = filter_result.innovations
     if tests is None:
-        return "innovations not tested: no stretch of the record has all channels"
+        return "innovations not tested: no part of the record has all channels"
     return (
-        f"innovations: NIS {tests.nis:.3f} (1 +- {tests.nis_sigma:.3f} where the filter is right), "
-        f"whiteness {tests.whiteness:.3g} (1 +- {tests.whiteness_sigma:.2f} where they are white)"
+        f"innovations: NIS {tests.nis:.3f} (1 +- {tests.nis_sigma:.3f} if the filter is consistent), "
+        f"whiteness {tests.whiteness:.3g} (1 +- {tests.whiteness_sigma:.2f} if they are white)"
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from balance_cli.cli.common import Session, balance_command, geometry_option
-from balance_cli.cli.options import OutputFolder
+from balance_cli.cli.options import OutputFolder, deprecated_option
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -51,7 +51,8 @@ if TYPE_CHECKING:
     show_default=True,
     help="Noise, times that of the recorded campaign; 0 leaves rounding out too.",
 )
-@click.option("--double", is_flag=True, help="Store the samples in double precision.")
+@click.option("--float64", "double", is_flag=True, help="Store the samples in double precision.")
+@deprecated_option("--double", "--float64", "double", is_flag=True)
 @click.option("-o", "--output", type=OutputFolder(), required=True, metavar="DIR", help="New or empty folder.")
 def command(
     session: Session,

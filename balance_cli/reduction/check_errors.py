@@ -1,4 +1,4 @@
-"""Errors on a check run: reduced against applied loads, beside what the record's noise alone would leave."""
+"""Errors of a check run: reduced against applied loads, with the noise floor of the record beside them."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 HARMONICS_COMPARED = 8
+"""Harmonics 1 to 8, as `load_error` is defined in the file contract."""
 
 
 def check_errors(
@@ -26,15 +27,17 @@ def check_errors(
     geometry: Geometry,
     exciter_cross_axis: Array | None = None,
 ) -> CheckErrors:
-    """Compare over harmonics 1 to 8, complex amplitudes (contract, `load_error` and `interaction`).
+    """Compare complex amplitudes of harmonics 1 to 8 (`load_error` and `interaction` of the file contract).
 
-    A component was applied where its column of the loads is not all zeros. `spill` (6, 6): what acts for each load that
-    the exciter's force cells measure, where a model knows; the error is that against the loads that act.
+    A component was applied where its column of the loads is not all zeros. `exciter_cross_axis` (6, 6) are the loads
+    that act for each load that the exciter's force cells measure, where a model knows them; the error is that against
+    the loads that act.
     """
     H = anti_alias_response(geometry.acquisition, spectra.frequency_hz)
-    mine = spectra.columns(components)
-    was_applied = np.any(spectra.amplitude[:, mine] != 0, axis=0)
-    applied, variance = spectra.amplitude[:, mine], np.real(np.diagonal(spectra.covariance, axis1=1, axis2=2))[:, mine]
+    columns = spectra.columns(components)
+    was_applied = np.any(spectra.amplitude[:, columns] != 0, axis=0)
+    applied = spectra.amplitude[:, columns]
+    variance = np.real(np.diagonal(spectra.covariance, axis1=1, axis2=2))[:, columns]
     if exciter_cross_axis is not None and np.any(exciter_cross_axis != np.eye(6)):
         applied, variance = _applied_loads(spectra, exciter_cross_axis, components)
     applied, variance = applied / H[:, None], variance / np.abs(H[:, None]) ** 2
@@ -44,12 +47,12 @@ def check_errors(
     size = np.where(
         was_applied, _rms(applied[1 : last + 1]), _largest_force(applied[1 : last + 1], components, geometry)
     )
-    relative, of_noise = error / size, np.sqrt(np.mean(noise, axis=0)) / size
+    relative_error, noise_floor = error / size, np.sqrt(np.mean(noise, axis=0)) / size
     return CheckErrors(
-        load_error=_by_component(components, relative, was_applied),
-        interaction=_by_component(components, relative, ~was_applied),
-        load_noise=_by_component(components, of_noise, was_applied),
-        interaction_noise=_by_component(components, of_noise, ~was_applied),
+        load_error=_by_component(components, relative_error, was_applied),
+        interaction=_by_component(components, relative_error, ~was_applied),
+        load_noise=_by_component(components, noise_floor, was_applied),
+        interaction_noise=_by_component(components, noise_floor, ~was_applied),
         applied=applied,
     )
 
@@ -57,11 +60,11 @@ def check_errors(
 def _applied_loads(
     spectra: Harmonics, exciter_cross_axis: Array, components: tuple[str, ...]
 ) -> tuple[ComplexArray, Array]:
-    """Loads (n+1, m) that act, and their variance, where those of the force cells spill into others."""
-    six = spectra.columns(COMPONENTS)
-    to = exciter_cross_axis[[COMPONENTS.index(name) for name in components]]
-    covariance = spectra.covariance[:, six][:, :, six]
-    return spectra.amplitude[:, six] @ to.T, np.real(np.einsum("mi,hij,mj->hm", to, covariance, to))
+    """Return the loads (n+1, m) that act, and their variance, from those that the force cells measure."""
+    columns = spectra.columns(COMPONENTS)
+    rows = exciter_cross_axis[[COMPONENTS.index(name) for name in components]]
+    covariance = spectra.covariance[:, columns][:, :, columns]
+    return spectra.amplitude[:, columns] @ rows.T, np.real(np.einsum("mi,hij,mj->hm", rows, covariance, rows))
 
 
 def _rms(values: ComplexArray) -> Array:
@@ -69,16 +72,16 @@ def _rms(values: ComplexArray) -> Array:
 
 
 def _expected_square_error(harmonic_solution: SolvedLoads, applied_variance: Array) -> Array:
-    """Expected |reduced - applied|^2 (n, m) from noise of the channels and of the applied loads' own reading."""
+    """Return the expected |reduced - applied|^2 (n, m) from the noise of the channels and of the measured loads."""
     m = harmonic_solution.loads.shape[1]
     variance = np.diagonal(harmonic_solution.noise_covariance, axis1=1, axis2=2)
     return np.asarray(variance[:, :m] + variance[:, m:] + applied_variance)
 
 
 def _largest_force(applied: ComplexArray, components: tuple[str, ...], geometry: Geometry) -> Array:
-    """What interactions are compared with: the largest applied force; for moments times the height of the hub.
+    """Return the reference (m,) of interactions: the largest applied force, for moments times the height of the hub.
 
-    Where moments alone were applied, the largest of them over that height stands for the force.
+    Where only moments were applied, the reference force is the largest of them over that height.
     """
     arm = moment_reference_length(geometry.hub)
     moment = np.array([COMPONENTS.index(name) >= 3 for name in components])
@@ -88,5 +91,5 @@ def _largest_force(applied: ComplexArray, components: tuple[str, ...], geometry:
     return np.asarray(np.where(moment, arm * force, force), float)
 
 
-def _by_component(components: tuple[str, ...], values: Array, keep: NDArray[np.bool_]) -> dict[str, float]:
-    return {name: float(value) for name, value, k in zip(components, values, keep, strict=True) if k}
+def _by_component(components: tuple[str, ...], values: Array, selected: NDArray[np.bool_]) -> dict[str, float]:
+    return {name: float(value) for name, value, select in zip(components, values, selected, strict=True) if select}

@@ -1,4 +1,4 @@
-"""The dynamic part of a reduction: harmonics 1 to n of the hub loads, by a response alone, without a calibration."""
+"""Harmonic loads: harmonics 1 to n of the hub loads, from the response alone, without a static calibration."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
-from balance_cli.reduction.response_sources import ModelSource, ResponseSource, circular_real, load_scale, stacked_real
+from balance_cli.reduction.response_sources import ResponseSource, circular_real, load_scale, stacked_real
 from balance_cli.reduction.weighted_least_squares import SolvedLoads, solve_loads
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
@@ -25,19 +25,20 @@ from balance_cli.signals.transient_end import transient_end
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Start transients have decayed to a thousandth after seven time constants.
 TRANSIENT_TIME_CONSTANTS = 7.0
-# Nor is less looked through than this [s]: a response may not know the slowest mode, and piezo channels forget slowly.
+"""Time constants of the slowest mode within which the transient end is sought: exp(-7) is a thousandth."""
 MIN_TRANSIENT_TIME = 10.0
-# Time constants over which the past of the rotor's speed still counts.
+"""Time [s] that is searched at least: a response may lack the slowest mode, and the high-pass of a piezo channel decays
+within seconds."""
 SPEED_MEMORY = 3.0
-# A response is refused as singular where the channels tell two loads apart worse than this.
+"""Time constants over which the past rotor speed affects a harmonic: exp(-3) is 5 %."""
 LARGEST_CONDITION = 1e8
+"""Condition above which a response is refused as singular: double precision then leaves eight digits of the loads."""
 
 
 @dataclass(frozen=True)
 class RotorRecord:
-    """A record on azimuth: its usable channels, and the harmonics of these and of the loads once it has settled.
+    """A record over azimuth: its usable channels, and their harmonics and those of the loads after the transient.
 
     `components` are those that the balance carries.
     """
@@ -50,24 +51,23 @@ class RotorRecord:
 
     @property
     def spin(self) -> float:
-        """Speed [Hz] of the rotor over the interval; 0 where it stands still."""
+        """Rotor speed [Hz] over the interval; 0 at rest."""
         return self.run.rotor_speed and float(self.spectra.frequency_hz[1])
 
 
 def rotor_record(run: Run, geometry: Geometry, source: ResponseSource, max_harmonic: int = 8) -> RotorRecord:
-    """Harmonics 0 to `highest` of one `check` or `wind` run, from where its start transient has gone.
+    """Return harmonics 0 to `max_harmonic` of one `check` or `wind` run, from the end of its start transient on.
 
-    Raises UserError where no channel is left, or the pulses do not serve.
+    Raises UserError where no channel is usable or the 1/rev pulses are not.
     """
     health = live_channels(run, geometry)
     if not health.live:
-        raise UserError("no channel is left", _place(run), "channels", "Mend the channels, or leave the run out")
+        raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
     azimuth = _azimuth(run)
     if azimuth.turns < FEWEST_REVOLUTIONS:
         fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
-        raise UserError(fault, _place(run), "rotor/pulse_times", "Record for longer")
-    if isinstance(source, ModelSource):
-        run = source.remove_nonlinear_contribution(run, health.live)
+        raise UserError(fault, _place(run), "rotor/pulse_times", "Record more revolutions")
+    run = source.remove_nonlinear_contribution(run, health.live)
     limit = max(TRANSIENT_TIME_CONSTANTS * source.slowest_decay, MIN_TRANSIENT_TIME)
     start = transient_end(run, azimuth, limit, health.live)
     signals = health.live + (COMPONENTS if run.has_loads else ())
@@ -81,14 +81,14 @@ def _place(run: Run) -> str:
 
 def _azimuth(run: Run) -> Azimuth:
     if run.pulse_times is None:
-        raise UserError("no 1/rev pulses", _place(run), "rotor/pulse_times", "Reduce runs of kind check or wind")
+        raise UserError("no 1/rev pulses", _place(run), "rotor/pulse_times", "Give runs of kind check or wind")
     return azimuth_from_pulses(run.pulse_times)
 
 
 def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> SolvedLoads:
-    """Harmonics 1 to n: the anti-alias filter taken out, then the response, weighted by noise.
+    """Estimate harmonics 1 to n: remove the anti-alias filter, then invert the response, weighted by noise.
 
-    Raises UserError where the channels that remain do not determine the loads.
+    Raises UserError where the usable channels do not determine the loads.
     """
     spectra, health = record.spectra, record.health
     frequency = spectra.frequency_hz[1:]
@@ -96,17 +96,17 @@ def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSour
     columns = [COMPONENTS.index(name) for name in record.components]
     T = harmonic_response(record, geometry, source)[:, channel_combination.rows][:, :, columns]
     _check_determined(T, record)
-    mine = spectra.columns(health.live)
+    live = spectra.columns(health.live)
     combination = channel_combination.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
-    y = np.einsum("hrc,hc->hr", combination, spectra.amplitude[1:, mine])
-    noise = combination @ spectra.covariance[1:][:, mine][:, :, mine] @ combination.conj().swapaxes(1, 2)
-    count = source.at(frequency[:1], record.spin).shape[1]
-    real_rows = np.array([*channel_combination.rows, *(row + count for row in channel_combination.rows)])
+    y = np.einsum("hrc,hc->hr", combination, spectra.amplitude[1:, live])
+    noise = combination @ spectra.covariance[1:][:, live][:, :, live] @ combination.conj().swapaxes(1, 2)
+    row_count = source.at(frequency[:1], record.spin).shape[1]
+    real_rows = np.array([*channel_combination.rows, *(row + row_count for row in channel_combination.rows)])
 
     def response_covariance(loads: Array) -> Array:
-        six = np.zeros((len(loads), 6), complex)
-        six[:, columns] = loads[:, : len(columns)] + 1j * loads[:, len(columns) :]
-        return source.covariance(frequency, record.spin, six)[:, real_rows[:, None], real_rows]
+        all_loads = np.zeros((len(loads), 6), complex)
+        all_loads[:, columns] = loads[:, : len(columns)] + 1j * loads[:, len(columns) :]
+        return source.covariance(frequency, record.spin, all_loads)[:, real_rows[:, None], real_rows]
 
     scale = np.tile(load_scale(geometry.hub)[columns], 2)
     stacked = np.concatenate([y.real, y.imag], axis=1)
@@ -124,40 +124,43 @@ def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSour
 
 
 def _channel_noise(record: RotorRecord, geometry: Geometry) -> Array:
-    """Variance (c,) of a sample of each live channel's own noise, in the interval of the harmonics."""
+    """Return the noise variance (c,) [V2] of one sample of each live channel, in the interval of the harmonics."""
     assert record.run.sample_rate is not None
     start, stop = (int(t * record.run.sample_rate) for t in record.spectra.interval)
     return channel_noise(CleanRecord(record.run, record.health.live, ((start, stop),)), geometry.acquisition)
 
 
 def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> ComplexArray:
-    """T (n, rows, 6) that each harmonic meets: averaged over its own spectrum, the filter's change there included."""
+    """Return the response T (n, rows, 6) of each harmonic, averaged over the harmonic's own spectrum.
+
+    The spectrum has a width because the rotor speed varies. The change of the anti-alias filter across it is included.
+    """
     azimuth, spectra = record.azimuth, record.spectra
     orders = range(1, len(spectra.frequency_hz))
     lines = [harmonic_lines(azimuth, spectra, n, SPEED_MEMORY * source.slowest_decay) for n in orders]
     at = source.at(np.concatenate([item.frequency for item in lines]), record.spin)
     parts = np.split(at, np.cumsum([len(item.frequency) for item in lines])[:-1])
     averages = []
-    for item, value, centre in zip(lines, parts, spectra.frequency_hz[1:], strict=True):
+    for item, value, center in zip(lines, parts, spectra.frequency_hz[1:], strict=True):
         H = anti_alias_response(geometry.acquisition, item.frequency) / anti_alias_response(
-            geometry.acquisition, centre
+            geometry.acquisition, center
         )
         averages.append(np.einsum("g,grj->rj", item.weight * H, value))
     return np.stack(averages)
 
 
 def _check_determined(T: ComplexArray, record: RotorRecord) -> None:
-    """UserError unless every component drives the remaining channels in a way of its own."""
-    size = np.linalg.norm(T, axis=1, keepdims=True)
-    lost = [name for name, norm in zip(record.components, size[0, 0], strict=True) if norm == 0]
-    enough = not lost and T.shape[1] >= T.shape[2]
-    if enough and bool(np.all(np.linalg.cond(T / size) < LARGEST_CONDITION)):
+    """Raise UserError unless the columns of T (n, rows, m) are linearly independent."""
+    norms = np.linalg.norm(T, axis=1, keepdims=True)
+    unseen = [name for name, norm in zip(record.components, norms[0, 0], strict=True) if norm == 0]
+    enough = not unseen and T.shape[1] >= T.shape[2]
+    if enough and bool(np.all(np.linalg.cond(T / norms) < LARGEST_CONDITION)):
         return
-    names = "; ".join(f"{name}: {reason}" for name, reason in record.health.left_out.items()) or "none"
-    what = ", ".join(lost) or ", ".join(record.components)
+    left_out = "; ".join(f"{name}: {reason}" for name, reason in record.health.left_out.items()) or "none"
+    undetermined = ", ".join(unseen) or ", ".join(record.components)
     raise UserError(
-        f"the remaining channels do not determine {what} (left out: {names})",
+        f"the remaining channels do not determine {undetermined} (left out: {left_out})",
         _place(record.run),
         "channels",
-        "Mend the channels, or leave the run out with --skip-bad",
+        "Repair the channels, or leave the run out with --skip-bad",
     )

@@ -1,4 +1,4 @@
-"""Load histories of a run: hub loads over time with sigma, and the file that holds them, written block by block."""
+"""Load histories: hub loads of a run over time with sigma, and the HDF5 file to which they are written in blocks."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS, UNITS
 from balance_cli.io.atomic import os_errors_as_user_error
+from balance_cli.io.formats import HISTORY_FORMAT
 from balance_cli.reduction.kalman.load_history import LoadHistory, LoadTrack
 from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 
 Array = NDArray[np.float64]
 
-FORMAT = "balance-history/1"
 HISTORY_CHUNK_ROWS = 8192
-"""Rows of a history that are held at once, and of a chunk of its file."""
+"""Rows that are held in memory before they are written, and of a chunk of the file: 400 KB of one table."""
 
 
 # ---- of harmonics ----------------------------------------------------------------------------------------------------
 
 
 def harmonic_history(run: Run, loads: RunLoads) -> Iterator[LoadHistory]:
-    """The sum of the harmonics of a steady run at the azimuth of each sample, over the interval that was used."""
+    """Yield the sum of the harmonics of a run at the azimuth of each sample, over the interval that was used."""
     assert run.sample_rate is not None and run.pulse_times is not None
     azimuth = azimuth_from_pulses(run.pulse_times)
-    # As the times themselves are compared: the product may be off by the last digit.
+    # Rounding may move these by one sample; the times themselves are compared below.
     first, stop = (int(t * run.sample_rate) for t in loads.interval)
     for start in range(max(first - 1, 0), min(stop + 2, run.samples), HISTORY_CHUNK_ROWS):
         time = np.arange(start, min(start + HISTORY_CHUNK_ROWS, stop + 2, run.samples)) / run.sample_rate
@@ -41,13 +41,13 @@ def harmonic_history(run: Run, loads: RunLoads) -> Iterator[LoadHistory]:
 
 
 def _sum_harmonics(azimuth: Azimuth, loads: RunLoads, time: Array) -> LoadHistory:
-    """The sum of the harmonics at some times (n,) [s]."""
-    turns = np.exp(1j * azimuth.psi(time)[:, None] * np.arange(len(loads.frequency_hz)))
-    mine = [COMPONENTS.index(name) for name in loads.components]
+    """Return the sum of the harmonics at times (n,) [s]."""
+    phasors = np.exp(1j * azimuth.psi(time)[:, None] * np.arange(len(loads.frequency_hz)))
+    columns = [COMPONENTS.index(name) for name in loads.components]
     values, sigma = np.full((2, len(time), 6), np.nan)
-    values[:, mine] = np.real(turns @ loads.amplitude)
-    variance = turns.real**2 @ loads.sigma_cosine**2 + turns.imag**2 @ loads.sigma_sine**2
-    sigma[:, mine] = np.sqrt(variance)
+    values[:, columns] = np.real(phasors @ loads.amplitude)
+    variance = phasors.real**2 @ loads.sigma_cosine**2 + phasors.imag**2 @ loads.sigma_sine**2
+    sigma[:, columns] = np.sqrt(variance)
     return LoadHistory(loads.run, time, values, sigma)
 
 
@@ -55,9 +55,9 @@ def _sum_harmonics(azimuth: Azimuth, loads: RunLoads, time: Array) -> LoadHistor
 
 
 class HistoryFile:
-    """An HDF5 file with `time` (n,), `loads` (n, 6), `sigma` (n, 6) (contract, LOADS) to which blocks are appended.
+    """An HDF5 file of `time` (n,), `loads` (n, 6) and `sigma` (n, 6), to which blocks are appended.
 
-    As a context manager it is closed at the end of the block. UserError where it cannot be written.
+    A context manager closes it. Raises UserError where it cannot be written.
     """
 
     def __init__(self, path: Path, run: str) -> None:
@@ -66,7 +66,7 @@ class HistoryFile:
         self._path, self._buffer = path, _WriteBuffer()
         with os_errors_as_user_error(path):
             self._file: Any = h5py.File(path, "w")
-            self._file.attrs["format"] = FORMAT
+            self._file.attrs["format"] = HISTORY_FORMAT
             self._file.attrs["run"] = run
             self._create_appendable("time", ()).attrs["unit"] = "s"
             for name in ("loads", "sigma"):
@@ -75,7 +75,7 @@ class HistoryFile:
                 table.attrs["units"] = UNITS
 
     def _create_appendable(self, name: str, row: tuple[int, ...]) -> Any:
-        """An empty dataset to which rows can be added."""
+        """Create an empty dataset to which rows can be appended."""
         return self._file.create_dataset(
             name, (0, *row), maxshape=(None, *row), chunks=(HISTORY_CHUNK_ROWS, *row), dtype="f8", compression="gzip"
         )
@@ -92,7 +92,7 @@ class HistoryFile:
             self._file.close()
 
     def add(self, block: LoadHistory) -> None:
-        """Rows after those that are there; short blocks are gathered before they are written."""
+        """Append a block; short blocks are collected before they are written."""
         self._buffer.add(block)
         if self._buffer.rows >= HISTORY_CHUNK_ROWS:
             with os_errors_as_user_error(self._path):
@@ -106,34 +106,34 @@ class HistoryFile:
             dataset[before:] = values
 
     def add_harmonics(self, track: LoadTrack, components: tuple[str, ...]) -> None:
-        """Group `harmonics`: `time` (r,), `cosine`, `sine`, `sigma` (r, n+1, 6), NaN for components not carried."""
-        mine = [COMPONENTS.index(name) for name in components]
+        """Write the group `harmonics`: `time` (r,), `cosine`, `sine`, `sigma` (r, n+1, 6), NaN if not carried."""
+        columns = [COMPONENTS.index(name) for name in components]
         parts = {"cosine": track.amplitude.real, "sine": -track.amplitude.imag, "sigma": track.sigma}
         with os_errors_as_user_error(self._path):
             group = self._file.create_group("harmonics")
             group.create_dataset("time", data=track.time).attrs["unit"] = "s"
             for name, values in parts.items():
                 table = np.full((*values.shape[:2], len(COMPONENTS)), np.nan)
-                table[:, :, mine] = values
+                table[:, :, columns] = values
                 dataset = group.create_dataset(name, data=table, compression="gzip")
                 dataset.attrs["names"] = COMPONENTS
                 dataset.attrs["units"] = UNITS
 
 
 class _WriteBuffer:
-    """Blocks not yet written, by dataset."""
+    """Blocks that are not written yet."""
 
     def __init__(self) -> None:
         self.rows = 0
         self._blocks: list[LoadHistory] = []
 
     def add(self, block: LoadHistory) -> None:
-        """One more."""
+        """Keep one more block."""
         self._blocks.append(block)
         self.rows += len(block.time)
 
     def drain(self) -> dict[str, Array]:
-        """{dataset: rows} of all of them, which are then gone."""
+        """Return {dataset: rows} of all blocks, and forget them."""
         blocks, self._blocks, self.rows = self._blocks, [], 0
         if not blocks:
             return {}

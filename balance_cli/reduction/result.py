@@ -1,14 +1,17 @@
-"""Reduced hub loads: what `reduce` leaves behind and the report and other people's scripts take up."""
+"""Reduced hub loads: the results of `reduce`, as artefacts, the report and scripts use them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.result_view import ResultView, plural
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.kalman.load_history import LoadTrack
 
@@ -36,11 +39,11 @@ LOAD_TABLE_COLUMNS = (
 
 @dataclass(frozen=True)
 class CheckErrors:
-    """Reduced against applied loads of a check run, over harmonics 1 to 8 (contract, `load_error`).
+    """Reduced against applied loads of a check run, over harmonics 1 to 8 (`load_error` of the file contract).
 
     load_error {component applied: relative error}, interaction {component not applied: relative to the largest applied
-    force}; load_noise and interaction_noise: what the record's noise alone would leave of each. `applied` (n+1, m) are
-    the loads as the exciter measured them, anti-alias filter taken out.
+    force}; load_noise and interaction_noise: the noise floor of each, from the noise of the record. `applied` (n+1, m)
+    are the loads as the exciter measured them, without the anti-alias filter.
     """
 
     load_error: dict[str, float]
@@ -52,29 +55,30 @@ class CheckErrors:
 
 @dataclass(frozen=True)
 class TimeDomainResult:
-    """How a Kalman filter or smoother found the loads, and whether it was what it takes itself for.
+    """How a Kalman filter or smoother estimated the loads, and the tests of its innovations.
 
-    `loads_as`: what was known of the loads (`harmonics`, `random`, `free`); `lag` [s] of a filter behind the samples,
-    None where it has none; `innovations` tested, None where no stretch has all channels; `track`: harmonics from
-    revolution to revolution, None where nothing follows them; `noise` {channel: standard deviation of a sample's noise,
-    V}; `bridged`: what was missing, in words.
+    `load_model`: what was assumed of the loads (`choices.LOAD_MODELS`); `lag` [s] of a fixed-lag filter, None for a
+    smoother; `innovations`: None where no segment has all channels; `track`: harmonics from revolution to revolution,
+    None where the load model has none; `noise` {channel: standard deviation of the noise of one sample, V};
+    `gap_notes`: gaps, and channels that were not used for a time, in words. Two fields have other names in files.
     """
 
-    loads_as: str
+    load_model: str = field(metadata={"stored_as": "loads_as"})
     lag: float | None
     innovations: InnovationTests | None
     track: LoadTrack | None
     noise: dict[str, float]
-    bridged: tuple[str, ...]
+    gap_notes: tuple[str, ...] = field(metadata={"stored_as": "bridged"})
 
 
-@dataclass(frozen=True)
-class RunLoads:
+@dataclass(frozen=True, repr=False)
+class RunLoads(ResultView):
     """Hub loads of one run: m components, harmonics 0 to n.
 
     frequency_hz (n+1,): n times the mean pulse rate of the record; amplitude (n+1, m) = cosine - j sine; sigma_cosine,
-    sigma_sine (n+1, m); flags (n+1, m) words, empty where all is well; redundancy, redundancy_limit, condition (n+1,),
-    NaN where there is none; interval [s] that was used; `in_time`: where the loads were found by a filter or smoother.
+    sigma_sine (n+1, m); flags (n+1, m) words, empty where nothing is wrong; redundancy (chi-square per degree of
+    freedom of the residual test), redundancy_limit, condition (n+1,), NaN where they do not exist; interval [s] that
+    was used; `in_time`: of a reduction by a filter or smoother.
     """
 
     run: str
@@ -96,12 +100,30 @@ class RunLoads:
     check: CheckErrors | None = None
     in_time: TimeDomainResult | None = None
 
+    def summary_lines(self) -> Iterator[str]:
+        """Run, harmonics, error of a check run, flags."""
+        last = len(self.frequency_hz) - 1
+        yield f"Hub loads of {self.kind} run {self.run} by {self.response}"
+        yield f"  {' '.join(self.components)}, harmonics 0 to {last} of {self.frequency_hz[1]:.4g} Hz"
+        if self.check is not None:
+            errors = ", ".join(f"{name} {100 * error:.2g} %" for name, error in self.check.load_error.items())
+            yield f"  error over harmonics 1 to 8: {errors}"
+        if self.left_out:
+            yield f"  channels left out: {', '.join(self.left_out)}"
+        yield f"  {_flag_counts([self])}"
 
-@dataclass(frozen=True)
-class HubLoads:
-    """Hub loads of all runs of one reduction, and the geometry of the calibration behind them.
+    def to_frame(self) -> pd.DataFrame:
+        """One row for each component and harmonic, with the columns of a load table."""
+        import pandas as pd
 
-    `method` is `harmonic`, `kalman` or `smoother`.
+        return pd.DataFrame(_rows(self), columns=list(LOAD_TABLE_COLUMNS))
+
+
+@dataclass(frozen=True, repr=False)
+class HubLoads(ResultView):
+    """Hub loads of all runs of one reduction, and the geometry of its calibration.
+
+    `method` is one of `choices.METHODS`.
     """
 
     method: str
@@ -109,9 +131,25 @@ class HubLoads:
     geometry: Geometry
     runs: dict[str, RunLoads]
 
+    def summary_lines(self) -> Iterator[str]:
+        """Rig, response, method, runs, flags."""
+        yield f"Hub loads of {self.geometry.rig} by {self.response}, method {self.method}"
+        yield f"  {plural(len(self.runs), 'run')}: {', '.join(self.runs)}"
+        yield f"  {_flag_counts(self.runs.values())}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row for each run, component and harmonic: the load table."""
+        return load_table(self)
+
+
+def _flag_counts(runs: Iterable[RunLoads]) -> str:
+    """How many rows have each flag, in words."""
+    counts = Counter(word for run in runs for row in run.flags for flags in row for word in flags.split("; ") if word)
+    return "flags: " + ", ".join(f"{word} ({count} rows)" for word, count in counts.items()) if counts else "no flags"
+
 
 def load_table(loads: HubLoads) -> pd.DataFrame:
-    """One row per run, component and harmonic (contract, LOADS)."""
+    """Return the table with one row per run, component and harmonic (LOADS in the file contract)."""
     import pandas as pd
 
     rows = [row for run in loads.runs.values() for row in _rows(run)]

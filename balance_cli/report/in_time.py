@@ -1,4 +1,4 @@
-"""Loads in time: amplitudes that move, and whether the filter that found them is what it takes itself for."""
+"""Section of loads in time: tests of the filter, harmonics from revolution to revolution, noise of the channels."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from balance_cli.reduction.choices import LOAD_MODEL_TEXTS
 from balance_cli.reduction.kalman.load_history import LoadTrack
 from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
 from balance_cli.report.blocks import (
@@ -27,59 +28,54 @@ from balance_cli.report.sources import Source, Sources
 from balance_cli.report.track_figures import HARMONICS_SHOWN, track_figure
 
 LARGE_NIS_FACTOR = 1.25
-"""Factor by which NIS may be off one before it is marked: sigma is off by an eighth then."""
-LOAD_MODEL_TEXTS = {
-    "harmonics": "harmonics locked to the azimuth beside random loads",
-    "random": "random loads",
-    "free": "anything within the band",
-}
+"""Factor by which NIS may differ from one before it is marked: sigma is then wrong by an eighth."""
 
 
 def section(sources: Sources) -> Section | None:
-    """Runs reduced by a filter or smoother; None where there are none."""
+    """Return the section of runs reduced by a filter or smoother; None where there are none."""
     load_sources = tuple(source for source in sources.loads if runs_in_time(source.content))
     if not load_sources:
         return None
     blocks: list[PageBlock] = [
         Paragraph(
-            "A Kalman filter follows loads and balance from sample to sample, a smoother looks at what comes after, "
-            "too. Either predicts each sample of each channel from those before it. What it is wrong by, the "
-            "innovation, tests it: the normalised innovation squared (NIS) is 1 where the innovations are of the size "
-            "that the filter states, and sigma is right then; the whiteness is 1 where nothing in them could have "
-            "been foreseen. Chance alone leaves the small figures beside them."
+            "A Kalman filter estimates the loads at each sample from the samples before it, a smoother from the whole "
+            "record. Both predict each sample of each channel from the samples before it; the innovations, measured "
+            "less predicted, test the filter. The normalized innovation squared (NIS) is 1 if the innovations have the "
+            "covariance that the filter computes, and then sigma is right. The whiteness is 1 if the innovations are "
+            "not correlated. The small figures are the standard deviations of both for a consistent filter."
         ),
         innovation_tests_table(load_sources),
         *_track_pictures(load_sources),
         *(channel_noise_table(source) for source in load_sources),
-        *_bridged_gap_texts(load_sources),
+        *_gap_note_texts(load_sources),
     ]
     return Section("in-time", "Loads in time", tuple(blocks))
 
 
 def runs_in_time(loads: HubLoads) -> dict[str, TimeDomainResult]:
-    """The runs that were reduced in time."""
+    """Return the runs that were reduced in time."""
     return {name: run.in_time for name, run in loads.runs.items() if run.in_time is not None}
 
 
 def innovation_tests_table(load_sources: Sequence[Source[HubLoads]]) -> Table:
-    """NIS and whiteness of every run and method."""
+    """Return the table of NIS and whiteness of every run and method."""
     head = ("", "NIS", "whiteness", "rms autocorrelation", "samples")
     rows: list[Row] = []
     for source in load_sources:
         runs = runs_in_time(source.content)
-        for words in dict.fromkeys(_filter_text(run) for run in runs.values()):
-            rows.append(group_heading_row(f"{source.label}: {words}", len(head)))
-            rows += [_innovation_tests_row(name, run) for name, run in runs.items() if _filter_text(run) == words]
+        for heading in dict.fromkeys(_filter_text(run) for run in runs.values()):
+            rows.append(group_heading_row(f"{source.label}: {heading}", len(head)))
+            rows += [_innovation_tests_row(name, run) for name, run in runs.items() if _filter_text(run) == heading]
     caption = (
-        "Innovations of all channels together; small: one standard deviation that chance gives it. Marked: NIS off by "
-        f"more than a factor of {LARGE_NIS_FACTOR:g}."
+        "Innovations of all channels together; small: one standard deviation for a consistent filter. Marked: NIS "
+        f"differs from 1 by more than a factor of {LARGE_NIS_FACTOR:g}."
     )
     return Table(caption, (tuple(TableCell(text) for text in head),), tuple(rows))
 
 
 def _filter_text(run: TimeDomainResult) -> str:
-    lag = f", each sample given {format_significant(run.lag, 2)} s after it" if run.lag is not None else ""
-    return f"loads taken as {LOAD_MODEL_TEXTS.get(run.loads_as, run.loads_as)}{lag}"
+    lag = f", lag {format_significant(run.lag, 2)} s" if run.lag is not None else ""
+    return f"load model: {LOAD_MODEL_TEXTS.get(run.load_model, run.load_model)}{lag}"
 
 
 def _innovation_tests_row(name: str, run: TimeDomainResult) -> Row:
@@ -87,13 +83,13 @@ def _innovation_tests_row(name: str, run: TimeDomainResult) -> Row:
     if tests is None:
         return (
             TableCell(name, mark="name"),
-            TableCell(MISSING_VALUE, title="no stretch of the record has all channels"),
+            TableCell(MISSING_VALUE, title="no part of the record has all channels"),
         )
-    off = max(tests.nis, 1.0 / tests.nis) if tests.nis > 0 else np.inf
+    factor = max(tests.nis, 1.0 / tests.nis) if tests.nis > 0 else np.inf
     return (
         TableCell(name, mark="name"),
         TableCell(
-            format_fixed(tests.nis, 3), format_fixed(tests.nis_sigma, 3), "bad" if off > LARGE_NIS_FACTOR else ""
+            format_fixed(tests.nis, 3), format_fixed(tests.nis_sigma, 3), "bad" if factor > LARGE_NIS_FACTOR else ""
         ),
         TableCell(format_significant(tests.whiteness), format_significant(tests.whiteness_sigma, 1)),
         TableCell(format_significant(float(np.sqrt(tests.whiteness / tests.samples)), 2)),
@@ -102,22 +98,21 @@ def _innovation_tests_row(name: str, run: TimeDomainResult) -> Row:
 
 
 def _track_pictures(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
-    """The first run of the first method, the others on demand."""
+    """Yield the picture of the first run; those of the other runs are folded."""
     first = True
     for source, run, track in _tracks(load_sources):
-        words = f"{run.run} by {source.label}"
+        title = f"{run.run} by {source.label}"
         name = f"in-time-{load_sources.index(source) + 1}-{run.run}"
         picture = Picture(
             name,
-            f"{words}. Above: mean of each revolution, with one sigma of the load at an instant; below: amplitudes of "
-            f"the {HARMONICS_SHOWN} strongest harmonics of each component, less their means, which stand beside their "
-            "names, "
-            "with one sigma. Dashed: the steady part, over which the table is averaged.",
-            svg(name, f"Mean loads and amplitudes over time, {words}", _draw_track(run, track)),
+            f"{title}. Above: mean of each revolution, with one sigma of the load at an instant. Below: amplitudes of "
+            f"the {HARMONICS_SHOWN} strongest harmonics of each component with one sigma, less their means, which the "
+            "legend states. Dashed: limits of the steady part, to which the table of loads refers.",
+            svg(name, f"Mean loads and amplitudes over time, {title}", _draw_track(run, track)),
         )
         if first:
             yield Heading("Loads from revolution to revolution")
-        yield picture if first else Details(words, (picture,))
+        yield picture if first else Details(title, (picture,))
         first = False
 
 
@@ -133,14 +128,14 @@ def _tracks(load_sources: Sequence[Source[HubLoads]]) -> Iterator[tuple[Source[H
 
 
 def channel_noise_table(source: Source[HubLoads]) -> Table:
-    """Noise of each channel and the mean square of its innovations, run by run."""
+    """Return the table of the noise of each channel and of the mean square of its innovations, run by run."""
     runs = runs_in_time(source.content)
     names = dict.fromkeys(name for run in runs.values() for name in run.noise)
     head = (TableCell(""), *(TableCell(name) for name in runs))
     rows = [(TableCell(name, mark="name"), *(_channel_cell(run, name) for run in runs.values())) for name in names]
     caption = (
-        f"{source.label}: noise of a sample of each channel [mV], from where no load reaches; small: mean square of "
-        "its innovations, 1 where they are of the size that the filter states."
+        f"{source.label}: noise of one sample of each channel [mV], from frequencies above all loads; small: mean "
+        "square of its innovations, 1 for a consistent filter."
     )
     return Table(caption, (head,), tuple(rows))
 
@@ -152,7 +147,7 @@ def _channel_cell(run: TimeDomainResult, name: str) -> TableCell:
     return TableCell(format_significant(1e3 * run.noise[name]), format_fixed(square, 2) if square is not None else "")
 
 
-def _bridged_gap_texts(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
+def _gap_note_texts(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
     runs = [item for source in load_sources for item in runs_in_time(source.content).items()]
-    for name, note in dict.fromkeys((name, note) for name, run in runs for note in run.bridged):
+    for name, note in dict.fromkeys((name, note) for name, run in runs for note in run.gap_notes):
         yield Paragraph(f"{name}: {note}.")

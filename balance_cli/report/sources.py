@@ -181,7 +181,7 @@ def _method_labels(loads: HubLoads) -> tuple[str, ...]:
     """What a label adds to that of the response: the method, and what it knows of the loads where that is not usual."""
     if loads.method == "harmonic":
         return ()
-    taken = {run.in_time.loads_as for run in loads.runs.values() if run.in_time is not None} - {"harmonics"}
+    taken = {run.in_time.load_model for run in loads.runs.values() if run.in_time is not None} - {"harmonics"}
     return (loads.method, *(f"{kind} loads" for kind in sorted(taken)))
 
 

@@ -1,4 +1,4 @@
-"""Pictures of loads in time: means and amplitudes from revolution to revolution, with sigma."""
+"""Figures of loads in time: means and amplitudes from revolution to revolution, with sigma."""
 
 from __future__ import annotations
 
@@ -31,20 +31,21 @@ HARMONICS_SHOWN = 3
 """Harmonics drawn of each component."""
 HARMONIC_COLORS = (BLUE, ORANGE, GREEN, VERMILION, SKY, PURPLE, *EXTRA_COLORS)
 ROW_INCHES_OF_COMPONENT = 3.2
+"""Height [in] of a row of panels."""
 BAND_OPACITY = 0.25
 """Opacity of a band of one sigma."""
 
 
 def strongest_harmonics(track: LoadTrack, component: int) -> tuple[int, ...]:
-    """The harmonics of a component (its column) with the largest mean square amplitude, in rising order."""
+    """Return the harmonics of a component (its column) with the largest mean square amplitude, in rising order."""
     power = np.nan_to_num(np.nanmean(np.abs(track.amplitude[:, 1:, component]) ** 2, axis=0))
     return tuple(sorted(int(n) + 1 for n in np.argsort(-power, kind="stable")[:HARMONICS_SHOWN]))
 
 
 def track_figure(run: RunLoads, track: LoadTrack) -> Figure:
-    """One panel a component: mean of each revolution above, change of its strongest harmonics' amplitudes below.
+    """Draw one panel per component: means of revolutions above, changes of its strongest harmonics below.
 
-    The change is from the mean over the steady part, which the legend names.
+    A change is an amplitude less its mean over the steady part, which the legend states.
     """
     names = [name for name in COMPONENTS if name in run.components]
     columns = min(len(names), 3)
@@ -83,7 +84,7 @@ def _draw_track_panel(
         for edge in interval:
             axes.axvline(edge, color=GRAY, linewidth=0.7, linestyle=(0, (4, 2)))
     upper.tick_params(axis="x", labelbottom=False)
-    # An offset would be written where the title is.
+    # The text of an offset would cover the title.
     upper.ticklabel_format(axis="y", useOffset=False)
     if spec.is_first_col():
         upper.set_ylabel("mean")
@@ -91,13 +92,11 @@ def _draw_track_panel(
         figure.align_ylabels([upper, lower])
 
 
-def _draw_band(axes: Axes, time: Array, value: Array, sigma: Array, colour: str, label: str = "") -> None:
-    axes.fill_between(
-        time, value - sigma, value + sigma, color=colour, alpha=BAND_OPACITY, linewidth=0, rasterized=True
-    )
-    axes.plot(time, value, color=colour, linewidth=0.9, label=label, rasterized=True)
+def _draw_band(axes: Axes, time: Array, value: Array, sigma: Array, color: str, label: str = "") -> None:
+    axes.fill_between(time, value - sigma, value + sigma, color=color, alpha=BAND_OPACITY, linewidth=0, rasterized=True)
+    axes.plot(time, value, color=color, linewidth=0.9, label=label, rasterized=True)
 
 
 def harmonic_color(n: int) -> str:
-    """The colour of a harmonic wherever it is drawn."""
+    """The color of a harmonic wherever it is drawn."""
     return HARMONIC_COLORS[(n - 1) % len(HARMONIC_COLORS)]

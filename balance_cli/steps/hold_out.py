@@ -17,7 +17,8 @@ from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contr
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.check_errors import check_errors
 from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, harmonic_response, rotor_record
-from balance_cli.reduction.response_sources import ResponseSource, model_source
+from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import CheckErrors
 
 Array = NDArray[np.float64]

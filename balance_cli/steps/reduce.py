@@ -1,4 +1,4 @@
-"""Reduction: rotor-harmonic hub loads of a run from its channels, the response and the static calibration."""
+"""Reduction by harmonics: hub loads of a run from its channels, a response and the static calibration."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from balance_cli.reduction.weighted_least_squares import SolvedLoads
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-ERRORS_UNKNOWN = "sigma of the mean loads holds noise and the residuals that the matrix states, not its own errors"
-"""Said of a run that was reduced by a matrix without standard errors."""
+ERRORS_UNKNOWN = "sigma of the mean loads contains noise and the residuals stated with the matrix, not its own errors"
+"""Note on a run that was reduced by a matrix without standard errors."""
 
 
 @dataclass(frozen=True)
 class ReduceOptions:
-    """Harmonics 0 to `harmonics` are reduced."""
+    """Options of a reduction: harmonics 0 to `harmonics` are reduced."""
 
     harmonics: int = 8
 
@@ -40,9 +40,9 @@ def reduce_run(
     zero: ZeroRecord | None = None,
     options: ReduceOptions | None = None,
 ) -> RunLoads:
-    """Hub loads of one `check` or `wind` run.
+    """Reduce one `check` or `wind` run to hub loads.
 
-    Raises UserError where the pulses or the channels that remain do not determine the loads.
+    Raises UserError where the pulses are unusable or the usable channels do not determine the loads.
     """
     options = options or ReduceOptions()
     record = rotor_record(run, geometry, source, options.harmonics)
@@ -57,10 +57,10 @@ def reduce_record(
     zero: ZeroRecord | None = None,
     amplitudes: ComplexArray | None = None,
 ) -> RunLoads:
-    """Hub loads of a record whose harmonics are known.
+    """Return the hub loads of a record whose harmonics are known.
 
-    Where `amplitudes` (n, m) of harmonics 1 to n were found in another way they take the place of those of the response
-    at the harmonics, whose errors, redundancy and condition stand.
+    `amplitudes` (n, m) of harmonics 1 to n, estimated in another way, replace those that the inverted response gives;
+    the errors, the redundancy and the condition remain those of the inverted response.
     """
     mean_solution = _mean_loads(record, calibration, zero)
     harmonic_solution = harmonic_loads(record, geometry, source)
@@ -74,19 +74,19 @@ def reduce_record(
 
 
 def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> MeanLoads:
-    """By the model through all trims where that is curved, else by the matrix of the nearest trim."""
-    if calibration.gage is not None and calibration.gage.model.curved:
-        return nonlinear_mean_loads(record.spectra, calibration, calibration.gage.model, record.health, zero)
+    """Return the mean loads by the calibration model through all trims if nonlinear, else by the nearest trim."""
+    if calibration.all_trims is not None and calibration.all_trims.model.is_nonlinear:
+        return nonlinear_mean_loads(record.spectra, calibration, calibration.all_trims.model, record.health, zero)
     return linear_mean_loads(record.spectra, calibration, record.health, zero)
 
 
 def _combine_loads(
     record: RotorRecord, mean_solution: MeanLoads, harmonic_solution: SolvedLoads, source: ResponseSource
 ) -> RunLoads:
-    """Harmonic 0 from the steady loads, the others from the dynamic ones."""
+    """Return the loads with harmonic 0 from the mean loads and the others from the harmonic loads."""
     spectra, m = record.spectra, len(mean_solution.components)
     variance = np.diagonal(harmonic_solution.inflated_covariance, axis1=1, axis2=2)
-    words = np.where(harmonic_solution.misfit, "redundancy", "")
+    residual_test_flags = np.where(harmonic_solution.misfit, "redundancy", "")
     return RunLoads(
         run=record.run.name,
         kind=record.run.kind,
@@ -97,7 +97,7 @@ def _combine_loads(
         amplitude=np.concatenate([mean_solution.loads[None, :].astype(complex), harmonic_solution.loads]),
         sigma_cosine=np.concatenate([mean_solution.sigma[None, :], np.sqrt(variance[:, :m])]),
         sigma_sine=np.concatenate([np.zeros((1, m)), np.sqrt(variance[:, m:])]),
-        flags=(mean_solution.flags, *(tuple([str(word)] * m) for word in words)),
+        flags=(mean_solution.flags, *(tuple([str(flag)] * m) for flag in residual_test_flags)),
         redundancy=np.concatenate([[mean_solution.redundancy], harmonic_solution.redundancy_chi2]),
         redundancy_limit=np.concatenate([[mean_solution.redundancy_limit], harmonic_solution.limit]),
         condition=np.concatenate([[mean_solution.condition], harmonic_solution.condition]),

@@ -1,8 +1,7 @@
 """Reduction in time: hub loads as functions of time by a Kalman filter or smoother, for runs that are not steady.
 
-The channels' departures from their means over a steady part go through the filter; the means themselves go through the
-static calibration, as in a reduction by harmonics. So both kinds of reduction share their mean loads, and differ in
-what varies.
+The filter takes the deviations of the channels from their means over a steady part. The means go through the static
+calibration, as in a reduction by harmonics, so that both kinds of reduction have the same mean loads.
 """
 
 from __future__ import annotations
@@ -18,8 +17,9 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run, excerpt_run, read_channels
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.estimation.identified_model import identified_system
 from balance_cli.model.state_space import state_space, with_anti_alias
+from balance_cli.model.system import System
+from balance_cli.reduction.choices import FREE, HARMONICS, KALMAN, LOAD_MODELS, SMOOTHER
 from balance_cli.reduction.harmonic_loads import RotorRecord, rotor_record
 from balance_cli.reduction.kalman.amplitude_drift import fit_drifting_harmonics
 from balance_cli.reduction.kalman.augmented_model import MeasuredSystem
@@ -37,7 +37,7 @@ from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, tim
 from balance_cli.reduction.kalman.segments import Estimates, RunFilters
 from balance_cli.reduction.kalman.smoothing import smoothed_estimates
 from balance_cli.reduction.mean_loads import ZeroRecord
-from balance_cli.reduction.response_sources import ModelSource
+from balance_cli.reduction.response_sources import ResponseSource, no_state_space_error
 from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
@@ -45,45 +45,54 @@ from balance_cli.steps.reduce import reduce_record
 
 Array = NDArray[np.float64]
 
-LOAD_MODELS = ("harmonics", "random", "free")
 INITIAL_STATE_TIME = 5.0
-"""Time [s] of a record that tells the state with which it began."""
+"""Time [s] of a record from which its initial state is estimated: several decay times of a balance and its channels."""
 NEGLIGIBLE_FACTOR = 1e-6
+"""Factor on a covariance that takes it out of every sum; zero would make the weights singular."""
+OFFSET_MARGIN = 10.0
+"""Standard deviations of noise that the prior of an offset has beyond its observed mean: practically uninformative."""
 
 
 @dataclass(frozen=True)
 class TimeOptions:
-    """`smooth` the whole record, or filter it and look back `lag` [s] later; what is known of the loads; harmonics.
+    """Options of a reduction in time.
 
-    A load shows in cells and behind the anti-alias filter some milliseconds late, so that a filter without any lag has
-    to foretell it.
+    `smooth` uses the whole record, otherwise each estimate uses the samples up to `lag` [s] after it. `load_model` is
+    one of `choices.LOAD_MODELS`; `harmonics` is the highest. A load appears in the cells and behind the anti-alias
+    filter some milliseconds late, so that a filter without lag would have to predict it.
     """
 
     smooth: bool = True
-    loads: str = "harmonics"
+    load_model: str = LOAD_MODELS[0]
     lag: float = 0.05
     harmonics: int = 8
+
+    @property
+    def method(self) -> str:
+        """The name of the method, one of `choices.METHODS`."""
+        return SMOOTHER if self.smooth else KALMAN
 
 
 @dataclass(frozen=True)
 class TimeReduction:
-    """Loads of one run, amplitudes from revolution to revolution where oscillators follow them, tests of the filter.
+    """Loads of one run, harmonics from revolution to revolution where the load model has them, tests of the filter.
 
-    `noise` {channel: standard deviation of a sample's noise, V}; `bridged`: what was missing, in words.
+    `noise` {channel: standard deviation of the noise of one sample, V}; `gap_notes`: gaps, and channels that were not
+    used for a time, in words.
     """
 
     loads: RunLoads
     track: LoadTrack | None
     innovations: InnovationTests | None
     noise: dict[str, float]
-    bridged: tuple[str, ...]
+    gap_notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class _RunSetup:
-    """One run on its way: the steady part of it (from `start` [s] on), what is sound, how its channels read the loads.
+    """One run with what its filter needs: data quality, steady part, system of balance and channels, means.
 
-    `mean` (c,) [V]: what the channels' departures count from.
+    `record` is the steady part, which begins at `start` [s] of the run; `mean` (c,) [V] is what the filter subtracts.
     """
 
     run: Run
@@ -96,24 +105,24 @@ class _RunSetup:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The steady part [s], from the first sample of the whole run."""
+        """The steady part [s], counted from the first sample of the run."""
         first, last = self.record.spectra.interval
         return self.start + first, self.start + last
 
     @property
     def revolutions(self) -> tuple[int, int]:
-        """Whole revolutions of the whole run in the steady part."""
+        """First and last of the run's revolutions that lie entirely in the steady part."""
         first, last = self.azimuth.extrapolated_count(np.array(self.interval))
         return int(np.ceil(first - 1e-6)), int(np.floor(last + 1e-6))
 
     def clean_record(self) -> CleanRecord:
-        """Sound stretches of the steady part."""
+        """Return the samples of the steady part at which all channels are usable."""
         first = int(np.ceil(self.interval[0] / self.system.step))
         spans = tuple((max(start, first), stop) for start, stop in self.data_quality.spans if stop > first)
         return CleanRecord(self.run, self.data_quality.names, spans)
 
     def read(self, start: int, stop: int, channels: tuple[int, ...]) -> Array:
-        """Departures from the mean in units of the noise."""
+        """Return samples `start` to `stop` less the means, in units of the noise."""
         names = [self.data_quality.names[i] for i in channels]
         y = read_channels(self.run, names, start, stop) - self.mean[list(channels)]
         return np.asarray(y / np.sqrt(self.system.noise[list(channels)]))
@@ -123,21 +132,21 @@ def reduce_run_in_time(
     run: Run,
     geometry: Geometry,
     calibration: Calibration,
-    source: ModelSource,
+    source: ResponseSource,
     zero: ZeroRecord | None = None,
     options: TimeOptions | None = None,
     sink: Callable[[LoadHistory], None] | None = None,
 ) -> TimeReduction:
-    """Hub loads of one `check` or `wind` run by a Kalman filter or smoother; `sink` takes the history, block by block.
+    """Reduce one `check` or `wind` run by a Kalman filter or smoother; `sink` receives the history block by block.
 
-    Raises UserError where the pulses or channels do not serve, or a gap is too long.
+    Raises UserError where the source has no state space, the pulses or channels are unusable, or a gap is too long.
     """
     options = options or TimeOptions()
     setup = _set_up_run(run, geometry, source, options)
-    steady = reduce_record(_with_exact_means(setup.record), geometry, calibration, source, zero)
-    recorder = LoadRecorder(_recorder_settings(setup, steady, options), sink)
+    harmonic_result = reduce_record(_with_exact_means(setup.record), geometry, calibration, source, zero)
+    recorder = LoadRecorder(_recorder_settings(setup, harmonic_result, options), sink)
     sums = InnovationSums(len(setup.data_quality.names))
-    for estimates in _run_filters(setup, _build_filters(setup, steady, options), options):
+    for estimates in _run_filters(setup, _build_filters(setup, harmonic_result, options), options):
         recorder.add(estimates)
         if len(estimates.channels) == len(setup.data_quality.names):
             sums.add(estimates.innovations)
@@ -148,41 +157,42 @@ def reduce_run_in_time(
         track=recorder.track(),
         innovations=sums.tests(setup.data_quality.names),
         noise=dict(zip(setup.data_quality.names, np.sqrt(setup.system.noise).tolist(), strict=True)),
-        bridged=setup.data_quality.notes,
+        gap_notes=setup.data_quality.notes,
     )
 
 
-def _set_up_run(run: Run, geometry: Geometry, source: ModelSource, options: TimeOptions) -> _RunSetup:
-    """The run with its steady part, means and noise."""
+def _set_up_run(run: Run, geometry: Geometry, source: ResponseSource, options: TimeOptions) -> _RunSetup:
+    """Return the run with its steady part, means and noise."""
+    equations = source.system
+    if equations is None:
+        raise no_state_space_error(options.method)
     data_quality = assess_data_quality(run, geometry, live_channels(run, geometry), 0, run.samples)
     record, start = _steady_record(run, geometry, source, data_quality, options.harmonics)
     if not data_quality.gaps and set(data_quality.names) == set(record.health.live):
-        run = record.run  # without what forces along the cells that are not linear did to its channels
+        run = record.run  # without the contribution of nonlinear cell forces
     if run.pulse_times is None or run.sample_rate is None:
         raise AssertionError("a record on azimuth has pulses")
-    system = _measured_system(source, geometry, data_quality, record, 1.0 / run.sample_rate)
-    setup = _RunSetup(
-        run,
-        data_quality,
-        record,
-        start,
-        azimuth_from_pulses(run.pulse_times),
-        system,
-        np.zeros(len(data_quality.names)),
-    )
+    system = _measured_system(equations, geometry, data_quality, record, 1.0 / run.sample_rate)
+    azimuth, means = azimuth_from_pulses(run.pulse_times), np.zeros(len(data_quality.names))
+    return _with_noise_and_means(_RunSetup(run, data_quality, record, start, azimuth, system, means), geometry)
+
+
+def _with_noise_and_means(setup: _RunSetup, geometry: Geometry) -> _RunSetup:
+    """Return the setup with noise and means; channels that block DC get an offset state in place of a mean."""
     noise, mean = channel_noise(setup.clean_record(), geometry.acquisition), _channel_means(setup)
-    passing = {channel.name: channel.measures_dc for channel in geometry.channels}
-    blocked = np.array([not passing[name] for name in data_quality.names])
+    system, names = setup.system, setup.data_quality.names
+    measures_dc = {channel.name: channel.measures_dc for channel in geometry.channels}
+    blocks_dc = np.array([not measures_dc[name] for name in names])
     offset = np.zeros(len(system.space.channel_names))
-    rows = [system.space.channel_names.index(name) for name in data_quality.names]
-    offset[rows] = np.where(blocked, np.abs(mean) + 10.0 * np.sqrt(noise), 0.0)
-    return replace(setup, system=replace(system, noise=noise, offset=offset), mean=np.where(blocked, 0.0, mean))
+    rows = [system.space.channel_names.index(name) for name in names]
+    offset[rows] = np.where(blocks_dc, np.abs(mean) + OFFSET_MARGIN * np.sqrt(noise), 0.0)
+    return replace(setup, system=replace(system, noise=noise, offset=offset), mean=np.where(blocks_dc, 0.0, mean))
 
 
 def _steady_record(
-    run: Run, geometry: Geometry, source: ModelSource, data_quality: DataQuality, max_harmonic: int
+    run: Run, geometry: Geometry, source: ResponseSource, data_quality: DataQuality, max_harmonic: int
 ) -> tuple[RotorRecord, float]:
-    """The record on azimuth, of the longest part without a gap, and the time [s] at which that begins."""
+    """Return the record over azimuth of the longest part without a gap, and the time [s] at which it begins."""
     if not data_quality.gaps:
         return rotor_record(run, geometry, source, max_harmonic), 0.0
     edges = [0, *(edge for gap in data_quality.gaps for edge in (gap.start, gap.stop)), run.samples]
@@ -192,12 +202,12 @@ def _steady_record(
 
 
 def _measured_system(
-    source: ModelSource, geometry: Geometry, data_quality: DataQuality, record: RotorRecord, step: float
+    system: System, geometry: Geometry, data_quality: DataQuality, record: RotorRecord, step: float
 ) -> MeasuredSystem:
-    """The model in time, of the channels used and the loads that the balance carries; its noise is set later."""
-    whole = state_space(identified_system(source.model), record.spin)
+    """Return the state space of the used channels and carried loads; its noise and offsets are still to be set."""
+    whole = state_space(system, record.spin)
     columns = [COMPONENTS.index(name) for name in record.components]
-    # The filter before a load that is not carried would have states that nothing drives, of no size.
+    # The anti-alias filter of a load that is not carried would have states of variance zero.
     carried = replace(whole, B=whole.B[:, columns], D=whole.D[:, columns])
     space = with_anti_alias(carried, geometry.acquisition)
     rows = [space.channel_names.index(name) for name in data_quality.names]
@@ -206,14 +216,14 @@ def _measured_system(
 
 
 def _with_exact_means(record: RotorRecord) -> RotorRecord:
-    """The record, its means taken as exact: what scatters about them is followed in time, and is no error of theirs."""
+    """Return the record with its means taken as exact: the filter follows in time what scatters about them."""
     covariance = record.spectra.covariance.copy()
     covariance[0] *= NEGLIGIBLE_FACTOR
     return replace(record, spectra=replace(record.spectra, covariance=covariance))
 
 
 def _channel_means(setup: _RunSetup) -> Array:
-    """Means (c,) of the channels in the steady part: of the regression on azimuth, or of what is sound."""
+    """Return the means (c,) [V] of the channels in the steady part, by regression on azimuth where that has them."""
     spectra, (first, last) = setup.record.spectra, (int(t / setup.system.step) for t in setup.interval)
     means = np.zeros(len(setup.data_quality.names))
     for i, name in enumerate(setup.data_quality.names):
@@ -226,21 +236,21 @@ def _channel_means(setup: _RunSetup) -> Array:
     return means
 
 
-def _build_filters(setup: _RunSetup, steady: RunLoads, options: TimeOptions) -> RunFilters:
-    """The filters for what is known of the loads."""
-    step_loads = np.abs(steady.amplitude).sum(axis=0)
+def _build_filters(setup: _RunSetup, harmonic_result: RunLoads, options: TimeOptions) -> RunFilters:
+    """Return the filters of the load model."""
+    step_loads = np.abs(harmonic_result.amplitude).sum(axis=0)
     clean_record, system, segments = setup.clean_record(), setup.system, setup.data_quality.segments
     space, columns, noise = system.space, system.columns, system.noise
-    if options.loads == "harmonics":
-        between = fit_loads_between_harmonics(clean_record, space, columns, noise, setup.azimuth)
+    if options.load_model == HARMONICS:
+        layers = fit_loads_between_harmonics(clean_record, space, columns, noise, setup.azimuth)
         oscillators = fit_drifting_harmonics(
-            clean_record, space, columns, noise, setup.azimuth, options.harmonics, between
+            clean_record, space, columns, noise, setup.azimuth, options.harmonics, layers
         )
-        return azimuth_locked_filters(system, between, oscillators, step_loads, setup.azimuth, segments)
-    random = fit_random_loads(clean_record, space, columns, noise)
-    if options.loads == "random":
-        return time_invariant_filters(system, random, step_loads, segments)
-    return time_invariant_filters(system, uninformative_loads(random), step_loads, segments)
+        return azimuth_locked_filters(system, layers, oscillators, step_loads, setup.azimuth, segments)
+    layers = fit_random_loads(clean_record, space, columns, noise)
+    if options.load_model == FREE:
+        layers = uninformative_loads(layers)
+    return time_invariant_filters(system, layers, step_loads, segments)
 
 
 def _run_filters(setup: _RunSetup, filters: RunFilters, options: TimeOptions) -> Iterator[Estimates]:
@@ -253,16 +263,16 @@ def _run_filters(setup: _RunSetup, filters: RunFilters, options: TimeOptions) ->
     return filtered_estimates(setup.read, setup.data_quality.segments, filters, beginning)
 
 
-def _recorder_settings(setup: _RunSetup, steady: RunLoads, options: TimeOptions) -> RecorderSettings:
+def _recorder_settings(setup: _RunSetup, harmonic_result: RunLoads, options: TimeOptions) -> RecorderSettings:
     return RecorderSettings(
         run=setup.run.name,
-        components=steady.components,
-        mean=steady.amplitude[0].real,
-        mean_sigma=steady.sigma_cosine[0],
+        components=harmonic_result.components,
+        mean=harmonic_result.amplitude[0].real,
+        mean_sigma=harmonic_result.sigma_cosine[0],
         azimuth=setup.azimuth,
         step=setup.system.step,
         state_lead_time=setup.system.state_lead_time,
         max_harmonic=options.harmonics,
         revolutions=setup.revolutions,
-        has_oscillators=options.loads == "harmonics",
+        has_oscillators=options.load_model == HARMONICS,
     )

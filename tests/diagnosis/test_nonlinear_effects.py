@@ -15,7 +15,7 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.effects.dry_friction import find_last_slip
 from balance_cli.model.fitted_effects import declare_fitted_effects
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
-from balance_cli.reduction.response_sources import model_source
+from balance_cli.reduction.model_sources import model_source
 from balance_cli.signals.run_spectrum import OVERSAMPLING
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
 from balance_cli.simulation import true_rig as true_rig_of

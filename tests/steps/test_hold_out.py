@@ -8,7 +8,7 @@ import pytest
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.response_sources import model_source
+from balance_cli.reduction.model_sources import model_source
 from balance_cli.steps.hold_out import hold_out_errors
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.reduce import reduce_run

@@ -7,7 +7,8 @@ import pytest
 
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.history_file import harmonic_history
-from balance_cli.reduction.response_sources import model_source, static_source
+from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.response_sources import static_source
 from balance_cli.reduction.result import LOAD_TABLE_COLUMNS, HubLoads, load_table
 from balance_cli.steps.reduce import ReduceOptions, reduce_run
 from tests.support.channels import with_channel
@@ -16,7 +17,7 @@ from tests.support.truth_source import TruthSource
 
 @pytest.fixture(scope="module")
 def check(campaign):
-    return campaign.of("check")[0]
+    return campaign.runs_of_kind("check")[0]
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_the_static_matrix_is_wrong_and_the_surplus_says_so(campaign, calibratio
 
 
 def test_mean_loads_of_a_wind_run(campaign, calibration, identified):
-    wind = campaign.of("wind")[0]
+    wind = campaign.runs_of_kind("wind")[0]
     found = reduce_run(wind, campaign.geometry, calibration, model_source(identified))
     cosine, _ = truth_of(campaign, wind, found)
     error = (found.amplitude[0].real - cosine[0]) / found.sigma_cosine[0]

@@ -12,6 +12,8 @@ from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.cli import balance
 from balance_cli.io.artefacts import Provenance, load_artefact, save_artefact
+from balance_cli.reduction import model_sources
+from balance_cli.reduction.choices import LOAD_MODELS
 from balance_cli.reduction.result import HubLoads
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 
@@ -27,9 +29,9 @@ def folder(campaign, calibration, identified, tmp_path_factory):
     folder = tmp_path_factory.mktemp("in-time")
     save_artefact(folder / "cal.h5", "balance-calibration/1", calibration, MADE)
     save_artefact(folder / "model.h5", "balance-model/1", identified, MADE)
-    for run in campaign.of("check", "wind"):
+    for run in campaign.runs_of_kind("check", "wind"):
         write_run(folder / f"{run.name}.h5", run)
-    write_run(folder / "short.h5", changed(campaign.of("check")[0], "short", SHORT))
+    write_run(folder / "short.h5", changed(campaign.runs_of_kind("check")[0], "short", SHORT))
     return folder
 
 
@@ -95,7 +97,7 @@ def smoothed(folder, tmp_path_factory):
 
 def test_a_history_in_time_is_that_of_the_loads(campaign, smoothed):
     out, _ = smoothed
-    found, run = history(out, "check-1"), campaign.of("check")[0]
+    found, run = history(out, "check-1"), campaign.runs_of_kind("check")[0]
     azimuth = azimuth_from_pulses(run.pulse_times)
     assert np.all(np.diff(found["time"]) > 0)
     assert found["time"][0] >= azimuth.first
@@ -136,13 +138,13 @@ def test_the_text_and_the_summary_say_how_the_filter_fares(smoothed):
     assert "innovations: NIS" in result.output
     told = summary(out, "check-1")
     assert json.loads((out / "loads.json").read_text())["method"] == "smoother"
-    assert told["loads_as"] == "harmonics"
+    assert told["load_model"] == told["loads_as"] == "harmonics"
     assert told["lag_s"] is None
     assert told["nis"] == pytest.approx(1.0, abs=0.3)
     assert told["nis_sigma"] < 0.05
     assert set(told["channels"]) == set(told["noise_v"])
     assert len(told["noise_v"]) == 15
-    assert told["bridged"] == []
+    assert told["gap_notes"] == told["bridged"] == []
     assert max(told["load_error"].values()) < 0.02
 
 
@@ -152,7 +154,7 @@ def test_an_artefact_keeps_what_the_report_needs(smoothed):
     run = loads.runs["check-1"].in_time
     told = summary(out, "check-1")
     assert loads.method == "smoother"
-    assert (run.loads_as, run.lag, run.bridged) == ("harmonics", None, ())
+    assert (run.load_model, run.lag, run.gap_notes) == ("harmonics", None, ())
     assert run.innovations.nis == told["nis"]
     assert run.innovations.channels == told["channels"]
     assert run.noise == told["noise_v"]
@@ -161,22 +163,22 @@ def test_an_artefact_keeps_what_the_report_needs(smoothed):
     np.testing.assert_array_equal(run.track.time, found["time"])
 
 
-@pytest.mark.parametrize("loads_as", ["harmonics", "random", "free"])
+@pytest.mark.parametrize("load_model", LOAD_MODELS)
 @pytest.mark.parametrize("method", ["kalman", "smoother"])
-def test_every_way_to_take_the_loads(campaign, folder, tmp_path, method, loads_as):
-    reduced(folder, tmp_path, "--method", method, "--loads-as", loads_as)
+def test_every_way_to_take_the_loads(campaign, folder, tmp_path, method, load_model):
+    reduced(folder, tmp_path, "--method", method, "--load-model", load_model)
     found = history(tmp_path)
     assert np.all(np.isfinite(found["loads"])) and np.all(found["sigma"] > 0)
-    assert ("harmonics" in found) == (loads_as == "harmonics")
+    assert ("harmonics" in found) == (load_model == "harmonics")
     error, sigma, _ = error_of(campaign, "check-1", found)
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 4.0 * sigma.mean(axis=0))
     told = summary(tmp_path)
-    assert told["loads_as"] == loads_as
+    assert told["load_model"] == load_model
     assert told["lag_s"] == (0.05 if method == "kalman" else None)
 
 
 def test_a_lag_makes_a_filter_surer(folder, tmp_path):
-    words = ("--method", "kalman", "--loads-as", "random")
+    words = ("--method", "kalman", "--load-model", "random")
     reduced(folder, tmp_path / "now", *words, "--lag", 0)
     reduced(folder, tmp_path / "late", *words, "--lag", 0.1)
     assert summary(tmp_path / "late")["lag_s"] == 0.1
@@ -184,11 +186,30 @@ def test_a_lag_makes_a_filter_surer(folder, tmp_path):
     assert np.all(late < now)
 
 
-def test_the_default_said_aloud_is_the_same_reduction(folder, tmp_path):
-    for name, words in (("a", ()), ("b", ("--loads-as", "harmonics"))):
+def test_the_default_given_explicitly_is_the_same_reduction(folder, tmp_path):
+    for name, words in (("a", ()), ("b", ("--load-model", "harmonics"))):
         reduced(folder, tmp_path / name, "--method", "smoother", *words)
     first, second = (load_artefact(tmp_path / name / "loads.h5", FORMATS) for name in "ab")
     assert first.digest == second.digest
+
+
+def test_the_former_name_of_the_load_model_is_the_same_reduction(folder, tmp_path):
+    results = [
+        reduced(folder, tmp_path / name, "--method", "smoother", option, "random")
+        for name, option in (("a", "--load-model"), ("b", "--loads-as"))
+    ]
+    first, second = (load_artefact(tmp_path / name / "loads.h5", FORMATS) for name in "ab")
+    assert first.digest == second.digest and first.provenance.options["loads-as"] == "random"
+    assert [result.stderr.count("--loads-as is deprecated; use --load-model") for result in results] == [0, 1]
+
+
+def test_fields_keep_their_names_in_files(smoothed):
+    out, _ = smoothed
+    with h5py.File(out / "loads.h5") as file:
+        names = []
+        file.visit(names.append)
+    stored = {name.rpartition("/")[2] for name in names if name.endswith(("in_time/loads_as", "in_time/bridged"))}
+    assert stored == {"loads_as", "bridged"}
 
 
 # ---- gaps and channels lost for a while ------------------------------------------------------------------------------
@@ -204,12 +225,12 @@ def gap(start, stop):
 
 
 def test_a_short_gap_is_bridged_and_said_so(campaign, folder, tmp_path):
-    broken = changed(campaign.of("check")[0], "gap", change=gap(2.0, 2.2))
+    broken = changed(campaign.runs_of_kind("check")[0], "gap", change=gap(2.0, 2.2))
     write_run(tmp_path / "gap.h5", broken)
     reduced(folder, tmp_path / "out", "--method", "smoother", run=tmp_path / "gap.h5")
     told, found = summary(tmp_path / "out", "gap"), history(tmp_path / "out", "gap")
     assert any(note.startswith("gap from 1.99") and note.endswith("bridged") for note in told["notes"])
-    assert told["bridged"] and set(told["bridged"]) <= set(told["notes"])
+    assert told["gap_notes"] and set(told["gap_notes"]) <= set(told["notes"])
     inside = (found["time"] > 2.05) & (found["time"] < 2.15)
     after = (found["time"] > 3.0) & (found["time"] < 4.0)
     assert inside.sum() > 50
@@ -218,7 +239,7 @@ def test_a_short_gap_is_bridged_and_said_so(campaign, folder, tmp_path):
 
 
 def test_a_long_gap_is_refused_and_nothing_written(campaign, folder, tmp_path):
-    write_run(tmp_path / "gap.h5", changed(campaign.of("check")[0], "gap", change=gap(2.0, 3.2)))
+    write_run(tmp_path / "gap.h5", changed(campaign.runs_of_kind("check")[0], "gap", change=gap(2.0, 3.2)))
     result = reduced(folder, tmp_path / "out", "--method", "smoother", run=tmp_path / "gap.h5", status=2)
     assert "gap.h5" in result.stderr
     assert "at most 1 s" in result.stderr
@@ -226,8 +247,8 @@ def test_a_long_gap_is_refused_and_nothing_written(campaign, folder, tmp_path):
 
 
 def test_with_skip_bad_a_run_that_is_refused_leaves_no_history(campaign, folder, tmp_path):
-    write_run(tmp_path / "gap.h5", changed(campaign.of("check")[0], "gap", change=gap(2.0, 3.2)))
-    words = ("--method", "smoother", "--loads-as", "random", "--skip-bad", folder / "short.h5")
+    write_run(tmp_path / "gap.h5", changed(campaign.runs_of_kind("check")[0], "gap", change=gap(2.0, 3.2)))
+    words = ("--method", "smoother", "--load-model", "random", "--skip-bad", folder / "short.h5")
     reduced(folder, tmp_path / "out", *words, run=tmp_path / "gap.h5")
     assert [path.name for path in (tmp_path / "out" / "histories").iterdir()] == ["short.h5"]
 
@@ -238,14 +259,14 @@ def test_a_channel_at_its_range_for_a_while_is_bridged(campaign, calibration, id
     ranged = geometry.model_copy(update={"channels": channels})
     save_artefact(tmp_path / "cal.h5", "balance-calibration/1", replace(calibration, geometry=ranged), MADE)
     save_artefact(tmp_path / "model.h5", "balance-model/1", replace(identified, geometry=ranged), MADE)
-    run = campaign.of("check")[0]
+    run = campaign.runs_of_kind("check")[0]
     column = run.channel_names.index("z1.piezo")
 
     def clip(channels, time):
         channels[(time > 3.0) & (time < 3.1), column] = 10.0
 
     write_run(tmp_path / "clipped.h5", changed(run, "clipped", SHORT, clip))
-    reduced(tmp_path, tmp_path / "out", "--method", "smoother", "--loads-as", "random", run="clipped")
+    reduced(tmp_path, tmp_path / "out", "--method", "smoother", "--load-model", "random", run="clipped")
     told = summary(tmp_path / "out", "clipped")
     assert any("z1.piezo not used from" in note for note in told["notes"])
     assert "z1.piezo" in told["noise_v"]
@@ -260,12 +281,12 @@ def test_a_channel_at_its_range_for_a_while_is_bridged(campaign, calibration, id
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--lag", 0.1), "--lag: only a filter"),
-        (("--method", "smoother", "--lag", 0.1), "--lag: only a filter"),
-        (("--method", "kalman", "--lag", -1), "--lag: a lag of -1 s"),
-        (("--method", "kalman", "--lag", "nan"), "--lag: a lag of nan s"),
-        (("--loads-as", "harmonics"), "--loads-as: what is known"),
-        (("--method", "harmonic", "--loads-as", "free"), "--loads-as: what is known"),
+        (("--lag", 0.1), "--lag: a lag applies to a filter only"),
+        (("--method", "smoother", "--lag", 0.1), "--lag: a lag applies to a filter only"),
+        (("--method", "kalman", "--lag", -1), "--lag: lag must be finite and non-negative, not -1 s"),
+        (("--method", "kalman", "--lag", "nan"), "--lag: lag must be finite and non-negative, not nan s"),
+        (("--load-model", "harmonics"), "--load-model: a load model applies"),
+        (("--method", "harmonic", "--load-model", "free"), "--load-model: a load model applies"),
         (("--method", "kalmann"), "'kalmann'"),
     ],
 )
@@ -291,10 +312,8 @@ def test_only_a_physical_model_has_a_state_space(campaign, folder, tmp_path, met
 
 def test_the_model_of_the_paper_is_refused(folder, identified, tmp_path, monkeypatch):
     """Its response is known at the harmonics only."""
-    from balance_cli.reduction import response_sources as responses
-
-    monkeypatch.setattr(responses, "model_source", lambda model: responses.PaperSource(model, None))
-    monkeypatch.setattr(responses.PaperSource, "description", "paper form")
+    monkeypatch.setattr(model_sources, "model_source", lambda model: model_sources.PaperSource(model, None))
+    monkeypatch.setattr(model_sources.PaperSource, "description", "paper form")
     result = reduced(folder, tmp_path, "--method", "smoother", status=2)
     assert "model.h5, --method smoother" in result.stderr
     assert "physical form" in result.stderr

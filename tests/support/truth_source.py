@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.run import Run
+from balance_cli.model.system import System
 from balance_cli.reduction.response_sources import ChannelCombination, select_channels
 from balance_cli.simulation.rig import TrueRig
 from tests.support.truth import true_response
@@ -30,6 +32,15 @@ class TruthSource:
     def at(self, frequency: Array, spin: float) -> ComplexArray:
         """T of the rig that was simulated."""
         return true_response(self.rig, frequency)
+
+    @property
+    def system(self) -> System | None:
+        """None: the truth is known at frequencies only."""
+        return None
+
+    def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
+        """Return the run itself."""
+        return run
 
     def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
         """Nothing is uncertain."""

@@ -1,0 +1,22 @@
+"""Names that the user of a reduction chooses from: methods, load models, interpolations. Imports nothing heavy."""
+
+from __future__ import annotations
+
+HARMONIC, KALMAN, SMOOTHER = "harmonic", "kalman", "smoother"
+METHODS = (HARMONIC, KALMAN, SMOOTHER)
+"""How loads are reduced; the first is the default."""
+
+HARMONICS, RANDOM, FREE = "harmonics", "random", "free"
+LOAD_MODELS = (HARMONICS, RANDOM, FREE)
+"""What a filter or smoother assumes of the loads; the first is the default."""
+LOAD_MODEL_TEXTS = {
+    HARMONICS: "harmonics locked to the azimuth, and random loads",
+    RANDOM: "random loads",
+    FREE: "any loads within the band",
+}
+
+INTERPOLATIONS = ("local", "spline", "first-order", "nearest")
+"""How a measured response is interpolated; the first is the default (`signals.response.interpolation` has them)."""
+
+TABLE_SUFFIXES = (".csv", ".h5")
+"""File names of a table of loads end so."""
