@@ -1,9 +1,10 @@
 # make run      environment, install, the whole chain on a campaign; results and the page in results/
 # make test     unit tests and the chain end to end
-# make lint     ruff and mypy
+# make lint     ruff, mypy, and the directions of imports
 # make bench    benchmarks: ratios, side by side in one run
 # make study    long statistical studies; tables in studies/tables
 # make docs     docs/commands.md and the pages of effects, from the code
+# make figures  pictures and the table of errors of the README, from the results of the sample campaign; import graph
 #
 # Your own campaign: make run CAMPAIGN=path/to/folder (its *.h5 run files, and its geometry.yaml beside them).
 
@@ -20,7 +21,7 @@ RESULTS ?= results
 # Many small matrices: threads in BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: run install test lint format bench study docs clean
+.PHONY: run install test lint format bench study docs figures clean
 .DELETE_ON_ERROR:
 
 run: install
@@ -41,6 +42,7 @@ lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 format: install
 	$(BIN)/ruff check --fix .
@@ -56,6 +58,14 @@ study: install
 docs: install
 	$(BIN)/python tools/cli_reference.py
 	$(BIN)/python tools/effect_pages.py
+
+# The models beside the loads: they tell which effects a response has.
+COMPARED := static transfer paper-full rigid closed
+figures: run
+	$(BALANCE) report $(COMPARED:%=$(RESULTS)/loads-%.h5) $(wildcard $(RESULTS)/model-*.h5) $(RESULTS)/transfer.h5 \
+		-o $(RESULTS)/figures.html --picture docs/pictures/before-after.png
+	$(BIN)/python tools/error_table.py $(RESULTS)
+	$(BIN)/python tools/import_graph.py
 
 clean:
 	rm -rf $(RESULTS) build dist .pytest_cache .mypy_cache .ruff_cache

@@ -1,5 +1,5 @@
-# The whole chain on one campaign, one rule a step: what a changed run file touches is made again, and nothing else.
-# Called by `make run`; BALANCE, PYTHON, CAMPAIGN, GEOMETRY and RESULTS come from there.
+# The whole chain on one campaign, one rule for each step. After a change of a run file only the steps that depend on it
+# are repeated. Called by `make run`, which sets BALANCE, PYTHON, CAMPAIGN, GEOMETRY and RESULTS.
 
 ifneq ($(words $(CAMPAIGN)) $(words $(RESULTS)),1 1)
 $(error make cannot handle a space in CAMPAIGN=$(CAMPAIGN) or RESULTS=$(RESULTS): use a folder without one)
@@ -14,10 +14,10 @@ endif
 
 R := $(RESULTS)
 INPUTS := $(GEOMETRY) $(RUNS)
-# Another campaign, a new file or a removed one: what the results were made from is written down, and compared.
+# The list of inputs is stored with the results, so that another campaign, a new file or a removed one is noticed.
 $(shell mkdir -p $(R); echo '$(INPUTS)' | cmp -s - $(R)/inputs.txt || echo '$(INPUTS)' > $(R)/inputs.txt)
 
-# Which run is of which kind: STATIC, SWEEP, CHECK, WIND and ZERO. A step depends on the lists of the runs that it uses.
+# The runs of each kind: STATIC, SWEEP, CHECK, WIND and ZERO. A step depends on the lists of the runs that it uses.
 include $(R)/kinds.mk
 
 ROTOR := $(CHECK) $(WIND)
@@ -40,10 +40,10 @@ SMOOTHED := $(and $(STATIC),$(SWEEP),$(WIND),$(R)/loads-smoother.h5)
 .PHONY: all
 all: $(R)/modes.json $(R)/report.html $(if $(and $(REDUCED),$(TF)),$(R)/loads.csv $(R)/loads-transfer.csv)
 	@$(if $(STATIC),,echo "no static run: no calibration, so no loads")
-	@$(if $(SWEEP),,echo "no sweep: no response, nothing identified")
+	@$(if $(SWEEP),,echo "no sweep: no frequency response, and no model is identified")
 	@$(if $(ROTOR),,echo "no check or wind run: nothing to reduce")
 
-# A file with a fault is named here; channels that cannot be used are left out later, files that cannot at once.
+# Files with faults are named here. Files that cannot be used are left out now, channels that cannot be used later.
 $(R)/kinds.mk: $(INPUTS) $(R)/inputs.txt
 	-$(BALANCE) check -g $(GEOMETRY) $(INPUTS) --json $(R)/check.json
 	$(PYTHON) tools/kinds.py $(R)/check.json
@@ -71,7 +71,7 @@ $(R)/model-paper.h5: $(sweeps)
 $(R)/model-paper-full.h5: $(sweeps)
 	$(BALANCE) identify -g $(GEOMETRY) $(SWEEP) --form paper --damping full -o $@ --json $(@:.h5=.json)
 
-# The loop closed from the rigid model; the check runs tell what that was worth, and are opened for nothing else.
+# Model updating, from the rigid model. The check runs are held out: they only measure the errors before and after.
 $(R)/diagnosis.h5 $(R)/model-closed.h5 &: $(R)/model-rigid.h5 $(measured) $(R)/check.list
 	$(BALANCE) diagnose $(R)/model-rigid.h5 $(STATIC) $(SWEEP) $(CHECK:%=--hold-out %) \
 		-o $(R)/diagnosis.h5 --model-out $(R)/model-closed.h5 --json $(R)/diagnosis.json
@@ -85,12 +85,12 @@ $(R)/loads-transfer.h5: $(CAL) $(TF) $(rotor_lists)
 $(R)/loads-%.h5: $(R)/model-%.h5 $(CAL) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --model $< $(ROTOR) $(zero) -o $@ --json $(@:.h5=.json)
 
-# Wind-on loads sample by sample, by the closed model: beside the others in the report, and as histories.
+# Wind-on loads in time by the updated model, for the report and as load histories.
 $(R)/loads-smoother.h5: $(R)/model-closed.h5 $(CAL) $(R)/wind.list $(R)/zero.list
 	$(BALANCE) reduce --calibration $(CAL) --model $< --method smoother $(WIND) $(zero) \
 		--history $(R)/histories -o $@ --json $(@:.h5=.json)
 
-# By the closed model, and beside it by the measured response: where the surplus flags the one, look at the other.
+# Load tables by the updated model and by the measured response. Where the residual test flags one, compare the other.
 $(R)/loads.csv: $(R)/model-closed.h5 $(CAL) $(rotor_lists)
 	$(BALANCE) reduce --calibration $(CAL) --model $< $(ROTOR) $(zero) -o $@
 
