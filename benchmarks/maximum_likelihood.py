@@ -24,7 +24,8 @@ from balance_cli.estimation.maximum_likelihood import fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import Batch, stack_runs
 from balance_cli.model.balance import BalanceModel, balance_model
-from balance_cli.model.system import System, solve
+from balance_cli.model.system import System
+from balance_cli.model.system_response import solve
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]

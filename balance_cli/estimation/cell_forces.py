@@ -20,16 +20,9 @@ from balance_cli.estimation.measurements import Batch
 from balance_cli.model.channel_gains import channel_gains, log_gain_derivative
 from balance_cli.model.mechanics.dual_numbers import Dual, constant
 from balance_cli.model.mechanics.equations import CellForce
-from balance_cli.model.system import (
-    Solution,
-    SpringInputs,
-    System,
-    extra_forces,
-    log_frequency_ratio,
-    output_jacobian,
-    solve,
-    volts_of_forces,
-)
+from balance_cli.model.response_jacobian import output_jacobian
+from balance_cli.model.system import System, log_frequency_ratio
+from balance_cli.model.system_response import Solution, SpringInputs, extra_forces, solve, volts_of_forces
 from balance_cli.signals.waveform_types import Waveform
 
 Array = NDArray[np.float64]
@@ -68,9 +61,11 @@ class RunCellForces:
     def volts(self, system: System) -> ComplexArray:
         """What the channels (k, c) read of the forces, through the balance and at once."""
         if self.inputs is None:
-            return np.zeros((1, len(system.paths)), complex)
-        read = extra_forces(system, self.solution, self.index, self.inputs)[:, [path.spring for path in system.paths]]
-        return self._at_lines((self.solution.gains[self.index] * read) @ system.mixing.value.T)
+            return np.zeros((1, len(system.equations.paths)), complex)
+        read = extra_forces(system, self.solution, self.index, self.inputs)[
+            :, [path.spring for path in system.equations.paths]
+        ]
+        return self._at_lines((self.solution.gains[self.index] * read) @ system.equations.mixing.value.T)
 
     def add_derivatives(self, system: System, total: ComplexArray) -> None:
         """Add to `total` (k, c, p) the derivatives of the volts."""
@@ -94,7 +89,7 @@ def cell_forces(batch: Batch, system: System, solution: Solution, derivatives: b
     """
     found = []
     for lines, waveform in zip(batch.parts, batch.waveforms, strict=True):
-        if waveform is None or not system.forces:
+        if waveform is None or not system.equations.forces:
             continue
         if waveform.lines_are_bin_sums:
             own = solve(system, waveform.bin_frequency(), batch.spin)
@@ -118,7 +113,7 @@ def _run_cell_forces(
     index: Index,
     derivatives: bool,
 ) -> RunCellForces:
-    shape = (len(index), len(system.stiffness.value))
+    shape = (len(index), len(system.equations.stiffness.value))
     inputs = SpringInputs(np.zeros(shape, complex), np.zeros(shape, complex))
     found: list[ForceDerivatives] = []
     for force, through_time, columns in _force_histories(waveform, system, derivatives):
@@ -130,14 +125,14 @@ def _run_cell_forces(
         if derivatives and len(columns):
             derivative = waveform.to_bins(through_time.derivative.T)
             found.append(ForceDerivatives(force.spring, force.read, columns, derivative))
-    present = any(force.values.value[0] != 0.0 for force in system.forces)
+    present = any(force.values.value[0] != 0.0 for force in system.equations.forces)
     return RunCellForces(lines, waveform, solution, index, inputs if present else None, tuple(found))
 
 
 def _force_histories(waveform: Waveform, system: System, derivatives: bool) -> Iterator[tuple[CellForce, Dual, Index]]:
     """Each force as a function of time, with slopes for the parameters `columns`."""
-    for spring in dict.fromkeys(force.spring for force in system.forces):
-        forces = [force for force in system.forces if force.spring == spring]
+    for spring in dict.fromkeys(force.spring for force in system.equations.forces):
+        forces = [force for force in system.equations.forces if force.spring == spring]
         present = [force for force in forces if force.values.value[0] != 0.0]
         columns = _influencing_parameters(system, spring, present) if derivatives else np.zeros(0, np.intp)
         d = _elongation(waveform, system, spring, present, columns)
@@ -165,12 +160,12 @@ def _influencing_parameters(system: System, spring: int, forces: Sequence[CellFo
         return np.zeros(0, np.intp)
     p = system.parameters
     jets = [force.values for force in forces] + [
-        system.stiffness[spring],
-        system.loss[spring],
-        system.frequency_stiffness[spring],
+        system.equations.stiffness[spring],
+        system.equations.loss[spring],
+        system.equations.frequency_stiffness[spring],
     ]
-    jets += [system.mixing, system.channel_offset]
-    for path in system.paths:
+    jets += [system.equations.mixing, system.equations.channel_offset]
+    for path in system.equations.paths:
         if path.spring == spring:
             jets += [path.gain, *path.low_pass, *path.high_pass, *([] if path.delay is None else [path.delay])]
     return np.flatnonzero(np.any([np.any(dual.derivative.reshape(p, -1), axis=1) for dual in jets], axis=0))
@@ -184,16 +179,18 @@ def _elongation(waveform: Waveform, system: System, spring: int, forces: Sequenc
     reading, derivative = _measured_spring_force(waveform, system, spring, columns)
     # With structural damping k (1 + j eta), stiffening with frequency, where there is motion.
     moving, rising = 1j * (waveform.frequency > 0), log_frequency_ratio(waveform.frequency)
-    factor = 1.0 + moving * system.loss.value[spring] + rising * system.frequency_stiffness.value[spring]
+    factor = (
+        1.0 + moving * system.equations.loss.value[spring] + rising * system.equations.frequency_stiffness.value[spring]
+    )
     of_loss, of_stiffening = (
-        system.loss.derivative[columns, spring],
-        system.frequency_stiffness.derivative[columns, spring],
+        system.equations.loss.derivative[columns, spring],
+        system.equations.frequency_stiffness.derivative[columns, spring],
     )
     change = moving[:, None] * of_loss + rising[:, None] * of_stiffening
     derivative = (derivative - (reading / factor)[:, None] * change) / factor[:, None]
     both = waveform.to_time_domain(np.concatenate([(reading / factor)[:, None], derivative], axis=1))
     force = Dual(both[:, 0], both[:, 1:].T)
-    k = _select_parameters(system.stiffness[spring], columns)
+    k = _select_parameters(system.equations.stiffness[spring], columns)
     internal_forces = [one for one in forces if one.read]
     if not internal_forces:
         return force * k.reciprocal()
@@ -234,22 +231,22 @@ def _measured_spring_force(
     waveform: Waveform, system: System, spring: int, columns: Index
 ) -> tuple[ComplexArray, ComplexArray]:
     """The spring's force (F,) as its channels read it, amplitudes at the waveform's lines, and slopes (F, q)."""
-    mine = [i for i, path in enumerate(system.paths) if path.spring == spring]
-    paths = [system.paths[i] for i in mine]
+    mine = [i for i, path in enumerate(system.equations.paths) if path.spring == spring]
+    paths = [system.equations.paths[i] for i in mine]
     gains = channel_gains(paths, waveform.frequency)
     weight = np.where(gains != 0.0, waveform.share[:, mine] / np.where(gains != 0.0, gains, 1.0), 0.0)
     still = np.where(waveform.frequency == 0, waveform.mean_factor, 0.0)[:, None]
-    unmixing = np.linalg.inv(system.mixing.value)
-    volts = (waveform.volts - still * system.channel_offset.value) @ unmixing.T
+    unmixing = np.linalg.inv(system.equations.mixing.value)
+    volts = (waveform.volts - still * system.equations.channel_offset.value) @ unmixing.T
     parts = weight * volts[:, mine]
     derivative = np.zeros((len(parts), len(columns)), complex)
     s = np.asarray(2j * np.pi * waveform.frequency[:, None], complex)
     for i, path in enumerate(paths if len(columns) else []):
         derivative -= parts[:, i, None] * log_gain_derivative(path, s)[:, columns]
-    offset = system.channel_offset.derivative[columns]
+    offset = system.equations.channel_offset.derivative[columns]
     if offset.any():
         derivative -= still * (weight @ (unmixing @ offset.T)[mine])
-    mixing = system.mixing.derivative[columns]
+    mixing = system.equations.mixing.derivative[columns]
     if mixing.any():
         derivative -= np.einsum("fi,qij,fj->fq", weight, (unmixing @ mixing)[:, mine], volts)
     return np.asarray(parts.sum(axis=1)), derivative

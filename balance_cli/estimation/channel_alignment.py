@@ -28,14 +28,14 @@ def alignment_residual(batch: Batch, stride: int) -> Callable[[System], Regressi
     index, measured = batch.index[lines], batch.channels[lines] * weight
 
     def residual(system: System) -> RegressionResidual:
-        gains = channel_gains(system.paths, batch.frequency)[index]
+        gains = channel_gains(system.equations.paths, batch.frequency)[index]
         groups = _channels_of_springs(system)
         matrices = [weight[:, mine, None] * gains[:, mine, None] for mine in groups]
         forces = [batched_least_squares(M, measured[:, mine, None]) for M, mine in zip(matrices, groups, strict=True)]
         errors = [measured[:, mine] - (M @ f)[:, :, 0] for M, f, mine in zip(matrices, forces, groups, strict=True)]
 
         def derivatives() -> ComplexArray:
-            changes = gains[:, :, None] * log_gain_derivatives(system.paths, batch.frequency)[index]
+            changes = gains[:, :, None] * log_gain_derivatives(system.equations.paths, batch.frequency)[index]
             parts = [
                 _project_out(M, -weight[:, mine, None] * changes[:, mine] * f)
                 for M, f, mine in zip(matrices, forces, groups, strict=True)
@@ -48,7 +48,7 @@ def alignment_residual(batch: Batch, stride: int) -> Callable[[System], Regressi
 
 
 def _channels_of_springs(system: System) -> list[list[int]]:
-    springs = [path.spring for path in system.paths]
+    springs = [path.spring for path in system.equations.paths]
     groups = [[i for i, spring in enumerate(springs) if spring == one] for one in dict.fromkeys(springs)]
     return [group for group in groups if len(group) > 1]
 

@@ -18,7 +18,8 @@ from balance_cli.estimation.likelihood import Curvature
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.parameters import ParameterSet
-from balance_cli.model.system import System, dynamic_stiffness, multiply_derivatives
+from balance_cli.model.response_jacobian import multiply_derivatives
+from balance_cli.model.system import System, dynamic_stiffness
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -44,9 +45,9 @@ class MeasuredForces:
 def measured_forces(batch: Batch, system: System) -> MeasuredForces:
     """Spring forces by weighted least squares over the channels of each spring; needs one live channel a spring."""
     c = batch.channels.shape[1]
-    gains = channel_gains(system.paths, batch.frequency)[batch.index]
+    gains = channel_gains(system.equations.paths, batch.frequency)[batch.index]
     weight = np.real(np.diagonal(batch.precision[:, :c, :c], axis1=1, axis2=2))
-    springs = np.array([path.spring for path in system.paths])
+    springs = np.array([path.spring for path in system.equations.paths])
     pick = (springs[:, None] == np.arange(system.readings.value.shape[0])).astype(float)
     numerator = (weight * gains.conj() * batch.channels) @ pick
     denominator = (weight * np.abs(gains) ** 2) @ pick

@@ -17,7 +17,8 @@ from balance_cli.estimation.regression_residual import (
     every_nth_line,
     line_stride,
 )
-from balance_cli.model.system import System, dynamic_stiffness, log_frequency_ratio, multiply_derivatives
+from balance_cli.model.response_jacobian import multiply_derivatives
+from balance_cli.model.system import System, dynamic_stiffness, log_frequency_ratio
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -84,7 +85,7 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     R = system.readings.value + lines.quadrature[:, :, None] * system.readings_loss.value
     R = R + lines.log_frequency_ratio[:, :, None] * system.readings_frequency_stiffness.value
     matrix = np.concatenate([A, R], axis=1) * lines.weight[:, :, None]
-    true_loads = lines.loads @ system.exciter_cross_axis.value.T
+    true_loads = lines.loads @ system.equations.exciter_cross_axis.value.T
     known = np.concatenate([true_loads @ system.inputs.value.T, lines.forces], axis=1) * lines.weight
     x = batched_least_squares(matrix, known[:, :, None])[:, :, 0]
     error = known - np.matmul(matrix, x[:, :, None])[:, :, 0]
@@ -92,7 +93,7 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     def derivatives() -> ComplexArray:
         driven = multiply_derivatives(system.inputs.derivative, true_loads)
         driven = driven + np.matmul(
-            system.inputs.value, multiply_derivatives(system.exciter_cross_axis.derivative, lines.loads)
+            system.inputs.value, multiply_derivatives(system.equations.exciter_cross_axis.derivative, lines.loads)
         )
         read = multiply_derivatives(system.readings.derivative, x) + multiply_derivatives(
             system.readings_loss.derivative, lines.quadrature * x
@@ -134,11 +135,11 @@ def _motion_row_weight(system: System, frequency: Array, loads: ComplexArray) ->
     level = np.sqrt(np.sum(np.abs(loads) ** 2, axis=1))[:, None]
     readable = np.abs(system.readings.value).max(axis=0)
     deflection = np.where(readable > 0, 1.0 / np.where(readable > 0, readable, 1.0), 0.0)
-    flexible = system.own_stiffness > 0
+    flexible = system.equations.own_stiffness > 0
     arms = np.maximum(np.abs(system.inputs.value).max(axis=1), 1e-3)
     ratio = np.abs(np.diag(system.pencil.mass.value) / np.diag(system.pencil.stiffness.value))
     growth = 1.0 + (2 * np.pi * frequency[:, None]) ** 2 * ratio
-    size = np.where(flexible, np.maximum(deflection, system.row_factor), arms * growth)
+    size = np.where(flexible, np.maximum(deflection, system.equations.row_factor.value), arms * growth)
     return np.asarray(
         1.0 / np.concatenate([level * size, np.repeat(level, len(system.readings.value), axis=1)], axis=1)
     )

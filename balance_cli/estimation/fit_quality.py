@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from balance_cli.estimation.identified_model import FitQuality, RunFit
 from balance_cli.estimation.likelihood import evaluate_batch, exciter_response
 from balance_cli.estimation.measurements import Batch
-from balance_cli.model.system import System, solve
+from balance_cli.model.system import System
+from balance_cli.model.system_response import solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -30,7 +30,9 @@ from balance_cli.estimation.transients import (
     fit_transients,
     transient_derivatives,
 )
-from balance_cli.model.system import Solution, System, output_jacobian, response, solve
+from balance_cli.model.response_jacobian import output_jacobian
+from balance_cli.model.system import System
+from balance_cli.model.system_response import Solution, response, solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -76,7 +78,7 @@ class Curvature:
 
 def exciter_response(system: System, solution: Solution) -> ComplexArray:
     """T (f, c, 6) from the loads that the exciter's force cell measures; its spill is part of the path."""
-    return np.asarray(response(system, solution) @ system.exciter_cross_axis.value)
+    return np.asarray(response(system, solution) @ system.equations.exciter_cross_axis.value)
 
 
 def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives: bool = False) -> BatchEvaluation:
@@ -89,8 +91,8 @@ def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives
     forces = cell_forces(batch, system, solution, derivatives)
     loads = _subtract_load_offset(batch, system)
     residual = batch.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
-    if np.any(system.channel_offset.value):
-        residual -= batch.constant_volts[:, None] * system.channel_offset.value
+    if np.any(system.equations.channel_offset.value):
+        residual -= batch.constant_volts[:, None] * system.equations.channel_offset.value
     for run in forces:
         residual[run.lines] -= run.volts(system)
     downdate = None if batch.exact else _downdate(batch, columns)
@@ -99,7 +101,9 @@ def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives
         return _apply_weight(batch, downdate, lines, values)
 
     free = fit_transients(batch, system, residual, apply_weight, derivatives)
-    heard, free = mains_tones(batch, system, residual, apply_weight, free) if system.interference_tones else ((), free)
+    heard, free = (
+        mains_tones(batch, system, residual, apply_weight, free) if system.equations.interference_tones else ((), free)
+    )
     for one in free:
         residual[one.lines] -= one.columns @ one.x
     weighted = apply_weight(slice(None), residual[:, :, None])[:, :, 0]
@@ -116,9 +120,9 @@ def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives
 
 def _subtract_load_offset(batch: Batch, system: System) -> ComplexArray:
     """The measured loads (K, u) less what the force cells read too much."""
-    if not np.any(system.load_offset.value):
+    if not np.any(system.equations.load_offset.value):
         return batch.loads
-    return np.asarray(batch.loads - batch.constant_loads * system.load_offset.value[batch.components])
+    return np.asarray(batch.loads - batch.constant_loads * system.equations.load_offset.value[batch.components])
 
 
 def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -153,10 +157,10 @@ def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray
 def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: BatchEvaluation) -> ComplexArray:
     """DY (K, c, p) at the estimated exciter loads, spill, offsets and forces along the springs included."""
     loads = fit.loads
-    true_loads = loads @ system.exciter_cross_axis.value.T
+    true_loads = loads @ system.equations.exciter_cross_axis.value.T
     derivatives = output_jacobian(system, solution, batch.index, true_loads)
-    if np.any(system.exciter_cross_axis.derivative):
-        spilt = np.einsum("pij,kj->kip", system.exciter_cross_axis.derivative, loads)
+    if np.any(system.equations.exciter_cross_axis.derivative):
+        spilt = np.einsum("pij,kj->kip", system.equations.exciter_cross_axis.derivative, loads)
         derivatives = derivatives + np.matmul(response(system, solution)[batch.index], spilt)
     for run in fit.forces:
         run.add_derivatives(system, derivatives[run.lines])
@@ -166,14 +170,14 @@ def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: B
 
 def _add_offset_derivatives(derivatives: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:
     """Offsets of the channels add to what they read; those of the loads lower what is taken to act."""
-    if np.any(system.channel_offset.derivative):
+    if np.any(system.equations.channel_offset.derivative):
         lines = np.flatnonzero(batch.constant_volts)
-        derivatives[lines] += batch.constant_volts[lines, None, None] * system.channel_offset.derivative.T
-    if np.any(system.load_offset.derivative):
+        derivatives[lines] += batch.constant_volts[lines, None, None] * system.equations.channel_offset.derivative.T
+    if np.any(system.equations.load_offset.derivative):
         lines = np.flatnonzero(np.any(batch.constant_loads, axis=1))
         components = batch.components[lines]
         held = exciter_response(system, solution)[batch.index[lines, None], :, components].swapaxes(1, 2)
-        offset = system.load_offset.derivative.T[components] * batch.constant_loads[lines, :, None]
+        offset = system.equations.load_offset.derivative.T[components] * batch.constant_loads[lines, :, None]
         derivatives[lines] -= np.matmul(held, offset)
 
 

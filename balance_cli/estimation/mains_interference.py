@@ -164,7 +164,7 @@ def mains_tones(
         sampled = _sampled_waveform(batch, run)
         if sampled is None:
             continue
-        for interference in system.interference_tones:
+        for interference in system.equations.interference_tones:
             transient = by_start.get(lines.start)
             form = LikelihoodForm(lines, apply_weight, transient)
             tone = _fit_tone(*sampled, interference, residual[lines], form)

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.likelihood import evaluate_batch
 from balance_cli.estimation.measurements import WORKERS, Batch
-from balance_cli.model.system import Solution, System, solve
+from balance_cli.model.system import System
+from balance_cli.model.system_response import Solution, solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import MemorySource, Run, read_channels
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.cell_forces import record_cell_forces
-from balance_cli.model.system import System, solve
+from balance_cli.model.system import System
+from balance_cli.model.system_response import solve
 from balance_cli.signals.run_samples import sample_rate
 from balance_cli.signals.waveforms import record_waveform
 
@@ -24,7 +25,7 @@ Array = NDArray[np.float64]
 
 def remove_nonlinear_contribution(run: Run, system: System, geometry: Geometry, live: Sequence[str]) -> Run:
     """The run with the dynamic part of its forces along cells taken out of its channels; itself where there is none."""
-    if not any(force.values.value[0] != 0.0 for force in system.forces):
+    if not any(force.values.value[0] != 0.0 for force in system.equations.forces):
         return run
     names = geometry.channel_names
     waveform = record_waveform(read_channels(run, live), sample_rate(run), live, geometry)

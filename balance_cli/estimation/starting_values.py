@@ -75,7 +75,7 @@ def find_starting_values(
         add_weak_priors(parameters, aligned, FIXED_EFFECT_SCALES), motion_residuals(batches, known), system, aligned
     )
     effects_free = effects_fixed
-    for max_frequency in BAND_EDGES if np.any(known.own_stiffness) else (np.inf,):
+    for max_frequency in BAND_EDGES if np.any(known.equations.own_stiffness) else (np.inf,):
         effects_free = _fit_regression(
             weakly_constrained, motion_residuals(batches, known, max_frequency), system, effects_free
         )

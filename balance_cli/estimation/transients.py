@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.measurements import Batch
-from balance_cli.model.system import System, mask_or_full_slice
+from balance_cli.model.response_jacobian import mask_or_full_slice
+from balance_cli.model.system import System
 from balance_cli.model.transient_modes import TransientModes, divided_differences, transient_modes
 from balance_cli.signals.waveform_types import AnalysisWindow
 

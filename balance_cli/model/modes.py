@@ -47,7 +47,7 @@ def modes(system: System, spin: float = 0.0) -> Modes:
     zeta = -s.real / size
     d_zeta = -ds.real / size[:, None] - zeta[:, None] * d_size / size[:, None]
     largest = np.take_along_axis(right, np.argmax(np.abs(right), axis=1)[:, None], axis=1)
-    return Modes(system.coordinates, size / (2 * np.pi), zeta, right / largest, d_size / (2 * np.pi), d_zeta)
+    return Modes(system.equations.coordinates, size / (2 * np.pi), zeta, right / largest, d_size / (2 * np.pi), d_zeta)
 
 
 def frequency_stiffness_shift(

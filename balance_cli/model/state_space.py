@@ -19,9 +19,18 @@ from scipy.linalg import block_diag
 
 from balance_cli.campaign.rig.geometry import Acquisition, AnalogFilter
 from balance_cli.model.mechanics.equations import ChannelPath
-from balance_cli.model.realization import Descriptor, Realization, gain, modal_form, parallel, proper_part, series
+from balance_cli.model.realization import (
+    Descriptor,
+    Realization,
+    modal_form,
+    parallel,
+    proper_part,
+    series,
+    static_gain_system,
+)
 from balance_cli.model.relaxation import relaxation_chain
-from balance_cli.model.system import System, response, solve
+from balance_cli.model.system import System
+from balance_cli.model.system_response import response, solve
 from balance_cli.signals.anti_alias import butterworth_poles
 
 Array = NDArray[np.float64]
@@ -60,19 +69,19 @@ def state_space(system: System, spin: float = 0.0) -> StateSpace:
     Forces along springs that are not linear, pick-up and offsets are left out, as they are in its response. UserError
     where the response is not that of finite poles and a direct term.
     """
-    read = sorted({path.spring for path in system.paths})
+    read = sorted({path.spring for path in system.equations.paths})
     forces = modal_form(proper_part(_structural_descriptor(system, spin, read)))
-    volts = parallel([_channel_filters(path) for path in system.paths])
-    of_spring = gain(np.array([[float(path.spring == spring) for spring in read] for path in system.paths]))
+    volts = parallel([_channel_filters(path) for path in system.equations.paths])
+    of_spring = static_gain_system(np.array([[float(path.spring == spring) for spring in read] for path in system.equations.paths]))
     whole = series(series(forces, of_spring), volts)
-    delay = np.array([0.0 if path.delay is None else float(path.delay.value) for path in system.paths])
-    return StateSpace(system.channel_names, whole.A, whole.B, whole.C, whole.D, delay, system.mixing.value)
+    delay = np.array([0.0 if path.delay is None else float(path.delay.value) for path in system.equations.paths])
+    return StateSpace(system.channel_names, whole.A, whole.B, whole.C, whole.D, delay, system.equations.mixing.value)
 
 
 def with_anti_alias(space: StateSpace, acquisition: Acquisition) -> StateSpace:
-    """The same with the anti-alias filter before every load, so that T becomes H T: the response of the samples.
+    """The same system with the anti-alias filter before every load, so that T becomes H T: the response of the samples.
 
-    The filter is that of `anti_alias_response`, the same for every channel: before the loads it is wanted six times only.
+    The filter is that of `anti_alias_response`. It is the same in every channel; before the loads only six are needed.
     """
     if acquisition.filter is None:
         return space
@@ -153,7 +162,7 @@ def _second_order_matrices(system: System, spin: float) -> tuple[Array, Array, A
 
 def _channel_filters(path: ChannelPath) -> Realization:
     """From a spring's force to volts, all but the delay."""
-    whole = gain(float(path.gain.value))
+    whole = static_gain_system(float(path.gain.value))
     for tau in path.low_pass:
         whole = whole if tau.value == 0 else series(whole, _low_pass(1 / float(tau.value)))
     for rate in path.high_pass:
@@ -176,7 +185,7 @@ def _high_pass(rate: float) -> Realization:
 def _butterworth_filter(declared: AnalogFilter) -> Realization:
     """The low-pass of `butterworth_poles`, its pairs of poles one after the other and the real one, if any, last."""
     poles = 2 * np.pi * declared.cutoff * butterworth_poles(declared.order)
-    whole = gain(1.0)
+    whole = static_gain_system(1.0)
     for pole in poles[: declared.order // 2]:
         whole = series(whole, _resonant_low_pass(complex(pole)))
     return series(whole, _low_pass(2 * np.pi * declared.cutoff)) if declared.order % 2 else whole

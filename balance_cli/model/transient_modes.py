@@ -66,10 +66,10 @@ def _structural_transients(
     s, left, X = s[kept], left[kept], right[kept].T
     norm = np.einsum("mi,mij,jm->m", left, 2 * s[:, None, None] * M + D, X)
     shift, d_shift = frequency_stiffness_shift(system, s, left, X.T, norm)
-    springs = [path.spring for path in system.paths]
+    springs = [path.spring for path in system.equations.paths]
     forces = (system.readings.value @ X)[springs]
-    gains = np.stack([_gain(path, s) for path in system.paths])
-    volts = system.mixing.value @ (gains * forces)
+    gains = np.stack([_gain(path, s) for path in system.equations.paths])
+    volts = system.equations.mixing.value @ (gains * forces)
     if not with_derivatives:
         none, unread = np.zeros((0, len(s), len(s)), complex), np.zeros((0, *volts.shape), complex)
         return TransientModes(s + shift, volts, none, unread)
@@ -77,7 +77,7 @@ def _structural_transients(
     dS[:, np.arange(len(s)), np.arange(len(s))] += d_shift.T
     d_forces = (system.readings.derivative @ X + system.readings.value @ dX)[:, springs]
     d_volts = gains * d_forces + _gain_function_derivatives(system, s, gains, forces, dS)
-    d_volts = system.mixing.value @ d_volts + system.mixing.derivative @ (gains * forces)
+    d_volts = system.equations.mixing.value @ d_volts + system.equations.mixing.derivative @ (gains * forces)
     return TransientModes(s + shift, volts, dS, d_volts)
 
 
@@ -89,17 +89,16 @@ def _observable_modes(system: System, right: ComplexArray) -> NDArray[np.bool_]:
 
 
 def _high_pass_transients(system: System, fastest_decay: float, with_derivatives: bool) -> TransientModes:
-    """Of each high-pass what it makes of its own start: s = -r, one volt of its channel; the amplitude is real."""
-    found = [
-        (c, rate) for c, path in enumerate(system.paths) for rate in path.high_pass if 0 < rate.value < fastest_decay
-    ]
-    channels, p = [c for c, _ in found], system.parameters if with_derivatives else 0
-    s = np.array([-rate.value for _, rate in found], complex)
+    """The transient of each slow high-pass: s = -r, one volt in its channel; the amplitude is real."""
+    paths = enumerate(system.equations.paths)
+    slow = [(c, rate) for c, path in paths for rate in path.high_pass if 0 < rate.value < fastest_decay]
+    channels, p = [c for c, _ in slow], system.parameters if with_derivatives else 0
+    s = np.array([-rate.value for _, rate in slow], complex)
     s_derivative = np.zeros((p, len(s), len(s)), complex)
     if with_derivatives:
-        for i, (_, rate) in enumerate(found):
+        for i, (_, rate) in enumerate(slow):
             s_derivative[:, i, i] = -rate.derivative
-    mixing = system.mixing
+    mixing = system.equations.mixing
     volts_derivative = mixing.derivative[:p, :, channels].astype(complex)
     return TransientModes(s, mixing.value[:, channels].astype(complex), s_derivative, volts_derivative)
 
@@ -142,7 +141,7 @@ def _gain_function_derivatives(
 ) -> ComplexArray:
     """Change (p, c, m) of r g(S) for rows r (c, m): by S itself, and by the parameters of the filters."""
     rows = []
-    for i, path in enumerate(system.paths):
+    for i, path in enumerate(system.equations.paths):
         change = divided_differences(gains[i], _gain_derivative(path, s), s) * dS
         rows.append(forces[i] @ change + (forces[i] * gains[i]) * log_gain_derivative(path, s[:, None]).T)
     return np.stack(rows, axis=1)

@@ -14,7 +14,7 @@ from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.spectra import channel_response
-from balance_cli.model.system import response, solve
+from balance_cli.model.system_response import response, solve
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class Curve:
     sigma: Array
 
 
-def level(response: FrequencyResponse) -> float:
+def excitation_level(response: FrequencyResponse) -> float:
     """Highest level of the excitation [N, N m rms] of its components; 0 where none is told."""
     return max((float(value) for value in response.level if np.isfinite(value)), default=0.0)
 

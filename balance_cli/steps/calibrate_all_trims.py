@@ -1,4 +1,4 @@
-"""The gage model of a calibration from its static runs, through all trims."""
+"""The calibration model of a calibration from its static runs, through all trims."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
-from balance_cli.model.system import response, solve
+from balance_cli.model.system_response import response, solve
 from balance_cli.signals.static_noise import static_points
 
 Array = NDArray[np.float64]
@@ -29,11 +29,11 @@ def fit_all_trims(
     trims: Mapping[str, TrimCalibration],
     hold_out: Sequence[Run],
     search: bool,
-    direct: bool = False,
+    non_iterative: bool = False,
 ) -> AllTrimsCalibration | None:
     """One model through all trims.
 
-    None where their common channels do not serve, other loads were applied, or no load by itself within a sequence.
+    None where their common channels do not serve, other loads were applied, or no load by itself within a load series.
     UserError for a hold-out run without some of the channels.
     """
     first = next(iter(trims.values()))
@@ -50,20 +50,20 @@ def fit_all_trims(
         loads=np.vstack([loads for _, loads in each]),
         run=np.repeat(np.arange(len(runs)), lengths),
         weight=np.repeat([1.0 / _relative_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
-        full_range=first.full_range,
-        gravity=gravity(runs),
+        calibrated_range=first.calibrated_range,
+        gravity=gravity_of_runs(runs),
     )
     for run in hold_out:
         _check_hold_out_channels(run, names)
     checks = [(run.name, *read_load_points(run, names, first.components)) for run in hold_out]
     try:
         declared, by_run = _declared_response(geometry, points), _gravity_by_run(hold_out)
-        return calibrate_all_trims(points, checks, search, declared, direct, by_run)
+        return calibrate_all_trims(points, checks, search, declared, non_iterative, by_run)
     except CollinearError:
         return None
 
 
-def gravity(runs: Sequence[Run]) -> Array | None:
+def gravity_of_runs(runs: Sequence[Run]) -> Array | None:
     """Directions (m, 3) of gravity in all rows, NaN for runs that do not state their attitude; None where none does."""
     known = _gravity_by_run(runs)
     return np.vstack([known.get(run.name, np.full((run.samples, 3), np.nan)) for run in runs]) if known else None

@@ -11,7 +11,7 @@ from balance_cli.estimation.likelihood import count_measured_values, data_chi2, 
 from balance_cli.estimation.measurements import split_large_batches, stack_runs
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.model.balance import balance_model
-from balance_cli.model.system import response, solve
+from balance_cli.model.system_response import response, solve
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
 from tests.support.rigs import one_degree_of_freedom, rotor_balance
 

@@ -14,7 +14,7 @@ from balance_cli.estimation.transients import transient_columns
 from balance_cli.model.balance import balance_model
 from balance_cli.model.parameters import declared_parameters
 from balance_cli.model.placed_effects import add_effects
-from balance_cli.model.system import solve
+from balance_cli.model.system_response import solve
 from balance_cli.model.transient_modes import divided_differences, transient_modes
 from balance_cli.signals.periodic import periodic_record
 from balance_cli.signals.waveform_types import AnalysisWindow
@@ -74,7 +74,7 @@ def test_gradient_with_free_motion_is_exact():
     geometry = rotor_balance()
     rig = draw_rig(geometry, np.random.default_rng(11))
     names = ("sweep-Fx", "sweep-My", "sweep-Mz", "static-bare")
-    runs, _ = simulate_campaign(rig, short_plan().only(names), seed=4)
+    runs, _ = simulate_campaign(rig, short_plan().select_runs(names), seed=4)
     spectra = measured_spectra(runs, geometry)
     batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
     model = balance_model(geometry)

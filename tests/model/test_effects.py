@@ -128,7 +128,7 @@ TRUTHS = {
     "extra-mode": TrueEffect(
         ("Fx",),
         {},
-        lambda rig: rig.extended(Pendulum()),
+        lambda rig: rig.with_extensions(Pendulum()),
         campaign("Fx"),
         declared={"frequency": 89.0},
         only_better=True,

@@ -12,7 +12,8 @@ from balance_cli.model.effects import EFFECTS
 from balance_cli.model.realization import Realization, modal_form
 from balance_cli.model.relaxation import BAND, hysteretic_law, relaxation_chain
 from balance_cli.model.state_space import realization_error, state_space, with_anti_alias
-from balance_cli.model.system import REFERENCE_FREQUENCY, response, solve
+from balance_cli.model.system import REFERENCE_FREQUENCY
+from balance_cli.model.system_response import response, solve
 from balance_cli.signals.anti_alias import anti_alias_response
 from tests.support.effect_checks import RIG, SPIN, model_with_effect
 from tests.support.rigs import one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
@@ -220,7 +221,7 @@ def test_two_equal_modes():
 def test_what_is_not_proper_is_refused():
     """A coordinate that is the acceleration of another has no state space."""
     system = system_of(READ)
-    mass, last = system.pencil.mass, system.coordinates.index("extra Fz")
+    mass, last = system.pencil.mass, system.equations.coordinates.index("extra Fz")
     value = mass.value.copy()
     value[last, last] = 0.0
     damping = replace(system.pencil.damping, value=system.pencil.damping.value * (np.arange(len(value)) != last))
@@ -251,7 +252,7 @@ def test_delay_is_kept_apart():
 
 def test_crosstalk_is_kept_apart():
     space = state_space(system_of(CROSSTALK))
-    np.testing.assert_array_equal(space.mixing, system_of(CROSSTALK).mixing.value)
+    np.testing.assert_array_equal(space.mixing, system_of(CROSSTALK).equations.mixing.value)
     assert np.count_nonzero(space.mixing - np.eye(15)) == 1
     np.testing.assert_array_equal(space.C, state_space(system_of()).C)
 
@@ -300,8 +301,8 @@ def relaxing(system, frequency):
     A = stiffness + s * pencil.damping.value + s**2 * pencil.mass.value
     forces = (system.readings.value + h * system.readings_loss.value) @ np.linalg.solve(A, system.inputs.value + 0 * s)
     gains = solve(system, frequency).gains
-    springs = [path.spring for path in system.paths]
-    return system.mixing.value @ (gains[:, :, None] * forces[:, springs])
+    springs = [path.spring for path in system.equations.paths]
+    return system.equations.mixing.value @ (gains[:, :, None] * forces[:, springs])
 
 
 LOSSY = {

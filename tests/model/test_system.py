@@ -10,7 +10,8 @@ from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import constant, variables
 from balance_cli.model.modes import eigenvalues, modes
 from balance_cli.model.plate import plate_matrices
-from balance_cli.model.system import output_jacobian, response, solve
+from balance_cli.model.response_jacobian import output_jacobian
+from balance_cli.model.system_response import response, solve
 from balance_cli.model.transient_modes import transient_modes
 from tests.support.rigs import angular_frequency, one_degree_of_freedom, rotor_balance, two_degrees_of_freedom
 

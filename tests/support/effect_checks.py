@@ -18,7 +18,9 @@ from balance_cli.estimation.measurements import Batch, stack_runs
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.effects import Effect
 from balance_cli.model.placed_effects import needs_mean
-from balance_cli.model.system import System, output_jacobian, response, solve
+from balance_cli.model.response_jacobian import output_jacobian
+from balance_cli.model.system import System
+from balance_cli.model.system_response import response, solve
 from balance_cli.simulation import (
     NO_NOISE,
     CampaignPlan,
@@ -30,7 +32,7 @@ from balance_cli.simulation import (
     simulate_run,
     true_rig,
 )
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, statics
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.steps.identify import identified_effects, identify
 from tests.support.rigs import rotor_balance
 
@@ -81,7 +83,7 @@ def own_parameters(model: BalanceModel, effect: Effect) -> list[int]:
 @cache
 def batches() -> tuple[Batch, ...]:
     """Two sweeps and a static run of the rig as declared, with noise, means and waveforms."""
-    runs, _ = simulate_campaign(true_rig(RIG), short_plan().only(["sweep-Fx", "sweep-Fz", "static-trim"]), seed=2)
+    runs, _ = simulate_campaign(true_rig(RIG), short_plan().select_runs(["sweep-Fx", "sweep-Fz", "static-trim"]), seed=2)
     spectra = measured_spectra(runs, RIG, means=True)
     return stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
 
@@ -109,8 +111,12 @@ def check_derivatives(effect, where):
     rng = np.random.default_rng(0)
     loads = rng.standard_normal((len(FREQUENCY), 6)) + 1j * rng.standard_normal((len(FREQUENCY), 6))
     solution = solve(system, FREQUENCY, SPIN)
-    slopes = output_jacobian(system, solution, np.arange(len(FREQUENCY)), loads @ system.exciter_cross_axis.value.T)
-    slopes = slopes + response(system, solution) @ np.einsum("pij,kj->kip", system.exciter_cross_axis.derivative, loads)
+    slopes = output_jacobian(
+        system, solution, np.arange(len(FREQUENCY)), loads @ system.equations.exciter_cross_axis.value.T
+    )
+    slopes = slopes + response(system, solution) @ np.einsum(
+        "pij,kj->kip", system.equations.exciter_cross_axis.derivative, loads
+    )
     rigid = [model.parameters.index("stiffness.z1"), model.parameters.index("centre_of_gravity.z")]
     for i in [*own_parameters(model, effect), *rigid]:
         step = 1e-5 * scale[i] * np.eye(len(theta))[i]
@@ -149,7 +155,7 @@ def campaign(*components, spinning=False, periods=14, period=1.0):
         sweeps += [
             SweepPlan(run=f"spin-{n}", excited=(n,), level=(HIGH_SWEEP_LEVELS[n],), **turning) for n in ("Mx", "My")
         ]
-    return CampaignPlan(runs=(*statics(), *sweeps))
+    return CampaignPlan(runs=(*static_plans(), *sweeps))
 
 
 @dataclass(frozen=True)

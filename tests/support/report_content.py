@@ -15,7 +15,7 @@ from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel,
 from balance_cli.io.artefacts import Artefact, Input, Provenance
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
-from balance_cli.model.system import response, solve
+from balance_cli.model.system_response import response, solve
 from balance_cli.reduction.result import CheckErrors, HubLoads, RunLoads
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse

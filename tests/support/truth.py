@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.model.parameters import ParameterSet
-from balance_cli.model.system import output_jacobian, response, solve
+from balance_cli.model.response_jacobian import output_jacobian
+from balance_cli.model.system_response import response, solve
 from balance_cli.simulation.assembly import equations_of_motion
 from balance_cli.simulation.response import force_matrix, input_matrix, state_matrix
 from balance_cli.simulation.rig import TrueRig

@@ -1,0 +1,127 @@
+"""Derivatives of the frequency response by all parameters.
+
+A change of parameters changes y = X g f by X g (dR x + R A^-1 (dF u - dA x)) + d(X g) f with x = A^-1 F u: one solution
+with A serves all parameters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.model.channel_gains import log_gain_derivative, path_parameters
+from balance_cli.model.system import System, log_frequency_ratio
+from balance_cli.model.system_response import Solution, SpringInputs, spring_forces
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+
+def multiply_derivatives(derivatives: Array, vectors: ComplexArray) -> ComplexArray:
+    """Derivatives (p, a, b) times vectors (K, b), as one matrix product: (K, a, p)."""
+    p, a, b = derivatives.shape
+    flat = derivatives.transpose(2, 1, 0).reshape(b, a * p)
+    return np.asarray((vectors @ flat).reshape(len(vectors), a, p))
+
+
+def spring_force_jacobian(
+    system: System,
+    solution: Solution,
+    index: Index,
+    loads: ComplexArray,
+    extra: SpringInputs | None = None,
+    selection: Mask | slice = slice(None),
+) -> ComplexArray:
+    """Derivatives (K, e, p) of the spring forces for given loads (K, 6) and extra forces at lines `index` (K,)."""
+    pencil = system.pencil
+    w = 2 * np.pi * solution.frequency[index][:, None]
+    excitation = loads @ system.inputs.value.T
+    if extra is not None:
+        excitation = excitation + extra.acting @ system.reactions.value.T
+    x = np.matmul(solution.receptance[index], excitation[:, :, None])[:, :, 0]
+    quadrature, logarithmic = 1j * np.sign(w) * x, log_frequency_ratio(solution.frequency[index])[:, None] * x
+    matrices = [
+        system.inputs.derivative,
+        -pencil.stiffness.derivative,
+        -pencil.damping_derivative(solution.spin),
+        pencil.mass.derivative,
+        -pencil.hysteresis.derivative,
+    ]
+    vectors = [loads, x, 1j * w * x, w**2 * x, quadrature]
+    lossy = system.readings_loss.derivative.any()
+    if lossy:
+        matrices, vectors = [*matrices, -pencil.frequency_stiffness.derivative], [*vectors, logarithmic]
+    change = multiply_derivatives(
+        np.concatenate([part[selection] for part in matrices], axis=2), np.concatenate(vectors, axis=1)
+    )
+    if extra is not None:
+        change += multiply_derivatives(system.reactions.derivative[selection], extra.acting)
+    derivatives = solution.force_influence[index] @ change
+    derivatives = derivatives + multiply_derivatives(system.readings.derivative[selection], x)
+    if lossy:
+        derivatives += multiply_derivatives(system.readings_loss.derivative[selection], quadrature)
+        derivatives += multiply_derivatives(system.readings_frequency_stiffness.derivative[selection], logarithmic)
+    return np.asarray(derivatives)
+
+
+def output_jacobian(
+    system: System, solution: Solution, index: Index, loads: ComplexArray, extra: SpringInputs | None = None
+) -> ComplexArray:
+    """Derivatives (K, c, p) of the channels' volts for loads (K, 6) at lines `index` (K,) of the solution.
+
+    Extra forces along the springs are taken as given; their own derivatives are added elsewhere. Each kind of
+    derivative is computed only for the parameters that have it: most have a single kind.
+    """
+    springs, mixing = system.springs_of_channels, system.equations.mixing
+    forces = spring_forces(system, solution, index, loads, extra)
+    gains = solution.gains[index]
+    volts = gains * forces[:, springs]
+    moving = mask_or_full_slice(structural_parameters(system))
+    derivatives = np.zeros((len(index), len(springs), system.parameters), complex)
+    derivatives[:, :, moving] = (
+        gains[:, :, None] * spring_force_jacobian(system, solution, index, loads, extra, moving)[:, springs]
+    )
+    _add_gain_derivatives(derivatives, system, solution, index, volts)
+    if np.any(mixing.value != np.eye(len(springs))):
+        derivatives = mixing.value @ derivatives
+    mixed = mixing.derivative.any(axis=(1, 2))
+    if mixed.any():
+        derivatives[:, :, mixed] += multiply_derivatives(mixing.derivative[mixed], volts)
+    return np.asarray(derivatives)
+
+
+def _add_gain_derivatives(
+    derivatives: ComplexArray, system: System, solution: Solution, index: Index, volts: ComplexArray
+) -> None:
+    """Add to `derivatives` (K, c, p), in place, those of the channels' own gains, for volts (K, c) before mixing."""
+    s = np.asarray(2j * np.pi * solution.frequency[:, None], np.complex128)
+    for c, path in enumerate(system.equations.paths):
+        own = path_parameters(path)
+        if own.any():
+            derivatives[:, c, own] += np.asarray(volts[:, c, None] * log_gain_derivative(path, s)[:, own][index])
+
+
+def structural_parameters(system: System) -> Mask:
+    """Which parameters (p,) change the forces of the springs; those of channels and exciters do not."""
+    pencil = system.pencil
+    parts = (
+        pencil.mass,
+        pencil.damping,
+        pencil.gyroscopic,
+        pencil.stiffness,
+        pencil.hysteresis,
+        pencil.frequency_stiffness,
+        system.readings,
+        system.readings_loss,
+        system.readings_frequency_stiffness,
+        system.inputs,
+        system.reactions,
+    )
+    return np.asarray(np.any([part.derivative.any(axis=(1, 2)) for part in parts], axis=0))
+
+
+def mask_or_full_slice(selection: Mask) -> Mask | slice:
+    """The selected parameters (p,), or all of them where most are selected: copying a part of the last axis is slow."""
+    return selection if 2 * np.count_nonzero(selection) < len(selection) else slice(None)

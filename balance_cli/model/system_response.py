@@ -1,0 +1,81 @@
+"""The frequency response of a system: forces of the springs and volts of the channels for given loads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.model.channel_gains import channel_gains
+from balance_cli.model.system import System, complex_readings, dynamic_stiffness
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A system solved at k frequencies, before any load is applied.
+
+    `receptance` (k, n, n) is A^-1; `force_influence` (k, e, n), the readings times A^-1; `forces` (k, e, 6) of the
+    springs per unit hub load; `gains` (k, c), volts per unit of a spring's force. `frequency` (k,) and `spin` [Hz].
+    """
+
+    frequency: Array
+    spin: float
+    force_influence: ComplexArray
+    receptance: ComplexArray
+    forces: ComplexArray
+    gains: ComplexArray
+
+
+@dataclass(frozen=True)
+class SpringInputs:
+    """Forces along the springs at K lines besides those of the linear balance.
+
+    `acting` (K, e) act on the balance; `read` (K, e) are also read by the channels of each spring.
+    """
+
+    acting: ComplexArray
+    read: ComplexArray
+
+
+def solve(system: System, frequency: Array, spin: float = 0.0) -> Solution:
+    """Invert the dynamic stiffness once; responses and derivatives follow from it."""
+    frequency = np.atleast_1d(np.asarray(frequency, float))
+    receptance = np.asarray(np.linalg.inv(dynamic_stiffness(system.pencil, frequency, spin)), complex)
+    force_influence = np.asarray(complex_readings(system, frequency) @ receptance, complex)
+    forces = np.asarray(force_influence @ system.inputs.value, complex)
+    gains = channel_gains(system.equations.paths, frequency)
+    return Solution(frequency, spin, force_influence, receptance, forces, gains)
+
+
+def response(system: System, solution: Solution) -> ComplexArray:
+    """T (k, c, 6), volts per unit of the true hub loads, without the cross-axis matrix of an exciter."""
+    volts = solution.gains[:, :, None] * solution.forces[:, system.springs_of_channels]
+    return np.asarray(system.equations.mixing.value @ volts)
+
+
+def spring_forces(
+    system: System, solution: Solution, index: Index, loads: ComplexArray, extra: SpringInputs | None = None
+) -> ComplexArray:
+    """Forces (K, e) of the springs for loads (K, 6) and extra forces along them, at lines `index` (K,)."""
+    forces = np.asarray(np.matmul(solution.forces[index], loads[:, :, None])[:, :, 0])
+    return forces if extra is None else forces + extra_forces(system, solution, index, extra)
+
+
+def extra_forces(system: System, solution: Solution, index: Index, extra: SpringInputs) -> ComplexArray:
+    """The part (K, e) of the springs' forces, as read, that is due to the extra ones."""
+    through = (solution.force_influence @ system.reactions.value)[index]
+    return np.asarray(np.matmul(through, extra.acting[:, :, None])[:, :, 0] + extra.read)
+
+
+def volts_of_forces(system: System, solution: Solution) -> tuple[ComplexArray, ComplexArray]:
+    """Volts (k, c, e) per unit of a force that acts along each spring, and of one that its channels read."""
+    springs = system.springs_of_channels
+    gains, mixing = solution.gains[:, :, None], system.equations.mixing.value
+    acting = gains * (solution.force_influence @ system.reactions.value)[:, springs]
+    read = gains * np.eye(len(system.equations.stiffness.value))[springs]
+    return np.asarray(mixing @ acting), np.asarray(mixing @ read)
