@@ -1,4 +1,4 @@
-"""`balance check`: say what each file is and what is wrong with it."""
+"""The command `balance check`: what each file is, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     A file is known by its content: a geometry, a run file, a result of another command. All faults of a file are
     listed, channels that are dead or clipped among them. Exit status 2 where any file has a fault.
     """
-    from balance_cli.cli.file_check import examine
+    from balance_cli.cli.file_check import check_file
     from balance_cli.model.placed_effects import check_effects
 
     rig = None if geometry is None else session.geometry(geometry)
     if rig is not None:
         check_effects(rig, str(geometry))
-    findings = {path: examine(path, rig) for path in session.progress(files, "files")}
+    findings = {path: check_file(path, rig) for path in session.progress(files, "files")}
     faults = {path: [*finding.faults, *_duplicate_name_faults(path, findings)] for path, finding in findings.items()}
-    faulty = sum(bool(own) for own in faults.values())
+    faulty = sum(bool(file_faults) for file_faults in faults.values())
     session.status = EXIT_USER_ERROR if faulty else 0
     lines = [line for path in findings for line in (f"{path}: {findings[path].about}", *_fault_lines(faults[path]))]
     session.finish(
@@ -44,14 +44,14 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
 
 
 def _duplicate_name_faults(path: Path, findings: Mapping[Path, FileFinding]) -> list[UserError]:
-    """A fault where an earlier one of the files has the same run name."""
+    """A fault where an earlier file has the same run name."""
     finding = findings[path]
     if finding.kind != "run" or not finding.name:
         return []
-    first = next(earlier for earlier, other in findings.items() if (other.kind, other.name) == ("run", finding.name))
+    first = next(file for file, earlier in findings.items() if (earlier.kind, earlier.name) == ("run", finding.name))
     if first == path:
         return []
-    return [UserError(f"run name `{finding.name}` is also that of {first}", str(path), "run", "Rename one of them")]
+    return [UserError(f"{first} has the same run name, `{finding.name}`", str(path), "run", "Rename one of them")]
 
 
 def _fault_lines(faults: list[UserError]) -> list[str]:
@@ -59,7 +59,7 @@ def _fault_lines(faults: list[UserError]) -> list[str]:
 
 
 def _summary(finding: FileFinding, faults: list[UserError]) -> dict[str, Any]:
-    about = {"kind": finding.kind, "about": finding.about, "name": finding.name, "rig": finding.rig}
+    identity = {"kind": finding.kind, "about": finding.about, "name": finding.name, "rig": finding.rig}
     listed = [{"place": fault.place, "fault": fault.fault, "remedy": fault.remedy} for fault in faults]
     run_kind = {"run_kind": finding.run_kind} if finding.run_kind else {}
-    return {**about, **run_kind, "digest": finding.digest, "faults": listed}
+    return {**identity, **run_kind, "digest": finding.digest, "faults": listed}

@@ -1,4 +1,4 @@
-"""What a file is, by its content, and everything that is wrong with it (for `balance check`)."""
+"""Recognition of a file by its content, and everything that is wrong with it (for `balance check`)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,11 @@ FORMATS_NOT_READ = {"balance-history/1": "history of hub loads", "balance-truth/
 
 @dataclass(frozen=True)
 class FileFinding:
-    """One file: its kind (`geometry`, `run`, a format, `unknown`), what to say of it, its faults; a run's own kind."""
+    """A file that was checked.
+
+    `kind` is `geometry`, `run`, `loads`, `unknown` or a format; `about` describes the content in a line of text.
+    `run_kind` is the kind of a run (`static`, `sweep`, ...).
+    """
 
     kind: str
     about: str
@@ -37,8 +41,8 @@ class FileFinding:
     run_kind: str = ""
 
 
-def examine(path: Path, geometry: Geometry | None) -> FileFinding:
-    """Recognise a file and check it, against a geometry where one is given."""
+def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
+    """Recognize a file and check it, against a geometry where one is given."""
     declared = sniff_format(path)
     readers: dict[str, Callable[[Path, Geometry | None], FileFinding]] = {
         GEOMETRY_FORMAT: _check_geometry_file,
@@ -55,7 +59,7 @@ def examine(path: Path, geometry: Geometry | None) -> FileFinding:
         return _check_matrix_file(path, geometry)
     if declared is None and _first_line(path) == LOADS_HEADER:
         return FileFinding("loads", "table of harmonic loads")
-    return FileFinding("unknown", "not recognised", faults=(_unrecognized_fault(path),))
+    return FileFinding("unknown", "not recognized", faults=(_unrecognized_fault(path),))
 
 
 def _unrecognized_fault(path: Path) -> UserError:
@@ -76,8 +80,8 @@ def _check_geometry_file(path: Path, expected: Geometry | None) -> FileFinding:
     about += f"{len(geometry.channels)} channels, free in {' '.join(geometry.freedom)}"
     digest = geometry_digest(geometry)
     if expected is not None and digest != geometry_digest(expected):
-        fault = f"declares something else than the geometry `{expected.name}` given with -g"
-        faults += (UserError(fault, str(path), remedy="Give one of the two"),)
+        fault = f"differs from the geometry `{expected.name}` given with -g"
+        faults += (UserError(fault, str(path), remedy="Give only one of the two"),)
     return FileFinding("geometry", about, geometry.name, geometry.rig, digest, faults)
 
 
@@ -100,7 +104,7 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
     else:
         channels = live_channels(run, geometry).left_out
         faults += tuple(geometry_mismatches(run, geometry))
-    remedy = "It will be left out where the other channels determine the loads"
+    remedy = "Commands leave it out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
     return FileFinding("run", _describe_run(run), run.name, run.rig, run.digest, faults, run.kind)
 
@@ -127,7 +131,7 @@ def _check_artefact_file(path: Path, geometry: Geometry | None) -> FileFinding:
     about += f" from {len(stored.provenance.inputs)} inputs"
     faults: tuple[UserError, ...] = ()
     if geometry and made_from and geometry_digest(geometry) != geometry_digest(made_from):
-        fault = f"was made from another geometry (`{made_from.name}`) than `{geometry.name}`, given with -g"
+        fault = f"was made from another geometry (`{made_from.name}`), not from `{geometry.name}` given with -g"
         faults = (UserError(fault, str(path), "geometry", "Make it again with this geometry"),)
     rig = made_from.rig if made_from else ""
     return FileFinding(format, about, path.name, rig, stored.digest, faults)
@@ -143,12 +147,12 @@ def _check_matrix_file(path: Path, geometry: Geometry | None) -> FileFinding:
     from balance_cli.steps.calibration_from_matrix import calibration_from_matrix
 
     try:
-        stated, digest = read_matrix_file(path)
+        calibration_matrix, digest = read_matrix_file(path)
         if geometry is not None:
-            calibration_from_matrix(stated, geometry)
+            calibration_from_matrix(calibration_matrix, geometry)
     except UserError as error:
         return FileFinding(MATRIX_FORMAT, "calibration matrix", faults=(error.with_location(file=str(path)),))
-    matrix = stated.matrix
+    matrix = calibration_matrix.matrix
     about = f"calibration matrix of {len(matrix.channel_names)} channels for {', '.join(matrix.components)}"
     return FileFinding(MATRIX_FORMAT, about, path.name, matrix.rig, digest)
 

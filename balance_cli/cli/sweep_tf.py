@@ -1,4 +1,4 @@
-"""`balance sweep-tf`: frequency responses of the sweeps, with covariance."""
+"""The command `balance sweep-tf`: frequency responses of the sweeps, with covariance."""
 
 from __future__ import annotations
 
@@ -17,12 +17,11 @@ from balance_cli.cli.common import (
     skip_bad_option,
 )
 from balance_cli.io.formats import TRANSFER_FORMAT
+from balance_cli.signals.response.choices import ESTIMATORS
 
 if TYPE_CHECKING:
     from balance_cli.signals.response.transfer import Transfer
     from balance_cli.signals.run_spectrum import FrequencyResponse
-
-ESTIMATORS = ("auto", "periodic", "lrm", "lpm", "h1", "h2", "hv")
 
 
 @balance_command("sweep-tf")
@@ -30,7 +29,7 @@ ESTIMATORS = ("auto", "periodic", "lrm", "lpm", "h1", "h2", "hv")
 @click.option(
     "--estimator",
     type=click.Choice(ESTIMATORS),
-    default="auto",
+    default=ESTIMATORS[0],
     show_default=True,
     help="auto: ratio of lines for periodic sweeps, local rational model (lrm) for others; lpm: local polynomial.",
 )
@@ -49,7 +48,7 @@ def command(
     skip_bad: bool,
     output: Path,
 ) -> None:
-    """Frequency responses of the sweeps, with covariance."""
+    """Estimate the frequency responses of the sweeps, with covariance."""
     from balance_cli.steps.sweep_tf import estimate_responses
 
     rig = session.geometry(geometry)
@@ -63,7 +62,10 @@ def command(
             session.warn(f"run {run}: channel {name} left out: {reason}")
     for run, part in transfer.steady_parts.items():
         if not part.steady:
-            session.warn(f"run {run}: still settling in its last two periods; their difference is in the covariance")
+            session.warn(
+                f"run {run}: the transient has not ended before the last two periods; "
+                "the covariance includes their difference"
+            )
     session.save(output, TRANSFER_FORMAT, transfer)
     session.finish(_summary(transfer), _text(transfer))
 
@@ -95,7 +97,7 @@ def _response_summary(response: FrequencyResponse) -> dict[str, Any]:
 
 
 def _median_relative_sigma(transfer: Transfer, component: str) -> float:
-    """Median over the lines of sigma over amplitude, in the best channel, at the highest level."""
+    """Median over the lines of sigma over amplitude, in the best-responding channel, at the highest level."""
     import numpy as np
 
     from balance_cli.signals.response.transfer import relative_sigma, response_to_component

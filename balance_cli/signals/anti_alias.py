@@ -1,4 +1,4 @@
-"""The anti-alias filter of the acquisition, which stands between every channel and its samples."""
+"""The analog anti-alias filter of the acquisition, through which every channel passes before it is sampled."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ ComplexArray = NDArray[np.complex128]
 
 
 def butterworth_poles(order: int) -> ComplexArray:
-    """Poles (order,) of the analogue Butterworth low-pass with cut-off 1 rad/s.
+    """Return the poles (order,) of the analog Butterworth low-pass filter with a cut-off at 1 rad/s.
 
-    They lie evenly spaced on the left half of the unit circle (Butterworth, Wireless Engineer 7, 1930, p. 536).
+    They are evenly spaced on the left half of the unit circle (Butterworth, Wireless Engineer 7, 1930, p. 536).
     """
     k = np.arange(1, order + 1)
     return np.asarray(np.exp(1j * np.pi * (2 * k + order - 1) / (2 * order)), complex)
 
 
 def anti_alias_response(acquisition: Acquisition, frequency_hz: ArrayLike) -> ComplexArray:
-    """Response H(j 2 pi f) of the anti-alias filter, of the shape of `frequency_hz` [Hz]; 1 where there is none.
+    """Return the response H(j 2 pi f) of the anti-alias filter, in the shape of `frequency_hz` [Hz].
 
-    H(s) = prod_k -p_k / (s/omega_c - p_k): unit gain at f = 0, falling phase.
+    H(s) = prod_k -p_k / (s/omega_c - p_k) has unit gain at f = 0 and falling phase; H = 1 where no filter is declared.
     """
     frequency = np.asarray(frequency_hz, float)
     if acquisition.filter is None:

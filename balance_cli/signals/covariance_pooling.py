@@ -1,4 +1,4 @@
-"""Noise of repeated spectra: pooled over neighbouring lines, robust against lines that hold more than noise."""
+"""Noise covariance of repeated spectra, pooled over neighboring lines, robust against lines with more than noise."""
 
 from __future__ import annotations
 
@@ -12,19 +12,27 @@ ComplexArray = NDArray[np.complex128]
 Counts = NDArray[np.intp]
 
 LEAST_POOLED_DOF = 150
+"""Complex degrees of freedom: about ten for each signal of a balance, so that the bias of the inverse is a tenth."""
 OUTLIER_PROBABILITY = 1e-3
+"""Probability with which noise alone exceeds the bound from which a line gets less weight (Huber)."""
 STEPS_PER_WINDOW = 8
+"""Covariances computed for each pooling window; a smooth noise spectrum changes little within an eighth of it."""
 ROBUST_ITERATIONS = 3
+"""Passes of the robust weighting; each one removes from the covariance what outliers added in the one before."""
+INITIAL_POWER_LIMIT = 20.0
+"""Power over the median from which a line gets less weight at first: a probability of 1e-6 for one period of noise."""
 MEDIAN_LINES = 75
+"""Lines whose median power is the reference of the initial weights: of three periods, LEAST_POOLED_DOF in all."""
 RELATIVE_NOISE_FLOOR = 1e-7
+"""Least noise, relative to the signal: the rounding error of single precision."""
 
 
 def inverse_bias_factor(dof: float, n: int) -> float:
-    """(dof - n) / dof, by which the inverse of an estimated covariance of n signals must be multiplied.
+    """Return the factor (dof - n) / dof that removes the bias of the inverse of an estimated covariance of n signals.
 
     A sample covariance with `dof` complex degrees of freedom is complex Wishart; the mean of its inverse is
     dof / (dof - n) times the true inverse (Maiwald and Kraus, IEE Proc. Radar 147, 2000). Without the factor every
-    chi-square weighted by the estimated covariance comes out too large. ValueError where dof <= n.
+    chi-square weighted by the estimated covariance is too large. Raises ValueError where dof <= n.
     """
     if np.isinf(dof):
         return 1.0
@@ -34,9 +42,9 @@ def inverse_bias_factor(dof: float, n: int) -> float:
 
 
 def window_sums(values: NDArray[Any], width: int, step: int = 1) -> NDArray[Any]:
-    """Sums of `width` neighbouring entries along axis 0; at the edges the window stays whole and is shifted inwards.
+    """Return sums over windows of `width` entries of `values` (K, ...) along axis 0, for every `step`-th entry.
 
-    values (K, ...); the result holds, for every `step`-th k, the sum over the window centred on k where it fits.
+    The window is centered on its entry; at the edges it keeps its width and is shifted inward.
     """
     K = len(values)
     width = min(width, K)
@@ -46,9 +54,9 @@ def window_sums(values: NDArray[Any], width: int, step: int = 1) -> NDArray[Any]
 
 
 def variance_floor(spectra: ComplexArray) -> Array:
-    """Variance (n,) that no noise of signals (..., n) is taken to fall below: rounding to single precision, say.
+    """Return the least variance (n,) that is assumed for the noise of signals (..., n).
 
-    A computed record has no noise at all, and its covariance no inverse.
+    A computed record has no noise, so that without a floor its covariance would have no inverse.
     """
     power = np.mean(np.abs(spectra) ** 2, axis=tuple(range(spectra.ndim - 1)))
     return np.asarray(
@@ -62,10 +70,10 @@ def pooled_covariance(
     """Noise covariance of one degree of freedom at every line, pooled over neighbouring lines.
 
     scatter (K, n, n): sum of outer products of deviations at each line, with counts (K,) complex degrees of freedom.
-    The window is the narrowest that gives `least_dof` everywhere (or all lines), so that the covariance follows the
-    colour of the noise and still can be inverted. Lines whose scatter is improbably large (residual transients,
-    pick-up) are down-weighted (Huber's weights on the Mahalanobis distance). `floor` (n,) or one number is added to
-    the variances. Returns (K, n, n) and the dof.
+    The window is the narrowest that gives `least_dof` at every line (or holds all lines), so that the covariance
+    follows the spectrum of the noise and can still be inverted. Lines whose scatter is improbably large (residual
+    transients, mains interference) get less weight (Huber's weights on the Mahalanobis distance). `floor` (n,) or one
+    number is added to the variances. Returns the covariance (K, n, n) and its degrees of freedom.
     """
     scatter = scatter + counts[:, None, None] * (floor * np.eye(scatter.shape[1]))
     width = _pooling_width(counts, least_dof)
@@ -76,13 +84,13 @@ def pooled_covariance(
     for _ in range(ROBUST_ITERATIONS):
         total = np.maximum(window_sums(weights * counts, width, step), 1e-300)
         knots = window_sums(weights[:, None, None] * scatter, width, step) / total[:, None, None]
-        far = _distances_from_inverse(scatter, np.linalg.inv(knots)[nearest], counts, dof)
-        weights = np.minimum(1.0, outlier_bound(counts, scatter.shape[1]) / far)
+        distance = _distances_from_inverse(scatter, np.linalg.inv(knots)[nearest], counts, dof)
+        weights = np.minimum(1.0, outlier_bound(counts, scatter.shape[1]) / distance)
     return knots[nearest], dof
 
 
 def mahalanobis_distances(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
-    """Mahalanobis distance per degree of freedom (K,) of the scatter (K, n, n); its mean is 1 for noise alone."""
+    """Return the Mahalanobis distance per degree of freedom (K,) of the scatter (K, n, n), of mean 1 for noise."""
     return _distances_from_inverse(scatter, np.asarray(np.linalg.inv(covariance), complex), counts, dof)
 
 
@@ -95,7 +103,7 @@ def _distances_from_inverse(scatter: ComplexArray, inverse: ComplexArray, counts
 
 
 def vector_mahalanobis_distances(vectors: ComplexArray, covariance: ComplexArray, dof: float) -> Array:
-    """Mahalanobis distance per degree of freedom (..., K) of vectors (..., K, n); its mean is 1 for noise alone."""
+    """Return the Mahalanobis distance per degree of freedom (..., K) of vectors (..., K, n), of mean 1 for noise."""
     n = vectors.shape[-1]
     weighted = np.matmul(np.linalg.inv(covariance), vectors[..., None])[..., 0]
     squared = np.sum(vectors.conj() * weighted, axis=-1).real
@@ -103,7 +111,7 @@ def vector_mahalanobis_distances(vectors: ComplexArray, covariance: ComplexArray
 
 
 def outlier_bound(counts: Array, n: int, probability: float = OUTLIER_PROBABILITY) -> Array:
-    """Distance (K,) that noise of n signals exceeds with this probability at one line (chi-square)."""
+    """Return the distance (K,) that noise of n signals exceeds with this probability at one line (chi-square)."""
     from scipy.special import gammainccinv
 
     half = n * np.maximum(counts, 1.0)
@@ -111,7 +119,7 @@ def outlier_bound(counts: Array, n: int, probability: float = OUTLIER_PROBABILIT
 
 
 def _pooling_width(counts: Array, least_dof: float) -> int:
-    """Narrowest odd number of lines that gives `least_dof` at every line (by bisection), or all of them."""
+    """Least odd number of lines that gives `least_dof` at every line (by bisection), or all lines."""
     low, high = 0, (len(counts) - 1) // 2
     while low < high:
         middle = (low + high) // 2
@@ -121,9 +129,9 @@ def _pooling_width(counts: Array, least_dof: float) -> int:
 
 
 def _initial_weights(scatter: ComplexArray, counts: Array) -> Array:
-    """Weights from the diagonal alone: each signal's power at a line against the median of its neighbours."""
+    """Weights from the diagonal alone: the power of each signal at a line against the median of its neighbors."""
     power = np.diagonal(scatter, axis1=1, axis2=2).real / np.maximum(counts, 1e-12)[:, None]
     blocks = np.array_split(np.arange(len(power)), max(len(power) // MEDIAN_LINES, 1))
     typical = np.concatenate([np.broadcast_to(np.median(power[b], axis=0), power[b].shape) for b in blocks])
     largest = np.max(power / np.maximum(typical, 1e-300), axis=1)
-    return np.asarray(np.minimum(1.0, 20.0 / np.maximum(largest, 1e-300)), float)
+    return np.asarray(np.minimum(1.0, INITIAL_POWER_LIMIT / np.maximum(largest, 1e-300)), float)

@@ -1,4 +1,4 @@
-"""Samples of a dynamic run as the spectral estimators need them: chosen channels, measured load components."""
+"""Samples of a dynamic run as the spectral estimators need them: selected channels, measured load components."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ ComplexArray = NDArray[np.complex128]
 
 
 def sample_rate(run: Run) -> float:
-    """Sample rate [Hz]; UserError where the run declares none."""
+    """Return the sample rate [Hz]. Raises UserError where the run declares none."""
     if run.sample_rate is None:
-        raise run_error(run, "there is no `sample_rate`", "Only a dynamic run has a spectrum")
+        raise run_error(run, "there is no `sample_rate`", "Give a dynamic run; a static run has no spectrum")
     return run.sample_rate
 
 
 def run_error(run: Run, text: str, remedy: str = "", place: str = "") -> UserError:
-    """A user error that names this run's file (or the run, where it came from memory)."""
+    """Return a user error that names the file of the run, or the run where it has no file."""
     return UserError(text, str(run.path) if run.path else f"run {run.name}", place, remedy)
 
 
 def channel_columns(run: Run, channel_names: Sequence[str]) -> list[int]:
-    """Columns of the named channels; UserError where the run lacks one."""
+    """Return the columns of the named channels. Raises UserError where the run lacks one."""
     missing = [name for name in channel_names if name not in run.channel_names]
     if missing:
         raise run_error(run, f"there is no channel `{missing[0]}`", "Leave the channel out for this run", "channels")
@@ -38,25 +38,30 @@ def channel_columns(run: Run, channel_names: Sequence[str]) -> list[int]:
 def read_samples(
     run: Run, channel_names: Sequence[str], start: int = 0, stop: int | None = None
 ) -> tuple[Array, Array]:
-    """Channels (n, c) [V] and all six loads (n, 6) [N, N m] of samples start to stop; UserError without loads."""
+    """Read channels (n, c) [V] and all six loads (n, 6) [N, N m] of samples start to stop.
+
+    Raises UserError where the run has no loads.
+    """
     block = run.read(start, stop)
     if block.loads is None:
-        raise run_error(run, "there are no `loads`", "A sweep needs the loads that its exciter applied", "loads")
+        raise run_error(run, "there are no `loads`", "Record the loads that the exciter applies", "loads")
     return block.channels[:, channel_columns(run, channel_names)], block.loads
 
 
 def measured_components(run: Run, loads: Array) -> tuple[str, ...]:
-    """The load components that were measured; a column of exact zeros was not.
+    """Return the components of `loads` (n, 6) that were measured: all but those whose column is exactly zero.
 
-    loads (n, 6). UserError where a component declared as excited was not measured.
+    Raises UserError where a component that is declared as excited was not measured.
     """
     measured = tuple(name for name, column in zip(COMPONENTS, loads.T, strict=True) if np.any(column))
     for name in run.excited:
         if name not in measured:
-            raise run_error(run, f"`{name}` is declared as excited but its column is zero", "", "loads")
+            raise run_error(
+                run, f"`{name}` is declared as excited but its column is zero", "Correct `excited`", "loads"
+            )
     return measured
 
 
 def load_columns(components: Sequence[str]) -> list[int]:
-    """Columns of these components in the six loads."""
+    """Return the columns of these components among the six loads."""
     return [COMPONENTS.index(name) for name in components]

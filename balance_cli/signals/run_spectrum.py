@@ -1,4 +1,4 @@
-"""What the signal steps hand on: spectra of a run at its lines, and frequency responses with their covariance."""
+"""Results of the signal processing: spectra of a run at its lines, and frequency responses, with covariance."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class NoisePart:
-    """A part of the channels' noise covariance, `size` * `share` (k,) * `shape` (c, c) at k lines or rows.
+    """Component of the noise covariance of the channels, `size` * `share` (k,) * `shape` (c, c) at k lines or rows.
 
-    `error`: standard error of the size, which was estimated.
+    `error` is the standard error of the size, which was estimated.
     """
 
     shape: Array
@@ -27,15 +27,15 @@ class NoisePart:
 
     @property
     def covariance(self) -> Array:
-        """At every line or row (k, c, c)."""
+        """Covariance (k, c, c) at every line or row."""
         return np.asarray(self.size * self.share[:, None, None] * self.shape)
 
     def select(self, keep: NDArray[np.bool_]) -> NoisePart:
-        """At the lines or rows (k,) that are kept."""
+        """Return the part at the selected lines or rows (k,)."""
         return replace(self, share=self.share[keep])
 
     def project(self, projection: Array) -> NoisePart:
-        """That of lines which are columns of a `projection` (k, l) of the rows."""
+        """Return the part for l lines that are columns of a `projection` (k, l) of the rows."""
         return replace(self, share=projection.T**2 @ self.share)
 
 
@@ -46,12 +46,12 @@ class RunSpectrum:
     Amplitudes are complex, `x(t) = Re sum X exp(+j 2 pi f t)`. The noise of the stacked vector z = [channels, loads]
     is circular with covariance E[z z*] = `covariance` per line, that of the means as given (not of one period), and
     was estimated with `dof` complex degrees of freedom (infinite where it is known).
-    `window`: where in a periodic record they come from; None where no free motion can be in them.
     At frequency zero the amplitude is twice the mean, and the covariance twice the variance of that, as the noise is
-    real; it is infinite where a channel tells nothing. `constant_volts` (k,) and `constant_loads` (k, u): what one volt
-    too much in every channel, one unit in every load that was applied, adds to the lines. `waveform`: the channels
-    through time. None: nothing, or not asked for. `noise_parts`: what makes up the noise of the channels, where its
-    parts are not known alike.
+    real; it is infinite where a channel has no information. `constant_volts` (k,) and `constant_loads` (k, u) are what
+    an offset of one volt in every channel, or of one unit in every applied load, adds to the lines.
+    `window` is the part of a periodic record from which the lines were taken; None where they contain no transient.
+    `waveform` holds the channels in the time domain; None where it was not requested. `noise_parts` are the components
+    of the noise of the channels, where these are not known equally well.
 
     Shapes: frequency (k,) [Hz]; channels (k, c) [V]; loads (k, u) [N, N m]; covariance (k, c+u, c+u).
     """
@@ -73,7 +73,7 @@ class RunSpectrum:
     noise_parts: tuple[NoisePart, ...] = ()
 
     def select(self, keep: NDArray[np.bool_]) -> RunSpectrum:
-        """Only the lines (k,) that are kept."""
+        """Return the spectrum at the selected lines (k,)."""
         return replace(
             self,
             frequency=self.frequency[keep],
@@ -92,10 +92,10 @@ class RunSpectrum:
 class StaticPoints:
     """Load points of one static run: m rows of c channels [V] and the six loads [N, N m], in the order of loading.
 
-    `covariance` (c, c) is the noise of a row's `channels - C0 loads` (so it holds the load readings' noise too),
-    measured from second differences along the loading sequence and not from the residual of a fit.
-    `share` (c,): the weight of each channel among those of its spring, where forces are to be told from them.
-    `noise_parts`, with a share (m,) for each row: what makes it up, where rows are not alike.
+    `covariance` (c, c) is the noise of `channels - C0 loads` in a row, that of the load readings included; it is
+    estimated from second differences along the load series and not from the residual of a fit.
+    `share` (c,) is the weight of each channel among those of its spring, where forces are computed from them.
+    `noise_parts`, with a share (m,) for each row, are its components, where the rows differ in noise.
     """
 
     run: str
@@ -115,7 +115,8 @@ class FrequencyResponse:
 
     `response` (k, c, u) [V/N, V/(N m)]. Its covariance is separable: cov(vec) = `load_covariance` (k, u, u) kron
     `channel_covariance` (k, c, c), so that var(response[:, i, j]) = channel_covariance[:, i, i] *
-    load_covariance[:, j, j]. `coherence` (k, c, u) is ordinary (one input alone), `multiple_coherence` (k, c) of all.
+    load_covariance[:, j, j]. `coherence` (k, c, u) is the ordinary coherence, with one input; `multiple_coherence`
+    (k, c) is that with all inputs.
     """
 
     run: str

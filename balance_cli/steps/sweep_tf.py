@@ -1,7 +1,7 @@
 """Frequency responses of the sweeps of a campaign, with their covariance.
 
-Which estimator: periodic records need none but the ratio of their lines; others get a local rational model, which does
-not leak. H1, H2, Hv and the local polynomial method are there for comparison.
+For a periodic record the ratio of its lines is the response. For other records the default is a local rational model,
+which is free of leakage. H1, H2, Hv and the local polynomial method are available for comparison.
 """
 
 from __future__ import annotations
@@ -17,72 +17,75 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.signals.local.response import local_response
 from balance_cli.signals.periodic import PeriodicRecord, has_whole_periods, periodic_record
-from balance_cli.signals.response.averaged_spectra import ESTIMATORS as AVERAGED
 from balance_cli.signals.response.averaged_spectra import averaged_response
+from balance_cli.signals.response.choices import AUTO, AVERAGED_ESTIMATORS, ESTIMATORS, LOCAL_RATIONAL, PERIODIC
 from balance_cli.signals.response.periodic_response import joint_response, response_from_one_run
 from balance_cli.signals.response.transfer import SteadyPart, Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
-ESTIMATORS = ("auto", "periodic", "lrm", "lpm", *AVERAGED)
+__all__ = ["ESTIMATORS", "estimate_responses"]
 
 
 def estimate_responses(
-    runs: Iterable[Run], geometry: Geometry, estimator: str = "auto", band: tuple[float, float] = (0.0, np.inf)
+    runs: Iterable[Run], geometry: Geometry, estimator: str = AUTO, band: tuple[float, float] = (0.0, np.inf)
 ) -> Transfer:
-    """Responses of all sweeps among the runs by one of ESTIMATORS, at their lines within `band` [Hz].
+    """Estimate the responses of all sweeps among the runs, at their lines within `band` [Hz].
 
-    UserError: no sweep at all, a sweep with no live channel, or one that the estimator cannot use.
+    `estimator` is one of ESTIMATORS. Raises UserError where no run is a sweep, and where a sweep has no live channel or
+    cannot be used by the estimator.
     """
     if not band[0] < band[1]:
-        raise UserError(f"there is nothing between {band[0]:g} and {band[1]:g} Hz", "--from, --to")
-    given = tuple(runs)
-    sweeps = [run for run in given if run.kind == "sweep"]
+        raise UserError(
+            f"the band from {band[0]:g} to {band[1]:g} Hz is empty", "--from, --to", remedy="Correct the band"
+        )
+    runs = tuple(runs)
+    sweeps = [run for run in runs if run.kind == "sweep"]
     if not sweeps:
         raise UserError("none of the runs is a sweep", remedy="Give at least one run of kind `sweep`")
     live, left_out = _live_channels_by_run(sweeps, geometry)
     periodic = [run for run in sweeps if _is_periodic(run, estimator)]
     records = [(run, periodic_record(run, live[run.name], band)) for run in periodic]
-    rest = [run for run in sweeps if run not in periodic]
+    nonperiodic = [run for run in sweeps if run not in periodic]
     return Transfer(
         geometry=geometry,
         responses=(
             *_periodic_responses(records),
-            *(_nonperiodic_response(run, live[run.name], estimator, band) for run in rest),
+            *(_nonperiodic_response(run, live[run.name], estimator, band) for run in nonperiodic),
         ),
         estimator=estimator,
         steady_parts={run.name: _steady_part(record) for run, record in records},
         channels_left_out=left_out,
-        unused_runs={run.name: f"a {run.kind} run; only sweeps are used" for run in given if run.kind != "sweep"},
+        unused_runs={run.name: f"a {run.kind} run; only sweeps are used" for run in runs if run.kind != "sweep"},
     )
 
 
 def _live_channels_by_run(
     sweeps: Sequence[Run], geometry: Geometry
 ) -> tuple[dict[str, tuple[str, ...]], dict[str, dict[str, str]]]:
-    """Live channels of every sweep, and those left out with the reason."""
+    """Live channels of every sweep, and those left out, with the reason."""
     health = {run.name: live_channels(run, geometry) for run in sweeps}
     for run in sweeps:
         if not health[run.name].live:
-            raise UserError("no channel is left", str(run.path or run.name), "channels", "Mend or leave out this run")
-    left_out = {name: each.left_out for name, each in health.items() if each.left_out}
-    return {name: each.live for name, each in health.items()}, left_out
+            raise UserError("no channel can be used", str(run.path or run.name), "channels", "Leave the run out")
+    left_out = {name: channels.left_out for name, channels in health.items() if channels.left_out}
+    return {name: channels.live for name, channels in health.items()}, left_out
 
 
 def _is_periodic(run: Run, estimator: str) -> bool:
-    """Whether the lines of whole periods are to be used."""
-    return has_whole_periods(run) if estimator == "auto" else estimator == "periodic"
+    """Whether the response of the run is taken from the lines of whole periods."""
+    return has_whole_periods(run) if estimator == AUTO else estimator == PERIODIC
 
 
 def _nonperiodic_response(
     run: Run, channel_names: tuple[str, ...], estimator: str, band: tuple[float, float]
 ) -> FrequencyResponse:
-    if estimator in AVERAGED:
+    if estimator in AVERAGED_ESTIMATORS:
         return averaged_response(run, channel_names, estimator, band)
-    return local_response(run, channel_names, "lrm" if estimator == "auto" else estimator, band)
+    return local_response(run, channel_names, LOCAL_RATIONAL if estimator == AUTO else estimator, band)
 
 
 def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[FrequencyResponse]:
-    """Runs that excite several components are solved together where there are enough of them, else one by one."""
+    """Responses of periodic runs; those that excite several components are solved together where there are enough."""
     groups: dict[tuple[object, ...], list[tuple[Run, PeriodicRecord]]] = {}
     for run, record in records:
         groups.setdefault(_group_key(run, record), []).append((run, record))
@@ -101,14 +104,14 @@ def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[F
 
 
 def _group_key(run: Run, record: PeriodicRecord) -> tuple[object, ...]:
-    """What runs must share to be solved together."""
-    lines = record.spectrum
-    level = run.level if set(run.excited) == set(lines.components) else ()
-    return (lines.components, level, lines.rotor_speed, lines.channel_names, lines.frequency.tobytes())
+    """The properties that runs must share to be solved together."""
+    spectrum = record.spectrum
+    level = run.level if set(run.excited) == set(spectrum.components) else ()
+    return (spectrum.components, level, spectrum.rotor_speed, spectrum.channel_names, spectrum.frequency.tobytes())
 
 
 def _with_levels(response: FrequencyResponse, members: Sequence[tuple[Run, PeriodicRecord]]) -> FrequencyResponse:
-    """The response with the level of each component, from the run that declares it (nan where none does)."""
+    """The response with the level of each component, from the run that declares it (NaN where none does)."""
     declared: dict[str, float] = {}
     for run, _ in members:
         declared.update(zip(run.excited, run.level, strict=False))

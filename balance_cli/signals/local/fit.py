@@ -1,13 +1,13 @@
-"""Local models of a spectrum: in a window of neighbouring lines, `Y = (B U + C) / A` with low-order polynomials.
+"""Local models of a spectrum: in a window of neighboring lines, `Y = (B U + C) / A` with low-order polynomials.
 
-B / A stands for the frequency response, C / A for the transient that leaks because the record does not repeat; all
-channels share the poles. A = 1 gives the local polynomial method (Pintelon and Schoukens, System Identification, 2nd
-ed., 2012, chapter 7), else the local rational method (McKelvey and Guerin, IFAC SYSID 2012; for several channels with
-a common denominator Voorhoeve, van der Maas and Oomen, Mech. Syst. Signal Process. 105, 2018). Here the fit is not the
-linearised one but output-error least squares: B and C are eliminated (variable projection, Golub and Pereyra 1973) and
-Gauss-Newton steps find A, so that noise does not shift the poles.
+B / A is the frequency response, C / A the transient, which leaks because the record does not repeat; all channels share
+the poles. A = 1 gives the local polynomial method (Pintelon and Schoukens, System Identification, 2nd ed., 2012,
+chapter 7), any other A the local rational method (McKelvey and Guerin, IFAC SYSID 2012; for several channels with a
+common denominator Voorhoeve, van der Maas and Oomen, Mech. Syst. Signal Process. 105, 2018). The fit is output-error
+least squares instead of the linearized problem: B and C are eliminated (variable projection, Golub and Pereyra 1973),
+and Gauss-Newton steps find A, so that noise does not bias the poles.
 
-Arrays carry the windows first: W windows of M lines, c channels, u inputs, q linear coefficients.
+The first axis of arrays is that of the windows: W windows of M lines, c channels, u inputs, q linear coefficients.
 """
 
 from __future__ import annotations
@@ -22,30 +22,37 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 REFINEMENT_ITERATIONS = 10
+"""Most Gauss-Newton steps of a window; it is left earlier where a step gains less than LEAST_COST_REDUCTION."""
 RIDGE = 1e-9
+"""Relative to a column of unit norm: far above rounding, far below any noise."""
 LEAST_COST_REDUCTION = 1e-5
+"""Relative reduction of the cost below which a window has converged; a parameter of pure noise gains about 1e-3."""
 LARGEST_MARQUARDT_DAMPING = 1e3
+"""Damping over the mean curvature from which no step is tried: it would be a thousandth of a gradient step."""
+LEAST_DENOMINATOR = 1e-6
+"""Least value of A over the largest in its window, so that a pole on a line does not divide by zero."""
 _PER_WINDOW_FIELDS = ("denominator", "coefficients", "triangle", "residual")
 
 
 @dataclass(frozen=True)
 class ModelOrders:
-    """Degrees of B (the response's numerator), C (the transient's numerator) and A (the common denominator)."""
+    """Degrees of B (numerator of the response), C (numerator of the transient) and A (common denominator)."""
 
     response: int
     transient: int
     denominator: int
 
     def coefficients(self, inputs: int) -> int:
-        """Linear coefficients q of one channel; `transient` is -1 where there is none."""
+        """Return the number q of linear coefficients of a channel; `transient` is -1 where there is none."""
         return inputs * (self.response + 1) + self.transient + 1
 
 
 @dataclass(frozen=True)
 class LocalFit:
-    """Fitted windows: denominator (W, na+1) in Legendre polynomials of r, coefficients (W, q, c), triangle (W, q, q)
+    """Fitted windows.
 
-    with inverse Gram matrix of the coefficients triangle^-1 triangle^-*, residual (W, M, c), weighted.
+    `denominator` is (W, na+1) in Legendre polynomials of r, `coefficients` (W, q, c), `residual` (W, M, c), weighted.
+    With `triangle` (W, q, q) the inverse Gram matrix of the coefficients is triangle^-1 triangle^-*.
     """
 
     orders: ModelOrders
@@ -57,19 +64,20 @@ class LocalFit:
 
     @property
     def cost(self) -> Array:
-        """Sum of squared residuals (W,)."""
+        """Sum of squared residuals (W,) of each window."""
         return np.asarray(np.sum(np.abs(self.residual) ** 2, axis=(1, 2)))
 
     def subset(self, windows: NDArray[np.intp]) -> LocalFit:
-        """Some of the windows."""
+        """Return the selected windows."""
         return replace(self, **{name: getattr(self, name)[windows] for name in _PER_WINDOW_FIELDS})
 
 
 @dataclass(frozen=True)
 class WindowedData:
-    """What is fitted: outputs Y (W, M, c) scaled to like noise, inputs U (W, M, u), weight (W, M) of each line, and
+    """Data of the windows.
 
-    its place r (W, M) in the window, -1 to 1.
+    Outputs Y (W, M, c) are scaled to equal noise; U (W, M, u) are the inputs, `weight` (W, M) is that of each line, and
+    r (W, M) its position in the window, from -1 to 1.
     """
 
     Y: ComplexArray
@@ -78,7 +86,7 @@ class WindowedData:
     r: Array
 
     def subset(self, windows: NDArray[np.intp]) -> WindowedData:
-        """Some of the windows."""
+        """Return the selected windows."""
         return WindowedData(self.Y[windows], self.U[windows], self.weight[windows], self.r[windows])
 
 
@@ -94,7 +102,7 @@ class _WindowProblem:
     P: Array
 
     def subset(self, windows: NDArray[np.intp]) -> _WindowProblem:
-        """Some of the windows."""
+        """Return the selected windows."""
         return replace(self, **{name: getattr(self, name)[windows] for name in ("Y", "columns", "weight", "P")})
 
 
@@ -120,7 +128,7 @@ def _regressor_columns(U: ComplexArray, P: Array, orders: ModelOrders) -> Comple
 
 
 def _orthonormal_basis(columns: ComplexArray, factor: ComplexArray) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Thin QR of the scaled columns: basis (W, M, q), triangle, scale (W, q); a ridge guards inputs that are absent."""
+    """Thin QR of the scaled columns: basis (W, M, q), triangle, scale (W, q); the ridge is for absent inputs."""
     X = columns * factor[:, :, None]
     scale = np.maximum(np.linalg.norm(X, axis=1), 1e-300)
     W, M, q = X.shape
@@ -150,7 +158,7 @@ def _linear_fit(problem: _WindowProblem, a: ComplexArray) -> LocalFit:
 
 
 def _levy_denominator(problem: _WindowProblem) -> ComplexArray:
-    """Denominator of unit norm (W, na+1) that minimises A Y - B U - C (Levy), twice more with weight 1/A."""
+    """Denominator of unit norm (W, na+1) that minimizes A Y - B U - C (Levy), then twice with the weight 1/A."""
     inverse = np.ones(problem.weight.shape, complex)
     for _ in range(3):
         Q, _, _ = _orthonormal_basis(problem.columns, np.asarray(problem.weight * inverse, complex))
@@ -161,7 +169,7 @@ def _levy_denominator(problem: _WindowProblem) -> ComplexArray:
 
 
 def _bound_from_zero(A: ComplexArray) -> ComplexArray:
-    floor = 1e-6 * np.max(np.abs(A), axis=1, keepdims=True)
+    floor = LEAST_DENOMINATOR * np.max(np.abs(A), axis=1, keepdims=True)
     return np.where(np.abs(A) < floor, floor, A)
 
 
@@ -183,14 +191,14 @@ def _gram_matrices(X: ComplexArray) -> ComplexArray:
 
 
 def _refine_denominator(problem: _WindowProblem, a: ComplexArray) -> LocalFit:
-    """Gauss-Newton steps for the denominator, damped window by window (Levenberg-Marquardt), until none gains."""
+    """Refine the denominator by damped Gauss-Newton steps (Levenberg-Marquardt) until no window improves."""
     fit = _linear_fit(problem, a)
     damping = np.full(len(a), 1e-6)
     active = np.arange(len(a))
     for _ in range(REFINEMENT_ITERATIONS):
-        some, before = problem.subset(active), fit.subset(active)
-        moved = before.denominator + _marquardt_step(some, before, damping[active])
-        after = _linear_fit(some, moved / np.linalg.norm(moved, axis=1, keepdims=True))
+        active_problem, before = problem.subset(active), fit.subset(active)
+        denominator = before.denominator + _marquardt_step(active_problem, before, damping[active])
+        after = _linear_fit(active_problem, denominator / np.linalg.norm(denominator, axis=1, keepdims=True))
         better = after.cost < before.cost
         gain = 1.0 - after.cost / np.maximum(before.cost, 1e-300)
         _overwrite_windows(fit, active[better], after.subset(np.flatnonzero(better)))
@@ -202,16 +210,16 @@ def _refine_denominator(problem: _WindowProblem, a: ComplexArray) -> LocalFit:
 
 
 def _overwrite_windows(fit: LocalFit, windows: NDArray[np.intp], replacement: LocalFit) -> None:
-    """Overwrite some windows of a fit that is still being made."""
+    """Overwrite some windows of a fit that is being refined."""
     for name in _PER_WINDOW_FIELDS:
         getattr(fit, name)[windows] = getattr(replacement, name)
 
 
 def _marquardt_step(problem: _WindowProblem, fit: LocalFit, damping: Array) -> ComplexArray:
-    """Step of the denominator (W, na+1); the direction along it, a mere scale, has no slope and gets no step.
+    """Step of the denominator (W, na+1); a change of its scale has no effect, so that the step has no such part.
 
-    The slopes are -P_i m with the model m = (B U + C) / A^2, less their projection on the regressors; the residual is
-    orthogonal to these.
+    The derivatives of the model are -P_i m with m = (B U + C) / A^2, less their projection on the regressors; the
+    residual is orthogonal to the regressors.
     """
     inverse = 1.0 / _bound_from_zero(_denominator_at(problem, fit.denominator))
     Q, _, _ = _orthonormal_basis(problem.columns, np.asarray(problem.weight * inverse, complex))
@@ -219,8 +227,8 @@ def _marquardt_step(problem: _WindowProblem, fit: LocalFit, damping: Array) -> C
     P = problem.P
     power = np.sum(np.abs(model) ** 2, axis=2)
     explained = [(_adjoint(Q) @ (model * P[:, :, i, None])).reshape(len(model), -1) for i in range(P.shape[2])]
-    through = np.stack(explained, axis=2)
-    H = P.swapaxes(1, 2) @ (P * power[:, :, None]) - _adjoint(through) @ through
+    projection = np.stack(explained, axis=2)
+    H = P.swapaxes(1, 2) @ (P * power[:, :, None]) - _adjoint(projection) @ projection
     g = -P.swapaxes(1, 2) @ np.sum(model.conj() * fit.residual, axis=2)[:, :, None]
     size = P.shape[2]
     mean = np.trace(H, axis1=1, axis2=2).real / size + 1e-300

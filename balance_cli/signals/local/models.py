@@ -106,7 +106,7 @@ def record_spectrum(
         raise run_error(run, "the record is too short (or its loads too narrow in frequency)", "Record more")
     if np.median(load_independence(local_power(Z[excited, c:]))) < LEAST_INDEPENDENCE:
         raise run_error(
-            run, "the loads excited at once are in proportion to each other", "Excite with other phases", "loads"
+            run, "the loads excited at once are proportional to each other", "Excite with different phases", "loads"
         )
     reach = RATIONAL_LINES // 2
     kept = slice(max(int(np.argmax(excited)) - reach, 0), len(Z) - int(np.argmax(excited[::-1])) + reach)

@@ -1,4 +1,4 @@
-"""Frequency responses from any record, without leakage, by local polynomial or local rational models."""
+"""Frequency responses of any record by local polynomial or local rational models, which are free of leakage."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ ComplexArray = NDArray[np.complex128]
 def local_response(
     run: Run, channel_names: Sequence[str], estimator: str = "lrm", band: tuple[float, float] = (0.0, np.inf)
 ) -> FrequencyResponse:
-    """Frequency response of one run at its own lines within `band` [Hz], by `lrm` or `lpm`.
+    """Estimate the frequency response of one run at its own lines within `band` [Hz], by `lrm` or `lpm`.
 
-    Several components excited at once are told apart where their spectra differ. UserError: no loads, record too short.
+    Components that are excited at once are separated where their spectra differ. Raises UserError where the run has no
+    loads, or its record is too short.
     """
     models = fit_local_models(record_spectrum(run, channel_names, band), estimator)
     return response_from_models(models, estimator)
 
 
 def response_from_models(models: LocalModels, estimator: str) -> FrequencyResponse:
-    """Response with separable covariance and coherences, at the excited lines, in volts per newton."""
+    """Return the response of fitted models with separable covariance and coherences, at the excited lines [V/N]."""
     s = models.spectrum
     kept = decimate_lines(s.excited)
     channel_covariance, load_covariance = _response_covariance(models, kept)
@@ -54,38 +55,40 @@ def response_from_models(models: LocalModels, estimator: str) -> FrequencyRespon
 
 
 def _response_covariance(models: LocalModels, kept: NDArray[np.intp]) -> tuple[ComplexArray, ComplexArray]:
-    """Channels' (k, c, c) and loads' (k, u, u) factor of the response's covariance at the lines `kept` (k,).
+    """Factors (k, c, c) of the channels and (k, u, u) of the loads of the covariance at the lines `kept` (k,).
 
-    The response at a line is a weighted sum over its window's outputs; so is its covariance, over their noise, and
-    the uncertainty of the poles adds its part. With several inputs the weights differ from input to input: the
-    channels' factor takes their mean, as if they did not.
+    The response at a line is a weighted sum over the outputs of its window. Its covariance is the same sum over their
+    noise, plus the contribution of the uncertainty of the poles. With several inputs the weights differ from input to
+    input; the factor of the channels uses their mean.
     """
     c, u = models.response.shape[1:]
     channels, loads = np.zeros((len(kept), c, c), complex), np.zeros((len(kept), u, u), complex)
     for w, fit in enumerate(models.fit):
         start = models.first[w]
-        mine = slice(*np.searchsorted(kept, models.assigned_lines[w]))
-        r = fit.r[kept[mine] - start]
+        assigned = slice(*np.searchsorted(kept, models.assigned_lines[w]))
+        r = fit.r[kept[assigned] - start]
         noise = models.noise.equation_error_covariance(models.response, slice(start, start + len(fit.r)))
         weights = response_rows(fit, r) @ design_pseudoinverse(fit)
-        loads[mine] = weights @ weights.conj().swapaxes(1, 2)
-        precision = np.linalg.inv(loads[mine])
+        loads[assigned] = weights @ weights.conj().swapaxes(1, 2)
+        precision = np.linalg.inv(loads[assigned])
         share = np.einsum("kum,kuv,kvm->km", weights.conj(), precision, weights, optimize=True).real / u
-        channels[mine] = np.tensordot(share, noise, axes=1)
+        channels[assigned] = np.tensordot(share, noise, axes=1)
         if fit.orders.denominator:
             shift = pole_uncertainty(fit, r, noise)
-            channels[mine] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
+            channels[assigned] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
     return channels, loads
 
 
 def coherences(response: ComplexArray, noise: ComplexArray, power: ComplexArray) -> tuple[Array, Array]:
-    """Ordinary (K, c, u) and multiple (K, c) coherence for a response G, loads' power S and noise of `Y - G U`.
+    """Return the ordinary (K, c, u) and multiple (K, c) coherence.
 
-    Multiple: G S G* over G S G* plus noise. Ordinary: |S_yu|^2 / (S_yy S_uu), S_yu = G S (Bendat and Piersol).
+    `response` G is (K, c, u), `noise` (K, c, c) that of `Y - G U`, `power` S (K, u, u) that of the loads. The multiple
+    coherence is G S G* over G S G* plus noise, the ordinary one |S_yu|^2 / (S_yy S_uu) with S_yu = G S (Bendat and
+    Piersol, Random Data, 4th ed., 2010).
     """
     cross = response @ power
     signal = np.einsum("kcu,kcu->kc", cross, response.conj()).real
     total = signal + np.diagonal(noise, axis1=1, axis2=2).real
-    own = np.diagonal(power, axis1=1, axis2=2).real
-    ordinary = np.abs(cross) ** 2 / np.maximum(total[:, :, None] * own[:, None, :], 1e-300)
+    load_power = np.diagonal(power, axis1=1, axis2=2).real
+    ordinary = np.abs(cross) ** 2 / np.maximum(total[:, :, None] * load_power[:, None, :], 1e-300)
     return np.clip(ordinary, 0.0, 1.0), np.clip(signal / np.maximum(total, 1e-300), 0.0, 1.0)

@@ -1,6 +1,6 @@
-"""One fitted window of a local model: what it says at a place r in [-1, 1], and how that rests on the window's outputs.
+"""One fitted window of a local model: its response at a position r in [-1, 1] as a linear function of its outputs.
 
-M lines, c channels, u inputs, q linear coefficients a channel, as in `local_fit`.
+M lines, c channels, u inputs, q linear coefficients for each channel, as in `signals.local.fit`.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class WindowFit:
-    """Inputs U (M, u), weight (M,) and places r (M,) of the lines; denominator (na+1,), coefficients (q, c) and the
+    """Data and fit of one window.
 
-    triangle (q, q) of their Gram matrix; residual (M, c), not weighted.
+    Of the lines: inputs U (M, u), `weight` (M,), positions r (M,). Of the fit: `denominator` (na+1,), `coefficients`
+    (q, c), the `triangle` (q, q) of their Gram matrix, and the `residual` (M, c), not weighted.
     """
 
     orders: ModelOrders
@@ -35,7 +36,7 @@ class WindowFit:
 
 
 def split_windows(fit: LocalFit, windows: WindowedData) -> tuple[WindowFit, ...]:
-    """The windows of a fit, one by one."""
+    """Return the windows of a fit one by one."""
     return tuple(
         WindowFit(
             orders=fit.orders,
@@ -52,12 +53,12 @@ def split_windows(fit: LocalFit, windows: WindowedData) -> tuple[WindowFit, ...]
 
 
 def denominator_at(fit: WindowFit, r: Array) -> ComplexArray:
-    """A at the places r."""
+    """Return the denominator A at the positions r."""
     return np.asarray(legendre.legval(r, fit.denominator), complex)
 
 
 def response_rows(fit: WindowFit, r: Array) -> ComplexArray:
-    """Rows (len(r), u, q) that take the coefficients to the response at the places r."""
+    """Return rows (len(r), u, q) that map the coefficients to the response at the positions r."""
     u, size = fit.U.shape[1], fit.orders.response + 1
     basis = legendre.legvander(r, fit.orders.response) / denominator_at(fit, r)[:, None]
     rows = np.zeros((len(r), u, fit.orders.coefficients(u)), complex)
@@ -67,20 +68,21 @@ def response_rows(fit: WindowFit, r: Array) -> ComplexArray:
 
 
 def derivative_rows(fit: WindowFit, r: Array) -> ComplexArray:
-    """Rows (len(r), u, q) that take the coefficients to the derivative of the response with r."""
+    """Return rows (len(r), u, q) that map the coefficients to the derivative of the response with respect to r."""
     u, size = fit.U.shape[1], fit.orders.response + 1
     A = denominator_at(fit, r)[:, None]
-    slope = np.asarray(legendre.legval(r, legendre.legder(fit.denominator)))[:, None]
+    denominator_derivative = np.asarray(legendre.legval(r, legendre.legder(fit.denominator)))[:, None]
     value = legendre.legvander(r, size - 1)
-    rise = np.asarray(legendre.legval(r, legendre.legder(np.eye(size)))).T
+    derivative = np.asarray(legendre.legval(r, legendre.legder(np.eye(size)))).T
+    basis = derivative / A - value * denominator_derivative / A**2
     rows = np.zeros((len(r), u, fit.orders.coefficients(u)), complex)
     for j in range(u):
-        rows[:, j, j * size : (j + 1) * size] = rise / A - value * slope / A**2
+        rows[:, j, j * size : (j + 1) * size] = basis
     return rows
 
 
 def transient_rows(fit: WindowFit, r: Array) -> ComplexArray:
-    """Rows (len(r), q) that take the coefficients to the transient at the places r."""
+    """Return rows (len(r), q) that map the coefficients to the transient at the positions r."""
     u, size = fit.U.shape[1], fit.orders.transient + 1
     rows = np.zeros((len(r), fit.orders.coefficients(u)), complex)
     if size:
@@ -89,44 +91,47 @@ def transient_rows(fit: WindowFit, r: Array) -> ComplexArray:
 
 
 def design_matrix(fit: WindowFit) -> ComplexArray:
-    """Regressors (M, q) at the window's lines."""
-    driven = np.sum(fit.U[:, :, None] * response_rows(fit, fit.r), axis=1)
-    return np.asarray(driven + transient_rows(fit, fit.r))
+    """Return the regressors (M, q) at the lines of the window."""
+    forced = np.sum(fit.U[:, :, None] * response_rows(fit, fit.r), axis=1)
+    return np.asarray(forced + transient_rows(fit, fit.r))
 
 
 def design_pseudoinverse(fit: WindowFit) -> ComplexArray:
-    """Matrix (q, M) that takes the window's outputs to its linear coefficients."""
+    """Return the matrix (q, M) that maps the outputs of the window to its linear coefficients."""
     X = design_matrix(fit) * fit.weight[:, None] ** 2
     return np.asarray(np.linalg.solve(fit.triangle, np.linalg.solve(fit.triangle.conj().T, X.conj().T)))
 
 
 def poles(fit: WindowFit) -> ComplexArray:
-    """Poles, as places r in the complex plane."""
+    """Return the poles, as complex positions r."""
     if fit.orders.denominator == 0:
         return np.zeros(0, complex)
     return np.asarray(np.roots(legendre.leg2poly(fit.denominator)[::-1]), complex)
 
 
 def pole_uncertainty(fit: WindowFit, r: Array, noise: ComplexArray) -> ComplexArray:
-    """Response's standard deviations (len(r), c, u, na+1) by the uncertainty of the denominator a; noise (M, c, c).
+    """Return the standard deviations (len(r), c, u, na+1) of the response by the uncertainty of the denominator a.
 
-    They are the columns of dG/da cov(a)^(1/2), where the other coefficients follow a.
+    `noise` is (M, c, c). The result holds the columns of dG/da cov(a)^(1/2), where the linear coefficients are
+    functions of a.
     """
     model = design_matrix(fit) @ fit.coefficients
-    slopes = -_log_derivative(fit, fit.r)[:, None, :] * model[:, :, None]
-    followed = np.tensordot(design_pseudoinverse(fit), slopes, axes=1)
-    seen = (slopes - np.tensordot(design_matrix(fit), followed, axes=1)) * (fit.weight**2)[:, None, None]
-    flat = (seen / fit.weight[:, None, None]).reshape(-1, seen.shape[2])
-    step = np.linalg.pinv(flat.conj().T @ flat, rcond=1e-10, hermitian=True)
-    spread = np.einsum("mca,mcb->ab", seen.conj(), np.matmul(noise, seen))
-    value, vector = np.linalg.eigh(step @ spread @ step)
+    derivatives = -_log_derivative(fit, fit.r)[:, None, :] * model[:, :, None]
+    coefficient_changes = np.tensordot(design_pseudoinverse(fit), derivatives, axes=1)
+    projected = (derivatives - np.tensordot(design_matrix(fit), coefficient_changes, axes=1)) * (fit.weight**2)[
+        :, None, None
+    ]
+    flat = (projected / fit.weight[:, None, None]).reshape(-1, projected.shape[2])
+    inverse = np.linalg.pinv(flat.conj().T @ flat, rcond=1e-10, hermitian=True)
+    spread = np.einsum("mca,mcb->ab", projected.conj(), np.matmul(noise, projected))
+    value, vector = np.linalg.eigh(inverse @ spread @ inverse)
     rows = response_rows(fit, r)
     response = (rows @ fit.coefficients).swapaxes(1, 2)
     direct = -response[:, :, :, None] * _log_derivative(fit, r)[:, None, None, :]
-    through = np.einsum("kuq,qca->kcua", rows, followed)
-    return np.asarray((direct - through) @ (vector * np.sqrt(np.maximum(value, 0.0))))
+    indirect = np.einsum("kuq,qca->kcua", rows, coefficient_changes)
+    return np.asarray((direct - indirect) @ (vector * np.sqrt(np.maximum(value, 0.0))))
 
 
 def _log_derivative(fit: WindowFit, r: Array) -> ComplexArray:
-    """Change (len(r), na+1) of ln A with each of its coefficients."""
+    """Derivatives (len(r), na+1) of ln A with respect to its coefficients."""
     return np.asarray(legendre.legvander(r, fit.orders.denominator) / denominator_at(fit, r)[:, None])

@@ -1,8 +1,8 @@
-"""A measured response between its lines.
+"""Interpolation of a measured response between its lines.
 
-METHODS: `local` fits a rational function with poles common to all channels through the neighbouring lines, weighted
-with their covariance; `spline` is the cubic spline through the lines; `first-order` is T + dT/df (f - f0) from the
-nearest line, as the paper has it (section 4), with the derivative from its two neighbours; `nearest` is that line.
+`local` fits a rational function with poles common to all channels to the neighboring lines, weighted with their
+covariance; `spline` is the cubic spline through the lines; `first-order` is T + dT/df (f - f0) from the nearest line,
+as in the paper (section 4), with the derivative from its two neighbors; `nearest` is the nearest line.
 """
 
 from __future__ import annotations
@@ -31,17 +31,20 @@ Index = NDArray[np.intp]
 
 INTERPOLATION_METHODS = ("local", "spline", "first-order", "nearest")
 LOCAL_LINES = 11
+"""Lines to which a local model is fitted: enough for a mode and its surroundings, and few enough for low orders."""
 SPLINE_LINES = 12
+"""Lines of a spline: the weight of a line falls by 2 - sqrt(3) from one to the next, to 4e-4 after six."""
 INTERPOLATION_ORDERS = tuple(ModelOrders(degree, -1, poles) for degree in (1, 2, 3) for poles in (0, 1, 2, 3))
 LEAST_RELATIVE_SIGMA = 1e-9
+"""Least standard deviation over amplitude; a computed response has none."""
 
 
 @dataclass(frozen=True)
 class InterpolatedResponse:
-    """Response at h frequencies: value (h, c, u), derivative (h, c, u) per Hz, and the covariance of the value,
+    """Response at h frequencies: value (h, c, u), derivative (h, c, u) per Hz, and covariance of the value.
 
-    separable as in `FrequencyResponse`: channel_covariance (h, c, c), load_covariance (h, u, u). Without h for one
-    frequency.
+    The covariance is separable as in `FrequencyResponse`: channel_covariance (h, c, c), load_covariance (h, u, u). For
+    a single frequency the arrays have no axis h.
     """
 
     value: ComplexArray
@@ -52,9 +55,10 @@ class InterpolatedResponse:
 
 @dataclass(frozen=True)
 class _LineWeights:
-    """The response as a weighted sum of lines: index (M,), weights of value and derivative (M,), and what the poles'
+    """The response as a weighted sum of lines.
 
-    uncertainty adds: standard deviations (c, u, s).
+    `index` (M,) are the lines, `value` and `derivative` (M,) their weights, `spread` (c, u, s) the standard deviations
+    that the uncertainty of the poles adds.
     """
 
     index: Index
@@ -66,19 +70,22 @@ class _LineWeights:
 def interpolate_response(
     response: FrequencyResponse, frequency: float | Array, method: str = "local"
 ) -> InterpolatedResponse:
-    """The response at `frequency` [Hz], a number or (h,), by one of METHODS. UserError outside the measured lines."""
+    """Interpolate the response at `frequency` [Hz], a number or (h,), by one of INTERPOLATION_METHODS.
+
+    Raises UserError outside the measured lines.
+    """
     query_frequency = np.atleast_1d(np.asarray(frequency, float))
     _check_frequency_range(response, query_frequency)
     weights = _WEIGHT_FUNCTIONS[method](response, query_frequency)
-    each = [_apply_weights(response, one) for one in weights]
-    arrays = [np.stack(parts) for parts in zip(*each, strict=True)]
+    results = [_apply_weights(response, line_weights) for line_weights in weights]
+    arrays = [np.stack(parts) for parts in zip(*results, strict=True)]
     return InterpolatedResponse(*arrays) if np.ndim(frequency) else InterpolatedResponse(*(part[0] for part in arrays))
 
 
 def interpolate_values(response: FrequencyResponse, frequency: Array, method: str = "local") -> ComplexArray:
-    """The response (h, c, u) alone at many frequencies (h,) [Hz], by one of METHODS; see `interpolate_response`.
+    """Interpolate the value (h, c, u) of the response, without covariance, at many frequencies (h,) [Hz].
 
-    A local model is fitted once between each two lines and serves all frequencies there.
+    As `interpolate_response`, but one local model is fitted between each two lines and used for all frequencies there.
     """
     query_frequency = np.asarray(frequency, float)
     if method != "local" or len(response.frequency) < 5:
@@ -91,9 +98,11 @@ def interpolate_values(response: FrequencyResponse, frequency: Array, method: st
     fits, half, _ = _best_window_fits(response, windows_of, center)
     values = np.empty((len(query_frequency), *response.response.shape[1:]), complex)
     for g, fit in enumerate(fits):
-        mine = np.flatnonzero(gap == g)
-        weights = (response_rows(fit, (query_frequency[mine] - center[g]) / half[g]) @ design_pseudoinverse(fit))[:, 0]
-        values[mine] = np.tensordot(weights, response.response[windows_of[g]], axes=1)
+        members = np.flatnonzero(gap == g)
+        weights = (response_rows(fit, (query_frequency[members] - center[g]) / half[g]) @ design_pseudoinverse(fit))[
+            :, 0
+        ]
+        values[members] = np.tensordot(weights, response.response[windows_of[g]], axes=1)
     return values
 
 
@@ -106,12 +115,12 @@ def _check_frequency_range(response: FrequencyResponse, query_frequency: Array) 
             f"the response to {', '.join(response.components)} was measured from {lines[0]:g} to {lines[-1]:g} Hz, "
             f"not at {outside[0]:g} Hz",
             f"run {response.run}",
-            remedy="Sweep further, or ask for fewer harmonics",
+            remedy="Extend the sweep, or request fewer harmonics",
         )
 
 
 def _neighboring_lines(response: FrequencyResponse, query_frequency: Array, count: int) -> Index:
-    """The `count` lines (h, count) around each frequency; at the ends of the band those at the end."""
+    """The `count` lines (h, count) around each frequency; at the ends of the band the outermost lines."""
     K = len(response.frequency)
     count = min(count, K)
     above = np.searchsorted(response.frequency, query_frequency)
@@ -140,9 +149,10 @@ def _first_order_weights(response: FrequencyResponse, query_frequency: Array) ->
     result = []
     for k, f in zip(_nearest_line(response, query_frequency), query_frequency, strict=True):
         index = np.clip(k - 1, 0, max(K - 3, 0)) + np.arange(min(3, K))
-        here = np.asarray(index == k, float)
-        slope = _lagrange_derivative(response.frequency[index], response.frequency[k])
-        result.append(_weights_without_spread(response, index, here + (f - response.frequency[k]) * slope, slope))
+        at_line = np.asarray(index == k, float)
+        derivative = _lagrange_derivative(response.frequency[index], response.frequency[k])
+        value = at_line + (f - response.frequency[k]) * derivative
+        result.append(_weights_without_spread(response, index, value, derivative))
     return result
 
 
@@ -159,13 +169,13 @@ def _spline_weights(response: FrequencyResponse, query_frequency: Array) -> list
     for index, f in zip(_neighboring_lines(response, query_frequency, SPLINE_LINES), query_frequency, strict=True):
         degree = min(3, len(index) - 1)
         spline = make_interp_spline(response.frequency[index], np.eye(len(index)), k=degree)
-        slope = spline.derivative()(f) if degree else np.zeros(1)
-        result.append(_weights_without_spread(response, index, np.asarray(spline(f)), np.asarray(slope)))
+        derivative = spline.derivative()(f) if degree else np.zeros(1)
+        result.append(_weights_without_spread(response, index, np.asarray(spline(f)), np.asarray(derivative)))
     return result
 
 
 def _local_model_weights(response: FrequencyResponse, query_frequency: Array) -> list[_LineWeights]:
-    """Rational functions, their orders chosen by Akaike's criterion with the known noise: V + 2 p."""
+    """Rational functions, with orders selected by Akaike's criterion for known noise, V + 2 p."""
     index = _neighboring_lines(response, query_frequency, LOCAL_LINES)
     if index.shape[1] < 5:
         return _spline_weights(response, query_frequency)
@@ -174,7 +184,7 @@ def _local_model_weights(response: FrequencyResponse, query_frequency: Array) ->
 
 
 def _best_window_fits(response: FrequencyResponse, index: Index, center: Array) -> tuple[list[WindowFit], Array, Array]:
-    """The best local model of each window (h, M) of lines about its `centre` (h,) [Hz]; half-widths; sigma (h, c u)."""
+    """The best local model of each window (h, M) of lines about its `center` (h,) [Hz]; half-widths; sigma (h, c u)."""
     offset = response.frequency[index] - center[:, None]
     half = np.max(np.abs(offset), axis=1)
     windows, sigma = _response_windows(response, index, offset / half[:, None])
@@ -183,12 +193,12 @@ def _best_window_fits(response: FrequencyResponse, index: Index, center: Array) 
     ]
     fits = [fit_windows(windows, orders) for orders in candidates]
     best = np.argmin([_akaike_criterion(windows, fit) for fit in fits], axis=0)
-    each = [split_windows(fit, windows) for fit in fits]
-    return [each[best[h]][h] for h in range(len(center))], half, sigma
+    window_fits = [split_windows(fit, windows) for fit in fits]
+    return [window_fits[best[h]][h] for h in range(len(center))], half, sigma
 
 
 def _response_windows(response: FrequencyResponse, index: Index, r: Array) -> tuple[WindowedData, Array]:
-    """Every channel and component as an output (h, M, c u) in units of its own noise (h, c u), of a unit input."""
+    """Data of the windows: every channel and component as an output (h, M, c u) of a unit input, scaled by sigma."""
     c, u = response.response.shape[1:]
     values = response.response[index].reshape(*index.shape, c * u)
     channels = np.diagonal(response.channel_covariance, axis1=1, axis2=2).real
@@ -209,7 +219,7 @@ def _akaike_criterion(windows: WindowedData, fit: LocalFit) -> Array:
 def _window_weights(
     response: FrequencyResponse, index: Index, fit: WindowFit, half: float, sigma: Array
 ) -> _LineWeights:
-    """Weights at the middle of the window, and the spread by its poles."""
+    """Weights at the middle of the window, and the spread from its poles."""
     c, u = response.response.shape[1:]
     middle = np.zeros(1)
     S = design_pseudoinverse(fit)
@@ -223,7 +233,7 @@ def _window_weights(
 
 
 def _apply_weights(response: FrequencyResponse, weights: _LineWeights) -> tuple[ComplexArray, ...]:
-    """Value, derivative, and the two factors of the covariance, the loads' from the line that weighs most."""
+    """Value, derivative, and the factors of the covariance; that of the loads is from the line of largest weight."""
     lines = response.response[weights.index]
     value = np.tensordot(weights.value, lines, axes=1)
     derivative = np.tensordot(weights.derivative, lines, axes=1)
@@ -231,17 +241,18 @@ def _apply_weights(response: FrequencyResponse, weights: _LineWeights) -> tuple[
     loads = response.load_covariance[main]
     precision = np.linalg.inv(loads)
     u = len(loads)
-    relative = np.einsum("kuv,vu->k", response.load_covariance[weights.index], precision).real / u
-    share = _covariance_shares(response, weights.value) * relative
+    load_ratio = np.einsum("kuv,vu->k", response.load_covariance[weights.index], precision).real / u
+    share = _covariance_shares(response, weights.value) * load_ratio
     channels = np.tensordot(share, response.channel_covariance[weights.index], axes=1)
     spread = np.einsum("cua,uv,dva->cd", weights.spread, precision, weights.spread.conj()) / u
     return value, derivative, channels + spread, loads
 
 
 def _covariance_shares(response: FrequencyResponse, weights: ComplexArray) -> Array:
-    """How each line's covariance counts: lines of periodic records are independent, those of windows that slide or
+    """Weights of the covariances of the lines.
 
-    overlap share their noise, so that averaging over them gains nothing.
+    Lines of periodic records are independent. Lines of windows that slide or overlap share their noise, so that an
+    average over them has no less.
     """
     size = np.abs(weights)
     return size**2 if response.estimator.startswith("periodic") else size / size.sum()

@@ -1,8 +1,8 @@
-"""Frequency responses from the lines of periodic records: no leakage, no local model where one can do without.
+"""Frequency responses from the lines of periodic records, free of leakage.
 
-One component excited: the ratio, line by line. Several at once: from as many runs with other phases, line by line
-(Pintelon and Schoukens, System Identification, 2nd ed., section 2.7); from one run alone, by local rational models
-across its lines, which tell the components apart by their phases at neighbouring lines.
+With one component excited the response is the ratio, line by line. With several at once it is found line by line from
+as many runs with different phases (Pintelon and Schoukens, System Identification, 2nd ed., section 2.7), or from one
+run by local rational models across its lines, which separate the components by their phases at neighboring lines.
 """
 
 from __future__ import annotations
@@ -26,68 +26,71 @@ ComplexArray = NDArray[np.complex128]
 
 LINE_MODEL_ORDERS = tuple(ModelOrders(degree, -1, poles) for degree in (1, 2) for poles in (0, 1, 2, 3))
 FEWEST_WINDOW_LINES = 21
+"""Lines in a window: more than three for each of the six parameters of the largest model with one input."""
 LARGEST_LOAD_CONDITION = 1e3
+"""Condition number of the loads of several runs, from which their noise is amplified a thousandfold."""
 
 
 def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
-    """Response from R periodic runs with the same lines and u <= R components, Y = T U over the runs at every line.
+    """Estimate the response from R periodic runs with the same lines and u <= R components.
 
-    Runs are weighed alike; the noise of the channels is the mean over the runs. UserError where the runs do not tell
-    the components apart (their loads are in proportion to each other).
+    At every line it solves Y = T U over the runs, which have equal weights; the noise of the channels is the mean over
+    the runs. Raises UserError where the loads of the runs are proportional to each other.
     """
-    lines = [record.spectrum for record in records]
-    U = np.stack([each.loads for each in lines], axis=2)
-    Y = np.stack([each.channels for each in lines], axis=2)
+    spectra = [record.spectrum for record in records]
+    first = spectra[0]
+    U = np.stack([spectrum.loads for spectrum in spectra], axis=2)
+    Y = np.stack([spectrum.channels for spectrum in spectra], axis=2)
     size = np.sqrt(np.mean(np.abs(U) ** 2, axis=(0, 2)))
     if np.median(np.linalg.cond(U / size[:, None])) > LARGEST_LOAD_CONDITION:
         raise UserError(
-            f"{', '.join(lines[0].components)} were excited in proportion to each other",
-            f"run {lines[0].run}",
-            remedy="Record as many runs with other phases",
+            f"the loads {', '.join(first.components)} are proportional to each other",
+            f"run {first.run}",
+            remedy="Record as many runs as components, with different phases",
         )
     inverse = np.linalg.pinv(U)
     response = Y @ inverse
-    noise = np.mean([equation_error_noise(each, response) for each in lines], axis=0)
-    power = U @ U.conj().swapaxes(1, 2) / len(lines)
+    noise = np.mean([equation_error_noise(spectrum, response) for spectrum in spectra], axis=0)
+    power = U @ U.conj().swapaxes(1, 2) / len(spectra)
     periods = np.mean([record.periods - record.first for record in records], axis=0)
     ordinary, multiple = coherences(response, noise * periods[:, None, None], power)
     return FrequencyResponse(
-        run="+".join(each.run for each in lines),
-        channel_names=lines[0].channel_names,
-        components=lines[0].components,
+        run="+".join(spectrum.run for spectrum in spectra),
+        channel_names=first.channel_names,
+        components=first.components,
         estimator="periodic",
-        frequency=lines[0].frequency,
+        frequency=first.frequency,
         response=response,
         channel_covariance=noise,
         load_covariance=inverse.conj().swapaxes(1, 2) @ inverse,
         coherence=ordinary,
         multiple_coherence=multiple,
-        rotor_speed=lines[0].rotor_speed,
-        level=lines[0].level,
+        rotor_speed=first.rotor_speed,
+        level=first.level,
     )
 
 
 def equation_error_noise(lines: RunSpectrum, response: ComplexArray) -> ComplexArray:
-    """Covariance (k, c, c) of `Y - T U` from that of [channels, loads]."""
+    """Return the covariance (k, c, c) of `Y - T U` from that of [channels, loads]."""
     c = lines.channels.shape[1]
     S = lines.covariance
     cross = S[:, :c, c:] @ response.conj().swapaxes(1, 2)
-    through = response @ S[:, c:, c:] @ response.conj().swapaxes(1, 2)
-    return np.asarray(S[:, :c, :c] - cross - cross.conj().swapaxes(1, 2) + through)
+    load_noise = response @ S[:, c:, c:] @ response.conj().swapaxes(1, 2)
+    return np.asarray(S[:, :c, :c] - cross - cross.conj().swapaxes(1, 2) + load_noise)
 
 
 def response_from_one_run(run: Run, lines: RunSpectrum) -> FrequencyResponse:
-    """Response to several components excited at once in one periodic run, by local models over its lines.
+    """Estimate the response to several components excited at once in one periodic run, by local models over its lines.
 
-    UserError where the run has too few lines.
+    Raises UserError where the run has too few lines.
     """
     u = len(lines.components)
     M = max(FEWEST_WINDOW_LINES, 3 * max(orders.coefficients(u) for orders in LINE_MODEL_ORDERS)) | 1
     if len(lines.frequency) < M:
         raise UserError(
-            f"{len(lines.frequency)} lines cannot tell {u} components apart",
+            f"{len(lines.frequency)} lines are too few to separate {u} components",
             f"run {lines.run}",
-            remedy="Record as many runs with other phases, or excite more lines",
+            remedy="Record as many runs as components, with different phases, or excite more lines",
         )
     spectrum = _scaled_spectrum(run, lines)
     first, assigned_lines = sliding_windows(len(lines.frequency), M, max(M // 7, 1))

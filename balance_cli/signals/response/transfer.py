@@ -1,4 +1,4 @@
-"""Measured frequency responses of a rig: what `sweep-tf` leaves behind and `reduce` and the report take up."""
+"""Measured frequency responses of a rig: the result of `sweep-tf`, which `reduce` and the report read."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SteadyPart:
-    """Part of a periodic run that was used: `start` to `stop` [s] at every line; `period` [s]; `periods` in the record;
+    """Part of a periodic run that was used.
 
-    `first` and `last`: earliest and latest steady period of a line (0 is the first); `steady`: by test.
+    It is used from `start` to `stop` [s] at every line. `period` [s] is the period, of which the record has `periods`.
+    `first` and `last` are the earliest and the latest first steady period of a line (0 is the first of the record).
+    `steady` says whether a test found these periods steady.
     """
 
     start: float
@@ -38,8 +40,9 @@ class SteadyPart:
 class Transfer(ResultView):
     """Measured responses of a rig, one per run and level (or one for runs that were solved together).
 
-    `estimator` is what was asked for; each response names its own. `steady_parts` {run: part used}; `channels_left_out`
-    {run: {channel: why}}; `unused_runs` {run: why}.
+    `estimator` is the one that was requested; each response names the one that was used. `steady_parts` maps each
+    periodic run to the part that was used, `channels_left_out` {run: {channel: reason}} and `unused_runs` {run: reason}
+    say what was not used.
     """
 
     geometry: Geometry
@@ -100,22 +103,23 @@ def _response_frame(response: FrequencyResponse) -> pd.DataFrame:
 
 
 def response_to_component(transfer: Transfer, component: str, level: str = "highest") -> FrequencyResponse:
-    """The response to one component alone, of its `highest` or `lowest` level; of several, the one of least sigma.
+    """Return the response to one component at its `highest` or `lowest` level; of several, that of least sigma.
 
-    UserError where no sweep excited that component.
+    Raises UserError where no sweep excited that component.
     """
-    having = [
+    candidates = [
         select_component(response, component) for response in transfer.responses if component in response.components
     ]
-    if not having:
+    if not candidates:
         raise UserError(f"there is no measured response to {component}", remedy="Include a sweep that excites it")
-    levels = [response.level[0] for response in having]
-    wanted = max(levels) if level == "highest" else min(levels)
-    return min((r for r in having if np.isclose(r.level[0], wanted)), key=lambda r: float(np.median(relative_sigma(r))))
+    levels = [response.level[0] for response in candidates]
+    target = max(levels) if level == "highest" else min(levels)
+    at_level = [response for response in candidates if np.isclose(response.level[0], target)]
+    return min(at_level, key=lambda response: float(np.median(relative_sigma(response))))
 
 
 def select_component(response: FrequencyResponse, component: str) -> FrequencyResponse:
-    """The column of one component; its level is nan where the run did not declare it excited."""
+    """Return the column of one component; its level is NaN where the run does not declare it as excited."""
     j = response.components.index(component)
     return replace(
         response,
@@ -128,7 +132,7 @@ def select_component(response: FrequencyResponse, component: str) -> FrequencyRe
 
 
 def relative_sigma(response: FrequencyResponse) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Standard deviation over amplitude (k,) of a one-component response, in the channel where it is least."""
+    """Return the relative standard deviation (k,) of a one-component response, in the channel where it is least."""
     channels = np.diagonal(response.channel_covariance, axis1=1, axis2=2).real
     variance = channels * response.load_covariance[:, :1, 0].real
     amplitude = np.maximum(np.abs(response.response[:, :, 0]), 1e-300)
@@ -136,7 +140,7 @@ def relative_sigma(response: FrequencyResponse) -> np.ndarray[tuple[int], np.dty
 
 
 def least_coherence(transfer: Transfer) -> dict[str, float]:
-    """{component: least over all lines and runs of the multiple coherence of the best-responding channel}."""
+    """Return for each component the least multiple coherence of its best-responding channel over all lines and runs."""
     return {
         name: min(
             float(np.min(np.max(r.multiple_coherence, axis=1))) for r in transfer.responses if name in r.components
@@ -146,6 +150,6 @@ def least_coherence(transfer: Transfer) -> dict[str, float]:
 
 
 def response_components(transfer: Transfer) -> tuple[str, ...]:
-    """Components that some response has, in the usual order."""
-    found = {name for response in transfer.responses for name in response.components}
-    return tuple(name for name in COMPONENTS if name in found)
+    """Return the components to which some response was measured, in the usual order."""
+    measured = {name for response in transfer.responses for name in response.components}
+    return tuple(name for name in COMPONENTS if name in measured)

@@ -153,9 +153,9 @@ def test_loads_in_proportion_to_each_other_are_refused():
     run = BOTH.random(seconds=10.0)
     loads = run.read().loads.copy()
     loads[:, 4] = 0.3 * loads[:, 0]
-    with pytest.raises(UserError, match="in proportion"):
+    with pytest.raises(UserError, match="proportional to each other"):
         local_response(replace(run, source=replace(run.source, loads=loads)), BOTH.names)
-    with pytest.raises(UserError, match="in proportion"):
+    with pytest.raises(UserError, match="proportional to each other"):
         averaged_response(replace(run, source=replace(run.source, loads=loads)), BOTH.names)
 
 
@@ -233,7 +233,7 @@ def test_lines_of_a_stepped_record_are_wrong_by_little_beside_their_noise():
     rig = replace(rig, damping_ratios=np.maximum(rig.damping_ratios, 0.005))
     plan = SweepPlan(run="sweep-Fx", excited=("Fx",), level=(40.0,), excitation="stepped", period=2.0, periods=5)
     noisy, _ = simulate_run(rig, plan, seed=2)
-    clean, _ = simulate_run(rig, plan, Noise().scaled(0.0), seed=2)
+    clean, _ = simulate_run(rig, plan, Noise().scale_by(0.0), seed=2)
     found = nonperiodic_record(noisy, geometry.channel_names)
     window = found.first[:, None] + np.arange(found.weight.shape[1])
     channels, loads = read_samples(clean, geometry.channel_names)
