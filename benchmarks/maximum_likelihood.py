@@ -18,11 +18,12 @@ from scipy.optimize import least_squares
 
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, evaluate_batch, exciter_response
 from balance_cli.estimation.maximum_likelihood import fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import Batch, stack_runs
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
@@ -52,7 +53,7 @@ def run() -> str:
     apart = np.abs(ours.theta - theirs.theta)[model.parameters.free] / model.parameters.scale[model.parameters.free]
     return "\n".join(
         [
-            f"lines {sum(len(batch.index) for batch in batches)}, free parameters {int(model.parameters.free.sum())}",
+            f"lines {sum(len(batch.lines.index) for batch in batches)}, free parameters {int(model.parameters.free.sum())}",
             f"analytic slopes    {ours.seconds:8.2f} s   chi2 {ours.chi2:.6e}   peak memory {memory:.0f} MB",
             f"scipy, differenced {theirs.seconds:8.2f} s   chi2 {theirs.chi2:.6e}",
             f"ratio {theirs.seconds / ours.seconds:.1f}, largest difference {apart.max():.1e} of a prior sigma",
@@ -84,7 +85,9 @@ def _fit_with_balance_cli(model: BalanceModel, batches: Sequence[Batch]) -> Arra
 def _with_numerical_jacobian(model: BalanceModel, batches: Sequence[Batch]) -> Array:
     parameters = model.parameters
     free, scale = parameters.free, parameters.scale[parameters.free]
-    factors = [np.conj(np.linalg.cholesky(_fill_zero_precision(batch.precision))).swapaxes(1, 2) for batch in batches]
+    factors = [
+        np.conj(np.linalg.cholesky(_fill_zero_precision(batch.lines.precision))).swapaxes(1, 2) for batch in batches
+    ]
 
     def theta_of(x: Array) -> Array:
         theta = parameters.value.copy()
@@ -115,12 +118,12 @@ def _whiten_residual(batch: Batch, factor: NDArray[np.complex128], system: Syste
     """
     solution = solve(system, batch.frequency, batch.spin)
     T, free = exciter_response(system, solution), evaluate_batch(batch, system, solution).transients
-    columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
+    columns = T[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
     M = np.concatenate([columns, np.broadcast_to(np.eye(columns.shape[2]), (len(columns), *2 * columns.shape[2:]))], 1)
-    channels = batch.channels.copy()
+    channels = batch.lines.channels.copy()
     for one in free:
         channels[one.lines] -= one.columns @ one.x
-    z = np.concatenate([channels, batch.loads], axis=1)[:, :, None]
+    z = np.concatenate([channels, batch.lines.loads], axis=1)[:, :, None]
     A, b = factor @ M, factor @ z
     U = np.linalg.solve(A.conj().swapaxes(1, 2) @ A, A.conj().swapaxes(1, 2) @ b)
     r = np.sqrt(2.0) * (b - A @ U).reshape(-1)

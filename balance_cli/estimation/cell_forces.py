@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.batch import Batch
 from balance_cli.model.channel_gains import channel_gains, log_gain_derivative
 from balance_cli.model.mechanics.dual_numbers import Dual, constant
 from balance_cli.model.mechanics.equations import CellForce
@@ -88,14 +88,15 @@ def cell_forces(batch: Batch, system: System, solution: Solution, derivatives: b
     LinAlgError where a cell would give way.
     """
     found = []
-    for lines, waveform in zip(batch.parts, batch.waveforms, strict=True):
+    for run in batch.runs:
+        lines, waveform = run.lines, run.waveform
         if waveform is None or not system.equations.forces:
             continue
         if waveform.lines_are_bin_sums:
             own = solve(system, waveform.bin_frequency(), batch.spin)
             found.append(_run_cell_forces(lines, waveform, system, own, np.arange(len(own.frequency)), derivatives))
         else:
-            found.append(_run_cell_forces(lines, waveform, system, solution, batch.index[lines], derivatives))
+            found.append(_run_cell_forces(lines, waveform, system, solution, batch.lines.index[lines], derivatives))
     return tuple(found)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.regression_residual import (
     RegressionResidual,
     batched_least_squares,
@@ -25,7 +25,7 @@ def alignment_residual(batch: Batch, stride: int) -> Callable[[System], Regressi
     """What is left of the channels of each spring once its force has been fitted to them, over their noise."""
     lines = every_nth_line(batch, stride)
     weight = np.sqrt(precision(batch)[lines])
-    index, measured = batch.index[lines], batch.channels[lines] * weight
+    index, measured = batch.lines.index[lines], batch.lines.channels[lines] * weight
 
     def residual(system: System) -> RegressionResidual:
         gains = channel_gains(system.equations.paths, batch.frequency)[index]

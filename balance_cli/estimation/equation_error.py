@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, minimize
 from balance_cli.estimation.likelihood import Curvature
-from balance_cli.estimation.measurements import Batch
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.parameters import ParameterSet
 from balance_cli.model.response_jacobian import multiply_derivatives
@@ -44,18 +44,18 @@ class MeasuredForces:
 
 def measured_forces(batch: Batch, system: System) -> MeasuredForces:
     """Spring forces by weighted least squares over the channels of each spring; needs one live channel a spring."""
-    c = batch.channels.shape[1]
-    gains = channel_gains(system.equations.paths, batch.frequency)[batch.index]
-    weight = np.real(np.diagonal(batch.precision[:, :c, :c], axis1=1, axis2=2))
+    c = batch.lines.channels.shape[1]
+    gains = channel_gains(system.equations.paths, batch.frequency)[batch.lines.index]
+    weight = np.real(np.diagonal(batch.lines.precision[:, :c, :c], axis1=1, axis2=2))
     springs = np.array([path.spring for path in system.equations.paths])
     pick = (springs[:, None] == np.arange(system.readings.value.shape[0])).astype(float)
-    numerator = (weight * gains.conj() * batch.channels) @ pick
+    numerator = (weight * gains.conj() * batch.lines.channels) @ pick
     denominator = (weight * np.abs(gains) ** 2) @ pick
     known = denominator > 0
     forces = np.where(known, numerator / np.where(known, denominator, 1.0), 0.0)
     loads = np.zeros((len(forces), 6), complex)
-    np.put_along_axis(loads, batch.components, batch.loads, axis=1)
-    frequency = batch.frequency[batch.index]
+    np.put_along_axis(loads, batch.lines.components, batch.lines.loads, axis=1)
+    frequency = batch.line_frequency
     return MeasuredForces(batch.spin, frequency, forces, loads, _row_weight(system, frequency, loads))
 
 
@@ -111,7 +111,7 @@ def fit_equation_error(
     Lines outside `band` [Hz] are left out. Every spring that holds the plate needs a live channel.
     """
     start = parameters.value
-    stride = 1 + sum(len(batch.index) for batch in batches) // MAX_REGRESSION_LINES
+    stride = 1 + sum(len(batch.lines.index) for batch in batches) // MAX_REGRESSION_LINES
     data = [_select_band(measured_forces(batch, system(start)), band, stride) for batch in batches]
 
     def error(theta: Array) -> float:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.equation_error import measured_forces
-from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.regression_residual import (
     MAX_START_LINES,
     RegressionResidual,
@@ -75,9 +75,9 @@ def _build_motion_residual(
 
 def _loaded_lines(batch: Batch) -> NDArray[np.bool_]:
     """Lines (K,) with a load to speak of: not the mean of a swept record, whose weight would be that of noise alone."""
-    level = np.sqrt(np.sum(np.abs(batch.loads) ** 2, axis=1))
+    level = np.sqrt(np.sum(np.abs(batch.lines.loads) ** 2, axis=1))
     usual = np.array([np.median(level[part]) if part.stop > part.start else 0.0 for part in batch.parts])
-    return np.asarray(level > MIN_LOAD_RATIO * usual[batch.run])
+    return np.asarray(level > MIN_LOAD_RATIO * usual[batch.lines.run])
 
 
 def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:

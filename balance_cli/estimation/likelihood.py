@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
 from balance_cli.estimation.mains_interference import MainsTone, mains_tones
-from balance_cli.estimation.measurements import WORKERS, Batch, split_large_batches
 from balance_cli.estimation.transients import (
     RunTransient,
     TransientTerms,
@@ -87,15 +87,15 @@ def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives
     With `slopes` the free motion comes with its derivatives.
     """
     T = exciter_response(system, solution)
-    columns = T[batch.index[:, None], :, batch.components].swapaxes(1, 2)
+    columns = T[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
     forces = cell_forces(batch, system, solution, derivatives)
     loads = _subtract_load_offset(batch, system)
-    residual = batch.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
+    residual = batch.lines.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
     if np.any(system.equations.channel_offset.value):
-        residual -= batch.constant_volts[:, None] * system.equations.channel_offset.value
+        residual -= batch.lines.constant_volts[:, None] * system.equations.channel_offset.value
     for run in forces:
         residual[run.lines] -= run.volts(system)
-    downdate = None if batch.exact else _downdate(batch, columns)
+    downdate = None if batch.has_exact_loads else _downdate(batch, columns)
 
     def apply_weight(lines: slice, values: ComplexArray) -> ComplexArray:
         return _apply_weight(batch, downdate, lines, values)
@@ -121,14 +121,16 @@ def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives
 def _subtract_load_offset(batch: Batch, system: System) -> ComplexArray:
     """The measured loads (K, u) less what the force cells read too much."""
     if not np.any(system.equations.load_offset.value):
-        return batch.loads
-    return np.asarray(batch.loads - batch.constant_loads * system.equations.load_offset.value[batch.components])
+        return batch.lines.loads
+    return np.asarray(
+        batch.lines.loads - batch.lines.constant_loads * system.equations.load_offset.value[batch.lines.components]
+    )
 
 
 def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     """(S M)_Y (K, c, u) and M' S M (K, u, u) for the columns T (K, c, u) of the excited loads."""
-    c = batch.channels.shape[1]
-    S = batch.precision
+    c = batch.lines.channels.shape[1]
+    S = batch.lines.precision
     SM = np.matmul(S[:, :, :c], columns) + S[:, :, c:]
     normal = np.matmul(columns.conj().swapaxes(1, 2), SM[:, :c]) + SM[:, c:]
     return SM[:, :c], np.asarray(normal, complex)
@@ -138,8 +140,8 @@ def _apply_weight(
     batch: Batch, downdate: tuple[ComplexArray, ComplexArray] | None, lines: slice, values: ComplexArray
 ) -> ComplexArray:
     """P times columns (k, c, q) at these lines; the eliminated loads as a second, small product."""
-    c = batch.channels.shape[1]
-    weighted = np.asarray(np.matmul(batch.precision[lines, :c, :c], values), complex)
+    c = batch.lines.channels.shape[1]
+    weighted = np.asarray(np.matmul(batch.lines.precision[lines, :c, :c], values), complex)
     if downdate is None:
         return weighted
     SM, normal = downdate[0][lines], downdate[1][lines]
@@ -150,7 +152,7 @@ def _apply_weight(
 def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray:
     """Loads (K, u) as six columns (K, 6)."""
     six = np.zeros((len(loads), 6), complex)
-    np.put_along_axis(six, batch.components, loads, axis=1)
+    np.put_along_axis(six, batch.lines.components, loads, axis=1)
     return six
 
 
@@ -158,10 +160,10 @@ def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: B
     """DY (K, c, p) at the estimated exciter loads, spill, offsets and forces along the springs included."""
     loads = fit.loads
     true_loads = loads @ system.equations.exciter_cross_axis.value.T
-    derivatives = output_jacobian(system, solution, batch.index, true_loads)
+    derivatives = output_jacobian(system, solution, batch.lines.index, true_loads)
     if np.any(system.equations.exciter_cross_axis.derivative):
         spilt = np.einsum("pij,kj->kip", system.equations.exciter_cross_axis.derivative, loads)
-        derivatives = derivatives + np.matmul(response(system, solution)[batch.index], spilt)
+        derivatives = derivatives + np.matmul(response(system, solution)[batch.lines.index], spilt)
     for run in fit.forces:
         run.add_derivatives(system, derivatives[run.lines])
     _add_offset_derivatives(derivatives, batch, system, solution)
@@ -171,13 +173,15 @@ def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: B
 def _add_offset_derivatives(derivatives: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:
     """Offsets of the channels add to what they read; those of the loads lower what is taken to act."""
     if np.any(system.equations.channel_offset.derivative):
-        lines = np.flatnonzero(batch.constant_volts)
-        derivatives[lines] += batch.constant_volts[lines, None, None] * system.equations.channel_offset.derivative.T
+        lines = np.flatnonzero(batch.lines.constant_volts)
+        derivatives[lines] += (
+            batch.lines.constant_volts[lines, None, None] * system.equations.channel_offset.derivative.T
+        )
     if np.any(system.equations.load_offset.derivative):
-        lines = np.flatnonzero(np.any(batch.constant_loads, axis=1))
-        components = batch.components[lines]
-        held = exciter_response(system, solution)[batch.index[lines, None], :, components].swapaxes(1, 2)
-        offset = system.equations.load_offset.derivative.T[components] * batch.constant_loads[lines, :, None]
+        lines = np.flatnonzero(np.any(batch.lines.constant_loads, axis=1))
+        components = batch.lines.components[lines]
+        held = exciter_response(system, solution)[batch.lines.index[lines, None], :, components].swapaxes(1, 2)
+        offset = system.equations.load_offset.derivative.T[components] * batch.lines.constant_loads[lines, :, None]
         derivatives[lines] -= np.matmul(held, offset)
 
 
@@ -273,4 +277,4 @@ def data_chi2(batches: Sequence[Batch], system: System) -> float:
 
 def count_measured_values(batches: Sequence[Batch]) -> int:
     """Number of real measured values."""
-    return int(sum(batch.count.sum() for batch in batches))
+    return int(sum(batch.lines.count.sum() for batch in batches))

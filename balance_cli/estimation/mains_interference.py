@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.tone_columns import tone_columns
 from balance_cli.estimation.transients import RunTransient
 from balance_cli.model.mechanics.equations import InterferenceTone
@@ -180,10 +180,10 @@ def mains_tones(
 
 def _sampled_waveform(batch: Batch, run: int) -> tuple[Waveform, BinSampling] | None:
     """The waveform of a run with the sampling of its bins; None where there is no waveform or no time axis."""
-    waveform = batch.waveforms[run]
+    waveform = batch.runs[run].waveform
     if waveform is None:
         return None
-    sampling = waveform.bin_sampling(batch.frequency[batch.index[batch.parts[run]]], batch.windows[run])
+    sampling = waveform.bin_sampling(batch.frequency[batch.lines.index[batch.parts[run]]], batch.runs[run].window)
     return None if sampling is None else (waveform, sampling)
 
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, minimize, prior_curvature
 from balance_cli.estimation.likelihood import data_chi2, data_curvature
-from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.starting_values import add_weak_priors
 from balance_cli.model.balance import BalanceModel
 

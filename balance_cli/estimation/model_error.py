@@ -19,8 +19,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.batch import WORKERS, Batch
 from balance_cli.estimation.likelihood import evaluate_batch
-from balance_cli.estimation.measurements import WORKERS, Batch
 from balance_cli.model.system import System
 from balance_cli.model.system_response import Solution, solve
 
@@ -42,32 +42,34 @@ CONVERGENCE_TOLERANCE = 0.01
 
 def add_model_error(batches: Sequence[Batch], relative_errors: ModelErrors) -> tuple[Batch, ...]:
     """The same lines with a model error, a share of the response by run, in the covariance of the channels."""
-    return tuple(_add_batch_error(batch, np.array([relative_errors[name] for name in batch.runs])) for batch in batches)
+    return tuple(
+        _add_batch_error(batch, np.array([relative_errors[name] for name in batch.run_names])) for batch in batches
+    )
 
 
 def _add_batch_error(batch: Batch, relative_errors: Array) -> Batch:
     """P = (C + E)^-1 = S - S_Y (E_live^-1 + S_YY)^-1 S_Y', with E the error's variance and S the noise's precision."""
     if not relative_errors.any():
         return batch
-    c = batch.channels.shape[1]
-    variance = relative_errors[batch.run, None] ** 2 * local_response_power(batch)
-    S = batch.precision
+    c = batch.lines.channels.shape[1]
+    variance = relative_errors[batch.lines.run, None] ** 2 * local_response_power(batch)
+    S = batch.lines.precision
     live = np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c] > 0
     # Where nothing is added its inverse is a large number beside the noise's precision, not infinite.
     least = 1e-12 / np.maximum(np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c], 1e-300)
     inverse = np.where(live, 1.0 / np.maximum(variance, np.minimum(least, 1e100)), 1.0)
     inner = S[:, :c, :c] + inverse[:, :, None] * np.eye(c)
     removed = S[:, :, :c] @ np.linalg.solve(inner, S[:, :c, :])
-    return replace(batch, precision=np.asarray(S - removed, complex))
+    return replace(batch, lines=replace(batch.lines, precision=np.asarray(S - removed, complex)))
 
 
 def local_response_power(batch: Batch) -> Array:
     """Mean |y|^2 (K, c) [V^2] of each channel around each line of its run."""
-    power = np.abs(batch.channels) ** 2
+    power = np.abs(batch.lines.channels) ** 2
     usual = np.maximum(power.mean(axis=0), np.finfo(float).tiny)
     whole = (power / usual).mean(axis=1)[:, None] * usual
     size = np.empty(power.shape)
-    frequency = batch.frequency[batch.index]
+    frequency = batch.line_frequency
     for lines in batch.parts:
         size[lines] = _running_mean(frequency[lines], 0.5 * (power[lines] + whole[lines]))
     return size
@@ -92,13 +94,13 @@ def log_determinant_inflation(batches: Sequence[Batch], relative_errors: ModelEr
     """
     total = 0.0
     for batch in batches:
-        by_run = np.array([relative_errors[name] for name in batch.runs])
+        by_run = np.array([relative_errors[name] for name in batch.run_names])
         if not by_run.any():
             continue
-        c = batch.channels.shape[1]
-        root = by_run[batch.run, None] * np.sqrt(local_response_power(batch))
-        inner = np.eye(c) + root[:, :, None] * batch.precision[:, :c, :c] * root[:, None, :]
-        total += float(np.sum(batch.count / c * np.linalg.slogdet(inner)[1]))
+        c = batch.lines.channels.shape[1]
+        root = by_run[batch.lines.run, None] * np.sqrt(local_response_power(batch))
+        inner = np.eye(c) + root[:, :, None] * batch.lines.precision[:, :c, :c] * root[:, None, :]
+        total += float(np.sum(batch.lines.count / c * np.linalg.slogdet(inner)[1]))
     return total
 
 
@@ -111,8 +113,8 @@ def estimate_model_error(
 
     Where the error outweighs the noise chi-square goes as 1/e^2: e <- e sqrt(chi2 / dof), all runs at once.
     """
-    names = [name for batch in batches for name in batch.runs]
-    dof = np.concatenate([np.bincount(batch.run, batch.count, len(batch.runs)) for batch in batches])
+    names = [name for batch in batches for name in batch.run_names]
+    dof = np.concatenate([np.bincount(batch.lines.run, batch.lines.count, len(batch.run_names)) for batch in batches])
     solutions = [solve(system, batch.frequency, batch.spin) for batch in batches]
     wrong = _run_chi2(batches, system, solutions) > dof + sigma_limit * _chi2_sigma(batches, dof)
     relative_errors = np.array([(initial or {}).get(name, 0.0) or INITIAL_RELATIVE_ERROR for name in names])
@@ -131,9 +133,9 @@ def _chi2_sigma(batches: Sequence[Batch], count: Array) -> Array:
     """Standard deviation of the chi-square of each run, of so many values; each channel's noise is an estimate too."""
     known = []
     for batch in batches:
-        live = np.real(np.diagonal(batch.precision, axis1=1, axis2=2))[:, : batch.channels.shape[1]] > 0
+        live = np.real(np.diagonal(batch.lines.precision, axis1=1, axis2=2))[:, : batch.lines.channels.shape[1]] > 0
         channels = [max(int(np.count_nonzero(live[part].any(axis=0))), 1) for part in batch.parts]
-        known += [number * dof for number, dof in zip(channels, batch.noise_dof, strict=True)]
+        known += [number * run.noise_dof for number, run in zip(channels, batch.runs, strict=True)]
     return np.asarray(np.sqrt(2.0 * count * (1.0 + count / np.array(known))))
 
 
@@ -142,7 +144,7 @@ def _run_chi2(batches: Sequence[Batch], system: System, solutions: Sequence[Solu
 
     def batch_chi2(batch: Batch, solution: Solution) -> Array:
         fit = evaluate_batch(batch, system, solution)
-        return np.asarray(np.bincount(batch.run, fit.chi2 / batch.efficiency, len(batch.runs)), float)
+        return np.asarray(np.bincount(batch.lines.run, fit.chi2 / batch.lines.efficiency, len(batch.run_names)), float)
 
     with ThreadPoolExecutor(WORKERS) as workers:
         return np.concatenate(list(workers.map(batch_chi2, batches, solutions)))

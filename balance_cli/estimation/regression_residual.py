@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.batch import Batch
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -27,21 +27,21 @@ class RegressionResidual:
 
 def line_stride(batches: Sequence[Batch], max_frequency: float = np.inf, max_lines: int = MAX_START_LINES) -> int:
     """Which lines up to `highest` [Hz] are enough: every one, every second ..."""
-    lines = sum(int(np.sum(batch.frequency[batch.index] <= max_frequency)) for batch in batches)
+    lines = sum(int(np.sum(batch.line_frequency <= max_frequency)) for batch in batches)
     return 1 + lines // max_lines
 
 
 def every_nth_line(batch: Batch, stride: int, max_frequency: float = np.inf) -> NDArray[np.intp]:
     """Every `stride`-th line up to `highest` [Hz]; all at frequency zero, which are few."""
-    frequency = batch.frequency[batch.index]
+    frequency = batch.line_frequency
     below = np.flatnonzero(frequency <= max_frequency)
     return np.asarray(below[(frequency[below] == 0) | (np.arange(len(below)) % stride == 0)])
 
 
 def precision(batch: Batch) -> Array:
     """One over the variances (K, c) of the channels; zero where one is not live."""
-    c = batch.channels.shape[1]
-    return np.real(np.diagonal(batch.precision[:, :c, :c], axis1=1, axis2=2))
+    c = batch.lines.channels.shape[1]
+    return np.real(np.diagonal(batch.lines.precision[:, :c, :c], axis1=1, axis2=2))
 
 
 def batched_least_squares(matrix: ComplexArray | Array, right: ComplexArray | Array) -> ComplexArray:

@@ -30,11 +30,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.channel_alignment import alignment_residual
 from balance_cli.estimation.equations_of_motion import motion_residuals
 from balance_cli.estimation.levenberg_marquardt import minimize
 from balance_cli.estimation.likelihood import Curvature
-from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.regression_residual import RegressionResidual, line_stride
 from balance_cli.model.parameters import ParameterSet
 from balance_cli.model.system import System

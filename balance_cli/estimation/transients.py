@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.measurements import Batch
+from balance_cli.estimation.batch import Batch
 from balance_cli.model.response_jacobian import mask_or_full_slice
 from balance_cli.model.system import System
 from balance_cli.model.transient_modes import TransientModes, divided_differences, transient_modes
@@ -92,7 +92,7 @@ def fit_transients(
         key = (max_frequency, MAX_DECAY / max(float(window.start.min()), window.step))
         if key not in known:
             known[key] = transient_modes(system, batch.spin, *key, derivatives)
-        free, frequency = known[key], batch.frequency[batch.index[lines]]
+        free, frequency = known[key], batch.frequency[batch.lines.index[lines]]
         if not len(free.s):
             continue
         columns, prior_weight = transient_columns(free, window, frequency), _prior_weight(batch, of_run)
@@ -107,11 +107,11 @@ def _lines_with_transient(batch: Batch, run: int) -> tuple[slice, AnalysisWindow
     Local models have taken it out of the lines of a record that does not repeat, but not out of its mean: there the
     starts of high-passes are left, however it was weighted.
     """
-    lines, window, waveform = batch.parts[run], batch.windows[run], batch.waveforms[run]
+    lines, window, waveform = batch.parts[run], batch.runs[run].window, batch.runs[run].waveform
     if window is not None:
         return lines, window, 0.5 / window.step
     mean_window = None if waveform is None else waveform.mean_window
-    if mean_window is None or batch.frequency[batch.index[lines.stop - 1]] > 0:
+    if mean_window is None or batch.frequency[batch.lines.index[lines.stop - 1]] > 0:
         return None
     return slice(lines.stop - 1, lines.stop), mean_window, 0.0
 
@@ -136,9 +136,9 @@ def _fit_transient(
 
 def _prior_weight(batch: Batch, lines: slice) -> Array:
     """One over the largest free motion (c,) [1/V] that is expected of each live channel."""
-    rms = np.sqrt(0.5 * np.sum(np.abs(batch.channels[lines]) ** 2, axis=0))
+    rms = np.sqrt(0.5 * np.sum(np.abs(batch.lines.channels[lines]) ** 2, axis=0))
     c = len(rms)
-    live = np.real(np.diagonal(batch.precision[lines.start]))[:c] > 0
+    live = np.real(np.diagonal(batch.lines.precision[lines.start]))[:c] > 0
     return np.where(live, 1.0 / (MAX_AMPLITUDE_RATIO * np.maximum(rms, MIN_SIGNAL_RATIO * rms.max())), 0.0)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.choices import Damping, Form, Method
 from balance_cli.estimation.equation_error import fit_equation_error
 from balance_cli.estimation.fit_quality import fit_quality
@@ -22,7 +23,7 @@ from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
 from balance_cli.estimation.maximum_likelihood import fit_best_start, fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import Spectra
-from balance_cli.estimation.measurements import Batch, stack_runs
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
 from balance_cli.estimation.starting_values import find_starting_values, start_from_equations_of_motion
 from balance_cli.io.errors import UserError

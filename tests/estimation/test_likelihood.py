@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.estimation import measurements
+from balance_cli.estimation import batch as batch_module
+from balance_cli.estimation.batch import split_large_batches
 from balance_cli.estimation.equation_error import equation_error, fit_equation_error, measured_forces
 from balance_cli.estimation.likelihood import count_measured_values, data_chi2, data_curvature, exciter_response
-from balance_cli.estimation.measurements import split_large_batches, stack_runs
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import response, solve
@@ -88,9 +89,9 @@ def test_large_batches_are_derived_run_by_run_and_give_the_same(monkeypatch):
     system = model.system(model.parameters.value + 0.3 * model.parameters.sigma)
     assert split_large_batches(batches, system.parameters) == batches
     whole = data_curvature(batches, system)
-    monkeypatch.setattr(measurements, "MAX_DERIVATIVE_BYTES", 2**10)
+    monkeypatch.setattr(batch_module, "MAX_DERIVATIVE_BYTES", 2**10)
     parts = split_large_batches(batches, system.parameters)
-    assert [part.runs for part in parts] == [("Fx",), ("My",), ("Fz",)]
+    assert [part.run_names for part in parts] == [("Fx",), ("My",), ("Fz",)]
     split = data_curvature(batches, system)
     size = np.sqrt(np.diag(whole.information))
     assert split.chi2 == pytest.approx(whole.chi2, rel=1e-13)
@@ -132,7 +133,7 @@ def test_a_channel_that_a_run_lacks_weighs_nothing():
     batches = stack_runs([less], [], rig.channel_names)
     assert count_measured_values(batches) == 2 * 14 * len(FREQUENCY)
     disturbed = stack_runs([less], [], rig.channel_names)
-    disturbed[0].channels[:, lines.channel_names.index("z2.piezo")] = 7.0
+    disturbed[0].lines.channels[:, lines.channel_names.index("z2.piezo")] = 7.0
     system = balance_model(rig).system()
     assert data_chi2(disturbed, system) == data_chi2(batches, system)
 

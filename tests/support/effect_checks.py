@@ -11,10 +11,11 @@ import numpy as np
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.likelihood import data_chi2, data_curvature, exciter_response
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.estimation.measurements import Batch, stack_runs
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.effects import Effect
 from balance_cli.model.placed_effects import needs_mean
@@ -83,7 +84,9 @@ def own_parameters(model: BalanceModel, effect: Effect) -> list[int]:
 @cache
 def batches() -> tuple[Batch, ...]:
     """Two sweeps and a static run of the rig as declared, with noise, means and waveforms."""
-    runs, _ = simulate_campaign(true_rig(RIG), short_plan().select_runs(["sweep-Fx", "sweep-Fz", "static-trim"]), seed=2)
+    runs, _ = simulate_campaign(
+        true_rig(RIG), short_plan().select_runs(["sweep-Fx", "sweep-Fz", "static-trim"]), seed=2
+    )
     spectra = measured_spectra(runs, RIG, means=True)
     return stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
 
