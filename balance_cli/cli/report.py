@@ -34,11 +34,11 @@ def command(session: Session, artefacts: tuple[Path, ...], picture: Path | None,
     are compared with each other.
     """
     from balance_cli.report.page import build_page
-    from balance_cli.report.sources import FORMATS, group_sources
+    from balance_cli.report.sources import ARTEFACT_TYPES, group_sources
 
     _check_names(output, picture)
     paths = session.progress(artefacts, "artefacts", len(artefacts))
-    report_sources = group_sources([(path, session.artefact(path, FORMATS)) for path in paths])
+    report_sources = group_sources([(path, session.artefact(path, ARTEFACT_TYPES)) for path in paths])
     html_page = build_page(report_sources)
     session.stage(output).write_text(html_page.html, encoding="utf-8")
     if picture is not None:

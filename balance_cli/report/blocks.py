@@ -1,4 +1,4 @@
-"""What a page is made of: sections of texts, warnings, tables and pictures. Plain data; the template draws it."""
+"""Building blocks of the page: sections of text, warnings, tables and pictures, as plain data for the template."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import ClassVar
 
 @dataclass(frozen=True)
 class TableCell:
-    """A cell of a table: its text, a second small text beside it, what it spans, and how it is marked.
+    """A cell of a table: text, a note in small print beside it, the number of columns it spans, and its styles.
 
-    `mark` are names of styles: `good`, `bad`, `best`, `quiet`, `group`, `name`, in any number, separated by blanks.
+    `mark` names styles, separated by blanks: `good`, `bad`, `best`, `quiet`, `group`, `name`. `title` is shown under
+    the pointer.
     """
 
     text: str
@@ -26,7 +27,7 @@ Row = tuple[TableCell, ...]
 
 @dataclass(frozen=True)
 class Table:
-    """A table with its caption; `head` may have several rows."""
+    """A table with a caption; `head` may have several rows."""
 
     kind: ClassVar[str] = "table"
     caption: str
@@ -36,7 +37,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as markup that stands alone (inline SVG); `name` is unique on the page."""
+    """A picture as self-contained markup (inline SVG); `name` is unique on the page."""
 
     kind: ClassVar[str] = "picture"
     name: str
@@ -54,7 +55,7 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class WarningText:
-    """A paragraph that must not be overlooked."""
+    """A paragraph that is highlighted as a warning."""
 
     kind: ClassVar[str] = "warn"
     text: str
@@ -78,7 +79,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """The verdict in numbers: (number, what it is, mark) side by side."""
+    """Key figures side by side: (number, caption, mark)."""
 
     kind: ClassVar[str] = "figures"
     items: tuple[tuple[str, str, str], ...]
@@ -86,7 +87,7 @@ class KeyFigures:
 
 @dataclass(frozen=True)
 class Details:
-    """Blocks that are shown on demand (and always in print)."""
+    """Blocks that unfold on a click (and are always printed)."""
 
     kind: ClassVar[str] = "details"
     summary: str
@@ -106,7 +107,7 @@ class Section:
 
 
 def pictures(blocks: Sequence[PageBlock]) -> Iterator[Picture]:
-    """All pictures among the blocks, those in details included."""
+    """All pictures among the blocks, including those inside `Details`."""
     for block in blocks:
         if isinstance(block, Picture):
             yield block
@@ -125,5 +126,5 @@ def row_with_name(name: str, *texts: str) -> Row:
 
 
 def group_heading_row(text: str, span: int) -> Row:
-    """A row that heads those below it."""
+    """A heading row over the rows below it."""
     return (TableCell(text, mark="group", span=span),)

@@ -15,7 +15,7 @@ from balance_cli.report.sources import Source, Sources
 Array = NDArray[np.float64]
 
 LOAD_NOISE_FACTOR = 2.0
-"""An error up to so many times what noise alone leaves counts as noise."""
+"""An error up to this factor times the noise floor counts as noise (two standard deviations)."""
 ERROR_KINDS = ("load_error", "interaction")
 ERROR_TITLES = {
     "load_error": "Hub-load error: % of the load applied",
@@ -25,14 +25,14 @@ ERROR_TITLES = {
 
 @dataclass(frozen=True)
 class RelativeError:
-    """An error relative to the applied loads, and what the noise alone would leave of it."""
+    """An error relative to the applied loads, and its noise floor."""
 
     value: float
     noise: float
 
     @property
     def is_noise(self) -> bool:
-        """Whether it is hardly more than noise."""
+        """Whether the error is within the noise."""
         return self.value <= LOAD_NOISE_FACTOR * self.noise
 
 
@@ -60,7 +60,7 @@ def pooled_errors(loads: HubLoads, kind: str) -> dict[str, RelativeError]:
 
 
 def rms_error(errors: Sequence[RelativeError]) -> RelativeError:
-    """Root mean square of errors, and of what noise leaves."""
+    """Root mean square of the errors, and of their noise floors."""
     values, noise = ([getattr(error, part) for error in errors] for part in ("value", "noise"))
     return RelativeError(float(np.sqrt(np.mean(np.square(values)))), float(np.sqrt(np.mean(np.square(noise)))))
 
@@ -72,14 +72,15 @@ def overall_error(loads: HubLoads, kind: str) -> RelativeError | None:
 
 
 def loads_with_check_runs(sources: Sources) -> tuple[Source[HubLoads], ...]:
-    """The loads that hold check runs."""
+    """The loads that include check runs."""
     return tuple(source for source in sources.loads if check_runs(source.content))
 
 
 def harmonic_errors(loads: HubLoads, component: str) -> Array:
-    """Rms of reduced less applied over rms of applied, over the check runs in which it was applied (n,).
+    """Relative error (n,) of a component at harmonics 1 to n, each by itself.
 
-    For harmonics 1 to n, each by itself; empty where the component was never applied.
+    Rms of reduced minus applied over rms of applied loads, over the check runs in which the component was applied;
+    empty where it never was.
     """
     errors, sizes = [], []
     for run in check_runs(loads).values():
@@ -90,6 +91,6 @@ def harmonic_errors(loads: HubLoads, component: str) -> Array:
             sizes.append(np.abs(applied) ** 2)
     if not errors:
         return np.zeros(0)
-    lines = min(map(len, errors))
-    error, size = (np.mean([each[:lines] for each in parts], axis=0) for parts in (errors, sizes))
+    count = min(map(len, errors))
+    error, size = (np.mean([values[:count] for values in parts], axis=0) for parts in (errors, sizes))
     return np.asarray(np.sqrt(error / np.where(size > 0, size, np.nan)))

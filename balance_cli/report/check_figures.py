@@ -21,18 +21,18 @@ from balance_cli.report.sources import Source
 
 @dataclass(frozen=True)
 class MethodBars:
-    """One method: its label, its colour, and {kind: {component: error}}."""
+    """One method: its label, its color, and {kind: {component: error}}."""
 
     label: str
-    colour: str
+    color: str
     errors: Mapping[str, Mapping[str, RelativeError]]
 
 
 def comparison_figure(methods: Sequence[Source[HubLoads]], width: float = 12.0, height: float = 3.6) -> Figure:
-    """Bars of every method by component: error on the left, interaction on the right; black marks for the noise."""
+    """Bars of every method by component: error on the left, interaction on the right; black marks: noise floor."""
     bars = [
         MethodBars(
-            source.label, source.plot_style.colour, {kind: pooled_errors(source.content, kind) for kind in ERROR_KINDS}
+            source.label, source.plot_style.color, {kind: pooled_errors(source.content, kind) for kind in ERROR_KINDS}
         )
         for source in methods
     ]
@@ -40,7 +40,7 @@ def comparison_figure(methods: Sequence[Source[HubLoads]], width: float = 12.0, 
 
 
 def error_figure(methods: Sequence[MethodBars], where: str, width: float = 12.0, height: float = 3.6) -> Figure:
-    """Bars by component, one panel a kind of error; `where` ends the panels' titles."""
+    """Bars by component, one panel per kind of error; `where` ends the titles of the panels."""
     figure = new_figure(width, height)
     shown = [kind for kind in ERROR_KINDS if any(method.errors[kind] for method in methods)]
     axes = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
@@ -50,9 +50,9 @@ def error_figure(methods: Sequence[MethodBars], where: str, width: float = 12.0,
         ax.set_title(ERROR_TITLES[kind].split(":")[0] + where)
         ax.set_ylabel(ERROR_TITLES[kind].split(": ")[1])
         ax.yaxis.set_tick_params(labelleft=True)
-    handles: list[Artist] = [Patch(facecolor=method.colour) for method in methods]
+    handles: list[Artist] = [Patch(facecolor=method.color) for method in methods]
     handles.append(Line2D([], [], color=BLACK, linewidth=1.4))
-    labels = [*(method.label for method in methods), "what noise alone would leave"]
+    labels = [*(method.label for method in methods), "noise floor"]
     figure.legend(handles, labels, loc="lower center", ncols=min(len(labels), 5))
     lines = -(-len(labels) // 5)
     figure.subplots_adjust(left=0.06, right=0.99, top=0.92, bottom=0.13 + 0.055 * lines, wspace=0.13)
@@ -70,11 +70,11 @@ def _draw_bars(axes: Axes, methods: Sequence[MethodBars], kind: str, limits: tup
     set_log_axis(axes, limits)
     for i, method in enumerate(methods):
         errors = method.errors[kind]
-        mine = [name for name in names if name in errors]
-        place = np.array([names.index(name) for name in mine]) + (i - (len(methods) - 1) / 2) * width
-        height = [100 * errors[name].value - limits[0] for name in mine]
-        axes.bar(place, height, 0.88 * width, bottom=limits[0], color=method.colour, zorder=2)
-        noise = [100 * errors[name].noise for name in mine]
+        components = [name for name in names if name in errors]
+        place = np.array([names.index(name) for name in components]) + (i - (len(methods) - 1) / 2) * width
+        height = [100 * errors[name].value - limits[0] for name in components]
+        axes.bar(place, height, 0.88 * width, bottom=limits[0], color=method.color, zorder=2)
+        noise = [100 * errors[name].noise for name in components]
         axes.hlines(noise, place - 0.44 * width, place + 0.44 * width, colors=BLACK, linewidth=1.4, zorder=3)
     axes.set_xticks(range(len(names)), names)
     axes.tick_params(axis="x", length=0, labelsize=8)
@@ -82,7 +82,7 @@ def _draw_bars(axes: Axes, methods: Sequence[MethodBars], kind: str, limits: tup
 
 
 def harmonic_error_figure(methods: Sequence[Source[HubLoads]]) -> Figure:
-    """One panel a component: relative error of each harmonic by itself, one curve a method."""
+    """One panel per component: relative error of each harmonic by itself, one curve per method."""
     errors = {
         name: [(source, 100 * harmonic_errors(source.content, name)) for source in methods] for name in COMPONENTS
     }

@@ -1,4 +1,4 @@
-"""The table that matters: hub-load error and interaction on runs whose loads are known, method by method."""
+"""Hub-load error and interaction on runs with known loads, method by method."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ from balance_cli.report.sources import Source, Sources
 
 
 def section(sources: Sources) -> Section | None:
-    """Check runs of all methods side by side; None where there are none."""
+    """Check runs of all methods side by side; None without check runs."""
     methods = loads_with_check_runs(sources)
     if not methods:
         return None
     blocks: list[PageBlock] = [
         Paragraph(
-            "Loads of the check runs were measured by the exciter and kept out of every fit. Error: rms of reduced "
-            "less applied over rms of applied, complex amplitudes of harmonics 1 to 8. Interaction: what is found of "
-            "components that were not applied, relative to the largest applied force (moments: over the height of the "
-            "hub times that force). Beside each figure, small: what the noise of the records alone would leave."
+            "The loads of the check runs were measured by the exciter and used in no fit. Error: rms of reduced minus "
+            "applied over rms of applied loads, complex amplitudes of harmonics 1 to 8. Interaction: reduced loads in "
+            "components that were not applied, relative to the largest applied force (moments: to that force times the "
+            "height of the hub). In small print: the noise floor, the error that the noise of the records alone causes."
         ),
         overview_table(methods),
         Picture(
             "check-runs",
-            "Error and interaction by component, rms over the check runs; black marks: what noise alone would leave.",
+            "Error and interaction by component, rms over the check runs; black marks: noise floor.",
             svg(
                 "check-runs",
                 "Hub-load error and interaction of each method by component",
@@ -57,20 +57,20 @@ def section(sources: Sources) -> Section | None:
         ),
         Picture(
             "check-harmonics",
-            "Where the error comes from: every harmonic by itself, rms over the check runs that applied the component.",
+            "Error of every harmonic by itself, rms over the check runs in which the component was applied.",
             svg(
                 "check-harmonics",
                 "Hub-load error of each method by harmonic",
                 lambda: harmonic_error_figure(methods),
             ),
         ),
-        Details("Every check run by itself", tuple(_run_tables(methods))),
+        Details("Each check run", tuple(_run_tables(methods))),
     ]
-    return Section("check-runs", "Check runs: how wrong the hub loads are", tuple(blocks))
+    return Section("check-runs", "Check runs: errors of the hub loads", tuple(blocks))
 
 
 def overview_table(methods: Sequence[Source[HubLoads]]) -> Table:
-    """Components down, methods across, pooled over the check runs, and all components together."""
+    """Components down, methods across: errors pooled over the check runs, and over all components."""
     rows: list[Row] = []
     for kind in ERROR_KINDS:
         pooled = [pooled_errors(source.content, kind) for source in methods]
@@ -82,8 +82,8 @@ def overview_table(methods: Sequence[Source[HubLoads]]) -> Table:
         rows.append(_error_row("all, rms", [overall_error(source.content, kind) for source in methods], "total"))
     count = max(len(check_runs(source.content)) for source in methods)
     caption = (
-        f"Percent, rms over {count} check run{'s' if count > 1 else ''}; small: what noise alone would leave. "
-        "Bold: the least of its row. Shaded: within twice the noise."
+        f"Percent, rms over {count} check run{'s' if count > 1 else ''}; small: noise floor. "
+        "Bold: the smallest of its row. Shaded: within twice the noise floor."
     )
     return Table(caption, (_method_header(methods),), tuple(rows))
 
@@ -105,18 +105,18 @@ def _error_cell(error: RelativeError | None, least: float, mark: str) -> TableCe
 
 
 def _run_tables(methods: Sequence[Source[HubLoads]]) -> Iterator[Table]:
-    names = dict.fromkeys(name for source in methods for name in check_runs(source.content))
-    for name in names:
-        runs = [check_runs(source.content).get(name) for source in methods]
+    run_names = dict.fromkeys(name for source in methods for name in check_runs(source.content))
+    for run_name in run_names:
+        runs = [check_runs(source.content).get(run_name) for source in methods]
         rows: list[Row] = []
         for kind in ERROR_KINDS:
             errors = [run_errors(run, kind) if run else {} for run in runs]
-            components = [component for component in COMPONENTS if any(component in each for each in errors)]
+            components = [name for name in COMPONENTS if any(name in run_error for run_error in errors)]
             if components:
                 rows.append(group_heading_row(ERROR_TITLES[kind], 1 + len(methods)))
-            rows += [_error_row(component, [each.get(component) for each in errors]) for component in components]
+            rows += [_error_row(name, [run_error.get(name) for run_error in errors]) for name in components]
         first = next(run for run in runs if run is not None)
-        caption = f"{name}: {_interval_text(first)}, {_speed_text(first)}. Percent."
+        caption = f"{run_name}: {_interval_text(first)}, {_speed_text(first)}. Percent."
         yield Table(caption, (_method_header(methods),), tuple(rows))
 
 

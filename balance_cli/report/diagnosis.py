@@ -1,10 +1,11 @@
-"""The loop closed: verdict, effects that were missing, and what they were worth on runs that no fit has seen."""
+"""Model updating: verdict, effects that the model lacked, and the errors before and after on hold-out runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, VERDICT_MEANING, Diagnosis, ModelFreeTest, Trial
+from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.report.blocks import (
     BulletList,
     Details,
@@ -30,21 +31,22 @@ from balance_cli.report.diagnosis_tables import (
 )
 from balance_cli.report.figure_style import svg
 from balance_cli.report.number_format import capitalize_first, format_percent, format_significant
-from balance_cli.report.parameters import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.report.sources import Source, Sources
 
 TEST_SIGNIFICANCE = 0.01
+"""p-value below which a test of the data is shown in full, the level of the verdicts."""
 
 
 def verdict_sentence(source: Source[Diagnosis]) -> str:
-    """The verdict in a sentence, with the effects."""
-    made = source.content
-    found = f" Found: {', '.join(effect.label for effect in made.effects)}." if made.effects else ""
-    return f"{capitalize_first(source.label)}: {made.verdict}; {VERDICT_MEANING[made.verdict]}.{found}"
+    """The verdict in one sentence, with the effects found."""
+    diagnosis = source.content
+    effects = ", ".join(effect.label for effect in diagnosis.effects)
+    sentence = f"{capitalize_first(source.label)}: {diagnosis.verdict}; {VERDICT_MEANING[diagnosis.verdict]}."
+    return f"{sentence} Found: {effects}." if effects else sentence
 
 
 def section(sources: Sources) -> Section | None:
-    """Every diagnosis given; None where there is none."""
+    """All diagnoses; None where there is none."""
     if not sources.diagnoses:
         return None
     blocks: list[PageBlock] = []
@@ -60,8 +62,8 @@ def _diagnosis_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
     if made.effects:
         if not made.chi2_per_dof_after <= GOOD_FIT_CHI2_PER_DOF:
             yield WarningText(
-                "The closed model does not describe these data within their noise: every sigma of a parameter below "
-                "says less than it seems to."
+                "The updated model does not describe these data to within their noise: the uncertainties of the "
+                "parameters below are underestimated."
             )
         yield from (effect_table(made.effects), parameter_table(made.effects))
     yield from _hold_out_blocks(made, suffix)
@@ -77,70 +79,70 @@ def _verdict_blocks(made: Diagnosis) -> Iterator[PageBlock]:
     yield Paragraph(words) if made.verdict in (NOTHING_MISSING, EXPLAINED) else WarningText(words)
     yield KeyFigures(tuple(_key_figures(made)))
     if made.location:
-        yield WarningText(f"What is left: {made.location}.")
+        yield WarningText(f"Residual of the updated model: {made.location}.")
     if any(effect.evidence.empirical for effect in made.effects):
-        yield WarningText("An empirical effect describes what is left; it does not explain it.")
+        yield WarningText("An empirical effect describes the residual; it does not explain it.")
     if made.notes:
         yield BulletList(tuple(capitalize_first(note) for note in made.notes))
 
 
 def _key_figures(made: Diagnosis) -> Iterator[tuple[str, str, str]]:
     count = len(made.effects)
-    yield str(count), f"effect{'' if count == 1 else 's'} found among {made.candidates} candidates", ""
+    yield str(count), f"effect{'' if count == 1 else 's'} found among {made.candidate_count} candidates", ""
     stages = ((made.chi2_per_dof_before, "before"), (made.chi2_per_dof_after, "after"))
     for ratio, stage in stages:
         yield (
             format_significant(ratio),
-            f"chi2/dof {stage} closing",
+            f"chi2/dof {stage} updating",
             "good" if ratio <= GOOD_FIT_CHI2_PER_DOF else "bad",
         )
-    yield f"{format_percent(made.frf_error_before)} %", "error of the responses before closing", ""
-    yield f"{format_percent(made.frf_error_after)} %", "error of the responses after closing", ""
+    yield f"{format_percent(made.frf_error_before)} %", "error of the responses before updating", ""
+    yield f"{format_percent(made.frf_error_after)} %", "error of the responses after updating", ""
 
 
 def _hold_out_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
-    yield Heading("Error before and after, on runs that no fit has seen")
+    yield Heading("Errors before and after, on hold-out runs")
     if not made.hold_out:
-        yield WarningText("No run was held out: nothing here tells what closing is worth.")
+        yield WarningText("No run was held out: the gain in accuracy is not verified.")
         return
     yield hold_out_table(made)
     if any(errors.after.load_error or errors.after.interaction for errors in made.hold_out.values()):
-        words = "Errors by component before and after closing, rms over the runs; black: what noise alone would leave."
+        caption = "Errors by component before and after updating, rms over the runs; black: noise floor."
         name = f"hold-out{suffix}"
-        yield Picture(name, words, svg(name, words, lambda: hold_out_figure(made)))
-    yield Details("Every hold-out run by itself", tuple(run_tables(made)))
+        yield Picture(name, caption, svg(name, caption, lambda: hold_out_figure(made)))
+    yield Details("Each hold-out run", tuple(run_tables(made)))
 
 
 def _residual_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
     yield Heading("Residual before and after")
-    words = (
-        "Whitened residual, rms within bands of frequency: by run over all channels, and by channel over all runs. One "
-        "is what noise leaves; grey: no line there. All bands are drawn equally wide."
+    caption = (
+        "Whitened residual, rms within frequency bands: by run over all channels, and by channel over all runs. The "
+        "noise alone gives 1; gray: no line in the band. All bands are drawn equally wide."
     )
     name = f"residual{suffix}"
-    yield Picture(name, words, svg(name, words, lambda: residual_figure(made.residual)))
+    yield Picture(name, caption, svg(name, caption, lambda: residual_figure(made.residual)))
 
 
 def _trial_blocks(trials: Sequence[Trial]) -> Iterator[PageBlock]:
-    """Decisions in their order; candidates that never came to a refit on demand."""
+    """Decisions in their order; candidates without a refit in a folded table."""
     if not trials:
         return
-    yield Heading("Chain of trials")
+    yield Heading("Sequence of trials")
     tried = [trial for trial in trials if trial.decision != "not refitted"]
     others = [trial for trial in trials if trial.decision == "not refitted"]
     caption = (
-        "Promised: chi-square that the score test expected to gain before a refit; p: of that, corrected for the "
-        "number of candidates; gained: by the refit, penalised for parameters and candidates."
+        "Predicted gain: reduction of chi-square by the score test, before a refit; p: of that, corrected for the "
+        "number of candidates; gain: by the refit, minus a penalty for parameters and candidates."
     )
     if tried:
         yield _trial_table(caption, tried)
     if others:
-        yield Details(f"{len(others)} that were not refitted", (_trial_table(caption, others),))
+        yield Details(f"{len(others)} candidates without a refit", (_trial_table(caption, others),))
 
 
 def _trial_table(caption: str, trials: Sequence[Trial]) -> Table:
-    words = ("round", "candidate", "parameters", "promised", "p", "gained", "decision", "why")
-    head = tuple(TableCell(word, mark="text" if word in ("candidate", "decision", "why") else "") for word in words)
+    words = ("round", "candidate", "parameters", "predicted gain", "p", "gain", "decision", "reason")
+    head = tuple(TableCell(word, mark="text" if word in ("candidate", "decision", "reason") else "") for word in words)
     return Table(caption, (head,), tuple(_trial_row(trial) for trial in trials))
 
 
@@ -154,25 +156,27 @@ def _trial_row(trial: Trial) -> Row:
         TableCell(format_p_value(trial.p_value)),
         TableCell(format_significant(trial.gain)),
         TableCell(trial.decision, mark=f"text {mark}".strip()),
-        TableCell(trial.why, mark="text"),
+        TableCell(trial.reason, mark="text"),
     )
 
 
 def _model_free_test_blocks(made: Diagnosis) -> Iterator[PageBlock]:
-    """What differs by more than chance; the rest on demand."""
-    if made.tests:
-        yield Heading("Tests that need no model of the plate")
-        differing = [test for test in made.tests if test.p_value < TEST_SIGNIFICANCE]
-        alike = [test for test in made.tests if not test.p_value < TEST_SIGNIFICANCE]
+    """Significant tests of the data, the others in a folded table, and effects that are not testable."""
+    if made.data_tests:
+        yield Heading("Tests of the data without a model")
+        differing = [test for test in made.data_tests if test.p_value < TEST_SIGNIFICANCE]
+        alike = [test for test in made.data_tests if not test.p_value < TEST_SIGNIFICANCE]
         if differing:
-            yield _test_table("What differs by more than chance.", differing)
+            yield _test_table("Significant differences.", differing)
         else:
-            yield Paragraph("Nothing differs by more than chance.")
+            yield Paragraph("No difference is significant.")
         if alike:
-            yield Details(f"{len(alike)} that show nothing", (_test_table("What chance would do as well.", alike),))
-    if made.not_testable:
-        yield Heading("What these runs say nothing of")
-        yield BulletList(tuple(f"{item.name}: {item.why}" for item in made.not_testable))
+            yield Details(
+                f"{len(alike)} tests without a significant difference", (_test_table("Not significant.", alike),)
+            )
+    if made.untestable_effects:
+        yield Heading("Not testable with these runs")
+        yield BulletList(tuple(f"{item.name}: {item.reason}" for item in made.untestable_effects))
 
 
 def _test_table(caption: str, tests: Sequence[ModelFreeTest]) -> Table:

@@ -20,23 +20,23 @@ from balance_cli.report.figure_style import PURPLE, VERMILION, new_figure
 Array = NDArray[np.float64]
 
 COLOR_MIN, COLOR_MAX = 1.0, 10.0
-"""Limits of the colours: what noise leaves is light; the upper one where no residual is larger."""
+"""Limits of the color scale: the noise level is light; the upper limit holds where no residual is larger."""
 ROW_INCHES = 0.17
 MARGIN_INCHES = 0.42
 FREQUENCY_TICKS = 8
 ZERO_FREQUENCY_LIMIT = 1e-3
-"""An edge [Hz] below which is frequency zero."""
+"""Band edges [Hz] below this are labeled as frequency zero."""
 FINE_TICKS_LIMIT = 300.0
-"""A largest residual below which the colour bar has ticks at 1, 2 and 5 in every decade."""
+"""With a largest residual below this the color bar has ticks at 1, 2 and 5 in every decade."""
 
 
 def hold_out_figure(diagnosis: Diagnosis) -> Figure:
-    """Bars before and after by component, pooled over the hold-out runs; black marks for the noise."""
+    """Bars before and after by component, pooled over the hold-out runs; black marks: noise floor."""
     bars = [
         MethodBars(
-            f"{stage} closing", colour, {kind: pooled_hold_out_errors(diagnosis, stage, kind) for kind in ERROR_KINDS}
+            f"{stage} updating", color, {kind: pooled_hold_out_errors(diagnosis, stage, kind) for kind in ERROR_KINDS}
         )
-        for stage, colour in zip(STAGES, (VERMILION, PURPLE), strict=True)
+        for stage, color in zip(STAGES, (VERMILION, PURPLE), strict=True)
     ]
     return error_figure(bars, " on the hold-out runs", height=3.2)
 
@@ -71,15 +71,15 @@ def residual_figure(residual: ResidualMap) -> Figure:
 
 def _rms_over(values: Array, axis: int) -> Array:
     """Rms of (runs, bands, channels) over channels (axis 2) or runs (axis 0), as rows by bands; NaN for no line."""
-    there = np.isfinite(values)
-    count = there.sum(axis=axis)
-    total = np.where(there, np.square(values), 0.0).sum(axis=axis)
+    has_lines = np.isfinite(values)
+    count = has_lines.sum(axis=axis)
+    total = np.where(has_lines, np.square(values), 0.0).sum(axis=axis)
     rms = np.sqrt(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0))
     return np.asarray(rms if axis == 2 else rms.T)
 
 
 def _draw_heat_map(axes: Axes, values: Array, labels: tuple[str, ...], norm: LogNorm) -> Any:
-    """One heat map; bands equally wide, so that frequency zero can be seen."""
+    """Draw one heat map; all bands are equally wide, so that frequency zero is visible."""
     image = axes.imshow(values, aspect="auto", interpolation="nearest", cmap="magma_r", norm=norm)
     axes.set_facecolor("#eceff1")
     axes.set_yticks(range(len(labels)), labels, fontsize=7)
@@ -89,7 +89,7 @@ def _draw_heat_map(axes: Axes, values: Array, labels: tuple[str, ...], norm: Log
 
 
 def _frequency_axis(axes: Axes, edges: Array) -> None:
-    """Some of the edges of the bands as ticks."""
+    """Label some edges of the bands."""
     step = max(1, round((len(edges) - 1) / FREQUENCY_TICKS))
     index = np.arange(0, len(edges), step)
     plain = (edges < ZERO_FREQUENCY_LIMIT) | (edges > 10.0)

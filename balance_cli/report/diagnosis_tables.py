@@ -1,4 +1,4 @@
-"""Tables of a diagnosis: effects with their evidence, their parameters, errors on the hold-out runs, modes."""
+"""Tables of a diagnosis: effects with evidence and parameters, errors on the hold-out runs, modes."""
 
 from __future__ import annotations
 
@@ -22,26 +22,30 @@ from balance_cli.report.number_format import (
 )
 
 SMALLEST_P_VALUE = 1e-99
+"""Smaller p-values are shown as a bound: three digits of exponent would widen the column and mean nothing more."""
 RESPONSE_TITLE = "Response: % of what the channels read"
 ERROR_HEADER = ("", "before", "after", "noise", "after / noise")
 PLUS_MINUS = "\N{PLUS-MINUS SIGN}"
 
 
 def format_p_value(value: float) -> str:
-    """A probability to two digits, and a bound where it is beyond all measure."""
+    """A p-value to two digits, or an upper bound where it is extremely small."""
     if not np.isfinite(value):
         return MISSING_VALUE
     return f"<{SMALLEST_P_VALUE:.0e}" if value < SMALLEST_P_VALUE else format_significant(value, 2)
 
 
 def effect_table(effects: Sequence[FoundEffect]) -> Table:
-    """Each effect with its evidence, and what it cannot be told from."""
-    words = ("effect", "chi2 without it", "parameters", "p", "on folds", "cannot be told from", "what would separate")
-    head = tuple(TableCell(word, mark="text" if i > 4 else "") for i, word in enumerate(words))
+    """Each effect with its evidence, and the effects that it cannot be distinguished from."""
+    columns = (
+        *("effect", "chi2 without it", "parameters", "p", "cross-validation"),
+        *("indistinguishable from", "separated by"),
+    )
+    head = tuple(TableCell(name, mark="text" if i > 4 else "") for i, name in enumerate(columns))
     caption = (
-        "Effects found, strongest first. Chi2 without it: by how much chi-square rises when the effect is left out and "
-        "everything else refitted; p: of that, corrected for the number of candidates; on folds: the gain on lines "
-        "that the fit had not seen."
+        "Effects found, strongest first. Chi2 without it: increase of chi-square when the effect is removed and all "
+        "else is refitted; p: of that, corrected for the number of candidates; cross-validation: gain on lines that "
+        "the fit had not used."
     )
     return Table(caption, (head,), tuple(_effect_row(effect) for effect in effects))
 
@@ -53,7 +57,7 @@ def _effect_row(effect: FoundEffect) -> Row:
         TableCell(f"+{format_significant(evidence.gain)}"),
         TableCell(str(evidence.parameters)),
         TableCell(format_p_value(evidence.p_value)),
-        TableCell(format_significant(evidence.folds)),
+        TableCell(format_significant(evidence.cross_validation_gain)),
         TableCell(join_names(effect.indistinguishable_from), mark="text"),
         TableCell(effect.separated_by if effect.indistinguishable_from else "", mark="text"),
     )
@@ -75,11 +79,11 @@ def parameter_table(effects: Sequence[FoundEffect]) -> Table:
                 TableCell(sigma),
                 TableCell(item.unit, mark="quiet"),
             ]
-            between = "" if item.interval is None else "{:.4g} to {:.4g}".format(*item.interval)
-            rows.append((*row, *([TableCell(between)] if bounded else [])))
+            interval = "" if item.interval is None else "{:.4g} to {:.4g}".format(*item.interval)
+            rows.append((*row, *([TableCell(interval)] if bounded else [])))
     caption = "Parameters of the effects, with one sigma."
     if bounded:
-        caption += " 95 %: by the likelihood, where sigma says little."
+        caption += " 95 %: interval by the likelihood, for parameters that are far from normally distributed."
     return Table(caption, (head,), tuple(rows))
 
 
@@ -94,14 +98,14 @@ def hold_out_table(made: Diagnosis) -> Table:
     rows.append(group_heading_row(RESPONSE_TITLE, len(ERROR_HEADER)))
     rows += [_error_row(name, *_response_errors(errors)) for name, errors in made.hold_out.items()]
     caption = (
-        f"Percent; hub loads as rms over the hold-out runs ({', '.join(made.hold_out)}). Noise: what the noise of the "
-        "records alone would leave. Shaded: within twice the noise."
+        f"Percent; hub loads as rms over the hold-out runs ({', '.join(made.hold_out)}). Noise: the error that the "
+        "noise of the records alone causes. Shaded: within twice the noise."
     )
     return Table(caption, (tuple(TableCell(word) for word in ERROR_HEADER),), tuple(rows))
 
 
 def run_tables(made: Diagnosis) -> Iterator[Table]:
-    """The same for every run by itself."""
+    """The same errors, one table per run."""
     for name, errors in made.hold_out.items():
         rows: list[Row] = []
         for kind in ERROR_KINDS:
@@ -136,21 +140,21 @@ def _error_row(name: str, before: RelativeError, after: RelativeError) -> Row:
 
 
 def mode_table(made: Diagnosis) -> Table:
-    """Frequencies and damping ratios of the modes, paired by their shapes; those that came in have no partner."""
+    """Frequencies and damping ratios of the modes, paired by their shapes; added modes have no partner."""
     before = _widen_sigmas(made.modes_before, made.chi2_per_dof_before)
     after = _widen_sigmas(made.modes_after, made.chi2_per_dof_after)
     pairs = match_modes([before, after]).index
     rows = [(TableCell(str(r + 1), mark="name"), *_mode_cells(before, after, *pair)) for r, pair in enumerate(pairs)]
     words = ("mode", "before [Hz]", "after [Hz]", "change", "damping before [%]", "damping after [%]")
     caption = (
-        "Eigenfrequencies and damping ratios before and after closing, with sigma widened by the misfit, paired by "
-        "their shapes; a mode without a partner belongs to a part that the model lacked."
+        "Eigenfrequencies and damping ratios before and after updating, with sigma widened by the misfit, paired "
+        "by their shapes; a mode without a partner belongs to a part that the model lacked."
     )
     return Table(caption, (tuple(TableCell(word) for word in words),), tuple(rows))
 
 
 def _widen_sigmas(modes: ModeTable, chi2_per_dof: float) -> ModeTable:
-    """The modes with the sigmas that the misfit leaves (Birge ratio)."""
+    """The modes with sigmas widened by the misfit (Birge ratio)."""
     scale = float(np.sqrt(chi2_per_dof)) if chi2_per_dof > 1.0 else 1.0
     frequency, damping = scale * modes.sigma_frequency, scale * modes.sigma_damping_ratio
     return replace(modes, sigma_frequency=frequency, sigma_damping_ratio=damping)

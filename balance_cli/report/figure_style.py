@@ -1,4 +1,4 @@
-"""Figures to markup: one style, colours that colour-blind readers can tell apart, the same bytes for the same data."""
+"""Figures as markup: one style, colors for color-blind readers, and the same bytes for the same data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-# Okabe and Ito's colours (Color Universal Design, 2008) and, after them, some of Tol's muted scheme.
+# Colors of Okabe and Ito (Color Universal Design, 2008); EXTRA_COLORS are from Tol's muted scheme.
 BLACK, GRAY, ORANGE, SKY, GREEN = "#222222", "#8a8a8a", "#e69f00", "#56b4e9", "#009e73"
 YELLOW, BLUE, VERMILION, PURPLE = "#d6c61a", "#0072b2", "#d55e00", "#cc79a7"
 EXTRA_COLORS = ("#882255", "#999933", "#44aa99", "#332288", "#aa4499")
@@ -25,7 +25,7 @@ SCREEN_PIXELS = 192
 """Resolution of rasterised curves [1/inch]: about twice that of a screen."""
 
 PICTURE_PIXELS = 180
-"""Resolution of a picture that is a file of its own [1/inch]."""
+"""Resolution of a picture in its own file [1/inch]: fits the width of a page at screen size."""
 
 RC_PARAMS: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -68,16 +68,16 @@ RC_PARAMS: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class PlotStyle:
-    """How one model or method is drawn wherever it appears: colour, dashes of its line, marker."""
+    """Color, line dashes and marker of one model or method in all figures."""
 
-    colour: str
+    color: str
     dashes: tuple[float, ...] = ()
     marker: str = "o"
 
     @property
     def line_kwargs(self) -> dict[str, Any]:
-        """Arguments of a curve."""
-        return {"color": self.colour, "linestyle": (0, self.dashes) if self.dashes else "-"}
+        """Keyword arguments of `Axes.plot`."""
+        return {"color": self.color, "linestyle": (0, self.dashes) if self.dashes else "-"}
 
 
 DATA_STYLE = PlotStyle(BLACK)
@@ -85,13 +85,13 @@ DATA_STYLE = PlotStyle(BLACK)
 
 @contextmanager
 def figure_style(name: str) -> Iterator[None]:
-    """The style of the page; identifiers inside the figure follow from its name."""
+    """Apply the style of the page; identifiers inside the figure are derived from `name`."""
     with matplotlib.rc_context({**RC_PARAMS, "svg.hashsalt": name}):
         yield
 
 
 def svg(name: str, description: str, draw: Callable[[], Figure]) -> str:
-    """What `draw` returns, as inline SVG; `description` is read out where the picture cannot be seen."""
+    """The figure that `draw` returns, as inline SVG; `description` is the text for screen readers."""
     with figure_style(name):
         figure = draw()
         buffer = io.StringIO()
@@ -100,10 +100,10 @@ def svg(name: str, description: str, draw: Callable[[], Figure]) -> str:
 
 
 def save_picture(path: Path, name: str, draw: Callable[[], Figure], file_format: str) -> None:
-    """What `draw` returns, as a file of its own (`png`, `svg` or `pdf`)."""
-    dated = {"png": "Software", "pdf": "CreationDate"}.get(file_format, "Date")
+    """Save the figure that `draw` returns to a file (`png`, `svg` or `pdf`)."""
+    date_field = {"png": "Software", "pdf": "CreationDate"}.get(file_format, "Date")
     with figure_style(name):
-        draw().savefig(path, format=file_format, dpi=PICTURE_PIXELS, metadata={dated: None}, facecolor="white")
+        draw().savefig(path, format=file_format, dpi=PICTURE_PIXELS, metadata={date_field: None}, facecolor="white")
 
 
 LONG_DECIMALS = re.compile(r"(\d+\.\d{2})\d+")
@@ -114,7 +114,7 @@ UNUSED_ID = re.compile(
 
 
 def _inline_svg(text: str, description: str) -> str:
-    """The `svg` element alone: no prologue, no metadata, hundredths of a point, names that nothing refers to gone."""
+    """The `svg` element alone: no prologue, metadata or unused ids; coordinates to hundredths of a point."""
     text = text[text.index("<svg") :]
     text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->\s*", "", text)
@@ -130,12 +130,12 @@ def _inline_svg(text: str, description: str) -> str:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure [inch]; a page is 12 wide."""
+    """An empty figure, size in inches; the page is 12 inches wide."""
     return Figure(figsize=(width, height))
 
 
 def _tick_label(value: float, _: object) -> str:
-    """A tick's number: plain, or as a power where it would be long."""
+    """The number at a tick, with an exponent where it would be long."""
     if 1e-4 <= abs(value) < 1e5:
         return f"{value:g}"
     mantissa, exponent = f"{value:.0e}".split("e")
@@ -143,11 +143,11 @@ def _tick_label(value: float, _: object) -> str:
 
 
 def set_log_axis(axes: Axes, limits: tuple[float, float]) -> None:
-    """Logarithmic y-axis between `limits` with plain numbers: decades, or 1, 2 and 5 where it spans few of them."""
+    """Set a logarithmic y-axis with plain numbers: decades, or 1, 2 and 5 where it spans less than two decades."""
     axes.set_yscale("log")
     axes.set_ylim(*limits)
-    few = np.log10(limits[1] / limits[0]) < 1.7
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=20))
+    few_decades = np.log10(limits[1] / limits[0]) < 1.7
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few_decades else (1.0,), numticks=20))
     axes.yaxis.set_major_formatter(FuncFormatter(_tick_label))
     axes.yaxis.set_minor_locator(NullLocator())
 
@@ -155,7 +155,7 @@ def set_log_axis(axes: Axes, limits: tuple[float, float]) -> None:
 def log_limits(
     values: Sequence[float] | np.ndarray[Any, Any], min_decades: float, margin: float = 1.15
 ) -> tuple[float, float]:
-    """Limits of a logarithmic axis around the positive values, at least `least` decades wide."""
+    """Limits of a logarithmic axis around the positive values, at least `min_decades` wide."""
     finite = np.asarray(values, float)
     finite = finite[np.isfinite(finite) & (finite > 0)]
     if not len(finite):

@@ -1,4 +1,4 @@
-"""Measured and modelled responses on one footing: the force that a cell carries, per unit of hub load."""
+"""Measured and modeled responses in common terms: the force in a cell per unit of hub load."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ERROR_BAND = (5.0, 150.0)
 
 @dataclass(frozen=True)
 class Sensor:
-    """A cell, the torque meter, or the resultant of two cells: the sum of its channels, taken with their signs."""
+    """A cell, the torque meter, or the resultant of two cells: the signed sum of its channels."""
 
     name: str
     channels: Mapping[str, float]
@@ -51,7 +51,7 @@ class Curve:
 
 
 def excitation_level(response: FrequencyResponse) -> float:
-    """Highest level of the excitation [N, N m rms] of its components; 0 where none is told."""
+    """Highest level of the excitation [N, N m rms] of its components; 0 where none is given."""
     return max((float(value) for value in response.level if np.isfinite(value)), default=0.0)
 
 
@@ -80,30 +80,33 @@ def force_response(response: FrequencyResponse, geometry: Geometry) -> tuple[Com
 def sensors(
     geometry: Geometry, responses: Sequence[FrequencyResponse], models: Sequence[IdentifiedModel]
 ) -> tuple[Sensor, ...]:
-    """Every cell by its quietest channel (relative to its sensitivity), the torque meter, and the resultants that a
+    """All sensors that the figures show.
 
-    model in the paper's form works with.
+    Every cell by the channel with the least noise relative to its sensitivity, the torque meter, and the resultants
+    that a model in the paper's form uses.
     """
     present = {name for response in responses for name in response.channel_names}
-    found = {}
+    cell_sensors = {}
     for cell in (*geometry.cell_names, None):
         channels = [channel for channel in geometry.channels if channel.cell == cell and channel.name in present]
         if channels:
             best = min(channels, key=lambda channel: median_force_noise(channel, responses))
-            found[cell or TORQUE_METER] = Sensor(cell or TORQUE_METER, {best.name: 1.0})
-    return (*found.values(), *_resultants(found, models))
+            cell_sensors[cell or TORQUE_METER] = Sensor(cell or TORQUE_METER, {best.name: 1.0})
+    return (*cell_sensors.values(), *_resultants(cell_sensors, models))
 
 
 def _resultants(cells: Mapping[str, Sensor], models: Sequence[IdentifiedModel]) -> tuple[Sensor, ...]:
-    found: dict[str, Sensor] = {}
+    resultants: dict[str, Sensor] = {}
     for model in models:
         rule = None if model.paper is None else model.paper.rule
         for i, name in enumerate(rule.names if rule else ()):
             assert rule is not None
             parts = {cell: sign for cell, sign in zip(rule.cells, rule.matrix[i], strict=True) if sign}
             if name not in cells and set(parts) <= set(cells):
-                found[name] = Sensor(name, {next(iter(cells[cell].channels)): float(parts[cell]) for cell in parts})
-    return tuple(found.values())
+                resultants[name] = Sensor(
+                    name, {next(iter(cells[cell].channels)): float(parts[cell]) for cell in parts}
+                )
+    return tuple(resultants.values())
 
 
 def median_force_noise(channel: Channel, responses: Sequence[FrequencyResponse]) -> float:
@@ -118,7 +121,7 @@ def median_force_noise(channel: Channel, responses: Sequence[FrequencyResponse])
 
 
 def measured_curve(response: FrequencyResponse, sensor: Sensor, component: str, geometry: Geometry) -> Curve | None:
-    """The sensor's measured response to a component; None where a channel of it is missing."""
+    """The sensor's measured response to a component; None where one of its channels is missing."""
     if not set(sensor.channels) <= set(response.channel_names):
         return None
     j = response.components.index(component)
@@ -132,9 +135,9 @@ def measured_curve(response: FrequencyResponse, sensor: Sensor, component: str, 
 
 @dataclass(frozen=True)
 class ModelResponse:
-    """What a model says at `frequency` (k,) [Hz]: volts of each channel and force of each sensor, (k, 6) each.
+    """Responses of a model at `frequency` (k,) [Hz]: volts of each channel and force of each sensor, (k, 6) each.
 
-    The paper's form says nothing of channels and knows its own sensors only.
+    A model of the paper's form has no channels, and its own sensors only.
     """
 
     frequency: Array
@@ -164,8 +167,8 @@ def model_response(
 
 def quotient(a: Values, b: Values) -> Values:
     """Quotient a / b element by element, NaN where b is zero."""
-    nothing = np.full(np.broadcast_shapes(a.shape, b.shape), np.nan, np.result_type(a, b))
-    return np.divide(a, b, out=nothing, where=b != 0)
+    result = np.full(np.broadcast_shapes(a.shape, b.shape), np.nan, np.result_type(a, b))
+    return np.divide(a, b, out=result, where=b != 0)
 
 
 def relative_error(model: ComplexArray, measured: ComplexArray) -> float:
@@ -175,6 +178,6 @@ def relative_error(model: ComplexArray, measured: ComplexArray) -> float:
 
 
 def relative_noise(sigma: Array, measured: ComplexArray) -> float:
-    """What noise of this standard deviation adds to `relative_error`."""
+    """The contribution of noise with this standard deviation to `relative_error`."""
     size = float(np.sum(np.abs(measured) ** 2))
     return float(np.sqrt(np.sum(sigma**2) / size)) if size > 0 else float("nan")

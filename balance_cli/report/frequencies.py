@@ -1,4 +1,4 @@
-"""Eigenfrequencies computed and identified, side by side (the paper's figure 13)."""
+"""Computed and identified eigenfrequencies side by side (figure 13 of the paper)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from balance_cli.model.mechanics.equations import SHAFT
 from balance_cli.report.blocks import Details, PageBlock, Paragraph, Picture, Row, Section, Table, TableCell
 from balance_cli.report.figure_style import new_figure, svg
 from balance_cli.report.number_format import MINUS, capitalize_first, format_fixed, value_and_sigma_text
+from balance_cli.report.source_roles import PREFERRED_MODELS, SourceRole
 from balance_cli.report.sources import Source, Sources
 
 LARGE_FREQUENCY_DEVIATION = 0.05
-"""Relative difference of a computed from an identified eigenfrequency that is called considerable."""
+"""Relative difference between a computed and an identified eigenfrequency beyond which it is marked."""
 MIN_MODAL_ASSURANCE = 0.5
-"""Least modal assurance of two shapes that are taken for one mode."""
+"""Least modal assurance of two shapes that count as one mode (1: equal, 0: orthogonal)."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +40,12 @@ def shaft_mode(modes: ModeTable) -> int | None:
 
 
 def match_models(models: Sequence[IdentifiedModel]) -> ModeMatch:
-    """Which mode of each model is which of the first one that has shapes."""
+    """Pair the modes of all models with those of the first model that has shapes."""
     return match_modes([model.modes for model in models])
 
 
 def match_modes(tables: Sequence[ModeTable]) -> ModeMatch:
-    """Modes in the same coordinates by their shapes; others by their frequencies, the shaft's aside."""
+    """Pair modes by their shapes where the coordinates agree, else by their frequencies; the shaft mode apart."""
     first = next((modes for modes in tables if has_shapes(modes)), tables[0])
     columns = [_partner_indices(first, modes) for modes in tables]
     rows = [tuple(column[i] for column in columns) for i in range(len(first.frequency))]
@@ -55,7 +56,7 @@ def match_modes(tables: Sequence[ModeTable]) -> ModeMatch:
 
 
 def _partner_indices(first: ModeTable, second: ModeTable) -> list[int | None]:
-    """For each mode of `first` its partner in `other`."""
+    """The partner in `second` of each mode of `first`."""
     shafts = (shaft_mode(first), shaft_mode(second))
     first_indices = [i for i in range(len(first.frequency)) if i != shafts[0]]
     second_indices = [i for i in range(len(second.frequency)) if i != shafts[1]]
@@ -70,9 +71,9 @@ def _partner_indices(first: ModeTable, second: ModeTable) -> list[int | None]:
 def _assign_modes(
     first: ModeTable, second: ModeTable, first_indices: list[int], second_indices: list[int]
 ) -> list[tuple[int, int]]:
-    """The pairing of the largest total modal assurance, nearness of frequencies deciding between equals.
+    """Pair modes for the largest total modal assurance; close frequencies decide between equal pairings.
 
-    Without shapes in common coordinates frequencies alone decide: in their order where there are as many of each.
+    Without shapes in common coordinates the frequencies decide alone: in ascending order where the numbers agree.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -100,22 +101,26 @@ def modal_assurance(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDA
 
 
 def sigma_scale(model: IdentifiedModel) -> float:
-    """Factor by which the misfit widens the sigmas; in the paper's form they come from the residuals as they are."""
+    """Factor by which the misfit widens the sigmas; 1 for the paper's form, whose sigmas come from the residuals."""
     return 1.0 if model.paper is not None else model.misfit_scale
 
 
 def reference_model(models: Sequence[Source[IdentifiedModel]]) -> Source[IdentifiedModel] | None:
-    """The identified model that others are compared with: the physical one by maximum likelihood, or the next best."""
-    for rank in ("closed", "identified", "paper", "ls", "paper-ls"):
+    """The identified model that others are compared with: the first of PREFERRED_MODELS that is given."""
+    for role in PREFERRED_MODELS:
         for source in models:
-            if source.rank == rank:
+            if source.role is role:
                 return source
     return None
 
 
 @dataclass(frozen=True)
 class FrequencyDeviation:
-    """How the computed eigenfrequencies deviate: their number, and those considerably off (frequencies [Hz])."""
+    """Deviation of the computed eigenfrequencies.
+
+    `count` of all pairs; `large_deviations`: computed and identified frequency [Hz] of those beyond the limit;
+    `largest`: the largest relative deviation.
+    """
 
     count: int
     large_deviations: tuple[tuple[float, float], ...]
@@ -123,19 +128,21 @@ class FrequencyDeviation:
 
 
 def frequency_deviation(computed: IdentifiedModel, identified: IdentifiedModel) -> FrequencyDeviation:
-    """Computed against identified eigenfrequencies, the modes that both have."""
+    """Compare computed and identified eigenfrequencies over the modes that both models have."""
     pairs = [
         (float(computed.modes.frequency[i]), float(identified.modes.frequency[j]))
         for i, j in match_models([computed, identified]).index
         if i is not None and j is not None
     ]
-    off = [(c / f - 1.0, (c, f)) for c, f in pairs]
-    large_deviations = tuple(pair for relative, pair in off if abs(relative) > LARGE_FREQUENCY_DEVIATION)
-    return FrequencyDeviation(len(pairs), large_deviations, max((abs(relative) for relative, _ in off), default=0.0))
+    deviations = [(c / f - 1.0, (c, f)) for c, f in pairs]
+    large_deviations = tuple(pair for relative, pair in deviations if abs(relative) > LARGE_FREQUENCY_DEVIATION)
+    return FrequencyDeviation(
+        len(pairs), large_deviations, max((abs(relative) for relative, _ in deviations), default=0.0)
+    )
 
 
 def section(sources: Sources) -> Section | None:
-    """Picture and tables of the modes of all models; None where there is no model."""
+    """Picture and tables of the modes of all models; None without a model."""
     models = sources.models
     if not models:
         return None
@@ -143,8 +150,8 @@ def section(sources: Sources) -> Section | None:
     blocks: list[PageBlock] = [
         Picture(
             "eigenfrequencies",
-            "Eigenfrequencies of all models, with two sigma: computed from the tolerances of the geometry, identified "
-            "from the noise, widened by the misfit.",
+            "Eigenfrequencies of all models with two sigma: of the computed model from the tolerances of the "
+            "geometry, of the identified ones from the noise, widened by the misfit.",
             svg("eigenfrequencies", "Eigenfrequencies of each model", lambda: frequency_figure(models, match)),
         ),
         frequency_table(models, match),
@@ -160,26 +167,26 @@ def section(sources: Sources) -> Section | None:
 
 
 def _deviation_sentence(models: Sequence[Source[IdentifiedModel]]) -> str:
-    computed = next((source for source in models if source.rank == "computed"), None)
+    computed = next((source for source in models if source.role is SourceRole.COMPUTED), None)
     best = reference_model(models)
     if computed is None or best is None:
         return ""
-    found = frequency_deviation(computed.content, best.content)
-    if not found.large_deviations:
+    deviation = frequency_deviation(computed.content, best.content)
+    if not deviation.large_deviations:
         return (
-            f"All {found.count} computed eigenfrequencies lie within {100 * LARGE_FREQUENCY_DEVIATION:.0f} % of "
+            f"All {deviation.count} computed eigenfrequencies lie within {100 * LARGE_FREQUENCY_DEVIATION:.0f} % of "
             f"{best.label}."
         )
-    pairs = "; ".join(f"{c:.1f} against {f:.1f} Hz" for c, f in found.large_deviations)
-    verb = "differs" if len(found.large_deviations) == 1 else "differ"
+    pairs = "; ".join(f"{c:.1f} against {f:.1f} Hz" for c, f in deviation.large_deviations)
+    verb = "differs" if len(deviation.large_deviations) == 1 else "differ"
     return (
-        f"{len(found.large_deviations)} of {found.count} computed eigenfrequencies {verb} by more than "
+        f"{len(deviation.large_deviations)} of {deviation.count} computed eigenfrequencies {verb} by more than "
         f"{100 * LARGE_FREQUENCY_DEVIATION:.0f} % from those of {best.label}: {pairs}."
     )
 
 
 def frequency_figure(models: Sequence[Source[IdentifiedModel]], match: ModeMatch) -> Figure:
-    """One row a model, frequency to the right; thin lines join the partners."""
+    """One row per model, frequency to the right; thin lines join paired modes."""
     figure = new_figure(12.0, 0.75 + 0.36 * len(models))
     axes = figure.add_subplot()
     for row, source in enumerate(models):
@@ -191,7 +198,7 @@ def frequency_figure(models: Sequence[Source[IdentifiedModel]], match: ModeMatch
             linestyle="",
             marker=source.plot_style.marker,
             markersize=6,
-            color=source.plot_style.colour,
+            color=source.plot_style.color,
             elinewidth=1.4,
             capsize=3,
             zorder=3,
@@ -211,7 +218,7 @@ def frequency_figure(models: Sequence[Source[IdentifiedModel]], match: ModeMatch
 
 
 def frequency_table(models: Sequence[Source[IdentifiedModel]], match: ModeMatch) -> Table:
-    """Frequencies with sigma, the difference from the reference beside."""
+    """Frequencies with sigma, and the difference from the reference model."""
     best = reference_model(models)
     column = None if best is None else models.index(best)
     rows = []

@@ -1,4 +1,4 @@
-"""Pictures of reduced hub loads: harmonics with sigma, and the redundancy by harmonic."""
+"""Pictures of reduced hub loads: harmonics with sigma, and the residual test by harmonic."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ REDUNDANCY_FLAG = "redundancy"
 
 
 def wind_runs(loads: HubLoads) -> dict[str, RunLoads]:
-    """The runs without known loads."""
+    """The wind-on runs, whose loads are not known."""
     return {name: run for name, run in loads.runs.items() if run.check is None}
 
 
 def amplitude_sigma(run: RunLoads) -> Array:
-    """Sigma (n+1, m) of the amplitudes: that of cosine and sine in the direction of the vector."""
+    """Sigma (n+1, m) of the amplitudes, from sigma of cosine and sine along the amplitude vector."""
     c, s = run.amplitude.real, -run.amplitude.imag
     size = np.where(np.abs(run.amplitude) > 0, np.abs(run.amplitude), 1.0)
     return np.asarray(np.hypot(c / size * run.sigma_cosine, s / size * run.sigma_sine))
 
 
 def redundancy_figure(load_sources: Sequence[Source[HubLoads]]) -> Figure:
-    """One panel a run, one curve a method, the limit dashed."""
+    """Chi-square per degree of freedom: one panel per run, one curve per method, the limit dashed."""
     names = list(dict.fromkeys(name for source in load_sources for name in wind_runs(source.content)))
     columns = min(len(names), 4)
     lines = -(-len(names) // columns)
@@ -62,7 +62,7 @@ def redundancy_figure(load_sources: Sequence[Source[HubLoads]]) -> Figure:
         axes.set_xlabel("harmonic of the rotor")
     for axes in panels[len(names) :]:
         axes.set_axis_off()
-    panels[0].set_ylabel("chi2 / dof of the surplus")
+    panels[0].set_ylabel("chi2 / dof of the residual test")
     handles = [
         Line2D([], [], marker=source.plot_style.marker, **source.plot_style.line_kwargs) for source in load_sources
     ]
@@ -82,7 +82,7 @@ def _draw_redundancy(axes: Axes, source: Source[HubLoads], run: RunLoads) -> Non
 
 
 def harmonics_figure(loads: HubLoads) -> Figure:
-    """One panel a component: amplitudes of harmonics 1 to n with sigma, one colour a run."""
+    """One panel per component: amplitudes of harmonics 1 to n with sigma, one color per run."""
     runs = list(wind_runs(loads).values())
     names = [name for name in COMPONENTS if any(name in run.components for run in runs)]
     columns = min(len(names), 3)

@@ -1,4 +1,4 @@
-"""Numbers as text: so many digits as they are worth."""
+"""Numbers as text, with as many digits as are significant."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import math
 MINUS = "\N{MINUS SIGN}"
 MISSING_VALUE = "\N{EN DASH}"
 MAX_DIGITS = 8
+"""Digits of a value whose sigma is very small: more would not fit a table, and no input has more."""
 MARKED_SIGMA = 3.0
-"""Standard errors beyond which a number is marked."""
+"""Standard errors beyond which a number is marked (p = 0.0027)."""
 SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e5
+"""Range of numbers that are written without an exponent."""
 
 
 def format_significant(value: float, digits: int = 3) -> str:
-    """A number to so many significant digits, without an exponent where it is readable without."""
+    """A number to `digits` significant digits, without an exponent where it is short enough."""
     if not math.isfinite(value):
         return MISSING_VALUE
     if value == 0:
@@ -26,7 +28,7 @@ def format_significant(value: float, digits: int = 3) -> str:
 
 
 def format_percent(ratio: float, digits: int = 2) -> str:
-    """A ratio in percent, without the sign; below a thousandth of a percent as such."""
+    """A ratio in percent, without the percent sign; `<0.001` below a thousandth of a percent."""
     if not math.isfinite(ratio):
         return MISSING_VALUE
     value = 100.0 * ratio
@@ -36,7 +38,7 @@ def format_percent(ratio: float, digits: int = 2) -> str:
 
 
 def value_and_sigma_text(value: float, sigma: float) -> tuple[str, str]:
-    """Value and sigma, both to the second significant digit of sigma (at most eight of value); exact values to six."""
+    """Value and sigma to the second significant digit of sigma, at most MAX_DIGITS of value; exact values to six."""
     if not (math.isfinite(sigma) and sigma > 0):
         return (f"{value:.6g}".replace("-", MINUS) if math.isfinite(value) else MISSING_VALUE), MISSING_VALUE
     if not math.isfinite(value):
@@ -54,7 +56,7 @@ def value_and_sigma_text(value: float, sigma: float) -> tuple[str, str]:
 
 
 def format_fixed(value: float, decimals: int) -> str:
-    """A number with so many decimals."""
+    """A number with a fixed number of decimals."""
     if not math.isfinite(value):
         return MISSING_VALUE
     text = f"{value:.{decimals}f}"
@@ -62,7 +64,7 @@ def format_fixed(value: float, decimals: int) -> str:
 
 
 def capitalize_first(text: str) -> str:
-    """A text that begins with a capital letter."""
+    """The text with its first letter capitalized."""
     return text[:1].upper() + text[1:]
 
 

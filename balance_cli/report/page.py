@@ -1,4 +1,4 @@
-"""The page: sections in order, one HTML file that needs nothing else."""
+"""The page: all sections in order, in one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from balance_cli.report import (
 from balance_cli.report.blocks import Section, pictures
 from balance_cli.report.sources import Sources
 
-# Results first, then what they rest on.
+# Results first, then the measurements and fits behind them.
 SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
     summary.section,
     check_runs.section,
@@ -43,28 +43,30 @@ SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
 
 @dataclass(frozen=True)
 class Page:
-    """A page and what is on it: its HTML, {section key: title} and the names of its pictures, in order."""
+    """A page: its HTML, {section key: title} and the names of its pictures, in order."""
 
     html: str
     sections: dict[str, str]
     pictures: tuple[str, ...]
 
 
-def page(sources: Sources) -> Page:
-    """The whole page from artefacts; a section for which there is nothing is left out."""
-    made = tuple(sections(sources))
-    rig = summary.rig(sources)
+def build_page(sources: Sources) -> Page:
+    """Build the whole page; a section without content is left out."""
+    made_sections = tuple(build_sections(sources))
+    rig = summary.rig_title(sources)
     title = f"Rotor balance {rig}" if rig else "Rotor balance"
     style = Markup(_read_resource("page.css"))
     html = (
-        _template_environment().from_string(_read_resource("page.html")).render(title=title, sections=made, style=style)
+        _template_environment()
+        .from_string(_read_resource("page.html"))
+        .render(title=title, sections=made_sections, style=style)
     )
-    names = tuple(picture.name for section in made for picture in pictures(section.blocks))
-    return Page(html, {section.key: section.title for section in made}, names)
+    names = tuple(picture.name for section in made_sections for picture in pictures(section.blocks))
+    return Page(html, {section.key: section.title for section in made_sections}, names)
 
 
-def sections(sources: Sources) -> Iterator[Section]:
-    """Every section that the artefacts give."""
+def build_sections(sources: Sources) -> Iterator[Section]:
+    """Yield every section for which there are artefacts."""
     for make in SECTIONS:
         section = make(sources)
         if section is not None:

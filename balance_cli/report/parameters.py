@@ -1,4 +1,4 @@
-"""What was identified: how well each run fits, each parameter with what it rests on, and what the data leave open."""
+"""Identification: fit of each run, parameters with their source of information, and unidentifiable directions."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.report.blocks import (
     BulletList,
@@ -29,15 +30,13 @@ from balance_cli.report.number_format import (
 )
 from balance_cli.report.sources import Source, Sources
 
-GOOD_FIT_CHI2_PER_DOF = 1.2
-"""Largest chi2/dof of a model that describes its data."""
-PARAMETER_HEADER = ("parameter", "unit", "value", "sigma", "declared", "tolerance", "deviation", "rests on")
+PARAMETER_HEADER = ("parameter", "unit", "value", "sigma", "declared", "tolerance", "deviation", "informed by")
 LARGE_DEVIATION = 3.0
-"""Deviation from the declared value, in declared sigmas, that is marked."""
+"""Deviation from the declared value, in declared sigmas, beyond which it is marked (p = 0.0027)."""
 
 
 def is_good_fit(model: IdentifiedModel) -> bool:
-    """Whether a fitted model describes its data within the noise."""
+    """Whether a fitted model describes its data to within the noise."""
     return model.quality.chi2_per_dof <= GOOD_FIT_CHI2_PER_DOF
 
 
@@ -49,8 +48,8 @@ def section(sources: Sources) -> Section | None:
     blocks: list[PageBlock] = [
         Paragraph(
             "Chi-square is taken against the noise measured in the runs, not against one estimated from residuals. "
-            "Near 1 per degree of freedom the model describes the data; well above, every sigma of a parameter says "
-            "less than it seems to, for it knows of noise alone."
+            "Near 1 per degree of freedom the model describes the data. Well above 1, the uncertainties of the "
+            "parameters are underestimated, because they include the noise alone."
         )
     ]
     blocks += [warning for source in models for warning in _fit_warnings(source)]
@@ -67,7 +66,7 @@ def _fit_warnings(source: Source[IdentifiedModel]) -> Iterator[PageBlock]:
         yield WarningText(
             f"{capitalize_first(source.label)} does not describe these data: chi2/dof is "
             f"{format_significant(quality.chi2_per_dof)}. "
-            "Something is missing in the model; its parameters absorb part of it."
+            "The model lacks at least one effect, and its parameters absorb part of it."
         )
     if not model.converged:
         yield WarningText(f"{capitalize_first(source.label)}: the fit did not converge.")
@@ -101,7 +100,7 @@ def quality_table(models: Sequence[Source[IdentifiedModel]]) -> Table:
     rows.append((*total, TableCell("", mark="total")))
     caption = (
         "Fit of every run. Error: rms of model less measured response over rms of the measured one, 5 to 150 Hz; "
-        "noise: what the noise of the measurement leaves of it. Static runs have no such error."
+        "noise: the part of it that is due to the noise of the measurement. Static runs have no such error."
     )
     return Table(caption, (labels, units), tuple(rows))
 
@@ -114,7 +113,7 @@ def _run_row(name: str, models: Sequence[Source[IdentifiedModel]]) -> Row:
         if fit is None:
             cells += [TableCell(""), TableCell("")]
             continue
-        noise = fit.frf_noise if np.isfinite(fit.frf_noise) else noise
+        noise = fit.frf_noise_floor if np.isfinite(fit.frf_noise_floor) else noise
         cells += [
             _ratio_cell(fit.chi2 / fit.dof if fit.dof > 0 else float("nan")),
             TableCell(format_percent(fit.frf_error)),
@@ -130,23 +129,22 @@ def _ratio_cell(ratio: float, mark: str = "") -> TableCell:
 def _parameter_blocks(source: Source[IdentifiedModel]) -> Iterator[PageBlock]:
     model = source.content
     yield Heading(f"Parameters of {source.label}")
-    rests = model.parameters.rests_on
-    counts = {word: rests.count(word) for word in ("data", "prior", "exact")}
-    scale = (
-        f" Sigmas are those of the noise; for the misfit multiply them by {format_significant(sigma_scale(model), 2)}."
+    sources_of_information = model.parameters.informed_by
+    counts = {word: sources_of_information.count(word) for word in ("data", "prior", "exact")}
+    factor = format_significant(sigma_scale(model), 2)
+    scale = f" Sigmas are those of the noise; to include the misfit, multiply them by {factor}."
+    sentence = (
+        f"{counts['data']} parameters are informed by the data, {counts['prior']} by the declared tolerances (more "
+        f"than half of the information), {counts['exact']} are declared exact."
     )
-    told = (
-        f"{counts['data']} parameters rest on the data, {counts['prior']} on the declared tolerances (more than half "
-        f"of their variance), {counts['exact']} are declared exact."
-    )
-    if counts["data"] == len(rests):
-        told = f"All {len(rests)} parameters rest on the data."
-    yield Paragraph(f"{told} {_fit_history_text(model)}{scale if sigma_scale(model) > 1.05 else ''}")
-    if model.undetermined:
-        yield Paragraph("The data alone leave open:")
-        yield BulletList(model.undetermined)
-    fitted = [i for i, word in enumerate(rests) if word != "exact"]
-    exact = [i for i, word in enumerate(rests) if word == "exact"]
+    if counts["data"] == len(sources_of_information):
+        sentence = f"All {len(sources_of_information)} parameters are informed by the data."
+    yield Paragraph(f"{sentence} {_fit_history_text(model)}{scale if sigma_scale(model) > 1.05 else ''}")
+    if model.unidentifiable:
+        yield Paragraph("The data alone do not determine:")
+        yield BulletList(model.unidentifiable)
+    fitted = [i for i, word in enumerate(sources_of_information) if word != "exact"]
+    exact = [i for i, word in enumerate(sources_of_information) if word == "exact"]
     table = parameter_table(source, fitted)
     yield table if model.form == "physical" else Details(f"{len(fitted)} coefficients", (table,))
     if exact:
@@ -158,7 +156,7 @@ def _fit_history_text(model: IdentifiedModel) -> str:
 
 
 def parameter_table(source: Source[IdentifiedModel], index: Sequence[int]) -> Table:
-    """Value and sigma, declared value and tolerance, the deviation between them, and what the value rests on."""
+    """Value and sigma, declared value and tolerance, their deviation, and what informs the value."""
     head = tuple(TableCell(name) for name in PARAMETER_HEADER)
     rows = tuple(_parameter_row(source.content, i) for i in index)
     caption = (
@@ -172,11 +170,11 @@ def _parameter_row(model: IdentifiedModel, i: int) -> Row:
     table = model.parameters
     value, sigma = value_and_sigma_text(float(table.value[i]), float(table.sigma[i]))
     tolerance, change = float(table.declared_sigma[i]), float(table.value[i] - table.declared[i])
-    told = bool(np.isfinite(table.declared[i]))
-    declared, width = value_and_sigma_text(float(table.declared[i]), tolerance) if told else ("", "")
+    is_declared = bool(np.isfinite(table.declared[i]))
+    declared, width = value_and_sigma_text(float(table.declared[i]), tolerance) if is_declared else ("", "")
     deviation = change / tolerance if np.isfinite(tolerance) and tolerance > 0 else float("nan")
-    # A relative change says something only of what is far from zero.
-    sizeable = told and abs(table.declared[i]) > LARGE_DEVIATION * tolerance
+    # A relative change is meaningful only for a declared value that is far from zero.
+    sizeable = is_declared and abs(table.declared[i]) > LARGE_DEVIATION * tolerance
     relative = f"{format_fixed(100 * change / float(table.declared[i]), 1)} %" if sizeable and table.declared[i] else ""
     far = "bad" if abs(deviation) > LARGE_DEVIATION else ""
     return (
@@ -187,5 +185,5 @@ def _parameter_row(model: IdentifiedModel, i: int) -> Row:
         TableCell(declared),
         TableCell(width),
         TableCell(format_fixed(deviation, 1), relative, far),
-        TableCell(table.rests_on[i], mark="" if table.rests_on[i] == "data" else "quiet"),
+        TableCell(table.informed_by[i], mark="" if table.informed_by[i] == "data" else "quiet"),
     )

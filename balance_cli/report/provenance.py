@@ -1,4 +1,4 @@
-"""Where everything comes from: artefacts, their inputs, digests, options and versions."""
+"""Provenance of the page: artefacts, their inputs, digests, options and versions."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from balance_cli.report.blocks import PageBlock, Paragraph, Row, Section, Table,
 from balance_cli.report.sources import Source, Sources
 
 DIGEST_DIGITS = 12
-"""Characters of a digest that are shown; the rest appears under the pointer."""
+"""Characters of a digest that are shown, enough to tell files apart; the tooltip shows all."""
 
 
 def section(sources: Sources) -> Section:
     """Artefacts, inputs and versions."""
     blocks: tuple[PageBlock, ...] = (
         Paragraph(
-            "Everything on this page comes from these artefacts alone. Digests cover data, options, schema and the "
+            "This page was made from these artefacts alone. Digests cover data, options, schema and the "
             "digests of the inputs (SHA-256; the first twelve digits are shown)."
         ),
         artefact_table(sources),
@@ -26,17 +26,22 @@ def section(sources: Sources) -> Section:
 
 
 def artefact_table(sources: Sources) -> Table:
-    """Every artefact: file, what it is, command, options, digest, time."""
+    """One row per artefact: file, format, label, command, options, digest, time."""
     head = tuple(TableCell(name) for name in ("file", "format", "shown as", "command", "options", "digest", "made"))
     return Table("Artefacts.", (head,), tuple(_artefact_row(source) for source in sources.all_sources))
 
 
 def _artefact_row(source: Source[object]) -> Row:
-    made = source.artefact.provenance
-    options = ", ".join(f"{name}={_option_text(value)}" for name, value in made.options.items()) or "defaults"
-    texts = (source.artefact.format, source.label, f"balance {made.command}", options)
+    provenance = source.artefact.provenance
+    options = ", ".join(f"{name}={_option_text(value)}" for name, value in provenance.options.items()) or "defaults"
+    texts = (source.artefact.format, source.label, f"balance {provenance.command}", options)
     digest = TableCell(source.artefact.digest[:DIGEST_DIGITS], mark="digest", title=source.artefact.digest)
-    return (TableCell(source.file, mark="name"), *(TableCell(text) for text in texts), digest, TableCell(made.created))
+    return (
+        TableCell(source.file, mark="name"),
+        *(TableCell(text) for text in texts),
+        digest,
+        TableCell(provenance.created),
+    )
 
 
 def _option_text(value: object) -> str:
@@ -44,21 +49,21 @@ def _option_text(value: object) -> str:
 
 
 def input_table(sources: Sources) -> Table:
-    """Every input of every artefact once, with the artefacts that it went into."""
-    used: dict[tuple[str, str, str], list[str]] = {}
+    """Every input once, with the artefacts that were made from it."""
+    files_by_input: dict[tuple[str, str, str], list[str]] = {}
     for source in sources.all_sources:
         for item in source.artefact.provenance.inputs:
-            used.setdefault((item.role, item.name, item.digest), []).append(source.file)
+            files_by_input.setdefault((item.role, item.name, item.digest), []).append(source.file)
     rows = []
-    for (role, name, digest), files in used.items():
+    for (role, name, digest), files in files_by_input.items():
         short = TableCell(digest[:DIGEST_DIGITS], mark="digest", title=digest)
         rows.append((TableCell(name, mark="name"), TableCell(role), short, TableCell(", ".join(dict.fromkeys(files)))))
-    head = tuple(TableCell(name) for name in ("input", "role", "digest", "went into"))
+    head = tuple(TableCell(name) for name in ("input", "role", "digest", "used for"))
     return Table("Inputs of the artefacts.", (head,), tuple(rows))
 
 
 def version_table(sources: Sources) -> Table:
-    """Versions of the packages that made the artefacts."""
+    """Versions of the packages with which the artefacts were made."""
     names = dict.fromkeys(name for source in sources.all_sources for name in source.artefact.provenance.versions)
     rows = []
     for name in names:

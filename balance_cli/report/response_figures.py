@@ -1,4 +1,4 @@
-"""Pictures of measured and modelled responses: amplitude, phase and residual, in many small panels."""
+"""Pictures of measured and modeled responses: amplitude, phase and residual in small panels."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ ComplexArray = NDArray[np.complex128]
 MOST_IN_FOUR_COLUMNS = 8
 LEGEND_INCHES = 0.35
 RESIDUAL_LIMITS = (0.1, 300.0)
-"""Limits of the residual's axis [%]."""
+"""Limits of the residual axis [%]."""
 NO_RESPONSE_STYLE: dict[str, Any] = {"ha": "center", "va": "center", "color": "#666666"}
 MAX_AXIS_RATIO = 1e4
-"""The amplitude axis shows no more than this ratio of its ends."""
+"""Largest ratio of the ends of the amplitude axis: more decades would flatten the curves."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One sensor and component: the measured curve, and (label, look, value (k,)) of each model at its lines."""
+    """One sensor and component: the measured curve, and (label, plot style, value (k,)) of each model."""
 
     sensor: str
     component: str
@@ -43,24 +43,26 @@ class Panel:
     def unit(self) -> str:
         """Unit of the response."""
         per = UNIT_OF[self.component]
-        own = "N m" if self.sensor == "torque meter" else "N"
-        return "1" if own == per else f"{own}/({per})" if " " in per else f"{own}/{per}"
+        sensor_unit = "N m" if self.sensor == "torque meter" else "N"
+        if sensor_unit == per:
+            return "1"
+        return f"{sensor_unit}/({per})" if " " in per else f"{sensor_unit}/{per}"
 
     @property
     def is_zero_in_models(self) -> bool:
-        """Whether there are models and all of them say that nothing is to be seen here."""
+        """Whether there are models and the response is zero in all of them."""
         return bool(self.models) and not any(value.any() for _, _, value in self.models)
 
 
 def component_figure(panels: Sequence[Panel]) -> Figure:
-    """All sensors of one component, amplitude axes alike."""
+    """All sensors of one component, with common amplitude limits."""
     limits = _amplitude_limits(panels)
     columns = min(len(panels), 4 if len(panels) <= MOST_IN_FOUR_COLUMNS else 5)
     return _draw_grid(panels, columns, 2.45, (1.15, 0.6, 0.85), limits)
 
 
 def detail_figure(panels: Sequence[Panel]) -> Figure:
-    """Few pairs, larger, each with an amplitude axis of its own."""
+    """A few pairs in larger panels, each with its own amplitude limits."""
     return _draw_grid(panels, min(len(panels), 2), 3.4, (1.5, 0.7, 1.0), None)
 
 
@@ -140,7 +142,7 @@ def _draw_phase(axes: Axes, panel: Panel) -> None:
 
 
 def phase_with_gaps(value: ComplexArray) -> Array:
-    """Phase [deg] within +-180, NaN in the first line after a jump so that no line crosses the picture."""
+    """Phase [deg] within +-180, NaN at the first line after a jump so that no curve crosses the panel."""
     phase = np.degrees(np.angle(value))
     phase[1:][np.abs(np.diff(phase)) > 180.0] = np.nan
     return np.asarray(phase)
@@ -160,7 +162,7 @@ def _draw_residual(axes: Axes, panel: Panel) -> None:
 
 
 def _amplitude_limits(panels: Sequence[Panel]) -> tuple[float, float]:
-    """Limits that hold every measured curve but the deepest notches."""
+    """Limits that contain every measured curve except the deepest notches."""
     sizes = [np.abs(panel.measured.value) for panel in panels]
     high = 1.6 * max(float(size.max()) for size in sizes)
     low = min(float(np.percentile(size, 1)) for size in sizes)

@@ -1,4 +1,4 @@
-"""Measured responses against every model: one picture a component, a panel a cell; the paper's figure 14; a table."""
+"""Measured responses against all models: one picture per component, one panel per cell, and tables of errors."""
 
 from __future__ import annotations
 
@@ -42,16 +42,18 @@ from balance_cli.signals.response.transfer import Transfer, response_components,
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 PLOT_BAND = (2.0, 150.0)
+"""Band of the pictures [Hz]: from below 1/rev to the cutoff of the anti-alias filter."""
 RESPONSE_NOISE_FACTOR = 1.5
-"""An error up to so many times the noise counts as noise."""
+"""An error up to this factor times the noise counts as noise."""
 MAX_RELATIVE_NOISE = 0.5
-"""A channel whose relative noise is above this shows nothing."""
+"""A channel whose relative noise is above this is not informative and printed in gray."""
 PAPER_PAIRS = (("x", "Fx"), ("x", "My"), ("y1", "Fy"), ("z1", "Fz"))
+"""Pairs of cell and component in figure 14 of the paper."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One component: the measured response, and what each model says at its lines, over the sensors shown."""
+    """One component: the measured response, and the responses of each model at its lines, for the sensors shown."""
 
     component: str
     geometry: Geometry
@@ -62,19 +64,19 @@ class Comparison:
 
 def comparisons(sources: Sources) -> tuple[Comparison, ...]:
     """Every component that was excited, at its highest level, against all models."""
-    chosen: dict[str, tuple[Transfer, FrequencyResponse]] = {}
+    measured: dict[str, tuple[Transfer, FrequencyResponse]] = {}
     for source in sources.transfers:
         for component in response_components(source.content):
-            chosen.setdefault(component, (source.content, response_to_component(source.content, component)))
+            measured.setdefault(component, (source.content, response_to_component(source.content, component)))
     models = [source.content for source in sources.models]
-    found = []
-    for component in sorted(chosen, key=COMPONENTS.index):
-        transfer, response = chosen[component]
-        mine = [comparison for other, comparison in chosen.values() if other is transfer]
-        shown_sensors = sensors(transfer.geometry, mine, models)
+    result = []
+    for component in sorted(measured, key=COMPONENTS.index):
+        transfer, response = measured[component]
+        responses = [item for source, item in measured.values() if source is transfer]
+        shown_sensors = sensors(transfer.geometry, responses, models)
         predictions = tuple(_predict_responses(sources, response, shown_sensors, transfer.geometry))
-        found.append(Comparison(component, transfer.geometry, shown_sensors, response, predictions))
-    return tuple(found)
+        result.append(Comparison(component, transfer.geometry, shown_sensors, response, predictions))
+    return tuple(result)
 
 
 def _predict_responses(
@@ -92,10 +94,10 @@ def section(sources: Sources) -> Section | None:
     blocks: list[PageBlock] = [Paragraph(_introduction(compared))]
     if sources.models:
         blocks += [*_paper_picture(compared), error_table(compared)]
-    blocks.append(Heading("Every cell and component"))
+    blocks.append(Heading("All cells and components"))
     blocks += [_component_picture(comparison) for comparison in compared]
     if sources.models:
-        blocks.append(Details("Errors of every channel", (channel_table(compared),)))
+        blocks.append(Details("Errors of each channel", (channel_table(compared),)))
     title = "Measured responses against the models" if sources.models else "Measured responses, cell by cell"
     return Section("responses", title, tuple(blocks))
 
@@ -104,10 +106,10 @@ def _introduction(compared: Sequence[Comparison]) -> str:
     runs = join_names([comparison.measured.run for comparison in compared])
     channels = ", ".join(f"{sensor.name} by {' + '.join(sensor.channels)}" for sensor in compared[0].shown_sensors)
     return (
-        f"Force of each cell per unit of hub load, from the runs of the highest level: {runs}. Each cell is shown by "
-        f"its quietest channel, sensitivity and dynamics of the channel divided out as declared ({channels}). "
-        "Residual: |model minus measurement| over |measurement|; grey: one standard deviation of the measurement. "
-        "What stands above the grey is the model's fault."
+        f"Force in each cell per unit of hub load, from the runs of the highest level: {runs}. Each cell is shown by "
+        f"the channel with the least noise, divided by its declared sensitivity and dynamics ({channels}). Residual: "
+        "|model minus measurement| over |measurement|; gray: one standard deviation of the measurement. A residual "
+        "above the gray area is an error of the model."
     )
 
 
@@ -137,13 +139,13 @@ def _component_picture(comparison: Comparison) -> Picture:
 
 
 def _paper_picture(compared: Sequence[Comparison]) -> Iterator[Picture]:
-    """The pairs of the paper's figure 14 where this rig has them, else the strongest cell of each component."""
+    """The pairs of figure 14 of the paper where this rig has them, else the strongest cell of each component."""
     panels = {(panel.sensor, panel.component): panel for comparison in compared for panel in _panels(comparison)}
     pairs = [pair for pair in PAPER_PAIRS if pair in panels] or _strongest_pairs(panels)
     if pairs:
-        chosen = tuple(panels[pair] for pair in pairs)
+        shown_panels = tuple(panels[pair] for pair in pairs)
         caption = "Fit of " + join_names([f"{sensor}/{component}" for sensor, component in pairs]) + "."
-        yield Picture("fit", caption, svg("fit", caption, lambda: detail_figure(chosen)))
+        yield Picture("fit", caption, svg("fit", caption, lambda: detail_figure(shown_panels)))
 
 
 def _strongest_pairs(panels: dict[tuple[str, str], Panel]) -> list[tuple[str, str]]:
@@ -173,8 +175,8 @@ def error_table(compared: Sequence[Comparison]) -> Table:
     )
     caption = (
         f"Relative error of the responses of all cells together, % (rms of model minus measurement over rms of "
-        f"measurement, {ERROR_BAND[0]:.0f} to {ERROR_BAND[1]:.0f} Hz), and what the noise of the measurement leaves. "
-        "The form of the paper is judged by its own sensors. Shaded: within 1.5 times the noise."
+        f"measurement, {ERROR_BAND[0]:.0f} to {ERROR_BAND[1]:.0f} Hz), and the noise of the measurement. "
+        "The paper's form is compared at its own sensors. Shaded: within 1.5 times the noise."
     )
     return Table(caption, (head,), tuple(rows))
 
@@ -208,7 +210,7 @@ def sensor_errors(comparison: Comparison) -> tuple[float, list[float]]:
 
 
 def channel_table(compared: Sequence[Comparison]) -> Table:
-    """For each model that tells channels: channels down, components across; the noise in small."""
+    """Channels down, components across, for each model that has channels; the noise in small print."""
     names = list(dict.fromkeys(name for comparison in compared for name in comparison.measured.channel_names))
     rows: list[Row] = []
     for m, (source, predictions) in enumerate(compared[0].models):
@@ -219,7 +221,7 @@ def channel_table(compared: Sequence[Comparison]) -> Table:
                     (TableCell(name, mark="name"), *(_channel_cell(comparison, m, name) for comparison in compared))
                 )
     head = (TableCell(""), *(TableCell(comparison.component) for comparison in compared))
-    caption = "Relative error of every channel, %; small: what the noise of the measurement leaves."
+    caption = "Relative error of each channel, %; small: noise of the measurement."
     return Table(caption, (head,), tuple(rows))
 
 

@@ -1,4 +1,4 @@
-"""The top of the page: what was made from what, and the verdict in numbers."""
+"""The top of the page: the inputs, and the main results as key figures."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from balance_cli.report.frequencies import LARGE_FREQUENCY_DEVIATION, frequency_
 from balance_cli.report.load_figures import wind_runs
 from balance_cli.report.number_format import capitalize_first, format_percent, format_significant, join_names
 from balance_cli.report.parameters import is_good_fit
+from balance_cli.report.source_roles import SourceRole
 from balance_cli.report.sources import Sources
 from balance_cli.report.wind_on import harmonics_above_limit, select_shown_loads
 
 
 def section(sources: Sources) -> Section:
-    """What there is, and what came out of it."""
+    """Inputs, key figures and conclusions."""
     blocks: list[PageBlock] = [BulletList(tuple(_input_sentences(sources)))]
     figures = tuple(_key_figures(sources))
     if figures:
@@ -28,8 +29,8 @@ def section(sources: Sources) -> Section:
     return Section("summary", "Summary", tuple(blocks))
 
 
-def rig(sources: Sources) -> str:
-    """Name of the rig, or of the rigs, for the title; empty where no artefact says."""
+def rig_title(sources: Sources) -> str:
+    """Name of the rig, or of the rigs, for the title; empty without artefacts."""
     return join_names(list(dict.fromkeys(geometry.rig for geometry in sources.geometries)))
 
 
@@ -47,7 +48,7 @@ def _input_sentences(sources: Sources) -> Iterator[str]:
         yield f"Models: {join_names([f'{source.label} ({source.file})' for source in sources.models])}."
     for diagnosis in sources.diagnoses:
         made = diagnosis.content
-        yield f"Diagnosis {diagnosis.file}: {made.candidates} candidates, {len(made.hold_out)} runs held out."
+        yield f"Diagnosis {diagnosis.file}: {made.candidate_count} candidates, {len(made.hold_out)} runs held out."
     if sources.loads:
         runs = dict.fromkeys(name for source in sources.loads for name in source.content.runs)
         labels = join_names([f"{source.label} ({source.file})" for source in sources.loads])
@@ -74,7 +75,7 @@ def _key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
     noise = [overall_error(source.content, "load_error") for source in loads_with_check_runs(sources)]
     if any(noise):
         least = min(error.noise for error in noise if error is not None)
-        yield f"{format_percent(least)} %", "of it noise alone (least of all methods)", "quiet"
+        yield f"{format_percent(least)} %", "noise floor of the hub-load error (smallest of all methods)", "quiet"
     yield from _model_key_figures(sources)
     load_sources = [source for source in sources.loads if wind_runs(source.content)]
     if load_sources:
@@ -83,7 +84,7 @@ def _key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
         total = sum(int(np.isfinite(run.redundancy).sum()) for run in runs)
         failing = sum(len(harmonics_above_limit(run)) for run in runs)
         mark = "bad" if failing else "good"
-        yield f"{failing} of {total}", f"wind-on harmonics beyond the redundancy limit, {shown.label}", mark
+        yield f"{failing} of {total}", f"wind-on harmonics that fail the residual test, {shown.label}", mark
 
 
 def _model_key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
@@ -93,12 +94,12 @@ def _model_key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
     quality = best.content.quality
     mark = "good" if is_good_fit(best.content) else "bad"
     yield format_significant(quality.chi2_per_dof), f"chi2/dof, {best.label}", mark
-    computed = next((source for source in sources.models if source.rank == "computed"), None)
+    computed = next((source for source in sources.models if source.role is SourceRole.COMPUTED), None)
     if computed is not None:
-        found = frequency_deviation(computed.content, best.content)
-        words = f"computed eigenfrequencies more than {100 * LARGE_FREQUENCY_DEVIATION:.0f} % off"
-        count = len(found.large_deviations)
-        yield f"{count} of {found.count}", words, "bad" if count else "good"
+        deviation = frequency_deviation(computed.content, best.content)
+        caption = f"computed eigenfrequencies more than {100 * LARGE_FREQUENCY_DEVIATION:.0f} % off"
+        count = len(deviation.large_deviations)
+        yield f"{count} of {deviation.count}", caption, "bad" if count else "good"
 
 
 def _verdict_blocks(sources: Sources) -> Iterator[PageBlock]:
@@ -107,27 +108,27 @@ def _verdict_blocks(sources: Sources) -> Iterator[PageBlock]:
     best = reference_model(sources.models)
     if best is not None and not is_good_fit(best.content):
         yield WarningText(
-            f"{capitalize_first(best.label)} does not describe the data within their noise: chi2/dof is "
-            f"{format_significant(best.content.quality.chi2_per_dof)}, the responses are off by "
-            f"{format_percent(best.content.quality.frf_error)} % rms. Something is missing in it."
+            f"{capitalize_first(best.label)} does not describe the data to within their noise: chi2/dof is "
+            f"{format_significant(best.content.quality.chi2_per_dof)}, the rms error of the responses is "
+            f"{format_percent(best.content.quality.frf_error)} %. The model lacks at least one effect."
         )
     elif best is not None:
-        yield BulletList((f"{capitalize_first(best.label)} describes the data within their noise.",))
+        yield BulletList((f"{capitalize_first(best.label)} describes the data to within their noise.",))
     ranking = _ranking_sentence(sources)
     if ranking:
         yield BulletList((ranking,))
 
 
 def _ranking_sentence(sources: Sources) -> str:
-    """Which method leaves least, in one sentence."""
-    found = [
+    """One sentence that names the method with the smallest error."""
+    errors = [
         (error.value, error.noise, source.label)
         for source in loads_with_check_runs(sources)
         if (error := overall_error(source.content, "load_error")) is not None
     ]
-    if len(found) < 2:
+    if len(errors) < 2:
         return ""
-    value, noise, label = min(found)
-    others = "; ".join(f"{other} {format_percent(error)} %" for error, _, other in found if other != label)
-    factor = f", {format_significant(value / noise, 2)} times what noise alone would leave" if noise > 0 else ""
-    return f"Least hub-load error on the check runs: {label}, {format_percent(value)} %{factor} ({others})."
+    value, noise, label = min(errors)
+    others = "; ".join(f"{name} {format_percent(error)} %" for error, _, name in errors if name != label)
+    factor = f", {format_significant(value / noise, 2)} times the noise floor" if noise > 0 else ""
+    return f"Smallest hub-load error on the check runs: {label}, {format_percent(value)} %{factor} ({others})."

@@ -1,4 +1,4 @@
-"""Pictures of the measured responses by themselves: coherence, and the ratio of the two channels of a cell."""
+"""Pictures of the measured responses: coherence, and the ratio of the two channels of a cell."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from balance_cli.report.figure_style import (
     VERMILION,
     new_figure,
 )
-from balance_cli.report.force_responses import best_channel, level, quotient
+from balance_cli.report.force_responses import best_channel, excitation_level, quotient
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 Array = NDArray[np.float64]
@@ -35,16 +35,16 @@ CELL_COLORS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, GRAY, *EXTRA_COLORS)
 
 
 def coherence_figure(responses: Sequence[FrequencyResponse]) -> Figure:
-    """One panel a component: 1 - coherence over frequency, the strongest level thick."""
+    """One panel per component: 1 - coherence over frequency, the highest level as a thick line."""
     names = [name for name in COMPONENTS if any(name in response.components for response in responses)]
     columns = min(len(names), 6)
     figure = new_figure(12.0, 2.1 * -(-len(names) // columns))
     panels = figure.subplots(-(-len(names) // columns), columns, squeeze=False, sharex=True, sharey=True)
     for axes, name in zip(panels.ravel(), names, strict=False):
-        mine = [response for response in responses if name in response.components]
-        strongest = max(level(response) for response in mine)
-        for response in mine:
-            thick = level(response) == strongest
+        component_responses = [response for response in responses if name in response.components]
+        strongest = max(excitation_level(response) for response in component_responses)
+        for response in component_responses:
+            thick = excitation_level(response) == strongest
             missing = np.maximum(1.0 - best_channel(response)[0], 1e-9)
             plot_style = {"color": BLUE, "linewidth": 1.0} if thick else {"color": SKY, "linewidth": 0.6}
             axes.semilogy(response.frequency, missing, rasterized=True, zorder=3 if thick else 2, **plot_style)
@@ -66,7 +66,7 @@ def cell_channel_pairs(
     present = set.intersection(*(set(response.channel_names) for response in responses))
     pairs: dict[str, tuple[str, str]] = {}
     for cell in dict.fromkeys(cell for cell in cell_of.values() if cell):
-        channels = [name for name, own in cell_of.items() if own == cell and name in present]
+        channels = [name for name, of_cell in cell_of.items() if of_cell == cell and name in present]
         if len(channels) == 2:
             pairs[cell] = (channels[1], channels[0])
     return pairs
@@ -75,7 +75,7 @@ def cell_channel_pairs(
 def cell_channel_ratio(
     pair: tuple[str, str], responses: Sequence[FrequencyResponse], sensitivity: dict[str, float]
 ) -> tuple[Array, NDArray[np.complex128]]:
-    """Ratio of a cell's two channels as forces: at each line that of the response that shows the cell best."""
+    """Ratio of the two channels of a cell as forces, at each line from the response with the least relative noise."""
     best: dict[float, tuple[float, complex]] = {}
     for response in responses:
         a, b = (response.channel_names.index(name) for name in pair)
@@ -83,9 +83,9 @@ def cell_channel_ratio(
         ratios = quotient(T[:, 0], T[:, 1])
         variance = np.real(response.channel_covariance[:, [a, b], [a, b]] * response.load_covariance[:, :1, 0])
         quality = np.min(quotient(np.abs(response.response[:, [a, b], 0]), np.sqrt(variance)), axis=1)
-        for frequency, good, ratio in zip(response.frequency, quality, ratios, strict=True):
-            if good > best.get(float(frequency), (0.0, 0j))[0]:
-                best[float(frequency)] = (float(good), complex(ratio))
+        for frequency, signal_to_noise, ratio in zip(response.frequency, quality, ratios, strict=True):
+            if signal_to_noise > best.get(float(frequency), (0.0, 0j))[0]:
+                best[float(frequency)] = (float(signal_to_noise), complex(ratio))
     frequencies = sorted(best)
     return np.array(frequencies), np.array([best[f][1] for f in frequencies])
 
@@ -93,7 +93,7 @@ def cell_channel_ratio(
 def ratio_figure(
     pairs: dict[str, tuple[str, str]], responses: Sequence[FrequencyResponse], geometry: Geometry
 ) -> Figure:
-    """Amplitude and phase of the ratio for every cell, and as the channels' declared dynamics have it."""
+    """Amplitude and phase of the ratio for every cell, and the ratio of the declared dynamics of the channels."""
     figure = new_figure(12.0, 2.7)
     left, right = figure.subplots(1, 2)
     declared = {channel.name: channel for channel in geometry.channels}

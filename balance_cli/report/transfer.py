@@ -1,4 +1,4 @@
-"""The measured responses by themselves: runs and levels, coherence, sigma, and whether they depend on the level."""
+"""The measured responses: runs and levels, coherence, sigma, and dependence on the level of excitation."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from balance_cli.report.figure_style import svg
 from balance_cli.report.force_responses import (
     best_channel,
     error_band,
+    excitation_level,
     force_response,
-    level,
     relative_error,
     relative_noise,
 )
@@ -24,7 +24,7 @@ from balance_cli.signals.response.transfer import Transfer, select_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 LEVEL_NOISE_FACTOR = 1.5
-"""A difference between levels above so many times the noise is marked."""
+"""A difference between levels above this factor times the noise is marked."""
 RUN_HEADER = (
     "run",
     "excited",
@@ -33,14 +33,14 @@ RUN_HEADER = (
     "lines",
     "Hz",
     "steady part",
-    "least coherence",
+    "lowest coherence",
     "sigma %",
-    "by",
+    "estimator",
 )
 
 
 def section(sources: Sources) -> Section | None:
-    """Tables and pictures of all measured responses; None where there are none."""
+    """Tables and pictures of all measured responses; None without any."""
     transfer_sources = [source for source in sources.transfers if source.content.responses]
     blocks = [block for source in transfer_sources for block in _transfer_blocks(source, len(transfer_sources) > 1)]
     return Section("sweeps", "Measured responses: coherence and noise", tuple(blocks)) if blocks else None
@@ -56,12 +56,12 @@ def _transfer_blocks(source: Source[Transfer], several: bool) -> Iterator[PageBl
             yield WarningText(f"Run {run}, channel {channel} left out: {reason}.")
     for run, part in transfer.steady_parts.items():
         if not part.steady:
-            yield WarningText(f"Run {run} did not become steady by test before its last two periods.")
+            yield WarningText(f"Run {run} did not pass the test of steadiness before its last two periods.")
     if transfer.unused_runs:
         yield Paragraph(f"Not used: {join_names(list(transfer.unused_runs))}.")
     yield run_table(transfer)
     name = f"coherence-{source.file}" if several else "coherence"
-    caption = f"1 - coherence of the best-responding channel of every line; light: lower levels{suffix}."
+    caption = f"1 - coherence of the best-responding channel at each line; light: lower levels{suffix}."
     yield Picture(name, caption, svg(name, caption, lambda: coherence_figure(component_responses)))
     table = level_table(source, component_responses)
     if table.rows:
@@ -77,17 +77,17 @@ def _ratio_pictures(
     if pairs:
         name = f"channel-ratio-{source.file}" if several else "channel-ratio"
         caption = (
-            "Piezo against strain channel of each cell, as forces: at every line from the response that shows the cell "
-            f"best, without any model of the plate (paper, figure 4). Dashed: the dynamics declared{suffix}."
+            "Piezo over strain channel of each cell, as forces: at each line from the response with the least noise, "
+            f"without a model of the plate (figure 4 of the paper). Dashed: declared dynamics{suffix}."
         )
         yield Picture(name, caption, svg(name, caption, lambda: ratio_figure(pairs, component_responses, geometry)))
 
 
 def run_table(transfer: Transfer) -> Table:
-    """One row a run and component: how strongly it was excited, lines, steady part, coherence, sigma, estimator."""
+    """One row per run and component: level of excitation, lines, steady part, coherence, sigma, estimator."""
     caption = (
-        "Runs. Coherence (the least) and relative sigma (the median) are those of the best-responding channel of each "
-        "line, 5 to 150 Hz. Steady part: what was used of a periodic record; small: from which period on, line by line."
+        "Runs. Lowest coherence and median relative sigma of the best-responding channel of each line, 5 to 150 Hz. "
+        "Steady part: the part of a periodic record that was used; small: its first period, line by line."
     )
     rows = [_run_row(transfer, select_component(r, name), r) for r in transfer.responses for name in r.components]
     return Table(caption, (tuple(TableCell(name) for name in RUN_HEADER),), tuple(rows))
@@ -114,7 +114,7 @@ def _run_row(transfer: Transfer, response: FrequencyResponse, full_response: Fre
 
 
 def _steady_cell(transfer: Transfer, run: str) -> TableCell:
-    """The part used of the first of the runs that were solved together (`a+b`)."""
+    """The steady part of a run; for runs that were solved together (`a+b`), of the first one."""
     part = transfer.steady_parts.get(run) or transfer.steady_parts.get(run.partition("+")[0])
     if part is None:
         return TableCell("")
@@ -123,16 +123,19 @@ def _steady_cell(transfer: Transfer, run: str) -> TableCell:
 
 
 def level_table(source: Source[Transfer], component_responses: Sequence[FrequencyResponse]) -> Table:
-    """For each component: the response at lower levels against that at the highest, all cells together."""
+    """Compare the response at lower levels with that at the highest, for each component, over all channels."""
     rows = []
     for component in COMPONENTS:
-        mine = sorted((r for r in component_responses if component in r.components), key=level, reverse=True)
-        for other in mine[1:]:
-            if np.array_equal(mine[0].frequency, other.frequency) and mine[0].channel_names == other.channel_names:
-                rows.append(_level_row(source, component, mine[0], other))
+        by_level = sorted(
+            (r for r in component_responses if component in r.components), key=excitation_level, reverse=True
+        )
+        for low in by_level[1:]:
+            high = by_level[0]
+            if np.array_equal(high.frequency, low.frequency) and high.channel_names == low.channel_names:
+                rows.append(_level_row(source, component, high, low))
     caption = (
-        "Does the response depend on the level? Relative difference of two runs over all channels, 5 to 150 Hz, and "
-        f"what the noise of both leaves. Marked: more than {LEVEL_NOISE_FACTOR} times the noise."
+        "Dependence of the response on the level: relative difference of two runs over all channels, 5 to 150 Hz, and "
+        f"the noise of both. Marked: more than {LEVEL_NOISE_FACTOR} times the noise."
     )
     head = tuple(TableCell(name) for name in ("component", "levels rms", "runs", "difference %", "noise %"))
     return Table(caption, (head,), tuple(rows))
@@ -140,13 +143,14 @@ def level_table(source: Source[Transfer], component_responses: Sequence[Frequenc
 
 def _level_row(source: Source[Transfer], component: str, high: FrequencyResponse, low: FrequencyResponse) -> Row:
     band, geometry = error_band(high.frequency), source.content.geometry
-    one, sigma_one = force_response(high, geometry)
-    two, sigma_two = force_response(low, geometry)
-    difference = relative_error(two[band], one[band])
-    noise = relative_noise(np.hypot(sigma_one, sigma_two)[band], one[band])
+    high_value, high_sigma = force_response(high, geometry)
+    low_value, low_sigma = force_response(low, geometry)
+    difference = relative_error(low_value[band], high_value[band])
+    noise = relative_noise(np.hypot(high_sigma, low_sigma)[band], high_value[band])
+    levels = " and ".join(format_significant(excitation_level(response)) for response in (low, high))
     return (
         TableCell(component, mark="name"),
-        TableCell(f"{format_significant(level(low))} and {format_significant(level(high))} {UNIT_OF[component]}"),
+        TableCell(f"{levels} {UNIT_OF[component]}"),
         TableCell(f"{low.run} and {high.run}"),
         TableCell(format_percent(difference), mark="bad" if difference > LEVEL_NOISE_FACTOR * noise else ""),
         TableCell(format_percent(noise), mark="quiet"),

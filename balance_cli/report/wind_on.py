@@ -1,4 +1,4 @@
-"""Wind-on loads: harmonics with sigma, and the surplus equations that tell whether the response still holds."""
+"""Wind-on loads: harmonics with sigma, and the residual test of the redundant channels."""
 
 from __future__ import annotations
 
@@ -30,29 +30,34 @@ from balance_cli.report.load_figures import (
     redundancy_figure,
     wind_runs,
 )
-from balance_cli.report.number_format import format_fixed, format_significant, join_names, value_and_sigma_text
+from balance_cli.report.number_format import (
+    capitalize_first,
+    format_fixed,
+    format_significant,
+    join_names,
+    value_and_sigma_text,
+)
+from balance_cli.report.source_roles import PREFERRED_LOADS
 from balance_cli.report.sources import Source, Sources
-
-PREFERRED_RANKS = ("closed", "identified", "paper", "ls", "paper-ls", "measured", "computed", "static")
 
 
 def select_shown_loads(sources: Sequence[Source[HubLoads]]) -> Source[HubLoads]:
-    """The loads shown in full: those whose surplus equations fit best, of equals those of the better model."""
+    """The loads shown in full: those with the fewest flagged harmonics; of equals, those of the better model."""
 
     def order(source: Source[HubLoads]) -> tuple[int, int]:
         failing = sum(len(harmonics_above_limit(run)) for run in wind_runs(source.content).values())
-        return failing, PREFERRED_RANKS.index(source.rank) if source.rank in PREFERRED_RANKS else len(PREFERRED_RANKS)
+        return failing, PREFERRED_LOADS.index(source.role) if source.role in PREFERRED_LOADS else len(PREFERRED_LOADS)
 
     return min(sources, key=order)
 
 
 def harmonics_above_limit(run: RunLoads) -> list[int]:
-    """The harmonics whose surplus equations do not fit."""
+    """The harmonics that fail the residual test of the redundant channels."""
     return [int(n) for n in np.flatnonzero(run.redundancy > run.redundancy_limit)]
 
 
 def section(sources: Sources) -> Section | None:
-    """Loads of the wind-on runs, their redundancy and condition; None where there are none."""
+    """Loads of the wind-on runs, their residual test and condition; None without wind-on runs."""
     load_sources = tuple(source for source in sources.loads if wind_runs(source.content))
     if not load_sources:
         return None
@@ -60,20 +65,21 @@ def section(sources: Sources) -> Section | None:
     shown = select_shown_loads(tested)
     blocks: list[PageBlock] = [
         Paragraph(
-            "Nobody knows the true loads of these runs, but there are more channels than loads: the surplus equations "
-            "fit within the noise as long as the response still holds (chi2 per degree of freedom near 1). Where they "
-            "do not, beyond the 99.9 % point, the row is flagged and its sigma widened."
+            "The true loads of these runs are not known, but there are more channels than loads. As long as the "
+            "response holds, the residuals of the redundant channels are within the noise (chi2 per degree of "
+            "freedom near 1). Where chi2 exceeds its 99.9 % point, the row is flagged and its sigma is widened."
         ),
         *_residual_test_verdicts(tested, shown),
         Picture(
             "redundancy",
-            "Chi-square of the surplus equations per degree of freedom, by harmonic. Dashed: the 99.9 % point.",
+            "Residual test: chi-square per degree of freedom of the redundant channels, by harmonic. Dashed: 99.9 % "
+            "point.",
             svg("redundancy", "Redundancy by harmonic of every run and method", lambda: redundancy_figure(tested)),
         ),
         Heading(f"Loads by {shown.label}"),
         Picture(
             "harmonics",
-            f"Amplitude of the harmonics by {shown.label}, with one sigma. Open symbols: flagged by the redundancy.",
+            f"Amplitude of the harmonics by {shown.label}, with one sigma. Open symbols: residual test failed.",
             svg("harmonics", "Harmonic hub loads by component", lambda: harmonics_figure(shown.content)),
         ),
         *_load_tables(shown.content),
@@ -86,37 +92,38 @@ def section(sources: Sources) -> Section | None:
 
 
 def _sources_by_harmonics(load_sources: Sequence[Source[HubLoads]]) -> Sequence[Source[HubLoads]]:
-    """Those by harmonics, where there are any: of loads in time the surplus and condition are the same."""
+    """The loads by harmonics, where there are any: loads in time have the same residual test and condition."""
     return [source for source in load_sources if source.content.method == "harmonic"] or load_sources
 
 
 def _residual_test_verdicts(load_sources: Sequence[Source[HubLoads]], shown: Source[HubLoads]) -> Iterator[PageBlock]:
-    """One sentence a method; that of the loads shown is a warning where they do not fit."""
-    words = {source.label: _residual_test_sentence(source) for source in load_sources}
+    """One sentence per method; a warning where the loads shown fail the residual test."""
+    sentences = {source.label: _residual_test_sentence(source) for source in load_sources}
     if any(map(harmonics_above_limit, wind_runs(shown.content).values())):
-        yield WarningText(f"{words.pop(shown.label)} These loads may be wrong by more than their sigma says.")
-    yield BulletList(tuple(words.values()))
+        yield WarningText(f"{sentences.pop(shown.label)} The uncertainties of these loads may be underestimated.")
+    yield BulletList(tuple(sentences.values()))
 
 
 def _residual_test_sentence(source: Source[HubLoads]) -> str:
     runs = wind_runs(source.content).values()
     failing = sum(len(harmonics_above_limit(run)) for run in runs)
-    known = [float(value) for run in runs for value in run.redundancy if np.isfinite(value)]
-    if not known:
-        return f"By {source.label}: no surplus equation."
+    values = [float(value) for run in runs for value in run.redundancy if np.isfinite(value)]
+    if not values:
+        return f"{capitalize_first(source.label)}: no redundant channel."
     if not failing:
-        return f"By {source.label}: all {len(known)} harmonics fit the surplus equations within the noise."
-    size = format_significant(max(known))
-    return f"By {source.label}: {failing} of {len(known)} harmonics do not fit (chi2/dof up to {size})."
+        return f"{capitalize_first(source.label)}: all {len(values)} harmonics pass the residual test."
+    largest = format_significant(max(values))
+    name = capitalize_first(source.label)
+    return f"{name}: {failing} of {len(values)} harmonics fail the residual test (chi2/dof up to {largest})."
 
 
 def _load_tables(loads: HubLoads) -> Iterator[Table]:
     runs = list(wind_runs(loads).values())
     names = [name for name in COMPONENTS if any(name in run.components for run in runs)]
     head = (TableCell(""), *(TableCell(f"{name} [{UNIT_OF[name]}]") for name in names))
-    steady: list[Row] = [_mean_load_row(run, names) for run in runs]
+    mean_rows: list[Row] = [_mean_load_row(run, names) for run in runs]
     yield Table(
-        "Mean loads (harmonic 0) with sigma, through the static calibration of the trim named.", (head,), tuple(steady)
+        "Mean loads (harmonic 0) with sigma, by the static calibration of the named trim.", (head,), tuple(mean_rows)
     )
     rows: list[Row] = []
     for run in runs:
@@ -163,7 +170,7 @@ def _harmonic_row(run: RunLoads, n: int, names: Sequence[str]) -> Row:
 
 
 def condition_table(load_sources: Sequence[Source[HubLoads]]) -> Table:
-    """Condition number of the response, by method, run and harmonic, and the redundancy beside it."""
+    """Condition number of the response by method, run and harmonic, with the residual test."""
     longest = max(len(run.condition) for source in load_sources for run in wind_runs(source.content).values())
     head = (TableCell(""), *(TableCell(str(n)) for n in range(longest)))
     rows: list[Row] = []
@@ -175,7 +182,7 @@ def condition_table(load_sources: Sequence[Source[HubLoads]]) -> Table:
             )
     caption = (
         "Condition number of the response by harmonic, loads against channels in units of their noise; small: "
-        "chi2/dof of the surplus. Marked: above its limit."
+        "chi2/dof of the residual test. Marked: above its limit."
     )
     return Table(caption, (head,), tuple(rows))
 
@@ -193,18 +200,18 @@ def _condition_cell(run: RunLoads, n: int) -> TableCell:
 
 
 def _left_out_blocks(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
-    found: dict[tuple[str, str, str], list[str]] = {}
+    left_out: dict[tuple[str, str, str], list[str]] = {}
     notes: dict[tuple[str, str], list[str]] = {}
     for source in load_sources:
         for name, run in source.content.runs.items():
             for channel, reason in run.left_out.items():
-                found.setdefault((name, channel, reason), []).append(source.label)
+                left_out.setdefault((name, channel, reason), []).append(source.label)
             for note in run.notes:
                 notes.setdefault((name, note), []).append(source.label)
-    for (name, channel, reason), labels in found.items():
+    for (name, channel, reason), labels in left_out.items():
         where = "" if len(labels) == len(load_sources) else f" (by {join_names(labels)})"
         yield WarningText(f"{name}: channel {channel} left out: {reason}{where}.")
     for name, note in notes:
         yield Paragraph(f"{name}: {note}.")
-    if not found:
+    if not left_out:
         yield Paragraph("No channel was left out.")

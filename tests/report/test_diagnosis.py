@@ -12,16 +12,16 @@ from balance_cli.report.diagnosis import section
 from balance_cli.report.diagnosis_errors import pooled_hold_out_errors
 from balance_cli.report.diagnosis_figures import residual_figure
 from balance_cli.report.diagnosis_tables import mode_table
-from balance_cli.report.page import page
-from balance_cli.report.sources import Sources, sources
+from balance_cli.report.page import build_page
+from balance_cli.report.sources import Sources, group_sources
 from tests.support.diagnosis_content import diagnosis, hold_out, support_effect
 from tests.support.page_content import read, row_of, tables, texts
 from tests.support.report_content import artefact, campaign, model
 
 
 def given(*made) -> Sources:
-    return sources(
-        [(Path(f"d{i}.h5"), artefact("balance-diagnosis/1", one, f"{i}" * 64)) for i, one in enumerate(made)]
+    return group_sources(
+        [(Path(f"d{i}.h5"), artefact("balance-diagnosis/1", item, f"{i}" * 64)) for i, item in enumerate(made)]
     )
 
 
@@ -30,7 +30,7 @@ def test_the_section_stands_on_the_whole_page():
         *campaign(),
         (Path("d.h5"), artefact("balance-diagnosis/1", diagnosis(hold_out=hold_out()), "9" * 64)),
     ]
-    made = page(sources(everything))
+    made = build_page(group_sources(everything))
     assert list(made.sections)[3] == "diagnosis"
     assert {"hold-out", "residual"} <= set(made.pictures)
     tags = read(made.html)
@@ -62,25 +62,29 @@ def test_errors_are_pooled_over_the_runs_and_shaded_where_they_are_noise():
     assert error.value == pytest.approx(np.sqrt((0.0006**2 + 0.0008**2) / 2))
     made = section(given(both))
     assert row_of(made, "after / noise", "My") == ["My", "1270", "0.31", "0.25", "1.2"]
-    table = next(one for one in tables(made) if "after / noise" in [cell.text for cell in one.head[0]])
+    table = next(item for item in tables(made) if "after / noise" in [cell.text for cell in item.head[0]])
     marks = {row[0].text: row[2].mark for row in table.rows if len(row) > 1}
     assert "good" in marks["Fz"] and "good" not in marks["check-2"]
 
 
 def test_trials_that_were_not_refitted_are_shown_on_demand():
     made = section(given(diagnosis()))
-    open_ones = next(one for one in made.blocks if isinstance(one, Table) and one.head[0][0].text == "round")
-    assert [row[6].text for row in open_ones.rows] == ["accepted", "rejected", "accepted", "kept"]
-    (hidden,) = (one for one in made.blocks if isinstance(one, Details) and "not refitted" in one.summary)
+    shown = next(block for block in made.blocks if isinstance(block, Table) and block.head[0][0].text == "round")
+    assert [row[6].text for row in shown.rows] == ["accepted", "rejected", "accepted", "kept"]
+    (hidden,) = (block for block in made.blocks if isinstance(block, Details) and "without a refit" in block.summary)
     assert [row[1].text for row in hidden.blocks[0].rows] == ["channel-gain@x.piezo", "added-mass"]
 
 
 def test_tests_that_show_nothing_are_shown_on_demand():
     made = section(given(diagnosis()))
-    (hidden,) = (one for one in made.blocks if isinstance(one, Details) and "show nothing" in one.summary)
+    (hidden,) = (
+        block
+        for block in made.blocks
+        if isinstance(block, Details) and "without a significant difference" in block.summary
+    )
     assert [row[0].text for row in hidden.blocks[0].rows] == ["low level against high"]
-    open_ones = [one for one in made.blocks if isinstance(one, Table) and one.head[0][0].text == "test"]
-    assert [row[4].text for row in open_ones[0].rows] == ["z1.piezo is 0.25 ms late"]
+    shown = [block for block in made.blocks if isinstance(block, Table) and block.head[0][0].text == "test"]
+    assert [row[4].text for row in shown[0].rows] == ["z1.piezo is 0.25 ms late"]
 
 
 @pytest.mark.parametrize(
@@ -98,21 +102,21 @@ def test_an_empirical_effect_and_a_missing_hold_out_are_named():
     effect = replace(effect, evidence=replace(effect.evidence, empirical=True))
     words = texts(section(given(diagnosis(effects=(effect,), chi2_per_dof_after=3.0))), "warn")
     assert "does not explain" in words
-    assert "every sigma of a parameter below says less" in words
+    assert "the uncertainties of the parameters below are underestimated" in words
     assert "No run was held out" in words
 
 
 def test_a_diagnosis_of_nothing_still_makes_a_page():
-    last = diagnosis(NOTHING_MISSING, effects=(), trials=(), tests=(), not_testable=(), notes=())
+    last = diagnosis(NOTHING_MISSING, effects=(), trials=(), data_tests=(), untestable_effects=(), notes=())
     empty = replace(last.residual, before=np.full_like(last.residual.before, np.nan), after=last.residual.before)
-    made = page(given(replace(last, residual=empty)))
+    made = build_page(given(replace(last, residual=empty)))
     assert not read(made.html).open
     only_sweeps = {"sweep-Mz-high": hold_out()["sweep-Mz-high"]}
-    assert "hold-out" not in page(given(replace(last, hold_out=only_sweeps))).pictures
+    assert "hold-out" not in build_page(given(replace(last, hold_out=only_sweeps))).pictures
 
 
 def test_two_diagnoses_share_a_page():
-    made = page(given(diagnosis(hold_out=hold_out()), diagnosis(UNEXPLAINED, hold_out=hold_out())))
+    made = build_page(given(diagnosis(hold_out=hold_out()), diagnosis(UNEXPLAINED, hold_out=hold_out())))
     assert made.pictures == ("hold-out", "residual", "hold-out-2", "residual-2")
     assert max(read(made.html).ids.values()) == 1
 

@@ -10,9 +10,9 @@ from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.io.artefacts import Artefact
 from balance_cli.report.check_errors import RelativeError, harmonic_errors, overall_error, pooled_errors
 from balance_cli.report.check_runs import section
-from balance_cli.report.page import page
+from balance_cli.report.page import build_page
 from balance_cli.report.parameters import section as parameter_section
-from balance_cli.report.sources import Sources, sources
+from balance_cli.report.sources import Sources, group_sources
 from balance_cli.report.wind_on import section as wind_section
 from tests.support.page_content import read, texts
 from tests.support.report_content import artefact, campaign, loads, model
@@ -20,7 +20,7 @@ from tests.support.report_content import artefact, campaign, loads, model
 
 @pytest.fixture(scope="module")
 def whole():
-    return page(sources(campaign()))
+    return build_page(group_sources(campaign()))
 
 
 def test_every_section_of_a_campaign_is_there(whole):
@@ -41,7 +41,7 @@ def test_the_page_is_well_formed_and_needs_nothing_else(whole):
 
 
 def test_the_same_artefacts_give_the_same_bytes(whole):
-    assert page(sources(campaign())).html == whole.html
+    assert build_page(group_sources(campaign())).html == whole.html
 
 
 def test_provenance_names_files_digests_and_times_but_no_folders(whole):
@@ -64,7 +64,7 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_subset_gives_the_sections_it_can(kind):
     some = [(path, item) for path, item in campaign() if item.format == kind]
-    made = page(sources(some))
+    made = build_page(group_sources(some))
     assert set(made.sections) == {"summary", "provenance"} | KINDS[kind]
     assert not read(made.html).open
 
@@ -72,14 +72,14 @@ def test_any_subset_gives_the_sections_it_can(kind):
 def test_names_from_files_are_not_taken_for_markup():
     content = loads()
     strange = {f"<i>{name}</i>": run for name, run in content.runs.items()}
-    made = page(sources([(Path("<b>.h5"), artefact("balance-loads/1", loads(runs=strange), "1" * 64))]))
+    made = build_page(group_sources([(Path("<b>.h5"), artefact("balance-loads/1", loads(runs=strange), "1" * 64))]))
     assert "<b>.h5" not in made.html
     assert "<i>" not in made.html
     assert not read(made.html).open
 
 
 def labels(items: list[tuple[Path, Artefact]]) -> dict[str, str]:
-    return {source.file: source.label for source in sources(items).all_sources}
+    return {source.file: source.label for source in group_sources(items).all_sources}
 
 
 def test_loads_bear_the_label_of_their_model():
@@ -87,7 +87,7 @@ def test_loads_bear_the_label_of_their_model():
     assert found["loads-model.h5"] == found["model.h5"] == "identified rigid (LS+ML)"
     assert found["loads-static.h5"] == "static matrix"
     assert found["loads-tf.h5"] == "transfer function"
-    looks = {source.file: source.plot_style for source in sources(campaign()).all_sources}
+    looks = {source.file: source.plot_style for source in group_sources(campaign()).all_sources}
     assert looks["loads-model.h5"] == looks["model.h5"]
 
 
@@ -96,7 +96,7 @@ def test_two_artefacts_of_one_role_are_told_apart_by_their_files():
     items = [(Path("a/one.h5"), first), (Path("b/two.h5"), second)]
     assert sorted(labels(items).values()) == ["identified rigid (LS+ML), one", "identified rigid (LS+ML), two"]
     same_names = [(Path("a/one.h5"), first), (Path("b/one.h5"), second)]
-    drawn = sources(same_names).models
+    drawn = group_sources(same_names).models
     assert len({source.label for source in drawn}) == 2
     assert len({source.plot_style for source in drawn}) == 2
 
@@ -110,23 +110,23 @@ def test_roles_from_the_words_of_reduce():
         "physical model (ls+ml)": "identified",
         "paper form (ls+ml, diagonal damping)": "paper",
         "paper form (ls, full damping)": "paper-ls",
-        "physical model (ml) with mast-bending": "closed",
+        "physical model (ml) with mast-bending": "updated",
         "physical model (computed) with mast-bending": "computed",
-        "something new": "",
+        "something new": "other",
     }
-    for response, rank in words.items():
-        (source,) = sources([(Path("x.h5"), artefact("balance-loads/1", loads(response), "1" * 64))]).loads
-        assert source.rank == rank, response
+    for response, role in words.items():
+        (source,) = group_sources([(Path("x.h5"), artefact("balance-loads/1", loads(response), "1" * 64))]).loads
+        assert source.role == role, response
 
 
-def test_a_closed_model_is_called_by_its_effects_and_many_are_counted():
+def test_an_updated_model_is_called_by_its_effects_and_many_are_counted():
     names = ("mast-bending", "added-mass", "time-delay")
     for used, words in ((names[:2], "mast-bending, added-mass"), (names, "3 effects")):
         effects = tuple(DeclaredEffect(name=name) for name in used)
-        closed = model(geometry=model().geometry.model_copy(update={"effects": effects}))
-        assert labels([(Path("m.h5"), artefact("balance-model/1", closed, "1" * 64))]) == {"m.h5": f"closed: {words}"}
+        updated = model(geometry=model().geometry.model_copy(update={"effects": effects}))
+        assert labels([(Path("m.h5"), artefact("balance-model/1", updated, "1" * 64))]) == {"m.h5": f"updated: {words}"}
         by = loads(f"physical model (ls+ml) with {', '.join(used)}")
-        assert labels([(Path("l.h5"), artefact("balance-loads/1", by, "2" * 64))]) == {"l.h5": f"closed: {words}"}
+        assert labels([(Path("l.h5"), artefact("balance-loads/1", by, "2" * 64))]) == {"l.h5": f"updated: {words}"}
 
 
 # ---- what the check runs say -----------------------------------------------------------------------------------------
@@ -152,7 +152,7 @@ def test_errors_by_harmonic_are_those_of_the_runs_that_applied_the_component():
 
 
 def test_the_table_that_matters_shows_every_method_beside_its_noise():
-    made = section(sources(campaign()))
+    made = section(group_sources(campaign()))
     table = next(block for block in made.blocks if block.kind == "table")
     assert [cell.text for cell in table.head[0]][1:] == [
         "static matrix",
@@ -167,18 +167,18 @@ def test_the_table_that_matters_shows_every_method_beside_its_noise():
 
 @pytest.mark.parametrize(("ratio", "warned"), [(1.1, False), (45.0, True)])
 def test_a_model_that_does_not_describe_the_data_is_called_so(ratio, warned):
-    given = sources([(Path("m.h5"), artefact("balance-model/1", model(chi2_per_dof=ratio), "1" * 64))])
+    given = group_sources([(Path("m.h5"), artefact("balance-model/1", model(chi2_per_dof=ratio), "1" * 64))])
     assert ("does not describe" in texts(parameter_section(given), "warn")) is warned
 
 
 def test_wind_on_harmonics_beyond_the_limit_are_counted_and_lost_channels_named():
-    given = sources([(Path("l.h5"), artefact("balance-loads/1", loads(redundancy=9.0), "1" * 64))])
+    given = group_sources([(Path("l.h5"), artefact("balance-loads/1", loads(redundancy=9.0), "1" * 64))])
     words = texts(wind_section(given), "warn")
-    assert "1 of 3 harmonics do not fit" in words
+    assert "1 of 3 harmonics fail the residual test" in words
     assert "channel z2.piezo left out: clipped" in words
-    fine = sources([(Path("l.h5"), artefact("balance-loads/1", loads(), "1" * 64))])
-    assert "do not fit" not in texts(wind_section(fine), "warn")
+    fine = group_sources([(Path("l.h5"), artefact("balance-loads/1", loads(), "1" * 64))])
+    assert "fail the residual test" not in texts(wind_section(fine), "warn")
 
 
 def test_nothing_gives_an_empty_report():
-    assert list(page(Sources()).sections) == ["summary", "provenance"]
+    assert list(build_page(Sources()).sections) == ["summary", "provenance"]

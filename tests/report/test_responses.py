@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from balance_cli.model.balance import balance_model
-from balance_cli.model.system import solve
+from balance_cli.model.system_response import solve
 from balance_cli.report.force_responses import TORQUE_METER, measured_curve, model_response, relative_error, sensors
 from balance_cli.report.number_format import format_percent
 from balance_cli.report.response_figures import phase_with_gaps
 from balance_cli.report.responses import comparisons, sensor_errors
-from balance_cli.report.sources import sources
+from balance_cli.report.sources import group_sources
 from balance_cli.report.sweep_figures import cell_channel_pairs, cell_channel_ratio
 from balance_cli.report.transfer import level_table
 from tests.support.report_content import FREQUENCY, NOISE, artefact, campaign, measured, model, transfer
@@ -41,13 +41,16 @@ def test_the_noise_of_a_curve_grows_where_the_channel_sees_less():
 
 
 def test_the_run_of_the_highest_level_is_shown():
-    assert [each.measured.run for each in comparisons(sources(campaign()))] == ["sweep-Fx-20", "sweep-Mz-20"]
+    assert [comparison.measured.run for comparison in comparisons(group_sources(campaign()))] == [
+        "sweep-Fx-20",
+        "sweep-Mz-20",
+    ]
 
 
 def test_a_response_that_grows_with_the_level_is_marked():
     low, high = measured("Fx", 5.0), measured("Fx", 20.0)
     grown = replace(high, response=1.01 * high.response)
-    source = sources([(Path("tf.h5"), artefact("balance-transfer/1", transfer(), "b" * 64))]).transfers[0]
+    source = group_sources([(Path("tf.h5"), artefact("balance-transfer/1", transfer(), "b" * 64))]).transfers[0]
     for responses, difference, mark in (((low, high), 0.0, ""), ((low, grown), 0.01 / 1.01, "bad")):
         (row,) = level_table(source, responses).rows
         assert row[3].text == format_percent(difference)
@@ -55,10 +58,10 @@ def test_a_response_that_grows_with_the_level_is_marked():
 
 
 def test_the_true_model_is_off_by_nothing_and_a_scaled_one_by_its_scale():
-    found = {source.label: source for source in sources(campaign()).models}
-    each = comparisons(sources(campaign()))[0]
-    noise, errors = sensor_errors(each)
-    by_label = dict(zip([source.label for source, _ in each.models], errors, strict=True))
+    found = {source.label: source for source in group_sources(campaign()).models}
+    comparison = comparisons(group_sources(campaign()))[0]
+    noise, errors = sensor_errors(comparison)
+    by_label = dict(zip([source.label for source, _ in comparison.models], errors, strict=True))
     assert by_label["identified rigid (LS+ML)"] < 1e-9
     assert by_label["computed"] > 0.1
     assert 0 < noise < 1e-3

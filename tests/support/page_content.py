@@ -1,4 +1,4 @@
-"""Reading a page: its text and its parts."""
+"""Helpers that read the text and the parts of a page."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ def texts(section, kind: str) -> str:
 
 
 def tables(made: Section) -> list[Table]:
-    inner = [block for one in made.blocks if isinstance(one, Details) for block in one.blocks]
+    inner = [block for details in made.blocks if isinstance(details, Details) for block in details.blocks]
     return [block for block in (*made.blocks, *inner) if isinstance(block, Table)]
 
 
 def row_of(made: Section, head: str, name: str) -> list[str]:
     """The cells of the row of this name in the table with this word in its head."""
-    table = next(one for one in tables(made) if head in [cell.text for cell in one.head[0]])
+    table = next(item for item in tables(made) if head in [cell.text for cell in item.head[0]])
     return [cell.text for cell in next(row for row in table.rows if row[0].text == name)]
 
 
 class Tags(HTMLParser):
-    """Checks that every tag is closed in its turn, and gathers attributes and text."""
+    """Checks that every tag is closed in order, and collects attributes and text."""
 
     def __init__(self) -> None:
         super().__init__()
