@@ -72,7 +72,7 @@ def parameter_set(rows: list[_ParameterRow]) -> ParameterSet:
 
 
 def declared_parameters(geometry: Geometry) -> ParameterSet:
-    """All physical parameters of the rigid balance: declared value and prior sigma (contract, `tolerances`)."""
+    """All physical parameters of the rigid balance: declared value and prior sigma (`tolerances` in docs/files.md)."""
     rows = _stiffness_rows(geometry) + _inertia_rows(geometry) + _damping_rows(geometry) + _sensitivity_rows(geometry)
     return parameter_set(rows)
 

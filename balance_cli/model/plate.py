@@ -67,7 +67,10 @@ class PlateMatrices:
 
 
 def plate_matrices(geometry: Geometry) -> PlateMatrices:
-    """M, D, K = B'CB, B, C and F of the declared plate (reading notes 1 and 2); D is the declared modal damping."""
+    """M, D, K = B'CB, B, C and F of the declared plate; D is the declared modal damping.
+
+    Source: docs/theory/paper-notes.md, notes 1 and 2.
+    """
     part, free = metric_side(geometry), free_index(geometry)
     M = mass_matrix(part.mass, part.inertia)[np.ix_(free, free)]
     B = elongation_matrix(geometry, part.centre_of_gravity)[:, free]

@@ -27,7 +27,7 @@ def check_errors(
     geometry: Geometry,
     exciter_cross_axis: Array | None = None,
 ) -> CheckErrors:
-    """Compare complex amplitudes of harmonics 1 to 8 (`load_error` and `interaction` of the file contract).
+    """Compare complex amplitudes of harmonics 1 to 8 (`load_error` and `interaction` in docs/json.md).
 
     A component was applied where its column of the loads is not all zeros. `exciter_cross_axis` (6, 6) are the loads
     that act for each load that the exciter's force cells measure, where a model knows them; the error is that against

@@ -39,7 +39,7 @@ LOAD_TABLE_COLUMNS = (
 
 @dataclass(frozen=True)
 class CheckErrors:
-    """Reduced against applied loads of a check run, over harmonics 1 to 8 (`load_error` of the file contract).
+    """Reduced against applied loads of a check run, over harmonics 1 to 8 (`load_error` in docs/json.md).
 
     load_error {component applied: relative error}, interaction {component not applied: relative to the largest applied
     force}; load_noise and interaction_noise: the noise floor of each, from the noise of the record. `applied` (n+1, m)
@@ -149,7 +149,7 @@ def _flag_counts(runs: Iterable[RunLoads]) -> str:
 
 
 def load_table(loads: HubLoads) -> pd.DataFrame:
-    """Return the table with one row per run, component and harmonic (LOADS in the file contract)."""
+    """Return the table with one row per run, component and harmonic (LOADS in docs/files.md)."""
     import pandas as pd
 
     rows = [row for run in loads.runs.values() for row in _rows(run)]

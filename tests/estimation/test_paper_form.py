@@ -1,4 +1,4 @@
-"""The paper's form: recovery of the truth, the sensors, the figures of the reading notes, refusals."""
+"""The paper's form: recovery of the truth, the sensors, the figures of docs/theory/paper-notes.md, errors."""
 
 from pathlib import Path
 
@@ -103,7 +103,7 @@ def test_sensors_of_the_campaign(balance):
 
 
 def test_stiffness_from_six_sensors_would_be_wrong(balance):
-    """Reading note 6: s_z34 is exact, K formed from six sensors is not; 25.3 Hz becomes 23.0."""
+    """Note 6: s_z34 is exact, K formed from six sensors is not; 25.3 Hz becomes 23.0."""
     rule = sensor_rule(balance.geometry)
     P = rule.matrix @ (balance.c[:, None] * balance.B)
     six = P.T @ (P / (rule.matrix @ balance.c)[:, None])
@@ -127,7 +127,7 @@ def test_start_from_geometry_is_the_plate(balance):
 
 
 def test_diagonal_damping_alone_leaves_five_percent(balance):
-    """Reading note 11: 4.8 % rms for a noise-free rigid plate with 1 % modal damping; a full matrix leaves nothing."""
+    """Note 11: 4.8 % rms for a noise-free rigid plate with 1 % modal damping; a full matrix leaves nothing."""
     runs = sweeps(balance, FIVE, np.arange(5.0, 150.01, 0.25))
     errors = {}
     for damping in ("diagonal", "full"):

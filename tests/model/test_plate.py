@@ -1,4 +1,4 @@
-"""Mass, stiffness and load matrices against closed forms, the paper and its reading notes."""
+"""Mass, stiffness and load matrices against closed forms, the paper and the corrections to it."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Small motions of a rigid body in the paper's coordinates (reading note 1)."""
+"""Small motions of a rigid body in the paper's coordinates (docs/theory/paper-notes.md, note 1)."""
 
 from __future__ import annotations
 
