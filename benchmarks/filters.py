@@ -33,10 +33,11 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.state_space import state_space, with_anti_alias
 from balance_cli.reduction.kalman.augmented_model import MeasuredSystem
 from balance_cli.reduction.kalman.azimuth_locked import AzimuthLockedFilter
+from balance_cli.reduction.kalman.channel_filter import ChannelFilter
 from balance_cli.reduction.kalman.load_models import BandLimitedNoise, LoadLayer, LowPassDrift, Oscillators
 from balance_cli.reduction.kalman.run_filters import azimuth_locked_filters, time_invariant_filters
 from balance_cli.reduction.kalman.segments import RunFilters, Segment
-from balance_cli.reduction.kalman.steady_filter import ChannelFilter, SteadyFilter
+from balance_cli.reduction.kalman.steady_matrices import SteadyMatrices
 from balance_cli.reduction.model_sources import ModelSource
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.steps.calibrate import calibrate
@@ -173,7 +174,7 @@ def _largest_difference(one: Array, other: Array) -> float:
     return float(np.max(np.abs(one - other).max(axis=0) / other.std(axis=0)))
 
 
-def _draw_channels(steady: SteadyFilter, samples: int, seed: int = 0) -> Array:
+def _draw_channels(steady: SteadyMatrices, samples: int, seed: int = 0) -> Array:
     """Channels (n, c) of the model itself."""
     model, rng = steady.model, np.random.default_rng(seed)
     value, vector = np.linalg.eigh(model.Q)
@@ -202,7 +203,7 @@ class FilterpyResult:
     smoothing: float
 
 
-def _with_filterpy(steady: SteadyFilter, y: Array) -> FilterpyResult:
+def _with_filterpy(steady: SteadyMatrices, y: Array) -> FilterpyResult:
     from filterpy.kalman import KalmanFilter
 
     model = steady.model

@@ -1,39 +1,43 @@
-"""The filter whose loads turn with the rotor: oscillators locked to the measured azimuth.
+"""The filter of loads with rotor harmonics: oscillators locked to the measured azimuth.
 
-From one sample to the next the oscillators of harmonic n turn by n times the measured step of azimuth, whatever the
-speed does. Seen from the turning oscillators the model changes with the speed alone, and slowly: its gain is the steady
-one of the speed at hand, taken from a grid of speeds (gain scheduling). What the state does is exact at every speed;
-only how its errors are weighed lags behind a speed that changes.
+From one sample to the next the oscillators of harmonic n rotate by n times the measured step of azimuth, whatever the
+speed does. In coordinates that rotate with the oscillators the model depends on the speed only, and changes slowly. Its
+gain is therefore the steady one of the current speed, interpolated on a grid of speeds (gain scheduling). The state
+equation is exact at every speed; only the gain lags behind a changing speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.reduction.kalman.steady_filter import FilterBlock, MarkedOutputs, Outputs, SteadyFilter
+from balance_cli.reduction.kalman.channel_filter import FilterBlock, MarkedOutputs, Outputs
+from balance_cli.reduction.kalman.steady_filter import SteadyFilter
+from balance_cli.reduction.kalman.steady_matrices import SteadyMatrices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 MAX_PHASE_DEVIATION = 0.2
-"""Departure [rad] of the fastest oscillator from an even turning that the information of a part is indifferent to."""
+"""Deviation [rad] of the fastest oscillator from uniform rotation within a part: the phase error costs 2 % of the
+coherent sum of its information (1 - cos 0.2)."""
 MIN_PART_SAMPLES = 64
-"""Samples of a part."""
+"""Samples below which a part is not halved further; a speed hardly changes within 0.1 s."""
 SPEED_SUBDIVISIONS = 32
-"""Steps of speed for each of the grid of filters: matrices in between are on the straight line, but on no other."""
+"""Interpolated matrices for each interval of the speed grid: 0.01 Hz apart for the grid of `run_filters`, so that few
+distinct matrices serve all samples."""
 
 
 @dataclass(frozen=True)
 class OscillatorStates:
-    """Oscillators among the states: pairs from `first` on, of the harmonics `orders` (h,), in units of `size` (2 h,).
+    """Oscillators among the states: pairs from state `first` on, of harmonics `orders` (h,), in units of `size` (2 h,).
 
-    `azimuth` gives psi [rad] at sample numbers, also a little beyond the record; `step` [s] between samples.
+    `azimuth` returns psi [rad] at sample numbers, also slightly outside the record; `step` [s] between samples.
     """
 
     first: int
@@ -44,22 +48,22 @@ class OscillatorStates:
 
     @property
     def states(self) -> slice:
-        """Where the pairs are."""
+        """Slice of the pairs."""
         return slice(self.first, self.first + 2 * len(self.orders))
 
     def phasors(self, first: int, count: int) -> ComplexArray:
-        """What p + j q of each pair (count, h) is multiplied by from each sample to the next."""
+        """Return the factors (count, h) on p + j q of each pair from each sample to the next."""
         steps = np.diff(self.azimuth(np.arange(first, first + count + 1, dtype=float)))
         return np.asarray(np.exp(-1j * steps[:, None] * self.orders), complex)
 
     def speed(self, first: int, count: int) -> Array:
-        """Speed (count,) [Hz] from each sample to the next."""
+        """Return the mean speed (count,) [Hz] from each sample to the next."""
         steps = np.diff(self.azimuth(np.arange(first, first + count + 1, dtype=float)))
         return np.asarray(steps / (2 * np.pi * self.step))
 
 
 def rotation_matrix(phasors: ComplexArray) -> Array:
-    """Block diagonal matrix (2 h, 2 h) that multiplies each p + j q by one of the phasors (h,)."""
+    """Return the block diagonal matrix (2 h, 2 h) that multiplies the pairs p + j q by the phasors (h,)."""
     blocks = np.zeros((2 * len(phasors),) * 2)
     even = np.arange(0, 2 * len(phasors), 2)
     blocks[even, even], blocks[even, even + 1] = phasors.real, -phasors.imag
@@ -68,28 +72,28 @@ def rotation_matrix(phasors: ComplexArray) -> Array:
 
 
 class _InterpolatedMatrices:
-    """Matrices (a, b) at every step of speed, from those (g, a, b) of the grid: made when they are first asked for."""
+    """Matrices (a, b) at steps of speed, interpolated linearly between those (g, a, b) of the grid at first use."""
 
     def __init__(self, matrices: Array) -> None:
         self._matrices = matrices
         self._cache: dict[int, Array] = {}
 
     def __getitem__(self, step: int) -> Array:
-        found = self._cache.get(step)
-        if found is None:
-            cell, share = divmod(step, SPEED_SUBDIVISIONS)
-            found = self._matrices[cell]
-            if share:
-                found = found + share / SPEED_SUBDIVISIONS * (self._matrices[cell + 1] - found)
-            self._cache[step] = found
-        return found
+        matrix = self._cache.get(step)
+        if matrix is None:
+            interval, part = divmod(step, SPEED_SUBDIVISIONS)
+            matrix = self._matrices[interval]
+            if part:
+                matrix = matrix + part / SPEED_SUBDIVISIONS * (self._matrices[interval + 1] - matrix)
+            self._cache[step] = matrix
+        return matrix
 
 
 @dataclass(frozen=True)
 class AzimuthLockedFilter:
-    """Steady filters (g,) at rising `speeds` (g,) [Hz] of one set of channels, and how the oscillators turn.
+    """Steady filters (g,) of one set of channels at increasing `speeds` (g,) [Hz], and the states of the oscillators.
 
-    The pairs of the oscillators are given out at the samples `marked` alone, in rising order.
+    The pairs of the oscillators are outputs at the samples `marked` only, in increasing order.
     """
 
     filters: tuple[SteadyFilter, ...]
@@ -104,41 +108,37 @@ class AzimuthLockedFilter:
 
     @property
     def time_invariant(self) -> bool:
-        """It is not."""
+        """False."""
         return False
 
-    def at(self, first: int, count: int = 1) -> SteadyFilter:
-        """The filter of the speed nearest to the mean of so many samples; its pairs turn by just what these turn."""
+    def at(self, first: int, count: int = 1) -> SteadyMatrices:
+        """Return the matrices of the grid speed nearest to the mean speed; in L the pairs rotate by the mean step."""
         turn = (self.oscillator_states.azimuth(np.array([first, first + count], float)) @ [-1.0, 1.0]) / count
         near = int(np.argmin(np.abs(self.speeds - turn / (2 * np.pi * self.oscillator_states.step))))
         L, s = self._transition_without_rotation[near].copy(), self.oscillator_states.states
         L[s, s] += rotation_matrix(np.exp(-1j * turn * self.oscillator_states.orders))
-        return self.filters[near].with_transition(L)
+        return replace(self.filters[near].matrices, L=L)
 
     def quasi_steady_parts(self, first: int, count: int) -> list[tuple[int, int]]:
-        """Halves of halves, until no oscillator departs from an even turning by more than `MAX_PHASE_DEVIATION`."""
+        """Halve repeatedly until no oscillator deviates from uniform rotation by more than `MAX_PHASE_DEVIATION`."""
         psi = self.oscillator_states.azimuth(np.arange(first, first + count + 1, dtype=float))
-        bend = np.abs(psi - np.linspace(psi[0], psi[-1], count + 1)).max() * self.oscillator_states.orders.max()
-        if bend <= MAX_PHASE_DEVIATION or count < 2 * MIN_PART_SAMPLES:
+        uniform = np.linspace(psi[0], psi[-1], count + 1)
+        deviation = np.abs(psi - uniform).max() * self.oscillator_states.orders.max()
+        if deviation <= MAX_PHASE_DEVIATION or count < 2 * MIN_PART_SAMPLES:
             return [(first, count)]
         half = count // 2
         return self.quasi_steady_parts(first, half) + self.quasi_steady_parts(first + half, count - half)
 
     @cached_property
     def _transition_without_rotation(self) -> Array:
-        """L without the turning itself (g, N, N), which is done apart."""
+        """L (g, N, N) without the rotation of the pairs, which is applied sample by sample."""
         s = self.oscillator_states.states
-        parts = []
-        for one in self.filters:
-            L = one.L.copy()
-            L[s, s] -= one.model.F[s, s]
-            parts.append(L)
-        return np.stack(parts)
+        transitions = np.stack([item.matrices.L for item in self.filters])
+        transitions[:, s, s] -= np.stack([item.model.F[s, s] for item in self.filters])
+        return transitions
 
     def _grid_steps(self, first: int, count: int) -> Index:
-        """Place (count,) of the speed at each sample in a grid that is `SPEED_SUBDIVISIONS` than that of the
-        filters.
-        """
+        """Return the index (count,) of the speed at each sample in the grid that `SPEED_SUBDIVISIONS` refines."""
         place = np.interp(
             self.oscillator_states.speed(first, count), self.speeds, np.arange(len(self.speeds), dtype=float)
         )
@@ -149,24 +149,24 @@ class AzimuthLockedFilter:
         return _InterpolatedMatrices(self._transition_without_rotation)
 
     def _apply_scheduled_gain(self, rows: Array, first: int, matrices: Array) -> Array:
-        """Rows (n, a) times the matrices (g, a, b) of the speed at each sample: (n, b)."""
-        steps, between = self._grid_steps(first, len(rows)), _InterpolatedMatrices(matrices)
-        here = np.unique(steps)
-        if len(here) == 1:
-            return np.asarray(rows @ between[int(here[0])])
-        total = np.empty((len(rows), matrices.shape[2]))
-        for step in here:
-            mine = steps == step
-            total[mine] = rows[mine] @ between[int(step)]
-        return total
+        """Return rows (n, a) times the matrices (g, a, b) interpolated at the speed of each sample: (n, b)."""
+        steps, interpolated = self._grid_steps(first, len(rows)), _InterpolatedMatrices(matrices)
+        distinct = np.unique(steps)
+        if len(distinct) == 1:
+            return np.asarray(rows @ interpolated[int(distinct[0])])
+        products = np.empty((len(rows), matrices.shape[2]))
+        for step in distinct:
+            at_step = steps == step
+            products[at_step] = rows[at_step] @ interpolated[int(step)]
+        return products
 
     def forward_pass(self, first: int, y: Array, start: Array) -> FilterBlock:
-        """Innovations (n, c) and predicted outputs, sample by sample."""
-        inputs = self._apply_scheduled_gain(y, first, np.stack([one.K.T for one in self.filters]))
+        """Return innovations (n, c) and predicted outputs, sample by sample."""
+        inputs = self._apply_scheduled_gain(y, first, np.stack([item.matrices.K.T for item in self.filters]))
         states = self._run_forward(first, inputs, start)
         H = self.filters[0].model.H
         marked = states[self._marked_rows(first, len(y))] @ self._oscillator_rows.T
-        # A copy: a view would keep the states of all samples as long as the piece itself.
+        # A copy: a view would keep the states of all samples alive as long as the block.
         return FilterBlock(first, y - states[:-1] @ H.T, states[:-1] @ self.outputs.T, states[-1].copy(), marked)
 
     def _marked_rows(self, first: int, count: int) -> Index:
@@ -175,54 +175,47 @@ class AzimuthLockedFilter:
 
     @cached_property
     def _oscillator_rows(self) -> Array:
-        """The rows (2 h, N) of the pairs."""
-        return np.asarray(
-            self.oscillator_states.size[:, None] * np.eye(len(self.filters[0].L))[self.oscillator_states.states]
-        )
+        """Rows (2 h, N) of the pairs."""
+        rows = np.eye(self.filters[0].model.order)[self.oscillator_states.states]
+        return np.asarray(self.oscillator_states.size[:, None] * rows)
 
     def marked_outputs(self, first: int, count: int) -> MarkedOutputs | None:
-        """Where the pairs are given out."""
-        near, pairs = self.at(first), self._oscillator_rows
-        updated, smoothed = near.output_variances(pairs)
-        return MarkedOutputs(self._marked_rows(first, count), pairs, updated, smoothed)
+        """Return the samples at which the pairs are outputs."""
+        rows = self._oscillator_rows
+        return MarkedOutputs(self._marked_rows(first, count), rows, *self.at(first).output_variances(rows))
 
     def _run_forward(self, first: int, inputs: Array, start: Array) -> Array:
-        """States (n + 1, N)."""
+        """Return the states (n + 1, N)."""
         steps, transitions = self._grid_steps(first, len(inputs)).tolist(), self._transitions
-        phasors, turned = self.oscillator_states.phasors(first, len(inputs)), self.oscillator_states.states
+        phasors, pairs = self.oscillator_states.phasors(first, len(inputs)), self.oscillator_states.states
         states = np.empty((len(inputs) + 1, len(start)))
         states[0] = start
         for k, step in enumerate(steps):
             x = states[k]
             new = transitions[step] @ x
             new += inputs[k]
-            new[turned] += (phasors[k] * x[turned].view(complex)).view(float)
+            new[pairs] += (phasors[k] * x[pairs].view(complex)).view(float)
             states[k + 1] = new
         return states
 
-    def updated(self, filter_block: FilterBlock) -> Outputs:
-        """Given y up to the sample itself."""
-        gains = np.stack([(one.outputs @ one.update_gain).T for one in self.filters])
+    def filtered_outputs(self, filter_block: FilterBlock) -> Outputs:
+        """Return the outputs at each sample, given y up to that sample."""
+        gains = np.stack([(item.outputs @ item.matrices.update_gain).T for item in self.filters])
         loads = filter_block.predicted + self._apply_scheduled_gain(filter_block.innovation, filter_block.first, gains)
         assert filter_block.marked is not None
-        at, near = self._marked_rows(filter_block.first, len(loads)), self.at(filter_block.first)
-        return Outputs(
-            loads, filter_block.marked + filter_block.innovation[at] @ (self._oscillator_rows @ near.update_gain).T
-        )
+        marked_rows = self._marked_rows(filter_block.first, len(loads))
+        gain = self._oscillator_rows @ self.at(filter_block.first).update_gain
+        return Outputs(loads, filter_block.marked + filter_block.innovation[marked_rows] @ gain.T)
 
     def backward_pass(self, filter_block: FilterBlock, adjoint_after: Array) -> tuple[Outputs, Array]:
-        """Given y after them too, and rho at the first sample."""
-        weighted_innovations = self._apply_scheduled_gain(
-            filter_block.innovation, filter_block.first, np.stack([one.weighted for one in self.filters])
-        )
+        """Return the smoothed outputs, and rho at the first sample."""
+        weighted_innovations = self._weighted_innovations(filter_block)
         adjoint = self._run_backward(filter_block.first, weighted_innovations, adjoint_after)
         return self._smooth_outputs(filter_block, adjoint), adjoint[0].copy()
 
     def fixed_lag_pass(self, filter_block: FilterBlock, count: int, lag: int) -> Outputs:
-        """Each sample given `lag` innovations after it, and up to twice as many: stretches of `lag` at a time."""
-        weighted_innovations = self._apply_scheduled_gain(
-            filter_block.innovation, filter_block.first, np.stack([one.weighted for one in self.filters])
-        )
+        """Return the outputs given `lag` to twice as many innovations after each sample: `lag` samples at a time."""
+        weighted_innovations = self._weighted_innovations(filter_block)
         adjoint = np.empty((count, weighted_innovations.shape[1]))
         for start in range(0, count, lag):
             stop = min(start + lag, count)
@@ -234,37 +227,40 @@ class AzimuthLockedFilter:
             adjoint[start:stop] = back[: stop - start]
         return self._smooth_outputs(filter_block, adjoint)
 
+    def _weighted_innovations(self, filter_block: FilterBlock) -> Array:
+        """Return H' S^-1 e (n, N)."""
+        weights = np.stack([item.matrices.weighted_output_matrix for item in self.filters])
+        return self._apply_scheduled_gain(filter_block.innovation, filter_block.first, weights)
+
     def _smooth_outputs(self, filter_block: FilterBlock, adjoint: Array) -> Outputs:
-        """X + P rho at every sample."""
-        spread = np.stack([(one.outputs @ one.P).T for one in self.filters])
+        """Return the outputs of x + P rho."""
+        spread = np.stack([(item.outputs @ item.matrices.P).T for item in self.filters])
         loads = filter_block.predicted + self._apply_scheduled_gain(adjoint, filter_block.first, spread)
         assert filter_block.marked is not None
-        at, near = self._marked_rows(filter_block.first, len(loads)), self.at(filter_block.first)
-        return Outputs(loads, filter_block.marked + adjoint[at] @ (self._oscillator_rows @ near.P).T)
+        marked_rows = self._marked_rows(filter_block.first, len(loads))
+        marked_spread = self._oscillator_rows @ self.at(filter_block.first).P
+        return Outputs(loads, filter_block.marked + adjoint[marked_rows] @ marked_spread.T)
 
     def _run_backward(self, first: int, weighted_innovations: Array, adjoint_after: Array) -> Array:
-        """Rho (n, N) at each sample."""
-        steps, transitions = self._grid_steps(first, len(weighted_innovations)).tolist(), self._transitions
-        phasors, turned = (
-            self.oscillator_states.phasors(first, len(weighted_innovations)).conj(),
-            self.oscillator_states.states,
-        )
-        adjoint = np.empty((len(weighted_innovations), len(adjoint_after)))
+        """Return rho (n, N) at each sample."""
+        count = len(weighted_innovations)
+        steps, transitions = self._grid_steps(first, count).tolist(), self._transitions
+        phasors, pairs = self.oscillator_states.phasors(first, count).conj(), self.oscillator_states.states
+        adjoint = np.empty((count, len(adjoint_after)))
         rho = adjoint_after
-        for k in range(len(weighted_innovations) - 1, -1, -1):
+        for k in range(count - 1, -1, -1):
             new = rho @ transitions[steps[k]]
             new += weighted_innovations[k]
-            new[turned] += (phasors[k] * rho[turned].view(complex)).view(float)
+            new[pairs] += (phasors[k] * rho[pairs].view(complex)).view(float)
             adjoint[k] = rho = new
         return adjoint
 
     def variance(self, first: int, count: int, smoothed: bool) -> Array:
-        """That of the speed at each sample."""
-        each = np.stack([one.variance(first, 1, smoothed) for one in self.filters])
-        return self._apply_scheduled_gain(np.ones((count, 1)), first, each)
+        """Return the variance (count, m), interpolated at the speed of each sample."""
+        variances = np.stack([item.variance(first, 1, smoothed) for item in self.filters])
+        return self._apply_scheduled_gain(np.ones((count, 1)), first, variances)
 
     def whiten_innovations(self, filter_block: FilterBlock) -> Array:
-        """V e (n, c), V that of the speed."""
-        return self._apply_scheduled_gain(
-            filter_block.innovation, filter_block.first, np.stack([one.whitening_matrix.T for one in self.filters])
-        )
+        """Return V e (n, c), with V interpolated at the speed of each sample."""
+        whitening = np.stack([item.whitening_matrix.T for item in self.filters])
+        return self._apply_scheduled_gain(filter_block.innovation, filter_block.first, whitening)

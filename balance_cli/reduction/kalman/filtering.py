@@ -1,4 +1,4 @@
-"""Filters: loads given each sample and those before it, or a few after it too."""
+"""Filters: loads at each sample given the samples up to it, or up to a fixed lag after it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.reduction.kalman.channel_filter import ChannelFilter, FilterBlock
 from balance_cli.reduction.kalman.edge_variance import Decay, posterior_excess, variance_decay
 from balance_cli.reduction.kalman.gaps import GAP_BLOCK, gap_estimates, predict_through_gap
 from balance_cli.reduction.kalman.riccati import symmetrize
@@ -25,7 +26,6 @@ from balance_cli.reduction.kalman.segments import (
     propagate_excess,
     segment_information,
 )
-from balance_cli.reduction.kalman.steady_filter import ChannelFilter, FilterBlock
 
 Array = NDArray[np.float64]
 
@@ -33,10 +33,10 @@ Array = NDArray[np.float64]
 def filtered_estimates(
     read: Reader, segments: Sequence[Segment], filters: RunFilters, beginning: int
 ) -> Iterator[Estimates]:
-    """Loads given each sample and those before it.
+    """Yield the loads at each sample given the samples up to it.
 
-    The state at the beginning of the record is that which the first `beginning` samples tell: the gain is steady from
-    there on, and what a record begins with would take it long to forget.
+    The initial state of the record is estimated from its first `beginning` samples, because an error of the initial
+    state would decay slowly at the steady gain.
     """
     x, P = np.zeros(len(filters.prior)), filters.prior
     for segment in segments:
@@ -63,26 +63,23 @@ def filtered_estimates(
 def _filter_block_estimates(
     channel_filter: ChannelFilter, filter_block: FilterBlock, segment: Segment, excess_covariance: Array
 ) -> Estimates:
-    """What the filter says of a block of a stretch that began with this excess."""
+    """Return the filtered loads of a block; the segment began with this excess covariance."""
     count = len(filter_block.predicted)
     steady = channel_filter.at(segment.start, count)
     rows, marked_outputs = output_rows(channel_filter, filter_block)
-    after = rows - (rows @ steady.update_gain) @ steady.model.H
-    fading = variance_decay(
-        after, steady.L, excess_covariance, filter_block.first - segment.start + count, output_variance(rows, steady.P)
-    )
-    added = (fading, np.arange(count) + filter_block.first - segment.start)
-    return assemble_estimates(
-        channel_filter, filter_block, channel_filter.updated(filter_block), marked_outputs, False, segment, [added]
-    )
+    updated_rows = rows - (rows @ steady.update_gain) @ steady.model.H
+    offset, floor = filter_block.first - segment.start, output_variance(rows, steady.P)
+    initial_effect = variance_decay(updated_rows, steady.L, excess_covariance, offset + count, floor)
+    outputs, added = channel_filter.filtered_outputs(filter_block), [(initial_effect, np.arange(count) + offset)]
+    return assemble_estimates(channel_filter, filter_block, outputs, marked_outputs, False, segment, added)
 
 
 def fixed_lag_estimates(
     read: Reader, segments: Sequence[Segment], filters: RunFilters, beginning: int, lag: int
 ) -> Iterator[Estimates]:
-    """Loads given each sample and `lag` samples after it, those before it too; as `filtered_estimates` otherwise.
+    """Yield the loads at each sample given the samples up to `lag` after it; otherwise as `filtered_estimates`.
 
-    Of a filter that changes with time each knows up to twice as many. Nobody looks across a gap.
+    A filter that varies with time uses up to twice as many. No estimate uses samples beyond a gap.
     """
     x, P = np.zeros(len(filters.prior)), filters.prior
     for segment in segments:
@@ -115,7 +112,7 @@ def fixed_lag_estimates(
 
 @dataclass(frozen=True)
 class _SegmentEdges:
-    """A stretch that is looked at with a lag: what its beginning and its end add to the variance of an output."""
+    """A segment with a fixed lag: what its start and its end add to the variance of an output."""
 
     channel_filter: ChannelFilter
     segment: Segment
@@ -123,20 +120,20 @@ class _SegmentEdges:
     lag: int
 
     def fixed_lag_block(self, filter_block: FilterBlock, count: int) -> Estimates:
-        """The first `count` samples of a piece, each given `lag` samples more or what there is."""
+        """Return the first `count` samples of a block, each given `lag` samples more or as many as there are."""
         outputs = self.channel_filter.fixed_lag_pass(filter_block, count, self.lag)
-        own = replace(filter_block, innovation=filter_block.innovation[:count])
-        _, marked_outputs = output_rows(self.channel_filter, own)
+        block = replace(filter_block, innovation=filter_block.innovation[:count])
+        _, marked_outputs = output_rows(self.channel_filter, block)
         at, (ends, starts) = np.arange(count), self._decays
         added = [
             (ends, np.minimum(len(filter_block.innovation) - 1 - at, self.lag)),
             (starts, at + filter_block.first - self.segment.start),
         ]
-        return assemble_estimates(self.channel_filter, own, outputs, marked_outputs, True, self.segment, added)
+        return assemble_estimates(self.channel_filter, block, outputs, marked_outputs, True, self.segment, added)
 
     @cached_property
     def _decays(self) -> tuple[Decay, Decay]:
-        """Towards the samples that are not known yet, and from the beginning on, at the mean speed of the stretch."""
+        """Effects of the samples that are not known yet and of the initial state, at the mean speed of the segment."""
         whole = self.segment.stop - self.segment.start
         steady, marked_outputs = (
             self.channel_filter.at(self.segment.start, whole),

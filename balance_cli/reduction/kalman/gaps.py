@@ -1,4 +1,4 @@
-"""Gaps of a record, through which the model alone leads the state."""
+"""Gaps of a record, through which the model alone predicts the state."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.reduction.kalman.channel_filter import FilterBlock
 from balance_cli.reduction.kalman.riccati import symmetrize
 from balance_cli.reduction.kalman.segments import Estimates, RunFilters, Segment, SegmentBlock, output_variance
-from balance_cli.reduction.kalman.steady_filter import FilterBlock
 
 Array = NDArray[np.float64]
 
 GAP_BLOCK = 128
-"""Samples of a gap whose covariances are held at once."""
+"""Samples of a gap whose covariances are held at once: with 100 states 10 MB."""
 
 
 def predict_through_gap(segment: Segment, filters: RunFilters, x: Array, P: Array) -> tuple[SegmentBlock, Array]:
-    """The state led on through a block of a gap, and its covariance after it."""
+    """Predict the state through a block of a gap; return the block and the covariance (N, N) after it."""
     states = [x]
     for k in range(segment.start, segment.stop):
         states.append(filters.predictor.step(k, states[-1]))
@@ -30,20 +30,20 @@ def predict_through_gap(segment: Segment, filters: RunFilters, x: Array, P: Arra
 
 
 def gap_estimates(segment_block: SegmentBlock, filters: RunFilters) -> Estimates:
-    """A block of a gap, given what was before it."""
+    """Return the loads in a block of a gap, given the samples before it."""
     variance = np.array([output_variance(filters.outputs, P) for P in gap_covariances(segment_block, filters)])
     filter_block = segment_block.filter_block
     return Estimates(filter_block.first, filter_block.predicted, variance, None, filter_block.innovation, ())
 
 
 def gap_covariances(segment_block: SegmentBlock, filters: RunFilters, beyond: bool = False) -> Iterator[Array]:
-    """Covariance (N, N) at every sample of a gap, `beyond` at the one after it too."""
+    """Yield the covariance (N, N) at every sample of a gap, with `beyond` also at the sample after it."""
     P = segment_block.covariance
     assert P is not None
     for k in range(segment_block.segment.start, segment_block.segment.stop):
         yield P
-        moved = filters.predictor.step(k, P)
-        P = symmetrize(filters.predictor.step(k, moved.T) + filters.noise)
+        FP = filters.predictor.step(k, P)
+        P = symmetrize(filters.predictor.step(k, FP.T) + filters.noise)
     if beyond:
         yield P
 
@@ -51,7 +51,7 @@ def gap_covariances(segment_block: SegmentBlock, filters: RunFilters, beyond: bo
 def smooth_gap(
     segment_block: SegmentBlock, filters: RunFilters, rho: Array, J: Array
 ) -> tuple[Estimates, Array, Array]:
-    """A block of a gap: what comes after it tells, through the model, of what went on in it."""
+    """Smooth a block of a gap; return its loads, and rho and the information J at its start, from those after it."""
     outputs, variance = segment_block.filter_block.predicted.copy(), np.empty_like(segment_block.filter_block.predicted)
     first, U = segment_block.segment.start, filters.outputs
     for i, P in reversed(list(enumerate(gap_covariances(segment_block, filters)))):

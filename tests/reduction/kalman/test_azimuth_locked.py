@@ -72,7 +72,7 @@ def test_at_one_speed_it_is_the_steady_filter(still):
     assert np.abs(one.innovation - other.innovation).max() < 1e-9
     assert np.abs(one.predicted - other.predicted).max() < 1e-9
     assert np.abs(one.end - other.end).max() < 1e-9
-    assert np.abs(locked.updated(one).loads - steady.updated(other).loads).max() < 1e-9
+    assert np.abs(locked.filtered_outputs(one).loads - steady.filtered_outputs(other).loads).max() < 1e-9
     assert np.abs(locked.whiten_innovations(one) - steady.whiten_innovations(other)).max() < 1e-9
     after = rng.standard_normal(steady.model.order)
     (loads, rho), (own, steady_rho) = locked.backward_pass(one, after), steady.backward_pass(other, after)
@@ -104,7 +104,7 @@ def test_marked_pairs_add_up_to_the_loads_of_the_oscillators(still):
     rng = np.random.default_rng(1)
     filter_block = locked.forward_pass(50, rng.standard_normal((300, 3)), rng.standard_normal(steady.model.order))
     for outputs in (
-        locked.updated(filter_block),
+        locked.filtered_outputs(filter_block),
         locked.backward_pass(filter_block, np.zeros_like(filter_block.end))[0],
     ):
         p = outputs.marked.reshape(len(at), 2, 2, 2)[..., 0]
@@ -188,7 +188,7 @@ def test_backward_is_the_adjoint_of_forward(rate):
     start, after, e = rng.standard_normal(order), rng.standard_normal(order), rng.standard_normal((500, 3))
     led_on = channel_filter.forward_pass(100, np.zeros((500, 3)), start)
     rho = channel_filter.backward_pass(replace(led_on, innovation=e), after)[1]
-    inverse = np.stack([np.linalg.inv(one.S) for one in channel_filter.filters])
+    inverse = np.stack([np.linalg.inv(item.matrices.S) for item in channel_filter.filters])
     place = np.interp(channel_filter.oscillator_states.speed(100, 500), channel_filter.speeds, np.arange(len(inverse)))
     share = np.rint(SPEED_SUBDIVISIONS * place) / SPEED_SUBDIVISIONS
     weights = np.stack(
