@@ -41,8 +41,8 @@ def calibrate(
       bare: 121 rows, condition 7.4, largest residual 0.0325 % FS (Mx)
     >>> calibration.to_frame().loc[:1, ["trim", "channel", "Fx"]].round(5)
        trim    channel       Fx
-    0  bare   x.strain  0.00200
-    1  bare  y1.strain -0.00000
+    0  bare   x.strain  0.00188
+    1  bare  y1.strain  0.00004
     """
     rig = to_geometry(geometry)
     fitted, checks = to_runs(runs, rig), to_runs(hold_out, rig)

@@ -52,8 +52,8 @@ def reduce(
     >>> loads = bal.reduce("sample_data/wind-1.h5", calibration, model)
     >>> table = loads.to_frame()
     >>> mean = table[table["harmonic"] == 0].set_index("component")["amplitude"]
-    >>> mean.round(0)["Fz"]
-    2690.0
+    >>> print(f"{mean['Fz']:.0f} N")
+    2833 N
     """
     records = to_runs(runs, calibration.geometry)
     zeros = to_runs(zero, calibration.geometry) if zero is not None else [run for run in records if run.kind == "zero"]

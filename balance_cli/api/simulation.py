@@ -54,7 +54,7 @@ def simulate(
     rig = draw_rig(declared, random_stream(seed, "", "rig")) if sample_tolerances else true_rig(declared)
     rig = apply_effects(rig, (*declared.effects, *added))
     speed = declared.rotor.speed if declared.rotor else DEFAULT_ROTOR_SPEED
-    return simulate_campaign(rig, _to_plan(plan, speed), replace(Noise(), single_precision=True).scaled(noise), seed)
+    return simulate_campaign(rig, _to_plan(plan, speed), replace(Noise(), single_precision=True).scale_by(noise), seed)
 
 
 def _to_plan(plan: str | PathLike | CampaignPlan | Mapping[str, Any], rotor_speed: float) -> CampaignPlan:
