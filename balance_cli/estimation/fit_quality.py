@@ -41,7 +41,7 @@ def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
     in_band = (frequency >= FRF_BAND[0]) & (frequency <= FRF_BAND[1])
     # At rest there may be lines without any load.
     size = np.where(in_band, np.sum(np.abs(batch.lines.loads) ** 2, axis=1), 1.0)
-    live = _live_mask(batch)
+    live = live_mask(batch)
     error = np.sum(np.where(live, np.abs(fit.residual) ** 2, 0.0), axis=1) / size
     noise = np.sum(np.where(live, residual_variance(batch, columns, live), 0.0), axis=1) / size
     signal = np.sum(np.where(live, np.abs(batch.lines.channels) ** 2, 0.0), axis=1) / size
@@ -60,7 +60,8 @@ def _rms_ratio(part: Array, whole: Array) -> float:
     return float(np.sqrt(part.sum() / whole.sum())) if len(part) else float("nan")
 
 
-def _live_mask(batch: Batch) -> NDArray[np.bool_]:
+def live_mask(batch: Batch) -> NDArray[np.bool_]:
+    """Return which channels (K, c) are live in each line."""
     c = batch.lines.channels.shape[1]
     return np.asarray(np.real(np.diagonal(batch.lines.precision, axis1=1, axis2=2))[:, :c] > 0)
 

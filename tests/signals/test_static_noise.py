@@ -7,7 +7,7 @@ from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.static_noise import second_differences, static_points
 from balance_cli.simulation import CampaignPlan, Noise, simulate_campaign, true_rig
-from balance_cli.simulation.plans import statics
+from balance_cli.simulation.plans import static_plans
 from tests.support.rigs import rotor_balance
 
 CHANNELS = ("a", "b", "c", "d")
@@ -125,7 +125,7 @@ def test_a_row_has_the_noise_of_a_load_only_where_that_was_applied():
     rig, noise = true_rig(rotor_balance()), Noise()
     found = []
     for seed in range(8):
-        runs, _ = simulate_campaign(rig, CampaignPlan(runs=statics()[:1]), seed=seed)
+        runs, _ = simulate_campaign(rig, CampaignPlan(runs=static_plans()[:1]), seed=seed)
         points = static_points(runs[0], runs[0].channel_names)
         torque = points.channel_names.index("torque")
         variance = sum(part.covariance for part in points.noise_parts)[:, torque, torque]
@@ -141,7 +141,7 @@ def test_what_is_known_of_a_loads_noise_is_said():
     rig, noise = true_rig(rotor_balance()), Noise()
     sizes, errors = [], []
     for seed in range(24):
-        runs, _ = simulate_campaign(rig, CampaignPlan(runs=statics()[:1]), seed=seed)
+        runs, _ = simulate_campaign(rig, CampaignPlan(runs=static_plans()[:1]), seed=seed)
         moment = static_points(runs[0], runs[0].channel_names).noise_parts[6]
         sizes.append(moment.size)
         errors.append(moment.error)

@@ -45,7 +45,7 @@ def test_a_stepped_record_comes_nearer_the_one_without_noise():
     geometry = rotor_balance()
     rig = true_rig(geometry)
     plan = SweepPlan(run="sweep-Fx", excited=("Fx",), level=(60.0,), excitation="stepped", period=2.0, periods=5)
-    noisy, clean = (simulate_run(rig, plan, Noise().scaled(scale), 5)[0] for scale in (1.0, 1e-6))
+    noisy, clean = (simulate_run(rig, plan, Noise().scale_by(scale), 5)[0] for scale in (1.0, 1e-6))
     lines = nonperiodic_spectrum_with_waveform(noisy, geometry.channel_names, geometry)
     recorded, expected = (before_filter(run, lines.waveform.frequency, geometry) for run in (noisy, clean))
     error, left = (np.sum(np.abs(z - expected) ** 2, axis=0) for z in (recorded, lines.waveform.volts))

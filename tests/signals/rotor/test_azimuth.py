@@ -92,7 +92,7 @@ def test_jitter_of_half_a_degree_is_kept_as_it_is():
     [
         (lambda t: t[:2], "only 2 pulses"),
         (lambda t: np.where(np.arange(len(t)) == 7, np.nan, t), "entry 7"),
-        (lambda t: np.where(np.arange(len(t)) == 7, t[5], t), "backwards"),
+        (lambda t: np.where(np.arange(len(t)) == 7, t[5], t), "decrease"),
         (lambda t: np.concatenate([t[:50], t[50:] + 0.5 / RATE]), "cannot be repaired"),
         (lambda t: np.delete(t, slice(100, 120)), "cannot be repaired"),
         (lambda t: np.delete(t, slice(None, None, 4)), "too many"),

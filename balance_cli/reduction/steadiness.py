@@ -1,0 +1,83 @@
+"""Whether the hub loads of a record are the same throughout, or step or drift within it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.result import TrimCalibration
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.reduction.harmonic_loads import RotorRecord
+from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.signals.anti_alias import anti_alias_response
+from balance_cli.signals.rotor.steadiness import WindowedAmplitudes, unsteady, windowed_amplitudes
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+MATERIAL_SHARE = 0.05
+"""Change of a mean load, as a share of its size, from which the mean over the record is no operating point.
+
+A balance engineer repeats a point whose load moved by a few per cent; smaller drifts are the tunnel's own.
+"""
+MATERIAL_SHARE_OF_HARMONIC = 0.5
+"""The same for the amplitude of a harmonic, which follows the rotor speed and gusts much more than the mean does."""
+MATERIAL_SHARE_OF_LARGEST = 0.1
+"""A harmonic below this share of the largest one of its component is too small for its drift to matter."""
+
+
+def unsteady_loads(
+    record: RotorRecord, geometry: Geometry, source: ResponseSource, static: TrimCalibration | None, sigma: Array
+) -> NDArray[np.bool_]:
+    """Which loads (n+1, m) of a record step or drift within it, by more than chance and by more than is immaterial.
+
+    `sigma` (n+1, m) are the standard deviations that are stated for the loads; without a static calibration harmonic 0
+    is not examined.
+    """
+    n = len(record.spectra.frequency_hz) - 1
+    windows = windowed_amplitudes(record.run, record.azimuth, record.health.live, n, record.spectra.revolutions)
+    if not len(windows.values):
+        return np.zeros(sigma.shape, bool)
+    loads = np.zeros((len(windows.values), *sigma.shape), complex)
+    loads[:, 1:] = _harmonic_loads(windows, record, geometry, source)
+    if static is not None:
+        loads[:, 0] = _mean_loads(windows, static)
+    return unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0))
+
+
+def _material_change(size: Array) -> Array:
+    """Return the change (n+1, m) of loads of this size that matters."""
+    change = np.maximum(
+        MATERIAL_SHARE_OF_HARMONIC * size, MATERIAL_SHARE_OF_LARGEST * size[1:].max(axis=0, initial=0.0)
+    )
+    change[0] = MATERIAL_SHARE * size[0]
+    return np.asarray(change)
+
+
+def _mean_loads(windows: WindowedAmplitudes, static: TrimCalibration) -> ComplexArray:
+    """Return the mean loads (w, m) of each window through the static matrix, from the channels that are there."""
+    rows = [i for i, name in enumerate(static.channel_names) if name in windows.names]
+    columns = [windows.names.index(static.channel_names[i]) for i in rows]
+    inverse = np.linalg.pinv(static.C0[rows] * static.calibrated_range) * static.calibrated_range[:, None]
+    change = windows.values[:, 0, columns] - static.mean_channels[rows]
+    return np.asarray(static.mean_load + change @ inverse.T)
+
+
+def _harmonic_loads(
+    windows: WindowedAmplitudes, record: RotorRecord, geometry: Geometry, source: ResponseSource
+) -> ComplexArray:
+    """Return the loads (w, n, m) of each window, by the response at the speed of the window, weighted by noise."""
+    count, orders = len(windows.values), np.arange(1, windows.values.shape[1])
+    frequency = (windows.speed[:, None] * orders).ravel()
+    combination = source.channel_combination(frequency, record.health.live)
+    columns = [COMPONENTS.index(name) for name in record.components]
+    T = source.at(frequency, record.spin)[:, combination.rows][:, :, columns]
+    filtered = combination.combination / anti_alias_response(geometry.acquisition, frequency)[:, None, None]
+    volts = windows.values[:, 1:].reshape(count * len(orders), -1)
+    y = np.einsum("krc,kc->kr", filtered, volts)
+    live = record.spectra.columns(record.health.live)
+    noise = np.einsum("hcc->hc", record.spectra.covariance[1:][:, live][:, :, live]).real
+    sigma = np.sqrt(np.einsum("krc,kc->kr", np.abs(filtered) ** 2, np.tile(noise, (count, 1))))
+    solved = np.linalg.pinv(T / sigma[:, :, None]) @ (y / sigma)[:, :, None]
+    return np.asarray(solved[:, :, 0].reshape(count, len(orders), -1))

@@ -1,0 +1,153 @@
+"""Whether the 1/rev pulses of a record agree with its stated speed, its length and the lines of its channels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, median_filter
+
+from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.io.errors import UserError
+
+Array = NDArray[np.float64]
+
+NOMINAL_TOLERANCE = 0.12
+"""Share by which the pulse rate may depart from the nominal `rotor_speed` before it is examined."""
+RATIO_TOLERANCE = 0.03
+"""Share by which a ratio of speeds may miss a whole number and still be one (the rotor speed itself varies)."""
+MAX_PULSES_PER_REVOLUTION = 1024
+RPM_PER_HERTZ = 60.0
+SPECTRUM_REVOLUTIONS = 200
+"""Revolutions of the spectrum that shows the rotor's lines: they tell 1 % of speed from 1/rev on, and the speed hardly
+moves within them."""
+STRONGEST_LINES = 12
+"""Lines of each spectrum that are compared with the pulses."""
+LINE_TO_FLOOR = 300.0
+"""Power of a line over the median around it from which it counts: noise reaches 20 in 10000 samples."""
+SCALES = np.linspace(0.8, 1.25, 4501)
+"""Ratios of the line spacing to the pulse rate that are tried: a sample rate off by up to 25 %."""
+FEWEST_LINES = 5
+"""Fewer lines may lie on the multiples of any spacing by accident."""
+SHARE_ON_PULSES = 0.2
+"""Share of the lines on multiples of the pulse rate below which the record may contradict its pulses."""
+SHARE_ON_COMB = 0.8
+"""Share of the lines that another spacing must explain before it does."""
+UNCOVERED_SHARE = 0.2
+"""Share of a record without pulses at either end that is examined: edges of a few revolutions are usual."""
+
+
+def pulse_faults(run: Run) -> Iterator[UserError]:
+    """Faults of the pulses against the nominal speed of the run and against the lines of its channels.
+
+    Speeds that differ are a fault, with the ratio named where it is a whole one. So are pulses that leave much of the
+    record out, and channels whose lines form a comb of another spacing than the pulse rate. A record at rest, or
+    without pulses, has none.
+    """
+    if run.pulse_times is None or len(run.pulse_times) < 3 or not run.rotor_speed:
+        return
+    rate = 1.0 / float(np.median(np.diff(run.pulse_times)))
+    fault = speed_fault(rate, run.rotor_speed)
+    if fault:
+        yield UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Correct the pulses or `rotor_speed`")
+        return
+    fault = coverage_fault(run)
+    if fault:
+        yield UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Check `sample_rate`, or cut the record")
+        return
+    contradiction = line_spacing(run)
+    if contradiction is not None:
+        rate, spacing = contradiction
+        yield UserError(
+            f"the channels have their lines at multiples of {spacing:.5g} Hz, the pulses come at {rate:.5g} Hz",
+            str(run.path or run.name),
+            "rotor/pulse_times",
+            "Check `sample_rate`, and whether there is one pulse in each revolution",
+        )
+
+
+def speed_fault(rate: float, speed: float) -> str:
+    """Return what is wrong between a pulse rate and a nominal speed, both [Hz]; empty where they agree."""
+    ratio = rate / speed
+    if abs(ratio - 1.0) <= NOMINAL_TOLERANCE:
+        return ""
+    if abs(ratio * RPM_PER_HERTZ - 1.0) <= NOMINAL_TOLERANCE:
+        return f"`rotor_speed` is {speed:g} Hz, the pulses come at {rate:.4g} Hz: a speed in 1/min was given as Hz"
+    per_revolution, per_pulse = round(ratio), round(1.0 / ratio)
+    if 2 <= per_revolution <= MAX_PULSES_PER_REVOLUTION and abs(ratio / per_revolution - 1.0) <= RATIO_TOLERANCE:
+        return f"the pulses come at {rate:.4g} Hz, {per_revolution} times in each revolution of {speed:g} Hz"
+    if per_pulse >= 2 and abs(ratio * per_pulse - 1.0) <= RATIO_TOLERANCE:
+        return f"the pulses come at {rate:.4g} Hz, once in {per_pulse} revolutions of {speed:g} Hz"
+    return f"the pulses come at {rate:.4g} Hz, `rotor_speed` is {speed:g} Hz"
+
+
+def coverage_fault(run: Run) -> str:
+    """Return what is wrong between the times of the pulses and the length of the record; empty where nothing is."""
+    assert run.pulse_times is not None
+    assert run.sample_rate is not None
+    duration = run.samples / run.sample_rate
+    first, last = float(run.pulse_times[0]), float(run.pulse_times[-1])
+    if first <= UNCOVERED_SHARE * duration and duration - last <= UNCOVERED_SHARE * duration:
+        return ""
+    return f"the pulses cover {first:.4g} to {last:.4g} s of a record of {duration:.4g} s at {run.sample_rate:g} Hz"
+
+
+def line_spacing(run: Run) -> tuple[float, float] | None:
+    """Return the pulse rate and the spacing of the lines of the channels [Hz] where they contradict, else None.
+
+    Both are taken in the middle of the pulses.
+    """
+    assert run.pulse_times is not None
+    middle = len(run.pulse_times) // 2
+    pulses = run.pulse_times[max(0, middle - SPECTRUM_REVOLUTIONS // 2) : middle + SPECTRUM_REVOLUTIONS // 2 + 1]
+    rate = (len(pulses) - 1) / float(pulses[-1] - pulses[0])
+    spread = _speed_spread(pulses)
+    lines, weight, resolution = _strongest_lines(run, float(pulses[0]), float(pulses[-1]))
+    if len(lines) < FEWEST_LINES or rate < 8.0 * resolution:
+        return None
+    if _share_on_comb(lines, weight, rate, resolution, spread) > SHARE_ON_PULSES:
+        return None
+    shares = np.array([_share_on_comb(lines, weight, scale * rate, resolution, spread) for scale in SCALES])
+    best = int(np.argmax(shares))
+    return (rate, float(SCALES[best] * rate)) if shares[best] >= SHARE_ON_COMB else None
+
+
+def _speed_spread(pulses: Array) -> float:
+    """Return half of the range of the speed over the pulses, relative to the speed, jitter of the pulses averaged."""
+    width = max(1, len(pulses) // 10)
+    speed = width / (pulses[width:] - pulses[:-width])
+    return float((speed.max() - speed.min()) / (speed.max() + speed.min()))
+
+
+def _share_on_comb(lines: Array, weight: Array, spacing: float, resolution: float, spread: float) -> float:
+    """Return the share of the lines, by weight, that lie within the resolution of a multiple of the spacing.
+
+    A line may be off by the relative `spread` of the speed, too.
+    """
+    order = np.round(lines / spacing)
+    on_comb = (order > 0) & (np.abs(lines - order * spacing) <= 1.25 * resolution + spread * lines)
+    return float(weight[on_comb].sum() / weight.sum())
+
+
+def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array, float]:
+    """Return the frequencies [Hz] of the strongest lines of all channels, their weight, and the resolution [Hz].
+
+    Samples from `start` to `stop` [s]. The weight is the logarithm of the power over the floor, so that no single line
+    decides.
+    """
+    assert run.sample_rate is not None
+    first, last = int(start * run.sample_rate), min(int(stop * run.sample_rate), run.samples)
+    samples = last - first
+    if samples < 64:
+        return np.zeros(0), np.zeros(0), 1.0
+    values = np.nan_to_num(read_channels(run, run.channel_names, first, last))
+    spectrum = np.abs(np.fft.rfft((values - values.mean(axis=0)) * np.hanning(samples)[:, None], axis=0)) ** 2
+    floor = median_filter(spectrum, size=(max(33, samples // 128) | 1, 1), mode="nearest")
+    relative = np.max(spectrum / np.maximum(floor, np.finfo(float).tiny), axis=1)
+    relative[:3] = 0.0
+    peak = (relative == maximum_filter1d(relative, 7)) & (relative > LINE_TO_FLOOR)
+    index = np.flatnonzero(peak)
+    index = index[np.argsort(-relative[index])][:STRONGEST_LINES]
+    step = run.sample_rate / samples
+    return np.asarray(index * step), np.asarray(np.log(relative[index])), float(step)

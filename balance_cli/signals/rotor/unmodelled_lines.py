@@ -1,0 +1,132 @@
+"""Lines of a record beside its reduced harmonics: higher harmonics of the rotor, and tones that do not turn with it.
+
+Two spectra show them. Over azimuth a harmonic of the rotor is one line, however its speed varies; over time a tone of
+constant frequency (mains, a pump, another rotor) is one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, median_filter
+
+from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.signals.rotor.azimuth import Azimuth
+
+Array = NDArray[np.float64]
+
+LONGEST_RECORD = 65536
+"""Samples that are examined at most, from the middle of the interval: a line of a minute is a line."""
+LINE_TO_FLOOR = 1000.0
+"""Power of a line over the median around it: noise of a million independent lines reaches 40, resonances do not rise
+so far within the width of the median."""
+MATERIAL_SHARE = 0.05
+"""Amplitude of a line, relative to the largest harmonic of the same channel, from which it is reported."""
+SIDEBAND_BINS = 8.0
+"""Bins beside a harmonic, beyond the range of its frequency, within which a line over time belongs to it."""
+MOST_LINES = 6
+"""Lines that are named, the strongest first."""
+BELOW_NYQUIST = 0.9
+
+
+@dataclass(frozen=True)
+class UnmodelledLine:
+    """A line at `frequency` [Hz], `order` times the rotor speed, strongest in `channel` with `amplitude` [V].
+
+    `turns_with_rotor`: a harmonic of the rotor beyond those that were reduced.
+    """
+
+    frequency: float
+    order: float
+    channel: str
+    amplitude: float
+    turns_with_rotor: bool
+
+    @property
+    def description(self) -> str:
+        """The line in words."""
+        where = f"{self.order:.0f}/rev" if self.turns_with_rotor else f"{self.order:.2f} per revolution"
+        return f"line at {self.frequency:.2f} Hz ({where}), strongest in {self.channel}"
+
+
+def unmodelled_lines(
+    run: Run, azimuth: Azimuth, names: tuple[str, ...], n: int, interval: tuple[float, float]
+) -> tuple[UnmodelledLine, ...]:
+    """Return the lines of the named channels in an interval [s] that harmonics 0 to `n` do not contain."""
+    assert run.sample_rate is not None
+    first, last = (int(t * run.sample_rate) for t in interval)
+    excess = max(0, last - first - LONGEST_RECORD) // 2
+    first, last = first + excess, last - excess
+    values = read_channels(run, names, first, last)
+    time = np.arange(first, last) / run.sample_rate
+    inside = (time >= azimuth.first) & (time <= azimuth.last)
+    time, values = time[inside], values[inside]
+    if len(time) < 256:
+        return ()
+    turns = azimuth.psi(time) / (2 * np.pi)
+    speed = float((turns[-1] - turns[0]) / (time[-1] - time[0]))
+    order, over_azimuth = _spectrum_over_azimuth(turns, values)
+    largest = _largest_harmonic(order, over_azimuth, n)
+    frequency, over_time = _spectrum(values, run.sample_rate)
+    slowest, fastest = _speed_range(azimuth, time)
+    highest = BELOW_NYQUIST * 0.5 * run.sample_rate / speed
+    rotor_lines = [
+        UnmodelledLine(o * speed, round(o), names[c], a, True)
+        for o, c, a in _peaks(order, over_azimuth, largest)
+        if n + 0.5 < o < highest and abs(o - round(o)) < 0.05
+    ]
+    fixed_lines = [
+        UnmodelledLine(f, f / speed, names[c], a, False)
+        for f, c, a in _peaks(frequency, over_time, largest)
+        if f < highest * speed and not _beside_harmonic(f, slowest, fastest, SIDEBAND_BINS * frequency[1])
+    ]
+    found = sorted(rotor_lines + fixed_lines, key=lambda line: -line.amplitude)
+    return tuple(found[:MOST_LINES])
+
+
+def _speed_range(azimuth: Azimuth, time: Array) -> tuple[float, float]:
+    """Return the slowest and the fastest rotor speed [Hz] in the record."""
+    speed = azimuth.speed(np.linspace(time[0], time[-1], 1024))
+    return float(np.min(speed)), float(np.max(speed))
+
+
+def _beside_harmonic(frequency: float, slowest: float, fastest: float, margin: float) -> bool:
+    """Return whether some harmonic of the rotor passes within the margin [Hz] of a frequency [Hz]; so does the mean."""
+    order = np.arange(0, int(frequency / slowest) + 2)
+    return bool(np.any((order * slowest - margin < frequency) & (frequency < order * fastest + margin)))
+
+
+def _spectrum_over_azimuth(turns: Array, values: Array) -> tuple[Array, Array]:
+    """Return orders [1/rev] and amplitudes (k, c) [V] of the channels, resampled evenly over azimuth."""
+    grid = np.linspace(turns[0], turns[-1], len(turns))
+    even = np.stack([np.interp(grid, turns, column) for column in values.T], axis=1)
+    return _spectrum(even, len(turns) / (turns[-1] - turns[0]))
+
+
+def _spectrum(values: Array, rate: float) -> tuple[Array, Array]:
+    """Return frequencies and amplitudes (k, c) under a Blackman window, whose side lobes lie 58 dB down."""
+    window = np.blackman(len(values))
+    amplitude = np.abs(np.fft.rfft((values - values.mean(axis=0)) * window[:, None], axis=0)) * 2.0 / window.sum()
+    return np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate)), np.asarray(amplitude)
+
+
+def _largest_harmonic(order: Array, amplitude: Array, n: int) -> Array:
+    """Return the amplitude (c,) of the largest of harmonics 1 to n of each channel."""
+    index = np.clip(np.round(np.arange(1, n + 1) / order[1]).astype(int), 0, len(order) - 1)
+    return np.asarray(amplitude[index].max(axis=0, initial=0.0))
+
+
+def _peaks(frequency: Array, amplitude: Array, largest: Array) -> list[tuple[float, int, float]]:
+    """Return frequency, channel and amplitude of the lines that stand out of their surroundings and matter."""
+    power = amplitude**2
+    floor = median_filter(power, size=(max(65, len(power) // 64) | 1, 1), mode="nearest")
+    clear = power > LINE_TO_FLOOR * np.maximum(floor, np.finfo(float).tiny)
+    share = np.where(clear, amplitude / np.maximum(largest, np.finfo(float).tiny), 0.0)
+    strongest = share.max(axis=1)
+    top = (strongest == maximum_filter1d(strongest, 7)) & (strongest > MATERIAL_SHARE)
+    return [
+        (float(frequency[i]), int(np.argmax(share[i])), float(amplitude[i, np.argmax(share[i])]))
+        for i in np.flatnonzero(top)
+    ]

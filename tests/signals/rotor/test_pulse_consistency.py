@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.signals.rotor.pulse_consistency import pulse_faults, speed_fault
+
+SPEED, RATE, DURATION = 11.0, 500.0, 40.0
+
+
+def record(
+    pulses_at=SPEED, stated_speed=SPEED, stated_rate=RATE, last=DURATION, orders=(1, 2, 3, 4, 6), noise=1e-3, wobble=0.0
+):
+    """A record of a rotor at `SPEED`, sampled at `RATE`, that may state something else of itself."""
+    time = np.arange(int(DURATION * RATE)) / RATE
+    turns = SPEED * time + wobble * np.sin(2 * np.pi * time / 15.0)
+    rng = np.random.default_rng(1)
+    waves = sum(np.cos(2 * np.pi * k * turns[:, None] + np.arange(3)) / k for k in orders) if orders else 0.0
+    channels = waves + noise * rng.standard_normal((len(time), 3))
+    count = np.arange(0, int(last * pulses_at)) * SPEED / pulses_at
+    pulses = np.interp(count, turns, time)
+    names = ("a", "b", "c")
+    return Run(
+        "w", "rig", "wind", names, len(time), MemorySource(channels, None), sample_rate=stated_rate,
+        rotor_speed=stated_speed, pulse_times=pulses,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "sound",
+    [
+        {},
+        {"stated_speed": 1.05 * SPEED},
+        {"wobble": 0.5},
+        {"orders": ()},
+        {"orders": (3,)},
+        {"orders": (2, 4)},
+        {"noise": 1.0},
+        {"last": 0.9 * DURATION},
+        {"stated_speed": 0.0},
+    ],
+)
+def test_a_sound_record_has_no_fault(sound):
+    assert list(pulse_faults(record(**sound))) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"pulses_at": SPEED / 2}, "once in 2 revolutions"),
+        ({"pulses_at": SPEED / 4}, "once in 4 revolutions"),
+        ({"pulses_at": 2 * SPEED}, "2 times in each revolution"),
+        ({"pulses_at": 60 * SPEED}, "60 times in each revolution"),
+        ({"stated_speed": 60 * SPEED}, "1/min was given as Hz"),
+        ({"stated_speed": 1.5 * SPEED}, "`rotor_speed` is 16.5 Hz"),
+        ({"last": DURATION / 2}, "the pulses cover 0 to"),
+        ({"stated_rate": 1.01 * RATE}, "the channels have their lines at multiples of 11.1"),
+        ({"stated_rate": 0.9 * RATE, "wobble": 0.1}, "the channels have their lines at multiples of "),
+        ({"stated_rate": 1.1 * RATE}, "the channels have their lines at multiples of 12."),
+    ],
+)
+def test_what_contradicts_the_pulses_is_named(wrong, words):
+    (fault,) = pulse_faults(record(**wrong))
+    assert words in str(fault)
+    assert "rotor/pulse_times" in str(fault)
+
+
+def test_ratios_of_speeds():
+    assert speed_fault(17.0, 17.5) == ""
+    assert "3 times" in speed_fault(52.4, 17.5)
+    assert "in 8 revolutions" in speed_fault(2.19, 17.5)
