@@ -1,4 +1,4 @@
-"""Lines of periodic records: whole steady periods, no window, noise from the scatter between periods.
+"""Lines of periodic records: whole steady periods, no taper, noise from the scatter between periods.
 
 Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed. (2012), sections 2.6 and 10.2.
 """
@@ -47,22 +47,29 @@ ComplexArray = NDArray[np.complex128]
 Counts = NDArray[np.intp]
 
 LEAST_LINE_SIGNAL_TO_NOISE = 10.0
+"""Amplitude of a load over its noise, from which a line is used: the bias of a ratio Y / U, exp(-100), is then nil."""
 LEAST_SHARE_OF_STRONGEST = 0.01
+"""Amplitude of a load over that of its strongest line; less is a side effect of the excitation of other lines."""
 LEAST_SHARE_OF_LINES = 0.1
+"""Share of the lines from which a load that is not declared as excited is nevertheless an input."""
 NOISE_LINES = 40
+"""Lines beyond the excited band that are kept, for the noise to be pooled over."""
 INFLATION_PROBABILITY = 1e-4
+"""Probability with which noise alone exceeds the bound from which a line has its own, larger covariance."""
 DECAY_LINES = 11
-# Differences of neighbouring lines share one: their mean square is worth two thirds of as many independent ones.
+"""Neighboring lines whose transient is taken to decay by one factor; in their width a mode changes little."""
 DIFFERENCE_DOF = 2.0 / 3.0
+"""Degrees of freedom of a difference of neighboring lines: each line is in two of them (Rice, Ann. Stat. 12, 1984)."""
 
 
 @dataclass(frozen=True)
 class PeriodicRecord:
-    """The lines of a periodic run, and which periods they rest on.
+    """The lines of a periodic run, and the periods from which they are computed.
 
-    `period` [s] that was cut (a multiple of the declared one where that has no whole number of samples), `periods` in
-    the record, `first` (k,) steady period of each line (0 is the first), `start` and `stop` [s] of what is steady at
-    every line, `steady`: whether a test says so, or two periods had to be kept for want of more.
+    `period` [s] is the length of a period, a multiple of the declared one where that is not a whole number of samples;
+    the record has `periods` of them. `first` (k,) is the first steady period of each line (0 is that of the record).
+    From `start` to `stop` [s] every line is steady. `steady` says whether a test found so; otherwise the last two
+    periods were used because there are no more.
     """
 
     spectrum: RunSpectrum
@@ -75,19 +82,20 @@ class PeriodicRecord:
 
 
 def periodic_spectrum(run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)) -> RunSpectrum:
-    """Lines of a periodic run at the frequencies that were excited, within `band` [Hz]; see `periodic_record`."""
+    """Return the lines of a periodic run that were excited within `band` [Hz]; see `periodic_record`."""
     return periodic_record(run, channel_names, band).spectrum
 
 
 def periodic_record(
     run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
 ) -> PeriodicRecord:
-    """Cut a periodic run in whole periods (the last ends with the record), leave the start transient out, average.
+    """Average the whole periods of a periodic run, without those of the start transient.
 
-    Spectra are amplitudes, `x(t) = Re sum X exp(+j 2 pi f t)`. The covariance is that of the mean over the steady
-    periods, pooled over neighbouring lines; a line with improbably large scatter has its own, larger one. `spectrum.dof`
-    belongs to the pooled covariance: consumers that invert it multiply the inverse by `inverse_bias_factor(dof, n)`,
-    n = channels + components. UserError: no period, fewer than two whole periods, or nothing that repeats.
+    The last period ends with the record. Spectra are amplitudes, `x(t) = Re sum X exp(+j 2 pi f t)`. The covariance is
+    that of the mean over the steady periods, pooled over neighboring lines; a line with improbably large scatter has
+    its own, larger one. `spectrum.dof` belongs to the pooled covariance: the inverse must be multiplied by
+    `inverse_bias_factor(dof, n)`, n = channels + components. Raises UserError where the run has no period, fewer than
+    two whole periods, or no line that repeats.
     """
     samples = samples_per_period(run)
     spectra, number, components = _period_spectra(run, channel_names, samples)
@@ -99,33 +107,27 @@ def periodic_record(
     )
     covariance = covariance * (1.0 + start.bias)[:, None, None]
     excited = _excited_lines(mean, covariance, len(components))
-    chosen = np.any(excited, axis=1)
-    if not np.any(chosen):
-        raise run_error(
-            run, "no line of the loads repeats from period to period", "Check `period`", "attribute `period`"
-        )
-    chosen &= (frequency >= band[0]) & (frequency <= band[1])
-    if not np.any(chosen):
-        raise run_error(run, f"no line was excited from {band[0]:g} to {band[1]:g} Hz", "Ask for another band")
+    selected = _select_lines(run, excited, frequency, band)
     lines = RunSpectrum(
         run=run.name,
         channel_names=tuple(channel_names),
         components=components,
-        frequency=frequency[chosen],
-        channels=mean[chosen, : len(channel_names)],
-        loads=mean[chosen, len(channel_names) :],
-        covariance=covariance[chosen],
+        frequency=frequency[selected],
+        channels=mean[selected, : len(channel_names)],
+        loads=mean[selected, len(channel_names) :],
+        covariance=covariance[selected],
         dof=dof,
         rotor_speed=run.rotor_speed,
         level=run.level,
-        window=_analysis_window(run, len(spectra), samples, start.first[chosen], noise[0][chosen], noise[1]),
+        window=_analysis_window(run, len(spectra), samples, start.first[selected], noise[0][selected], noise[1]),
     )
-    lines = _drop_unexcited_components(lines, excited[chosen], run.excited)
-    return _periodic_record_of(run, lines, spectra, samples, start.first[chosen], bool(np.all(start.steady[chosen])))
+    lines = _drop_unexcited_components(lines, excited[selected], run.excited)
+    steady = bool(np.all(start.steady[selected]))
+    return _periodic_record_of(run, lines, spectra, samples, start.first[selected], steady)
 
 
 def has_whole_periods(run: Run) -> bool:
-    """Whether the run declares a period and holds at least two that can be cut."""
+    """Whether the run declares a period, and has at least two of a whole number of samples."""
     try:
         return run.period is not None and samples_per_period(run) > 0
     except UserError:
@@ -133,12 +135,13 @@ def has_whole_periods(run: Run) -> bool:
 
 
 def samples_per_period(run: Run) -> int:
-    """Samples in the shortest multiple of the declared period that is a whole number of samples, to 0.01 of one
+    """Return the samples in the shortest multiple of the declared period that is a whole number of samples.
 
-    over the record. UserError where the run declares no period, or holds fewer than two such multiples.
+    It is one to within 0.01 samples over the record. Raises UserError where the run declares no period, or has fewer
+    than two such multiples.
     """
     if run.period is None:
-        raise run_error(run, "there is no `period`", "Choose an estimator for records that do not repeat")
+        raise run_error(run, "there is no `period`", "Select an estimator for records that do not repeat")
     exact = run.period * sample_rate(run)
     for multiple in range(1, int(run.samples / (2.0 * exact)) + 1):
         samples = round(multiple * exact)
@@ -147,7 +150,7 @@ def samples_per_period(run: Run) -> int:
     raise run_error(
         run,
         f"the record does not hold two periods of a whole number of samples ({exact:g} each)",
-        "Record more periods, or choose an estimator for records that do not repeat",
+        "Record more periods, or select an estimator for records that do not repeat",
         "attribute `period`",
     )
 
@@ -155,32 +158,29 @@ def samples_per_period(run: Run) -> int:
 def _period_spectra(
     run: Run, channel_names: Sequence[str], samples: int
 ) -> tuple[ComplexArray, NDArray[np.intp], tuple[str, ...]]:
-    """Amplitudes (P, K, c+u) of every whole period around the lines that were excited, the numbers of these lines (K,)
-
-    and the components.
-    """
+    """Amplitudes (P, K, c+u) of all whole periods at the lines around the excited ones, their bins (K,), components."""
     periods = run.samples // samples
     offset = run.samples - periods * samples
     channel_columns(run, channel_names)
-    each = []
-    every_load = np.zeros((1, 6))
+    amplitudes = []
+    largest_loads = np.zeros((1, 6))
     for p in range(periods):
         channels, loads = read_samples(run, channel_names, offset + p * samples, offset + (p + 1) * samples)
-        every_load = np.maximum(every_load, np.abs(loads).max(axis=0))
+        largest_loads = np.maximum(largest_loads, np.abs(loads).max(axis=0))
         spectrum = np.fft.rfft(np.hstack([channels, loads]), axis=0)[1 : (samples + 1) // 2]
-        each.append(spectrum * (2.0 / samples))
-    components = measured_components(run, every_load)
+        amplitudes.append(spectrum * (2.0 / samples))
+    components = measured_components(run, largest_loads)
     c = len(channel_names)
-    kept = [*range(c), *(c + place for place in load_columns(components))]
-    spectra = np.asarray(each)[:, :, kept]
-    late = np.abs(spectra[periods // 2 :, :, c:].mean(axis=0))
-    strong = np.flatnonzero(np.any(late > LEAST_SHARE_OF_STRONGEST * late.max(axis=0), axis=1))
+    signals = [*range(c), *(c + column for column in load_columns(components))]
+    spectra = np.asarray(amplitudes)[:, :, signals]
+    load_size = np.abs(spectra[periods // 2 :, :, c:].mean(axis=0))
+    strong = np.flatnonzero(np.any(load_size > LEAST_SHARE_OF_STRONGEST * load_size.max(axis=0), axis=1))
     lines = np.arange(max(strong[0] - 2, 0), min(strong[-1] + NOISE_LINES, spectra.shape[1]))
     return spectra[:, lines], lines + 1, components
 
 
 def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, ComplexArray, float]:
-    """Mean (K, n) over the steady periods of each line, covariance of that mean (K, n, n), its dof."""
+    """Mean (K, n) over the steady periods of each line, covariance (K, n, n) of the mean, and its dof."""
     P = len(spectra)
     used = np.arange(P)[:, None] >= first
     m = used.sum(axis=0).astype(float)
@@ -192,25 +192,25 @@ def _mean_and_covariance(spectra: ComplexArray, first: Counts) -> tuple[ComplexA
 
 
 def _pool_scatter(scatter: ComplexArray, counts: Array, floor: Array) -> tuple[ComplexArray, float]:
-    """Covariance (K, n, n) of one period and its dof; larger where a line scatters more than its neighbours."""
+    """Covariance (K, n, n) of one period and its dof; larger where a line scatters more than its neighbors."""
     covariance, dof = pooled_covariance(scatter, counts, floor=floor)
     return covariance * _scatter_inflation(scatter, covariance, counts, dof)[:, None, None], dof
 
 
 def _covariance_about_decay(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, float]:
-    """Covariance (K, n, n) of the mean over the periods used, and its dof, as free of a decay as it can be told."""
+    """Covariance (K, n, n) of the mean over the periods used, and its dof, without the scatter of a transient."""
     counts = np.full(spectra.shape[1], DIFFERENCE_DOF)
     covariance, dof = _pool_scatter(_scatter_about_decay(spectra), counts, variance_floor(spectra))
     return covariance / (len(spectra) - first)[:, None, None], dof
 
 
 def _scatter_about_decay(spectra: ComplexArray) -> ComplexArray:
-    """Scatter (K, n, n) of the last periods about a free motion, worth WORTH_OF_DIFFERENCE degrees of freedom.
+    """Scatter (K, n, n) of the last periods about a transient, of DIFFERENCE_DOF degrees of freedom.
 
-    From one period to the next that shrinks by the same complex factor r at neighbouring lines, so that
-    x_2 - x_1 - r (x_1 - x_0) holds noise alone, 1 + |1 + r|^2 + |r|^2 times that of one period. Where there are
-    periods enough an earlier difference, of other noise, is the instrument that r is found with. What several modes
-    leave far from their peaks is smooth in frequency, and goes with the difference of neighbouring lines.
+    From one period to the next the transient decays by the same complex factor r at neighboring lines, so that
+    x_2 - x_1 - r (x_1 - x_0) is noise alone, with 1 + |1 + r|^2 + |r|^2 times the variance of one period. Where there
+    are enough periods, an earlier difference with independent noise is the instrumental variable for r. The transient
+    of several modes far from their peaks is smooth in frequency, and is removed by differences of neighboring lines.
     """
     differences = np.diff(spectra, axis=0)
     early, late = differences[-2:]
@@ -221,40 +221,54 @@ def _scatter_about_decay(spectra: ComplexArray) -> ComplexArray:
     power = window_sums(np.sum(instrument.conj() * early * weight, axis=1), width)
     r = common / np.where(power == 0, 1.0, power)
     r = r / np.maximum(np.abs(r), 1.0)
-    left = (late - r[:, None] * early) / np.sqrt(1.0 + np.abs(1.0 + r) ** 2 + np.abs(r) ** 2)[:, None]
-    k = np.minimum(np.arange(len(left)), len(left) - 2)
-    left = (left[k + 1] - left[k]) * np.sqrt(DIFFERENCE_DOF / 2.0)
-    return np.asarray(left[:, :, None] * left[:, None, :].conj())
+    noise = (late - r[:, None] * early) / np.sqrt(1.0 + np.abs(1.0 + r) ** 2 + np.abs(r) ** 2)[:, None]
+    k = np.minimum(np.arange(len(noise)), len(noise) - 2)
+    noise = (noise[k + 1] - noise[k]) * np.sqrt(DIFFERENCE_DOF / 2.0)
+    return np.asarray(noise[:, :, None] * noise[:, None, :].conj())
 
 
 def _scatter_inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:
-    """1 where a line scatters as its neighbours do; where that is improbable, how much more it scatters (K,)."""
-    far = mahalanobis_distances(scatter, covariance, counts, dof)
-    return np.where(far > outlier_bound(counts, scatter.shape[1], INFLATION_PROBABILITY), far, 1.0)
+    """Ratio (K,) of the scatter of a line to that of its neighbors where it is improbably large, else 1."""
+    distance = mahalanobis_distances(scatter, covariance, counts, dof)
+    return np.where(distance > outlier_bound(counts, scatter.shape[1], INFLATION_PROBABILITY), distance, 1.0)
 
 
 def _excited_lines(mean: ComplexArray, covariance: ComplexArray, inputs: int) -> NDArray[np.bool_]:
-    """Where (K, u) a load component stands well above its noise and is not a mere trace of its strongest line."""
+    """Whether (K, u) a load exceeds its noise by far and is not small beside its strongest line."""
     amplitude = np.abs(mean[:, -inputs:])
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).real[:, -inputs:])
     above_noise = amplitude > LEAST_LINE_SIGNAL_TO_NOISE * sigma
     return np.asarray(above_noise & (amplitude > LEAST_SHARE_OF_STRONGEST * amplitude.max(axis=0)))
 
 
+def _select_lines(
+    run: Run, excited: NDArray[np.bool_], frequency: Array, band: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """Which lines (K,) are excited and within `band` [Hz]. Raises UserError where there are none."""
+    selected = np.any(excited, axis=1)
+    if not np.any(selected):
+        fault = "no line of the loads repeats from period to period"
+        raise run_error(run, fault, "Check `period`", "attribute `period`")
+    selected &= (frequency >= band[0]) & (frequency <= band[1])
+    if not np.any(selected):
+        raise run_error(run, f"no line was excited from {band[0]:g} to {band[1]:g} Hz", "Select another band")
+    return np.asarray(selected)
+
+
 def _drop_unexcited_components(lines: RunSpectrum, excited: NDArray[np.bool_], declared: Sequence[str]) -> RunSpectrum:
-    """The lines without load components that were measured, but neither declared as excited nor anything but noise."""
+    """The lines without the load components that were measured, but neither declared as excited nor more than noise."""
     share = excited.mean(axis=0)
-    kept = [i for i, name in enumerate(lines.components) if name in declared or share[i] > LEAST_SHARE_OF_LINES]
+    inputs = [i for i, name in enumerate(lines.components) if name in declared or share[i] > LEAST_SHARE_OF_LINES]
     c = lines.channels.shape[1]
-    signals = np.array([*range(c), *(c + i for i in kept)])
+    signals = np.array([*range(c), *(c + i for i in inputs)])
     window = lines.window
     if window is not None:
         window = replace(window, covariance=window.covariance[:, signals[:, None], signals])
     return replace(
         lines,
         window=window,
-        components=tuple(lines.components[i] for i in kept),
-        loads=lines.loads[:, kept],
+        components=tuple(lines.components[i] for i in inputs),
+        loads=lines.loads[:, inputs],
         covariance=lines.covariance[:, signals[:, None], signals],
     )
 

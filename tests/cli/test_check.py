@@ -124,7 +124,7 @@ def test_a_file_of_another_rig_or_geometry_does_not_match(tmp_path: Path, artefa
     assert faults(WIND, "-g", other)[0][0] == "rig"
     assert "RTS-7" in faults(WIND, "-g", other)[0][1]
     assert "another geometry" in faults(artefact, "-g", other)[0][1]
-    assert "something else" in faults(other, "-g", RIG)[0][1]
+    assert "differs from" in faults(other, "-g", RIG)[0][1]
     assert faults(artefact, "-g", RIG) == faults(RIG, "-g", RIG) == []
 
 
@@ -144,7 +144,7 @@ def test_run_names_must_differ(tmp_path: Path) -> None:
     copy = Path(shutil.copy(WIND, tmp_path / "copy.h5"))
     files = found(WIND, copy)
     assert files[str(WIND)]["faults"] == []
-    assert f"also that of {WIND}" in files[str(copy)]["faults"][0]["fault"]
+    assert f"{WIND} has the same run name" in files[str(copy)]["faults"][0]["fault"]
 
 
 def test_the_summary_is_written_although_there_are_faults(tmp_path: Path) -> None:

@@ -1,10 +1,9 @@
-"""Lines of records that do not repeat, for the same identification as periodic ones.
+"""Lines of records that do not repeat, in the form that identification uses for periodic records.
 
-The local models know the transient and how the response bends within a few lines. Both are taken out of a group of
-neighbouring lines, which then are u independent experiments at one frequency: with Q R the (weighted) loads of the
-group, Q* Y = R G' + noise. Groups do not overlap, and are narrow against the distance to the nearest pole, so that
-next to nothing is lost of what the lines say on the response. (Subtracting the estimated transient costs what its few
-coefficients cost; the covariance holds that.)
+The local models describe the transient and the curvature of the response within a few lines. Both are subtracted from
+a group of neighboring lines, which then are u independent experiments at one frequency: with Q R the (weighted) loads
+of the group, Q* Y = R G' + noise. Groups do not overlap, and are narrow compared with the distance to the nearest pole,
+so that hardly any information on the response is lost. The covariance accounts for the coefficients of the transient.
 """
 
 from __future__ import annotations
@@ -26,18 +25,21 @@ ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
 GROUP_POLE_SHARE = 0.3
+"""Width of a group over the distance to the nearest pole: the curvature that is subtracted remains a correction."""
 GROUP_WINDOW_SHARE = 0.1
+"""Greatest width of a group over that of its window, within which the polynomials are well determined."""
 LEAST_GROUP_SIGNAL_TO_NOISE = 10.0
-
-# Half of the window: towards its ends, where lines lie at the edge of the spectrum alone, its polynomials err most.
+"""Amplitude of the largest load of a group over its noise; as for the lines of periodic records."""
 CENTRAL_SHARE = 0.5
+"""Part of the half-width of a window that is used; its polynomials err most toward the ends."""
 
 
 @dataclass(frozen=True)
 class _Experiments:
-    """u experiments of one group: frequency [Hz], channels (u, c) and loads (u, u) in scaled units, line (index), and
+    """The u experiments of one group of lines, at one `frequency` [Hz].
 
-    noise power (u,) in units of that of the line; `rows` (u, M), the weights of the window's lines, from `first` on.
+    `channels` (u, c) and `loads` (u, u) are in scaled units. `line` is the index of the middle line, `power` (u,) the
+    noise power over that of this line. `rows` (u, M) are the weights of the lines of the window, from `first` on.
     """
 
     frequency: float
@@ -51,9 +53,9 @@ class _Experiments:
 
 @dataclass(frozen=True)
 class NonperiodicRecord:
-    """Lines of a record, and what they are: sums over `weight` (K, M) times the record's lines from number `first` on.
+    """Lines for identification, and their origin: sums over `weight` (K, M) times the lines of the record.
 
-    `number` (R,) are those of the neighbours to which `first` (K,) refers.
+    `bin_index` (R,) are the frequency bins of the R lines of the record; a sum begins at entry `first` (K,) of them.
     """
 
     spectrum: RunSpectrum
@@ -65,35 +67,35 @@ class NonperiodicRecord:
 def nonperiodic_spectrum(
     run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
 ) -> RunSpectrum:
-    """The lines of `nonperiodic_record`."""
+    """Return the spectrum of `nonperiodic_record`."""
     return nonperiodic_record(run, channel_names, band).spectrum
 
 
 def nonperiodic_record(
     run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
 ) -> NonperiodicRecord:
-    """Independent lines of a random, sine-sweep or stepped record within `band` [Hz].
+    """Estimate independent lines of a random, sine-sweep or stepped record within `band` [Hz].
 
-    Each group of neighbouring lines gives as many experiments as components were excited, one after the other at the
-    same frequency. The covariance holds the channels' noise and the loads', without correlation between them.
-    UserError: no loads, record too short, or no line at which the loads stand above their noise.
+    Each group of neighboring lines gives as many experiments as components were excited, one after the other at the
+    same frequency. The covariance is that of the noise of channels and loads, without correlation between them. Raises
+    UserError where the run has no loads, its record is too short, or the loads exceed their noise at no line.
     """
     models = fit_local_models(record_spectrum(run, channel_names, band))
-    everything = [group for w in range(len(models.fit)) for group in _line_groups(models, w)]
+    groups = [group for w in range(len(models.fit)) for group in _line_groups(models, w)]
     noise = models.noise.loads
-    kept = [group for group in everything if _exceeds_noise(group.loads, noise)]
-    if not kept:
-        raise run_error(run, "no line of the loads stands above their noise", "Excite more strongly", "loads")
+    groups = [group for group in groups if _exceeds_noise(group.loads, noise)]
+    if not groups:
+        raise run_error(run, "the loads exceed their noise at no line", "Excite more strongly", "loads")
     u = models.spectrum.loads.shape[1]
-    first = np.repeat([group.first for group in kept], u)
+    first = np.repeat([group.first for group in groups], u)
     bin_index = np.rint(models.spectrum.frequency * run.samples / sample_rate(run)).astype(np.intp)
     return NonperiodicRecord(
-        _to_run_spectrum(models, kept), bin_index, first, np.concatenate([group.rows for group in kept])
+        _to_run_spectrum(models, groups), bin_index, first, np.concatenate([group.rows for group in groups])
     )
 
 
 def _line_groups(models: LocalModels, window: int) -> list[_Experiments]:
-    """The groups of lines for which this window speaks."""
+    """Experiments of the groups of lines for which this window is used."""
     excited = models.spectrum.excited
     u = models.spectrum.loads.shape[1]
     inverse = design_pseudoinverse(models.fit[window])
@@ -108,13 +110,13 @@ def _line_groups(models: LocalModels, window: int) -> list[_Experiments]:
 
 
 def _partition_lines(models: LocalModels, window: int, inputs: int) -> list[Index]:
-    """Neighbouring lines, in groups narrower than a share of the distance to the nearest pole."""
+    """Groups of neighboring lines, narrower than a share of the distance to the nearest pole."""
     start, stop = models.assigned_lines[window]
     half = (len(models.fit[window].r) - 1) / 2
-    own = poles(models.fit[window]) * half + half + models.first[window]
+    pole_positions = poles(models.fit[window]) * half + half + models.first[window]
     groups = []
     while start < stop:
-        distance = np.min(np.abs(own - start), initial=np.inf)
+        distance = np.min(np.abs(pole_positions - start), initial=np.inf)
         size = int(np.clip(GROUP_POLE_SHARE * distance, inputs, max(GROUP_WINDOW_SHARE * 2 * half, 2 * inputs)))
         size = size if stop - start - size >= inputs else stop - start
         groups.append(np.arange(start, start + size))
@@ -125,50 +127,50 @@ def _partition_lines(models: LocalModels, window: int, inputs: int) -> list[Inde
 def _experiments(
     models: LocalModels, window: int, inverse: ComplexArray, noise: ComplexArray, lines: Index
 ) -> _Experiments:
-    """Take transient and bend out of a group of lines, and turn it into independent experiments at its middle."""
+    """Subtract transient and curvature from a group of lines; return independent experiments at its middle line."""
     s, level = models.spectrum, models.level
     fit = models.fit[window]
     inside = lines - models.first[window]
-    everywhere = slice(models.first[window], models.first[window] + len(fit.r))
+    in_window = slice(models.first[window], models.first[window] + len(fit.r))
     middle = int(lines[len(lines) // 2])
     center = response_rows(fit, fit.r[inside][len(lines) // 2 : len(lines) // 2 + 1])
-    driven_at_centre = np.sum(s.loads[lines][:, :, None] * center, axis=1)
-    bend_and_transient = design_matrix(fit)[inside] - driven_at_centre
-    # What is left is linear in the window's outputs: their rows in the group less the coefficients' share.
-    operator = -(bend_and_transient @ inverse)
+    forced_at_center = np.sum(s.loads[lines][:, :, None] * center, axis=1)
+    curvature_and_transient = design_matrix(fit)[inside] - forced_at_center
+    # The remainder is linear in the outputs of the window: those of the group less a part of the coefficients.
+    operator = -(curvature_and_transient @ inverse)
     operator[np.arange(len(lines)), inside] += 1.0
     weight = 1.0 / np.sqrt(level[lines])
     Q, R = np.linalg.qr(s.loads[lines] * weight[:, None])
     rows = (Q.conj().T * weight) @ operator
-    covariance = (rows * level[everywhere]) @ rows.conj().T / level[middle]
+    covariance = (rows * level[in_window]) @ rows.conj().T / level[middle]
     root = np.linalg.cholesky(covariance)
     rows = np.linalg.solve(root, rows)
-    # A steady tone stays: whoever knows of it says what it is.
-    channels, loads = rows @ (s.channels + models.tones)[everywhere], np.linalg.solve(root, R)
+    # Steady tones stay in the lines: identification has an effect for them.
+    channels, loads = rows @ (s.channels + models.tones)[in_window], np.linalg.solve(root, R)
     power = _relative_noise_power(rows, noise, noise[middle - models.first[window]])
     return _Experiments(float(s.frequency[middle]), channels, loads, middle, power, int(models.first[window]), rows)
 
 
-def _relative_noise_power(rows: ComplexArray, noise: ComplexArray, own: ComplexArray) -> Array:
-    """Noise of weighted sums (u, M) over lines of noise (M, c, c), in units of the noise `own` (c, c)."""
+def _relative_noise_power(rows: ComplexArray, noise: ComplexArray, reference: ComplexArray) -> Array:
+    """Noise of weighted sums (u, M) over lines of noise (M, c, c), over the noise `reference` (c, c)."""
     summed = np.tensordot(np.abs(rows) ** 2, noise, axes=1)
-    return np.asarray(np.trace(np.linalg.solve(own, summed), axis1=1, axis2=2).real / len(own))
+    return np.asarray(np.trace(np.linalg.solve(reference, summed), axis1=1, axis2=2).real / len(reference))
 
 
 def _exceeds_noise(loads: ComplexArray, noise: ComplexArray) -> bool:
-    """Whether some load of the group stands well above its noise."""
+    """Whether some load of the group exceeds its noise by far."""
     amplitude = np.sqrt(np.sum(np.abs(loads) ** 2, axis=0))
     return bool(np.any(amplitude > LEAST_GROUP_SIGNAL_TO_NOISE * np.sqrt(np.diagonal(noise).real)))
 
 
 def _to_run_spectrum(models: LocalModels, groups: Sequence[_Experiments]) -> RunSpectrum:
-    """All experiments as lines, in volts and newtons."""
+    """Return all experiments as lines, in SI units."""
     s = models.spectrum
     u = s.loads.shape[1]
     c = len(s.channel_names)
-    places = np.repeat([group.line for group in groups], u)
-    covariance = np.zeros((len(places), c + u, c + u), complex)
-    covariance[:, :c, :c] = models.noise.channels[places] * (s.channel_scale[:, None] * s.channel_scale)
+    line = np.repeat([group.line for group in groups], u)
+    covariance = np.zeros((len(line), c + u, c + u), complex)
+    covariance[:, :c, :c] = models.noise.channels[line] * (s.channel_scale[:, None] * s.channel_scale)
     covariance[:, c:, c:] = models.noise.loads * (s.load_scale[:, None] * s.load_scale)
     covariance *= np.concatenate([group.power for group in groups])[:, None, None]
     return RunSpectrum(

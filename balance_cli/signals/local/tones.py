@@ -1,9 +1,9 @@
-"""Steady tones in a record, such as the mains: kept apart from the transient that local models take out.
+"""Steady tones in a record, such as the mains, separated from the transient that local models remove.
 
-The lines of a tone that lasts are those of a transient that does not decay: a local model would spend a pole on it, on
-the axis, and take it out with the transient. No mode of a structure has a pole there. So where a fit puts one, the tone
-becomes an input of its own, whose lines are known, and what that input explains is kept apart. A mode that decays too
-little for the record keeps its pole then, for the loads drive it.
+A steady tone has the same lines as a transient that does not decay: a local model would give it a pole on the frequency
+axis, and remove it with the transient. No mode of a structure has a pole there. Where a fit has one, the tone becomes
+an additional input with known lines, and its contribution is separated. A mode that decays too slowly for the record
+keeps its pole in this second fit, because the loads excite it.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-# Distance of a pole from the axis, in lines: a mode of 50 Hz in a record of 10 s has this at a damping ratio of 1e-4.
 AXIS_TOLERANCE = 0.05
-# Distance, in lines, within which a pole that is left beside a tone is that of the tone.
+"""Lines from a pole to the frequency axis: those of a mode of 50 Hz and a damping ratio of 1e-4 in 10 s."""
 TONE_TOLERANCE = 1.0
+"""Lines from a tone within which a pole that remains in the second fit is that of the tone."""
 
 
 def tone_lines(
@@ -35,54 +35,57 @@ def tone_lines(
     assigned_lines: Index,
     lines: int,
 ) -> ComplexArray:
-    """What steady tones make of the channels (lines, c), in the windows' units; zero where no fit has such a pole.
+    """Return the contribution of steady tones to the channels (lines, c), in the units of the windows.
 
-    `first` (W,) and `owned` (W, 2) are the windows' first lines and those for which they speak.
+    It is zero where no fit has an undamped pole. `first` (W,) are the first lines of the windows, `assigned_lines`
+    (W, 2) those for which they are used. `refit` fits a window again.
     """
-    found = np.zeros((lines, windows.Y.shape[2]), complex)
+    tones = np.zeros((lines, windows.Y.shape[2]), complex)
     for w, fit in enumerate(fits):
-        places = _undamped_poles(fit, assigned_lines[w] - first[w])
-        if places.size:
-            places, amplitudes = _tone_amplitudes(windows.subset(np.array([w])), places, refit)
-            # Off a line a tone reaches far beyond its window.
-            found += _dirichlet_kernel(places + first[w], lines) @ amplitudes
-    return found
+        positions = _undamped_poles(fit, assigned_lines[w] - first[w])
+        if positions.size:
+            positions, amplitudes = _tone_amplitudes(windows.subset(np.array([w])), positions, refit)
+            # A tone between two lines leaks far beyond its window.
+            tones += _dirichlet_kernel(positions + first[w], lines) @ amplitudes
+    return tones
 
 
 def _undamped_poles(fit: WindowFit, assigned_lines: Index) -> Array:
-    """Places, in lines of the window, of poles on the axis within the lines `owned` (from, to)."""
-    at = _pole_positions(fit)
+    """Positions, in lines of the window, of poles on the axis within the assigned lines (from, to)."""
+    position = _pole_positions(fit)
     tone = (
-        (np.abs(at.imag) < AXIS_TOLERANCE) & (at.real >= assigned_lines[0] - 0.5) & (at.real < assigned_lines[1] - 0.5)
+        (np.abs(position.imag) < AXIS_TOLERANCE)
+        & (position.real >= assigned_lines[0] - 0.5)
+        & (position.real < assigned_lines[1] - 0.5)
     )
-    return np.asarray(at.real[tone])
+    return np.asarray(position.real[tone])
 
 
 def _pole_positions(fit: WindowFit) -> ComplexArray:
-    """The poles, in lines of the window."""
+    """Poles, in lines of the window."""
     half = (len(fit.r) - 1) / 2
     return half + half * poles(fit)
 
 
 def _tone_amplitudes(
-    window: WindowedData, places: Array, refit: Callable[[WindowedData], tuple[WindowFit, ...]]
+    window: WindowedData, positions: Array, refit: Callable[[WindowedData], tuple[WindowFit, ...]]
 ) -> tuple[Array, ComplexArray]:
-    """Which of the `places` are tones (t,), and their amplitudes in the channels (t, c).
+    """Positions (t,) that are tones, and their amplitudes in the channels (t, c).
 
-    With the lines of tones as inputs the poles are the structure's; beside these each tone has one amplitude in each
-    channel. Where a pole is left at the place it was no tone: the loads have to do with it.
+    With the lines of the tones as inputs the remaining poles are those of the structure, and each tone has one
+    amplitude in each channel. Where a pole remains at a position, it is a mode that the loads excite, and not a tone.
     """
     M = window.Y.shape[1]
-    (fit,) = refit(replace(window, U=np.concatenate([window.U, _dirichlet_kernel(places, M)[None]], axis=2)))
-    distance = np.abs(_pole_positions(fit) - places[:, None])
-    places = places[np.min(distance, axis=1, initial=np.inf) > TONE_TOLERANCE]
-    tones = _dirichlet_kernel(places, M)
+    (fit,) = refit(replace(window, U=np.concatenate([window.U, _dirichlet_kernel(positions, M)[None]], axis=2)))
+    distance = np.abs(_pole_positions(fit) - positions[:, None])
+    positions = positions[np.min(distance, axis=1, initial=np.inf) > TONE_TOLERANCE]
+    tones = _dirichlet_kernel(positions, M)
     basis = np.linalg.qr(design_matrix(replace(fit, U=window.U[0])))[0]
-    alone = tones - basis @ (basis.conj().T @ tones)
-    return places, np.asarray(np.linalg.lstsq(alone, window.Y[0], rcond=None)[0])
+    remainder = tones - basis @ (basis.conj().T @ tones)
+    return positions, np.asarray(np.linalg.lstsq(remainder, window.Y[0], rcond=None)[0])
 
 
-def _dirichlet_kernel(places: Array, lines: int) -> ComplexArray:
-    """Lines (M, t) of exp(j 2 pi p n / N) over n < N, over N, for N much greater than M: Dirichlet's kernel."""
-    away = places - np.arange(lines)[:, None]
-    return np.asarray(np.exp(1j * np.pi * away) * np.sinc(away))
+def _dirichlet_kernel(positions: Array, lines: int) -> ComplexArray:
+    """Lines (M, t) of the tones exp(j 2 pi p n / N), n < N, divided by N, for N much greater than M."""
+    distance = positions - np.arange(lines)[:, None]
+    return np.asarray(np.exp(1j * np.pi * distance) * np.sinc(distance))

@@ -1,4 +1,4 @@
-"""Rotor azimuth from the 1/rev pulses: repaired pulses, azimuth and speed at any time between them."""
+"""Rotor azimuth from the 1/rev pulses: repair of the pulses, azimuth and speed at any time between them."""
 
 from __future__ import annotations
 
@@ -18,17 +18,23 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 PULSE_DATASET = "rotor/pulse_times"
-PULSE_REMEDY = "Mend the pulse times, or cut the record to the part whose pulses are sound"
+PULSE_REMEDY = "Correct the pulse times, or cut the record to the part with sound pulses"
 FEWEST_PULSES = 3
-LONGEST_PULSE_GAP = 6  # revolutions in one interval: beyond it the count rests on a guess of the speed
-COUNT_TOLERANCE = 0.25  # revolutions by which an interval may miss a whole number
-REPAIRED_SHARE = 0.2  # of the pulses; with more the neighbours that a repair leans on are unsound themselves
-MISTIMING_LIMIT = (
-    0.02  # revolutions (7 degrees): no rotor moves from its neighbours' course by so much in one revolution
-)
+"""Pulses of two revolutions, for the speed to have a derivative."""
+LONGEST_PULSE_GAP = 6
+"""Revolutions in one interval; in a longer one the number of revolutions depends on an assumed speed."""
+COUNT_TOLERANCE = 0.25
+"""Revolutions by which an interval may differ from a whole number: half of what would make the number ambiguous."""
+REPAIRED_SHARE = 0.2
+"""Largest share of the pulses that may need repair; beyond it the neighbors used for a repair are suspect, too."""
+MISTIMING_LIMIT = 0.02
+"""Revolutions (7 degrees) of timing error; the inertia of a rotor permits no such change between revolutions."""
 MISTIMING_SIGMAS = 10.0
-JITTER_NOTED = 1.0  # degrees of jitter, at 8/rev eight times as much phase
+"""Timing error over the median one, from which a pulse is mistimed where all pulses jitter."""
+JITTER_NOTED = 1.0
+"""Degrees of jitter from which a note is made; at 8/rev the phase scatters by eight times as much."""
 MEDIAN_INTERVALS = 9
+"""Intervals of the running median of the revolution time: it is not affected by four bad ones."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +42,12 @@ class Azimuth:
     """Azimuth of the rotor between the first and the last sound pulse of a record.
 
     `pulse_times` (p,) [s] are the sound pulses and `revolutions` (p,) their numbers, 0 at the first; a number is
-    passed over where a pulse was missing. `notes` says what was repaired.
+    skipped where a pulse is missing. `notes` lists the repairs.
 
-    Between pulses the revolution count is a spline of degree 5 over time through the pulses. The speed drifts with the
-    inertia of the rotor behind it, so the count is smooth, and the error of the spline, of order (T_rev / T_drift)^6,
-    stays far below that of a cubic one: on records whose speed moves by 6 % in 30 s, pulses that were left out came
-    back within 1e-10 revolutions (cubic: 5e-9).
+    Between pulses the revolution count is a spline of degree 5 over time through the pulses. Because of the inertia of
+    the rotor the count is smooth, and the error of the spline, of order (T_rev / T_drift)^6, is far below that of a
+    cubic spline: in records whose speed changes by 6 % in 30 s, pulses that were left out were interpolated within
+    1e-10 revolutions (cubic: 5e-9).
     """
 
     pulse_times: Array = field(repr=False)
@@ -73,26 +79,26 @@ class Azimuth:
 
     @property
     def mean_rate(self) -> float:
-        """Mean pulse rate [Hz]: revolutions over the time that they took."""
+        """Mean pulse rate [Hz]: the number of revolutions over their duration."""
         return self.turns / (self.last - self.first)
 
     def psi(self, time: ArrayLike) -> Array:
-        """Azimuth [rad] at `time` [s], 0 at the first pulse and a multiple of 2 pi at each, NaN outside the pulses."""
+        """Return the azimuth [rad] at `time` [s]: a multiple of 2 pi at each pulse, 0 at the first, NaN outside."""
         return 2.0 * np.pi * self._evaluate_within_pulses(time, self.revolution_count)
 
     def speed(self, time: ArrayLike) -> Array:
-        """Rotor speed [Hz] at `time` [s], NaN outside the pulses."""
+        """Return the rotor speed [Hz] at `time` [s], NaN outside the pulses."""
         return self._evaluate_within_pulses(time, self.revolution_count.derivative())
 
     def extrapolated_count(self, time: ArrayLike) -> Array:
-        """Revolutions since the first pulse at any `time` [s], before and after the pulses at the speed there."""
+        """Return the revolutions since the first pulse at any `time` [s]; the speed is constant outside the pulses."""
         t = np.asarray(time, float)
         inside = np.clip(t, self.first, self.last)
         first, last = self.revolution_count.derivative()(np.array([self.first, self.last]))
         return np.asarray(self.revolution_count(inside) + np.where(t < self.first, first, last) * (t - inside))
 
     def time_of(self, revolution: ArrayLike) -> Array:
-        """Time [s] at which the count of revolutions reaches `revolution` (between 0 and `turns`)."""
+        """Return the time [s] at which the revolution count reaches `revolution`, between 0 and `turns`."""
         target = np.asarray(revolution, float)
         time = np.interp(target, self.revolutions, self.pulse_times)
         for _ in range(4):
@@ -109,24 +115,23 @@ class Azimuth:
 
 
 def azimuth_from_pulses(pulse_times: ArrayLike) -> Azimuth:
-    """Azimuth from the times (n,) [s] of the 1/rev pulses.
+    """Compute the azimuth from the times (n,) [s] of the 1/rev pulses.
 
-    Doubled and stray pulses are dropped, mistimed ones too; where pulses are missing the count goes on by as many.
-    Each repair is a line of `notes`. Raises UserError where the pulses cannot be repaired.
+    Double, stray and mistimed pulses are dropped; missing pulses are counted. Each repair is a line of `notes`. Raises
+    UserError where the pulses cannot be repaired.
     """
-    given = np.asarray(pulse_times, float)
-    _check_pulse_times(given)
-    times, dropped = _drop_stray_pulses(given)
+    recorded = np.asarray(pulse_times, float)
+    _check_pulse_times(recorded)
+    times, stray = _drop_stray_pulses(recorded)
     times, mistimed = _drop_mistimed_pulses(times)
     counts = _revolutions_between(times)
     missing = _missing_pulse_notes(times, counts, mistimed)
-    repairs = len(dropped) + len(mistimed) + len(missing)
-    if repairs > max(1.0, REPAIRED_SHARE * len(given)):
-        raise UserError(
-            f"{repairs} of {len(given)} pulses need repair, too many to trust", "", PULSE_DATASET, PULSE_REMEDY
-        )
-    notes = [f"pulse at {t:.4f} s dropped: doubled or stray" for t in dropped]
-    notes += [f"pulse at {t:.4f} s dropped: out of step with its neighbours" for t in mistimed]
+    repairs = len(stray) + len(mistimed) + len(missing)
+    if repairs > max(1.0, REPAIRED_SHARE * len(recorded)):
+        fault = f"{repairs} of {len(recorded)} pulses need repair, which is too many to be reliable"
+        raise UserError(fault, "", PULSE_DATASET, PULSE_REMEDY)
+    notes = [f"pulse at {t:.4f} s dropped: double or stray" for t in stray]
+    notes += [f"pulse at {t:.4f} s dropped: mistimed against its neighbors" for t in mistimed]
     notes += missing + _jitter_notes(times, counts)
     azimuth = Azimuth(times, np.concatenate([[0], np.cumsum(counts)]), tuple(notes))
     _check_forward_rotation(azimuth)
@@ -141,27 +146,27 @@ def _check_pulse_times(times: Array) -> None:
     if not np.all(np.isfinite(times)):
         bad = int(np.flatnonzero(~np.isfinite(times))[0])
         raise UserError("a pulse time is not a finite number", "", f"{PULSE_DATASET}, entry {bad}", PULSE_REMEDY)
-    backwards = np.flatnonzero(np.diff(times) < 0)
-    if backwards.size:
-        place = f"{PULSE_DATASET}, entry {int(backwards[0]) + 1}"
-        raise UserError("the pulse times run backwards", "", place, PULSE_REMEDY)
+    decreasing = np.flatnonzero(np.diff(times) < 0)
+    if decreasing.size:
+        place = f"{PULSE_DATASET}, entry {int(decreasing[0]) + 1}"
+        raise UserError("the pulse times decrease", "", place, PULSE_REMEDY)
 
 
 def _running_median_interval(intervals: Array) -> Array:
-    """Median of each interval's neighbourhood: the revolution time that its neighbours tell [s]."""
+    """Running median of the intervals: the revolution time [s] around each."""
     half = MEDIAN_INTERVALS // 2
     padded = np.pad(intervals, half, mode="reflect" if len(intervals) > half else "edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, MEDIAN_INTERVALS), axis=1))
 
 
 def _sum_of_squared_count_errors(intervals: Array, local: float) -> float:
-    """How far intervals are from whole revolutions, squared and summed."""
+    """Sum of the squared differences of intervals from whole revolutions."""
     turns = intervals / local
     return float(np.sum((turns - np.maximum(np.rint(turns), 1.0)) ** 2))
 
 
 def _drop_stray_pulses(times: Array) -> tuple[Array, list[float]]:
-    """Times with doubled and stray pulses left out one by one, and the ones left out."""
+    """Drop double and stray pulses one by one; return the times that remain, and those dropped."""
     dropped: list[float] = []
     while len(times) > FEWEST_PULSES:
         intervals = np.diff(times)
@@ -179,16 +184,19 @@ def _drop_stray_pulses(times: Array) -> tuple[Array, list[float]]:
 
 
 def _timing_errors(times: Array) -> Array:
-    """Revolutions by which each inner pulse departs from the cubic through its four neighbours, two on either side."""
-    departure = np.zeros(len(times))
+    """Revolutions by which each inner pulse differs from the cubic through its four neighbors, two on either side."""
+    errors = np.zeros(len(times))
     middle = times[2:-2]
     predicted = (-times[:-4] + 4.0 * times[1:-3] + 4.0 * times[3:-1] - times[4:]) / 6.0
-    departure[2:-2] = (middle - predicted) / ((times[4:] - times[:-4]) / 4.0)
-    return departure
+    errors[2:-2] = (middle - predicted) / ((times[4:] - times[:-4]) / 4.0)
+    return errors
 
 
 def _drop_mistimed_pulses(times: Array) -> tuple[Array, list[float]]:
-    """Times without the pulses that came much too early or late, and these; gaps are passed over."""
+    """Drop pulses that are much too early or too late; return the times that remain, and those dropped.
+
+    Pulses beside a gap are not tested.
+    """
     dropped: list[float] = []
     counts = np.diff(times) / _running_median_interval(np.diff(times))
     sound = np.zeros(len(times), bool)
@@ -196,54 +204,55 @@ def _drop_mistimed_pulses(times: Array) -> tuple[Array, list[float]]:
         return times, dropped
     single = np.abs(counts - 1.0) < COUNT_TOLERANCE
     sound[2:-2] = single[:-3] & single[1:-2] & single[2:-1] & single[3:]
-    departure = np.where(sound, np.abs(_timing_errors(times)), 0.0)
-    limit = max(MISTIMING_LIMIT, MISTIMING_SIGMAS * float(np.median(departure)))
+    errors = np.where(sound, np.abs(_timing_errors(times)), 0.0)
+    limit = max(MISTIMING_LIMIT, MISTIMING_SIGMAS * float(np.median(errors)))
     keep = np.ones(len(times), bool)
-    for pulse in np.argsort(-departure):
-        if departure[pulse] <= limit:
+    for pulse in np.argsort(-errors):
+        if errors[pulse] <= limit:
             break
-        if np.all(keep[max(pulse - 2, 0) : pulse + 3]):  # a bad pulse spoils the prediction of its neighbours
+        if np.all(keep[max(pulse - 2, 0) : pulse + 3]):  # a bad pulse affects the prediction of its neighbors
             keep[pulse] = False
             dropped.append(float(times[pulse]))
     return times[keep], dropped
 
 
 def _revolutions_between(times: Array) -> Integers:
-    """Whole revolutions in each interval; raises UserError where the number is in doubt."""
+    """Whole revolutions in each interval. Raises UserError where the number is in doubt."""
     intervals = np.diff(times)
     turns = intervals / _running_median_interval(intervals)
     counts = np.maximum(np.rint(turns), 1.0)
     doubtful = np.flatnonzero((np.abs(turns - counts) > COUNT_TOLERANCE) | (counts > LONGEST_PULSE_GAP))
     if doubtful.size:
         k = int(doubtful[0])
-        fault = f"between {times[k]:.4f} and {times[k + 1]:.4f} s lie {turns[k]:.2f} revolutions of their neighbours"
-        raise UserError(f"{fault}: the pulses cannot be repaired", "", PULSE_DATASET, PULSE_REMEDY)
+        interval = f"the interval from {times[k]:.4f} to {times[k + 1]:.4f} s is {turns[k]:.2f} times as long as others"
+        raise UserError(f"{interval}: the pulses cannot be repaired", "", PULSE_DATASET, PULSE_REMEDY)
     return counts.astype(np.int64)
 
 
 def _missing_pulse_notes(times: Array, counts: Integers, mistimed: list[float]) -> list[str]:
-    """A line for each gap that no dropped pulse explains."""
+    """Return a note for each gap that no dropped pulse explains."""
     notes = []
     for k in np.flatnonzero(counts > 1):
         missing = int(counts[k]) - 1 - sum(times[k] < t < times[k + 1] for t in mistimed)
         if missing > 0:
-            notes.append(f"{missing} missing after {times[k]:.4f} s: counted in")
+            notes.append(f"{missing} missing after {times[k]:.4f} s: counted")
     return notes
 
 
 def _jitter_notes(times: Array, counts: Integers) -> list[str]:
-    """A line where the pulses jitter, as those do that were timed by whole samples."""
+    """Return a note where the pulses jitter, as those do that are timed by whole samples."""
     if len(times) < MEDIAN_INTERVALS or np.any(counts > 1):
         return []
-    # The difference of a pulse and its prediction has the variance 1 + 34/36 of one pulse.
+    # The difference of a pulse and its prediction has 1 + 34/36 times the variance of one pulse; 1.4826 is the ratio of
+    # the standard deviation to the median absolute deviation of normal errors.
     scatter = 1.4826 * float(np.median(np.abs(_timing_errors(times)[2:-2]))) / np.sqrt(1.0 + 34.0 / 36.0) * 360.0
     return [f"pulses scatter by {scatter:.1f} degrees of azimuth"] if scatter > JITTER_NOTED else []
 
 
 def _check_forward_rotation(azimuth: Azimuth) -> None:
-    """Raises UserError where the curve through the pulses would turn the rotor backwards."""
+    """Raise UserError where the curve through the pulses would turn the rotor backward."""
     grid = azimuth.pulse_times[:-1, None] + np.diff(azimuth.pulse_times)[:, None] * np.linspace(0.0, 1.0, 5)
     speed = azimuth.speed(grid)
     if np.any(speed <= 0.0):
         at = float(grid.ravel()[int(np.argmin(speed))])
-        raise UserError(f"the pulses near {at:.4f} s give no steady turning", "", PULSE_DATASET, PULSE_REMEDY)
+        raise UserError(f"the pulses near {at:.4f} s would turn the rotor backward", "", PULSE_DATASET, PULSE_REMEDY)

@@ -1,4 +1,4 @@
-"""The noise of a harmonic, told by the lines of the order spectrum on either side of it."""
+"""Noise of a harmonic, estimated from the lines of the order spectrum on either side of it."""
 
 from __future__ import annotations
 
@@ -11,37 +11,47 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
 
-# Blackman's taper (Blackman and Tukey, The Measurement of Power Spectra, 1959): over whole revolutions its lines are
-# zero from the third on, so that a harmonic leaves no trace in them, and what drifts slowly fades by 18 dB an octave.
 BLACKMAN_COEFFICIENTS = (0.42, 0.5, 0.08)
+"""Blackman's taper (Blackman and Tukey, The Measurement of Power Spectra, 1959).
+
+Over whole revolutions its lines are zero from the third on, so that a harmonic has no effect on them, and a slow drift
+falls off by 18 dB an octave.
+"""
 INNERMOST_LINE = 3
-OUTERMOST_LINE = 48  # lines: 1.6 Hz in a record of 30 s, well inside the width of an ordinary mode
-WIDEST_OFFSET = 0.4  # revolution^-1: never as far as half-way to the next harmonic
-COMPARISON_LINES = 20  # lines that a line is compared with
+"""Lines from a harmonic to the first line that is used: those nearer hold the harmonic itself."""
+OUTERMOST_LINE = 48
+"""Lines from a harmonic to the last line that is used: 1.6 Hz in a record of 30 s, within the width of most modes."""
+WIDEST_OFFSET = 0.4
+"""Greatest distance from a harmonic in orders: less than half the distance to the next harmonic."""
+COMPARISON_LINES = 20
+"""Lines of whose median power a line is compared with: they make an outlier visible and are narrower than a mode."""
 LINE_FALSE_ALARM = 1e-3
+"""Probability that any line of one side is dropped although it is noise."""
 FEWEST_NOISE_LINES = 8
+"""Lines below which none is dropped; fewer do not determine a covariance."""
 MEDIAN_OF_EXPONENTIAL = float(np.log(2.0))
+"""Median over mean of the power of a line of noise, which is exponentially distributed."""
 
 
 def blackman_taper(fraction: Array) -> Array:
-    """Blackman's taper at `fraction` of the record, 0 to 1."""
+    """Return Blackman's taper at `fraction` of the record, 0 to 1."""
     a0, a1, a2 = BLACKMAN_COEFFICIENTS
     return a0 - a1 * np.cos(2 * np.pi * fraction) + a2 * np.cos(4 * np.pi * fraction)
 
 
 def line_offsets(revolutions: int) -> Array:
-    """Offsets m of the lines from their harmonic, in units of 1/`revolutions`, either side, in rising order."""
+    """Return the offsets of the lines on either side of a harmonic, in units of 1/`revolutions`, in ascending order."""
     outermost = min(OUTERMOST_LINE, int(WIDEST_OFFSET * revolutions))
     outward = np.arange(INNERMOST_LINE, outermost + 1, dtype=float)
     return np.concatenate([-outward[::-1], outward])
 
 
 def line_correlation(offsets: Array) -> Array:
-    """|rho|^2 (k, k) between the tapered lines of white noise at the given offsets."""
+    """Return the squared correlation |rho|^2 (k, k) between the tapered lines of white noise at the given offsets."""
     grid = (np.arange(256) + 0.5) / 256
     spectrum = np.abs(np.fft.fft(blackman_taper(grid) ** 2)) / np.sum(blackman_taper(grid) ** 2)
-    apart = np.abs(offsets[:, None] - offsets[None, :]).astype(int)
-    return np.where(apart < 128, spectrum[np.minimum(apart, 127)] ** 2, 0.0)
+    distance = np.abs(offsets[:, None] - offsets[None, :]).astype(int)
+    return np.where(distance < 128, spectrum[np.minimum(distance, 127)] ** 2, 0.0)
 
 
 @dataclass(frozen=True)
@@ -53,10 +63,10 @@ class PooledNoise:
 
 
 def pooled_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:
-    """Mean of z z* over the sound lines.
+    """Average z z* over the lines that hold noise alone.
 
-    `lines` (k, c) are the amplitudes at `offsets` (k,), both sides or one. Neighbouring lines of a tapered record are
-    correlated: the degrees of freedom are k^2 over the sum of all |rho|^2.
+    `lines` (k, c) are the amplitudes at `offsets` (k,), on both sides or on one. Neighboring lines of a tapered record
+    are correlated: the degrees of freedom are k^2 over the sum of all |rho|^2.
     """
     keep = noise_only_lines(np.abs(lines) ** 2, offsets)
     z = lines[keep]
@@ -65,11 +75,12 @@ def pooled_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:
 
 
 def noise_only_lines(power: Array, offsets: Array) -> Flags:
-    """Which lines hold noise alone: not the mains, not the skirt of a harmonic whose amplitude moves.
+    """Return which lines (k,) of `power` (k, c) hold noise alone.
 
-    `power` (k, c). A line is left out where any channel stands out from the median of the lines beyond it or before it
-    on the same side. A resonance is wider than the window of comparison is long, and stays. Where hardly anything
-    would be left, everything is kept: rather too much noise than too little.
+    Others hold the mains, or the sidebands of a harmonic whose amplitude varies. A line is dropped where the power of
+    any channel exceeds the median of the lines before it, or beyond it, on the same side. A resonance is wider than the
+    lines of the comparison, and is kept. Where fewer than FEWEST_NOISE_LINES would remain, all lines are kept: the
+    noise is then overestimated rather than underestimated.
     """
     keep = np.ones(len(offsets), bool)
     for side in (offsets < 0, offsets > 0):
@@ -80,7 +91,7 @@ def noise_only_lines(power: Array, offsets: Array) -> Flags:
 
 
 def _outlier_lines(power: Array) -> Flags:
-    """Lines of one side, innermost first, that stand out, with the two on either side that the taper spoils."""
+    """Outliers among the lines of one side, innermost first, with the two on either side into which the taper leaks."""
     count = len(power)
     if count < COMPARISON_LINES:
         return np.zeros(count, bool)
@@ -92,6 +103,5 @@ def _outlier_lines(power: Array) -> Flags:
         [np.median(power[max(j - 2 - COMPARISON_LINES, 0) : max(j - 2, 1)], axis=0) for j in range(count)]
     )
     before[: COMPARISON_LINES // 2] = np.inf
-    out = np.any(power > limit * np.minimum(beyond, before), axis=1)
-    spoilt = np.convolve(out, np.ones(5), mode="same") > 0
-    return np.asarray(spoilt, bool)
+    outliers = np.any(power > limit * np.minimum(beyond, before), axis=1)
+    return np.asarray(np.convolve(outliers, np.ones(5), mode="same") > 0, bool)

@@ -1,11 +1,11 @@
-"""The spectrum of a rotor harmonic itself: narrow at constant speed, as wide as the speed drifts otherwise.
+"""The spectrum of a rotor harmonic: a line at constant speed, a band where the speed varies.
 
-A load exp(j n psi(t)) drives a channel through T over that whole band. What regression on azimuth then finds is
+A load exp(j n psi(t)) excites a channel through T over the whole band. Regression on azimuth then yields
 
     integral w conj(b) (h * b) dt / integral w |b|^2 dt = sum_k S_k T(f_k),   b = exp(j n psi),  S_k = conj(W_k) B_k
 
-with B the spectrum of b, W that of w b (Parseval), and S scaled to add up to one. At constant speed it is T at n times
-the speed; where speed drifts beside a lightly damped mode the two differ by per cent.
+with B the spectrum of b, W that of w b (Parseval), and S scaled to a sum of one. At constant speed this is T at n times
+the speed; where the speed varies near a lightly damped mode the two differ by several percent.
 """
 
 from __future__ import annotations
@@ -21,24 +21,25 @@ from balance_cli.signals.rotor.harmonics import Harmonics, edge_weight
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Lines with less than this share of the largest weight are left out; the weights fall off fast on both sides.
 LEAST_LINE_WEIGHT = 1e-4
-# Samples per second for each harmonic's band: the carrier is taken down to zero frequency first.
+"""Weight of a line over the largest, below which it is dropped; the weights fall off fast on both sides."""
 SAMPLES_PER_HZ_OF_SPEED = 4.0
+"""Sample rate over the rotor speed: the harmonic is shifted to zero frequency, and its band is far narrower."""
 
 
 @dataclass(frozen=True)
 class HarmonicLines:
-    """Frequencies (g,) [Hz] that harmonic n holds, and their complex weights (g,), which add up to one."""
+    """Frequencies (g,) [Hz] of a harmonic, and their complex weights (g,), whose sum is one."""
 
     frequency: Array
     weight: ComplexArray
 
 
 def harmonic_lines(azimuth: Azimuth, spectra: Harmonics, n: int, decay_time: float) -> HarmonicLines:
-    """Lines of harmonic n over the interval of `spectra`; `memory` [s] is how long the balance remembers.
+    """Compute the lines of harmonic n over the interval of `spectra`.
 
-    Beyond the pulses the rotor is taken to go on at the speed that it has there.
+    `decay_time` [s] is the time in which the response of the balance decays. Outside the pulses the rotor is assumed to
+    turn at the speed that it has at the first or the last one.
     """
     rate = SAMPLES_PER_HZ_OF_SPEED * azimuth.mean_rate
     carrier = float(spectra.frequency_hz[n])
@@ -50,13 +51,13 @@ def harmonic_lines(azimuth: Azimuth, spectra: Harmonics, n: int, decay_time: flo
     weight = np.where(inside, edge_weight(turns, *spectra.revolutions), 0.0)
     B, W = np.fft.fft(baseband), np.fft.fft(weight * baseband)
     S = np.conj(W) * B
-    kept = np.abs(S) > LEAST_LINE_WEIGHT * np.abs(S).max()
-    frequency = carrier + np.fft.fftfreq(len(time), 1.0 / rate)[kept]
+    significant = np.abs(S) > LEAST_LINE_WEIGHT * np.abs(S).max()
+    frequency = carrier + np.fft.fftfreq(len(time), 1.0 / rate)[significant]
     order = np.argsort(frequency)
-    return HarmonicLines(frequency[order], (S[kept] / S[kept].sum())[order])
+    return HarmonicLines(frequency[order], (S[significant] / S[significant].sum())[order])
 
 
 def _end_taper(time: Array, azimuth: Azimuth, decay_time: float) -> Array:
-    """One up to `memory` beyond the pulses, then a cosine down to zero, so that the ends cast no wide skirts."""
-    beyond = np.maximum(np.maximum(azimuth.first - time, time - azimuth.last) / decay_time - 1.0, 0.0)
-    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(beyond, 0.0, 1.0)))
+    """One up to `decay_time` outside the pulses, then a cosine down to zero, to avoid leakage from the ends."""
+    excess = np.maximum(np.maximum(azimuth.first - time, time - azimuth.last) / decay_time - 1.0, 0.0)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(excess, 0.0, 1.0)))

@@ -1,4 +1,4 @@
-"""Rotor harmonics of a run: regression of all channels on azimuth, with the noise of the record itself."""
+"""Rotor harmonics of a run: regression of all channels on azimuth, with the noise measured in the same record."""
 
 from __future__ import annotations
 
@@ -18,12 +18,17 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 FEWEST_REVOLUTIONS = 10
-EDGE_REVOLUTIONS = 12  # revolutions over which the weight rises at either end
-FITTED_HARMONICS = 24  # harmonics regressed at least, where the sample rate lets them: the higher ones must not leak
+"""Revolutions of the shortest interval; fewer leave too few lines between two harmonics for the noise."""
+EDGE_REVOLUTIONS = 12
+"""Revolutions over which the weight rises at either end: leakage then falls off within a twelfth of an order."""
+FITTED_HARMONICS = 24
+"""Least number of harmonics in the regression, where the sample rate permits: those left out would leak."""
 BELOW_NYQUIST = 0.98
-BLOCK_SAMPLES = 8192  # samples
-# w(u) = u^3 (a + b u + c u^2 + d u^3 + e u^4) rises from 0 to 1 without slope or curvature at either end, and has the
-# moments of a step: the integrals of (w - 1) and of (w - 1) u vanish.
+"""Of half the sample rate: the highest frequency of a harmonic, at the highest speed."""
+BLOCK_SAMPLES = 8192
+"""Samples in a block: the basis of 49 columns then takes 3 MB."""
+# w(u) = u^3 (a + b u + c u^2 + d u^3 + e u^4) rises from 0 to 1, with zero first and second derivatives at either end.
+# It has the moments of a step: the integrals of (w - 1) and of (w - 1) u vanish.
 EDGE_POWERS = np.arange(3.0, 8.0)
 EDGE_POLYNOMIAL = np.linalg.solve(
     np.array(
@@ -37,14 +42,19 @@ EDGE_POLYNOMIAL = np.linalg.solve(
     ),
     np.array([1.0, 0.0, 0.0, 1.0, 0.5]),
 )
-SLOPE_SIGNIFICANCE = (
-    2.0  # standard errors by which the spectrum must fall before the mean's noise is extrapolated to it
-)
-STEEPEST_EXPONENT = (
-    -1.5
-)  # beyond 1/f noise: there the load itself has moved, in a step or manoeuvre, and its mean is no guess
+SLOPE_SIGNIFICANCE = 2.0
+"""Standard errors by which the spectrum must fall with frequency before it is extrapolated to the mean."""
+STEEPEST_EXPONENT = -1.5
+"""Exponent of the power law below which there is no extrapolation.
+
+Noise is at most of the kind 1/f. In a steeper spectrum the load itself varies, by a step or a maneuver.
+"""
 MEAN_LINE_OFFSET = 0.5
-MEAN_NOISE_LINES = 24  # lines: the mean is asked for its noise at the lowest frequencies
+"""Line that stands for the mean in the power law: it is the mean over frequencies from zero to the first line."""
+MEAN_NOISE_LINES = 24
+"""Lines from which the noise of the mean is estimated; half of those of a harmonic, because it must be near zero."""
+LINE_CORRELATION_SUM = 2.27
+"""Lines under Blackman's taper that are worth one: the sum of |rho|^2 over all pairs of lines 3 to 24, over 22."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +64,7 @@ class Harmonics:
     x(psi) = Re sum_k amplitude_k exp(+j k psi), amplitude_k = cosine_k - j sine_k; amplitude_0 is real.
     `covariance` (n+1, c, c) is E[dX dX*] of their noise: for k >= 1 circular, so that the variance of a cosine or a
     sine is half of the diagonal; for k = 0 real, the variance of the mean itself. `dof` (n+1,) are its complex degrees
-    of freedom. `frequency_hz` (n+1,) is k times the mean pulse rate of the interval [s] that was used, from revolution
+    of freedom. `frequency_hz` (n+1,) is k times the mean pulse rate over `interval` [s], which lasts from revolution
     `revolutions[0]` to `revolutions[1]`.
     """
 
@@ -70,22 +80,22 @@ class Harmonics:
 
     @property
     def cosine(self) -> Array:
-        """cosine_k (n+1, c)."""
+        """Cosine amplitudes (n+1, c)."""
         return np.asarray(self.amplitude.real)
 
     @property
     def sine(self) -> Array:
-        """sine_k (n+1, c)."""
+        """Sine amplitudes (n+1, c)."""
         return np.asarray(-self.amplitude.imag)
 
     def columns(self, names: Sequence[str]) -> list[int]:
-        """Indices of the named signals."""
+        """Return the columns of the named signals."""
         return [self.names.index(name) for name in names]
 
 
 @dataclass(frozen=True)
 class _AzimuthBlock:
-    """One block: azimuth (m,), speed [Hz], weight of the regression, signals (m, c)."""
+    """A block of m samples: azimuth, speed [Hz], fraction of the interval, weight of the regression, signals (m, c)."""
 
     psi: Array
     speed: Array
@@ -96,7 +106,7 @@ class _AzimuthBlock:
 
 @dataclass
 class _NormalEquations:
-    """What the blocks add up to: normal equations of the regression, and tapered lines."""
+    """Sums over the blocks: normal equations of the regression, and lines of the tapered record."""
 
     gram: Array
     moment: Array
@@ -115,17 +125,17 @@ def estimate_harmonics(
     last_revolution: int | None = None,
     block: int = BLOCK_SAMPLES,
 ) -> Harmonics:
-    """Harmonics 0 to `n` of the named signals (default: all channels, and the loads where the run has them).
+    """Estimate harmonics 0 to `n` of the named signals (default: all channels, and the loads where the run has them).
 
-    All harmonics are regressed jointly on azimuth, up to `FITTED_HARMONICS` of them, over whole revolutions and with a
-    weight
-    that rises smoothly at either end: an amplitude that moves with the speed would otherwise leak into its neighbours
-    at 1/T (0.001 V from 4/rev into 2/rev, where speed moved by 6 %). The weight has the moments of a step at each
-    end, so the amplitudes are means over the whole interval. A signal that is periodic in azimuth comes out exactly.
+    All harmonics are regressed jointly on azimuth, FITTED_HARMONICS or more, over whole revolutions, with a weight that
+    rises smoothly at either end: an amplitude that varies with the speed would otherwise leak into its neighbors at
+    1/T (0.001 V from 4/rev into 2/rev, where the speed changed by 6 %). The weight has the moments of a step at each
+    end, so that the amplitudes are means over the whole interval. For a signal that is periodic in azimuth the result
+    is exact.
 
-    The noise is that of neighbouring lines k + m/R, R revolutions: the record's own, coloured as it is.
+    The noise is that of the neighboring lines k + m/R of the same record, R revolutions.
 
-    Raises UserError where the interval is too short, a harmonic lies beyond half the sample rate, or a signal is not
+    Raises UserError where the interval is too short, a harmonic is beyond half the sample rate, or a signal is not
     finite.
     """
     names = _signal_names(run) if names is None else tuple(names)
@@ -145,7 +155,7 @@ def estimate_harmonics(
 
 
 def edge_weight(revolution: Array, first: int, last: int) -> Array:
-    """Weight of the regression at a count of revolutions between `first` and `last`: 1 but for the ends."""
+    """Return the weight of the regression at a revolution count from `first` to `last`; it is 1 except at the ends."""
     edge = min(float(EDGE_REVOLUTIONS), (last - first) / 4)
     u = np.clip(np.minimum(revolution - first, last - revolution) / edge, 0.0, 1.0)
     return np.asarray(u**3 * np.polyval(EDGE_POLYNOMIAL[::-1], u))
@@ -168,7 +178,7 @@ def _harmonics_to_fit(run: Run, azimuth: Azimuth, n: int, start: float, end: flo
     possible = int(BELOW_NYQUIST * run.sample_rate / 2 / fastest)
     if possible < n:
         fault = f"harmonic {n} at {n * fastest:.1f} Hz is beyond half the sample rate, {run.sample_rate:g} Hz"
-        raise UserError(fault, str(run.path or run.name), "sample_rate", f"Ask for at most {possible} harmonics")
+        raise UserError(fault, str(run.path or run.name), "sample_rate", f"Request at most {possible} harmonics")
     return min(possible, max(FITTED_HARMONICS, n + 4))
 
 
@@ -209,21 +219,24 @@ def _empty_sums(n: int, fitted_count: int, offsets: Array, count: int) -> _Norma
 
 
 def _trigonometric_basis(psi: Array, fitted_count: int) -> Array:
-    """cos(0..fitted psi), sin(1..fitted psi): (m, 2 fitted + 1)."""
+    """Basis (m, 2 F + 1) of the regression: cos(0 .. F psi), sin(1 .. F psi), F = `fitted_count`."""
     angle = np.outer(psi, np.arange(fitted_count + 1))
     return np.hstack([np.cos(angle), np.sin(angle[:, 1:])])
 
 
 def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, n: int, fitted_count: int, orders: Array) -> None:
-    """Adds one block. Lines are integrals over azimuth, d psi = 2 pi speed dt, where harmonics are orthogonal."""
+    """Add a block to the sums.
+
+    Lines are integrals over azimuth, d psi = 2 pi speed dt, over which harmonics are orthogonal.
+    """
     basis = _trigonometric_basis(samples.psi, fitted_count)
     weighted = basis * samples.weight[:, None]
     sums.gram += weighted.T @ basis
     sums.moment += weighted.T @ samples.signals
     q = blackman_taper(samples.fraction) * samples.speed
-    away = np.exp(-1j * np.outer(orders, samples.psi)) * q
+    tapered = np.exp(-1j * np.outer(orders, samples.psi)) * q
     for k in range(n + 1):
-        sums.lines[k] += away @ (samples.signals * np.exp(-1j * k * samples.psi)[:, None])
+        sums.lines[k] += tapered @ (samples.signals * np.exp(-1j * k * samples.psi)[:, None])
     w = samples.weight
     sums.weight += [np.sum(w), np.sum(w**2), np.sum(q), np.sum(q**2)]
     sums.samples += len(w)
@@ -250,25 +263,26 @@ def _amplitude_covariance(sums: _NormalEquations, n: int, offsets: Array) -> tup
 
 
 def _mean_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:
-    """Noise of harmonic 0: real, from the lines of one side (the other is its mirror image), 1/f drift allowed for.
+    """Noise of harmonic 0, which is real: from the lines of one side, because the other is its mirror image.
 
-    A mean is 2/N of nothing: X_0 is half of what the formula for k >= 1 gives. Where the spectrum of a signal falls
-    from line to line by more than chance, as that of a drift does, its power law is followed down to the mean.
+    X_0 is half of the value that the formula for k >= 1 gives. Where the spectrum of a signal falls significantly with
+    frequency, as that of a drift does, its power law is extrapolated to the mean.
     """
     above = (offsets > 0) & (offsets <= MEAN_NOISE_LINES)
     pooled = pooled_noise(lines[above] / 2.0, offsets[above])
-    rise = np.sqrt(_power_law_factor(np.abs(lines[above]) ** 2, offsets[above]))
-    covariance = pooled.covariance.real * np.outer(rise, rise)
+    ratio = np.sqrt(_power_law_factor(np.abs(lines[above]) ** 2, offsets[above]))
+    covariance = pooled.covariance.real * np.outer(ratio, ratio)
     return PooledNoise(covariance.astype(complex), pooled.dof)
 
 
 def _power_law_factor(power: Array, lines: Array) -> Array:
     """Factor (c,) by which the power at the mean exceeds the mean power of the lines, from a fitted power law."""
-    moved = np.any(power > 0, axis=0)
+    nonzero = np.any(power > 0, axis=0)
     x = np.log(lines) - np.mean(np.log(lines))
-    slope = x @ np.log(np.where(moved, power, 1.0) + np.finfo(float).tiny) / (x @ x)
-    # The logarithm of an exponential variable scatters by pi/sqrt(6); the taper correlates about two lines.
-    error = np.pi / np.sqrt(6.0) * np.sqrt(2.27 / (x @ x))
-    slope = np.where(moved & (slope < -SLOPE_SIGNIFICANCE * error) & (slope > STEEPEST_EXPONENT), slope, 0.0)
-    law = (lines[:, None] / MEAN_LINE_OFFSET) ** slope
+    exponent = x @ np.log(np.where(nonzero, power, 1.0) + np.finfo(float).tiny) / (x @ x)
+    # The logarithm of an exponential variable has the standard deviation pi/sqrt(6).
+    error = np.pi / np.sqrt(6.0) * np.sqrt(LINE_CORRELATION_SUM / (x @ x))
+    significant = nonzero & (exponent < -SLOPE_SIGNIFICANCE * error) & (exponent > STEEPEST_EXPONENT)
+    exponent = np.where(significant, exponent, 0.0)
+    law = (lines[:, None] / MEAN_LINE_OFFSET) ** exponent
     return np.asarray(1.0 / np.mean(law, axis=0))

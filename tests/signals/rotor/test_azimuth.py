@@ -75,7 +75,7 @@ def test_a_mistimed_pulse_is_dropped_and_said():
     late = times.copy()
     late[100] += 0.1 / RATE
     azimuth = azimuth_from_pulses(late)
-    assert len(azimuth.notes) == 1 and "out of step" in azimuth.notes[0]
+    assert len(azimuth.notes) == 1 and "mistimed" in azimuth.notes[0]
     np.testing.assert_allclose(azimuth.psi(times[90:110]), 2 * np.pi * np.arange(90, 110), atol=1e-6)
 
 
