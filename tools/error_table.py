@@ -60,7 +60,7 @@ def table(errors: Errors) -> str:
 
 
 def _two_digits(percent: float) -> str:
-    return f"{float(f'{percent:.2g}'):g}"
+    return f"{float(f'{percent:.2g}'):.0f}" if percent >= 10 else f"{percent:#.2g}"
 
 
 def main(results: Path) -> None:

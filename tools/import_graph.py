@@ -3,7 +3,7 @@
     python tools/import_graph.py [--save FILE]
 
 Draws `docs/pictures/imports-before.svg` from the graph stored in `docs/pictures/imports-before.json`, and
-`docs/pictures/imports.svg` from the sources; prints the table of `docs/architecture.md`. `--save` stores the graph of
+`docs/pictures/imports.svg` from the sources; writes the table of `docs/architecture.md`. `--save` stores the graph of
 the sources instead. A part is a package or a module directly below `balance_cli`; an import counts wherever it stands.
 """
 
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import ast
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,6 +23,8 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = "balance_cli"
 PICTURES = ROOT / "docs" / "pictures"
 BEFORE = PICTURES / "imports-before.json"
+ARCHITECTURE = ROOT / "docs" / "architecture.md"
+BLOCK = re.compile(r"(?<=<!-- sizes -->\n).*?(?=<!-- end of sizes -->)", re.DOTALL)
 NOT_DRAWN = ("__init__", "__main__")
 """The entry points: they import by name at run time, or one part only."""
 DOWN, UPWARD, BOX = "#8794a6", "#c0392b", "#eef2f7"
@@ -207,7 +210,7 @@ def _percentiles(sizes: Sequence[int]) -> str:
 
 
 def main() -> None:
-    """Draw both graphs and print the table, or store the graph of the sources."""
+    """Draw both graphs and write the table, or store the graph of the sources."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--save", type=Path, metavar="FILE", help="store the graph of the sources, and draw nothing")
     parser.add_argument("--package", type=Path, default=ROOT / PACKAGE, help="folder of the package")
@@ -219,7 +222,10 @@ def main() -> None:
     before = ImportGraph(**json.loads(BEFORE.read_text(encoding="utf-8")))
     draw(before, PICTURES / "imports-before.svg", "Version 0.1: red arrows belong to import cycles")
     draw(now, PICTURES / "imports.svg", "Imports between the packages")
-    print(table({"0.1": before, "now": now}), end="")
+    sizes = table({"version 0.1": before, "now": now})
+    text = ARCHITECTURE.read_text(encoding="utf-8")
+    ARCHITECTURE.write_text(BLOCK.sub(lambda _: sizes, text), encoding="utf-8")
+    print(sizes, end="")
 
 
 if __name__ == "__main__":
