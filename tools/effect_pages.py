@@ -23,7 +23,7 @@ INDEX_HEAD = f"""# Effects
 
 {GENERATED_MARK}
 
-What the rigid balance lacks: each a physical thing, each one file in `balance_cli/effects`. `identify --effect` fits
+What the rigid balance lacks: each a physical thing, each one file in `balance_cli/model/effects`. `identify --effect` fits
 them, and the `effects` of a geometry declare them. They act in this order, in whatever order they are named.
 
 | effect | place | what |
