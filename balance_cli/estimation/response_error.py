@@ -33,8 +33,8 @@ FEWEST_LINES = 4
 """Lines of a band below which it takes in those of its neighbors."""
 RANK = 3
 """Directions of E that are kept: one for a wrong mode, and two for what else is wrong near it."""
-SIGNIFICANCE = 4.0
-"""Standard deviations by which the residual of a band must exceed its noise before it counts as model error."""
+NOISE_MARGIN = 1.5
+"""Factor on the largest eigenvalue that noise alone gives, from which a direction counts as model error."""
 
 
 @dataclass(frozen=True)
@@ -122,17 +122,22 @@ def _band_factor(part: _Residuals, center: float) -> ComplexArray:
     distance = np.abs(np.log(part.frequency / center))
     inside = distance <= max(0.5 * np.log(BAND_RATIO), float(np.sort(distance)[min(FEWEST_LINES, len(distance)) - 1]))
     response, variance = part.response[inside], part.variance[inside]
-    known = variance > 0
-    excess = float(np.sum(np.abs(response[known]) ** 2 / variance[known]))
-    count = int(known.sum())
-    empty = np.zeros((response.shape[1], RANK), complex)
-    if not count or excess <= count + SIGNIFICANCE * np.sqrt(count):
-        return empty
-    lines = np.maximum(known.sum(axis=0), 1)
-    total = response.T @ response.conj() / np.sqrt(np.outer(lines, lines)) - np.diag(variance.sum(axis=0) / lines)
-    values, vectors = np.linalg.eigh(total)
-    leading = np.maximum(values[::-1][:RANK], 0.0)
-    # What the directions left out would add is spread over those that are kept.
-    leading = leading * max(1.0, float(np.maximum(values, 0.0).sum()) / max(float(leading.sum()), np.finfo(float).tiny))
-    empty[:, : len(leading)] = vectors[:, ::-1][:, :RANK] * np.sqrt(leading)
-    return empty
+    lines = np.maximum((variance > 0).sum(axis=0), 1)
+    sigma = np.sqrt(variance.sum(axis=0) / lines)
+    directions = _significant_directions(response / np.where(sigma > 0, sigma, np.inf), lines)
+    return np.asarray(directions * sigma[:, None])
+
+
+def _significant_directions(whitened: ComplexArray, lines: Array) -> ComplexArray:
+    """Return the directions (c, r) in which lines (k, c) in units of their noise exceed it, and by how much.
+
+    The eigenvalues of the covariance of noise alone reach (1 + sqrt(c / k))^2 (Marchenko and Pastur, 1967). Those
+    above, less the one of the noise itself, are kept.
+    """
+    values, vectors = np.linalg.eigh(whitened.T @ whitened.conj() / np.sqrt(np.outer(lines, lines)))
+    channels = int(np.any(whitened, axis=0).sum())
+    limit = NOISE_MARGIN * (1.0 + np.sqrt(channels / len(whitened))) ** 2
+    size = np.sqrt(np.where(values > limit, values - 1.0, 0.0))[::-1][:RANK]
+    directions = np.zeros((whitened.shape[1], RANK), complex)
+    directions[:, : len(size)] = vectors[:, ::-1][:, :RANK] * size
+    return directions
