@@ -67,13 +67,13 @@ def variance_floor(spectra: ComplexArray) -> Array:
 def pooled_covariance(
     scatter: ComplexArray, counts: Array, least_dof: float = LEAST_POOLED_DOF, floor: Array | float = 0.0
 ) -> tuple[ComplexArray, float]:
-    """Noise covariance of one degree of freedom at every line, pooled over neighbouring lines.
+    """Estimate the noise covariance of one degree of freedom at every line, pooled over neighboring lines.
 
-    scatter (K, n, n): sum of outer products of deviations at each line, with counts (K,) complex degrees of freedom.
-    The window is the narrowest that gives `least_dof` at every line (or holds all lines), so that the covariance
-    follows the spectrum of the noise and can still be inverted. Lines whose scatter is improbably large (residual
-    transients, mains interference) get less weight (Huber's weights on the Mahalanobis distance). `floor` (n,) or one
-    number is added to the variances. Returns the covariance (K, n, n) and its degrees of freedom.
+    `scatter` (K, n, n) is the sum of outer products of deviations at each line, with `counts` (K,) complex degrees of
+    freedom. The window is the narrowest that gives `least_dof` at every line (or holds all lines), so that the
+    covariance follows the spectrum of the noise and can still be inverted. Lines whose scatter is improbably large
+    (residual transients, mains interference) get less weight (Huber's weights on the Mahalanobis distance). `floor`
+    (n,) or one number is added to the variances. Returns the covariance (K, n, n) and its degrees of freedom.
     """
     scatter = scatter + counts[:, None, None] * (floor * np.eye(scatter.shape[1]))
     width = _pooling_width(counts, least_dof)

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.local.models import LocalModels, fit_local_models, record_spectrum
+from balance_cli.signals.local.models import LocalModels, fit_local_models
+from balance_cli.signals.local.scaled_spectrum import record_spectrum
 from balance_cli.signals.local.window import design_matrix, design_pseudoinverse, poles, response_rows
 from balance_cli.signals.run_samples import run_error, sample_rate
 from balance_cli.signals.run_spectrum import RunSpectrum

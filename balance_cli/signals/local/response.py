@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.local.models import LocalModels, decimate_lines, fit_local_models, local_power, record_spectrum
+from balance_cli.signals.local.models import LocalModels, decimate_lines, fit_local_models
+from balance_cli.signals.local.scaled_spectrum import local_power, record_spectrum
 from balance_cli.signals.local.window import design_pseudoinverse, pole_uncertainty, response_rows
 from balance_cli.signals.run_spectrum import FrequencyResponse
 

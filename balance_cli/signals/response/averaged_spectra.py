@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.local.models import LEAST_INDEPENDENCE, has_power, load_independence
 from balance_cli.signals.local.response import coherences
+from balance_cli.signals.local.scaled_spectrum import LEAST_INDEPENDENCE, has_power, load_independence
 from balance_cli.signals.periodic import samples_per_period
 from balance_cli.signals.run_samples import load_columns, measured_components, read_samples, run_error, sample_rate
 from balance_cli.signals.run_spectrum import FrequencyResponse

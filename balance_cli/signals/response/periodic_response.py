@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.local.fit import ModelOrders, WindowedData
-from balance_cli.signals.local.models import LocalModels, ScaledSpectrum, best_fits, sliding_windows, stitch_response
+from balance_cli.signals.local.models import LocalModels, best_fits, sliding_windows, stitch_response
 from balance_cli.signals.local.noise import NoiseCovariances
 from balance_cli.signals.local.response import coherences, response_from_models
+from balance_cli.signals.local.scaled_spectrum import ScaledSpectrum
 from balance_cli.signals.periodic import PeriodicRecord
 from balance_cli.signals.run_spectrum import FrequencyResponse, RunSpectrum
 

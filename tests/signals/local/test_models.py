@@ -7,9 +7,10 @@ import pytest
 
 from balance_cli.io.errors import UserError
 from balance_cli.signals.local.fit import ModelOrders, WindowedData, fit_windows
-from balance_cli.signals.local.models import fit_local_models, record_spectrum
+from balance_cli.signals.local.models import fit_local_models
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record, nonperiodic_spectrum
 from balance_cli.signals.local.response import local_response, response_from_models
+from balance_cli.signals.local.scaled_spectrum import record_spectrum
 from balance_cli.signals.local.window import (
     derivative_rows,
     design_pseudoinverse,

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.recording.run import MemorySource
-from balance_cli.signals.local.models import fit_local_models, record_spectrum
+from balance_cli.signals.local.models import fit_local_models
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record
 from balance_cli.signals.local.response import response_from_models
+from balance_cli.signals.local.scaled_spectrum import record_spectrum
 from balance_cli.simulation import SweepPlan, simulate_run, true_rig
 from tests.support.rigs import rotor_balance
 from tests.support.swept_rig import SweptRig

@@ -1,0 +1,106 @@
+"""Scaled spectrum of a whole record, as the local models use it, and tests of its loads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.run import Run
+from balance_cli.signals.covariance_pooling import window_sums
+from balance_cli.signals.run_samples import load_columns, measured_components, read_samples, run_error, sample_rate
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+RATIONAL_LINES = 81
+"""Least lines in a window of a rational model: several for each of its coefficients."""
+LEAST_POWER_SHARE = 1e-4
+"""Power of a load, over that where it is strong, from which a line counts as excited (-40 dB)."""
+LEAST_INDEPENDENCE = 1e-6
+"""Smallest eigenvalue of the coherence matrix of the loads; with less they differ by 0.1 % of their amplitude."""
+
+
+@dataclass(frozen=True)
+class ScaledSpectrum:
+    """Spectrum of a whole record at K neighboring lines of `frequency` (K,) [Hz].
+
+    The amplitudes `channels` (K, c) and `loads` (K, u) are divided by `channel_scale` (c,) and `load_scale` (u,), which
+    makes their sizes comparable. `excited` (K,) says where some load has power.
+    """
+
+    run: Run
+    channel_names: tuple[str, ...]
+    components: tuple[str, ...]
+    frequency: Array
+    channels: ComplexArray
+    loads: ComplexArray
+    channel_scale: Array
+    load_scale: Array
+    excited: NDArray[np.bool_]
+
+
+def record_spectrum(
+    run: Run, channel_names: Sequence[str], band: tuple[float, float] = (0.0, np.inf)
+) -> ScaledSpectrum:
+    """Transform the whole record, and return the lines of the excited part of `band` [Hz], without zero frequency.
+
+    Raises UserError where the record is too short, or loads are proportional to each other.
+    """
+    channels, loads = read_samples(run, channel_names)
+    components = measured_components(run, loads)
+    z = np.hstack([channels, loads[:, load_columns(components)]])
+    Z = np.fft.rfft(z, axis=0)[1 : (run.samples + 1) // 2] * (2.0 / run.samples)
+    frequency = np.arange(1, len(Z) + 1) * sample_rate(run) / run.samples
+    c = len(channel_names)
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    excited = has_power(Z[:, c:]) & inside
+    if np.count_nonzero(excited) < RATIONAL_LINES:
+        raise run_error(run, "the record is too short, or its loads too narrow in frequency", "Record for longer")
+    if np.median(load_independence(local_power(Z[excited, c:]))) < LEAST_INDEPENDENCE:
+        raise run_error(
+            run, "the loads excited at once are proportional to each other", "Excite with different phases", "loads"
+        )
+    margin = RATIONAL_LINES // 2
+    kept = slice(max(int(np.argmax(excited)) - margin, 0), len(Z) - int(np.argmax(excited[::-1])) + margin)
+    channel_scale = _nonzero_rms(Z[kept, :c])
+    load_scale = _nonzero_rms(Z[kept, c:])
+    return ScaledSpectrum(
+        run=run,
+        channel_names=tuple(channel_names),
+        components=components,
+        frequency=frequency[kept],
+        channels=Z[kept, :c] / channel_scale,
+        loads=Z[kept, c:] / load_scale,
+        channel_scale=channel_scale,
+        load_scale=load_scale,
+        excited=excited[kept],
+    )
+
+
+def has_power(loads: ComplexArray) -> NDArray[np.bool_]:
+    """Return whether (K,) some load has power around a line, LEAST_POWER_SHARE of that where the load is strong."""
+    width = min(RATIONAL_LINES // 2, len(loads))
+    power = window_sums(np.abs(loads) ** 2, width)
+    strong = np.quantile(power, 0.95, axis=0)
+    return np.asarray(np.any(power > LEAST_POWER_SHARE * np.maximum(strong, 1e-300), axis=1))
+
+
+def local_power(loads: ComplexArray) -> ComplexArray:
+    """Return the spectral matrix (K, u, u) of the loads (K, u), averaged over the lines of a window."""
+    outer = loads[:, :, None] * loads[:, None, :].conj()
+    width = min(RATIONAL_LINES, len(loads))
+    return np.asarray(window_sums(outer, width) / width)
+
+
+def load_independence(power: ComplexArray) -> Array:
+    """Return the smallest eigenvalue (K,) of the coherence matrix of the loads; it is 0 where they are proportional."""
+    size = np.sqrt(np.maximum(np.diagonal(power, axis1=1, axis2=2).real, 1e-300))
+    return np.asarray(np.linalg.eigvalsh(power / (size[:, :, None] * size[:, None, :]))[:, 0])
+
+
+def _nonzero_rms(values: ComplexArray) -> Array:
+    rms = np.sqrt(np.mean(np.abs(values) ** 2, axis=0))
+    return np.asarray(np.where(rms > 0, rms, 1.0))
