@@ -15,17 +15,18 @@ from balance_cli.signals.cross_spectra import MAIN_LOBE, cross_spectra, noise_va
 Array = NDArray[np.float64]
 
 WINDOW_TIME = 1.28
-"""Length [s] of a window in which the rotor's harmonics stand still enough to be kept apart from what lies between."""
+"""Length [s] of a window: short enough that harmonics of a drifting rotor speed remain narrow."""
 LOAD_FREE_CUTOFF_FACTOR = 1.6
-"""From this multiple of the anti-alias filter's cutoff on nothing but noise is left of a load."""
+"""Multiple of the cutoff of the anti-alias filter above which only noise is expected: six poles leave 6 % of a load."""
 LOAD_FREE_NYQUIST_SHARE = 0.9
-"""Share of half the sample rate above which lines count as quiet where no filter makes any so."""
+"""Share of the Nyquist frequency above which bins count as free of loads where the filter leaves none free."""
 BLOCK_SAMPLES = 32768
+"""Samples that are read at a time: 4 MB of 15 channels."""
 
 
 @dataclass(frozen=True)
 class CleanRecord:
-    """Samples start to stop of a run, all of its usable channels sound; `names` of these."""
+    """Spans (start, stop) of samples of a run in which all channels `names` are good."""
 
     run: Run
     names: tuple[str, ...]
@@ -38,20 +39,20 @@ class CleanRecord:
         return 1.0 / self.run.sample_rate
 
     def parts(self) -> Iterator[tuple[int, Array]]:
-        """First sample and samples (n, c) of each block."""
+        """Yield first sample and samples (n, c) of each block."""
         for start, stop in self.spans:
             for first in range(start, stop, BLOCK_SAMPLES):
                 yield first, read_channels(self.run, self.names, first, min(first + BLOCK_SAMPLES, stop))
 
     def window(self, seconds: float) -> int:
-        """Samples of a window about so long, a power of two, and at most a third of the longest span."""
+        """Return the samples of a window of about `seconds`: a power of two, at most a third of the longest span."""
         longest = max(stop - start for start, stop in self.spans)
-        wanted = min(seconds / self.step, longest / 3)
-        return int(2 ** np.round(np.log2(max(wanted, 4 * MAIN_LOBE))))
+        samples = min(seconds / self.step, longest / 3)
+        return int(2 ** np.round(np.log2(max(samples, 4 * MAIN_LOBE))))
 
 
 def channel_noise(clean_record: CleanRecord, acquisition: Acquisition) -> Array:
-    """Variance (c,) [V2] of one sample of each channel's noise, from where no load reaches."""
+    """Return the noise variance (c,) [V2] of one sample of each channel, from frequencies above all loads."""
     spectra = cross_spectra(clean_record.parts(), clean_record.step, clean_record.window(WINDOW_TIME))
     nyquist = 0.5 / clean_record.step
     cutoff = acquisition.filter.cutoff if acquisition.filter else np.inf

@@ -1,4 +1,4 @@
-"""Power and cross spectral densities of a record, and the noise of its channels where no load reaches."""
+"""Power and cross spectral densities of a record, and the noise of its channels above all loads."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 MAIN_LOBE = 4
-"""Lines from the centre of the window's main lobe to its edge."""
+"""Frequency bins from the center of the main lobe of the window to its edge (Blackman-Harris, four terms)."""
 INDEPENDENT_PER_WINDOW = 0.89
-"""Independent spectra for each window, of those that lie a third of their length apart."""
+"""Independent spectra per window of those that start a third of their length apart."""
 
 
 @dataclass(frozen=True)
 class CrossSpectra:
-    """Densities of c channels: `frequency` (k,) [Hz], `density` (k, c, c) [V2/Hz], both signs of frequency counted.
+    """Two-sided spectral densities of c channels: `frequency` (k,) [Hz], `density` (k, c, c) [V2/Hz].
 
-    `averages` (k,): how many independent spectra were averaged.
+    `averages` (k,): number of independent spectra in the average.
     """
 
     frequency: Array
     density: ComplexArray
     averages: Array
 
-    def at(self, kept: NDArray[np.bool_]) -> CrossSpectra:
-        """Some of the lines."""
-        return CrossSpectra(self.frequency[kept], self.density[kept], self.averages[kept])
+    def at(self, bins: NDArray[np.bool_]) -> CrossSpectra:
+        """Return the densities of some of the frequency bins (k,)."""
+        return CrossSpectra(self.frequency[bins], self.density[bins], self.averages[bins])
 
 
 def cross_spectra(
@@ -40,12 +40,14 @@ def cross_spectra(
     length: int,
     select_bins: Callable[[int, Array], NDArray[np.bool_]] | None = None,
 ) -> CrossSpectra:
-    """Welch's estimate with windows of `length` samples over stretches (first sample, samples (n, c)) without gaps.
+    """Estimate densities by Welch's method, with windows of `length` samples over parts (first sample, samples (n, c)).
 
-    Means of each window are taken off, the lines beside zero and half the sample rate left out (Welch, IEEE Trans.
-    Audio Electroacoust. 15, 1967, 70). `used` says, for the first sample of a window and the frequencies (k,), which
-    lines of that window count: a harmonic that moves with the speed can be kept out window by window. The window is
-    that of Blackman and Harris (four terms), whose side lobes lie 92 dB down.
+    The mean of each window is removed, and the frequency bins next to zero and to the Nyquist frequency are left out
+    (Welch, IEEE Trans. Audio Electroacoust. 15, 1967, 70). `select_bins` returns, for the first sample of a window and
+    the frequencies (k,), which bins of that window count: so a harmonic that moves with the speed is excluded window by
+    window. The window is that of Blackman and Harris with four terms, whose side lobes are at -92 dB.
+
+    Raises ValueError where no part is as long as a window.
     """
     window = scipy.signal.windows.blackmanharris(length, sym=False)
     frequency = np.asarray(np.fft.rfftfreq(length, step), float)
@@ -53,32 +55,32 @@ def cross_spectra(
     total, count = None, np.zeros(len(frequency))
     for first, part in parts:
         for start in range(0, len(part) - length + 1, length // 3):
-            piece = part[start : start + length]
-            lines = np.fft.rfft((piece - piece.mean(axis=0)) * window[:, None], axis=0)
-            mine = inner if select_bins is None else inner & select_bins(first + start, frequency)
-            lines[~mine] = 0.0
-            power = lines[:, :, None] * lines[:, None, :].conj()
+            samples = part[start : start + length]
+            spectrum = np.fft.rfft((samples - samples.mean(axis=0)) * window[:, None], axis=0)
+            selected = inner if select_bins is None else inner & select_bins(first + start, frequency)
+            spectrum[~selected] = 0.0
+            power = spectrum[:, :, None] * spectrum[:, None, :].conj()
             total = power if total is None else total + power
-            count += mine
-    kept = count > 0
-    if total is None or not kept.any():
-        raise ValueError("no window fits into the stretches")
-    density = total[kept] * (step / np.sum(window**2) / count[kept])[:, None, None]
-    return CrossSpectra(frequency[kept], density, np.maximum(INDEPENDENT_PER_WINDOW * count[kept], 1.0))
+            count += selected
+    bins = count > 0
+    if total is None or not bins.any():
+        raise ValueError("no part of the record is as long as a window")
+    density = total[bins] * (step / np.sum(window**2) / count[bins])[:, None, None]
+    return CrossSpectra(frequency[bins], density, np.maximum(INDEPENDENT_PER_WINDOW * count[bins], 1.0))
 
 
 def noise_variance(spectra: CrossSpectra, step: float, load_free: NDArray[np.bool_]) -> Array:
-    """Covariance (c,) [V2] of one sample of each channel's noise, white, from `quiet` lines (k,), that no load reaches.
+    """Return the variance (c,) [V2] of one sample of each channel's white noise, from the `load_free` bins (k,).
 
-    The median of the lines, so that a tone among them does no harm.
+    It is the median of the bins, so that a tone among them has no effect.
     """
     power = np.einsum("kcc->kc", spectra.density[load_free]).real
-    typical = float(np.median(spectra.averages[load_free]))
-    return np.asarray(np.median(power, axis=0) / (step * _median_of_mean(typical)))
+    averages = float(np.median(spectra.averages[load_free]))
+    return np.asarray(np.median(power, axis=0) / (step * _median_of_mean(averages)))
 
 
 def _median_of_mean(averages: float) -> float:
-    """Median of the mean of so many exponential variables of mean one."""
+    """Return the median of the mean of so many exponential variables of mean one."""
     from scipy.special import gammaincinv
 
     return float(gammaincinv(averages, 0.5) / averages)

@@ -1,8 +1,8 @@
-"""Balance and loads as one model from sample to sample, in units in which its noise is plain.
+"""The augmented model: balance, loads and channel offsets in one state vector, from sample to sample.
 
-The loads drive the anti-alias filter, that the balance (the two commute, and six filters are fewer than fifteen), and
-that the channels' own filters; late channels follow. States are in units of their own size, channels in units of their
-noise.
+The loads drive the anti-alias filter, its output the balance, and the balance the filters of the channels; delays come
+last. Anti-alias filter and balance commute, and six filters of loads are fewer than those of all channels. States are
+in units of their standard deviation, channels in units of their noise.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from balance_cli.reduction.kalman.riccati import discrete_gramian
 Array = NDArray[np.float64]
 
 OFFSET_AVERAGING_TIME = 10.0
-"""Time [s] over which an offset is averaged."""
+"""Time [s] over which an offset is averaged: well below the length of a record, well above the periods of loads."""
 OFFSET_FORGETTING_TIME = 1000.0
-"""Time [s] in which an offset is forgotten: that of a channel that is not read must not grow without end."""
+"""Decay time [s] of an offset, longer than a record; it bounds the variance of the offset of a channel not in use."""
 
 
 @dataclass(frozen=True)
 class MeasuredSystem:
-    """A balance as it is sampled: `space` with the anti-alias filter, the columns of the loads that it carries,
+    """A sampled balance: state space with the anti-alias filter, and the columns of the loads that it carries.
 
-    `step` [s], and the variance `noise` (c,) [V2] of a sample of its channels. `offset` (z,) [V] is the size of the
-    offset of each of the space's channels, 0 where none is looked for.
+    `step` [s] between samples; `noise` (c,) [V2]: variance of one sample of each channel; `offset` (z,) [V]: standard
+    deviation of the offset of each channel of the space, 0 for channels without one.
     """
 
     space: StateSpace
@@ -42,12 +42,12 @@ class MeasuredSystem:
 
     @property
     def state_lead_time(self) -> float:
-        """Time [s] from a sample to the instant that states then refer to: not zero where a channel runs early."""
+        """Time [s] from a sample to the instant of its states: not zero where a channel has a negative delay."""
         return float(max(-self.space.delay.min(), 0.0))
 
     @property
     def offset_channels(self) -> NDArray[np.intp]:
-        """Channels of the space whose offset is a state."""
+        """Indices of the channels of the space whose offset is a state."""
         return np.flatnonzero(self.offset > 0)
 
     @property
@@ -57,11 +57,10 @@ class MeasuredSystem:
 
 
 def continuous_model(system: MeasuredSystem, layers: Sequence[LoadLayer]) -> ContinuousModel:
-    """Loads that drive the balance: states of the balance first, then those of the loads, then offsets of channels.
+    """Return the continuous model; states: those of the balance, those of the loads, offsets of channels.
 
-    An offset drifts as if it were averaged over `OFFSET_AVERAGING_TIME`: by so much in a second as noise leaves it
-    uncertain
-    then, and no more, for it shares its channel with loads that change as slowly.
+    The drift of an offset corresponds to averaging over `OFFSET_AVERAGING_TIME`: in one second it equals the
+    uncertainty that noise leaves after such an average. More drift would absorb slowly changing loads.
     """
     space, offset_channels = system.space, system.offset_channels
     A_load, W_load, U = combine_layers(layers)
@@ -73,35 +72,36 @@ def continuous_model(system: MeasuredSystem, layers: Sequence[LoadLayer]) -> Con
     A[n + k :, n + k :] = -np.eye(b) / OFFSET_FORGETTING_TIME
     W[n : n + k, n : n + k] = W_load
     W[n + k :, n + k :] = np.median(system.noise) * system.step / OFFSET_AVERAGING_TIME**2 * np.eye(b)
-    shown = np.zeros((len(space.C), b))
-    shown[offset_channels, np.arange(b)] = 1.0
-    C = np.hstack([space.C, D @ U, shown])
+    offset_columns = np.zeros((len(space.C), b))
+    offset_columns[offset_channels, np.arange(b)] = 1.0
+    C = np.hstack([space.C, D @ U, offset_columns])
     return ContinuousModel(
         A, W, C, space.delay + system.state_lead_time, np.hstack([np.zeros((len(U), n)), U, np.zeros((len(U), b))])
     )
 
 
 def sampled_system(system: MeasuredSystem, layers: Sequence[LoadLayer]) -> SampledModel:
-    """The model from sample to sample, channels mixed and in units of their noise."""
+    """Return the model from sample to sample, with the mixing of its channels, in units of their noise."""
     model = discretize(continuous_model(system, layers), system.step)
     return model.with_channels(system.space.mixing / np.sqrt(system.noise)[:, None])
 
 
 def initial_covariance(system: MeasuredSystem, layers: Sequence[LoadLayer], step_loads: Array) -> Array:
-    """What is known (N, N) before the first sample: loads of their size that have acted for long, offsets of theirs,
+    """Return the prior covariance (N, N) of the first state.
 
-    and what balance and filters have in them of loads `held` (m,) that began to act just then. Layers are stationary.
+    The loads of the layers, which must be stationary, have acted for long; offsets have their size; and constant loads
+    of size `step_loads` (m,) may begin to act with the record.
     """
     model = sampled_system(system, layers)
     n, b = system.balance_order, len(system.offset_channels)
     first = n + sum(len(layer.matrices()[0]) for layer in layers)
-    moving = np.ones(model.order, bool)
-    moving[first : first + b] = False
-    F, Q = model.F[np.ix_(moving, moving)], model.Q[np.ix_(moving, moving)]
+    is_dynamic = np.ones(model.order, bool)
+    is_dynamic[first : first + b] = False
+    F, Q = model.F[np.ix_(is_dynamic, is_dynamic)], model.Q[np.ix_(is_dynamic, is_dynamic)]
     P = np.zeros_like(model.F)
-    P[np.ix_(moving, moving)] = discrete_gramian(F.T, Q)
-    P[~moving, ~moving] = system.offset[system.offset_channels] ** 2
+    P[np.ix_(is_dynamic, is_dynamic)] = discrete_gramian(F.T, Q)
+    P[~is_dynamic, ~is_dynamic] = system.offset[system.offset_channels] ** 2
     states = -np.linalg.solve(system.space.A, system.space.B[:, list(system.columns)]) * step_loads
     P[:n, :n] += states @ states.T + np.diag(np.sum(states**2, axis=1))
-    # One step on, what late channels hold is filled in.
+    # One step fills the states that store delayed outputs.
     return model.F @ P @ model.F.T + model.Q

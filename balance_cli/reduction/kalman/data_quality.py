@@ -1,7 +1,7 @@
-"""Which samples of which channels a filter can use: gaps, and channels that are bad for a part of the record only.
+"""Usable samples of a record: gaps, and channels that are bad for a part of the record only.
 
-A sample is bad where it is not finite or at the channel's declared range. A channel that is bad for a small part of the
-record, in few places, is left out there alone; where all channels are bad at once the record has a gap.
+A sample is bad if it is not finite or at the declared range of its channel. A channel that is bad in a few short
+intervals is left out only there. Where all channels are bad at once the record has a gap.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from balance_cli.reduction.kalman.segments import Segment
 Bits = NDArray[np.bool_]
 
 MAX_BAD_SHARE = 0.2
-"""Of the record that a channel may be bad, or it is left out of all of it."""
+"""Share of bad samples above which a channel is left out of the whole record: it is then more likely faulty."""
 MAX_BAD_INTERVALS = 8
-"""Places in which a channel may be bad."""
+"""Bad intervals above which a channel is left out of the whole record: each costs filters for two more segments."""
 MERGE_TIME = 0.25
-"""Time [s] between two bad places below which they count as one: a filter hardly settles in between."""
+"""Time [s] between two bad intervals below which they count as one: a filter hardly becomes steady in between."""
 RECOVERY_TIME = 0.005
-"""Time [s] around bad samples that is left out too: filters of the acquisition remember them."""
+"""Time [s] after bad samples that is left out as well: the response time of the anti-alias filter."""
 LONGEST_GAP = 1.0
-"""Time [s] over which loads are led on without a reading."""
+"""Time [s] of the longest gap over which the model alone predicts the loads: 17 revolutions at 17.5 Hz."""
 
 
 @dataclass(frozen=True)
 class DataQuality:
-    """Channels that are used, in the geometry's order; stretches of the record; what was bridged, in words."""
+    """Channels that are used, in the order of the geometry; segments of the record; gaps and lost channels in words."""
 
     names: tuple[str, ...]
     segments: tuple[Segment, ...]
@@ -43,20 +43,20 @@ class DataQuality:
 
     @property
     def spans(self) -> tuple[tuple[int, int], ...]:
-        """Samples start to stop where all of the channels are sound."""
-        every = tuple(range(len(self.names)))
-        return tuple((s.start, s.stop) for s in self.segments if s.channels == every)
+        """Samples start to stop at which all used channels are good."""
+        all_channels = tuple(range(len(self.names)))
+        return tuple((s.start, s.stop) for s in self.segments if s.channels == all_channels)
 
     @property
     def gaps(self) -> tuple[Segment, ...]:
-        """Where nothing is read."""
+        """Segments without channels."""
         return tuple(s for s in self.segments if not s.channels)
 
 
 def assess_data_quality(run: Run, geometry: Geometry, health: ChannelHealth, start: int, stop: int) -> DataQuality:
-    """What can be used of samples start to stop, `health` being that of the record as a whole.
+    """Return the usable data of samples start to stop; `health` is that of the whole record.
 
-    Raises UserError where a gap is too long to be bridged, or no stretch has all channels.
+    Raises UserError where a gap is too long, or no segment has all channels.
     """
     assert run.sample_rate is not None
     declared = {channel.name: channel for channel in geometry.channels}
@@ -64,14 +64,14 @@ def assess_data_quality(run: Run, geometry: Geometry, health: ChannelHealth, sta
     doubtful = [name for name in present if name in health.left_out]
     limits = np.array([declared[name].range or np.inf for name in doubtful])
     bad = _bad_samples(run, doubtful, limits, start, stop)
-    places = [_bad_intervals(column, run.sample_rate) for column in bad.T]
+    bad_intervals = [_bad_intervals(column, run.sample_rate) for column in bad.T]
     partly_bad = {
-        name: found
-        for name, found, column in zip(doubtful, places, bad.T, strict=True)
-        if 0 < column.mean() <= MAX_BAD_SHARE and len(found) <= MAX_BAD_INTERVALS
+        name: intervals
+        for name, intervals, column in zip(doubtful, bad_intervals, bad.T, strict=True)
+        if 0 < column.mean() <= MAX_BAD_SHARE and len(intervals) <= MAX_BAD_INTERVALS
     }
     names = tuple(name for name in present if name in health.live or name in partly_bad)
-    left_out = [(low, high, names.index(name)) for name, found in partly_bad.items() for low, high in found]
+    left_out = [(low, high, names.index(name)) for name, intervals in partly_bad.items() for low, high in intervals]
     segments = _segments(left_out, len(names), start, stop)
     _check_gaps(run, segments)
     _check_common_segment(run, names, segments)
@@ -79,7 +79,7 @@ def assess_data_quality(run: Run, geometry: Geometry, health: ChannelHealth, sta
 
 
 def _bad_samples(run: Run, names: Sequence[str], limits: NDArray[np.float64], start: int, stop: int) -> Bits:
-    """Samples (n, c) that are not finite or at the range."""
+    """Return which samples (n, c) are not finite or at the range."""
     parts = []
     for first in range(start, stop, 65536):
         y = read_channels(run, names, first, min(first + 65536, stop))
@@ -90,19 +90,19 @@ def _bad_samples(run: Run, names: Sequence[str], limits: NDArray[np.float64], st
 def _bad_intervals(bad: Bits, sample_rate: float) -> list[tuple[int, int]]:
     """Where (first, end) samples are bad, near ones joined and the recovery about each left out too."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
-    recovery, joined = int(np.ceil(RECOVERY_TIME * sample_rate)), MERGE_TIME * sample_rate
-    found: list[tuple[int, int]] = []
+    recovery, merge = int(np.ceil(RECOVERY_TIME * sample_rate)), MERGE_TIME * sample_rate
+    intervals: list[tuple[int, int]] = []
     for low, high in edges.reshape(-1, 2):
         low, high = max(int(low) - 1, 0), min(int(high) + recovery, len(bad))
-        if found and low - found[-1][1] < joined:
-            found[-1] = (found[-1][0], high)
+        if intervals and low - intervals[-1][1] < merge:
+            intervals[-1] = (intervals[-1][0], high)
         else:
-            found.append((low, high))
-    return found
+            intervals.append((low, high))
+    return intervals
 
 
 def _segments(left_out: Sequence[tuple[int, int, int]], count: int, start: int, stop: int) -> tuple[Segment, ...]:
-    """What is read of `count` channels, of which (low, high, channel), samples from `start` on, are left out."""
+    """Return the segments of `count` channels, of which (low, high, channel), samples from `start` on, are left out."""
     edges = sorted({0, stop - start, *(edge for low, high, _ in left_out for edge in (low, high))})
     missing = [{i for low, high, i in left_out if low <= edge < high} for edge in edges]
     changes = [0, *(k for k in range(1, len(edges) - 1) if missing[k] != missing[k - 1]), len(edges) - 1]
@@ -116,33 +116,33 @@ def _check_gaps(run: Run, segments: Sequence[Segment]) -> None:
     assert run.sample_rate is not None
     place, most = str(run.path or run.name), max(len(s.channels) for s in segments)
     if most == 0:
-        raise UserError("no channel is left", place, "channels", "Mend the channels, or leave the run out")
+        raise UserError("no channel is usable", place, "channels", "Repair the channels, or leave the run out")
     for gap in segments:
         length = (gap.stop - gap.start) / run.sample_rate
         if not gap.channels and length > LONGEST_GAP:
             at = f"from {gap.start / run.sample_rate:.3f} s on, {length:.3f} s long"
-            fault = f"the record has a gap {at}; at most {LONGEST_GAP:g} s can be bridged"
-            raise UserError(fault, place, "channels", "Reduce the parts before and after it as runs of their own")
+            fault = f"the record has a gap {at}; at most {LONGEST_GAP:g} s are possible"
+            raise UserError(fault, place, "channels", "Reduce the parts before and after it as separate runs")
 
 
 def _check_common_segment(run: Run, names: Sequence[str], segments: Sequence[Segment]) -> None:
-    """Noise and loads are first told by samples of all channels."""
+    """Raise UserError unless some segment has all channels: noise and load models are estimated from such segments."""
     if not any(len(s.channels) == len(names) for s in segments):
-        fault = "the channels are never sound at once"
-        raise UserError(fault, str(run.path or run.name), "channels", "Leave out those that are bad for long")
+        fault = "at no time are all channels good"
+        raise UserError(fault, str(run.path or run.name), "channels", "Leave out the channels that are bad for long")
 
 
 def _notes(
     run: Run, partly_bad: dict[str, list[tuple[int, int]]], segments: Sequence[Segment], start: int
 ) -> tuple[str, ...]:
-    """What was bridged."""
+    """Return the gaps and the intervals of lost channels, in words."""
     assert run.sample_rate is not None
     rate = run.sample_rate
     gaps = [s for s in segments if not s.channels]
     notes = [f"gap from {g.start / rate:.3f} to {g.stop / rate:.3f} s bridged" for g in gaps]
-    for name, found in partly_bad.items():
-        alone = [(a, b) for a, b in found if not any(g.start <= start + a and start + b <= g.stop for g in gaps)]
-        if alone:
-            words = ", ".join(f"{(start + a) / rate:.3f} to {(start + b) / rate:.3f} s" for a, b in alone)
-            notes.append(f"channel {name} not used from {words}")
+    for name, intervals in partly_bad.items():
+        outside = [(a, b) for a, b in intervals if not any(g.start <= start + a and start + b <= g.stop for g in gaps)]
+        if outside:
+            times = ", ".join(f"{(start + a) / rate:.3f} to {(start + b) / rate:.3f} s" for a, b in outside)
+            notes.append(f"channel {name} not used from {times}")
     return tuple(notes)

@@ -1,7 +1,7 @@
-"""From a continuous model driven by white noise to one from sample to sample, delays between samples included.
+"""Exact discretization of a continuous model driven by white noise, with output delays of any length.
 
-Between samples nothing is held: states, their noise and outputs that are late by any time are exact. An output that is
-late by a part of the step is the state at an instant between two samples, which is reached first.
+Nothing is held between samples: states, their noise and delayed outputs are exact. An output that is delayed by a
+fraction of the step is stored at its instant between two samples, on the way of the states to the next sample.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from balance_cli.reduction.kalman.riccati import symmetrize
 Array = NDArray[np.float64]
 
 SMALL_STEP = 0.25
-"""Largest norm of A h for which the series of a step are summed."""
+"""Largest norm of A h for which the series of a step is summed."""
 SERIES_TERMS = 18
+"""Terms of the series: the next is smaller than 2 * 0.25^18 / 18!, beyond double precision."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +51,18 @@ class SampledModel:
         return len(self.F)
 
     def scaled(self, size: Array) -> SampledModel:
-        """The same with states in units of `size` (n,)."""
+        """Return the model with its states in units of `size` (n,)."""
         return SampledModel(self.F * size / size[:, None], self.Q / np.outer(size, size), self.H * size, self.U * size)
 
     def with_channels(self, channels: Array) -> SampledModel:
-        """The same with some of the channels, or with combinations `channels` (r, c) of them."""
+        """Return the model with combinations `channels` (r, c) of its channels."""
         return replace(self, H=channels @ self.H)
 
 
 def discretize_step(A: Array, W: Array, time: float) -> tuple[Array, Array]:
-    """exp(A t) and the noise covariance int exp(A s) W exp(A s)' ds (n, n) of a step.
+    """Return exp(A t) and the noise covariance int exp(A s) W exp(A s)' ds (n, n) of a step.
 
-    The series for a short step, then doubling: Q(2h) = Q(h) + Phi(h) Q(h) Phi(h)', which no fast decay can harm.
+    The series for a short step, then doubling: Q(2h) = Q(h) + Phi(h) Q(h) Phi(h)', which is stable for fast decays.
     """
     size = float(np.linalg.norm(A, 1)) * time
     halvings = max(int(np.ceil(np.log2(max(size, 1e-300) / SMALL_STEP))), 0)
@@ -78,20 +79,20 @@ def discretize_step(A: Array, W: Array, time: float) -> tuple[Array, Array]:
 
 
 def discretize(model: ContinuousModel, step: float) -> SampledModel:
-    """The model at samples `step` [s] apart; outputs that are late are further states."""
+    """Return the model at samples `step` [s] apart; delayed outputs become further states."""
     whole, part = np.divmod(np.round(model.delay / step, 9), 1.0)
     n, c = len(model.A), len(model.C)
     counts = whole.astype(int) + (part > 0)
-    # A delay that was rounded to none keeps no states.
+    # A delay that is rounded to zero needs no states.
     late = np.flatnonzero(counts)
     first = n + np.concatenate([[0], np.cumsum(counts)[:-1]])
     total = n + int(counts.sum())
     F, Q = np.eye(total), np.zeros((total, total))
     F, Q = _shift_delay_states(F, Q, first, counts)
-    at = 0.0
+    reached = 0.0
     for instant in [*sorted({1.0 - p for p in part[late] if p > 0}), 1.0]:
-        F, Q = _advance(F, Q, model, (instant - at) * step)
-        at = instant
+        F, Q = _advance(F, Q, model, (instant - reached) * step)
+        reached = instant
         for channel in late:
             if part[channel] > 0 and np.isclose(1.0 - part[channel], instant, rtol=0.0, atol=1e-10):
                 F, Q = _store_output(F, Q, int(first[channel]), model.C[channel])
@@ -108,7 +109,7 @@ def discretize(model: ContinuousModel, step: float) -> SampledModel:
 
 
 def _advance(F: Array, Q: Array, model: ContinuousModel, time: float) -> tuple[Array, Array]:
-    """The map and its noise, continued by a time through which only the states proper move."""
+    """Return the map and its noise continued by a time [s], in which only the states of the model change."""
     n = len(model.A)
     Phi, noise = discretize_step(model.A, model.W, time)
     F, Q = F.copy(), Q.copy()
@@ -120,7 +121,7 @@ def _advance(F: Array, Q: Array, model: ContinuousModel, time: float) -> tuple[A
 
 
 def _store_output(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]:
-    """What an output is at this instant, kept in a state."""
+    """Return the map and its noise with an output at this instant stored in a state."""
     n = len(C)
     F, Q = F.copy(), Q.copy()
     F[row] = C @ F[:n]
@@ -130,7 +131,7 @@ def _store_output(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]
 
 
 def _store_previous_output(F: Array, Q: Array, row: int, C: Array) -> tuple[Array, Array]:
-    """What an output was at the last sample, kept in a state: late by whole steps."""
+    """Return the map and its noise with an output at the previous sample stored in a state (a delay of whole steps)."""
     F, Q = F.copy(), Q.copy()
     F[row], Q[row], Q[:, row] = 0.0, 0.0, 0.0
     F[row, : len(C)] = C
@@ -138,7 +139,7 @@ def _store_previous_output(F: Array, Q: Array, row: int, C: Array) -> tuple[Arra
 
 
 def _shift_delay_states(F: Array, Q: Array, first: Array, counts: Array) -> tuple[Array, Array]:
-    """What was kept moves on by one place; the first place of each output is free."""
+    """Return the map and its noise with stored outputs shifted by one state; the first of each output is free."""
     F = F.copy()
     for start, count in zip(first, counts, strict=True):
         for row in range(int(start) + int(count) - 1, int(start), -1):

@@ -1,4 +1,4 @@
-"""From a record to the sizes that a filter needs: noise of the channels, fluctuation and drift of the loads."""
+"""Tuning of the filters: variances and bandwidths of random loads, estimated from the spectra of the record."""
 
 from __future__ import annotations
 
@@ -18,40 +18,40 @@ from balance_cli.signals.rotor.azimuth import Azimuth
 
 Array = NDArray[np.float64]
 Kind = Callable[[Array], LoadLayer]
-"""A layer by its sizes (m,)."""
+"""Returns a layer for standard deviations (m,)."""
 
 DRIFT_CORNERS = (0.1, 5.0)
-"""Corner frequencies [Hz] of the layer that wanders."""
+"""Corner frequencies [Hz] of the low-pass drift: slow changes of some seconds, and no rotor harmonic above 5 Hz."""
 MIN_DRIFT_RATIO = 100.0
-"""How much more of a load at rest is taken to wander than to fluctuate, at least."""
+"""Least ratio of the densities of drift and fluctuation at zero frequency: 99 % of a constant load is then drift."""
 ROTOR_BAND = 40.0
-"""Band [Hz] of a second layer that fluctuates, where the rotor's harmonics are to be held by random loads."""
+"""Band [Hz] of a second layer where random loads must represent the rotor harmonics: 1/rev and 2/rev of 17.5 Hz."""
 NOISE_BANDS = (30.0, 70.0, 150.0)
-"""Bands [Hz] of the layer that fluctuates, about the likeliest of which the best is looked for."""
+"""Bands [Hz] of the fluctuating layer; the search starts at the likeliest of them."""
 MARKOV_CORNERS = (10.0, 40.0, 160.0)
-"""Corner frequencies [Hz] of one that has no band, instead."""
+"""Corner frequencies [Hz] of a fluctuating layer without band limit; the search starts at the likeliest."""
 SEARCH_STEPS = 4
-"""Further bands or corners that are tried."""
+"""Further bands or corners that are tried: the likelihood is flat, and each costs a scoring."""
 UNINFORMATIVE_BAND = 150.0
-"""Band [Hz] of loads of which nothing is known."""
+"""Band [Hz] of uninformative loads: 8/rev of a rotor at 17.5 Hz is 140 Hz."""
 LOW_FREQUENCY_WINDOW_FACTOR = 4.0
-"""Length over that of windows for the lines below the first harmonic."""
+"""Length of the windows for frequency bins below the first harmonic, over that of the others."""
 BELOW_FIRST_HARMONIC = 0.7
-"""Of the rotor's speed: lines below hold no harmonic."""
+"""Share of the rotor speed below which frequency bins contain no harmonic, for a speed that varies by up to 30 %."""
 UNINFORMATIVE_FACTOR = 10.0
-"""How much larger than it is a load of which nothing is to be known is said to be."""
+"""Standard deviation of uninformative loads over that of the loads: the prior then carries 1 % of the information."""
 
 
 def fit_random_loads(
     clean_record: CleanRecord, space: StateSpace, columns: Sequence[int], noise: Array
 ) -> tuple[LoadLayer, ...]:
-    """Layers of random loads that stand for all that the rotor does, its harmonics too."""
+    """Return layers of random loads that represent all loads, the rotor harmonics included."""
     spectra = cross_spectra(clean_record.parts(), clean_record.step, clean_record.window(WINDOW_TIME))
     return _fit_layers(spectra, space, columns, noise, clean_record.step, (ROTOR_BAND,))
 
 
 def uninformative_loads(random: Sequence[LoadLayer]) -> tuple[LoadLayer, ...]:
-    """Loads of which nothing is said: white up to `UNINFORMATIVE_BAND`, and far larger than they are."""
+    """Return an uninformative prior: loads white up to `UNINFORMATIVE_BAND`, much larger than the random ones."""
     sigma = UNINFORMATIVE_FACTOR * np.sqrt(np.sum([layer.sigma**2 for layer in random], axis=0))
     return (BandLimitedNoise(np.maximum(sigma, 1e-3 * sigma.max()), UNINFORMATIVE_BAND),)
 
@@ -59,9 +59,10 @@ def uninformative_loads(random: Sequence[LoadLayer]) -> tuple[LoadLayer, ...]:
 def fit_loads_between_harmonics(
     clean_record: CleanRecord, space: StateSpace, columns: Sequence[int], noise: Array, azimuth: Azimuth
 ) -> tuple[LoadLayer, ...]:
-    """Layers of random loads for what the harmonics leave: of long windows the lines below the first harmonic, of
+    """Return layers of random loads for the spectrum between the rotor harmonics.
 
-    short ones those that lie between the harmonics, as these are in that window.
+    Below the first harmonic it comes from long windows, above from short ones, each without the frequency bins at the
+    harmonics of the speed in that window.
     """
     short, long = clean_record.window(WINDOW_TIME), clean_record.window(LOW_FREQUENCY_WINDOW_FACTOR * WINDOW_TIME)
     above = cross_spectra(
@@ -73,18 +74,18 @@ def fit_loads_between_harmonics(
     low = cross_spectra(clean_record.parts(), clean_record.step, long)
     slowest = float(np.min(azimuth.speed(np.linspace(azimuth.first, azimuth.last, 256))))
     low = low.at(low.frequency < BELOW_FIRST_HARMONIC * slowest - MAIN_LOBE / (long * clean_record.step))
-    together = CrossSpectra(
+    combined = CrossSpectra(
         np.concatenate([low.frequency, above.frequency]),
         np.concatenate([low.density, above.density]),
         np.concatenate([low.averages, above.averages]),
     )
-    return _fit_layers(together, space, columns, noise, clean_record.step, ())
+    return _fit_layers(combined, space, columns, noise, clean_record.step, ())
 
 
 def _bins_between_harmonics(
     first: int, frequency: Array, length: int, clean_record: CleanRecord, azimuth: Azimuth
 ) -> NDArray[np.bool_]:
-    """Lines of a window that are apart from all harmonics, however far the speed moves within it."""
+    """Return which frequency bins of a window lie outside all harmonics for every speed within the window."""
     time = np.clip((first + length * np.array([0.0, 0.5, 1.0])) * clean_record.step, azimuth.first, azimuth.last)
     speed = azimuth.speed(time)
     order = np.maximum(np.rint(frequency / speed[1]), 1.0)
@@ -100,23 +101,23 @@ def _fit_layers(
     step: float,
     bands: Sequence[float],
 ) -> tuple[LoadLayer, ...]:
-    """A layer that wanders, layers of these bands, and one that fluctuates, of the likeliest kind and scale."""
+    """Return a drift, layers of these bands, and one fluctuating layer of the likeliest kind and bandwidth."""
     response = space.response(spectra.frequency)[:, :, list(columns)]
-    found: list[tuple[float, tuple[LoadLayer, ...]]] = []
+    candidates: list[tuple[float, tuple[LoadLayer, ...]]] = []
     last: list[Array] = []
 
     def misfit(fluctuating: Callable[[float], Kind], ln_scale: float) -> float:
         kinds = (_low_pass_drift, *(_band_limited_noise(band) for band in bands), fluctuating(float(np.exp(ln_scale))))
         shapes = np.stack([kind(np.ones(1)).spectrum(spectra.frequency)[:, 0] for kind in kinds])
-        one = estimate_layer_variances(spectra, response, shapes, step, noise, last[-1] if last else None)
-        last.append(one.values)
-        layers = tuple(kind(size) for kind, size in zip(kinds, np.sqrt(one.values), strict=True))
-        found.append((one.misfit, layers))
-        return one.misfit
+        variances = estimate_layer_variances(spectra, response, shapes, step, noise, last[-1] if last else None)
+        last.append(variances.values)
+        layers = tuple(kind(size) for kind, size in zip(kinds, np.sqrt(variances.values), strict=True))
+        candidates.append((variances.misfit, layers))
+        return variances.misfit
 
     for kind, scales in ((_band_limited_noise, NOISE_BANDS), (_first_order_markov, MARKOV_CORNERS)):
         _search_scale(partial(misfit, kind), np.log(scales))
-    return _assign_mean_to_drift(min(found, key=lambda one: one[0])[1])
+    return _assign_mean_to_drift(min(candidates, key=lambda item: item[0])[1])
 
 
 def _low_pass_drift(sigma: Array) -> LoadLayer:
@@ -131,20 +132,20 @@ def _first_order_markov(corner: float) -> Kind:
     return lambda sigma: FirstOrderMarkov(sigma, corner)
 
 
-def _search_scale(misfit: Callable[[float], float], tried: Array) -> None:
-    """The likeliest of these, and then about it."""
-    best = int(np.argmin([misfit(float(one)) for one in tried]))
-    around = [float(tried[min(max(i, 0), len(tried) - 1)]) for i in (best - 1, best + 1)]
-    minimize_scalar(misfit, bounds=(around[0], around[1]), method="bounded", options={"maxiter": SEARCH_STEPS})
+def _search_scale(misfit: Callable[[float], float], ln_scales: Array) -> None:
+    """Evaluate the misfit at these scales, and then at further ones between the neighbors of the best."""
+    best = int(np.argmin([misfit(float(ln_scale)) for ln_scale in ln_scales]))
+    lower, upper = (float(ln_scales[min(max(i, 0), len(ln_scales) - 1)]) for i in (best - 1, best + 1))
+    minimize_scalar(misfit, bounds=(lower, upper), method="bounded", options={"maxiter": SEARCH_STEPS})
 
 
 def _assign_mean_to_drift(layers: tuple[LoadLayer, ...]) -> tuple[LoadLayer, ...]:
-    """The same, what wanders made so large that a load at rest belongs to it, and not to what fluctuates.
+    """Return the layers with the drift so large that a constant load belongs to it, not to the fluctuation.
 
-    What fluctuates is forgotten within its band; a step that was taken for it would be, too.
+    A fluctuating layer decays within its correlation time, and so would a step of the load that is assigned to it.
     """
-    drift_layer, *flats = layers
-    at_rest = np.zeros(1)
-    least = MIN_DRIFT_RATIO * np.sum([one.spectrum(at_rest)[0] for one in flats], axis=0)
-    unit = LowPassDrift(np.ones(1), *DRIFT_CORNERS).spectrum(at_rest)[0, 0]
-    return (LowPassDrift(np.maximum(drift_layer.sigma, np.sqrt(least / unit)), *DRIFT_CORNERS), *flats)
+    drift, *fluctuations = layers
+    zero_frequency = np.zeros(1)
+    least = MIN_DRIFT_RATIO * np.sum([layer.spectrum(zero_frequency)[0] for layer in fluctuations], axis=0)
+    unit = LowPassDrift(np.ones(1), *DRIFT_CORNERS).spectrum(zero_frequency)[0, 0]
+    return (LowPassDrift(np.maximum(drift.sigma, np.sqrt(least / unit)), *DRIFT_CORNERS), *fluctuations)

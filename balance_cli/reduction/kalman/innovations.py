@@ -1,9 +1,9 @@
-"""Whether the innovations of a filter are what it takes them for: of the size that it states, and white.
+"""Tests of the innovations of a filter: of their covariance, and for whiteness.
 
-With e[k] in units in which its covariance should be one, the mean of e' e / c (normalised innovation squared, NIS) is
-one, and the mean of N rho_l^2 over lags l and channels too, rho_l being the autocorrelations (Bar-Shalom, Li and
-Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.4; Box and Pierce, J. Am. Stat.
-Assoc. 65, 1970, 1509).
+With e[k] in units in which its covariance should be one, the mean of e' e / c (normalized innovation squared, NIS) is
+one for a consistent filter, and so is the mean of N rho_l^2 over lags l and channels, where rho_l are the
+autocorrelations (Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section
+5.4; Box and Pierce, J. Am. Stat. Assoc. 65, 1970, 1509).
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LAGS = 20
+"""Lags of the whiteness test, the usual number for a Box-Pierce test of long series."""
 
 
 @dataclass(frozen=True)
 class InnovationTests:
-    """NIS per channel and sample, and `whiteness` (1: white), each with the standard deviation that chance gives it.
+    """NIS per channel and sample, and `whiteness` (1 if white), with their standard deviations for a consistent filter.
 
-    `channels` {name: its own mean square}: in units of what the channels before it in order leave open.
+    `channels` {name: mean square of its innovations, in units of their variance given the channels before it}.
     """
 
     nis: float
@@ -35,7 +36,7 @@ class InnovationTests:
 
 @dataclass
 class InnovationSums:
-    """What blocks of innovations (n, c) add up to."""
+    """Sums over blocks of innovations (n, c) of so many channels."""
 
     channels: int
     samples: int = 0
@@ -44,7 +45,7 @@ class InnovationSums:
     pairs: Array = field(default_factory=lambda: np.zeros(0))
 
     def add(self, innovations: Array) -> None:
-        """One block; products reach within it only."""
+        """Add a block; products of different blocks are not counted."""
         if not self.samples:
             self.squares, self.pairs = np.zeros(self.channels), np.zeros(LAGS)
             self.products = np.zeros((LAGS, self.channels))
@@ -55,16 +56,16 @@ class InnovationSums:
             self.pairs[lag - 1] += len(innovations) - lag
 
     def tests(self, names: tuple[str, ...]) -> InnovationTests | None:
-        """The tests; None where nothing was added."""
+        """Return the tests; None where there are no more samples than lags."""
         if self.samples <= LAGS:
             return None
-        mean = self.squares / self.samples
-        rho = self.products / np.maximum(self.pairs, 1.0)[:, None] / mean
+        mean_square = self.squares / self.samples
+        rho = self.products / np.maximum(self.pairs, 1.0)[:, None] / mean_square
         return InnovationTests(
-            nis=float(mean.mean()),
+            nis=float(mean_square.mean()),
             nis_sigma=float(np.sqrt(2.0 / (self.samples * self.channels))),
             whiteness=float(np.mean(self.pairs[:, None] * rho**2)),
             whiteness_sigma=float(np.sqrt(2.0 / (LAGS * self.channels))),
-            channels=dict(zip(names, mean.tolist(), strict=True)),
+            channels=dict(zip(names, mean_square.tolist(), strict=True)),
             samples=self.samples,
         )

@@ -1,4 +1,4 @@
-"""Loads as functions of time: what filters find, histories hold and the report draws."""
+"""Loads as functions of time: the results of filters, the contents of history files and of the report."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class LoadHistory:
 
 @dataclass(frozen=True)
 class LoadTrack:
-    """Amplitudes of the loads' harmonics from revolution to revolution.
+    """Harmonics of the loads from revolution to revolution.
 
-    time (r,) [s]: the middle of each; amplitude (r, n+1, m) = cosine - j sine, that of harmonic 0 the mean, not a
-    number in the first and the last revolution; sigma (r, n+1, m) of a cosine or sine. Components in the order of the
-    balance.
+    time (r,) [s]: the middle of each revolution; amplitude (r, n+1, m) = cosine - j sine, where harmonic 0 is the mean
+    and NaN in the first and the last revolution; sigma (r, n+1, m) of a cosine or sine. Components are in the order of
+    the balance.
     """
 
     time: Array

@@ -1,4 +1,4 @@
-"""From estimates block by block to what a user asks for: load histories, amplitudes that move, their mean."""
+"""Load histories and harmonics, revolution by revolution and on average, from blocks of estimates."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 EXTRA_HARMONICS = 4
-"""Harmonics regressed beyond those asked for, so that they do not leak into these."""
+"""Harmonics regressed beyond those that are kept, so that they do not leak into these."""
 
 
 @dataclass(frozen=True)
 class RecorderSettings:
-    """What turns estimates into loads: their `mean` (m,) with `mean_sigma`, components, clock and azimuth.
+    """What converts estimates to loads: mean loads (m,) with their sigma, components, sample times and azimuth.
 
-    `step` [s] between samples, `ahead` [s] of the states, `highest` harmonic, `revolutions` first and last of the mean
-    amplitudes; `pairs`: whether the outputs hold those of oscillators after the loads.
+    `step` [s] between samples, `state_lead_time` [s] of the states, `max_harmonic`, `revolutions` first and last of the
+    mean amplitudes; `has_oscillators`: whether the estimates hold the pairs of oscillators.
     """
 
     run: str
@@ -42,7 +42,7 @@ class RecorderSettings:
 
 
 class LoadRecorder:
-    """Takes estimates in order; hands load histories on; holds sums for amplitudes only."""
+    """Takes estimates in order, passes load histories to a sink, and keeps the sums for the harmonics."""
 
     def __init__(self, settings: RecorderSettings, sink: Callable[[LoadHistory], None] | None) -> None:
         self._settings, self._sink = settings, sink
@@ -55,7 +55,7 @@ class LoadRecorder:
         self._mean_sigma = np.full((turns, m), np.nan)
 
     def add(self, estimates: Estimates) -> None:
-        """One block; what lies outside the pulses is left out."""
+        """Add a block; samples before the first and after the last pulse are left out."""
         settings = self._settings
         time: Array = (
             estimates.first + np.arange(len(estimates.loads), dtype=float)
@@ -83,52 +83,54 @@ class LoadRecorder:
         self._moment += (basis * weight[:, None]).T @ loads
 
     def _add_revolution_means(self, psi: Array, loads: Array, sigma: Array) -> None:
-        """Means about the middle of each revolution, by a raised cosine over two: no harmonic leaks into these.
+        """Add to the mean of each revolution, weighted by a raised cosine over two revolutions about its middle.
 
-        A plain mean would take in a part of them: no whole number of samples makes a revolution.
+        A plain mean over a revolution would contain a part of the harmonics, because a revolution is not a whole number
+        of samples.
         """
         count, turns = psi / (2 * np.pi), self._settings.azimuth.turns
         before = np.floor(count - 0.5).astype(int)
         for turn in (before, before + 1):
-            mine = (turn >= 0) & (turn < turns)
-            weight = np.cos(0.5 * np.pi * (count - turn - 0.5)[mine]) ** 2
-            np.add.at(self._count, turn[mine], weight)
-            np.add.at(self._sums, turn[mine], loads[mine] * weight[:, None])
+            inside = (turn >= 0) & (turn < turns)
+            weight = np.cos(0.5 * np.pi * (count - turn - 0.5)[inside]) ** 2
+            np.add.at(self._count, turn[inside], weight)
+            np.add.at(self._sums, turn[inside], loads[inside] * weight[:, None])
         self._mean_sigma[np.minimum(count.astype(int), turns - 1)] = sigma
 
     def _add_marked(self, marked: MarkedEstimates) -> None:
-        """Amplitudes alpha - j beta, the pairs being p + j q = (alpha + j beta) exp(-j n psi)."""
+        """Add the amplitudes alpha - j beta of pairs p + j q = (alpha + j beta) exp(-j n psi)."""
         settings, m = self._settings, self._sums.shape[1]
         count = settings.azimuth.extrapolated_count(marked.samples * settings.step + settings.state_lead_time)
         turn = np.clip(count.astype(int), 0, settings.azimuth.turns - 1)
         shape = (len(turn), m, settings.max_harmonic, 2)
-        z, spread = marked.outputs.reshape(shape), marked.variance.reshape(shape).mean(axis=3)
-        turned = np.exp(-2j * np.pi * count[:, None] * np.arange(1, settings.max_harmonic + 1))
-        self._harmonic_amplitudes[turn] = np.conj(z[..., 0] + 1j * z[..., 1]).swapaxes(1, 2) * turned[:, :, None]
-        self._sigma[turn] = np.sqrt(spread.swapaxes(1, 2))
+        pairs, variance = marked.outputs.reshape(shape), marked.variance.reshape(shape).mean(axis=3)
+        phasors = np.exp(-2j * np.pi * count[:, None] * np.arange(1, settings.max_harmonic + 1))
+        amplitudes = np.conj(pairs[..., 0] + 1j * pairs[..., 1])
+        self._harmonic_amplitudes[turn] = amplitudes.swapaxes(1, 2) * phasors[:, :, None]
+        self._sigma[turn] = np.sqrt(variance.swapaxes(1, 2))
 
     def mean_amplitudes(self) -> ComplexArray:
-        """Harmonics 0 to `highest` (n + 1, m) over the revolutions of the frame, by regression on azimuth."""
+        """Return harmonics 0 to `max_harmonic` (n + 1, m) over the settings' revolutions, by regression on azimuth."""
         n = self._settings.max_harmonic
-        found = np.linalg.solve(self._gram, self._moment)
-        amplitude = found[: n + 1].astype(complex)
-        amplitude[1:] -= 1j * found[n + EXTRA_HARMONICS + 1 : 2 * n + EXTRA_HARMONICS + 1]
+        coefficients = np.linalg.solve(self._gram, self._moment)
+        amplitude = coefficients[: n + 1].astype(complex)
+        amplitude[1:] -= 1j * coefficients[n + EXTRA_HARMONICS + 1 : 2 * n + EXTRA_HARMONICS + 1]
         return amplitude
 
     def track(self) -> LoadTrack | None:
-        """Amplitudes from revolution to revolution; None where no oscillators follow them."""
+        """Return the harmonics from revolution to revolution; None without oscillators."""
         if not self._settings.has_oscillators:
             return None
-        steady = self._sums / np.maximum(self._count, 1.0)[:, None]
-        steady[[0, -1]] = np.nan
-        amplitude = np.concatenate([steady[:, None, :].astype(complex), self._harmonic_amplitudes], axis=1)
+        means = self._sums / np.maximum(self._count, 1.0)[:, None]
+        means[[0, -1]] = np.nan
+        amplitude = np.concatenate([means[:, None, :].astype(complex), self._harmonic_amplitudes], axis=1)
         sigma = np.concatenate([self._mean_sigma[:, None, :], self._sigma], axis=1)
         middle = self._settings.azimuth.time_of(np.arange(self._settings.azimuth.turns) + 0.5)
         return LoadTrack(middle, amplitude, sigma)
 
 
 def _load_history(settings: RecorderSettings, time: Array, loads: Array, sigma: Array) -> LoadHistory:
-    mine = [COMPONENTS.index(name) for name in settings.components]
+    columns = [COMPONENTS.index(name) for name in settings.components]
     values = np.full((2, len(time), len(COMPONENTS)), np.nan)
-    values[0][:, mine], values[1][:, mine] = loads, sigma
+    values[0][:, columns], values[1][:, columns] = loads, sigma
     return LoadHistory(settings.run, time, values[0], values[1])
