@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -147,12 +147,14 @@ def _response_source(
     session: Session, calibration: Calibration, model: Path | None, transfer: Path | None, interpolation: str
 ) -> ResponseSource:
     """Return the response. UserError where its geometry is not that of the calibration."""
+    from balance_cli.steps.reduction_inputs import require_same_geometry
+
     if model is not None:
         from balance_cli.estimation.identified_model import IdentifiedModel
         from balance_cli.reduction import model_sources
 
         identified: IdentifiedModel = session.artefact(model, {"balance-model/1": IdentifiedModel}, "model").content
-        _check_geometry(identified.geometry, calibration, model)
+        require_same_geometry(identified.geometry, calibration, str(model))
         return model_sources.model_source(identified)
     from balance_cli.reduction.response_sources import static_source, transfer_source
 
@@ -160,46 +162,19 @@ def _response_source(
         from balance_cli.signals.response.transfer import Transfer
 
         measured: Transfer = session.artefact(transfer, {"balance-transfer/1": Transfer}, "transfer").content
-        _check_geometry(measured.geometry, calibration, transfer)
+        require_same_geometry(measured.geometry, calibration, str(transfer))
         return transfer_source(measured, interpolation)
     return static_source(calibration)
-
-
-def _check_geometry(geometry: Any, calibration: Calibration, path: Path) -> None:
-    from balance_cli.campaign.rig.geometry_file import geometry_digest
-
-    digests = {geometry_digest(item.model_copy(update={"effects": ()})) for item in (geometry, calibration.geometry)}
-    if len(digests) > 1:
-        raise UserError(
-            f"was made from another geometry (`{geometry.name}`) than the calibration (`{calibration.geometry.name}`)",
-            str(path),
-            "geometry",
-            "Make both from the same geometry file",
-        )
 
 
 def _load_zero_record(
     session: Session, calibration: Calibration, path: Path | None, records: tuple[Run, ...]
 ) -> ZeroRecord | None:
-    from balance_cli.campaign.recording.channel_health import live_channels
-    from balance_cli.reduction.mean_loads import zero_record
+    from balance_cli.steps.reduction_inputs import zero_reference
 
-    zeros = [run for run in records if run.kind == "zero"]
     if path is not None:
-        zeros = list(session.runs([path], calibration.geometry, role="zero"))
-        if zeros[0].kind != "zero":
-            raise UserError(
-                f"is a {zeros[0].kind} run", str(path), "attribute `kind`", "Give a wind-off record of kind `zero`"
-            )
-    if len(zeros) > 1:
-        raise UserError(
-            "more than one zero run: " + ", ".join(run.name for run in zeros), "RUN...", remedy="Choose one with --zero"
-        )
-    if not zeros:
-        return None
-    live = live_channels(zeros[0], calibration.geometry).live
-    dc_channels = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
-    return zero_record(zeros[0], [name for name in dc_channels if name in live])
+        return zero_reference(session.runs([path], calibration.geometry, role="zero"), calibration)
+    return zero_reference([run for run in records if run.kind == "zero"], calibration)
 
 
 def _accept_run(session: Session, run: Run) -> bool:

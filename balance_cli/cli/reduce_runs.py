@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from balance_cli.reduction.mean_loads import ZeroRecord
     from balance_cli.reduction.response_sources import ResponseSource
     from balance_cli.reduction.result import RunLoads
-    from balance_cli.steps.reduce_in_time import TimeOptions, TimeReduction
+    from balance_cli.steps.reduce_in_time import TimeOptions
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,7 @@ class Reduction:
 
     def _reduce_in_time(self, run: Run, history: _HistoryWriter) -> RunLoads:
         from balance_cli.steps.reduce_in_time import reduce_run_in_time
+        from balance_cli.steps.reduction_inputs import loads_with_filter_tests
 
         options = self.method.options()
         time_reduction = reduce_run_in_time(
@@ -108,26 +109,7 @@ class Reduction:
         )
         if time_reduction.track is not None and history.is_enabled:
             history.file.add_harmonics(time_reduction.track, time_reduction.loads.components)
-        return _add_filter_tests(time_reduction, options)
-
-
-def _add_filter_tests(time_reduction: TimeReduction, options: TimeOptions) -> RunLoads:
-    """Return the loads with the tests of the filter; a channel that was lost only for a time is not left out."""
-    from balance_cli.reduction.result import TimeDomainResult
-
-    lag = None if options.smooth else options.lag
-    in_time = TimeDomainResult(
-        options.load_model,
-        lag,
-        time_reduction.innovations,
-        time_reduction.track,
-        time_reduction.noise,
-        time_reduction.gap_notes,
-    )
-    left_out = {
-        name: reason for name, reason in time_reduction.loads.left_out.items() if name not in time_reduction.noise
-    }
-    return replace(time_reduction.loads, in_time=in_time, left_out=left_out)
+        return loads_with_filter_tests(time_reduction, options)
 
 
 def _check_name(run: Run, folder: Path | None) -> None:

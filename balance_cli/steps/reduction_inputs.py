@@ -1,0 +1,62 @@
+"""What a reduction checks and prepares before its first run, and how it reports a reduction in time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.channel_health import live_channels
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_file import geometry_digest
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.mean_loads import ZeroRecord, zero_record
+from balance_cli.reduction.result import RunLoads, TimeDomainResult
+from balance_cli.steps.reduce_in_time import TimeOptions, TimeReduction
+
+
+def require_same_geometry(geometry: Geometry, calibration: Calibration, file: str = "") -> None:
+    """Raise UserError where the geometries of a response and a calibration differ in more than their effects."""
+    digests = {geometry_digest(item.model_copy(update={"effects": ()})) for item in (geometry, calibration.geometry)}
+    if len(digests) > 1:
+        raise UserError(
+            f"was made from another geometry (`{geometry.name}`) than the calibration (`{calibration.geometry.name}`)",
+            file,
+            "geometry",
+            "Make both from the same geometry file",
+        )
+
+
+def zero_reference(zeros: Sequence[Run], calibration: Calibration) -> ZeroRecord | None:
+    """Return the wind-off record that mean loads count from, None without one.
+
+    Raises UserError for several runs, and for a run of another kind.
+    """
+    if len(zeros) > 1:
+        names = ", ".join(run.name for run in zeros)
+        raise UserError(f"more than one zero run: {names}", "RUN...", remedy="Choose one with --zero")
+    if not zeros:
+        return None
+    run = zeros[0]
+    if run.kind != "zero":
+        place = str(run.path or run.name)
+        raise UserError(f"is a {run.kind} run", place, "attribute `kind`", "Give a wind-off record of kind `zero`")
+    live = live_channels(run, calibration.geometry).live
+    dc_channels = [channel.name for channel in calibration.geometry.channels if channel.measures_dc]
+    return zero_record(run, [name for name in dc_channels if name in live])
+
+
+def loads_with_filter_tests(time_reduction: TimeReduction, options: TimeOptions) -> RunLoads:
+    """Return the loads with the tests of the filter; a channel that was lost only for a time is not left out."""
+    in_time = TimeDomainResult(
+        load_model=options.load_model,
+        lag=None if options.smooth else options.lag,
+        innovations=time_reduction.innovations,
+        track=time_reduction.track,
+        noise=time_reduction.noise,
+        gap_notes=time_reduction.gap_notes,
+    )
+    loads = time_reduction.loads
+    left_out = {name: reason for name, reason in loads.left_out.items() if name not in time_reduction.noise}
+    return replace(loads, in_time=in_time, left_out=left_out)
