@@ -114,7 +114,7 @@ def _add_hidden_effects(rig: TrueRig, one: Case, hidden: Sequence[HiddenEffect])
     """The rig with all that is hidden in it."""
     if one.kind == "unknown":
         rng = np.random.default_rng([_noise_seed(one), 2])
-        return rig.extended(unknown_effect(one.hidden[0], rig.geometry.channel_names, rng))
+        return rig.with_extensions(unknown_effect(one.hidden[0], rig.geometry.channel_names, rng))
     if one.kind == "untestable":
         candidate = parse_candidate(one.hidden[0], load_geometry(GEOMETRY))
         large = {

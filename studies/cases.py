@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, blade_loads, statics
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, blade_loads, static_plans
 
 EXCITATIONS = ("multisine", "random", "stepped")
 SIZES = (25.0, 1e4)
@@ -174,4 +174,4 @@ def plan(excitation: str, static: bool = True) -> CampaignPlan:
         for name, level in HIGH_SWEEP_LEVELS.items()
     )
     check = RotorPlan(run="check-1", rotor_speed=17.5, duration=10.0, harmonics=blade_loads("Fx", "Fz", "My"))
-    return CampaignPlan(runs=(*(statics() if static else ()), *sweeps, check))
+    return CampaignPlan(runs=(*(static_plans() if static else ()), *sweeps, check))

@@ -44,7 +44,7 @@ def noise_free_measurements(rig: TrueRig, seed: int) -> list[RunSpectrum | Stati
 
 
 def _noise_free_points(rig: TrueRig, plan: StaticPlan, seed: int) -> StaticPoints:
-    run, _ = simulate_run(rig, plan, Noise().scaled(0.0), seed)
+    run, _ = simulate_run(rig, plan, Noise().scale_by(0.0), seed)
     block = run.read()
     assert block.loads is not None
     names = run.channel_names
@@ -53,7 +53,7 @@ def _noise_free_points(rig: TrueRig, plan: StaticPlan, seed: int) -> StaticPoint
 
 def _steady_lines(rig: TrueRig, plan: SweepPlan, seed: int) -> RunSpectrum:
     """The last of many periods: the start transient has gone."""
-    run, _ = simulate_run(rig, plan.model_copy(update={"periods": 14}), Noise().scaled(0.0), seed)
+    run, _ = simulate_run(rig, plan.model_copy(update={"periods": 14}), Noise().scale_by(0.0), seed)
     samples = round(plan.period * plan.sample_rate)
     block = run.read(run.samples - samples, run.samples)
     assert block.loads is not None
@@ -104,7 +104,7 @@ def _add_noise_to_lines(noise_free_data: RunSpectrum, geometry: Geometry, rng: n
     noise = Noise()
     samples = 3200
     by_name = {channel.name: channel for channel in geometry.channels}
-    sigma = np.array([noise.of(by_name[name]) for name in noise_free_data.channel_names] + [noise.load])
+    sigma = np.array([noise.sigma_of_channel(by_name[name]) for name in noise_free_data.channel_names] + [noise.load])
     # E|X|^2 of X = 2/N sum x exp(-j w t) is 4 sigma^2 / N.
     per_part = sigma * np.sqrt(2.0 / samples)
     shape = (PERIODS, len(noise_free_data.frequency), len(sigma))

@@ -146,15 +146,15 @@ def _rig_with_wrong_channels(geometry: Geometry, rng: np.random.Generator, durat
     sensitivity = np.array([channel.sensitivity for channel in geometry.channels])
     rig = true_rig(geometry, sensitivities=sensitivity * (1 + SENSITIVITY * rng.standard_normal(len(sensitivity))))
     piezo = tuple(channel.name for channel in geometry.channels if not channel.measures_dc)
-    return rig.extended(TimeDelay(where=piezo, delay=PIEZO_DELAY))
+    return rig.with_extensions(TimeDelay(where=piezo, delay=PIEZO_DELAY))
 
 
 def _rig_in_maneuver(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
-    return true_rig(geometry).extended(Maneuver(start=0.55 * duration))
+    return true_rig(geometry).with_extensions(Maneuver(start=0.55 * duration))
 
 
 def _rig_in_broad_turbulence(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
-    return true_rig(geometry).extended(BroadTurbulence(seed=int(rng.integers(2**31))))
+    return true_rig(geometry).with_extensions(BroadTurbulence(seed=int(rng.integers(2**31))))
 
 
 EXACT, BROAD, SYSTEM, CHANNELS = "exact model", "exact model, broad turbulence", "system matrix wrong", "T wrong"

@@ -22,7 +22,7 @@ from balance_cli.reduction.kalman.load_history import LoadHistory
 from balance_cli.reduction.kalman.load_models import BandLimitedNoise, LowPassDrift, Oscillators
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.simulation import simulate_campaign, simulate_run, true_rig
-from balance_cli.simulation.plans import WIND_ON_LOADS, CampaignPlan, LoadStep, RotorPlan, blade_loads, statics
+from balance_cli.simulation.plans import WIND_ON_LOADS, CampaignPlan, LoadStep, RotorPlan, blade_loads, static_plans
 from balance_cli.steps import reduce_in_time
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import IdentifyOptions, identify
@@ -59,7 +59,7 @@ def maneuver_plan() -> RotorPlan:
 def maneuver_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
     """Figures of one manoeuvre, one row a component and method."""
     rig = true_rig(geometry)
-    static_runs, _ = simulate_campaign(rig, CampaignPlan(runs=statics()), seed=seed)
+    static_runs, _ = simulate_campaign(rig, CampaignPlan(runs=static_plans()), seed=seed)
     calibration = calibrate(static_runs, geometry)
     source = model_source(identify(Spectra((), (), {}, {}), geometry, IdentifyOptions(method="computed")))
     run, truth = simulate_run(rig, maneuver_plan(), seed=seed)

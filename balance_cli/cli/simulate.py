@@ -42,7 +42,13 @@ if TYPE_CHECKING:
     metavar="[EFFECT:]NAME=VALUE",
     help="A parameter of an effect, SI units; with several effects name it as in `--effect` (repeatable).",
 )
-@click.option("--draw", is_flag=True, help="Draw the true rig from the tolerances; otherwise it is as declared.")
+@click.option(
+    "--sample-tolerances",
+    "draw",
+    is_flag=True,
+    help="Sample the true rig from the declared tolerances; otherwise it is as declared.",
+)
+@deprecated_option("--draw", "--sample-tolerances", "draw", is_flag=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of all random numbers.")
 @click.option(
     "--noise",
@@ -78,7 +84,7 @@ def command(
     declared = session.geometry(geometry)
     runs = _load_plan(plan, only, declared)
     rig = apply_effects(_make_true_rig(declared, draw, seed), (*declared.effects, *_parse_effects(effects, parameters)))
-    level = replace(Noise(), single_precision=not double).scaled(noise)
+    level = replace(Noise(), single_precision=not double).scale_by(noise)
     pairs = session.progress(iterate_simulated_runs(rig, runs, level, seed), "runs", total=len(runs.runs))
     summary = _write_campaign(
         session, output, rig, runs, pairs, {"geometry": declared.name, "seed": seed, "noise": noise}
@@ -114,7 +120,7 @@ def _load_plan(plan: str, only: tuple[str, ...], geometry: Geometry) -> Campaign
     for name in only:
         if name not in names:
             raise UserError(f"the plan has no run `{name}`", "--only", remedy=f"It has {', '.join(names)}")
-    return whole.only(only) if only else whole
+    return whole.select_runs(only) if only else whole
 
 
 def _make_true_rig(geometry: Geometry, draw: bool, seed: int) -> TrueRig:

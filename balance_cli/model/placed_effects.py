@@ -1,4 +1,4 @@
-"""Effects at their places: as declared, as parameters of a model, and as acting on its equations."""
+"""Effects at their places: as declared in a geometry, as parameters of a model, and as terms of its equations."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 from balance_cli.model.parameters import ParameterSet
 
-# More places than this are described in words.
 MOST_LISTED_PLACES = 20
+"""More places than this are described in words: a longer list does not fit in an error message."""
 
 
 def effect_label(name: str, where: Where) -> str:
@@ -27,7 +27,7 @@ def effect_label(name: str, where: Where) -> str:
 
 @dataclass(frozen=True)
 class PlacedEffect:
-    """An effect at one place, with its parameters there and what is declared of them.
+    """An effect at one place, with its parameters there and their declared values.
 
     Where the effect has a choice, its word is the last name of `where`.
     """
@@ -43,22 +43,27 @@ class PlacedEffect:
         return effect_label(self.effect.name, self.where)
 
     def full_name(self, parameter: EffectParameter) -> str:
-        """Name of a fitted parameter among all of a model: `channel-gain@x.strain.gain`."""
+        """Name of a fitted parameter among all parameters of a model, as in `NAME@PLACE.gain`."""
         return f"{self.label}.{parameter.fitted_name}"
 
     def start(self, parameter: EffectParameter) -> float:
-        """Where a fit begins: at what is declared, if anything is."""
+        """The fitted value at which a fit begins: the declared one, if there is one."""
         if parameter.name not in self.declared:
             return parameter.fitted_start
         return parameter.fitted_value(float(self.declared[parameter.name]))
 
 
-def place_effect(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
-    """The effect of this name at this place. UserError where there is no such effect, or not there."""
+def find_effect(name: str) -> Effect:
+    """The effect of this name. Raises UserError where there is none."""
     by_name = {effect.name: effect for effect in library.EFFECTS}
     if name not in by_name:
         raise UserError(f"there is no effect `{name}`", place="effects", remedy=_nearest(name, tuple(by_name)))
-    effect = by_name[name]
+    return by_name[name]
+
+
+def place_effect(name: str, where: Sequence[str], geometry: Geometry) -> PlacedEffect:
+    """The effect of this name at this place. Raises UserError where there is no such effect or place."""
+    effect = find_effect(name)
     at = _resolve_place(effect, tuple(where), geometry)
     return PlacedEffect(effect, at, effect.parameters(geometry, at), {})
 
@@ -71,7 +76,7 @@ def declare_effect(placed_effect: PlacedEffect, fitted: Mapping[str, float]) -> 
 
 
 def _resolve_place(effect: Effect, where: Where, geometry: Geometry) -> Where:
-    """The place as the effect knows it; where it knows one order of the names only, any order will do."""
+    """The place as the effect names it; the order of the names matters only where the effect has both orders."""
     places = effect.places(geometry)
     if where in places:
         return where
@@ -101,7 +106,7 @@ def _nearest_of_many(effect: Effect, where: Where, known: Sequence[str]) -> str:
 
 
 def check_effects(geometry: Geometry, file: str) -> None:
-    """UserError, with the file named, for an effect of a geometry that is unknown or cannot be there."""
+    """Raises UserError, with the file named, for an effect of a geometry that is unknown or cannot be there."""
     try:
         declared_effects(geometry)
     except UserError as error:
@@ -111,15 +116,15 @@ def check_effects(geometry: Geometry, file: str) -> None:
 def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
     """The effects of a geometry, in the order in which they act.
 
-    UserError for one that is unknown, has no such place or parameter, or stands twice.
+    Raises UserError for one that is unknown, has no such place or parameter, or is declared twice.
     """
-    found = [_place_declared_effect(item, geometry, i) for i, item in enumerate(geometry.effects)]
-    labels = [placed_effect.label for placed_effect in found]
+    placed = [_place_declared_effect(item, geometry, i) for i, item in enumerate(geometry.effects)]
+    labels = [placed_effect.label for placed_effect in placed]
     for i, label in enumerate(labels):
         if label in labels[:i]:
-            raise UserError(f"`{label}` stands twice", place=f"effects[{i}]", remedy="Remove one of them")
+            raise UserError(f"`{label}` is declared twice", place=f"effects[{i}]", remedy="Remove one of them")
     order = [effect.name for effect in library.EFFECTS]
-    return tuple(sorted(found, key=lambda item: (order.index(item.effect.name), item.where)))
+    return tuple(sorted(placed, key=lambda item: (order.index(item.effect.name), item.where)))
 
 
 def _place_declared_effect(item: DeclaredEffect, geometry: Geometry, index: int) -> PlacedEffect:
@@ -142,7 +147,7 @@ def _place_declared_effect(item: DeclaredEffect, geometry: Geometry, index: int)
 
 
 def _where_with_choice(item: DeclaredEffect) -> Where:
-    """The names of the place, the word that is declared for the effect's choice among them."""
+    """The names of the place, followed by the declared word of the effect's choice."""
     choice = next((effect.choice for effect in library.EFFECTS if effect.name == item.name), None)
     if choice is None or choice.name not in item.parameters:
         return item.where
@@ -154,12 +159,12 @@ def _where_with_choice(item: DeclaredEffect) -> Where:
 
 
 def needs_mean(geometry: Geometry) -> bool:
-    """Whether an effect of the geometry shows in means and waveforms, which are not needed otherwise."""
+    """Whether an effect of the geometry needs the means and waveforms of the records."""
     return any(placed_effect.effect.needs_mean for placed_effect in declared_effects(geometry))
 
 
 def effect_parameters(effects: Sequence[PlacedEffect]) -> ParameterSet:
-    """Parameters of the effects: they start as declared and nothing more is known of them."""
+    """Parameters of the effects; they start as declared and have no prior."""
     rows = [(placed_effect, parameter) for placed_effect in effects for parameter in placed_effect.parameters]
     bounds = np.array([parameter.fitted_bounds for _, parameter in rows]).reshape(-1, 2)
     return ParameterSet(
@@ -176,7 +181,7 @@ def effect_parameters(effects: Sequence[PlacedEffect]) -> ParameterSet:
 def apply_placed_effects(
     equations: Equations, geometry: Geometry, effects: Sequence[PlacedEffect], value: Mapping[str, Dual]
 ) -> Equations:
-    """The equations with these effects added in turn, `value` holding all parameters of the model by name."""
+    """The equations with these effects added in turn; `value` holds all parameters of the model by name."""
     for placed_effect in effects:
         values = {
             parameter.fitted_name: value[placed_effect.full_name(parameter)] for parameter in placed_effect.parameters
@@ -186,7 +191,7 @@ def apply_placed_effects(
 
 
 def add_effects(geometry: Geometry, words: Sequence[str]) -> Geometry:
-    """The geometry with effects added as the command line names them: NAME[@PLACE[,PLACE]]."""
+    """The geometry with effects added that are named as on the command line: NAME[@PLACE[,PLACE]]."""
     added = []
     for word in words:
         name, _, where = word.partition("@")
@@ -200,5 +205,5 @@ def add_effects(geometry: Geometry, words: Sequence[str]) -> Geometry:
 
 
 def without_effects(geometry: Geometry) -> Geometry:
-    """The rigid balance alone."""
+    """The geometry of the rigid balance, without effects."""
     return geometry.model_copy(update={"effects": ()})

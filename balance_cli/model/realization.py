@@ -107,7 +107,7 @@ def _block_diagonal_array(blocks: Sequence[Array]) -> Array:
     return np.asarray(block_diag(*blocks), float)
 
 
-def gain(value: ArrayLike) -> Realization:
+def static_gain_system(value: ArrayLike) -> Realization:
     """A system without states, y = D u; D (o, i), or a number."""
     D = np.atleast_2d(np.asarray(value, float))
     return Realization(np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((len(D), 0)), D)

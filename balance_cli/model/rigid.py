@@ -50,7 +50,7 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         mixing=constant(np.eye(len(geometry.channels)), p),
         center=stack([value[f"centre_of_gravity.{axis}"] for axis in "xyz"]),
         freedom=tuple(free_index(geometry)),
-        base=constant(np.zeros((6, n)), p),
+        non_metric_motion=constant(np.zeros((6, n)), p),
         row_factor=constant(np.ones(n), p),
         own_stiffness=np.zeros(n),
         channel_offset=constant(np.zeros(len(geometry.channels)), p),

@@ -72,7 +72,9 @@ def state_space(system: System, spin: float = 0.0) -> StateSpace:
     read = sorted({path.spring for path in system.equations.paths})
     forces = modal_form(proper_part(_structural_descriptor(system, spin, read)))
     volts = parallel([_channel_filters(path) for path in system.equations.paths])
-    of_spring = static_gain_system(np.array([[float(path.spring == spring) for spring in read] for path in system.equations.paths]))
+    of_spring = static_gain_system(
+        np.array([[float(path.spring == spring) for spring in read] for path in system.equations.paths])
+    )
     whole = series(series(forces, of_spring), volts)
     delay = np.array([0.0 if path.delay is None else float(path.delay.value) for path in system.equations.paths])
     return StateSpace(system.channel_names, whole.A, whole.B, whole.C, whole.D, delay, system.equations.mixing.value)

@@ -119,7 +119,7 @@ def record_samples(
     through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=grid.oversampling)
     volts = through(_channel_volts(rig, forces, grid.step, acquisition.random_stream(plan, "pickup")))[: grid.samples]
     recorded = through(_recorded_loads(rig, commanded_loads, plan.kind))[: grid.samples]
-    sigma = np.array([noise.of(channel) for channel in geometry.channels])
+    sigma = np.array([noise.sigma_of_channel(channel) for channel in geometry.channels])
     noisy = volts + sigma * rng.standard_normal(volts.shape)
     applied = np.any(commanded_loads != 0, axis=0)
     read = recorded + np.where(applied, noise.load * rng.standard_normal(recorded.shape), 0.0)

@@ -52,7 +52,7 @@ def rigid_plate(rig: TrueRig) -> Mechanics:
         cell_stiffness=rig.stiffness,
         torque_row=np.zeros(n),
         plate=np.eye(6)[:, free],
-        base=np.zeros((6, n)),
+        non_metric_motion=np.zeros((6, n)),
         cg=rig.cg,
     )
     return _with_shaft(plate, rig) if geometry.torque_meter else plate

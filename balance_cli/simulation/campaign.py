@@ -43,7 +43,7 @@ def _group_by_dynamics(rig: TrueRig, plans: Sequence[SampledPlan]) -> Iterator[t
         mechanics = equations_of_motion(rig, plan.rotor_speed)
         key = (state_matrix(mechanics).tobytes(), plan.sample_rate)
         if key not in groups:
-            groups[key] = (RigDynamics.of(mechanics), [])
+            groups[key] = (RigDynamics.from_mechanics(mechanics), [])
         groups[key][1].append(plan)
     yield from groups.values()
 

@@ -51,7 +51,8 @@ class Mechanics:
     `mass`, `damping`, `stiffness` (n, n), the stiffness without that of the cells; `loads` (n, 6) [1, m];
     `cell_rows` (c, n): elongations d = rows q [m]; `cell_stiffness` (c,) [N/m]; `torque_row` (n,): twist [N m] in the
     shaft per coordinate. `names` (n,) of the coordinates. `plate` (6, n): motion x y z psi theta phi of the plate at
-    its centre of gravity `cg` (3,); `base` (6, n): that of the lower body at the rig's origin, none where it is rigid.
+    its center of gravity `cg` (3,); `non_metric_motion` (6, n): that of the non-metric side at the rig's origin, zero
+    where it is rigid.
     """
 
     names: tuple[str, ...]
@@ -63,7 +64,7 @@ class Mechanics:
     cell_stiffness: Array
     torque_row: Array
     plate: Array
-    base: Array
+    non_metric_motion: Array
     cg: Array
     branches: tuple[MaxwellBranch, ...] = field(default=())
     forces: tuple[NonlinearCellForce, ...] = field(default=())
@@ -85,7 +86,7 @@ class Mechanics:
 
     def non_metric_displacement(self, position: ArrayLike) -> Array:
         """Displacement (3, n) per coordinate of the lower body at `position` (3,) in rig axes."""
-        rows: Array = displacement_rows(position) @ self.base
+        rows: Array = displacement_rows(position) @ self.non_metric_motion
         return rows
 
     def with_springs(self, rows: Array, stiffness: Array) -> Mechanics:
@@ -107,7 +108,7 @@ class Mechanics:
             cell_rows=np.pad(self.cell_rows, wide),
             torque_row=np.pad(self.torque_row, (0, more)),
             plate=np.pad(self.plate, wide),
-            base=np.pad(self.base, wide),
+            non_metric_motion=np.pad(self.non_metric_motion, wide),
             branches=tuple(replace(b, row=np.pad(b.row, (0, more))) for b in self.branches),
         )
 

@@ -24,7 +24,7 @@ class RigDynamics:
     system: ModalSystem
 
     @classmethod
-    def of(cls, mechanics: Mechanics) -> RigDynamics:
+    def from_mechanics(cls, mechanics: Mechanics) -> RigDynamics:
         """The rig of these equations of motion."""
         return cls(mechanics, full_system(mechanics))
 
@@ -46,7 +46,7 @@ class RigDynamics:
 
 def nonlinear_forces(motion: RigDynamics, runs: Iterable[Array], step: float) -> list[Array]:
     """Nonlinear forces (n, m) of several runs, from their hub loads (n, 6); stepped through all runs at once."""
-    forces = NonlinearForces.of(motion.mechanics.forces)
+    forces = NonlinearForces.from_cell_forces(motion.mechanics.forces)
     gain = motion.system.static_gain()[motion.cells :]
     starts, linear = [], []
     for loads in runs:

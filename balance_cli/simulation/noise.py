@@ -34,7 +34,7 @@ class Noise:
     quantum: float = 20.0 / 2**16
     single_precision: bool = True
 
-    def scaled(self, factor: float) -> Noise:
+    def scale_by(self, factor: float) -> Noise:
         """All noise times `factor`; without noise (0) nothing is rounded either."""
         return replace(
             self,
@@ -48,7 +48,7 @@ class Noise:
             single_precision=self.single_precision and factor != 0,
         )
 
-    def of(self, channel: Channel) -> float:
+    def sigma_of_channel(self, channel: Channel) -> float:
         """Standard deviation [V] of a channel in a record."""
         if channel.torque_meter:
             return self.torque
@@ -63,4 +63,4 @@ class Noise:
         return values.astype(np.float32).astype(np.float64) if self.single_precision else values
 
 
-NO_NOISE = Noise().scaled(0.0)
+NO_NOISE = Noise().scale_by(0.0)

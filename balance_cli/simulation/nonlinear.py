@@ -35,7 +35,7 @@ class NonlinearForces:
     limit: Array
 
     @classmethod
-    def of(cls, forces: Sequence[NonlinearCellForce]) -> NonlinearForces:
+    def from_cell_forces(cls, forces: Sequence[NonlinearCellForce]) -> NonlinearForces:
         """The coefficients of all forces."""
         columns = [(f.k2, f.k3, f.stick_stiffness, f.limit) for f in forces]
         return cls(*np.array(columns, float).reshape(-1, 4).T)
@@ -109,7 +109,7 @@ class _Stepper:
     reach: Array
 
     @classmethod
-    def of(cls, system: ModalSystem, step: float) -> _Stepper:
+    def from_system(cls, system: ModalSystem, step: float) -> _Stepper:
         offsets = np.array([0, -1, -2, 1])
         decay = np.exp(system.poles * step)
         weights = np.array([hold_weights(pole, step, offsets) for pole in system.poles])
@@ -138,7 +138,7 @@ def integrate_nonlinear_forces(
     `system` takes these forces to elongations; `linear` (n, runs, m) are the elongations under the hub loads alone;
     `start` is the rest (runs, m) from which the records begin.
     """
-    stepper = _Stepper.of(system, step)
+    stepper = _Stepper.from_system(system, step)
     width = 2 * len(system.poles)
     m = linear.shape[2]
     slips, springs = bool(np.any(forces.limit)), bool(np.any(forces.k2) or np.any(forces.k3))

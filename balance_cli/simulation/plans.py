@@ -126,7 +126,7 @@ class CampaignPlan(FrozenModel):
             raise ValueError(f"run names are not unique: {', '.join(twice)}")
         return self
 
-    def only(self, names: Sequence[str]) -> CampaignPlan:
+    def select_runs(self, names: Sequence[str]) -> CampaignPlan:
         """Only the runs of these names."""
         return CampaignPlan(runs=tuple(plan for plan in self.runs if plan.run in names))
 
@@ -150,7 +150,7 @@ def blade_loads(*components: Component) -> dict[Component, tuple[float, ...]]:
     }
 
 
-def statics() -> tuple[StaticPlan, ...]:
+def static_plans() -> tuple[StaticPlan, ...]:
     """The two static runs: unloaded, and about lift and torque with 0.35 of the range."""
     small = {name: 0.35 * largest for name, largest in STATIC_LOAD_LIMITS.items()}
     return (
@@ -175,7 +175,7 @@ def standard_plan(rotor_speed: float = 17.5) -> CampaignPlan:
         RotorPlan(run=f"check-{i}", rotor_speed=factor * rotor_speed, harmonics=blade_loads(one, other))
         for i, (factor, one, other) in enumerate(pairs, 1)
     )
-    return CampaignPlan(runs=(*statics(), *sweeps, *checks, *_wind_plans(rotor_speed)))
+    return CampaignPlan(runs=(*static_plans(), *sweeps, *checks, *_wind_plans(rotor_speed)))
 
 
 def _wind_plans(rotor_speed: float) -> tuple[RotorPlan, ...]:
@@ -202,7 +202,7 @@ def short_plan(rotor_speed: float = 17.5) -> CampaignPlan:
         SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=2.0, periods=4)
         for name, level in HIGH_SWEEP_LEVELS.items()
     )
-    bare, trim = (plan.model_copy(update={"steps": 2}) for plan in statics())
+    bare, trim = (plan.model_copy(update={"steps": 2}) for plan in static_plans())
     every = get_args(Component)
     check = RotorPlan(run="check-1", rotor_speed=rotor_speed, duration=8.0, harmonics=blade_loads("Fz", "My"))
     wind = RotorPlan(

@@ -39,7 +39,7 @@ class TrueRig:
     torque_damping_ratio: float
     extensions: tuple[Extension, ...] = ()
 
-    def extended(self, *extensions: Extension) -> TrueRig:
+    def with_extensions(self, *extensions: Extension) -> TrueRig:
         """The same rig with further effects."""
         return replace(self, extensions=(*self.extensions, *extensions))
 
@@ -183,4 +183,4 @@ def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -
         for effect in effects
     ]
     order = list(EXTENSIONS)
-    return rig.extended(*sorted(found, key=lambda each: order.index(each.name)))
+    return rig.with_extensions(*sorted(found, key=lambda each: order.index(each.name)))

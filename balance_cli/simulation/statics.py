@@ -38,6 +38,6 @@ def static_forces(mechanics: Mechanics, loads: Array) -> Array:
     cells = len(mechanics.cell_rows) + 1
     if not mechanics.forces:
         return np.asarray(loads @ gain.T)
-    extra = solve_rest_state(NonlinearForces.of(mechanics.forces), gain[cells:], loads).force
+    extra = solve_rest_state(NonlinearForces.from_cell_forces(mechanics.forces), gain[cells:], loads).force
     forces: Array = np.hstack([loads, extra]) @ gain[:cells].T + forces_read_by_channels(mechanics, extra)
     return forces

@@ -38,7 +38,7 @@ def call(folder, *words, plan="plan.yaml"):
 
 
 def test_files_hold_what_the_step_gives(folder):
-    words = ("--draw", "--seed", "7", "--effect", "time-delay@z1.strain", "--parameter", "delay=0.002")
+    words = ("--sample-tolerances", "--seed", "7", "--effect", "time-delay@z1.strain", "--parameter", "delay=0.002")
     result = call(folder, *words, "--json", str(folder / "s.json"))
     assert result.exit_code == 0, result.output
     names = sorted(path.name for path in (folder / "out").iterdir())
@@ -50,13 +50,21 @@ def test_files_hold_what_the_step_gives(folder):
     rig = draw_rig(GEOMETRY, random_stream(7, "", "rig"))
     assert truth["rig"]["mass"] == rig.mass
     assert truth["rig"]["effects"][0]["parameters"] == {"delay": 0.002}
-    rig = rig.extended(extension("time-delay", ("z1.strain",), delay=0.002))
+    rig = rig.with_extensions(extension("time-delay", ("z1.strain",), delay=0.002))
     runs, truths = simulate_campaign(rig, read_plan(folder / "plan.yaml"), seed=7)
     np.testing.assert_array_equal(run.read().channels, runs[1].read().channels)
     with h5py.File(folder / "out" / "truth.hdf5") as file:
         np.testing.assert_array_equal(file["w/cosine"], truths[2].cosine)
         np.testing.assert_array_equal(file["f/loads"], truths[1].loads)
     assert open_run(folder / "out" / "w.h5").read().loads is None
+
+
+def test_the_former_name_of_sample_tolerances_works_with_a_warning(folder):
+    result = call(folder, "--draw", "--seed", "7", "--only", "s")
+    assert result.exit_code == 0, result.output
+    assert "--draw is deprecated; use --sample-tolerances" in result.stderr
+    truth = yaml.safe_load((folder / "out" / "truth.yaml").read_text())
+    assert truth["rig"]["mass"] == draw_rig(GEOMETRY, random_stream(7, "", "rig")).mass
 
 
 def test_only_and_noise(folder):

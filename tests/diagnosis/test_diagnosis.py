@@ -38,7 +38,7 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.effects.dry_friction import LEAST_FORCE_SHARE, STIFFNESS_BOUNDS
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, statics
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.diagnose import diagnose
 from balance_cli.steps.identify import IdentifyOptions, identify
@@ -48,7 +48,7 @@ from tests.support.unknown_effects import SaturatingChannel, TunedMass
 RIG = rotor_balance()
 PLAN = CampaignPlan(
     runs=(
-        *statics(),
+        *static_plans(),
         *(
             SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=8)
             for name, level in HIGH_SWEEP_LEVELS.items()
@@ -63,7 +63,7 @@ BENDS = SaturatingChannel(where=("z1.piezo",), limit=6.0)
 def simulated_spectra(*effects, seed=3):
     rig = true_rig(RIG)
     for effect in effects:
-        rig = apply_effects(rig, [effect]) if isinstance(effect, DeclaredEffect) else rig.extend_model(effect)
+        rig = apply_effects(rig, [effect]) if isinstance(effect, DeclaredEffect) else rig.with_extensions(effect)
     runs, _ = simulate_campaign(rig, PLAN, seed=seed)
     return measured_spectra(runs, RIG, means=True)
 

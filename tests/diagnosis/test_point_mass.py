@@ -11,7 +11,7 @@ from balance_cli.diagnosis.search.score_statistics import score_in_two_stages, s
 from balance_cli.diagnosis.selection.fit import fit_all_lines, start_fit
 from balance_cli.estimation.maximum_likelihood import penalized_chi2
 from balance_cli.model.balance import balance_model
-from balance_cli.model.effects.base import position_bound
+from balance_cli.model.effects.geometry_scales import position_bound
 from balance_cli.model.placed_effects import add_effects
 from tests.support.mass_campaign import DECLARED, PLACE, WEIGHED, Campaign, mass_and_place
 from tests.support.rigs import two_degrees_of_freedom

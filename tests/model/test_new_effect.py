@@ -68,7 +68,9 @@ def test_it_is_found_in_a_simulated_campaign(effect, blocks, tmp_path, monkeypat
     extension = module_of(blocks[1], "cell_dashpot_truth", tmp_path, monkeypatch).CellDashpot
     true = extension(("z1",), damping=TRUE_DAMPING)
     check_recovery(
-        recover_effect(effect.name, TrueEffect(("z1",), {"damping": TRUE_DAMPING}, lambda rig: rig.with_extensions(true)), 1)
+        recover_effect(
+            effect.name, TrueEffect(("z1",), {"damping": TRUE_DAMPING}, lambda rig: rig.with_extensions(true)), 1
+        )
     )
 
 

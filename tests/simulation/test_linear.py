@@ -154,17 +154,17 @@ def test_noise_is_white_and_as_declared():
 
 
 def test_campaign_repeats_and_runs_are_independent():
-    whole = short_plan().only(["sweep-Fx", "check-1", "static-bare"])
+    whole = short_plan().select_runs(["sweep-Fx", "check-1", "static-bare"])
     plan = whole.model_copy(update={"runs": (*whole.runs[:2], whole.runs[2].model_copy(update={"duration": 2.0}))})
     rig = true_rig(GEOMETRY)
     runs, truths = simulate_campaign(rig, plan, seed=5)
-    alone = simulate_campaign(rig, plan.only(["check-1"]), seed=5).runs[0]
+    alone = simulate_campaign(rig, plan.select_runs(["check-1"]), seed=5).runs[0]
     again = next(run for run in runs if run.name == "check-1")
     np.testing.assert_array_equal(alone.read().channels, again.read().channels)
     assert alone.digest == again.digest
-    other = simulate_campaign(rig, plan.only(["check-1"]), seed=6).runs[0]
+    other = simulate_campaign(rig, plan.select_runs(["check-1"]), seed=6).runs[0]
     assert np.max(np.abs(other.read().channels - alone.read().channels)) > 0.01
-    quiet = simulate_campaign(rig, plan.only(["check-1"]), NO_NOISE, seed=5).truths[0]
+    quiet = simulate_campaign(rig, plan.select_runs(["check-1"]), NO_NOISE, seed=5).truths[0]
     np.testing.assert_array_equal(quiet.loads, next(t for t in truths if t.name == "check-1").loads)
     assert quiet.cosine is not None
     assert quiet.sine is not None

@@ -64,7 +64,7 @@ def reference(rig, truth, extra_force, contact=(0.0, 0.0)):
 def test_polynomial_springs_against_general_integrator(name, key, value, power, side):
     channels = [c if c.lowpass is None else c.model_copy(update={"lowpass": None}) for c in OPEN.channels]
     rig = true_rig(OPEN.model_copy(update={"channels": tuple(channels)}))
-    rig = rig.extended(extension(name, ("z1",), **{key: value, "side": side}))
+    rig = rig.with_extensions(extension(name, ("z1",), **{key: value, "side": side}))
     run, truth = simulate_run(rig, PLAN, NO_NOISE)
     d, _, dx = reference(rig, truth, lambda e: value * e**power)
     felt = value * d**power if side == "inside" else 0.0
@@ -76,7 +76,7 @@ def test_polynomial_springs_against_general_integrator(name, key, value, power, 
 
 
 def test_slipping_contact_against_general_integrator():
-    rig = true_rig(OPEN).extended(extension("dry-friction", ("z1",), force=12.0, stick_stiffness=1e6))
+    rig = true_rig(OPEN).with_extensions(extension("dry-friction", ("z1",), force=12.0, stick_stiffness=1e6))
     run, truth = simulate_run(rig, PLAN, NO_NOISE)
     _, held, dx = reference(rig, truth, lambda e: 0.0, (1e6, 12.0))
     assert np.max(held) > 11.999
@@ -87,7 +87,7 @@ def test_slipping_contact_against_general_integrator():
 
 
 def test_runs_together_are_the_runs_alone():
-    rig = true_rig(GEOMETRY).extended(
+    rig = true_rig(GEOMETRY).with_extensions(
         extension("dry-friction", ("x",), force=2.0, stick_stiffness=1e6),
         extension("cubic-stiffness", ("z1", "z2"), k3=1e14),
     )
@@ -100,7 +100,7 @@ def test_runs_together_are_the_runs_alone():
 
 def test_contact_leaves_a_loop_in_the_static_calibration():
     geometry = rig_geometry(freedom=("x",))
-    rig = true_rig(geometry).extended(extension("dry-friction", ("x",), force=30.0, stick_stiffness=1e6))
+    rig = true_rig(geometry).with_extensions(extension("dry-friction", ("x",), force=30.0, stick_stiffness=1e6))
     plan = StaticPlan(run="s", largest={"Fx": 800.0}, steps=4)
     run, _ = simulate_run(rig, plan, NO_NOISE)
     cell = run.read().channels[:, 2] / 0.002
@@ -118,7 +118,7 @@ def test_contact_leaves_a_loop_in_the_static_calibration():
 
 def test_cubic_spring_at_rest_obeys_its_law():
     geometry = rig_geometry(freedom=("x",))
-    rig = true_rig(geometry).extended(extension("cubic-stiffness", ("x",), k3=1e13, side="beside"))
+    rig = true_rig(geometry).with_extensions(extension("cubic-stiffness", ("x",), k3=1e13, side="beside"))
     run, truth = simulate_run(rig, StaticPlan(run="s", largest={"Fx": 800.0}), NO_NOISE)
     d = run.read().channels[:, 2] / 0.002 / 3e6
     np.testing.assert_allclose(3e6 * d + 1e13 * d**3, truth.loads[:, 0], atol=1e-7)
@@ -133,6 +133,6 @@ def test_faults_name_the_nearest():
     with pytest.raises(UserError, match="not at z9"):
         equations_of_motion(apply_effects(rig, [DeclaredEffect(name="cubic-stiffness", where=("z9",))]))
     with pytest.raises(UserError, match="`sideways`"):
-        equations_of_motion(rig.extended(extension("cubic-stiffness", ("z1",), k3=1.0, side="sideways")))
+        equations_of_motion(rig.with_extensions(extension("cubic-stiffness", ("z1",), k3=1.0, side="sideways")))
     with pytest.raises(UserError, match="not a number"):
         extension("time-delay", ("torque",), delay="long")

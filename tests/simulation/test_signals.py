@@ -27,7 +27,7 @@ FREQUENCY = np.arange(2, 151)
 
 def spectra(*extensions, plan=SWEEP):
     """Amplitudes of channels and loads (149, .) in the last second."""
-    block = simulate_run(true_rig(GEOMETRY).extended(*extensions), plan, NO_NOISE)[0].read()
+    block = simulate_run(true_rig(GEOMETRY).with_extensions(*extensions), plan, NO_NOISE)[0].read()
     return (np.fft.rfft(part[-800:], axis=0)[FREQUENCY] / 400 for part in (block.channels, block.loads))
 
 
@@ -64,7 +64,7 @@ def test_misaligned_exciter_acts_but_is_not_measured():
     moment, _ = spectra(plan=SWEEP.model_copy(update={"excited": ("Mx",)}))
     np.testing.assert_array_equal(loads, PLAIN[1])
     np.testing.assert_allclose(channels[:, 1], PLAIN[0][:, 1] + 0.05 * moment[:, 1], rtol=1e-6)
-    rig = true_rig(GEOMETRY).extended(extension("exciter-misalignment", ("Fz", "Fx"), fraction=0.02))
+    rig = true_rig(GEOMETRY).with_extensions(extension("exciter-misalignment", ("Fz", "Fx"), fraction=0.02))
     wind = RotorPlan(run="w", kind="wind", rotor_speed=17.0, duration=1.0, harmonics={"Fz": (10.0,)})
     assert np.all(simulate_run(rig, wind)[1].loads[:, 0] == 0)
     at_rest = simulate_run(rig, STATIC, NO_NOISE)
@@ -90,7 +90,7 @@ def test_offsets_shift_what_is_read():
 
 
 def test_pickup_has_its_frequency_and_amplitude():
-    rig = true_rig(GEOMETRY).extended(extension("mains-pickup", ("torque",), amplitude=0.02, frequency=50.0))
+    rig = true_rig(GEOMETRY).with_extensions(extension("mains-pickup", ("torque",), amplitude=0.02, frequency=50.0))
     volts = simulate_run(rig, ZeroPlan(run="z", duration=2.0), NO_NOISE)[0].read().channels
     spectrum = np.abs(np.fft.rfft(volts[800:], axis=0)) / 400
     assert spectrum[50, 0] == pytest.approx(0.02, rel=1e-4)
@@ -105,7 +105,7 @@ def test_readings_at_rest_know_no_dynamics():
         extension("mains-pickup", ("x.strain",), amplitude=1.0),
         extension("high-pass", ("z1.strain",), cutoff=1.0),
     ]
-    volts = simulate_run(true_rig(GEOMETRY).extended(*effects), STATIC, NO_NOISE)[0].read().channels
+    volts = simulate_run(true_rig(GEOMETRY).with_extensions(*effects), STATIC, NO_NOISE)[0].read().channels
     plain = simulate_run(true_rig(GEOMETRY), STATIC, NO_NOISE)[0].read().channels
     np.testing.assert_array_equal(volts[:, 2], plain[:, 2])
     assert np.all(volts[:, 1] == 0)

@@ -22,7 +22,7 @@ S = 2j * np.pi * FREQUENCY
 
 
 def motion(geometry, *effects, speed=0.0):
-    return equations_of_motion(true_rig(geometry).extended(*effects), speed)
+    return equations_of_motion(true_rig(geometry).with_extensions(*effects), speed)
 
 
 def undamped_frequencies(mechanics):
@@ -32,7 +32,7 @@ def undamped_frequencies(mechanics):
 def lift_response(*effects, geometry=LIFT):
     """Force of cell z1 per Fz (149,), from the last second of a long sweep."""
     plan = SweepPlan(run="s", excited=("Fz",), level=(50.0,), period=1.0, periods=12)
-    block = simulate_run(true_rig(geometry).extended(*effects), plan, NO_NOISE)[0].read()
+    block = simulate_run(true_rig(geometry).with_extensions(*effects), plan, NO_NOISE)[0].read()
     volts, load = (np.fft.rfft(column[-800:])[FREQUENCY] for column in (block.channels[:, 1], block.loads[:, 2]))
     return volts / load / 0.002 * (1 + S / (2 * np.pi * 90))
 
@@ -72,7 +72,7 @@ def test_hub_on_flexible_mast():
     geometry = rig_geometry(freedom=("x",), acquisition={})
     effect = extension("mast-bending", ("x",), mass=mass, compliance_x=compliance, damping_ratio=ratio)
     plan = SweepPlan(run="s", excited=("Fx",), level=(50.0,), period=1.0, periods=12)
-    block = simulate_run(true_rig(geometry).extended(effect), plan, NO_NOISE)[0].read()
+    block = simulate_run(true_rig(geometry).with_extensions(effect), plan, NO_NOISE)[0].read()
     response = np.divide(*(np.fft.rfft(c[-800:])[FREQUENCY] for c in (block.channels[:, 3], block.loads[:, 0])))
     k = 3e6
     plate = (MASS - mass) * S**2 + 2 * 0.02 * np.sqrt(k * MASS) * S + k
@@ -166,7 +166,7 @@ def test_effects_act_in_the_order_of_the_list():
 
 
 def test_gyroscopic_rig_runs_at_speed_with_nonlinear_cell():
-    rig = true_rig(GEOMETRY).extended(
+    rig = true_rig(GEOMETRY).with_extensions(
         extension("gyroscopic-coupling", polar_inertia=0.5), extension("cubic-stiffness", ("z1",), k3=1e13)
     )
     plan = RotorPlan(run="c", rotor_speed=17.5, duration=0.5, harmonics={"Fz": (50.0,)})

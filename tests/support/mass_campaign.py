@@ -11,7 +11,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
-from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, statics
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, static_plans
 from balance_cli.simulation.rig import apply_effects
 from tests.support.rigs import rotor_balance
 
@@ -35,7 +35,7 @@ class Campaign:
             SweepPlan(run=f"sweep-{name}", excited=(name,), level=(level,), period=1.0, periods=8)
             for name, level in HIGH_SWEEP_LEVELS.items()
         )
-        runs, _ = simulate_campaign(rig, CampaignPlan(runs=(*statics(), *sweeps)), seed=seed)
+        runs, _ = simulate_campaign(rig, CampaignPlan(runs=(*static_plans(), *sweeps)), seed=seed)
         spectra = measured_spectra(runs, geometry, means=True)
         self.geometry, self.mass = geometry, mass
         self.batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from balance_cli.diagnosis.search.point_mass import MassScore, mass_parameter_indices, score_without_point_mass
 from balance_cli.estimation.measurements import Batch
 from balance_cli.model.balance import BalanceModel
-from balance_cli.model.effects.base import position_bound
+from balance_cli.model.effects.geometry_scales import position_bound
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.starting_values import REGRESSION_PRIOR_SCALES
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.effects import EFFECTS, EffectParameter, Where, added_mass
-from balance_cli.model.effects.base import position_bound
+from balance_cli.model.effects.geometry_scales import position_bound
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 from balance_cli.model.placed_effects import PlacedEffect, effect_parameters

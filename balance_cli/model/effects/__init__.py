@@ -1,6 +1,6 @@
-"""The library of effects, in the order in which they act. A new effect is one file and one line here.
+"""The library of effects, in the order in which they act; a new effect is one file and one line here.
 
-What the cells stand on comes first: cells that lean or resist sideways act on the motion relative to it.
+The support of the cells comes first: misaligned cells and transverse stiffness act on the motion relative to it.
 """
 
 from balance_cli.model.effects import (
@@ -26,7 +26,8 @@ from balance_cli.model.effects import (
     time_delay,
     transverse_stiffness,
 )
-from balance_cli.model.effects.base import Choice, Effect, EffectParameter, Where
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Choice, Where
 
 EFFECTS: tuple[Effect, ...] = (
     support_flexibility.EFFECT,

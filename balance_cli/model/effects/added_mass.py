@@ -1,10 +1,10 @@
-"""`added-mass`: a point mass on the moving part that the geometry does not know.
+"""`added-mass`: a point mass on the metric side that the geometry does not declare.
 
-With N = [I, R(p - g)] the motion of its point p per unit q,
+With N = [I, R(p - g)] the motion of its position p per unit q,
 
     M -> M + m N' N
 
-The damping matrix stays as it was.
+The damping matrix does not change.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, position_bound, whole_rig
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import position_bound
+from balance_cli.model.effects.places import Where, whole_rig
+from balance_cli.model.effects.search_hints import PointMassParameters, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import Equations
 
@@ -51,16 +54,16 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="added-mass",
-    summary="A point mass on the moving part that is not in the declared bodies.",
-    validity="A compact mass, rigidly fixed.",
+    summary="An undeclared point mass on the metric side.",
+    validity="A compact mass that is rigidly attached.",
     reference="Goldstein, Classical Mechanics, 2nd ed., 1980, chapter 5 (inertia tensor).",
-    signature="Eigenfrequencies off, static calibration as declared. Mass, centre of gravity and inertia of "
-    "the moving part say the same: with tolerances on these the data alone cannot tell, and the estimate rests on "
-    "them.",
-    separated_by="Weighing the moving part.",
+    signature="Eigenfrequencies differ from the computed ones while the static calibration agrees. Errors of the "
+    "declared mass, center of gravity and inertia of the metric side look the same: with tolerances on these, the "
+    "data alone cannot distinguish them, and the estimate depends on the tolerances.",
+    separated_by="Weigh the metric side.",
     place="none",
     places=whole_rig,
     parameters=_parameters,
     apply=_apply,
-    starts=_starts,
+    search=SearchHints(starts=_starts, point_mass=PointMassParameters("mass", ("x", "y", "z"))),
 )

@@ -1,11 +1,10 @@
-"""`cell-misalignment`: a cell's axis leans by two small angles.
+"""`cell-misalignment`: the axis of a cell is tilted by two small angles.
 
-With t1, t2 the unit vectors across the declared axis a (for a cell along x those of y and z, and so
-on in cyclic order),
+With t1, t2 the unit vectors perpendicular to the declared axis a (y and z for a cell along x, and so on cyclically),
 
     a -> (a + alpha_1 t1 + alpha_2 t2) / sqrt(1 + alpha_1^2 + alpha_2^2)
 
-and with it the cell's row of E: its force acts, and is read, along the leaning axis.
+and the cell's row of E follows: its force acts, and is measured, along the tilted axis.
 """
 
 from __future__ import annotations
@@ -16,7 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_cell, transverse_axes
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import transverse_axes
+from balance_cli.model.effects.places import Where, each_cell
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -47,13 +48,13 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="cell-misalignment",
-    summary="A cell does not stand along its declared axis.",
-    validity="Small angles, the same at every load; the foot of the cell stays where it is declared.",
+    summary="A cell is not aligned with its declared axis.",
+    validity="Small angles that do not depend on load; the lower end of the cell stays at its declared position.",
     reference="AIAA R-091-2003, Calibration and Use of Internal Strain-Gage Balances (linear interactions).",
-    signature="A fixed share of a transverse load in this cell, at rest as in motion, and opposite shares in "
-    "its neighbours: the cells still add up to the load.",
-    separated_by="A static calibration, with the exciter's own direction checked: an exciter that leans shows in all "
-    "cells under one load, a cell that leans in one cell under all loads.",
+    signature="A fixed fraction of a transverse load appears in this cell, in static and dynamic runs, and fractions "
+    "of opposite sign in its neighbors, so that the cells still add up to the load.",
+    separated_by="A static calibration with the direction of the exciter checked: a misaligned exciter shows in all "
+    "cells under one load, a misaligned cell in one cell under all loads.",
     place="a cell",
     places=each_cell,
     parameters=_parameters,

@@ -1,12 +1,16 @@
-"""`channel-gain`: a channel reads too much or too little, at every frequency alike."""
+"""`channel-gain`: a channel reads too much or too little by the same factor at every frequency."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, each_channel
+from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -22,15 +26,27 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     return replace(equations, paths=paths)
 
 
+RATIO = ChannelRatio(
+    log_ratio=lambda s, log_gain: np.full_like(s, log_gain),
+    derivative=lambda s, log_gain: np.ones_like(s),
+    sizes=(1e-5, 1.0),
+    start=lambda log_gain: {"gain": float(np.exp(log_gain))},
+    finding="{channel} reads {size} times {reference}",
+    shown=lambda log_gain, sigma: (np.exp(log_gain), np.exp(log_gain) * sigma),
+    sensitivity=True,
+)
+"""The parameter is the logarithm of the gain."""
+
 EFFECT = Effect(
     name="channel-gain",
-    summary="The channel's sensitivity is not the declared one.",
-    validity="Linear channels; one factor for all frequencies and levels.",
+    summary="The sensitivity of a channel differs from the declared one.",
+    validity="A linear channel; one factor for all frequencies and levels.",
     reference="Bendat and Piersol, Random Data, 4th ed., chapter 10 (data acquisition: calibration of the chain).",
-    signature="The residual of one channel is a fixed real share of its reading, in every run.",
-    separated_by="A calibration of the channel, or the other channel of the same cell.",
+    signature="The residual of one channel is a fixed real fraction of its reading in every run.",
+    separated_by="Calibrate the channel, or compare it with the other channel of the same cell.",
     place="a channel",
     places=each_channel,
     parameters=_parameters,
     apply=_apply,
+    search=SearchHints(channel_ratio=RATIO),
 )

@@ -1,9 +1,8 @@
-"""`channel-offset`: a channel reads a constant too much.
+"""`channel-offset`: a constant is added to the reading of a channel.
 
     y = X g f + offset
 
-Static runs are taken about their mean, where it drops out, but for the elongations that it feigns to cells that are
-not linear.
+Static runs are used about their mean, where the offset cancels except for the apparent elongation of nonlinear cells.
 """
 
 from __future__ import annotations
@@ -14,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, each_channel
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -30,11 +30,12 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="channel-offset",
-    summary="The channel does not read zero without load.",
-    validity="The same in all runs; a bridge that drifts from run to run has no one offset.",
+    summary="A channel does not read zero without load.",
+    validity="The same offset in all runs; a bridge that drifts between runs has no single offset.",
     reference="Pintelon and Schoukens, System Identification, 2nd ed., 2012, section 2.2 (DC values set apart).",
-    signature="The mean of the channel in every dynamic record, whatever the load; nothing at any other frequency.",
-    separated_by="A record of the unloaded rig; an offset of a load moves all strain channels in fixed proportion.",
+    signature="A mean in every dynamic record of the channel that does not depend on the load; nothing at any other "
+    "frequency.",
+    separated_by="A record of the unloaded rig. The offset of a load shifts all strain channels in fixed proportions.",
     place="a channel",
     places=each_channel,
     parameters=_parameters,

@@ -1,8 +1,8 @@
-"""`crosstalk`: a channel takes up a share of another one's volts.
+"""`crosstalk`: a fraction of the voltage of one channel is added to another.
 
     y_to -> y_to + epsilon y_from
 
-for the volts as they would be without any crosstalk: several do not pass through one another.
+where y_from is the voltage without any crosstalk: several crosstalk effects are not applied in series.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, ordered_pairs
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, ordered_pairs
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -36,12 +37,14 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="crosstalk",
-    summary="A channel picks up part of another channel's signal.",
-    validity="A fixed real share: neighbouring leads, a common supply, an amplifier that is not separated.",
+    summary="A channel picks up a fraction of the signal of another channel.",
+    validity="A fixed real fraction: adjacent leads, a common supply, amplifiers that are not isolated.",
     reference="Ott, Electromagnetic Compatibility Engineering, 2009, chapter 2 (cabling).",
-    signature="The residual of one channel is a fixed real share of another's reading, whatever the load.",
-    separated_by="Shorting the input of the channel; the other channel of the same cell, which does not have it.",
-    place="two channels: the one that takes up, the one that gives",
+    signature="The residual of one channel is a fixed real fraction of the reading of another channel, whatever the "
+    "load.",
+    separated_by="Short the input of the channel, or compare it with the other channel of the same cell, which is not "
+    "affected.",
+    place="two channels: the one affected, then the source",
     places=_places,
     parameters=_parameters,
     apply=_apply,

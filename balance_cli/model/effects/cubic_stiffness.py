@@ -1,6 +1,6 @@
-"""`cubic-stiffness`: a cell hardens or softens alike in tension and compression; or a spring beside it does.
+"""`cubic-stiffness`: a cell, or a spring beside it, hardens or softens equally in tension and compression.
 
-A force f = k3 d^3 along the cell, d being its elongation from the unloaded rig:
+A force f = k3 d^3 acts along the cell, d being its elongation from the unloaded rig:
 
     M q'' + D q' + K q = F u - E' f(d),        the cell's channels read k d + f(d) (`inside`) or k d (`beside`)
 """
@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import INSIDE, SIDE, Effect, EffectParameter, Where, each_cell_and_side
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import INSIDE, SIDE, Where, each_cell_and_side
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import CellForce, Equations
 
@@ -34,15 +35,15 @@ def _cubic_force(d: Dual, values: Dual, is_periodic: bool) -> Dual:
 
 EFFECT = Effect(
     name="cubic-stiffness",
-    summary="The force along a cell grows with the cube of its elongation besides its linear part.",
-    validity="The law holds at every frequency; elongations within what the records reached.",
+    summary="The force along a cell has a part proportional to the cube of its elongation.",
+    validity="The law holds at every frequency, for elongations within the range of the records.",
     reference="Wigren and Schoukens, Three free data sets for development and benchmarking in nonlinear system "
     "identification, ECC 2013 (the Silverbox); Kerschen et al., Mech. Syst. Signal Process. 20 (2006) 505.",
-    signature="Resonances shift with the level; static curves bend alike up and down; lines gather distortion "
-    "around them.",
-    separated_by="Sweeps at two levels, or a static run to the full range; `inside` and `beside` differ in whether the "
-    "cells' sum still is the load.",
-    place="a cell, then `inside` or `beside` (`inside` where nothing is said)",
+    signature="Resonances shift with level; static curves bend symmetrically in tension and compression; distortion "
+    "appears around the excited spectral lines.",
+    separated_by="Sweeps at two levels, or a static run to the rated load. Only `inside` leaves the sum of the cells "
+    "equal to the load.",
+    place="a cell, then `inside` or `beside` (default `inside`)",
     places=each_cell_and_side,
     parameters=_parameters,
     apply=_apply,

@@ -1,13 +1,13 @@
-"""`dry-friction`: a contact beside a cell sticks, and slips where it is asked for more than it holds.
+"""`dry-friction`: a contact beside a cell sticks, and slips once its force exceeds a limit.
 
-A spring kappa in series with a slider that holds up to F (Jenkins' element), d being the cell's elongation:
+A spring kappa in series with a slider that transmits at most F (Jenkins' element), d being the cell's elongation:
 
-    f = kappa (d - w),        w stays until |f| would exceed F, then follows: |d - w| <= F / kappa
+    f = kappa (d - w),        w constant until |f| would exceed F, then following d: |d - w| <= F / kappa
 
-The cell's channels do not read f. For F below a thousandth of a per cent of the cell's range the slip distance is left
-as it is there, and f is proportional to F: so it has a derivative at F = 0, where kappa does not matter. There kappa
-stands for the slip distance alone, and a search scores a contact at several of them, from one that always slips to one
-that mostly sticks.
+The cell's channels do not read f. For F below 1e-5 of the cell's range the slip distance keeps its value at that force,
+and f is proportional to F: so f has a derivative at F = 0, where kappa has no effect. There kappa stands only for the
+slip distance, and a search scores a contact at several slip distances, from one that always slips to one that mostly
+sticks.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Cell, Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Start, Where, each_cell
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, each_cell
+from balance_cli.model.effects.search_hints import SearchHints, Start
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import CellForce, Equations
 
@@ -110,19 +112,18 @@ def find_last_slip(d: Array, distance: float, is_periodic: bool) -> tuple[NDArra
 
 EFFECT = Effect(
     name="dry-friction",
-    summary="Something rubs beside a cell: a seal, a cable, a stop that touches. It sticks for small motions and slips "
-    "for large ones.",
-    validity="One contact, the same limit both ways and at every speed; the rig was unloaded when a record began.",
+    summary="A contact beside a cell (a seal, a cable, a stop) sticks at small motions and slips at large ones.",
+    validity="One contact with the same limit in both directions and at every speed; the rig was unloaded before each "
+    "record.",
     reference="Iwan, J. Appl. Mech. 33 (1966) 893; Gaul and Nitsche, Appl. Mech. Rev. 54 (2001) 93.",
-    signature="Static loops: the way up differs from the way down by twice the force. In motion more stiffness "
-    "and less damping at low level than at high.",
-    separated_by="Sweeps at a very low level, where it sticks; a slow static loop; structural damping knows no level.",
+    signature="Static curves form loops: loading and unloading differ by twice the force. In sweeps at low level the "
+    "stiffness is higher and the damping lower than at high level.",
+    separated_by="Sweeps at a very low level, where the contact sticks, or a slow static loop. Structural damping "
+    "does not depend on level.",
     place="a cell",
     places=each_cell,
     parameters=_parameters,
-    inaccuracy=INACCURACY,
-    extra_starts=_extra_starts,
-    start_from_score=_start_from_score,
     apply=_apply,
     needs_mean=True,
+    search=SearchHints(extra_starts=_extra_starts, start_from_score=_start_from_score, inaccuracy=INACCURACY),
 )

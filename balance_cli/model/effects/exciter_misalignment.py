@@ -1,9 +1,9 @@
-"""`exciter-misalignment`: the exciter of one component spills part of its load into another, which nobody measures.
+"""`exciter-misalignment`: the exciter of one component also applies an unmeasured load in another.
 
-    true load = (I + epsilon e_spilt e_excited') measured load
+    true load = (I + epsilon e_cross e_excited') measured load
 
-in static, sweep and check runs; under wind there is no exciter. Several spill from what is measured, not from one
-another.
+in static, sweep and check runs; wind-on runs have no exciter. Several such effects act on the measured loads, not in
+series.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, ordered_pairs
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, ordered_pairs
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -39,13 +40,13 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="exciter-misalignment",
-    summary="An exciter (or the weights of a static calibration) does not act along its axis or through the hub.",
-    validity="A fixed real share, the same at every frequency and level.",
+    summary="An exciter, or a calibration weight, does not act along its axis or through the hub.",
+    validity="A fixed real fraction, the same at every frequency and level.",
     reference="Ewins, Modal Testing: Theory, Practice and Application, 2nd ed., 2000, chapter 3 (attaching shakers).",
-    signature="Under one component all channels read as if a fixed share of another one acted too, at rest as in "
-    "motion.",
-    separated_by="Turning the exciter round, or checking its direction with a level and a plumb line.",
-    place="two components: the one excited, the one that it spills into",
+    signature="Under one component all channels read as if a fixed fraction of another component acted too, in static "
+    "and dynamic runs.",
+    separated_by="Reverse the exciter, or check its direction with a level and a plumb line.",
+    place="two components: the one excited, then the one that is not measured",
     places=_places,
     parameters=_parameters,
     apply=_apply,

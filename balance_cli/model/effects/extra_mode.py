@@ -1,19 +1,19 @@
-"""`extra-mode`: empirical: a resonance that no physical effect explains, of free shape.
+"""`extra-mode`: a resonance of free shape that no physical effect explains (empirical).
 
-At a motion (x, y, z) it is one that the moving part carries: a cable, a loose part, a mode of the plate itself.
+At a motion (x, y, z) it is a resonator carried by the metric side: a cable, a loose part, a mode of the plate itself.
 With an effective mass m, a shape phi over the plate's motions (one in the direction of the place) and e its own motion
-against the plate
+relative to the plate
 
     plate:   M q'' + ... + m phi e'' = F u,          e'' + 2 zeta w0 e' + w0^2 e = - phi' q'',
 
-so that every load and every cell feels it, as one mode of a passive structure must, and nothing does at rest. The mass
-is part of the declared one: M is that of the moving part with e held.
+so that it appears in every response, as a mode of a passive structure must, and not at rest. The mass is part of the
+declared one: M is that of the metric side with e locked.
 
-At a load component (Fx .. Mz) it is added to what the cells feel of that load alone. The force of spring i gets
+At a load component (Fx .. Mz) it is added to the response of the cells to that load alone. The force of spring i gets
 
     shape_i R(w) u,        R = (w / w0)^2 / (1 - (w / w0)^2 + 2 j zeta w / w0)
 
-which vanishes at rest: whatever resonates, there the springs carry the load. Two coordinates carry it: z = u, and
+which vanishes at rest, where the springs carry the load in any case. It needs two coordinates: z = u, and
 
     (e'' + z'') / w0^2 + 2 zeta e' / w0 + e = 0,        so that e = R u
 """
@@ -27,7 +27,9 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where
+from balance_cli.model.effects.search_hints import SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import TORQUE, Equations
 
@@ -133,19 +135,37 @@ def _add_load_mode(
     return replace(wide, extra_readings=wide.extra_readings + concatenate([nothing, shape], axis=1))
 
 
+def _declare_along_largest(where: Where, values: Mapping[str, float]) -> tuple[Where, Mapping[str, float]]:
+    """The same resonance declared at its direction of largest motion, where its mass and shape are determined best.
+
+    With s the component of the shape in the new direction, m becomes m s^2 and the shape is divided by s.
+    """
+    shape = {name: float(value) for name, value in values.items() if name.startswith("shape_")}
+    shape[f"shape_{where[0]}"] = 1.0
+    largest = max((name for name in shape if name[-2:] in ("_x", "_y", "_z")), key=lambda name: abs(shape[name]))
+    part = shape[largest]
+    rescaled = {name: value / part for name, value in shape.items() if name != largest}
+    others = {name: value for name, value in values.items() if name not in (*shape, "mass")}
+    return (largest[-1],), {**others, "mass": float(values["mass"]) * part**2, **rescaled}
+
+
 EFFECT = Effect(
     name="extra-mode",
-    summary="One further resonance of free shape and without a known cause.",
-    validity="A description, not an explanation. At a motion it is reciprocal and holds for all loads; at a load "
-    "component it holds for that load alone and says nothing of the others.",
+    summary="A further resonance of free shape and unknown cause.",
+    validity="A description, not an explanation. At a motion it is reciprocal and applies to all loads; at a load "
+    "component it applies to that load alone.",
     reference="Ewins, Modal Testing: Theory, Practice and Application, 2nd ed., 2000, chapter 4 (modal constants). "
     "Den Hartog, Mechanical Vibrations, 1956, chapter 3 (a mass on a spring, carried).",
-    signature="A peak at one frequency in several channels, where the model has none.",
-    separated_by="Looking for what resonates: a roving accelerometer at the frequency found.",
-    place="the motion x, y or z of the moving part that carries it, or the load component in whose response it is seen",
+    signature="A peak at one frequency in several channels where the model has none.",
+    separated_by="Locate what resonates: a roving accelerometer at the identified frequency.",
+    place="the motion x, y or z of the metric side that carries it, or the load component in whose response it appears",
     places=_places,
     parameters=_parameters,
     apply=_apply,
     empirical=True,
-    search_places=_plate_translations,
+    search=SearchHints(
+        places=_plate_translations,
+        start_at_frequency=lambda frequency: {"frequency": frequency},
+        best_place=_declare_along_largest,
+    ),
 )

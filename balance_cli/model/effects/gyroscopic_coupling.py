@@ -1,12 +1,12 @@
-"""`gyroscopic-coupling`: what spins about z couples the tilts of the plate.
+"""`gyroscopic-coupling`: parts that spin about z couple pitch and roll of the plate.
 
-The angular momentum H = I Omega e of what spins turns with the plate, whose z axis points to e = (theta, -phi, 1).
-Changing H takes the moment H', so that on the left of the equations of motion stand
+The angular momentum H = I Omega e of the spinning parts turns with the plate, whose z axis points to
+e = (theta, -phi, 1). Changing H requires the moment H', so that the left-hand sides of the equations of motion gain
 
     about x (phi):      + I Omega theta'
     about y (theta):    - I Omega phi'
 
-the skew matrix Omega G of the equations, Omega = 2 pi times the rotor speed of the run.
+the skew-symmetric matrix Omega G of the equations, Omega = 2 pi times the rotor speed of the run.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -50,9 +51,10 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 EFFECT = Effect(
     name="gyroscopic-coupling",
     summary="The spinning shaft and hub couple pitch and roll of the plate.",
-    validity="Small tilts; a symmetrical spinning part whose axis stays that of the plate.",
+    validity="Small tilts; an axisymmetric spinning part whose axis stays that of the plate.",
     reference="Den Hartog, Mechanical Vibrations, 4th ed., 1956, chapter 6 (rotating machinery).",
-    signature="Nothing at rest. With the rotor turning, the two tilt modes part and whirl, and Mx shows in pitch.",
+    signature="Nothing at rest. With the rotor turning, the two tilt modes separate into whirl modes, and Mx excites "
+    "pitch.",
     separated_by="The same sweep at rest and with the rotor turning.",
     place="none",
     places=_places,

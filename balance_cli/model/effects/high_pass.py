@@ -1,8 +1,8 @@
-"""`high-pass`: a channel passes through a further first-order high-pass.
+"""`high-pass`: a channel has a further first-order high-pass.
 
     g(w) -> g(w) j w / (j w + r),        r = 2 pi f_c
 
-At rest nothing passes.
+At rest the response is zero.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, each_channel
+from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -32,15 +34,29 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     return replace(equations, paths=paths)
 
 
+RATIO = ChannelRatio(
+    log_ratio=lambda s, rate: -np.log(1 + rate / s),
+    derivative=lambda s, rate: -1 / (s + rate),
+    sizes=(1e-3, 1e3),
+    start=lambda rate: {"cutoff": rate / (2 * np.pi)},
+    finding="{channel} has a further high-pass, time constant {size}",
+    shown=lambda rate, sigma: (1.0 / max(rate, 1e-300), sigma / max(rate, 1e-300) ** 2),
+    unit="s",
+    one_sided=True,
+    at_rest=True,
+)
+"""The parameter is the rate r [1/s]."""
+
 EFFECT = Effect(
     name="high-pass",
-    summary="A channel forgets slow changes sooner than declared, as a leaking charge amplifier does.",
-    validity="One first-order high-pass, besides the declared one.",
+    summary="A channel loses slow changes sooner than declared, as with a leaking charge amplifier.",
+    validity="One first-order high-pass in addition to the declared one.",
     reference="Bendat and Piersol, Random Data, 4th ed., chapter 2 (frequency responses of linear systems).",
     signature="One channel leads and reads too little at the lowest frequencies, and reads nothing at rest.",
-    separated_by="The other channel of the same cell at low frequency; a step of load.",
+    separated_by="The other channel of the same cell at low frequency, or a load step.",
     place="a channel",
     places=each_channel,
     parameters=_parameters,
     apply=_apply,
+    search=SearchHints(channel_ratio=RATIO),
 )

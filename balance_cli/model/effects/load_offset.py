@@ -1,8 +1,8 @@
-"""`load-offset`: the force cell of an exciter reads a constant too much wherever it applies a load.
+"""`load-offset`: a constant is added to the force cell of an exciter whenever it applies a load.
 
-    true load = spill (recorded load - offset)
+    true load = exciter cross-axis matrix (recorded load - offset)
 
-A component that was not applied in a run, or in a static row, is declared zero, and so without offset.
+A component that was not applied in a run, or in a static row, is declared zero and has no offset.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -35,13 +36,14 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="load-offset",
-    summary="The exciter's force cell does not read zero without load.",
-    validity="The same in all runs in which the component is applied.",
+    summary="The force cell of an exciter does not read zero without load.",
+    validity="The same offset in all runs in which the component is applied.",
     reference="Wigren and Schoukens, Three free data sets for development and benchmarking in nonlinear system "
     "identification, ECC 2013 (offset of the Silverbox's input).",
-    signature="The means of all strain channels shift in the proportions that the load itself has; in a static "
-    "run a jump where the load sets in.",
-    separated_by="A record with the exciter coupled and at rest; an offset of a channel is in that channel alone.",
+    signature="The means of all strain channels shift in the proportions of the load itself; a static run has a step "
+    "where the load is first applied.",
+    separated_by="A record with the exciter attached and at rest. The offset of a channel appears in that channel "
+    "alone.",
     place="a load component",
     places=_places,
     parameters=_parameters,

@@ -1,4 +1,4 @@
-"""`low-pass`: a channel passes through a further first-order low-pass.
+"""`low-pass`: a channel has a further first-order low-pass.
 
     g(w) -> g(w) / (1 + j w tau),        tau = 1 / (2 pi f_c)
 
@@ -13,7 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, each_channel
+from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -31,16 +33,35 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     return replace(equations, paths=paths)
 
 
+def _cutoff(tau: float, sigma: float) -> tuple[float, float]:
+    """Cutoff [Hz] of a time constant tau [s], and its standard deviation."""
+    cutoff = 1.0 / (2 * np.pi * tau)
+    return cutoff, cutoff * sigma / tau
+
+
+RATIO = ChannelRatio(
+    log_ratio=lambda s, tau: -np.log(1 + s * tau),
+    derivative=lambda s, tau: -s / (1 + s * tau),
+    sizes=(1e-6, 1.0),
+    start=lambda tau: {"1/cutoff": 2 * np.pi * tau},
+    finding="{channel} has a further low-pass at {size}",
+    shown=lambda tau, sigma: _cutoff(max(tau, 1e-300), sigma),
+    unit="Hz",
+    one_sided=True,
+)
+"""The parameter is the time constant tau [s]."""
+
 EFFECT = Effect(
     name="low-pass",
-    summary="An amplifier or a long cable rounds off the channel at high frequencies.",
-    validity="One first-order low-pass, besides the declared one.",
+    summary="An amplifier or a long cable attenuates a channel at high frequencies.",
+    validity="One first-order low-pass in addition to the declared one.",
     reference="Bendat and Piersol, Random Data, 4th ed., chapter 2 (frequency responses of linear systems).",
-    signature="Amplitude and phase of one channel fall together towards high frequencies; the reading at rest is "
-    "right.",
-    separated_by="The other channel of the same cell; a low-pass differs from a delay in that its amplitude falls too.",
+    signature="Amplitude and phase of one channel fall together towards high frequencies; the static reading is "
+    "correct.",
+    separated_by="The other channel of the same cell. Unlike a delay, a low-pass also reduces the amplitude.",
     place="a channel",
     places=each_channel,
     parameters=_parameters,
     apply=_apply,
+    search=SearchHints(channel_ratio=RATIO),
 )

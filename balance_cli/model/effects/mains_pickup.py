@@ -1,8 +1,8 @@
-"""`mains-pickup`: a channel picks up the mains.
+"""`mains-pickup`: mains interference in a channel.
 
-    y += a cos(2 pi f t + phi),        phi anything in each run
+    y += a cos(2 pi f t + phi),        phi arbitrary in each run
 
-Every phase being as likely as every other, the runs tell a^2: that is what is fitted, and it is regular where it is 0.
+With all phases equally likely the runs determine a^2, which is what is fitted; the likelihood is regular at a^2 = 0.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, each_channel
+from balance_cli.model.effects.search_hints import SearchHints, ToneParameters
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations, InterferenceTone
 
@@ -31,17 +33,17 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="mains-pickup",
-    summary="A channel picks up the mains, at a phase that no two runs share.",
-    validity="One frequency and amplitude in all runs; readings at rest are long enough to average it away.",
+    summary="Mains interference in a channel, with a different phase in each run.",
+    validity="One frequency and amplitude in all runs; static readings are long enough to average it out.",
     reference="Ott, Electromagnetic Compatibility Engineering, 2009, chapter 2; the phase as in Rice, Bell Syst. Tech. "
     "J. 24 (1945) 46.",
-    signature="A line at the mains' frequency, and its neighbours where the period is no whole number of "
-    "cycles, in one "
-    "channel whatever the load.",
+    signature="A spectral line at the mains frequency in one channel, whatever the load, with leakage into adjacent "
+    "lines where the period is not a whole number of cycles.",
     separated_by="A record with the exciter off.",
     place="a channel",
     places=each_channel,
     parameters=_parameters,
     apply=_apply,
     needs_mean=True,
+    search=SearchHints(tone=ToneParameters("amplitude^2", "frequency")),
 )

@@ -1,12 +1,12 @@
-"""`mast-bending`: the hub gives way sideways on the mast.
+"""`mast-bending`: the hub deflects laterally on a flexible mast.
 
-The hub, a point mass m at h, is part of the declared moving part. Its deflections w against the plate are further
+The hub, a point mass m at h, is part of the declared metric side. Its deflections w relative to the plate are further
 coordinates; it moves by N q + w, N the rows of [I, R(h - g)] for the flexible directions:
 
     kinetic energy    T = 1/2 q' M q + m w' N q + 1/2 m w' w
     hub forces        act on N q + w
 
-with compliance c and damping d = 2 zeta sqrt(m / c). The equation of w is multiplied by c, so that it says w = 0
+with compliance c and damping d = 2 zeta sqrt(m / c). The equation of w is multiplied by c, so that it reads w = 0
 where c = 0:
 
     c (m (N q'' + w'') + d w' - F_hub) + w = 0
@@ -21,15 +21,10 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import (
-    Effect,
-    EffectParameter,
-    Where,
-    clip_below,
-    nonempty_subsets,
-    stiffness_by_motion,
-)
-from balance_cli.model.mechanics.dual_numbers import Dual, concatenate, constant, stack
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import stiffness_by_motion
+from balance_cli.model.effects.places import Where, nonempty_subsets
+from balance_cli.model.mechanics.dual_numbers import Dual, clip_below, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import Equations
 
 AXES = ("x", "y")
@@ -107,13 +102,12 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="mast-bending",
-    summary="The hub, on which the loads act, swings sideways on a flexible mast.",
-    validity="A point mass at the hub and small deflections; the tilt of the hub, and with it what hub moments do, "
-    "is left out.",
+    summary="The hub, on which the loads act, deflects laterally on a flexible mast.",
+    validity="A point mass at the hub and small deflections; the tilt of the hub, and with it the deflection by hub "
+    "moments, is neglected.",
     reference="Den Hartog, Mechanical Vibrations, 4th ed., 1956, chapter 3 (a small mass on a large one).",
-    signature="Responses to Fx or Fy rise above the rigid ones with the square of the frequency, all cells "
-    "alike; those to "
-    "moments do so much less. The static calibration stays as it is.",
+    signature="Responses to Fx or Fy exceed the rigid ones by an amount that grows with the square of the frequency, "
+    "equally in all cells; responses to moments much less so. The static calibration does not change.",
     separated_by="An accelerometer at the hub, or a sweep with a known mass added there.",
     place="x, y or both: the directions in which the mast bends",
     places=_places,

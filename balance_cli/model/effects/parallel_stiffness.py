@@ -1,11 +1,11 @@
-"""`parallel-stiffness`: a path from the plate to ground beside the cells: a hose, a cable, something that touches.
+"""`parallel-stiffness`: a load path from the plate to ground that bypasses the cells (a hose, a cable, a rubbing part).
 
-Three springs at one point p of the plate, along the rig's axes, each with a dashpot beside it; no channel reads them.
+Three springs at one point p of the plate, along the rig's axes, each with a dashpot in parallel; no channel reads them.
 With N = [I, R(p - g)] and one time constant tau for all,
 
     K -> K + N' diag(k_x, k_y, k_z) N,        D -> D + tau N' diag(k_x, k_y, k_z) N
 
-Their other end stands on the ground, not on the lower body.
+Their other end is on the ground, not on the non-metric side of the balance.
 """
 
 from __future__ import annotations
@@ -14,14 +14,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import (
-    Effect,
-    EffectParameter,
-    Where,
-    position_bound,
-    stiffness_by_motion,
-    whole_rig,
-)
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import position_bound, stiffness_by_motion
+from balance_cli.model.effects.places import Where, whole_rig
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import Equations
 
@@ -74,11 +69,11 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="parallel-stiffness",
-    summary="Part of the load goes past the cells through a spring between plate and ground.",
-    validity="Massless linear springs and dashpots at one point, their axes along the rig's.",
+    summary="Part of the load bypasses the cells through a spring between plate and ground.",
+    validity="Massless linear springs and dashpots at one point, along the rig's axes.",
     reference="Tropea, Yarin and Foss (eds.), Springer Handbook of Experimental Fluid Mechanics, 2007, chapter 8 "
     "(force and moment measurement).",
-    signature="At rest the cells carry less than is applied, by a fixed share; the eigenfrequencies lie higher.",
+    signature="At rest the cells carry a fixed fraction less than the applied load; the eigenfrequencies are higher.",
     separated_by="A static calibration with and without the hose, cable or fouling.",
     place="none",
     places=whole_rig,

@@ -1,6 +1,6 @@
-"""`quadratic-stiffness`: a cell is stiffer one way than the other; or a spring beside it is.
+"""`quadratic-stiffness`: a cell, or a spring beside it, is stiffer in one direction than in the other.
 
-A force f = k2 d^2 along the cell, d being its elongation from the unloaded rig:
+A force f = k2 d^2 acts along the cell, d being its elongation from the unloaded rig:
 
     M q'' + D q' + K q = F u - E' f(d),        the cell's channels read k d + f(d) (`inside`) or k d (`beside`)
 """
@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import INSIDE, SIDE, Effect, EffectParameter, Where, each_cell_and_side
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import INSIDE, SIDE, Where, each_cell_and_side
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import CellForce, Equations
 
@@ -34,13 +35,14 @@ def _quadratic_force(d: Dual, values: Dual, is_periodic: bool) -> Dual:
 
 EFFECT = Effect(
     name="quadratic-stiffness",
-    summary="The force along a cell holds a part that grows with the square of its elongation.",
-    validity="The law holds at every frequency; elongations within what the records reached.",
+    summary="The force along a cell has a part proportional to the square of its elongation.",
+    validity="The law holds at every frequency, for elongations within the range of the records.",
     reference="Nayfeh and Mook, Nonlinear Oscillations, 1979, section 2.3 (quadratic and cubic restoring forces).",
-    signature="Static curves bend one way; a motion shifts the mean, and stiffness depends on the steady load.",
-    separated_by="A static run to the full range both ways; sweeps about two steady loads; `inside` and `beside` "
-    "differ in whether the cells' sum still is the load.",
-    place="a cell, then `inside` or `beside` (`inside` where nothing is said)",
+    signature="Static curves bend to one side; a vibration shifts the mean reading; the stiffness depends on the mean "
+    "load.",
+    separated_by="A static run to the rated load in both directions, or sweeps about two mean loads. Only `inside` "
+    "leaves the sum of the cells equal to the load.",
+    place="a cell, then `inside` or `beside` (default `inside`)",
     places=each_cell_and_side,
     parameters=_parameters,
     apply=_apply,

@@ -1,10 +1,11 @@
-"""`structural-damping`: a cell's force lags its elongation by the same angle at every frequency.
+"""`structural-damping`: the force of a cell lags its elongation by the same angle at every frequency.
 
     f = k (1 + j eta + r (2 / pi) eta ln(w / w0)) d        (for positive frequencies; at rest f = k d)
 
-The channels of the cell read the whole force. With a constant k, r = 0, no such law is causal: a force that lags by one
-angle at all frequencies comes from a spring that stiffens, r = 1, or it would begin before the elongation does. Both
-are the real and the imaginary part of k (1 + (2 / pi) eta ln(s / w0)). w0 / (2 pi) is 20 Hz: k is the stiffness there.
+The channels of the cell read the whole force. With a constant stiffness, r = 0, the law is not causal: a spring whose
+force lags by one angle at all frequencies must stiffen with frequency, r = 1, or its force precedes the elongation.
+Both terms are the real and the imaginary part of k (1 + (2 / pi) eta ln(s / w0)). w0 / (2 pi) is 20 Hz, the frequency
+at which k is the stiffness.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, cells_at, each_cell_or_all
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, cells_at, each_cell_or_all
+from balance_cli.model.effects.search_hints import SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -52,16 +55,16 @@ def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]
 
 EFFECT = Effect(
     name="structural-damping",
-    summary="The cells lose a fixed share of their energy in each cycle, whatever its frequency.",
-    validity="A small loss factor; the modes' own frequencies feel the stiffening to first order.",
+    summary="The cells dissipate a fixed fraction of their energy in each cycle, whatever its frequency.",
+    validity="A small loss factor; the stiffening affects the eigenfrequencies to first order.",
     reference="Crandall, The role of damping in vibration theory, J. Sound Vib. 11 (1970) 3-18. Bishop and Johnson, "
     "The Mechanics of Vibration, 1960. Makris, Causal hysteretic element, J. Eng. Mech. 123 (1997) 1209-1214.",
-    signature="Damping ratios that do not follow from one damping matrix, and a phase between two cells under "
-    "one load that does not vanish at low frequency.",
-    separated_by="Damping at low frequency: a viscous force vanishes there, this one does not.",
+    signature="Damping ratios that no single damping matrix explains, and a phase between two cells under one load "
+    "that does not vanish at low frequency.",
+    separated_by="The damping at low frequency: a viscous force vanishes there, this one does not.",
     place="a cell, or `all`",
     places=each_cell_or_all,
     parameters=_parameters,
     apply=_apply,
-    starts=_starts,
+    search=SearchHints(starts=_starts),
 )

@@ -1,17 +1,17 @@
-"""`support-flexibility`: the lower body, on which the cells stand, is a rigid body on springs of its own.
+"""`support-flexibility`: the non-metric side, on which the cells stand, is a rigid body on springs.
 
-Its motions b (those of its centre c that are flexible) are further coordinates. A cell at p is elongated by the motion
-of the plate against the lower body,
+Its motions b (those of its center c that are flexible) are further coordinates. A cell at p is elongated by the motion
+of the plate relative to the non-metric side,
 
     d = a' (motion of the plate at p - [I, R(p - c)] b)
 
-and pushes both. Each motion has inertia m, compliance s and damping d = 2 zeta sqrt(m / s); its equation is multiplied
-by s, so that it says b = 0 where s = 0:
+and acts on both. Each motion has inertia m, compliance s and damping d = 2 zeta sqrt(m / s); its equation is multiplied
+by s, so that it reads b = 0 where s = 0:
 
-    s (m b'' + d b' - sum of the cells' forces on the lower body) + b = 0
+    s (m b'' + d b' - sum of the cells' forces on the non-metric side) + b = 0
 
-The plate's own damping D acts on its motion relative to the lower body, q - [I R(g - c); 0 I] b, with the motion of the
-plate's centre of gravity g when both move as one.
+The plate's own damping D acts on its motion relative to the non-metric side, q - [I R(g - c); 0 I] b: the second term
+is the motion of the plate's center of gravity g when both bodies move as one.
 """
 
 from __future__ import annotations
@@ -23,17 +23,11 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import (
-    Effect,
-    EffectParameter,
-    Where,
-    clip_below,
-    inertia_by_motion,
-    nonempty_subsets,
-    position_bound,
-    stiffness_by_motion,
-)
-from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import inertia_by_motion, position_bound, stiffness_by_motion
+from balance_cli.model.effects.places import Where, nonempty_subsets
+from balance_cli.model.effects.search_hints import SearchHints
+from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, clip_below, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import Equations, dual_motion_at
 
 TRANSLATIONS = FREEDOMS[:3]
@@ -130,7 +124,7 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
         compliance=compliance,
     )
     lower = _motion_at_origin(values, where, p)
-    wide = replace(wide, base=concatenate([equations.base, lower], axis=1))
+    wide = replace(wide, non_metric_motion=concatenate([equations.non_metric_motion, lower], axis=1))
     directions = np.array([cell.direction for cell in geometry.cells])
     motion = wide.relative_motion(np.array([cell.position for cell in geometry.cells]))
     cells = (directions[:, None, :] @ motion)[:, 0]
@@ -185,19 +179,17 @@ def _bounded_stiffness_ratios(inertia: Dual, compliance: Dual, geometry: Geometr
 
 EFFECT = Effect(
     name="support-flexibility",
-    summary="The lower body gives way under the cells, with mass, springs and damping of its own.",
-    validity="Small motions of a rigid lower body whose springs and inertias act at one point, its centre, along the "
-    "rig's axes, without coupling between them.",
+    summary="The non-metric side yields under the cells, with mass, stiffness and damping of its own.",
+    validity="Small motions of a rigid body whose springs and inertias act at one point, its center, along the rig's "
+    "axes and without coupling between them.",
     reference="The 1985 paper, section 3, assumes it away (`the eigenfrequencies of the support do not influence the "
     "balance dynamics`). Den Hartog, Mechanical Vibrations, 4th ed., 1956, chapter 3 (two degrees of freedom).",
-    signature="Eigenfrequencies lower than computed and further resonances above them, while the static "
-    "calibration stays as it is: at rest the cells carry the loads whatever they stand on.",
-    separated_by="Accelerometers on the lower body; a sweep with the lower body clamped or loaded with a known mass.",
-    place="the motions of the lower body that are flexible, any of x y z psi theta phi",
+    signature="Eigenfrequencies are lower than computed and further resonances appear above them, while the static "
+    "calibration does not change: at rest the cells carry the loads whatever they stand on.",
+    separated_by="Accelerometers on the non-metric side, or a sweep with it clamped or loaded with a known mass.",
+    place="the motions of the non-metric side that are flexible, any of x y z psi theta phi",
     places=_places,
     parameters=_parameters,
     apply=_apply,
-    search_places=_search_places,
-    starts=_starts,
-    at_most_once=True,
+    search=SearchHints(places=_search_places, starts=_starts, at_most_once=True),
 )

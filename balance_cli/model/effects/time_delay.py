@@ -1,4 +1,4 @@
-"""`time-delay`: a channel is late.
+"""`time-delay`: a channel is delayed.
 
 g(w) -> g(w) exp(-j w tau)
 """
@@ -9,7 +9,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, each_channel
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.places import Where, each_channel
+from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import ChannelPath, Equations
 
@@ -28,15 +30,29 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     return replace(equations, paths=paths)
 
 
+RATIO = ChannelRatio(
+    log_ratio=lambda s, delay: -s * delay,
+    derivative=lambda s, delay: -s,
+    sizes=(1e-6, 2e-2),
+    start=lambda delay: {"delay": delay},
+    finding="{channel} is late by {size} against {reference}",
+    shown=lambda delay, sigma: (1e3 * abs(delay), 1e3 * sigma),
+    unit="ms",
+    names_positive=True,
+)
+"""The parameter is the delay [s]."""
+
 EFFECT = Effect(
     name="time-delay",
     summary="A channel is recorded later (or earlier) than the loads.",
-    validity="A pure delay, the same at every frequency: scanned multiplexers, digital filters, records put together.",
+    validity="A pure delay, the same at every frequency: scanned multiplexers, digital filters, records combined from "
+    "several systems.",
     reference="Bendat and Piersol, Random Data, 4th ed., chapter 2 (linear systems: a delay has linear phase).",
-    signature="A phase that falls in proportion to frequency in one channel, with the amplitude as it should be.",
-    separated_by="The other channel of the same cell: their ratio shows the delay without any model of the plate.",
+    signature="In one channel the phase falls in proportion to frequency while the amplitude is correct.",
+    separated_by="The ratio to the other channel of the same cell, which shows the delay without a model of the plate.",
     place="a channel",
     places=each_channel,
     parameters=_parameters,
     apply=_apply,
+    search=SearchHints(channel_ratio=RATIO),
 )

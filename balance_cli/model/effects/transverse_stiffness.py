@@ -1,8 +1,9 @@
-"""`transverse-stiffness`: a cell also holds the plate sideways, which its channels do not read.
+"""`transverse-stiffness`: a cell also restrains the plate transversely, which its channels do not read.
 
-Two springs k across the cell's axis, t1 and t2, between plate and lower body at the cell's position p:
+Two springs k perpendicular to the cell's axis, along t1 and t2, act between plate and non-metric side at the cell's
+position p:
 
-    K -> K + k N' (t1 t1' + t2 t2') N,        N the motion of the plate at p relative to the lower body
+    K -> K + k N' (t1 t1' + t2 t2') N,        N the motion of the plate at p relative to the non-metric side
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.model.effects.base import Effect, EffectParameter, Where, cells_at, each_cell_or_all, transverse_axes
+from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import transverse_axes
+from balance_cli.model.effects.places import Where, cells_at, each_cell_or_all
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
@@ -36,13 +39,12 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 EFFECT = Effect(
     name="transverse-stiffness",
-    summary="A cell, with its flexible beam, resists sideways motion and so takes load away from the others.",
-    validity="Small motions; the same stiffness in both directions across the axis, none against turning.",
+    summary="A cell, with its flexible beam, resists transverse motion and so relieves the other cells of load.",
+    validity="Small motions; the same stiffness in both transverse directions, none in rotation.",
     reference="The 1985 paper, section 2, fits flexible beams so that the influence of shear forces is eliminated.",
-    signature="At rest the cells carry less than is applied, most where few cells face many; the "
-    "eigenfrequencies lie "
-    "higher.",
-    separated_by="A shear test of one cell with its beam; a static calibration with the cell taken out.",
+    signature="At rest the cells carry less than the applied load, most of all where few cells face many; the "
+    "eigenfrequencies are higher.",
+    separated_by="A shear test of one cell with its beam, or a static calibration with the cell removed.",
     place="a cell, or `all`",
     places=each_cell_or_all,
     parameters=_parameters,

@@ -1,8 +1,9 @@
-"""Arrays that carry their derivatives: first-order jets, so that the model's code reads like its equations.
+"""Dual numbers: arrays that carry their first derivatives, so that the model's code reads like its equations.
 
-A jet holds `value` (...) and `slope` (p, ...), the derivatives with respect to p parameters. The rules are those of
-calculus (forward accumulation), so derivatives are analytic to rounding. Jets hold the small matrices of the model;
-what depends on frequency is formed from them in closed form (see `model.response`).
+A dual number holds `value` (...) and `derivative` (p, ...), the derivatives with respect to p parameters.
+Differentiation is forward-mode (Griewank and Walther, Evaluating Derivatives, 2nd ed., 2008, chapter 3), so the
+derivatives are exact to rounding. Dual numbers hold the small matrices of the model; the frequency response is formed
+from them in closed form (see `model.system`).
 """
 
 from __future__ import annotations
@@ -15,22 +16,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-Operand = "Jet | ArrayLike"
 
 
 @dataclass(frozen=True, eq=False)
 class Dual:
-    """A real array with its derivatives: `value` of any shape, `slope` (p, *value.shape)."""
+    """A real array with its derivatives: `value` of any shape, `derivative` (p, *value.shape)."""
 
     value: Array
     derivative: Array
 
-    # Numpy must leave `array @ jet` and `array * jet` to the methods below.
+    # NumPy must leave `array @ dual` and `array * dual` to the methods below.
     __array_ufunc__ = None
 
     @property
     def parameters(self) -> int:
-        """Number p of parameters that the slope refers to."""
+        """Number p of parameters that the derivative refers to."""
         return int(self.derivative.shape[0])
 
     @property
@@ -96,7 +96,7 @@ class Dual:
         return Dual(np.expand_dims(self.value, axis), np.expand_dims(self.derivative, at))
 
     def dot(self, array: Array) -> Dual:
-        """Sum over the last axis with the first of a constant array."""
+        """Product summed over the last axis and the first axis of a constant array."""
         return Dual(np.tensordot(self.value, array, 1), np.tensordot(self.derivative, array, 1))
 
     def inverse(self) -> Dual:
@@ -106,7 +106,7 @@ class Dual:
 
 
 def _align_derivative(dual: Dual, ndim: int) -> Array:
-    """The slope with axes inserted, so that it broadcasts like a value of `ndim` axes."""
+    """The derivative with axes inserted, so that it broadcasts like a value of `ndim` axes."""
     missing = ndim - dual.value.ndim
     return dual.derivative.reshape(dual.parameters, *(1,) * missing, *dual.value.shape)
 
@@ -122,33 +122,42 @@ def _matmul_derivative(value: Array, that: Dual) -> Array:
 
 
 def constant(value: ArrayLike, parameters: int) -> Dual:
-    """A jet that depends on no parameter."""
+    """A dual number that depends on no parameter."""
     array = np.asarray(value, float)
     return Dual(array, np.zeros((parameters, *array.shape)))
 
 
 def variables(values: ArrayLike) -> Dual:
-    """The parameter vector (p,) itself: its slope is the unit matrix."""
+    """The parameter vector (p,) itself; its derivative is the unit matrix."""
     array = np.asarray(values, float)
     return Dual(array, np.eye(array.size))
 
 
 def stack(duals: Sequence[Dual]) -> Dual:
-    """Jets of one shape along a new first axis."""
+    """Dual numbers of one shape, stacked along a new first axis."""
     return Dual(np.stack([dual.value for dual in duals]), np.stack([dual.derivative for dual in duals], axis=1))
 
 
 def concatenate(duals: Sequence[Dual], axis: int = 0) -> Dual:
-    """Jets joined along an existing axis of the value."""
+    """Dual numbers joined along an existing axis of the value."""
     at = axis if axis < 0 else axis + 1
     value = np.concatenate([dual.value for dual in duals], axis)
     return Dual(value, np.concatenate([dual.derivative for dual in duals], at))
 
 
 def block_diagonal(first: Dual, second: Dual) -> Dual:
-    """Two matrices down the diagonal, zeros beside them."""
+    """The block-diagonal matrix of two matrices."""
     p = first.parameters
     (a, b), (c, d) = first.value.shape, second.value.shape
     upper = concatenate([first, constant(np.zeros((a, d)), p)], axis=1)
     lower = concatenate([constant(np.zeros((c, b)), p), second], axis=1)
     return concatenate([upper, lower])
+
+
+def clip_below(dual: Dual, floor: float | Array) -> Dual:
+    """The dual number, replaced by `floor` without derivative where it is smaller.
+
+    This keeps square roots and reciprocals regular at zero.
+    """
+    above = dual.value > floor
+    return Dual(np.maximum(dual.value, floor), dual.derivative * above)

@@ -1,19 +1,19 @@
-"""The equations of a balance while they are being put together: what effects receive and return.
+"""The equations of a balance while they are assembled: what effects receive and return.
 
     M q'' + (D + Omega G) q' + (E' diag(k (1 + j eta)) E + K_extra) q = F u,        force of spring i: k_i E_i q
 
-One row of E per spring that a channel can read: the cells in their declared order, then the torque meter. Every matrix
-is a jet, so derivatives with respect to all parameters go along.
+E has one row per spring that a channel can read: the cells in their declared order, then the torque meter. All matrices
+are dual numbers and carry the derivatives with respect to all parameters.
 
-The cells stand on a lower body. Its motion is `base`, zero where it is rigid; cells are elongated by the motion of the
-plate relative to it.
+The cells stand on the non-metric side. Its motion is `non_metric_motion`, zero where it is rigid; cells are elongated
+by the motion of the plate relative to it.
 
 A flexible part is regular where it does nothing only if its compliance, not its stiffness, is the parameter. Its
-equations are then multiplied by the compliance (`row_factor`), and its spring is a one on the diagonal
-(`own_stiffness`): c (m q'' + d q' + ...) + q = c F u, which for c = 0 says q = 0.
+equations are therefore multiplied by the compliance (`row_factor`), and its spring is a one on the diagonal
+(`own_stiffness`): c (m q'' + d q' + ...) + q = c F u, which for c = 0 reads q = 0.
 
-A force along a spring that is not linear in its elongation d = E q is an input like a load, -E' f(d), for d is known:
-the spring's channels measure it (`CellForce`).
+A force along a spring that is nonlinear in its elongation d = E q enters as an input like a load, -E' f(d), because
+d is known: the spring's channels measure it (`CellForce`).
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ TORQUE = "torque"
 
 @dataclass(frozen=True)
 class ChannelPath:
-    """From a spring's force to volts: gain [V/N, V/(N m)], first-order low- and high-passes, pure delay.
+    """The path from a spring's force to volts: gain [V/N, V/(N m)], first-order low- and high-passes, pure delay.
 
     `low_pass` are time constants tau [s]: 1/(1 + j omega tau); `high_pass` are rates r [1/s]: 1/(1 + r/(j omega)).
-    In this form each is regular where it does nothing (0). `delay` [s], positive is late.
+    In this form each is regular where it does nothing (0). `delay` is in s, positive if the channel is late.
     """
 
     channel: str
@@ -51,11 +51,11 @@ class ChannelPath:
 
 @dataclass(frozen=True)
 class CellForce:
-    """A force along a spring, f = strength * shape(d), that is not linear in the elongation d [m].
+    """A force along a spring, f = strength * shape(d), that is nonlinear in the elongation d [m].
 
-    `values` (q,): the strength, which is zero where there is no such force, then what the shape depends on. `shape`
-    takes d (n,) through time, the values and whether the n elongations recur for ever (if not, the spring was unloaded
-    before the first). `read`: the force acts inside the cell, whose channels read it; beside it they do not.
+    `values` (q,): the strength, zero where there is no such force, then the parameters of the shape. `shape` takes
+    d (n,) over time, the values, and whether the n elongations are periodic (otherwise the spring was unloaded before
+    the first). `read`: the force acts inside the cell, whose channels read it; beside the cell they do not.
     """
 
     spring: int
@@ -66,7 +66,7 @@ class CellForce:
 
 @dataclass(frozen=True)
 class InterferenceTone:
-    """A tone in one channel (its index): square of its amplitude [V2], its frequency [Hz]; any phase in each run."""
+    """A tone in one channel (its index): amplitude squared [V2] and frequency [Hz]; its phase differs in each run."""
 
     channel: int
     power: Dual
@@ -77,14 +77,17 @@ class InterferenceTone:
 class Equations:
     """Mechanics and channels of a balance with derivatives; n coordinates, e springs, c channels.
 
-    mass, damping, gyroscopic (per rad/s of spin), extra_stiffness (n, n); elongation (e, n); stiffness (e,) of the
-    springs, their loss factor and stiffening (e,), a share for each factor e of frequency; extra_readings (e, n) are
-    forces that the channels of a spring read besides its own; inputs (n, 6); spill (6, 6) takes measured exciter loads
-    to true ones; mixing (c, c) acts on the channels' volts. centre (3,) [m] is that of gravity of the moving part,
-    `freedom` which of its six motions the first coordinates are; base (6, n) is the motion x y z psi theta phi of the
-    lower body at the rig's origin; row_factor and own_stiffness (n,) are one and zero but for flexible parts. `forces`
-    act along springs, `pickups` are in channels; channel_offset (c,) [V] and load_offset (6,) [N, N m] are what the
-    channels and the exciters' force cells read too much.
+    - `mass`, `damping`, `gyroscopic` (per rad/s of spin), `extra_stiffness` (n, n); `inputs` (n, 6) per unit hub load.
+    - `elongation` (e, n) and `stiffness` (e,) of the springs, their loss factor `loss` (e,), and `frequency_stiffness`
+      (e,): the relative increase of stiffness for each factor e of frequency.
+    - `extra_readings` (e, n): forces that the channels of a spring read in addition to its own.
+    - `exciter_cross_axis` (6, 6) transforms measured exciter loads to true ones; `mixing` (c, c) acts on the channels'
+      volts.
+    - `center` (3,) [m]: center of gravity of the metric side; `freedom`: the motions of it that the first coordinates
+      are; `non_metric_motion` (6, n): motion x y z psi theta phi of the non-metric side at the rig's origin.
+    - `row_factor` and `own_stiffness` (n,): one and zero except for flexible parts.
+    - `forces` act along springs, `interference_tones` in channels; `channel_offset` (c,) [V] and `load_offset` (6,)
+      [N, N m] are added to the readings of the channels and of the exciters' force cells.
     """
 
     coordinates: tuple[str, ...]
@@ -104,7 +107,7 @@ class Equations:
     mixing: Dual
     center: Dual
     freedom: tuple[int, ...]
-    base: Dual
+    non_metric_motion: Dual
     row_factor: Dual
     own_stiffness: Array
     channel_offset: Dual
@@ -114,7 +117,7 @@ class Equations:
 
     @property
     def parameters(self) -> int:
-        """Number of parameters that the jets refer to."""
+        """Number of parameters that the derivatives refer to."""
         return self.mass.parameters
 
     @property
@@ -123,21 +126,21 @@ class Equations:
         return tuple(path.channel for path in self.paths)
 
     def motion(self, point: Dual | Array) -> Dual:
-        """Motion (..., 3, n) of points (..., 3) [m] of the moving part, rig axes, per unit of each coordinate."""
+        """Motion (..., 3, n) of points (..., 3) [m] of the metric side, in rig axes, per unit of each coordinate."""
         rows = dual_motion_at(point - self.center)[..., list(self.freedom)]
         others = len(self.coordinates) - len(self.freedom)
         return concatenate([rows, constant(np.zeros((*rows.value.shape[:-1], others)), self.parameters)], axis=-1)
 
     def relative_motion(self, point: Array) -> Dual:
-        """Motion (..., 3, n) of points (..., 3) [m] of the moving part against the lower body."""
-        return self.motion(point) - motion_at(point) @ self.base
+        """Motion (..., 3, n) of points (..., 3) [m] of the metric side relative to the non-metric side."""
+        return self.motion(point) - motion_at(point) @ self.non_metric_motion
 
     def with_coordinates(
         self, names: tuple[str, ...], mass: Dual, damping: Dual, inputs: Dual, compliance: Dual
     ) -> Equations:
-        """Further flexible coordinates: mass and damping (m, m), inputs (m, 6), compliance (m,) of their springs.
+        """The equations with further flexible coordinates, which are not yet coupled to the others.
 
-        They are not yet coupled to the others.
+        `mass` and `damping` (m, m), `inputs` (m, 6), `compliance` (m,) of their springs.
         """
         added, p = len(names), self.parameters
         nothing = constant(np.zeros((added, added)), p)
@@ -152,20 +155,20 @@ class Equations:
             elongation=concatenate([self.elongation, unread], axis=1),
             extra_readings=concatenate([self.extra_readings, unread], axis=1),
             inputs=concatenate([self.inputs, inputs]),
-            base=concatenate([self.base, constant(np.zeros((6, added)), p)], axis=1),
+            non_metric_motion=concatenate([self.non_metric_motion, constant(np.zeros((6, added)), p)], axis=1),
             row_factor=concatenate([self.row_factor, compliance]),
             own_stiffness=np.concatenate([self.own_stiffness, np.ones(added)]),
         )
 
     def with_force(self, force: CellForce) -> Equations:
-        """A further force along a spring."""
+        """The equations with a further force along a spring."""
         return replace(self, forces=(*self.forces, force))
 
     def with_springs(self, motion: Dual, stiffness: Dual) -> Equations:
-        """Springs that no channel reads: elongation (m, n) per coordinate and stiffness (m,)."""
+        """The equations with springs that no channel reads: elongation (m, n) per coordinate and stiffness (m,)."""
         return replace(self, extra_stiffness=self.extra_stiffness + motion.T @ (stiffness.insert_axis(-1) * motion))
 
 
 def dual_motion_at(arm: Dual) -> Dual:
-    """Motion (..., 3, 6) of points at `arm` (..., 3) [m] from the centre of gravity, per unit q; linear in the arm."""
+    """Motion (..., 3, 6) of points at `arm` (..., 3) [m] from the center of gravity, per unit q; linear in the arm."""
     return arm.dot(MOTION_PER_ARM) + MOTION_AT_CENTER

@@ -75,7 +75,7 @@ class SupportFlexibility(Extension):
         along = np.vstack([displacement_rows(mechanics.cg), np.eye(6)[3:]]) @ base
         relative = np.hstack([np.eye(start), -mechanics.plate.T @ along])
         wide = mechanics.with_coordinates(tuple(f"base {name}" for name in motions))
-        wide = replace(wide, base=np.hstack([np.zeros((6, start)), base]))
+        wide = replace(wide, non_metric_motion=np.hstack([np.zeros((6, start)), base]))
         lower = [cell.direction @ wide.non_metric_displacement(cell.position) for cell in geometry.cells]
         wide = replace(
             wide, cell_rows=wide.cell_rows - np.array(lower), damping=relative.T @ mechanics.damping @ relative

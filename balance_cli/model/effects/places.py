@@ -1,0 +1,67 @@
+"""Places of effects: where in a rig an effect can act."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from balance_cli.campaign.rig.geometry import Geometry
+
+Where = tuple[str, ...]
+"""A place: names of cells, channels, load components or motions; empty for an effect of the whole rig."""
+
+ALL = "all"
+"""The place of an effect that is the same in every cell."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A parameter whose value is one of a few words; the first word is the default."""
+
+    name: str
+    words: tuple[str, ...]
+    description: str
+
+
+INSIDE, BESIDE = "inside", "beside"
+SIDE = Choice("side", (INSIDE, BESIDE), "`inside` the cell, whose channels also read the force, or `beside` it.")
+
+
+def whole_rig(_: Geometry) -> tuple[Where, ...]:
+    """The only place of an effect of the whole rig."""
+    return ((),)
+
+
+def each_cell(geometry: Geometry) -> tuple[Where, ...]:
+    """One place per cell."""
+    return tuple((cell.name,) for cell in geometry.cells)
+
+
+def each_cell_or_all(geometry: Geometry) -> tuple[Where, ...]:
+    """All cells together, then one place per cell."""
+    return ((ALL,), *each_cell(geometry))
+
+
+def each_cell_and_side(geometry: Geometry) -> tuple[Where, ...]:
+    """Two places per cell: inside it and beside it."""
+    return tuple((cell.name, side) for cell in geometry.cells for side in SIDE.words)
+
+
+def each_channel(geometry: Geometry) -> tuple[Where, ...]:
+    """One place per channel."""
+    return tuple((channel.name,) for channel in geometry.channels)
+
+
+def cells_at(geometry: Geometry, where: Where) -> list[int]:
+    """Indices of the cells at a place, which is the name of one cell or `all`."""
+    return [i for i, cell in enumerate(geometry.cells) if where == (ALL,) or cell.name in where]
+
+
+def nonempty_subsets(names: tuple[str, ...]) -> tuple[Where, ...]:
+    """All subsets of at least one of `names`, small subsets first, each in the order of `names`."""
+    subsets = [tuple(name for i, name in enumerate(names) if bits >> i & 1) for bits in range(1, 2 ** len(names))]
+    return tuple(sorted(subsets, key=lambda where: (len(where), [names.index(name) for name in where])))
+
+
+def ordered_pairs(names: tuple[str, ...]) -> tuple[Where, ...]:
+    """All pairs of two different names, in both orders."""
+    return tuple((first, second) for first in names for second in names if first != second)
