@@ -23,8 +23,9 @@ INDEX_HEAD = f"""# Effects
 
 {GENERATED_MARK}
 
-What the rigid balance lacks: each a physical thing, each one file in `balance_cli/model/effects`. `identify --effect` fits
-them, and the `effects` of a geometry declare them. They act in this order, in whatever order they are named.
+Deviations from the rigid balance. Each has one physical cause and one file in `balance_cli/model/effects`. They are
+fitted by `identify --effect`, declared in the `effects` of a geometry, and searched by `diagnose`. They act in the order of
+this table, whatever the order in which they are named.
 
 | effect | place | what |
 |---|---|---|
