@@ -20,7 +20,7 @@ from studies.filters import filters_chunk
 from studies.filters_picture import filters_picture
 from studies.filters_table import filters_table, page_table
 from studies.lacking import lacking_table
-from studies.manoeuvre import maneuver_chunk, maneuver_table
+from studies.maneuver import maneuver_chunk, maneuver_table
 from studies.recovery import recovery_chunk, recovery_table
 
 TABLES = Path(__file__).parent / "tables"
@@ -38,7 +38,7 @@ def studies(context: click.Context) -> None:
         context.invoke(recovery)
         context.invoke(attribution)
         context.invoke(calibration)
-        context.invoke(manoeuvre)
+        context.invoke(maneuver)
         context.invoke(filters)
 
 
@@ -96,11 +96,15 @@ def calibration(balances: int = 100, jobs: int = 2) -> None:
 @studies.command()
 @click.option("--seeds", default=10, show_default=True)
 @click.option("--jobs", default=2, show_default=True)
-def manoeuvre(seeds: int = 10, jobs: int = 2) -> None:
-    """Filters and smoothers on manoeuvres with known loads, beside the best linear smoother."""
-    table = maneuver_table(run_chunks("manoeuvre", _manoeuvre, range(seeds), jobs))
-    _write("manoeuvre", table)
+def maneuver(seeds: int = 10, jobs: int = 2) -> None:
+    """Filters and smoothers on maneuvers with known loads, compared with the best linear smoother."""
+    table = maneuver_table(run_chunks("maneuver", _maneuver, range(seeds), jobs))
+    _write("maneuver", table)
     click.echo(table.to_string(index=False))
+
+
+# The former name, for scripts.
+studies.add_command(click.Command("manoeuvre", callback=maneuver.callback, params=maneuver.params, hidden=True))
 
 
 @studies.command()
@@ -132,7 +136,7 @@ def _coverage(seed: int) -> pd.DataFrame:
     return coverage_chunk(load_geometry(GEOMETRY), CoverageTask(seed, FITS_PER_RIG))
 
 
-def _manoeuvre(seed: int) -> pd.DataFrame:
+def _maneuver(seed: int) -> pd.DataFrame:
     return maneuver_chunk(load_geometry(GEOMETRY), seed)
 
 

@@ -1,7 +1,7 @@
 """Frequency domain or Kalman filter: loads in time by all methods, on a balance with two degrees of freedom.
 
-The paper's figure 11, whose own is lost: what errors in the system matrix, in the channels, in the rotor's speed and in
-the steadiness of its loads do to each way of reducing the same records. The truth is integrated in time.
+The study repeats the comparison of the paper, whose figure 11 is lost: effects of errors in the system matrix, in the
+channels and in the rotor speed, and of unsteady loads, on each method. The truth is integrated in time.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ ComplexArray = NDArray[np.complex128]
 
 DURATION = 12.0
 START_EXCLUDED, END_EXCLUDED = 2.0, 0.2
-"""Time [s] left out after the first and before the last pulse: an end is no matter of the method."""
+"""Time [s] left out after the first and before the last pulse, so that the methods and not the ends are compared."""
 BAND = 150.0
-"""Frequency [Hz] up to which errors are counted a second time: beyond 8/rev, below the anti-alias filter."""
+"""Upper frequency [Hz] of the second measure of errors: above 8/rev, below the anti-alias filter."""
 HARMONICS = 8
 LAG = 0.05
 Z_95 = 1.959963984540054
@@ -67,7 +67,7 @@ METHODS = (NOMINAL_HARMONICS, ACTUAL_HARMONICS, *IN_TIME)
 
 @dataclass(frozen=True)
 class SimulatedRecord:
-    """One run with its truth, and what reduces it."""
+    """One run with its truth, the geometry, the calibration and the response for its reduction."""
 
     run: Run
     truth: RunTruth
@@ -78,7 +78,7 @@ class SimulatedRecord:
 
 @dataclass(frozen=True)
 class ReducedRecord:
-    """Loads (n, 2) at all samples between the pulses with sigma (n, 2) or none, amplitudes (8, 2) over `interval`."""
+    """Loads (n, 2) between the pulses from sample `first` on, sigma (n, 2) or None, amplitudes (8, 2) over `interval`."""
 
     first: int
     loads: Array
@@ -88,13 +88,13 @@ class ReducedRecord:
 
 
 def filters_chunk(seed: int, duration: float = DURATION) -> pd.DataFrame:
-    """All cases by all methods for one seed, one row for each."""
+    """Return the errors of all cases by all methods for one seed, one row each."""
     rows = [row for case in CASES.values() for row in case_rows(simulate_record(case, seed, duration), case.name)]
     return pd.DataFrame(rows).assign(seed=seed)
 
 
 def simulate_record(case: FilterCase, seed: int, duration: float = DURATION) -> SimulatedRecord:
-    """A run of one case, and the static calibration of the same rig; the model is that of the declared rig."""
+    """Simulate a run of one case and a static calibration of the same rig; the model is that of the declared rig."""
     geometry = two_degree_geometry(case.tolerances)
     rig = case.rig(geometry, np.random.default_rng([seed, 11]), duration)
     run, truth = simulate_run(rig, rotor_plan(case, duration), seed=seed)
@@ -104,12 +104,12 @@ def simulate_record(case: FilterCase, seed: int, duration: float = DURATION) -> 
 
 
 def case_rows(record: SimulatedRecord, case: str, methods: tuple[str, ...] = METHODS) -> list[dict[str, object]]:
-    """Errors of one record by each method."""
+    """Return the errors of one record by each method."""
     return [{"case": case, "method": method, **errors(record, reduce_by_method(record, method))} for method in methods]
 
 
 def reduce_by_method(record: SimulatedRecord, method: str) -> ReducedRecord:
-    """The record by one method."""
+    """Reduce the record by one method."""
     if method in IN_TIME:
         return _reduce_record_in_time(record, IN_TIME[method])
     steady = reduce_run(record.run, record.geometry, record.calibration, record.source)
@@ -118,7 +118,7 @@ def reduce_by_method(record: SimulatedRecord, method: str) -> ReducedRecord:
 
 
 def loads_at_nominal_harmonics(record: SimulatedRecord) -> ComplexArray:
-    """Amplitudes (8, 2) as in the paper: harmonic analysis, then T_nu = (C*C)^-1 C* of the nominal harmonics."""
+    """Return amplitudes (8, 2) as in the paper: harmonic analysis, then T_nu = (C*C)^-1 C* of the nominal harmonics."""
     rotor = rotor_record(record.run, record.geometry, record.source, HARMONICS)
     nominal = NOMINAL_SPEED * np.arange(1, HARMONICS + 1)
     C = record.source.at(nominal, NOMINAL_SPEED)[:, :, COLUMNS]
@@ -129,52 +129,52 @@ def loads_at_nominal_harmonics(record: SimulatedRecord) -> ComplexArray:
 
 
 def _sum_of_harmonics(record: SimulatedRecord, steady: RunLoads, amplitude: ComplexArray) -> ReducedRecord:
-    """The sum of the harmonics at the azimuth of every sample."""
+    """Return the sum of the harmonics at the azimuth of every sample."""
     inside = _between_pulses(record)
     assert record.run.pulse_times is not None
     psi = azimuth_from_pulses(record.run.pulse_times).psi(record.truth.time[inside])
-    turns = np.exp(1j * psi[:, None] * np.arange(1, HARMONICS + 1))
-    loads = steady.amplitude[0].real + np.real(turns @ amplitude)
+    phasors = np.exp(1j * psi[:, None] * np.arange(1, HARMONICS + 1))
+    loads = steady.amplitude[0].real + np.real(phasors @ amplitude)
     return ReducedRecord(inside.start, loads, None, amplitude, steady.interval)
 
 
 def _reduce_record_in_time(record: SimulatedRecord, options: TimeOptions) -> ReducedRecord:
     parts: list[LoadHistory] = []
-    found = reduce_run_in_time(
+    result = reduce_run_in_time(
         record.run, record.geometry, record.calibration, record.source, None, options, parts.append
     )
     loads, sigma = (np.concatenate([getattr(part, name) for part in parts])[:, COLUMNS] for name in ("loads", "sigma"))
     first = round(float(parts[0].time[0]) * SAMPLE_RATE)
-    return ReducedRecord(first, loads, sigma, found.loads.amplitude[1:], found.loads.interval)
+    return ReducedRecord(first, loads, sigma, result.loads.amplitude[1:], result.loads.interval)
 
 
 def _between_pulses(record: SimulatedRecord) -> slice:
-    """The samples from the first to the last pulse."""
+    """Return the samples from the first to the last pulse."""
     pulses = record.run.pulse_times
     assert pulses is not None
     return slice(int(np.ceil(pulses[0] * SAMPLE_RATE)), int(np.floor(pulses[-1] * SAMPLE_RATE)) + 1)
 
 
-def errors(record: SimulatedRecord, found: ReducedRecord) -> dict[str, float]:
-    """Errors relative to the true loads, both components together (root mean square of the two relative errors).
+def errors(record: SimulatedRecord, reduced: ReducedRecord) -> dict[str, float]:
+    """Return errors relative to the true loads, both components together (rms of the two relative errors).
 
-    `history`: rms of the error, that of the mean load included, over that of what varies in the load; `in_band`: the
-    same below BAND; `harmonics`: rms error of harmonics 1 to 8 over their rms; `coverage` of the 95 % intervals of the
+    `history`: rms of the error, mean load included, over the standard deviation of the load; `in_band`: the same below
+    BAND; `harmonics`: rms error of harmonics 1 to 8 over their rms; `coverage` of the 95 % intervals of the
     history.
     """
-    part = slice(found.first, found.first + len(found.loads))
+    part = slice(reduced.first, reduced.first + len(reduced.loads))
     true, time = record.truth.loads[part][:, COLUMNS], record.truth.time[part]
-    error, counted = found.loads - true, (time >= START_EXCLUDED) & (time <= time[-1] - END_EXCLUDED)
+    error, counted = reduced.loads - true, (time >= START_EXCLUDED) & (time <= time[-1] - END_EXCLUDED)
     size = true[counted].std(axis=0)
     low = scipy.signal.butter(8, BAND, fs=SAMPLE_RATE, output="sos")
     slow = np.asarray(scipy.signal.sosfiltfilt(low, error, axis=0))
-    cosine, sine = record.truth.harmonics(*found.interval)
+    cosine, sine = record.truth.harmonics(*reduced.interval)
     amplitude = (cosine - 1j * sine)[1 : HARMONICS + 1, COLUMNS]
-    hits = np.nan if found.sigma is None else np.mean(np.abs(error) < Z_95 * found.sigma, where=counted[:, None])
+    hits = np.nan if reduced.sigma is None else np.mean(np.abs(error) < Z_95 * reduced.sigma, where=counted[:, None])
     return {
         "history": _pool_errors(_rms(error[counted]) / size),
         "in_band": _pool_errors(_rms(slow[counted]) / size),
-        "harmonics": _pool_errors(_rms(found.amplitude - amplitude) / _rms(amplitude)),
+        "harmonics": _pool_errors(_rms(reduced.amplitude - amplitude) / _rms(amplitude)),
         "coverage": float(hits),
     }
 

@@ -1,4 +1,4 @@
-"""The picture of the study of filters: a manoeuvre in time, and errors by case and method."""
+"""The figure of the study of filters: a maneuver in time, and errors by case and method."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from studies.filters_rig import CASES, COLUMNS, MANEUVER
 SHOWN_METHODS = {NOMINAL_HARMONICS: VERMILION, "harmonics, filter": BLUE, "harmonics, smoother": GREEN}
 """Methods whose histories are drawn."""
 SPAN = (6.3, 7.2)
-"""What is shown about the manoeuvre [s]."""
+"""Times [s] between which the maneuver is drawn."""
 METHOD_COLORS = {"T at": VERMILION, "harmonics": GREEN, "random": BLUE, "free": ORANGE}
 MARKERS = {"in_band": "o", "harmonics": "|"}
 LIMITS = (3e-4, 2e1)
 
 
 def filters_picture(table: pd.DataFrame, seed: int = 0) -> Figure:
-    """Above, load and errors in a manoeuvre; below, errors of all methods in each case."""
+    """Draw load and errors in a maneuver above, and errors of all methods in each case below."""
     figure = new_figure(11.0, 8.2)
     above = figure.add_gridspec(1, 2, left=0.06, right=0.985, top=0.965, bottom=0.72, wspace=0.12)
     _draw_maneuver(figure.add_subplot(above[0, 0]), figure.add_subplot(above[0, 1]), seed)
@@ -34,16 +34,16 @@ def filters_picture(table: pd.DataFrame, seed: int = 0) -> Figure:
 
 
 def _draw_maneuver(loads: Axes, errors: Axes, seed: int) -> None:
-    """Fx as it was and as three methods have it; their errors."""
+    """Draw the true Fx, that of three methods, and their errors."""
     record = simulate_record(CASES[MANEUVER], seed)
-    for method, colour in SHOWN_METHODS.items():
-        found = reduce_by_method(record, method)
-        part = slice(found.first, found.first + len(found.loads))
+    for method, color in SHOWN_METHODS.items():
+        reduced = reduce_by_method(record, method)
+        part = slice(reduced.first, reduced.first + len(reduced.loads))
         time, true = record.truth.time[part], record.truth.loads[part, COLUMNS[0]]
-        loads.plot(time, found.loads[:, 0], color=colour, label=method)
-        errors.plot(time, found.loads[:, 0] - true, color=colour)
+        loads.plot(time, reduced.loads[:, 0], color=color, label=method)
+        errors.plot(time, reduced.loads[:, 0] - true, color=color)
     loads.plot(record.truth.time, record.truth.loads[:, COLUMNS[0]], color=BLACK, linestyle=(0, (4, 2)), label="true")
-    loads.set_title("Fx [N] in a manoeuvre")
+    loads.set_title("Fx [N] in a maneuver")
     errors.set_title("error of Fx [N]")
     for axes in (loads, errors):
         axes.set_xlim(SPAN)
@@ -54,14 +54,14 @@ def _draw_maneuver(loads: Axes, errors: Axes, seed: int) -> None:
 
 
 def _draw_errors(axes: Axes, rows: pd.DataFrame, case: str, labelled: bool) -> None:
-    """Medians and ranges over the seeds, one line a method."""
+    """Draw medians and ranges over the seeds, one row per method."""
     methods = list(rows["method"])[::-1]
     for _, row in rows.iterrows():
-        place, colour = methods.index(row["method"]), _method_color(row["method"])
+        place, color = methods.index(row["method"]), _method_color(row["method"])
         for name, marker in MARKERS.items():
             shift = 0.0 if name == "in_band" else -0.28
-            axes.plot([row[f"{name}_min"], row[f"{name}_max"]], [place + shift] * 2, color=colour, linewidth=0.9)
-            axes.plot(row[f"{name}_median"], place + shift, marker, color=colour, markersize=5 if marker == "o" else 7)
+            axes.plot([row[f"{name}_min"], row[f"{name}_max"]], [place + shift] * 2, color=color, linewidth=0.9)
+            axes.plot(row[f"{name}_median"], place + shift, marker, color=color, markersize=5 if marker == "o" else 7)
     axes.set_xscale("log")
     axes.set_xlim(LIMITS)
     axes.set_ylim(-0.7, len(methods) - 0.4)
@@ -71,11 +71,11 @@ def _draw_errors(axes: Axes, rows: pd.DataFrame, case: str, labelled: bool) -> N
 
 
 def _method_color(method: str) -> str:
-    return next(colour for start, colour in METHOD_COLORS.items() if method.startswith(start))
+    return next(color for start, color in METHOD_COLORS.items() if method.startswith(start))
 
 
 def _draw_key(axes: Axes) -> None:
-    """What the marks mean."""
+    """Write what the marks mean."""
     axes.axis("off")
     lines: Sequence[str] = (
         "Relative error, both loads together;",

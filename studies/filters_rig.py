@@ -1,7 +1,7 @@
-"""A balance with two degrees of freedom, its rotor loads, and the ways in which its model is wrong.
+"""A balance with two degrees of freedom, its rotor loads, and the errors of its model.
 
-A plate with a mast, free to move along x and to pitch, on one horizontal and two vertical cells; a harmonic of the
-rotor lies near either of its resonances. What reduces the records always knows the declared rig; the true rig differs.
+A plate with a mast, free to move along x and to pitch, on one horizontal and two vertical cells; a rotor harmonic lies
+near each of its two resonances. The reduction always uses the declared rig; the true rig differs.
 """
 
 from __future__ import annotations
@@ -32,31 +32,31 @@ SAMPLE_RATE = 800.0
 NOMINAL_SPEED = 17.5
 OFF_NOMINAL = 1.02
 DRIFT, DRIFT_PERIOD = 0.02, 9.0
-# One standard deviation, relative, of what is not known.
 STIFFNESS, DAMPING, SENSITIVITY = 0.04, 0.3, 0.03
+"""Relative standard deviations of the errors of the declared rig."""
 PIEZO_DELAY = 2.5e-4
-"""Delay [s] of the piezo channels of which the model knows nothing: 13 degrees at 8/rev."""
+"""Delay [s] of the piezo channels that the model lacks: 13 degrees at 8/rev."""
 LOAD_GROWTH, RISE_TIME = 0.6, 0.3
-"""Relative change of all loads in a manoeuvre, and the time [s] that it takes."""
+"""Relative change of all loads in a maneuver, and the time [s] that it takes."""
 FIRST_HARMONIC = {"Fx": 33.0, "My": 15.0}
 STEADY = {"Fx": 100.0, "My": -20.0}
 TURBULENCE = {"Fx": 3.0, "My": 1.5}
 """Random loads [N, N m], rms, within 0.5 to 100 Hz."""
 TURBULENCE_CORNER = 100.0
-"""Corner frequency [Hz] of turbulence that has no band."""
+"""Corner frequency [Hz] of turbulence without band limit."""
 STEP = 1.0 / (OVERSAMPLING * SAMPLE_RATE)
-"""Step [s] of the grid on which loads come."""
+"""Step [s] of the time grid of the loads."""
 
 
 @dataclass(frozen=True)
 class Maneuver(Extension):
-    """The loads of a wind-on run grow by GROWTH at the time `start` [s]."""
+    """The loads of a wind-on run grow by LOAD_GROWTH at the time `start` [s]."""
 
-    name: ClassVar[str] = "manoeuvre"
+    name: ClassVar[str] = "maneuver"
     start: float = 0.0
 
     def true_loads(self, loads: Array, kind: str) -> Array:
-        """Loads (n, 6) as they act."""
+        """Return the loads (n, 6) that act."""
         if kind != "wind":
             return loads
         time = np.arange(len(loads)) * STEP
@@ -65,29 +65,29 @@ class Maneuver(Extension):
 
 @dataclass(frozen=True)
 class BroadTurbulence(Extension):
-    """Turbulence of a wind-on run that has no band: exponentially correlated, of the strength of TURBULENCE."""
+    """Turbulence of a wind-on run without band limit: exponentially correlated, with the rms of TURBULENCE."""
 
     name: ClassVar[str] = "broad turbulence"
     seed: int = 0
 
     def true_loads(self, loads: Array, kind: str) -> Array:
-        """Loads (n, 6) as they act."""
+        """Return the loads (n, 6) that act."""
         if kind != "wind":
             return loads
-        rng, keep = np.random.default_rng(self.seed), np.exp(-2 * np.pi * TURBULENCE_CORNER * STEP)
+        rng, memory = np.random.default_rng(self.seed), np.exp(-2 * np.pi * TURBULENCE_CORNER * STEP)
         rms = np.array(list(TURBULENCE.values()))
-        driven = np.sqrt(1 - keep**2) * rms * rng.standard_normal((len(loads), len(rms)))
-        driven[0] /= np.sqrt(1 - keep**2)
-        found = loads.copy()
-        found[:, COLUMNS] += scipy.signal.lfilter([1.0], [1.0, -keep], driven, axis=0)
-        return found
+        driven = np.sqrt(1 - memory**2) * rms * rng.standard_normal((len(loads), len(rms)))
+        driven[0] /= np.sqrt(1 - memory**2)
+        turbulent_loads = loads.copy()
+        turbulent_loads[:, COLUMNS] += scipy.signal.lfilter([1.0], [1.0, -memory], driven, axis=0)
+        return turbulent_loads
 
 
 @dataclass(frozen=True)
 class FilterCase:
-    """What differs from the declared rig at the nominal speed: the rig, and how the rotor turns.
+    """One case of the study: the true rig, the rotor speed and the turbulence.
 
-    `tolerances` are declared: what is not known of the rig, and of what size that is, the reduction is told.
+    `tolerances` are declared, so that the reduction knows which properties of the rig are uncertain, and by how much.
     """
 
     name: str
@@ -99,7 +99,7 @@ class FilterCase:
 
 
 def two_degree_geometry(tolerances: Mapping[str, float]) -> Geometry:
-    """The declared rig: modes near 2/rev and 4/rev with one per cent of damping."""
+    """Return the declared rig, with modes near 2/rev and 4/rev and damping ratios of 1 %."""
     cells = {"x": ([0.0, 0.0, -0.05], [1, 0, 0], 6.2e6), "z1": ([0.36, 0.0, -0.05], [0, 0, 1], 8.4e6)}
     cells["z2"] = ([-0.36, 0.0, -0.05], [0, 0, 1], 8.4e6)
     strain = [{"name": f"{name}.strain", "cell": name, "sensitivity": 0.002, "lowpass": 90.0} for name in cells]
@@ -132,7 +132,7 @@ def _declared_rig(geometry: Geometry, rng: np.random.Generator, duration: float)
 
 
 def _rig_with_wrong_modes(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
-    """Stiffness of each cell and damping of each mode are not as declared."""
+    """Return a rig whose cell stiffness and modal damping are not as declared."""
     stiffness = np.array([cell.effective_stiffness for cell in geometry.cells])
     return true_rig(
         geometry,
@@ -142,7 +142,7 @@ def _rig_with_wrong_modes(geometry: Geometry, rng: np.random.Generator, duration
 
 
 def _rig_with_wrong_channels(geometry: Geometry, rng: np.random.Generator, duration: float) -> TrueRig:
-    """Sensitivities are not as declared, and piezo channels are late."""
+    """Return a rig whose sensitivities are not as declared and whose piezo channels are delayed."""
     sensitivity = np.array([channel.sensitivity for channel in geometry.channels])
     rig = true_rig(geometry, sensitivities=sensitivity * (1 + SENSITIVITY * rng.standard_normal(len(sensitivity))))
     piezo = tuple(channel.name for channel in geometry.channels if not channel.measures_dc)
@@ -158,7 +158,7 @@ def _rig_in_broad_turbulence(geometry: Geometry, rng: np.random.Generator, durat
 
 
 EXACT, BROAD, SYSTEM, CHANNELS = "exact model", "exact model, broad turbulence", "system matrix wrong", "T wrong"
-OFF_SPEED, DRIFTING, MANEUVER = "speed 2 % off", "speed drifts by 2 %", "manoeuvre"
+OFF_SPEED, DRIFTING, MANEUVER = "speed 2 % off", "speed drifts by 2 %", "maneuver"
 CASES = {
     case.name: case
     for case in (
@@ -174,12 +174,12 @@ CASES = {
 
 
 def static_plan() -> StaticPlan:
-    """The static calibration of a case."""
+    """Return the plan of the static calibration of a case."""
     return StaticPlan(run="static", largest={"Fx": 800.0, "My": 400.0})
 
 
 def rotor_plan(case: FilterCase, duration: float) -> RotorPlan:
-    """The wind-on run of a case."""
+    """Return the plan of the wind-on run of a case."""
     plan = RotorPlan(
         run="wind",
         kind="wind",

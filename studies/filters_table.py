@@ -1,4 +1,4 @@
-"""The table of the study of filters, and the lines of it that are shown on the page."""
+"""The table of the study of filters, and its excerpt for the manual."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ MEASURES = ("history", "in_band", "harmonics")
 
 
 def filters_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Median, least and largest error over the seeds and mean coverage, by case and method."""
+    """Return median, least and largest error over the seeds, and mean coverage, by case and method."""
     grouped = rows.groupby(["case", "method"], sort=False)
     table = grouped[list(MEASURES)].agg(["median", "min", "max"])
     table.columns = [f"{name}_{statistic}" for name, statistic in table.columns]
@@ -16,7 +16,7 @@ def filters_table(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def page_table(table: pd.DataFrame, measure: str = "in_band") -> str:
-    """Median errors in per cent as a table in Markdown: methods down, cases across."""
+    """Return median errors in percent as a Markdown table, one row per method and one column per case."""
     cases = list(dict.fromkeys(table["case"]))
     values = table.set_index(["method", "case"])[f"{measure}_median"] * 100.0
     lines = [f"| method | {' | '.join(cases)} |", f"|---|{'---|' * len(cases)}"]
@@ -26,5 +26,5 @@ def page_table(table: pd.DataFrame, measure: str = "in_band") -> str:
 
 
 def _percent(value: float) -> str:
-    """Two significant figures."""
+    """Return the value with two significant figures."""
     return f"{value:.2f}" if value < 1 else f"{value:.1f}" if value < 10 else f"{value:.0f}"

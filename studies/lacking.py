@@ -1,6 +1,6 @@
-"""How far wrong each way to hub loads is when the model lacks what the rig has: before and after closing the loop.
+"""Errors of each reduction method when the model lacks effects of the rig: before and after model updating.
 
-On the check runs of the sample campaign, whose loads are known, by the artefacts that `make run` leaves.
+The study uses the check runs of the sample campaign, whose loads are known, and the artefacts of `make run`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ METHODS = {
 
 
 def lacking_table(results: Path, data: Path) -> pd.DataFrame:
-    """Error of every component that was applied, and how well the innovations fit: rows by model, method and run."""
+    """Return the error of every applied component and the NIS, one row per model and method."""
     calibration = load_artefact(results / "calibration.h5", {"balance-calibration/1": Calibration}).content
     rows = []
     for model, name in MODELS.items():
@@ -38,7 +38,7 @@ def lacking_table(results: Path, data: Path) -> pd.DataFrame:
         for path in sorted(data.glob("check-*.h5")):
             run = open_run(path)
             for method, options in METHODS.items():
-                loads, nis = _reduced(run, calibration, source, options)
+                loads, nis = _reduce(run, calibration, source, options)
                 assert loads.check is not None
                 errors = {f"{key} %": 100 * value for key, value in loads.check.load_error.items()}
                 rows.append({"model": model, "method": method, "nis": nis, **errors})
@@ -46,11 +46,11 @@ def lacking_table(results: Path, data: Path) -> pd.DataFrame:
     return table[["model", "method", "nis", *(f"{name} %" for name in ("Fx", "Fy", "Fz", "Mx", "My", "Mz"))]]
 
 
-def _reduced(
+def _reduce(
     run: Run, calibration: Calibration, source: ModelSource, options: TimeOptions | None
 ) -> tuple[RunLoads, float]:
     geometry = calibration.geometry
     if options is None:
         return reduce_run(run, geometry, calibration, source), float("nan")
-    found = reduce_run_in_time(run, geometry, calibration, source, None, options)
-    return found.loads, found.innovations.nis if found.innovations else float("nan")
+    result = reduce_run_in_time(run, geometry, calibration, source, None, options)
+    return result.loads, result.innovations.nis if result.innovations else float("nan")

@@ -1,10 +1,10 @@
-"""From which period on a periodic record is steady, line by line.
+"""The first steady period of a periodic record, for each spectral line.
 
-A transient of poles lambda is a sum of exp(lambda t): from one period to the next, of length T, every line of its
-spectrum shrinks by the same factor exp(lambda T). Differences of consecutive periods show it against the noise, and
-where they no longer do, its decay so far tells how much of it is left. They are looked at in two ways: all signals
-together in narrow bands (the ringing of a mode is in all of them), and each signal by itself in wide bands (the
-recovery of one channel's high-pass).
+A transient with poles lambda is a sum of exp(lambda t): from one period to the next, of length T, every line of its
+spectrum decreases by the factor exp(lambda T). Differences of consecutive periods show it against the noise; where they
+are no longer significant, the decay up to there predicts the remainder. Two statistics are tested: all signals together
+in narrow bands (the transient of a mode is in all of them), and each signal by itself in wide bands (the transient of
+the high-pass of one channel).
 """
 
 from __future__ import annotations
@@ -26,21 +26,31 @@ ComplexArray = NDArray[np.complex128]
 Counts = NDArray[np.intp]
 
 NARROW_LINES = 5
+"""Lines of a narrow band: about the width of a lightly damped resonance."""
 WIDE_LINES = 41
+"""Lines of a wide band: the transient of a high-pass is broad, and a single signal needs the average."""
 FALSE_ALARM = 1e-2
+"""Probability that noise makes any band of a record unsteady."""
 LARGEST_BIAS = 0.05
+"""Largest expected squared bias of a mean over its variance: the total error grows by 2.5 %."""
 LARGEST_BIAS_OF_SIGNAL = 0.25
+"""The same for one signal in wide bands: the total error of that signal grows by 12 %."""
 MIN_PERIODS = 2
+"""Periods that are kept at least: their difference is the only estimate of the noise."""
 DECAY_RATIO_QUANTILE = 0.9
+"""Quantile of the known decay ratios that bounds those which noise alone determines."""
 DEFAULT_DECAY_RATIO = 0.1
+"""Bound of the decay ratio where no line of the record determines one."""
 MAX_DECAY_RATIO = 0.6
+"""Largest decay ratio: for slower decays the factor (1 - sqrt(ratio))^-4 of the bias is above 390."""
 
 
 @dataclass(frozen=True)
 class SteadyStart:
-    """`first` (K,) steady period of each line; `bias` (K,): square of what the transient still adds to the mean, over
+    """`first` (K,) steady period of each line.
 
-    the variance of that mean; `steady` (K,): False where more had to be accepted in order to keep two periods.
+    `bias` (K,): expected squared bias of the mean over its variance; `steady` (K,): False where a larger bias is
+    accepted in order to keep two periods.
     """
 
     first: Counts
@@ -50,7 +60,7 @@ class SteadyStart:
 
 @dataclass(frozen=True)
 class _BandStatistic:
-    """Power of the differences over that of noise, less one: excess (P-1, K, v), and its significance threshold."""
+    """Power of the differences over that of noise, less one: `excess` (P-1, K, v), and its significance threshold."""
 
     excess: Array
     threshold: float
@@ -60,41 +70,41 @@ class _BandStatistic:
 def find_steady_start(spectra: ComplexArray) -> SteadyStart:
     """Find the first steady period of each line; spectra (P, K, n) of P >= 2 consecutive periods.
 
-    The statistic is the squared difference of consecutive periods, weighted by the noise of the late ones: chi-square
-    distributed where nothing but noise differs. A band is unsteady up to the last difference that is significant
-    (probability FALSE_ALARM for the whole record), and then until the decay seen so far has brought the expected bias
-    of the mean below LARGEST_BIAS of its variance (or LARGEST_BIAS_OF_SIGNAL in any one signal).
+    The statistic is the squared difference of consecutive periods, weighted by the noise of the last ones: chi-square
+    distributed if only noise differs. A band is unsteady up to the last significant difference (`FALSE_ALARM` for the
+    whole record), and then until the decay up to there has reduced the expected squared bias of the mean below
+    `LARGEST_BIAS` of its variance (`LARGEST_BIAS_OF_SIGNAL` in each signal).
     """
     P, K, _ = spectra.shape
     if P <= MIN_PERIODS:
         return SteadyStart(np.zeros(K, np.intp), np.zeros(K), np.full(K, False))
-    views = _band_statistics(spectra)
-    biases = [_bias(view, P) for view in views]
-    allowed = np.all([np.all(b <= v.largest_bias, axis=2) for b, v in zip(biases, views, strict=True)], axis=0)
-    settled = np.copy(allowed)
+    statistics = _band_statistics(spectra)
+    biases = [_bias(item, P) for item in statistics]
+    allowed = np.all([np.all(b <= s.largest_bias, axis=2) for b, s in zip(biases, statistics, strict=True)], axis=0)
+    is_steady = np.copy(allowed)
     allowed[P - MIN_PERIODS :] = True
     first = np.argmax(allowed, axis=0)
     lines = np.arange(K)
-    return SteadyStart(first, np.minimum(biases[0][first, lines, 0], 1.0), settled[first, lines])
+    return SteadyStart(first, np.minimum(biases[0][first, lines, 0], 1.0), is_steady[first, lines])
 
 
 def _band_statistics(spectra: ComplexArray) -> tuple[_BandStatistic, _BandStatistic]:
-    """All signals together in narrow bands, and each by itself in wide ones."""
+    """Return the statistics of all signals together in narrow bands, and of each by itself in wide ones."""
     difference = np.diff(spectra, axis=0)
     K, n = spectra.shape[1:]
     late = difference[-2:]
     scatter = np.einsum("pki,pkj->kij", late, late.conj()) / len(late)
-    # Consecutive differences share a period: two of them are worth 1.6 independent ones (correlation -1/2).
+    # Two consecutive differences have the correlation -1/2 and count as 2 / (1 + 1/4) = 1.6 independent ones.
     counts = np.full(K, 1.6 if len(late) == 2 else 1.0)
     noise, dof = pooled_covariance(scatter * counts[:, None, None], counts, floor=2.0 * variance_floor(spectra))
-    together = vector_mahalanobis_distances(difference, noise, dof)[:, :, None]
-    own = np.abs(difference) ** 2 / np.diagonal(noise, axis1=1, axis2=2).real
-    narrow = _average_over_band(together, NARROW_LINES, n, dof, LARGEST_BIAS)
-    return narrow, _average_over_band(own, WIDE_LINES, 1, dof, LARGEST_BIAS_OF_SIGNAL)
+    joint_power = vector_mahalanobis_distances(difference, noise, dof)[:, :, None]
+    signal_power = np.abs(difference) ** 2 / np.diagonal(noise, axis1=1, axis2=2).real
+    narrow = _average_over_band(joint_power, NARROW_LINES, n, dof, LARGEST_BIAS)
+    return narrow, _average_over_band(signal_power, WIDE_LINES, 1, dof, LARGEST_BIAS_OF_SIGNAL)
 
 
 def _average_over_band(power: Array, lines: int, signals: int, dof: float, largest_bias: float) -> _BandStatistic:
-    """Power (P-1, K, v) over that of noise known with `dof`, averaged over bands of `lines`: Fisher's distribution."""
+    """Average power (P-1, K, v) over that of noise with `dof` over bands of `lines`; the ratio is F distributed."""
     from scipy.stats import f
 
     width = min(lines, power.shape[1])
@@ -104,25 +114,26 @@ def _average_over_band(power: Array, lines: int, signals: int, dof: float, large
     return _BandStatistic(banded - 1.0, largest - 1.0, largest_bias)
 
 
-def _bias(view: _BandStatistic, periods: int) -> Array:
-    """Expected square of the transient in the mean over its variance (P, K, v), for each period to start from.
+def _bias(statistic: _BandStatistic, periods: int) -> Array:
+    """Return the expected squared bias of the mean over its variance (P, K, v), for each first period.
 
     An excess e in the difference of periods p and p+1 is a transient of size |t|^2 = 2 e sigma^2 / (1 - decay)^2; the
-    mean over m periods holds t / (m (1 - decay)) of it, and has the variance sigma^2 / m. Where there is no telling,
-    because the transient is still significant at the start, it is infinite.
+    mean over m periods contains t / (m (1 - decay)) of it, and has the variance sigma^2 / m. Where the transient is
+    still significant in the first period, the bias is infinite.
     """
-    last = _last_significant(view.excess > view.threshold)
-    ratio = _decay_ratio(view.excess, last)
-    kept = periods - np.arange(periods)[:, None, None]
-    bias = 2.0 * _extrapolate_transient(view.excess, last, ratio, periods) / (kept * (1.0 - np.sqrt(ratio)) ** 4)
+    last = _last_significant(statistic.excess > statistic.threshold)
+    ratio = _decay_ratio(statistic.excess, last)
+    remaining = periods - np.arange(periods)[:, None, None]
+    transient = _extrapolate_transient(statistic.excess, last, ratio, periods)
+    bias = 2.0 * transient / (remaining * (1.0 - np.sqrt(ratio)) ** 4)
     return np.where(np.arange(periods)[:, None, None] > last, bias, np.inf)
 
 
 def _last_significant(significant: NDArray[np.bool_]) -> Counts:
-    """Last difference (K, v) before the first two in a row that are not significant; -1 where none is."""
-    quiet = ~significant
-    twice = quiet & np.concatenate([quiet[1:], np.ones_like(quiet[:1])])
-    ends = np.concatenate([twice, np.ones_like(twice[:1])])
+    """Return the last difference (K, v) before the first two consecutive insignificant ones; -1 where none is."""
+    insignificant = ~significant
+    both = insignificant & np.concatenate([insignificant[1:], np.ones_like(insignificant[:1])])
+    ends = np.concatenate([both, np.ones_like(both[:1])])
     return np.asarray(np.argmax(ends, axis=0) - 1, np.intp)
 
 
@@ -131,21 +142,21 @@ def _take_period(values: Array, period: Counts) -> Array:
 
 
 def _decay_ratio(excess: Array, last: Counts) -> Array:
-    """Decay of the transient's power from one period to the next (K, v), from the last significant difference.
+    """Return the ratio (K, v) of the power of the transient in consecutive periods, at the last significant difference.
 
-    Where only the first difference is significant the decay is known by noise alone; there it is not taken for slower
-    than most of those that are known.
+    Where only the first difference is significant, noise determines the ratio; there it is limited by a quantile of the
+    known ones.
     """
     later = np.where(last > 0, last, min(1, len(excess) - 1))
     early = np.maximum(_take_period(excess, np.maximum(later - 1, 0)), 1e-12)
     ratio = np.clip(_take_period(excess, later) / early, 1e-9, MAX_DECAY_RATIO)
     known = ratio[last > 0]
-    usual = np.quantile(known, DECAY_RATIO_QUANTILE) if known.size else DEFAULT_DECAY_RATIO
-    return np.asarray(np.where(last > 0, ratio, np.minimum(ratio, usual)), float)
+    limit = np.quantile(known, DECAY_RATIO_QUANTILE) if known.size else DEFAULT_DECAY_RATIO
+    return np.asarray(np.where(last > 0, ratio, np.minimum(ratio, limit)), float)
 
 
 def _extrapolate_transient(excess: Array, last: Counts, ratio: Array, periods: int) -> Array:
-    """Excess power (P, K, v) that the transient has at each period, carried on from the last significant difference."""
+    """Return the excess power (P, K, v) of the transient in each period, from the last significant difference on."""
     start = np.maximum(last, 0)
     known = np.maximum(_take_period(excess, start), 0.0) * (last >= 0)
     elapsed = np.arange(periods)[:, None, None] - start

@@ -1,4 +1,4 @@
-"""Where the start transient of a record has gone: the first revolution that is like the later ones."""
+"""The end of the start transient of a record: the first revolution that is like the later ones."""
 
 from __future__ import annotations
 
@@ -13,26 +13,30 @@ from balance_cli.signals.rotor.azimuth import Azimuth
 
 Array = NDArray[np.float64]
 
-# Revolutions between those that are compared: long enough for a decay to show, short against a manoeuvre. What turns by
-# whole cycles in 3 and in 4 revolutions turns so in one, and is a harmonic.
 COMPARED_LAGS = (3, 4)
+"""Lags [revolutions] at which revolutions are compared: long enough to show a decay, short compared with a maneuver.
+A signal with whole cycles in both 3 and 4 revolutions has whole cycles in one, and is a rotor harmonic."""
 MAX_LAG = max(COMPARED_LAGS)
-SMOOTHING_REVOLUTIONS = 5  # revolutions
-LATE_REVOLUTIONS = 200  # revolutions of the later part that are looked at, the last ones
-LATE_SHARE = 0.25  # of the record, at least: it is never discarded
-STEADY_QUANTILE = (
-    0.9  # quantile of the later part that counts as steady: a moving speed or a step late in the record may be there
-)
-SIGNIFICANT_SIGMAS = 4.0  # standard errors
-MIN_RELATIVE_NOISE = 1e-5  # of the signal, where a computed record has no noise
+SMOOTHING_REVOLUTIONS = 5
+"""Revolutions over which the energy is averaged, so that turbulence does not scatter it much."""
+LATE_REVOLUTIONS = 200
+"""Revolutions at the end of the record from which the steady energy comes: ample for a quantile."""
+LATE_SHARE = 0.25
+"""Share of the record at its end that is never discarded."""
+STEADY_QUANTILE = 0.9
+"""Quantile of the late energies that counts as steady: a changing speed or a late step may be among them."""
+SIGNIFICANT_SIGMAS = 4.0
+"""Standard errors above the steady energy that are significant: rarely exceeded in hundreds of revolutions."""
+MIN_RELATIVE_NOISE = 1e-5
+"""Least noise relative to the signal, for computed records without noise."""
 
 
 @dataclass(frozen=True)
 class TransientEnd:
     """The first steady revolution and its time [s].
 
-    `reached` is False where the record was still settling at the limit; `last_channel` is the channel that settled
-    last ("" where the record was steady from its beginning).
+    `within_limit` is False where the transient lasts beyond the limit; `last_channel` is the channel that becomes
+    steady last, "" where the record is steady from its start.
     """
 
     first_revolution: int
@@ -42,16 +46,16 @@ class TransientEnd:
 
 
 def transient_end(run: Run, azimuth: Azimuth, limit: float, names: Sequence[str] | None = None) -> TransientEnd:
-    """First revolution of the run from which on the start transient has gone.
+    """Return the first revolution of the run without start transient.
 
-    `limit` [s from the first sample] caps the search: the caller knows the slowest decay that can be there; nor is the
-    last quarter of the record ever discarded. `names`: the channels to look at (all by default; they must be finite).
+    The search ends at `limit` [s from the first sample], because the caller knows the slowest decay, and before the
+    last quarter of the record. `names` are the channels to test, by default all; their samples must be finite.
 
-    Each revolution is compared with the third and the fourth after it, sample by sample in azimuth: what repeats in
-    every revolution drops out, what moves slowly nearly so, and what decays or is no rotor harmonic stays. The mean
-    square of that difference, channel by channel, is set against its usual size in the later part of the record. The
-    first revolution at which no channel exceeds that is steady. A step or manoeuvre later on is never looked at, and
-    raises the usual size at worst.
+    Each revolution is compared with the third and the fourth after it, at the same azimuth. The difference cancels
+    signals that repeat in every revolution, and nearly cancels slow changes; decaying signals and those that are not
+    rotor harmonics remain. The mean square of the difference of each channel is compared with its size late in the
+    record. The first revolution at which no channel exceeds that is steady. A later step or maneuver is not tested; at
+    worst it increases the size late in the record.
     """
     names = tuple(run.channel_names if names is None else names)
     last = int(min(float(np.searchsorted(_revolution_starts(azimuth), limit)), (1 - LATE_SHARE) * azimuth.turns))
@@ -63,8 +67,8 @@ def transient_end(run: Run, azimuth: Azimuth, limit: float, names: Sequence[str]
     )
     span = (max(last, azimuth.turns - LATE_REVOLUTIONS), azimuth.turns)
     later = _average_energy(_difference_energy(run, azimuth, names, span, points))
-    spread = 1.0 + SIGNIFICANT_SIGMAS * np.sqrt(2.0 / (SMOOTHING_REVOLUTIONS * points))
-    excess = early[: last + 1] / (spread * _steady_energy(later, run, azimuth, names, last))
+    margin = 1.0 + SIGNIFICANT_SIGMAS * np.sqrt(2.0 / (SMOOTHING_REVOLUTIONS * points))
+    excess = early[: last + 1] / (margin * _steady_energy(later, run, azimuth, names, last))
     steady = np.flatnonzero(np.all(excess <= 1.0, axis=1))
     first = int(steady[0]) if steady.size else last
     worst = names[int(np.argmax(excess[max(first - 1, 0)]))] if first else ""
@@ -72,12 +76,12 @@ def transient_end(run: Run, azimuth: Azimuth, limit: float, names: Sequence[str]
 
 
 def _revolution_starts(azimuth: Azimuth) -> Array:
-    """Times [s] at which the revolutions begin."""
+    """Return the times [s] at which the revolutions begin."""
     return azimuth.time_of(np.arange(azimuth.turns))
 
 
 def _points_per_revolution(run: Run, azimuth: Azimuth) -> int:
-    """Points of comparison in a revolution: about one a sample."""
+    """Return the number of points of comparison in a revolution, about one per sample."""
     assert run.sample_rate is not None
     return max(4, int(run.sample_rate / azimuth.mean_rate))
 
@@ -85,7 +89,7 @@ def _points_per_revolution(run: Run, azimuth: Azimuth) -> int:
 def _resample_revolutions(
     run: Run, azimuth: Azimuth, names: tuple[str, ...], span: tuple[int, int], points: int
 ) -> Array:
-    """Signals at even azimuths (revolutions, points, c), by a cubic spline through the samples."""
+    """Return the signals at equal steps of azimuth (revolutions, points, c), by a cubic spline through the samples."""
     from scipy.interpolate import make_interp_spline
 
     assert run.sample_rate is not None
@@ -100,21 +104,21 @@ def _resample_revolutions(
 
 
 def _difference_energy(run: Run, azimuth: Azimuth, names: tuple[str, ...], span: tuple[int, int], points: int) -> Array:
-    """Mean square (revolutions - LONGEST, c) of the differences of revolutions that are APART."""
+    """Return the mean squares (revolutions - MAX_LAG, c) of differences at `COMPARED_LAGS`, summed over the lags."""
     x = _resample_revolutions(run, azimuth, names, span, points)
     rows = len(x) - MAX_LAG
-    differences = [np.mean((x[apart : apart + rows] - x[:rows]) ** 2, axis=1) for apart in COMPARED_LAGS]
+    differences = [np.mean((x[lag : lag + rows] - x[:rows]) ** 2, axis=1) for lag in COMPARED_LAGS]
     return np.asarray(sum(differences))
 
 
 def _average_energy(energy: Array) -> Array:
-    """Mean over SMOOTHED revolutions from each on; as many rows as are whole."""
+    """Return the mean over `SMOOTHING_REVOLUTIONS` from each revolution on, where so many follow."""
     window = np.lib.stride_tricks.sliding_window_view(energy, min(SMOOTHING_REVOLUTIONS, len(energy)), axis=0)
     return np.asarray(window.mean(axis=-1))
 
 
 def _steady_energy(later: Array, run: Run, azimuth: Azimuth, names: tuple[str, ...], last: int) -> Array:
-    """Usual size (c,) of the energy in the later part."""
+    """Return the energy (c,) of the steady part, a quantile of those late in the record."""
     signal = _resample_revolutions(run, azimuth, names, (last, last + 1), _points_per_revolution(run, azimuth))[0]
     floor = (MIN_RELATIVE_NOISE * np.std(signal, axis=0)) ** 2 + np.finfo(float).tiny
     return np.asarray(np.maximum(np.quantile(later, STEADY_QUANTILE, axis=0), floor))

@@ -1,4 +1,4 @@
-"""The study of filters: its rig and loads, and what it says on one short record of each case."""
+"""The study of filters: its rig and loads, and its errors on one short record of each case."""
 
 from functools import cache
 
@@ -49,7 +49,7 @@ USED = {
 
 @cache
 def found(case: str) -> pd.DataFrame:
-    """Errors of the methods that are asked for, on one record."""
+    """Return the errors of the methods of `USED` on one record."""
     record = simulate_record(CASES[case], 1, DURATION)
     return pd.DataFrame(case_rows(record, case, USED[case])).set_index("method")
 
@@ -68,7 +68,7 @@ def test_the_reduction_knows_the_declared_rig_alone():
     np.testing.assert_array_equal(true.truth.loads, declared.truth.loads)
 
 
-def test_loads_grow_in_the_manoeuvre_alone():
+def test_loads_grow_in_the_maneuver_alone():
     grown, steady = (simulate_record(CASES[case], 3, 3.0).truth for case in (MANEUVER, EXACT))
     late = grown.time > 0.55 * 3.0 + 0.3
     np.testing.assert_allclose(grown.loads[late], (1 + LOAD_GROWTH) * steady.loads[late])
@@ -97,25 +97,25 @@ def test_a_smoother_is_no_worse_than_a_filter_behind():
 
 def test_intervals_hold_where_the_loads_are_of_the_assumed_kind():
     assert 0.85 < found(BROAD)["coverage"][FILTER] < 0.99
-    # Whether turbulence ends at a band the record tells. One record of two loads: over ten the median is 0.98.
+    # The record determines whether turbulence has a band limit. This is one record; the median of ten is 0.98.
     assert 0.9 < found(EXACT)["coverage"][SMOOTHER] < 0.998
     assert 0.9 < found(BROAD)["coverage"][SMOOTHER] < 0.98
 
 
 @pytest.mark.parametrize(("case", "wrong"), [(OFF_SPEED, 0.5), (DRIFTING, 0.1)])
-def test_only_t_at_nominal_harmonics_minds_the_speed(case, wrong):
+def test_only_t_at_nominal_harmonics_depends_on_the_speed(case, wrong):
     amplitudes = found(case)["harmonics"]
     assert amplitudes[NOMINAL_HARMONICS] > wrong
     assert amplitudes[ACTUAL_HARMONICS] < 0.02 and amplitudes[SMOOTHER] < 0.02
 
 
-def test_only_filters_follow_a_manoeuvre():
+def test_only_filters_follow_a_maneuver():
     history = found(MANEUVER)["in_band"]
     assert history[ACTUAL_HARMONICS] > 0.15
     assert history[FILTER] < 0.12 and history[SMOOTHER] < 0.04
 
 
-def test_no_method_mends_a_wrong_system_matrix():
+def test_no_method_corrects_a_wrong_system_matrix():
     amplitudes = found(SYSTEM)["harmonics"]
     assert (amplitudes > 0.05).all()
     assert amplitudes.max() < 2.5 * amplitudes.min()

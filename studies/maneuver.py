@@ -1,9 +1,9 @@
-"""Manoeuvres with known loads: error of the smoother beside that of the best linear one, coverage of its band.
+"""Maneuvers with known loads: error of the smoother compared with the best linear one, and coverage of its intervals.
 
-A rotor whose speed swings by 3 %, a step of collective, harmonics 1 to 8 of all loads and turbulence up to 100 Hz,
-integrated in time on its own. The best linear smoother is the same recursion (held against dense Gaussian conditioning
-in the tests) that is told the true model and the true statistics: amplitudes that do not drift, turbulence of its size
-and band, a step of its size that may come at any time, the noise of every channel.
+A rotor whose speed varies by 3 %, a step of collective, harmonics 1 to 8 of all loads and turbulence up to 100 Hz,
+integrated in time by independent code. The best linear smoother is the same recursion (which the tests compare with
+dense Gaussian conditioning) with the true model and the true statistics: constant amplitudes, turbulence of its size
+and band, a step of its size at an unknown time, and the noise of every channel.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ STEP = {"Fz": 700.0, "Mz": 60.0}
 TURBULENCE = {"Fx": 3.0, "Fy": 3.0, "Fz": 8.0, "Mx": 1.0, "My": 1.0, "Mz": 1.0}
 BAND = 100.0
 Z_95 = 1.959963984540054
-# Of the smoothers' error at both ends, where less is known, the coverage is looked at apart.
 END_DURATION = 1.0
+"""Time [s] at either end, where a smoother has fewer samples; its coverage is reported separately."""
 
 
 def maneuver_plan() -> RotorPlan:
-    """The run."""
+    """Return the plan of the run; its name is the seed of its noise."""
     return RotorPlan(
         run="manoeuvre",
         kind="wind",
@@ -57,7 +57,7 @@ def maneuver_plan() -> RotorPlan:
 
 
 def maneuver_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
-    """Figures of one manoeuvre, one row a component and method."""
+    """Return the figures of one maneuver, one row per component and method."""
     rig = true_rig(geometry)
     static_runs, _ = simulate_campaign(rig, CampaignPlan(runs=static_plans()), seed=seed)
     calibration = calibrate(static_runs, geometry)
@@ -68,8 +68,8 @@ def maneuver_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
 
     def reduced(options: TimeOptions) -> pd.DataFrame:
         parts: list[LoadHistory] = []
-        found = reduce_run_in_time(run, geometry, calibration, source, None, options, parts.append)
-        nis = found.innovations.nis if found.innovations else np.nan
+        result = reduce_run_in_time(run, geometry, calibration, source, None, options, parts.append)
+        nis = result.innovations.nis if result.innovations else np.nan
         return _figures(parts, truth.loads, run.sample_rate or np.nan).assign(nis=nis)
 
     rows = [
@@ -89,7 +89,7 @@ def maneuver_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
 
 
 def true_load_models() -> tuple[LowPassDrift, BandLimitedNoise]:
-    """The step as a load that wanders, by as much in the whole run as the step is; turbulence of its size and band."""
+    """Return the step as a random walk that changes by its size within the run, and turbulence of its size and band."""
     step = np.array([STEP.get(name, 1e-3) for name in COMPONENTS])
     slow = LowPassDrift(step, 0.01, 1.0 / 0.8)
     # A random walk of intensity step^2 / duration has that of `slow`: 2 a sigma^2.
@@ -98,7 +98,7 @@ def true_load_models() -> tuple[LowPassDrift, BandLimitedNoise]:
 
 
 def _figures(parts: list[LoadHistory], true: Array, sample_rate: float) -> pd.DataFrame:
-    """Error, stated sigma and coverage of each component; coverage at the ends apart."""
+    """Return error, sigma and coverage of each component, and the coverage at the ends."""
     time, loads, sigma = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("time", "loads", "sigma")
     )
@@ -118,7 +118,7 @@ def _figures(parts: list[LoadHistory], true: Array, sample_rate: float) -> pd.Da
 
 
 def maneuver_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Over all seeds: error of each method and component, over that of the best linear smoother, and coverage."""
+    """Return errors over those of the best linear smoother, and coverage, by method and component over all seeds."""
     squared = rows.assign(error=rows["error"] ** 2, sigma=rows["sigma"] ** 2)
     grouped = squared.groupby(["method", "loads", "component"], sort=False)
     table = grouped[["error", "sigma", "coverage", "coverage_ends", "size", "nis"]].mean().reset_index()
