@@ -24,8 +24,8 @@ INDEX_HEAD = f"""# Effects
 {GENERATED_MARK}
 
 Deviations from the rigid balance. Each has one physical cause and one file in `balance_cli/model/effects`. They are
-fitted by `identify --effect`, declared in the `effects` of a geometry, and searched by `diagnose`. They act in the order of
-this table, whatever the order in which they are named.
+fitted by `identify --effect`, declared in the `effects` of a geometry, and searched by `diagnose`. They act in the order
+of this table, whatever the order in which they are named.
 
 | effect | place | what |
 |---|---|---|
