@@ -24,14 +24,14 @@ INDEX_HEAD = f"""# Effects
 {GENERATED_MARK}
 
 Deviations from the rigid balance. Each has one physical cause and one file in `balance_cli/model/effects`. They are
-fitted by `identify --effect`, declared in the `effects` of a geometry, and searched by `diagnose`. They act in the order
-of this table, whatever the order in which they are named.
+fitted by `identify --effect`, declared in the `effects` of a geometry, and searched by `diagnose`. They act in the
+order of this table, whatever the order in which they are named.
 
 | effect | place | what |
 |---|---|---|
 """
-LEGEND = """At their nulls the balance is as it would be without the effect; a parameter that shapes what others do has
-none of its own. The size is that of a change that matters."""
+LEGEND = """The effect is absent where its parameters have their null values; a nuisance parameter, which only shapes the
+action of the others, has none. The size is that of a change that matters."""
 INDEX_FOOT = """
 How to add one: [a new effect](new-effect.md). What a simulated rig may have is in the
 [command reference](commands.md#effects-of-simulate).
@@ -60,15 +60,15 @@ def page(effect: Effect, geometry: Geometry) -> str:
             "## What it adds\n",
             f"{_formulas(effect)}\n",
             "## Parameters\n",
-            _paragraph(f"Of `{call}` in that rig. {LEGEND}"),
+            _paragraph(f"Values for `{call}` in that rig. {LEGEND}"),
             "| parameter | unit | null | size | bounds | what |",
             "|---|---|---|---|---|---|",
             *(_row(parameter) for parameter in effect.parameters(geometry, where)),
-            "\n## Where it holds\n",
+            "\n## Validity\n",
             _paragraph(effect.validity),
-            "## What it leaves in a residual\n",
+            "## Signature in the residual\n",
             _paragraph(effect.signature),
-            "## What tells it from others\n",
+            "## How to distinguish it\n",
             _paragraph(effect.separated_by),
             "## Reference\n",
             _paragraph(effect.reference),
