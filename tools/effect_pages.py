@@ -30,8 +30,8 @@ order of this table, whatever the order in which they are named.
 | effect | place | what |
 |---|---|---|
 """
-LEGEND = """The effect is absent where its parameters have their null values; a nuisance parameter, which only shapes the
-action of the others, has none. The size is that of a change that matters."""
+LEGEND = """The effect is absent where its parameters have their null values; a nuisance parameter, which only shapes
+the action of the others, has none. The size is that of a change that matters."""
 INDEX_FOOT = """
 How to add one: [a new effect](new-effect.md). What a simulated rig may have is in the
 [command reference](commands.md#effects-of-simulate).
