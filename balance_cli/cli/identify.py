@@ -23,6 +23,9 @@ from balance_cli.io.formats import MODEL_FORMAT
 if TYPE_CHECKING:
     from balance_cli.estimation.identified_model import IdentifiedModel, RunFit
 
+# Factor on every sigma above which the summary warns of a misfit: sigma is rarely known to better than 10 %.
+MIN_MISFIT_SCALE = 1.1
+
 
 @balance_command("identify")
 @geometry_option
@@ -98,7 +101,7 @@ def command(
 
 
 def model_summary(model: IdentifiedModel) -> dict[str, Any]:
-    """The fixed keys of the contract, and what else tells how good the fit is."""
+    """Return the JSON summary, with the keys of docs/json.md."""
     from balance_cli.steps.identify import identified_effects
 
     quality = model.quality
@@ -120,23 +123,23 @@ def model_summary(model: IdentifiedModel) -> dict[str, Any]:
 
 
 def _run_fit_summary(run: RunFit) -> dict[str, float]:
-    """How one run fits, with the JSON keys of docs/json.md."""
+    """Return the JSON summary of the fit of one run."""
     return {"chi2": run.chi2, "dof": run.dof, "frf_error": run.frf_error, "frf_noise": run.frf_noise_floor}
 
 
 def model_text(model: IdentifiedModel) -> Iterator[str]:
-    """What a user wants to know at once: modes, quality of the fit, what the data left open."""
+    """Yield the lines of the console summary: modes, quality of the fit, effects, unidentifiable directions."""
     from balance_cli.steps.identify import identified_effects
 
     quality, modes = model.quality, model.modes
     yield f"{model.form} form, {model.method}, {model.iterations} iterations from {model.start}"
     if not model.converged:
-        yield "NOT CONVERGED: take the result with care"
+        yield "NOT CONVERGED: the result is preliminary"
     if quality.runs:
         yield f"chi2/dof {quality.chi2_per_dof:.4g} against the measured noise"
         yield f"error of all responses {100 * quality.frf_error:.3g} %"
-    if model.misfit_scale > 1.1:
-        yield "The model does not describe these data: every sigma below says less than it seems to"
+    if model.misfit_scale > MIN_MISFIT_SCALE:
+        yield "The model does not describe these data: the uncertainties below are underestimated"
     yield "   Hz         sigma      damping    sigma"
     for row in zip(modes.frequency, modes.sigma_frequency, modes.damping_ratio, modes.sigma_damping_ratio, strict=True):
         yield "{:9.4f} {:9.2g} {:9.5f} {:9.2g}".format(*row)
@@ -145,4 +148,4 @@ def model_text(model: IdentifiedModel) -> Iterator[str]:
         for item in effect.parameters:
             yield f"   {item.name:<20} {item.value:12.5g} +- {item.sigma:<9.2g} {item.unit}"
     for direction in model.unidentifiable:
-        yield f"the data alone leave open: {direction}"
+        yield f"not determined by the data alone: {direction}"

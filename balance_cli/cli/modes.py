@@ -1,4 +1,4 @@
-"""`balance modes`: computed eigenfrequencies, shapes, and what each stiffness does to them."""
+"""`balance modes`: computed natural frequencies, shapes, and their sensitivity to each stiffness."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def _summary(computed: ComputedModes) -> dict[str, Any]:
 
 def _text(computed: ComputedModes) -> Iterator[str]:
     table = computed.modes
-    yield "Eigenfrequencies (sigma from the tolerances) and shapes, largest motion 1 (m, rad):"
+    yield "Natural frequencies (sigma from the tolerances) and shapes, largest motion 1 (m, rad):"
     yield _row(" mode      Hz   sigma  zeta %", [f"{name:>7}" for name in table.coordinates])
     for i, frequency in enumerate(table.frequency):
         start = f"{i + 1:5d} {frequency:7.2f} {table.sigma_frequency[i]:7.2f} {100 * table.damping_ratio[i]:7.2f}"
         yield _row(start, [f"{value:7.3f}" for value in table.shape[i].real])
     yield ""
-    yield "Change of each eigenfrequency in % per 1 % of each stiffness:"
+    yield "Change of each natural frequency in % per 1 % of each stiffness:"
     yield _row(" mode      Hz", [f"{name:>12}" for name in computed.stiffnesses])
     for i, frequency in enumerate(table.frequency):
         yield _row(f"{i + 1:5d} {frequency:7.2f}", [f"{value:12.3f}" for value in computed.sensitivity[i]])

@@ -16,7 +16,7 @@ ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-# Batches that are worked on at once: threads share the memory bandwidth, and more than two gained nothing.
+# Batches that are worked on at once, one thread each: two cores are available nearly everywhere.
 WORKERS = 2
 # Bytes of one array of derivatives above which a batch is split. The C library takes larger blocks than this from the
 # system for every array anew, and the system fills their pages with zeros (M_MMAP_THRESHOLD of malloc: 32 MiB at most).

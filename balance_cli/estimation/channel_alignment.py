@@ -1,4 +1,4 @@
-"""Channels of one spring against each other: what is left of them once the force that all read has been fitted."""
+"""Alignment of the channels of one spring: their residual after the force that all of them read has been fitted."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from balance_cli.estimation.regression_residual import (
     RegressionResidual,
     batched_least_squares,
     every_nth_line,
-    precision,
 )
 from balance_cli.model.channel_gains import channel_gains, log_gain_derivatives
 from balance_cli.model.system import System
@@ -22,23 +21,23 @@ ComplexArray = NDArray[np.complex128]
 
 
 def alignment_residual(batch: Batch, stride: int) -> Callable[[System], RegressionResidual]:
-    """What is left of the channels of each spring once its force has been fitted to them, over their noise."""
+    """The residual of the channels of each spring, divided by their noise, with the force of the spring fitted."""
     lines = every_nth_line(batch, stride)
-    weight = np.sqrt(precision(batch)[lines])
+    weight = np.sqrt(batch.lines.channel_precision[lines])
     index, measured = batch.lines.index[lines], batch.lines.channels[lines] * weight
 
     def residual(system: System) -> RegressionResidual:
         gains = channel_gains(system.equations.paths, batch.frequency)[index]
         groups = _channels_of_springs(system)
-        matrices = [weight[:, mine, None] * gains[:, mine, None] for mine in groups]
-        forces = [batched_least_squares(M, measured[:, mine, None]) for M, mine in zip(matrices, groups, strict=True)]
-        errors = [measured[:, mine] - (M @ f)[:, :, 0] for M, f, mine in zip(matrices, forces, groups, strict=True)]
+        matrices = [weight[:, group, None] * gains[:, group, None] for group in groups]
+        forces = [batched_least_squares(M, measured[:, group, None]) for M, group in zip(matrices, groups, strict=True)]
+        errors = [measured[:, group] - (M @ f)[:, :, 0] for M, f, group in zip(matrices, forces, groups, strict=True)]
 
         def derivatives() -> ComplexArray:
             changes = gains[:, :, None] * log_gain_derivatives(system.equations.paths, batch.frequency)[index]
             parts = [
-                _project_out(M, -weight[:, mine, None] * changes[:, mine] * f)
-                for M, f, mine in zip(matrices, forces, groups, strict=True)
+                _project_out(M, -weight[:, group, None] * changes[:, group] * f)
+                for M, f, group in zip(matrices, forces, groups, strict=True)
             ]
             return _concatenate_columns([np.zeros((len(lines), 0, system.parameters), complex), *parts])
 
@@ -48,13 +47,13 @@ def alignment_residual(batch: Batch, stride: int) -> Callable[[System], Regressi
 
 
 def _channels_of_springs(system: System) -> list[list[int]]:
-    springs = [path.spring for path in system.equations.paths]
-    groups = [[i for i, spring in enumerate(springs) if spring == one] for one in dict.fromkeys(springs)]
+    springs = system.springs_of_channels
+    groups = [[i for i, spring in enumerate(springs) if spring == unique] for unique in dict.fromkeys(springs)]
     return [group for group in groups if len(group) > 1]
 
 
 def _project_out(matrix: ComplexArray, change: ComplexArray) -> ComplexArray:
-    """Slopes (K, m, p) of what no force explains: the part of the change that is none of the force's."""
+    """Derivatives (K, m, p) of the residual: the part of the change that is orthogonal to the force's columns."""
     return np.asarray(change - np.matmul(matrix, batched_least_squares(matrix, change)))
 
 

@@ -1,9 +1,9 @@
-"""Coordinates in which a fit steps: those that make the scale of the whole rig a straight line.
+"""Coordinates in which a fit takes its steps: those that make the scale of the whole rig a straight line.
 
-Multiplying all masses, inertias and stiffnesses by one factor leaves every response as it is. In the parameters
-themselves that valley is curved and steps along it must be tiny; with logarithms of the positive ones, and products of
-inertia relative to sqrt(Iii Ijj), it is straight. Logarithms also keep positive what must be. Parameters of effects may
-be zero; those that count in kg or N are taken relative to the mass.
+Multiplying all masses, inertias and stiffnesses by one factor leaves every response unchanged. In the parameters
+themselves this valley is curved, and steps along it must be tiny; with logarithms of the positive parameters, and
+products of inertia relative to sqrt(Iii Ijj), it is straight. Logarithms also keep these parameters positive.
+Parameters of effects may be zero; those with units of kg or N are taken relative to the mass.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ SCALE_EXPONENT = {
     "N/m2": 2.0,
     "N/m3": 3.0,
 }
-"""How a parameter grows with the scale of the rig, by its unit: the loads stay, so that deflections shrink."""
-
+"""Exponent of a parameter's growth with the scale of the rig, by its unit: the loads stay, so deflections shrink."""
 
 INERTIA_UNITS = ("kg", "kg m2")
+"""Units of masses and moments of inertia."""
 
 
 @dataclass(frozen=True)
 class Coordinates:
     """Map between parameters theta (p,) and coordinates z (p,).
 
-    `logarithmic` (p,): z = ln theta; `vanishing` (p,): those of them that may be as small as they like; `products`
-    (r, 3) rows (product, i, j) of indices: z = theta / sqrt(theta_i theta_j); `power` (p,): z = theta (m0 / m)^power, m
-    the parameter at index `mass`, whose declared value is m0; the others are themselves.
+    `logarithmic` (p,): z = ln theta; `vanishing` (p,): those among them that may go to zero. `products` (r, 3) has rows
+    (product, i, j) of indices with z = theta / sqrt(theta_i theta_j). `power` (p,): z = theta (m0 / m)^power, with the
+    parameter m at index `mass` and its declared value m0. All other parameters are their own coordinates.
     """
 
     logarithmic: NDArray[np.bool_]
@@ -92,8 +92,8 @@ class Coordinates:
 def coordinates(parameters: ParameterSet, start: Array) -> Coordinates:
     """Logarithms of the free stiffnesses, masses and inertias; products of inertia and effects relative to these.
 
-    Of an effect's mass or inertia, too, where it is not zero at the `start` (p,) of the fit: often the data tell it to
-    a factor only, with a compliance that follows a power of it.
+    An effect's mass or inertia that is not zero at the `start` (p,) of the fit is logarithmic too: often the data
+    determine only its order of magnitude, and a compliance varies as a power of it.
     """
     names = parameters.names
     plate = np.array([name.startswith(POSITIVE_PARAMETERS) for name in names])

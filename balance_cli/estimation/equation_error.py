@@ -1,8 +1,8 @@
-"""Least squares on the equation error: the equations of motion with the measured forces put in.
+"""Least squares on the equation error: the equations of motion with the measured forces inserted.
 
-The cells measure their own forces s, so q = (kE)^+ s is known, and e = A(w) q - F u is free of resonances: it is a
-polynomial in the parameters, and a fit from the declared values cannot fall into a wrong peak. It is biased by the
-noise on s, as every equation error is (paper, section 6), and it starts the maximum likelihood.
+The cells measure their own forces s, so q = (kE)^+ s is known, and e = A(w) q - F u has no resonances: it is a
+polynomial in the parameters, and a fit that starts at the declared values cannot converge to a wrong peak. Noise on s
+biases it, as it does every equation error (paper, section 6). It serves as a start of the maximum likelihood.
 """
 
 from __future__ import annotations
@@ -24,7 +24,11 @@ from balance_cli.model.system import System, dynamic_stiffness
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A biased estimate gains nothing from more lines; beyond this number every second, third .. line serves.
+# Least arm of a coordinate per unit load [m/rad or 1]: keeps the weight of an unloaded coordinate finite.
+MIN_ARM = 1e-3
+# Rounds, each with the noise variance estimated from the residual of the one before: it sets the weight of the priors.
+VARIANCE_ROUNDS = 3
+# Beyond this number of lines every second, third ... is used: more lines do not reduce the bias of the estimate.
 MAX_REGRESSION_LINES = 2000
 
 
@@ -32,7 +36,7 @@ MAX_REGRESSION_LINES = 2000
 class MeasuredForces:
     """Spring forces (K, e) [N, N m] that the channels of a batch measured, with loads (K, 6).
 
-    `weight` (K, n + e) is one over the size of an equation error that matters.
+    `weight` (K, n + e) is the inverse of the size by which the errors of the equations are scaled.
     """
 
     spin: float
@@ -43,16 +47,15 @@ class MeasuredForces:
 
 
 def measured_forces(batch: Batch, system: System) -> MeasuredForces:
-    """Spring forces by weighted least squares over the channels of each spring; needs one live channel a spring."""
-    c = batch.lines.channels.shape[1]
+    """Spring forces by weighted least squares over the channels of each spring; each needs a live channel."""
     gains = channel_gains(system.equations.paths, batch.frequency)[batch.lines.index]
-    weight = np.real(np.diagonal(batch.lines.precision[:, :c, :c], axis1=1, axis2=2))
+    weight = batch.lines.channel_precision
     springs = np.array([path.spring for path in system.equations.paths])
-    pick = (springs[:, None] == np.arange(system.readings.value.shape[0])).astype(float)
-    numerator = (weight * gains.conj() * batch.lines.channels) @ pick
-    denominator = (weight * np.abs(gains) ** 2) @ pick
-    known = denominator > 0
-    forces = np.where(known, numerator / np.where(known, denominator, 1.0), 0.0)
+    selection = (springs[:, None] == np.arange(system.readings.value.shape[0])).astype(float)
+    numerator = (weight * gains.conj() * batch.lines.channels) @ selection
+    denominator = (weight * np.abs(gains) ** 2) @ selection
+    is_measured = denominator > 0
+    forces = np.where(is_measured, numerator / np.where(is_measured, denominator, 1.0), 0.0)
     loads = np.zeros((len(forces), 6), complex)
     np.put_along_axis(loads, batch.lines.components, batch.lines.loads, axis=1)
     frequency = batch.line_frequency
@@ -60,9 +63,9 @@ def measured_forces(batch: Batch, system: System) -> MeasuredForces:
 
 
 def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArray, ComplexArray]:
-    """Errors (K, n + e) and slopes (K, n + e, p): A q - F u, and the forces that no motion explains.
+    """Errors (K, n + e) and derivatives (K, n + e, p): A q - F u, and the forces that no motion explains.
 
-    Each is multiplied by the measurement's fixed weight.
+    Each is multiplied by the fixed weight of the measurement.
     """
     R = system.readings
     inverse = (R.T @ R).inverse() @ R.T
@@ -75,27 +78,27 @@ def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArr
     redundancy = measured.forces - q @ R.value.T
     d_redundancy = -multiply_derivatives(R.derivative, q) - np.matmul(R.value, dq)
     error = np.concatenate([balance, redundancy], axis=1) * measured.weight
-    error_slopes = np.concatenate([derivatives, d_redundancy], axis=1) * measured.weight[:, :, None]
-    return np.asarray(error, complex), np.asarray(error_slopes, complex)
+    error_derivatives = np.concatenate([derivatives, d_redundancy], axis=1) * measured.weight[:, :, None]
+    return np.asarray(error, complex), np.asarray(error_derivatives, complex)
 
 
 def _pencil_derivatives_times(system: System, measured: MeasuredForces, q: ComplexArray) -> ComplexArray:
-    """DA q (K, n, p)."""
+    """The derivatives of A times q (K, n, p)."""
     pencil, w = system.pencil, 2 * np.pi * measured.frequency[:, None]
-    damping = pencil.damping.derivative + 2 * np.pi * measured.spin * pencil.gyroscopic.derivative
+    damping = pencil.damping_derivative(measured.spin)
     stiffness, viscous = multiply_derivatives(pencil.stiffness.derivative, q), multiply_derivatives(damping, 1j * w * q)
     return stiffness + viscous - multiply_derivatives(pencil.mass.derivative, w**2 * q)
 
 
 def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
-    """One over the size (K, n + e) of an error that matters: the load of the line, times the arm of each coordinate.
+    """Weights (K, n + e): the inverse of the load of the line times the arm of each coordinate.
 
-    Levels and components so weigh alike. The size grows as k + w^2 m does, or else the highest frequencies, where
-    inertia is everything, would decide alone.
+    Runs of all levels and components then have equal weight. The size grows as k + w^2 m; otherwise the highest
+    frequencies, where inertia dominates, would decide alone.
     """
-    arms = np.maximum(np.abs(system.inputs.value).max(axis=1), 1e-3)
+    arms = np.maximum(np.abs(system.inputs.value).max(axis=1), MIN_ARM)
     level = np.sqrt(np.sum(np.abs(loads) ** 2, axis=1))[:, None]
-    # A line without load has no size to compare with, and no weight.
+    # A line without load has no scale and gets no weight.
     level = np.where(level > 0, level, np.inf)
     ratio = np.diag(system.pencil.mass.value) / np.diag(system.pencil.stiffness.value)
     growth = 1.0 + (2 * np.pi * frequency[:, None]) ** 2 * ratio
@@ -106,9 +109,9 @@ def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
 def fit_equation_error(
     parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], band: tuple[float, float]
 ) -> Minimum:
-    """Equation-error estimate from the declared values, with the priors; its noise is taken from its own residual.
+    """Fit the equation error with the priors, from the declared values; its noise is estimated from its residual.
 
-    Lines outside `band` [Hz] are left out. Every spring that holds the plate needs a live channel.
+    Lines outside `band` [Hz] are left out. Every spring of the plate needs a live channel.
     """
     start = parameters.value
     stride = 1 + sum(len(batch.lines.index) for batch in batches) // MAX_REGRESSION_LINES
@@ -119,7 +122,7 @@ def fit_equation_error(
 
     count = 2 * sum(item.forces.size for item in data)
     minimum = None
-    for _ in range(3):
+    for _ in range(VARIANCE_ROUNDS):
         variance = 2.0 * error(start) / max(count, 1)
         minimum = minimize(
             parameters,

@@ -1,4 +1,4 @@
-"""The equations of motion with the cells' forces: what is left of them once the motion of each line is fitted."""
+"""Residuals of the equations of motion with the measured forces of the cells, the motion of each line eliminated."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
-from balance_cli.estimation.equation_error import measured_forces
+from balance_cli.estimation.equation_error import MIN_ARM, measured_forces
 from balance_cli.estimation.regression_residual import (
     MAX_START_LINES,
     RegressionResidual,
@@ -23,7 +23,7 @@ from balance_cli.model.system import System, dynamic_stiffness, log_frequency_ra
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Of the usual load of a run, the least that a line must have.
+# Least load of a line relative to the median of its run: a line below it would weigh noise as much as signal.
 MIN_LOAD_RATIO = 0.05
 
 
@@ -39,19 +39,19 @@ class _MotionLines:
 
     @property
     def quadrature(self) -> ComplexArray:
-        """1j where there is motion, (K, 1)."""
+        """1j where there is motion, else 0, (K, 1)."""
         return 1j * np.sign(self.frequency)[:, None]
 
     @property
     def log_frequency_ratio(self) -> Array:
-        """The logarithm of frequency by which springs stiffen, (K, 1)."""
+        """ln(f / f0) (K, 1), the factor of the frequency-dependent stiffness."""
         return log_frequency_ratio(self.frequency)[:, None]
 
 
 def motion_residuals(
     batches: Sequence[Batch], start: System, max_frequency: float = np.inf, max_lines: int = MAX_START_LINES
 ) -> list[Callable[[System], RegressionResidual]]:
-    """The equations of motion of the lines up to `highest` [Hz], at least `enough` of them where there are so many."""
+    """Residuals of the lines up to `max_frequency` [Hz], about `max_lines` of them where there are more."""
     stride = line_stride(batches, max_frequency, max_lines)
     return [
         _build_motion_residual(batch, start, stride, max_frequency)
@@ -63,21 +63,21 @@ def motion_residuals(
 def _build_motion_residual(
     batch: Batch, start: System, stride: int, max_frequency: float
 ) -> Callable[[System], RegressionResidual]:
-    """What is left of the equations of motion and the readings once the motion of each line has been fitted to both."""
-    chosen = every_nth_line(batch, stride, max_frequency)
-    chosen = chosen[_loaded_lines(batch)[chosen]]
+    """The residual of equations of motion and readings after the motion of each line has been fitted to both."""
+    selection = every_nth_line(batch, stride, max_frequency)
+    selection = selection[_loaded_lines(batch)[selection]]
     measured = measured_forces(batch, start)
-    frequency, loads = measured.frequency[chosen], measured.loads[chosen]
+    frequency, loads = measured.frequency[selection], measured.loads[selection]
     weight = _motion_row_weight(start, frequency, loads)
-    lines = _MotionLines(measured.spin, frequency, measured.forces[chosen], loads, weight)
+    lines = _MotionLines(measured.spin, frequency, measured.forces[selection], loads, weight)
     return lambda system: _motion_residual(system, lines)
 
 
 def _loaded_lines(batch: Batch) -> NDArray[np.bool_]:
-    """Lines (K,) with a load to speak of: not the mean of a swept record, whose weight would be that of noise alone."""
+    """Mask (K,) of lines with enough load; the mean of a sweep, which has none, would be weighted by its noise."""
     level = np.sqrt(np.sum(np.abs(batch.lines.loads) ** 2, axis=1))
-    usual = np.array([np.median(level[part]) if part.stop > part.start else 0.0 for part in batch.parts])
-    return np.asarray(level > MIN_LOAD_RATIO * usual[batch.lines.run])
+    median = np.array([np.median(level[part]) if part.stop > part.start else 0.0 for part in batch.parts])
+    return np.asarray(level > MIN_LOAD_RATIO * median[batch.lines.run])
 
 
 def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
@@ -91,18 +91,18 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     error = known - np.matmul(matrix, x[:, :, None])[:, :, 0]
 
     def derivatives() -> ComplexArray:
-        driven = multiply_derivatives(system.inputs.derivative, true_loads)
-        driven = driven + np.matmul(
+        excitation = multiply_derivatives(system.inputs.derivative, true_loads)
+        excitation = excitation + np.matmul(
             system.inputs.value, multiply_derivatives(system.equations.exciter_cross_axis.derivative, lines.loads)
         )
-        read = multiply_derivatives(system.readings.derivative, x) + multiply_derivatives(
+        readings = multiply_derivatives(system.readings.derivative, x) + multiply_derivatives(
             system.readings_loss.derivative, lines.quadrature * x
         )
-        read = read + multiply_derivatives(
+        readings = readings + multiply_derivatives(
             system.readings_frequency_stiffness.derivative, lines.log_frequency_ratio * x
         )
         change = (
-            np.concatenate([driven - _pencil_derivative_product(system, lines, x), -read], axis=1)
+            np.concatenate([excitation - _pencil_derivative_product(system, lines, x), -readings], axis=1)
             * lines.weight[:, :, None]
         )
         return np.asarray(change - np.matmul(matrix, batched_least_squares(matrix, change)))
@@ -111,9 +111,9 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
 
 
 def _pencil_derivative_product(system: System, lines: _MotionLines, x: ComplexArray) -> ComplexArray:
-    """DA x (K, n, p)."""
+    """The derivatives of A times x (K, n, p)."""
     pencil, w = system.pencil, 2 * np.pi * lines.frequency[:, None]
-    damping = pencil.damping.derivative + 2 * np.pi * lines.spin * pencil.gyroscopic.derivative
+    damping = pencil.damping_derivative(lines.spin)
     matrices = (
         pencil.stiffness.derivative,
         damping,
@@ -126,17 +126,17 @@ def _pencil_derivative_product(system: System, lines: _MotionLines, x: ComplexAr
 
 
 def _motion_row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
-    """One over the size (K, n + e) of an error that matters.
+    """Weights (K, n + e): the inverse of the size by which the error of each row is scaled.
 
-    For the plate it is the load of the line, times the arm of each coordinate, growing as k + w^2 m does (or else the
-    highest frequencies, where inertia is everything, would decide alone). The equation of a flexible part is one of
-    its own deflection: there it is the deflection that changes a reading by the load.
+    For the plate the size is the load of the line times the arm of each coordinate, growing as k + w^2 m (otherwise the
+    highest frequencies, where inertia dominates, would decide alone). The equation of a flexible part is one of its own
+    deflection: there the size is the deflection that changes a reading by the load.
     """
     level = np.sqrt(np.sum(np.abs(loads) ** 2, axis=1))[:, None]
-    readable = np.abs(system.readings.value).max(axis=0)
-    deflection = np.where(readable > 0, 1.0 / np.where(readable > 0, readable, 1.0), 0.0)
+    influence = np.abs(system.readings.value).max(axis=0)
+    deflection = np.where(influence > 0, 1.0 / np.where(influence > 0, influence, 1.0), 0.0)
     flexible = system.equations.own_stiffness > 0
-    arms = np.maximum(np.abs(system.inputs.value).max(axis=1), 1e-3)
+    arms = np.maximum(np.abs(system.inputs.value).max(axis=1), MIN_ARM)
     ratio = np.abs(np.diag(system.pencil.mass.value) / np.diag(system.pencil.stiffness.value))
     growth = 1.0 + (2 * np.pi * frequency[:, None]) ** 2 * ratio
     size = np.where(flexible, np.maximum(deflection, system.equations.row_factor.value), arms * growth)

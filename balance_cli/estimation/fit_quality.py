@@ -1,4 +1,4 @@
-"""How well a system fits measured lines: chi-square against the measured noise, and relative response errors."""
+"""Quality of a fit: chi-square against the measured noise, and relative errors of the responses."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from balance_cli.model.system_response import solve
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Band of the relative response error that every summary quotes (contract, `frf_error`) [Hz].
+# Band [Hz] of the relative response error (`frf_error` in docs/json.md): the modes of rotor balances and 1 to 8/rev.
 FRF_BAND = (5.0, 150.0)
 
 
 def fit_quality(batches: Sequence[Batch], system: System, effective_parameters: float) -> FitQuality:
-    """Quality of the whole fit and of every run; `effective_parameters` parameters are taken from the degrees of
-    freedom.
+    """Quality of the whole fit and of every run.
+
+    `effective_parameters` are subtracted from the degrees of freedom.
     """
     runs: dict[str, RunFit] = {}
     for batch in batches:
@@ -39,7 +40,7 @@ def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
     columns = exciter_response(system, solution)[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
     frequency = batch.line_frequency
     in_band = (frequency >= FRF_BAND[0]) & (frequency <= FRF_BAND[1])
-    # At rest there may be lines without any load.
+    # Lines at rest may have no load at all.
     size = np.where(in_band, np.sum(np.abs(batch.lines.loads) ** 2, axis=1), 1.0)
     live = live_mask(batch)
     error = np.sum(np.where(live, np.abs(fit.residual) ** 2, 0.0), axis=1) / size
@@ -47,12 +48,12 @@ def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
     signal = np.sum(np.where(live, np.abs(batch.lines.channels) ** 2, 0.0), axis=1) / size
     qualities = {}
     for i, name in enumerate(batch.run_names):
-        mine = batch.lines.run == i
-        band = mine & in_band
+        of_run = batch.lines.run == i
+        band = of_run & in_band
         relative = [_rms_ratio(part[band], signal[band]) for part in (error, noise)]
-        chi2 = float((fit.chi2[mine] / batch.lines.efficiency[mine]).sum())
-        amplitudes = sum(one.effective_parameters for one in fit.transients if one.lines == batch.parts[i])
-        qualities[name] = RunFit(chi2, float(batch.lines.count[mine].sum() - amplitudes), *relative)
+        chi2 = float((fit.chi2[of_run] / batch.lines.efficiency[of_run]).sum())
+        amplitudes = sum(part.effective_parameters for part in fit.transients if part.lines == batch.parts[i])
+        qualities[name] = RunFit(chi2, float(batch.lines.count[of_run].sum() - amplitudes), *relative)
     return qualities
 
 
@@ -62,23 +63,24 @@ def _rms_ratio(part: Array, whole: Array) -> float:
 
 def live_mask(batch: Batch) -> NDArray[np.bool_]:
     """Return which channels (K, c) are live in each line."""
-    c = batch.lines.channels.shape[1]
-    return np.asarray(np.real(np.diagonal(batch.lines.precision, axis1=1, axis2=2))[:, :c] > 0)
+    return np.asarray(batch.lines.channel_precision > 0)
 
 
 def residual_variance(batch: Batch, columns: ComplexArray, live: NDArray[np.bool_]) -> Array:
-    """Variance (K, c) of channels - T loads for the columns T (K, c, u) of the excited loads; any where not live.
+    """Variance (K, c) of channels - T loads for the columns T (K, c, u) of the excited loads; arbitrary where not live.
 
-    The precision holds the efficiency and the factor that frees an inverse of its bias, which is the same.
+    The precision contains the efficiency, and the equal factor that removes the bias of an inverse.
     """
     K, c = live.shape
     size = c if batch.has_exact_loads else batch.lines.precision.shape[1]
-    silent = np.ones((K, size), bool)
-    silent[:, :c] = live
-    precision = batch.lines.precision[:, :size, :size] + np.where(silent, 0.0, 1.0)[:, :, None] * np.eye(size)
+    is_informed = np.ones((K, size), bool)
+    is_informed[:, :c] = live
+    precision = batch.lines.precision[:, :size, :size] + np.where(is_informed, 0.0, 1.0)[:, :, None] * np.eye(size)
     covariance = np.linalg.inv(precision) * (batch.lines.efficiency**2)[:, None, None]
-    own = np.real(np.diagonal(covariance, axis1=1, axis2=2))[:, :c]
+    of_channels = np.real(np.diagonal(covariance, axis1=1, axis2=2))[:, :c]
     if batch.has_exact_loads:
-        return np.asarray(own)
-    through = np.matmul(columns, covariance[:, c:, c:]) - 2.0 * covariance[:, :c, c:]
-    return np.asarray(np.maximum(own + np.sum(np.real(through * columns.conj()), axis=2), np.finfo(float).tiny))
+        return np.asarray(of_channels)
+    of_loads = np.matmul(columns, covariance[:, c:, c:]) - 2.0 * covariance[:, :c, c:]
+    return np.asarray(
+        np.maximum(of_channels + np.sum(np.real(of_loads * columns.conj()), axis=2), np.finfo(float).tiny)
+    )

@@ -1,4 +1,4 @@
-"""An identified model: what `identify` leaves behind and `reduce`, `simulate` and the report take up."""
+"""The identified model: the result of `identify`, which `reduce`, `simulate` and the report use."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ ComplexArray = NDArray[np.complex128]
 class ParameterTable:
     """Parameters of a fit, in the model's order.
 
-    value, sigma, declared, declared_sigma (p,); unit; `informed_by` is `data`, `prior` (more than half of the variance
-    comes from the declared tolerances), or `exact` (declared without tolerance, never fitted).
+    `value`, `sigma`, `declared` and `declared_sigma` (p,) in `units`; `informed_by` is `data`, `prior` (more than half
+    of the variance comes from the declared tolerances), or `exact` (declared without tolerance, not fitted).
     """
 
     names: tuple[str, ...]
@@ -53,7 +53,7 @@ class ModeTable:
 
 @dataclass(frozen=True)
 class RunFit:
-    """How one run fits: chi2 and its degrees of freedom, relative error of the response and what noise leaves of it."""
+    """Fit of one run: chi-square, its degrees of freedom, relative error of the response and its noise floor."""
 
     chi2: float
     dof: float
@@ -80,9 +80,9 @@ class FitQuality:
 class IdentifiedModel(ResultView):
     """A balance model, computed or identified.
 
-    `form` is `physical` or `paper`; `method` is `computed`, `ls`, `ml` or `ls+ml`; `start` says where the maximum
-    likelihood began; `covariance` (p, p) is that of all parameters, zero rows for exact ones; `unidentifiable` says in
-    words what the data alone leave open; `channels_left_out` {run: {channel: why}}.
+    `form` is `physical` or `paper`; `method` is `computed`, `ls`, `ml` or `ls+ml`; `start` names the start of the
+    maximum likelihood; `covariance` (p, p) is that of all parameters, with zero rows for exact ones; `unidentifiable`
+    describes the directions that the data alone do not determine; `channels_left_out` {run: {channel: why}}.
     """
 
     form: str
@@ -134,6 +134,6 @@ class IdentifiedModel(ResultView):
 
 
 def identified_system(model: IdentifiedModel) -> System:
-    """The system of a model at its estimate, with slopes for the parameters that have a place in its covariance."""
-    whole = balance_model(model.geometry).with_sigma(model.parameters.declared_sigma)
-    return whole.system(model.parameters.value)
+    """The system of a model at its estimate, with derivatives by the parameters in its covariance."""
+    model_of_all = balance_model(model.geometry).with_sigma(model.parameters.declared_sigma)
+    return model_of_all.system(model.parameters.value)

@@ -1,4 +1,7 @@
-"""Levenberg-Marquardt on a chi-square that comes with its Gauss-Newton curvature and Gaussian priors."""
+"""Levenberg-Marquardt minimization of a chi-square with its Gauss-Newton curvature and Gaussian priors.
+
+K. Levenberg, Quart. Appl. Math. 2 (1944) 164; D. W. Marquardt, J. SIAM 11 (1963) 431.
+"""
 
 from __future__ import annotations
 
@@ -14,22 +17,25 @@ from balance_cli.model.parameters import ParameterSet
 
 Array = NDArray[np.float64]
 
-# Damping starts at none: what the priors alone hold has an information of 1e-10 of what the data hold, and any damping
-# would keep such directions from moving.
+# The damping starts at zero: directions that only the priors determine have 1e-10 of the information of the others, and
+# any damping would keep them from moving.
 MIN_DAMPING = 1e-8
-# Factors of the damping where a step does not serve and where one does; that by which one that serves is lengthened.
+# Marquardt's factors of the damping after a rejected and an accepted step, and the factor by which an accepted damped
+# step is extended (Hooke and Jeeves, J. ACM 8, 1961, extrapolate in this way).
 DAMPING_INCREASE, DAMPING_DECREASE, STEP_EXTENSION = 10.0, 10.0, 3.0
+# Enough to raise the damping from its minimum to 1e15, where a step is lost in rounding.
 MAX_TRIALS = 24
-# Scales from a bound at which it is reached, and by which rounding may miss it.
+# Distances from a bound, in scales of the parameter, at which it counts as reached, and by which rounding may miss it.
 BOUND_TOLERANCE = 1e-2
 ROUNDING_TOLERANCE = 1e-9
-# Scales that a parameter without a prior may go in one step, where it is not as large itself.
+# Largest step of a parameter without a prior, in its scales, where its value is smaller than that: outside this range
+# the linearization of an effect that is still small means nothing.
 MAX_STEP_SCALES = 10.0
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where a fit ended: full vector `theta`, curvature of the data and of data with priors, and how it got there."""
+    """The end of a fit: full vector `theta`, curvature of the data and of data with priors, iterations, convergence."""
 
     theta: Array
     data: Curvature
@@ -55,10 +61,10 @@ def minimize(
     iterations: int = 60,
     tolerance: float = 1e-4,
 ) -> Minimum:
-    """Minimise chi2 of the data plus priors over the free parameters.
+    """Minimize chi2 of the data plus priors over the free parameters.
 
     Steps are taken in the coordinates that make the scale of the rig a straight line, within bounds, damped after
-    Marquardt. Ends when the step promises to lower chi2 by less than `tolerance`, or by less than 1e-9 of it.
+    Marquardt. The fit ends when the predicted decrease of chi2 is less than `tolerance`, or less than 1e-9 of chi2.
     """
     theta, damping = np.array(start, float), 0.0
     problem = _BoundedProblem(parameters, coordinates(parameters, theta), curvature, chi2)
@@ -78,9 +84,9 @@ def minimize(
 
 @dataclass(frozen=True)
 class _TrialStep:
-    """Where a step led, chi-square of data and priors there, and the data's curvature where it is known.
+    """The end of a trial step, chi-square of data and priors there, and the data's curvature where it was computed.
 
-    Chi-square is infinite where no rig is like this (an inertia that is not positive, say).
+    Chi-square is infinite where the parameters are not physical (an inertia that is not positive, for instance).
     """
 
     theta: Array
@@ -98,7 +104,7 @@ class _BoundedProblem:
     chi2: Callable[[Array], float]
 
     def trial(self, theta: Array, with_curvature: bool) -> _TrialStep:
-        """What is there."""
+        """Evaluate the problem at `theta`."""
         try:
             data = self.curvature(theta) if with_curvature else None
             chi2 = self.chi2(theta) if data is None else data.chi2
@@ -113,14 +119,14 @@ class _BoundedProblem:
         return Curvature(total.chi2, J.T @ total.gradient, J.T @ total.information @ J)
 
     def fix_at_bounds(self, theta: Array, total: Curvature) -> Curvature:
-        """The same curvature with the parameters held that rest on a bound and would cross it.
+        """The same curvature with the parameters fixed that are at a bound and would cross it.
 
-        Those without a prior rest there exactly; the others, whose bounds are no place to be, at a hundredth of a
-        sigma, and what goes to zero by its logarithm, without end, at a hundredth of its scale.
+        A parameter without a prior is at a bound only exactly; one with a prior within a hundredth of its sigma; and
+        one that goes to zero as a logarithm, which never arrives, within a hundredth of its scale.
         """
         parameters, free = self.parameters, self.parameters.free
-        exactly = np.isinf(parameters.sigma) & ~self.space.vanishing
-        near = np.where(exactly, 0.0, BOUND_TOLERANCE * parameters.scale)[free]
+        is_exact = np.isinf(parameters.sigma) & ~self.space.vanishing
+        near = np.where(is_exact, 0.0, BOUND_TOLERANCE * parameters.scale)[free]
         position = theta[free]
         below = (position - parameters.lower[free] <= near) & (total.gradient > 0)
         above = (parameters.upper[free] - position <= near) & (total.gradient < 0)
@@ -133,31 +139,31 @@ class _BoundedProblem:
         return Curvature(total.chi2, np.where(at_bound, 0.0, total.gradient), information)
 
     def apply_step(self, theta: Array, step: Array) -> Array:
-        """The step taken; a factor of three is the most that it may change a positive parameter."""
+        """Apply a step; it changes positive parameters by a factor of e at most."""
         free, space = self.parameters.free, self.space
-        together = (space.logarithmic & ~space.vanishing)[free]
+        limited = (space.logarithmic & ~space.vanishing)[free]
         z = space.to_coordinates(theta)
-        z[free] += step / max(np.abs(step[together]).max(initial=0.0), 1.0)
+        z[free] += step / max(np.abs(step[limited]).max(initial=0.0), 1.0)
         trial = space.to_parameters(z)
-        # A logarithm has no zero to be put at.
+        # A parameter in logarithmic coordinates cannot be set to its bound at zero.
         return np.where(space.vanishing, trial, limit_to_bounds(self.parameters, theta, trial))
 
 
 def _scale_to_unit_diagonal(total: Curvature) -> tuple[Array, Array, Array]:
-    """Information and gradient with unit diagonal, and the factors that give steps back their size.
+    """Information scaled to a unit diagonal, the gradient, and the factors that scale steps back.
 
-    A parameter of which nothing is known (an effect's, where another of its parameters is null) keeps its value.
+    A parameter without information (an effect's, where another of its parameters is zero) keeps its value.
     """
     diagonal = np.diag(total.information)
-    known = diagonal > 0
-    size = np.where(known, 1.0 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
+    informed = diagonal > 0
+    size = np.where(informed, 1.0 / np.sqrt(np.where(informed, diagonal, 1.0)), 0.0)
     information = total.information * np.outer(size, size)
     np.fill_diagonal(information, 1.0)
     return information, total.gradient * size, size
 
 
 def _predicted_decrease(total: Curvature) -> float:
-    """How much a full Gauss-Newton step would lower chi2."""
+    """The decrease of chi2 that a full Gauss-Newton step would bring if the problem were linear."""
     information, gradient, _ = _scale_to_unit_diagonal(total)
     return float(gradient @ np.linalg.lstsq(information, gradient, rcond=1e-15)[0])
 
@@ -165,11 +171,11 @@ def _predicted_decrease(total: Curvature) -> float:
 def _damped_step(
     problem: _BoundedProblem, theta: Array, total: Curvature, damping: float
 ) -> tuple[Array, Curvature, float] | None:
-    """One accepted step, with the data's curvature there and the damping to begin the next with; None without one.
+    """One accepted step, with the data's curvature at its end and the damping of the next step; None if all fail.
 
-    An undamped step nearly always serves, so its curvature is asked for at once; of others chi2 alone. A damped one is
-    lengthened as long as that serves: along a narrow, curved valley the damping keeps steps short, and the next ones
-    would go the same way.
+    An undamped step is nearly always accepted, so its curvature is computed at once; for others chi2 alone. An accepted
+    damped step is extended as long as chi2 falls: along a narrow, curved valley the damping keeps steps short, and the
+    next ones would have the same direction.
     """
     information, gradient, size = _scale_to_unit_diagonal(total)
     bounds = _step_bounds(problem.parameters, problem.space, theta)
@@ -185,18 +191,18 @@ def _damped_step(
 
 
 def _extend_step(problem: _BoundedProblem, theta: Array, step: Array, trial: _TrialStep) -> _TrialStep:
-    """The same step threefold, and threefold again, as long as chi2 falls."""
+    """Extend the step by a factor of three, repeatedly, as long as chi2 falls."""
     for _ in range(MAX_TRIALS):
         step = STEP_EXTENSION * step
-        further = problem.trial(problem.apply_step(theta, step), with_curvature=False)
-        if not further.chi2 < trial.chi2:
+        extended = problem.trial(problem.apply_step(theta, step), with_curvature=False)
+        if not extended.chi2 < trial.chi2:
             break
-        trial = further
+        trial = extended
     return trial
 
 
 def _solve_normal_equations(information: Array, gradient: Array) -> Array:
-    """The Gauss-Newton step; the shortest one where two parameters do the same."""
+    """The solution of the normal equations; the shortest one where parameters are dependent."""
     try:
         return np.asarray(np.linalg.solve(information, gradient))
     except np.linalg.LinAlgError:
@@ -205,24 +211,24 @@ def _solve_normal_equations(information: Array, gradient: Array) -> Array:
 
 @dataclass(frozen=True)
 class _StepBounds:
-    """How far each coordinate of the free parameters may go in one step: down to `least`, up to `most`, (f,)."""
+    """Limits (f,) of one step in the coordinates of the free parameters."""
 
     min_step: Array
     max_step: Array
 
 
 def _step_bounds(parameters: ParameterSet, space: Coordinates, theta: Array) -> _StepBounds:
-    """Nine tenths of the way to any bound, or onto it for a parameter without a prior that is near.
+    """Nine tenths of the way to each bound, or up to it for a parameter without a prior that is near.
 
-    A parameter of which nothing is known beforehand may not leave its surroundings in one step: where it has little to
-    do yet, the straight line of a step says nothing of far away. What may vanish changes by a factor of e at most.
+    A parameter without a prior may not go far in one step: as long as its effect is small, a linearization means
+    nothing at a distance. A parameter that may vanish changes by a factor of e at most.
     """
     far = np.where(np.isfinite(parameters.sigma), np.inf, np.maximum(np.abs(theta), MAX_STEP_SCALES * parameters.scale))
     min_step = np.maximum(-far, _move_toward_bound(parameters.lower, theta, parameters) - theta)
     max_step = np.minimum(far, _move_toward_bound(parameters.upper, theta, parameters) - theta)
     growth = np.diag(space.jacobian(theta))
     min_step, max_step = min_step / growth, max_step / growth
-    # The logarithms of what has a prior are limited together.
+    # The logarithms of parameters with a prior are limited together, in `apply_step`.
     min_step, max_step = (
         np.where(space.logarithmic, limit, x) for limit, x in ((-np.inf, min_step), (np.inf, max_step))
     )
@@ -231,24 +237,24 @@ def _step_bounds(parameters: ParameterSet, space: Coordinates, theta: Array) -> 
 
 
 def _bounded_step(information: Array, gradient: Array, size: Array, bounds: _StepBounds) -> Array:
-    """The Gauss-Newton step; coordinates that would leave the box go to its side, and the others as then suits best.
+    """The Gauss-Newton step within bounds: coordinates that would leave the box are set to its side, the rest refitted.
 
-    `information` and `gradient` have a unit diagonal, and `size` gives steps back their units.
+    `information` and `gradient` are scaled to a unit diagonal; `size` scales steps back to their units.
     """
     min_step, max_step = (limit / np.where(size > 0, size, 1.0) for limit in (bounds.min_step, bounds.max_step))
     step = -_solve_normal_equations(information, gradient)
     inside = np.ones(len(step), bool)
     while True:
-        out = inside & ((step < min_step) | (step > max_step))
-        if not out.any():
+        outside = inside & ((step < min_step) | (step > max_step))
+        if not outside.any():
             return np.asarray(step * size)
-        step, inside = np.clip(step, min_step, max_step), inside & ~out
+        step, inside = np.clip(step, min_step, max_step), inside & ~outside
         given = gradient[inside] + information[np.ix_(inside, ~inside)] @ step[~inside]
         step[inside] = -_solve_normal_equations(information[np.ix_(inside, inside)], given)
 
 
 def limit_to_bounds(parameters: ParameterSet, theta: Array, trial: Array) -> Array:
-    """A step from `theta` to `trial`, at most nine tenths of the way to any bound, or onto it where that is near."""
+    """A step from `theta` to `trial`, at most nine tenths of the way to a bound, or up to it where that is near."""
     rounding = ROUNDING_TOLERANCE * parameters.scale
     trial = np.where(
         trial <= parameters.lower + rounding, _move_toward_bound(parameters.lower, theta, parameters), trial
@@ -259,5 +265,5 @@ def limit_to_bounds(parameters: ParameterSet, theta: Array, trial: Array) -> Arr
 
 
 def _move_toward_bound(bound: Array, theta: Array, parameters: ParameterSet) -> Array:
-    close = np.isinf(parameters.sigma) & (np.abs(theta - bound) <= BOUND_TOLERANCE * parameters.scale)
-    return np.where(close, bound, theta + 0.9 * (bound - theta))
+    is_near = np.isinf(parameters.sigma) & (np.abs(theta - bound) <= BOUND_TOLERANCE * parameters.scale)
+    return np.where(is_near, bound, theta + 0.9 * (bound - theta))

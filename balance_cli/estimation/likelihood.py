@@ -1,14 +1,14 @@
-"""The likelihood of measured lines under a balance model, with noise on channels and on loads.
+"""The likelihood of measured lines under a balance model, with noise on channels and loads.
 
-Per line z = [Y, U] = [T; I] U0 + noise with precision S. The true loads U0 are eliminated (Pintelon and Schoukens,
+Each line is z = [Y, U] = [T; I] U0 + noise with precision S. The true loads U0 are eliminated (Pintelon and Schoukens,
 System Identification, 2nd ed., chapter 9): with M = [T; I], U0 = (M' S M)^-1 M' S z and r = z - M U0,
 
     chi2 = 2 sum r* S r,   gradient = -4 Re sum dY* (S r)_Y,   curvature = 4 Re sum dY* P dY (Gauss-Newton)
 
 where dY = dT U0 and P = S_YY - S_YM (M'SM)^-1 S_MY. With noise on the channels alone U0 = U and P = S_YY.
-The free motion of records that began at rest is linear too, and is eliminated run by run (see `transients`). What
-offsets and forces along the springs add to z is known at given parameters, and is taken out first. Pick-up of unknown
-phase goes out last (see `pickup`).
+The transients of records that began at rest are linear too, and are eliminated run by run (see `transients`). The
+contributions of offsets and of nonlinear forces to z are known for given parameters and are subtracted first. Mains
+interference of unknown phase is eliminated last (see `mains_interference`).
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class BatchEvaluation:
-    """One batch at one parameter vector: estimated loads (K, 6), weighted residual S r of the channels (K, c),
+    """One batch at one parameter vector, transients and interference subtracted.
 
-    residual of the channels (K, c) about the measured loads, and chi2 (K,) of each line, the free motion of the
-    `transients` taken out of all of them; `downdate`: what the eliminated loads take from the precision; `forces`:
-    those along the springs that are not linear; `tones`: pick-up in each run.
+    `loads` (K, 6) are estimated; `residual` (K, c) is that of the channels about the measured loads, `weighted` (K, c)
+    the weighted residual S r, `chi2` (K,) that of each line. `downdate` is the reduction of the precision by the
+    eliminated loads; `forces` are the nonlinear ones along the springs, `mains_tones` the interference in each run.
     """
 
     loads: ComplexArray
@@ -59,9 +59,9 @@ class BatchEvaluation:
 
     @property
     def total(self) -> float:
-        """Chi-square of all lines, and of the bounds of the free motion; averaged over the phases of pick-up."""
-        held = sum(one.chi2 for one in self.transients)
-        return float(self.chi2.sum() + held + sum(one.chi2 for one in self.mains_tones))
+        """Chi-square of all lines and of the priors of the transients, averaged over the phases of interference."""
+        of_priors = sum(transient.chi2 for transient in self.transients)
+        return float(self.chi2.sum() + of_priors + sum(tone.chi2 for tone in self.mains_tones))
 
 
 @dataclass(frozen=True)
@@ -77,14 +77,14 @@ class Curvature:
 
 
 def exciter_response(system: System, solution: Solution) -> ComplexArray:
-    """T (f, c, 6) from the loads that the exciter's force cell measures; its spill is part of the path."""
+    """T (f, c, 6) per unit of the loads that the exciter's force cell measures, its cross-axis matrix included."""
     return np.asarray(response(system, solution) @ system.equations.exciter_cross_axis.value)
 
 
 def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives: bool = False) -> BatchEvaluation:
-    """Eliminate the true loads of every line and the free motion of every run, and weigh what is left.
+    """Eliminate the true loads of every line and the transient of every run, and weight the residual.
 
-    With `slopes` the free motion comes with its derivatives.
+    With `derivatives` the nonlinear forces and the transients come with theirs.
     """
     T = exciter_response(system, solution)
     columns = T[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
@@ -100,12 +100,12 @@ def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives
     def apply_weight(lines: slice, values: ComplexArray) -> ComplexArray:
         return _apply_weight(batch, downdate, lines, values)
 
-    free = fit_transients(batch, system, residual, apply_weight, derivatives)
-    heard, free = (
-        mains_tones(batch, system, residual, apply_weight, free) if system.equations.interference_tones else ((), free)
-    )
-    for one in free:
-        residual[one.lines] -= one.columns @ one.x
+    transients = fit_transients(batch, system, residual, apply_weight, derivatives)
+    tones: tuple[MainsTone, ...] = ()
+    if system.equations.interference_tones:
+        tones, transients = mains_tones(batch, system, residual, apply_weight, transients)
+    for transient in transients:
+        residual[transient.lines] -= transient.columns @ transient.x
     weighted = apply_weight(slice(None), residual[:, :, None])[:, :, 0]
     chi2 = 2.0 * np.real(np.sum(residual.conj() * weighted, axis=1))
     if downdate is not None:
@@ -113,13 +113,12 @@ def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives
         # z - M U = [residual, 0], so the correction of the loads needs the residual alone.
         right = np.matmul(SM.conj().swapaxes(1, 2), residual[:, :, None])
         loads = loads + np.linalg.solve(normal, right)[:, :, 0]
-    return BatchEvaluation(
-        _expand_to_six_components(batch, loads), weighted, residual, chi2, downdate, free, forces, heard
-    )
+    six_loads = _expand_to_six_components(batch, loads)
+    return BatchEvaluation(six_loads, weighted, residual, chi2, downdate, transients, forces, tones)
 
 
 def _subtract_load_offset(batch: Batch, system: System) -> ComplexArray:
-    """The measured loads (K, u) less what the force cells read too much."""
+    """The measured loads (K, u) without the offsets of the force cells."""
     if not np.any(system.equations.load_offset.value):
         return batch.lines.loads
     return np.asarray(
@@ -139,7 +138,7 @@ def _downdate(batch: Batch, columns: ComplexArray) -> tuple[ComplexArray, Comple
 def _apply_weight(
     batch: Batch, downdate: tuple[ComplexArray, ComplexArray] | None, lines: slice, values: ComplexArray
 ) -> ComplexArray:
-    """P times columns (k, c, q) at these lines; the eliminated loads as a second, small product."""
+    """P times columns (k, c, q) at these lines; the eliminated loads enter as a second, small product."""
     c = batch.lines.channels.shape[1]
     weighted = np.asarray(np.matmul(batch.lines.precision[lines, :c, :c], values), complex)
     if downdate is None:
@@ -157,13 +156,16 @@ def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray
 
 
 def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: BatchEvaluation) -> ComplexArray:
-    """DY (K, c, p) at the estimated exciter loads, spill, offsets and forces along the springs included."""
+    """Derivatives dY (K, c, p) at the estimated exciter loads.
+
+    The cross-axis matrix, offsets and nonlinear forces are included.
+    """
     loads = fit.loads
     true_loads = loads @ system.equations.exciter_cross_axis.value.T
     derivatives = output_jacobian(system, solution, batch.lines.index, true_loads)
     if np.any(system.equations.exciter_cross_axis.derivative):
-        spilt = np.einsum("pij,kj->kip", system.equations.exciter_cross_axis.derivative, loads)
-        derivatives = derivatives + np.matmul(response(system, solution)[batch.lines.index], spilt)
+        cross_axis = np.einsum("pij,kj->kip", system.equations.exciter_cross_axis.derivative, loads)
+        derivatives = derivatives + np.matmul(response(system, solution)[batch.lines.index], cross_axis)
     for run in fit.forces:
         run.add_derivatives(system, derivatives[run.lines])
     _add_offset_derivatives(derivatives, batch, system, solution)
@@ -171,7 +173,7 @@ def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: B
 
 
 def _add_offset_derivatives(derivatives: ComplexArray, batch: Batch, system: System, solution: Solution) -> None:
-    """Offsets of the channels add to what they read; those of the loads lower what is taken to act."""
+    """Add those by the offsets to `derivatives` (K, c, p), in place; an offset of a load lowers the load that acts."""
     if np.any(system.equations.channel_offset.derivative):
         lines = np.flatnonzero(batch.lines.constant_volts)
         derivatives[lines] += (
@@ -180,16 +182,17 @@ def _add_offset_derivatives(derivatives: ComplexArray, batch: Batch, system: Sys
     if np.any(system.equations.load_offset.derivative):
         lines = np.flatnonzero(np.any(batch.lines.constant_loads, axis=1))
         components = batch.lines.components[lines]
-        held = exciter_response(system, solution)[batch.lines.index[lines, None], :, components].swapaxes(1, 2)
+        columns = exciter_response(system, solution)[batch.lines.index[lines, None], :, components].swapaxes(1, 2)
         offset = system.equations.load_offset.derivative.T[components] * batch.lines.constant_loads[lines, :, None]
-        derivatives[lines] -= np.matmul(held, offset)
+        derivatives[lines] -= np.matmul(columns, offset)
 
 
 @dataclass(frozen=True)
 class BatchDerivatives:
-    """One batch with its slopes (K, c, p), those of the free motion included, and what eliminating that takes;
+    """One batch with its derivatives (K, c, p), those of the transients included.
 
-    `lacking`: of each tone of the mains, what gradient (p,) and information (p, p) lack besides.
+    `transient_terms` come from the elimination of the transients; `tone_terms` are, for each tone of the mains, the
+    terms of gradient (p,) and information (p, p) that the derivatives do not give.
     """
 
     batch: Batch
@@ -202,31 +205,33 @@ class BatchDerivatives:
         """Half the gradient (p,) of chi-square."""
         p = self.derivatives.shape[2]
         gradient = -2.0 * np.real(self.derivatives.reshape(-1, p).conj().T @ self.fit.weighted.reshape(-1))
-        gradient = gradient + sum(one.gradient for one in self.transient_terms)
+        gradient = gradient + sum(term.gradient for term in self.transient_terms)
         return np.asarray(gradient + sum(part for part, _ in self.tone_terms))
 
     def weighted(self) -> ComplexArray:
-        """P dY (K, c, p), the true loads eliminated; a second, small product."""
+        """P dY (K, c, p), with the true loads eliminated."""
         return _apply_weight(self.batch, self.fit.downdate, slice(None), self.derivatives)
 
     def information(self, weighted: ComplexArray, rows: Index | slice, columns: Index | slice) -> Array:
         """The part (rows, columns) of 2 Re sum dY* P dY."""
         information = 2.0 * _real_inner_product(self.derivatives[:, :, rows], weighted[:, :, columns])
-        for one in self.transient_terms:
-            information = information + one.information(rows, columns)
-        for _, whole in self.tone_terms:
-            information = information + whole[rows][:, columns]
+        for term in self.transient_terms:
+            information = information + term.information(rows, columns)
+        for _, tone_information in self.tone_terms:
+            information = information + tone_information[rows][:, columns]
         return np.asarray(information)
 
     def diagonal_blocks(self, weighted: ComplexArray, blocks: Sequence[Index]) -> list[Array]:
-        """The information of each block of parameters by itself; single ones, which are many, all at once."""
-        alone = 2.0 * np.sum(self.derivatives.real * weighted.real + self.derivatives.imag * weighted.imag, axis=(0, 1))
-        for one in self.transient_terms:
-            alone = alone + one.diagonal()
-        for _, whole in self.tone_terms:
-            alone = alone + np.diag(whole)
-        several = {i: self.information(weighted, block, block) for i, block in enumerate(blocks) if len(block) > 1}
-        return [several[i] if i in several else alone[block][:, None] for i, block in enumerate(blocks)]
+        """The information of each block of parameters; those of a single parameter, which are many, all at once."""
+        diagonal = 2.0 * np.sum(
+            self.derivatives.real * weighted.real + self.derivatives.imag * weighted.imag, axis=(0, 1)
+        )
+        for term in self.transient_terms:
+            diagonal = diagonal + term.diagonal()
+        for _, tone_information in self.tone_terms:
+            diagonal = diagonal + np.diag(tone_information)
+        of_blocks = {i: self.information(weighted, block, block) for i, block in enumerate(blocks) if len(block) > 1}
+        return [of_blocks[i] if i in of_blocks else diagonal[block][:, None] for i, block in enumerate(blocks)]
 
 
 def _real_inner_product(left: ComplexArray, right: ComplexArray) -> Array:
@@ -240,18 +245,18 @@ def batch_derivatives(batch: Batch, system: System) -> BatchDerivatives:
     solution = solve(system, batch.frequency, batch.spin)
     fit = evaluate_batch(batch, system, solution, derivatives=True)
     derivatives = channel_derivatives(batch, system, solution, fit)
-    for one in fit.transients:
-        derivatives[one.lines] += transient_derivatives(one)
+    for transient in fit.transients:
+        derivatives[transient.lines] += transient_derivatives(transient)
     tone_terms = tuple(tone.curvature(derivatives[tone.form.lines]) for tone in fit.mains_tones)
-    transient_terms = tuple(eliminate_transient(one, derivatives[one.lines]) for one in fit.transients)
+    transient_terms = tuple(eliminate_transient(run, derivatives[run.lines]) for run in fit.transients)
     return BatchDerivatives(batch, fit, derivatives, transient_terms, tone_terms)
 
 
 def batch_curvature(batch: Batch, system: System) -> Curvature:
     """Chi-square, gradient and information of one batch."""
-    found = batch_derivatives(batch, system)
-    whole = slice(None)
-    return Curvature(found.fit.total, found.gradient(), found.information(found.weighted(), whole, whole))
+    item = batch_derivatives(batch, system)
+    every = slice(None)
+    return Curvature(item.fit.total, item.gradient(), item.information(item.weighted(), every, every))
 
 
 def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
@@ -259,7 +264,7 @@ def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
     p = system.parameters
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     with ThreadPoolExecutor(WORKERS) as workers:
-        # Threads, because numpy lets go of the interpreter; summed in order, so that the result is always the same.
+        # Threads suffice, because numpy releases the interpreter lock. The fixed order of the sum fixes its rounding.
         for part in workers.map(lambda batch: batch_curvature(batch, system), split_large_batches(batches, p)):
             total = total + part
     return total

@@ -31,7 +31,7 @@ WeightFunction = Callable[[slice, ComplexArray], ComplexArray]
 
 # A lower limit of |b| that only prevents 0/0: amplitudes in volts over their noise are far above it.
 TINY = 1e-300
-# Below this a |b| the ratio I1/I0(a |b|) / a is |b| / 2 to double precision (the next term is (a |b|)^2 / 8).
+# Below this a |b| the ratio I1/I0(a |b|) / a is |b| / 2 to 1e-13 (the next term, relative, is (a |b|)^2 / 8).
 SMALL_ARGUMENT = 1e-6
 
 

@@ -17,9 +17,11 @@ from balance_cli.model.balance import BalanceModel
 Array = NDArray[np.float64]
 
 
+# Iterations of one fit: three times as many as fits along curved valleys took (docs/adr/0013-curved-valleys.md).
 ITERATIONS = 60
+# Predicted decrease of chi-square at which a fit ends: a hundredth of a sigma.
 TOLERANCE = 1e-4
-# After so many the starts of a fit are compared, and the best goes on alone.
+# Iterations after which the fits from several starts are compared; only the best is continued.
 TRIAL_ITERATIONS = 12
 
 
@@ -30,9 +32,9 @@ def fit_maximum_likelihood(
     iterations: int = ITERATIONS,
     tolerance: float = TOLERANCE,
 ) -> Minimum:
-    """Maximise the likelihood of the lines (errors on channels and loads) times the priors, from `start`.
+    """Maximize the likelihood of the lines (errors on channels and loads) times the priors, from `start`.
 
-    The last step is one that promises to lower chi-square by less than `tolerance`.
+    The fit ends when the predicted decrease of chi-square is less than `tolerance`.
     """
     return minimize(
         model.parameters,
@@ -47,10 +49,11 @@ def fit_maximum_likelihood(
 def take_first_steps(
     model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int, prior_scales: float, min_decrease: float
 ) -> Minimum:
-    """At most `count` steps from `theta`, near which parameters without a prior are held: `within` so many scales.
+    """Take at most `count` steps from `theta`, with weak priors of `prior_scales` scales on parameters without one.
 
-    Where an effect is small, the data say nothing of what shapes it, and steps along that would hold up all others.
-    The last step is one that promises to lower chi-square by less than `min_decrease`; what holds counts in `total`.
+    As long as an effect is small, the data have no information on the parameters of its shape, and steps along these
+    would delay all others. The fit ends when the predicted decrease of chi-square is less than `min_decrease`. The weak
+    priors are part of `total`.
     """
     return minimize(
         add_weak_priors(model.parameters, theta, prior_scales),
@@ -63,7 +66,7 @@ def take_first_steps(
 
 
 def penalized_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
-    """Chi-square of data and priors; infinite where no rig is like that."""
+    """Chi-square of data and priors; infinite where the parameters are not physical."""
     try:
         return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
     except np.linalg.LinAlgError:
@@ -71,17 +74,17 @@ def penalized_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) 
 
 
 def fit_best_start(model: BalanceModel, batches: Sequence[Batch], starts: Mapping[str, Array]) -> tuple[Minimum, str]:
-    """The best maximum that is reached from any of the starts, and the name of that start.
+    """The best maximum reached from any of the starts, and the name of that start.
 
-    Which start is nearer in chi-square says little: one that is far in many parameters may lead to the better end.
-    Raises LinAlgError where no rig is like any of them.
+    Chi-square at the start itself is no criterion: a start that is farther off may lead to the better end.
+    Raises LinAlgError where no start is physical.
     """
     trials = {name: _try_start(model, batches, start) for name, start in starts.items()}
-    found = {name: trial for name, trial in trials.items() if trial is not None}
-    if not found:
-        raise np.linalg.LinAlgError("no rig is like any of the starts")
-    best = min(found, key=lambda name: found[name].total.chi2)
-    first = found[best]
+    minima = {name: trial for name, trial in trials.items() if trial is not None}
+    if not minima:
+        raise np.linalg.LinAlgError("no start has physical parameters")
+    best = min(minima, key=lambda name: minima[name].total.chi2)
+    first = minima[best]
     if first.converged:
         return first, best
     rest = fit_maximum_likelihood(model, batches, first.theta, ITERATIONS - TRIAL_ITERATIONS)

@@ -1,4 +1,4 @@
-"""From runs to what the estimators use: lines of the sweeps, points of the static runs, each with its noise."""
+"""From runs to the data of the estimators: lines of the sweeps and points of the static runs, with their noise."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from balance_cli.signals.waveforms import (
 class Spectra:
     """Lines and static points of a campaign.
 
-    `unused` {run: why}: runs of kinds that hold nothing for an identification; `channels_left_out`
-    {run: {channel: why}}: channels that were dead, clipped, absent or not finite.
+    `unused` {run: why}: runs that an identification cannot use; `channels_left_out` {run: {channel: why}}: channels
+    that were dead, clipped, absent or not finite.
     """
 
     lines: tuple[RunSpectrum, ...]
@@ -36,12 +36,12 @@ class Spectra:
 
 
 def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None = None) -> Spectra:
-    """Lines of every sweep and points of every static run; the rest is said to be unused.
+    """Compute lines of every sweep and points of every static run; all other runs are listed as unused.
 
-    So is a static run with too few rows to tell its own noise: the sweeps can do without it.
-    Periodic records give the lines of their steady periods; others the independent lines of a local rational model.
-    With `means` (which is up to the geometry's effects where nothing is said) records give their means and waveforms
-    too, static runs all that is in their rows. UserError where no channel of a run is left.
+    A static run with too few rows to estimate its own noise is unused too: the sweeps suffice without it. Periodic
+    records give the lines of their steady periods; others the independent lines of a local rational model. With `means`
+    (by default, where an effect of the geometry needs them) records also give their means and waveforms, and static
+    runs the nonlinear part of their rows. Raises UserError where a run has no usable channel.
     """
     means = needs_mean(geometry) if means is None else means
     lines: list[RunSpectrum] = []
@@ -50,13 +50,14 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
     left_out: dict[str, dict[str, str]] = {}
     for run in runs:
         if run.kind not in ("sweep", "static"):
-            unused[run.name] = f"a {run.kind} run takes no part in a fit"
+            unused[run.name] = f"a {run.kind} run is not used in a fit"
             continue
         health = live_channels(run, geometry)
         if health.left_out:
             left_out[run.name] = health.left_out
         if not health.live:
-            raise UserError("no channel is left", str(run.path or run.name), "channels", "Mend or leave out this run")
+            name = str(run.path or run.name)
+            raise UserError("no usable channel", name, "channels", "Repair this run or leave it out")
         if run.kind == "static":
             try:
                 points = static_points(run, health.live)

@@ -1,13 +1,13 @@
-"""Weights that carry the error of the model: what a fit needs as long as its model is known to be wrong.
+"""Weights that include the error of the model, for fits of a model that is known to be incomplete.
 
-Under a misfit the likelihood of the noise alone is decided by the few lines of the sharpest peaks, has a minimum for
-every way to lay one peak over another, and makes every sigma meaningless. An error of the model that is a share e of
-the response around each line, independent from line to line and from channel to channel, is added to the noise:
+Under a misfit the likelihood of the noise alone is dominated by the few lines of the sharpest peaks, has a minimum for
+each pairing of computed with measured peaks, and makes every sigma meaningless. A model error that is a fraction e of
+the response around each line, independent between lines and channels, is therefore added to the noise:
 
     cov(y_i) = noise + e^2 s_i^2,        s_i^2: mean of |y_i|^2 over lines within a few percent of the frequency
 
-e is chosen so that chi-square equals its degrees of freedom (a random effect, by the method of moments: DerSimonian and
-Laird, Controlled Clinical Trials 7, 1986). As the model gets better e shrinks, and where nothing is missing it is zero.
+e is such that chi-square equals its degrees of freedom (a random effect, by the method of moments: DerSimonian and
+Laird, Controlled Clinical Trials 7, 1986). As the model improves e decreases, and for a complete model it is zero.
 """
 
 from __future__ import annotations
@@ -28,20 +28,24 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 ModelErrors = Mapping[str, float]
 
-# Half the band around a line over which the response is averaged, as a share of its frequency, and at least [Hz].
+# Half the band around a line over which the response is averaged, relative to its frequency, and its minimum [Hz]:
+# twice the half-power width of a mode with 1 % damping.
 RELATIVE_HALF_BAND = 0.04
 MIN_HALF_BAND = 0.5
-# Of the strongest line of a run, below which no response counts as known to a share of itself.
+# Least response relative to the strongest line of a run: at an antiresonance the model error does not vanish.
 MIN_RESPONSE_RATIO = 1e-3
+# Range of e: an error as large as the response, and one far below any noise, which counts as zero.
 MAX_RELATIVE_ERROR = 1.0
 MIN_RELATIVE_ERROR = 1e-6
+# Start of the iteration for e; with e <- e sqrt(chi2 / dof) it matters little.
 INITIAL_RELATIVE_ERROR = 0.1
 ITERATIONS = 8
+# Relative change of e at which the iteration ends; a weight need not be known better.
 CONVERGENCE_TOLERANCE = 0.01
 
 
 def add_model_error(batches: Sequence[Batch], relative_errors: ModelErrors) -> tuple[Batch, ...]:
-    """The same lines with a model error, a share of the response by run, in the covariance of the channels."""
+    """The same lines with a model error, given by run relative to the response, added to the channels' covariance."""
     return tuple(
         _add_batch_error(batch, np.array([relative_errors[name] for name in batch.run_names])) for batch in batches
     )
@@ -55,9 +59,9 @@ def _add_batch_error(batch: Batch, relative_errors: Array) -> Batch:
     variance = relative_errors[batch.lines.run, None] ** 2 * local_response_power(batch)
     S = batch.lines.precision
     live = np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c] > 0
-    # Where nothing is added its inverse is a large number beside the noise's precision, not infinite.
-    least = 1e-12 / np.maximum(np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c], 1e-300)
-    inverse = np.where(live, 1.0 / np.maximum(variance, np.minimum(least, 1e100)), 1.0)
+    # Where the error is zero its inverse is large compared with the noise's precision, not infinite.
+    negligible = 1e-12 / np.maximum(np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c], 1e-300)
+    inverse = np.where(live, 1.0 / np.maximum(variance, np.minimum(negligible, 1e100)), 1.0)
     inner = S[:, :c, :c] + inverse[:, :, None] * np.eye(c)
     removed = S[:, :, :c] @ np.linalg.solve(inner, S[:, :c, :])
     return replace(batch, lines=replace(batch.lines, precision=np.asarray(S - removed, complex)))
@@ -66,17 +70,17 @@ def _add_batch_error(batch: Batch, relative_errors: Array) -> Batch:
 def local_response_power(batch: Batch) -> Array:
     """Mean |y|^2 (K, c) [V^2] of each channel around each line of its run."""
     power = np.abs(batch.lines.channels) ** 2
-    usual = np.maximum(power.mean(axis=0), np.finfo(float).tiny)
-    whole = (power / usual).mean(axis=1)[:, None] * usual
+    mean_power = np.maximum(power.mean(axis=0), np.finfo(float).tiny)
+    common = (power / mean_power).mean(axis=1)[:, None] * mean_power
     size = np.empty(power.shape)
     frequency = batch.line_frequency
     for lines in batch.parts:
-        size[lines] = _running_mean(frequency[lines], 0.5 * (power[lines] + whole[lines]))
+        size[lines] = _running_mean(frequency[lines], 0.5 * (power[lines] + common[lines]))
     return size
 
 
 def _running_mean(frequency: Array, power: Array) -> Array:
-    """Mean of power (k, c) over the lines within the band around each, by running sums; lines in rising frequency."""
+    """Mean of power (k, c) over the lines within the band around each line, by running sums."""
     order = np.argsort(frequency, kind="stable")
     rising = frequency[order]
     half = np.maximum(RELATIVE_HALF_BAND * rising, MIN_HALF_BAND)
@@ -88,9 +92,9 @@ def _running_mean(frequency: Array, power: Array) -> Array:
 
 
 def log_determinant_inflation(batches: Sequence[Batch], relative_errors: ModelErrors) -> float:
-    """2 ln det(cov + E) - 2 ln det(cov) of all lines (once for real ones): what a model error adds to -2 ln likelihood.
+    """2 ln det(cov + E) - 2 ln det(cov) of all lines (once for real ones).
 
-    With it, fits of different model error can be compared.
+    It is the term of a model error in -2 ln likelihood, and makes fits with different model errors comparable.
     """
     total = 0.0
     for batch in batches:
@@ -107,36 +111,34 @@ def log_determinant_inflation(batches: Sequence[Batch], relative_errors: ModelEr
 def estimate_model_error(
     batches: Sequence[Batch], system: System, initial: ModelErrors | None = None, sigma_limit: float = 0.0
 ) -> ModelErrors:
-    """The share e of each run at which its chi-square is its degrees of freedom; 0 where it is no more without any,
+    """The relative error e of each run at which its chi-square equals its degrees of freedom.
 
-    or by so many of its standard deviations (`sigma_limit`) only.
-
-    Where the error outweighs the noise chi-square goes as 1/e^2: e <- e sqrt(chi2 / dof), all runs at once.
+    Zero where chi-square exceeds the degrees of freedom by at most `sigma_limit` of its standard deviations without any
+    model error. Where the error outweighs the noise, chi-square is proportional to 1/e^2: e <- e sqrt(chi2 / dof).
     """
     names = [name for batch in batches for name in batch.run_names]
     dof = np.concatenate([np.bincount(batch.lines.run, batch.lines.count, len(batch.run_names)) for batch in batches])
     solutions = [solve(system, batch.frequency, batch.spin) for batch in batches]
-    wrong = _run_chi2(batches, system, solutions) > dof + sigma_limit * _chi2_sigma(batches, dof)
+    misfits = _run_chi2(batches, system, solutions) > dof + sigma_limit * _chi2_sigma(batches, dof)
     relative_errors = np.array([(initial or {}).get(name, 0.0) or INITIAL_RELATIVE_ERROR for name in names])
-    for _ in range(ITERATIONS if wrong.any() else 0):
-        trial = dict(zip(names, np.where(wrong, relative_errors, 0.0).tolist(), strict=True))
+    for _ in range(ITERATIONS if misfits.any() else 0):
+        trial = dict(zip(names, np.where(misfits, relative_errors, 0.0).tolist(), strict=True))
         ratio = np.sqrt(_run_chi2(add_model_error(batches, trial), system, solutions) / dof)
         relative_errors = np.clip(relative_errors * ratio, MIN_RELATIVE_ERROR, MAX_RELATIVE_ERROR)
-        if np.all(np.abs(ratio[wrong] - 1.0) < CONVERGENCE_TOLERANCE):
+        if np.all(np.abs(ratio[misfits] - 1.0) < CONVERGENCE_TOLERANCE):
             break
-    return dict(
-        zip(names, np.where(wrong & (relative_errors > MIN_RELATIVE_ERROR), relative_errors, 0.0).tolist(), strict=True)
-    )
+    is_error = misfits & (relative_errors > MIN_RELATIVE_ERROR)
+    return dict(zip(names, np.where(is_error, relative_errors, 0.0).tolist(), strict=True))
 
 
 def _chi2_sigma(batches: Sequence[Batch], count: Array) -> Array:
-    """Standard deviation of the chi-square of each run, of so many values; each channel's noise is an estimate too."""
-    known = []
+    """Standard deviation of the chi-square of each run, of `count` values, with the noise estimated by channel."""
+    noise_dof: list[float] = []
     for batch in batches:
-        live = np.real(np.diagonal(batch.lines.precision, axis1=1, axis2=2))[:, : batch.lines.channels.shape[1]] > 0
+        live = batch.lines.channel_precision > 0
         channels = [max(int(np.count_nonzero(live[part].any(axis=0))), 1) for part in batch.parts]
-        known += [number * run.noise_dof for number, run in zip(channels, batch.runs, strict=True)]
-    return np.asarray(np.sqrt(2.0 * count * (1.0 + count / np.array(known))))
+        noise_dof += [number * run.noise_dof for number, run in zip(channels, batch.runs, strict=True)]
+    return np.asarray(np.sqrt(2.0 * count * (1.0 + count / np.array(noise_dof))))
 
 
 def _run_chi2(batches: Sequence[Batch], system: System, solutions: Sequence[Solution]) -> Array:

@@ -1,7 +1,7 @@
-"""A record without what forces along the cells that are not linear did to its channels.
+"""Records with the contribution of nonlinear cell forces removed from the channels.
 
-The cells tell these forces, and the model what becomes of them in the channels. What is left the linear response
-explains. The mean is left as it is: static matrices know what the cells do at rest.
+The cells measure these forces, and the model gives their effect on the channels. The linear response then describes the
+rest. The mean is left unchanged: the static calibration accounts for the cells at rest.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 def remove_nonlinear_contribution(run: Run, system: System, geometry: Geometry, live: Sequence[str]) -> Run:
-    """The run with the dynamic part of its forces along cells taken out of its channels; itself where there is none."""
+    """The run without the dynamic contribution of nonlinear forces; the same run where there are no such forces."""
     if not any(force.values.value[0] != 0.0 for force in system.equations.forces):
         return run
     names = geometry.channel_names

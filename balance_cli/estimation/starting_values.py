@@ -1,25 +1,25 @@
-"""Where a fit with effects begins: channels aligned with one another, then the equations of motion as a regression.
+"""Starting values of a fit with effects: alignment of channels, then a regression on the equations of motion.
 
-Far from the truth the likelihood has many minima, for resonances must first be brought to lie over one another. Two
-estimates have hardly any, and come first:
+Far from the truth the likelihood has many minima, because computed and measured resonances must first coincide. Two
+estimates have few minima and come first:
 
 1. Channels of one spring read the same force f, whatever the plate does: y_i = g_i f. With f eliminated line by line,
-   what is left of the y_i tells delays, gains and filters of one channel against the other.
-2. The cells measure their own forces f, so the motion x of the balance, lower body and all, is nearly known. All
-   equations of a line at once,
+   the residual of the y_i determines delays, gains and filters of one channel relative to the other.
+2. The cells measure their own forces f, so the motion x of the balance, ground side included, is nearly known. The
+   equations of a line,
 
        A(w) x = F u,        R x = f,
 
-   are more than the unknown x; with x eliminated by least squares, what is left is free of the plate's resonances.
-   (With x taken from some of the equations exactly, it would have the poles of those.) Variable projection: Golub and
-   Pereyra, SIAM J. Numer. Anal. 10 (1973) 413; the derivative is that of Kaufman, BIT 15 (1975) 49.
+   are more than the unknowns x; with x eliminated by least squares, the residual has no resonances of the plate. (If
+   some of the equations were solved for x exactly, it would have their poles.) Variable projection: Golub and Pereyra,
+   SIAM J. Numer. Anal. 10 (1973) 413; the derivative is that of Kaufman, BIT 15 (1975) 49.
 
-The motion of a flexible part is not measured, and its resonance stays. At low frequency it is only a deflection that
-grows with w^2, so lines are taken in from there upwards, each band beginning where the one below it ended (as Bunks et
-al., Geophysics 60 (1995) 1457, do with waves).
+The motion of a flexible part is not measured, and its resonance remains. At low frequency it is only a deflection that
+grows with w^2. The fit therefore begins with the lowest lines, and each wider band starts from the result of the one
+before (as Bunks et al., Geophysics 60 (1995) 1457, do with waves).
 
-Both are biased by noise, as every equation error is, and serve as a start only. Of an effect that is hardly above the
-noise the second says little: then it is better to begin with that effect where it stands, and the rest fitted round it.
+Both estimates are biased by noise, as every equation error is, and serve only as starting values. The second is poor
+for an effect that is hardly above the noise; then it is better to leave that effect as declared and to fit the rest.
 """
 
 from __future__ import annotations
@@ -41,22 +41,24 @@ from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 
-# Scales within which effects are sought: what two channels share cannot be seen in their ratio, for one.
+# Weak prior on effects, in their scales. Without it the regression is singular: a filter that two channels share does
+# not change their ratio, for instance.
 EFFECT_PRIOR_SCALES = 100.0
-# The same where a fit goes on at once: what the regression hardly sees should stay where it is.
+# The same where a fit follows at once: parameters that the regression hardly determines should stay where they are.
 REGRESSION_PRIOR_SCALES = 10.0
-# Scales within which an effect stays where it stands.
+# Prior that fixes effects at their declared values, in their scales.
 FIXED_EFFECT_SCALES = 1e-3
-# Highest frequencies [Hz] of the bands that are taken in one after another where parts are flexible.
+# Upper limits [Hz] of the bands that are fitted one after another where parts are flexible; each doubles the last.
 BAND_EDGES = (20.0, 40.0, 80.0, np.inf)
+# Rounds, each with the variance estimated from the residual of the one before.
 ROUNDS = 2
-# Lines that are enough for a start from which a fit goes on at once.
+# Number of lines for starting values that a fit refines at once.
 QUICK_START_LINES = 150
 
 
 @dataclass(frozen=True)
 class StartingPoints:
-    """Two full parameter vectors: effects where they stand with the rest fitted round them, and everything fitted."""
+    """Two full parameter vectors: the effects as declared and the rest fitted, and everything fitted."""
 
     effects_fixed: Array
     effects_free: Array
@@ -65,7 +67,7 @@ class StartingPoints:
 def find_starting_values(
     parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], start: Array
 ) -> StartingPoints:
-    """Where to begin, from `start`; priors hold what the data leave open."""
+    """Fit starting values from `start`; priors determine what the data do not."""
     weakly_constrained = add_weak_priors(parameters, start, EFFECT_PRIOR_SCALES)
     aligned = _fit_regression(
         weakly_constrained, [alignment_residual(batch, line_stride(batches)) for batch in batches], system, start
@@ -85,27 +87,27 @@ def find_starting_values(
 def start_from_equations_of_motion(
     parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], start: Array
 ) -> Array:
-    """The full parameter vector that leaves least of the equations of motion, with the channels as they are at `start`.
+    """The full parameter vector with the least residual of the equations of motion, the channels being as at `start`.
 
-    From nearly anywhere it comes near the truth where nothing that matters is missing. `start` itself where the
-    regression leads to no rig at all.
+    It comes near the truth from nearly anywhere if the model is complete. Returns `start` where the regression leads to
+    parameters that are not physical.
     """
     weakly_constrained = add_weak_priors(parameters, start, REGRESSION_PRIOR_SCALES)
     try:
         with np.errstate(all="ignore"):
-            found = _fit_regression(
+            fitted = _fit_regression(
                 weakly_constrained, motion_residuals(batches, system(start), max_lines=QUICK_START_LINES), system, start
             )
     except np.linalg.LinAlgError:
         return start
-    return found if np.all(np.isfinite(found)) else start
+    return fitted if np.all(np.isfinite(fitted)) else start
 
 
 def add_weak_priors(parameters: ParameterSet, start: Array, scales: float) -> ParameterSet:
-    """The same parameters, none without a prior: those that had none are held within so many scales of `start`."""
-    unknown = np.isinf(parameters.sigma)
-    sigma = np.where(unknown, scales * parameters.scale, parameters.sigma)
-    return replace(parameters, value=np.where(unknown, start, parameters.value), sigma=sigma)
+    """The same parameters with a prior on those without one: `start`, with a sigma of `scales` of their scales."""
+    is_unknown = np.isinf(parameters.sigma)
+    sigma = np.where(is_unknown, scales * parameters.scale, parameters.sigma)
+    return replace(parameters, value=np.where(is_unknown, start, parameters.value), sigma=sigma)
 
 
 def _fit_regression(
@@ -114,26 +116,26 @@ def _fit_regression(
     system: Callable[[Array], System],
     start: Array,
 ) -> Array:
-    """Least squares with the priors; the variance is that of the residual itself, taken anew in each round."""
+    """Least squares with the priors; the variance is that of the residual, estimated again in each round."""
 
-    def found(theta: Array) -> list[RegressionResidual]:
+    def residuals_at(theta: Array) -> list[RegressionResidual]:
         at = system(theta)
         return [residual(at) for residual in residuals]
 
     def squares(theta: Array) -> float:
-        return float(sum(np.sum(np.abs(item.error) ** 2) for item in found(theta)))
+        return float(sum(np.sum(np.abs(item.error) ** 2) for item in residuals_at(theta)))
 
     p = int(parameters.free.sum())
-    initial_residuals = found(start)
+    initial_residuals = residuals_at(start)
     count = sum(item.error.size for item in initial_residuals)
     if not all(np.all(np.isfinite(item.error)) for item in initial_residuals):
-        return start  # a part that is as stiff as can be has no equation of motion
+        return start  # A rigid part has no equation of motion of its own.
     for _ in range(ROUNDS if count else 0):
         variance = max(squares(start) / count, np.finfo(float).tiny)
         start = minimize(
             parameters,
             start,
-            lambda theta, v=variance: _curvature(found(theta), v, p),  # type: ignore[misc]
+            lambda theta, v=variance: _curvature(residuals_at(theta), v, p),  # type: ignore[misc]
             lambda theta, v=variance: 2.0 * squares(theta) / v,  # type: ignore[misc]
             iterations=20,
             tolerance=1e-4 * count,
@@ -144,8 +146,8 @@ def _fit_regression(
 def _curvature(residuals: Sequence[RegressionResidual], variance: float, p: int) -> Curvature:
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     for item in residuals:
-        slope, error = item.jacobian().reshape(-1, p), item.error.reshape(-1)
-        information = 2.0 * np.real(slope.conj().T @ slope) / variance
-        gradient = 2.0 * np.real(slope.conj().T @ error) / variance
+        jacobian, error = item.jacobian().reshape(-1, p), item.error.reshape(-1)
+        information = 2.0 * np.real(jacobian.conj().T @ jacobian) / variance
+        gradient = 2.0 * np.real(jacobian.conj().T @ error) / variance
         total = total + Curvature(2.0 * float(np.sum(np.abs(error) ** 2)) / variance, gradient, information)
     return total

@@ -13,18 +13,18 @@ Array = NDArray[np.float64]
 
 
 def static_lines(points: StaticPoints) -> RunSpectrum:
-    """A static run as lines at frequency zero: its regression slopes, scaled to independent experiments.
+    """A static run as lines at frequency zero: its regression coefficients, scaled to independent experiments.
 
-    With the centred loads U = Q R the rows carry C0 R' with noise `covariance` in each of the six columns, so that
-    the straight part of all rows is kept without loss. The noise is real: as circular noise it counts double.
-    Where rows differ, lines do; noise that two of them have in common is left out.
-    Where the points come with `share`, Q is made complete: lines without load hold what in the rows is not straight.
+    With the centered loads U = Q R the lines Q' Y are R C0' with noise `covariance` in each, so that the linear part of
+    all rows is kept without loss. The noise is real: as circular noise it counts double. Where the noise differs
+    between rows it differs between lines; the correlation of lines that follows from it is neglected. Where the points
+    come with `share`, Q is complete: lines without load contain the nonlinear part of the rows.
     """
     channels = points.channels - points.channels.mean(axis=0)
     loads = points.loads - points.loads.mean(axis=0)
-    varied = np.ptp(points.loads, axis=0) > 0
-    Q, R = np.linalg.qr(loads[:, varied]) if points.share is None else _complete_qr(loads[:, varied])
-    components = tuple(name for name, used in zip(COMPONENTS, varied, strict=True) if used)
+    is_varied = np.ptp(points.loads, axis=0) > 0
+    Q, R = np.linalg.qr(loads[:, is_varied]) if points.share is None else _complete_qr(loads[:, is_varied])
+    components = tuple(name for name, used in zip(COMPONENTS, is_varied, strict=True) if used)
     count, c = len(R), len(points.channel_names)
     padded = np.zeros((count, c + count, c + count), complex)
     parts = tuple(part.project(Q) for part in points.noise_parts)
@@ -38,14 +38,14 @@ def static_lines(points: StaticPoints) -> RunSpectrum:
         loads=R.astype(complex),
         covariance=padded,
         dof=points.dof,
-        constant_loads=Q.T @ (points.loads[:, varied] != 0.0),
+        constant_loads=Q.T @ (points.loads[:, is_varied] != 0.0),
         waveform=None if points.share is None else _load_points(points, Q.T),
         noise_parts=parts,
     )
 
 
 def _complete_qr(loads: Array) -> tuple[Array, Array]:
-    """Q (m, m-1) of all that is orthogonal to a constant, its first columns those of the centred loads, and R."""
+    """Q (m, m-1) over all that is orthogonal to a constant, its first columns those of the centered loads, and R."""
     ones = np.ones((len(loads), 1))
     Q, R = np.linalg.qr(np.hstack([ones, loads]), "complete")
     return np.asarray(Q[:, 1:]), np.asarray(R[1:, 1:])

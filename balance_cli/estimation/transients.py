@@ -1,13 +1,13 @@
-"""The free motion in the lines of records that began at rest, eliminated like the true loads.
+"""Transients in the lines of records that began at rest, eliminated like the true loads.
 
-A window of N samples, whole periods of the line, from t_f to t_e holds of a motion Re v exp(s t)
+A window of N samples, whole periods of the line, from t_f to t_e contains of a motion Re v exp(s t)
 
     Z(w) = (v/N) (exp(s t_f) - exp(s t_e)) / (1 - exp((s - jw) h)),        Y = Z(w) + conj Z(-w),
 
 h being the step between samples. The complex amplitudes a (m,) of the modes at t = 0 are unknown in every run: as 2m
-real numbers x they enter Y = C x linearly. The start of a high-pass is one of them, with real s and v: its imaginary
-amplitude is in no line, and stays zero. What has died away by t_f no line can tell; there the amplitude is held by
-what it cannot exceed, a multiple of the rms of the channels: 0 = Q x with unit variance.
+real numbers x they enter Y = C x linearly. The start of a high-pass filter is one of them, with real s and v: its
+imaginary amplitude is in no line, and stays zero. The lines do not determine what has decayed by t_f; there a prior
+holds the amplitude within a multiple of the rms of the channels: 0 = Q x with unit variance.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.batch import Batch, BatchRun
 from balance_cli.model.response_jacobian import mask_or_full_slice
 from balance_cli.model.system import System
 from balance_cli.model.transient_modes import TransientModes, divided_differences, transient_modes
@@ -29,22 +29,23 @@ ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 WeightFunction = Callable[[slice, ComplexArray], ComplexArray]
 
-# At rest the free motion is minus the forced one; its modes by themselves may be somewhat larger.
+# A transient from rest begins as minus the forced motion, of the size of the channels' rms; single modes, which partly
+# cancel, may be larger.
 MAX_AMPLITUDE_RATIO = 10.0
-# Decay, as a logarithm, that leaves nothing of a mode in any line.
+# Decay of a mode before the first line, as a logarithm, beyond which it is left out: exp(-18.4) = 1e-8.
 MAX_DECAY = 18.4
-# Growth, as a logarithm, that no record shows.
+# Growth of a mode over the record, as a logarithm, beyond which the parameters are rejected: exp(50) = 5e21.
 MAX_GROWTH = 50.0
-# Of the largest signal, where a computed one is zero.
+# Least rms of a channel relative to the largest, so that a computed signal of zero has a finite prior.
 MIN_SIGNAL_RATIO = 1e-9
 
 
 @dataclass(frozen=True)
 class RunTransient:
-    """The free motion of one run: its `lines`, window and modes; columns C (K, c, 2m) and weighted P C.
+    """The transient of one run in its `lines`: window, modes `free`, columns C (K, c, 2m) and `weighted` P C.
 
-    held (c,) [1/V]: one over the largest free motion of a channel, and Q (c, 2m) that times the motion at t = 0;
-    normal (2m, 2m) = 2 Re C* P C + Re Q* Q; x (2m,): the estimate.
+    `prior_weight` (c,) [1/V] is one over the largest transient of each channel, `bound` Q (c, 2m) that times the motion
+    at t = 0; `normal` (2m, 2m) = 2 Re C* P C + Re Q* Q; `x` (2m,) is the estimate.
     """
 
     lines: slice
@@ -60,16 +61,16 @@ class RunTransient:
 
     @property
     def chi2(self) -> float:
-        """|Q x|^2."""
+        """Chi-square |Q x|^2 of the prior."""
         return float(np.sum(np.abs(self.bound @ self.x) ** 2))
 
     def amplitudes(self, right: Array) -> Array:
-        """Amplitudes (2m, ...) from what columns have to do with them."""
+        """Amplitudes (2m, ...) from the right-hand side of their normal equations."""
         return _solve_scaled(self.normal, right)
 
     @property
     def effective_parameters(self) -> float:
-        """Number of amplitudes that the lines determine; none of what no live channel reads."""
+        """Number of amplitudes that the lines determine; those that no live channel reads do not count."""
         prior_weight = np.real(self.bound.conj().T @ self.bound)
         read = np.count_nonzero(np.diag(self.normal) > 0)
         return float(read - np.trace(_solve_scaled(self.normal, prior_weight)))
@@ -78,36 +79,36 @@ class RunTransient:
 def fit_transients(
     batch: Batch, system: System, residual: ComplexArray, apply_weight: WeightFunction, derivatives: bool
 ) -> tuple[RunTransient, ...]:
-    """The free motion of every run of the batch that has any, fitted to the residual Y - T U (K, c).
+    """Fit the transient of every run of the batch that has one to the residual Y - T U (K, c).
 
-    `weigh` multiplies columns (k, c, q) at the given lines by P, the precision with the true loads eliminated.
+    `apply_weight` multiplies columns (k, c, q) at the given lines by P, the precision with the true loads eliminated.
     """
-    found: list[RunTransient] = []
-    known: dict[tuple[float, float], TransientModes] = {}
-    for run, of_run in enumerate(batch.parts):
+    fits: list[RunTransient] = []
+    modes: dict[tuple[float, float], TransientModes] = {}
+    for run in batch.runs:
         part = _lines_with_transient(batch, run)
         if part is None:
             continue
         lines, window, max_frequency = part
         key = (max_frequency, MAX_DECAY / max(float(window.start.min()), window.step))
-        if key not in known:
-            known[key] = transient_modes(system, batch.spin, *key, derivatives)
-        free, frequency = known[key], batch.frequency[batch.lines.index[lines]]
+        if key not in modes:
+            modes[key] = transient_modes(system, batch.spin, *key, derivatives)
+        free, frequency = modes[key], batch.frequency[batch.lines.index[lines]]
         if not len(free.s):
             continue
-        columns, prior_weight = transient_columns(free, window, frequency), _prior_weight(batch, of_run)
+        columns, prior_weight = transient_columns(free, window, frequency), _prior_weight(batch, run.lines)
         weighted = apply_weight(lines, columns)
-        found.append(_fit_transient(lines, window, frequency, free, columns, weighted, prior_weight, residual[lines]))
-    return tuple(found)
+        fits.append(_fit_transient(lines, window, frequency, free, columns, weighted, prior_weight, residual[lines]))
+    return tuple(fits)
 
 
-def _lines_with_transient(batch: Batch, run: int) -> tuple[slice, AnalysisWindow, float] | None:
-    """The lines of a run that hold free motion, where they come from, and the highest of its modes [Hz].
+def _lines_with_transient(batch: Batch, run: BatchRun) -> tuple[slice, AnalysisWindow, float] | None:
+    """The lines of a run that contain its transient, their window, and the highest frequency of its modes [Hz].
 
-    Local models have taken it out of the lines of a record that does not repeat, but not out of its mean: there the
-    starts of high-passes are left, however it was weighted.
+    Local models have removed the transient from the lines of a record that does not repeat, but not from its mean,
+    which still contains the starts of high-pass filters.
     """
-    lines, window, waveform = batch.parts[run], batch.runs[run].window, batch.runs[run].waveform
+    lines, window, waveform = run.lines, run.window, run.waveform
     if window is not None:
         return lines, window, 0.5 / window.step
     mean_window = None if waveform is None else waveform.mean_window
@@ -135,7 +136,7 @@ def _fit_transient(
 
 
 def _prior_weight(batch: Batch, lines: slice) -> Array:
-    """One over the largest free motion (c,) [1/V] that is expected of each live channel."""
+    """One over the largest transient (c,) [1/V] that is expected in each live channel."""
     rms = np.sqrt(0.5 * np.sum(np.abs(batch.lines.channels[lines]) ** 2, axis=0))
     c = len(rms)
     live = np.real(np.diagonal(batch.lines.precision[lines.start]))[:c] > 0
@@ -143,7 +144,7 @@ def _prior_weight(batch: Batch, lines: slice) -> Array:
 
 
 def _solve_scaled(normal: Array, right: Array) -> Array:
-    """Solution with a symmetric matrix of columns of very different size, some perhaps alike, or zero: unread modes."""
+    """Solve with a symmetric matrix whose columns differ much in size and may be dependent, or zero (unread modes)."""
     diagonal = np.diag(normal)
     size = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     scaled = normal * np.outer(size, size) + 1e-13 * np.eye(len(size))
@@ -152,7 +153,7 @@ def _solve_scaled(normal: Array, right: Array) -> Array:
 
 
 def transient_columns(free: TransientModes, window: AnalysisWindow, frequency: Array) -> ComplexArray:
-    """C (K, c, 2m): the lines of the free motion per unit of the real, then of the imaginary parts of a."""
+    """C (K, c, 2m): the lines of the transient per unit of the real, then of the imaginary parts of a."""
     starts, index = np.unique(window.start, return_inverse=True)
     decay = _window_decay(free.s, starts, window)[0][index]
     each = [(decay * _resolvent(free.s, w, window))[:, None, :] * free.volts for w in _both_signs(frequency)]
@@ -164,10 +165,10 @@ def transient_derivatives(fit: RunTransient) -> ComplexArray:
     free = fit.free
     p, c, m = free.volts_derivative.shape
     parts = [_transient_with_change(free, fit.window, w, _to_complex(fit.x)) for w in _both_signs(fit.frequency)]
-    motion, change = (np.concatenate([one, other.conj()], axis=1) for one, other in zip(*parts, strict=True))
+    motion, change = (np.concatenate([plus, minus.conj()], axis=1) for plus, minus in zip(*parts, strict=True))
     read = np.concatenate([free.volts_derivative, free.volts_derivative.conj()], axis=2)
     derivatives = np.asarray((motion @ read.transpose(2, 1, 0).reshape(2 * m, c * p)).reshape(-1, c, p), complex)
-    # Most parameters of a score test change how the motion is read and not how it goes on.
+    # Most parameters of a score test change how the motion is read and not the motion itself.
     moving = mask_or_full_slice(np.any(free.s_derivative, axis=(1, 2)))
     moved = np.concatenate([free.s_derivative[moving], free.s_derivative[moving].conj()], axis=1)
     inner = np.matmul(change.swapaxes(0, 1), moved.transpose(1, 2, 0)).swapaxes(0, 1)
@@ -178,7 +179,7 @@ def transient_derivatives(fit: RunTransient) -> ComplexArray:
 def _transient_with_change(
     free: TransientModes, window: AnalysisWindow, w: Array, a: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """R(S) E(S) a (K, m), and what makes its change: sum over j of `change` (K, m, m) times dS_ij.
+    """R(S) E(S) a (K, m), and the factors `change` (K, m, m) of its derivative, the sum over j of change times dS_ij.
 
     R is a resolvent, (1 - Z)^-1 of Z = exp((S - jw) h), so that dR = R dZ R: no differences at every line.
     """
@@ -194,9 +195,10 @@ def _transient_with_change(
 
 @dataclass(frozen=True)
 class TransientTerms:
-    """What a run's eliminated free motion does to slopes (K, c, p): `gradient` (p,) is added to half the gradient, and
+    """Terms of gradient and information that follow from the elimination of a run's transient.
 
-    with B (c, p) `bound` and X (2m, p) `cross` the information gains Re B* B - X' N^-1 X, N (2m, 2m) `normal`.
+    `gradient` (p,) is added to half the gradient. With `bound` B (c, p), `cross` X (2m, p) and `normal` N (2m, 2m) the
+    information gains Re B* B - X' N^-1 X.
     """
 
     gradient: Array
@@ -216,13 +218,13 @@ class TransientTerms:
 
 
 def eliminate_transient(fit: RunTransient, derivatives: ComplexArray) -> TransientTerms:
-    """The part of the run's free motion in gradient and information of slopes (K, c, p)."""
+    """The terms of a run's transient in the gradient and information of derivatives (K, c, p)."""
     p = derivatives.shape[2]
-    of_bound = fit.prior_weight[:, None] * (fit.free.volts_derivative @ _to_complex(fit.x)).T
-    gradient = np.real(of_bound.conj().T @ (fit.bound @ fit.x))
+    d_bound = fit.prior_weight[:, None] * (fit.free.volts_derivative @ _to_complex(fit.x)).T
+    gradient = np.real(d_bound.conj().T @ (fit.bound @ fit.x))
     weighted = fit.weighted.reshape(-1, len(fit.x)).conj().T
-    cross = 2.0 * np.real(weighted @ derivatives.reshape(-1, p)) + np.real(fit.bound.conj().T @ of_bound)
-    return TransientTerms(gradient, of_bound, cross, fit.normal)
+    cross = 2.0 * np.real(weighted @ derivatives.reshape(-1, p)) + np.real(fit.bound.conj().T @ d_bound)
+    return TransientTerms(gradient, d_bound, cross, fit.normal)
 
 
 def _both_signs(frequency: Array) -> Sequence[Array]:
@@ -243,15 +245,15 @@ def _real_columns(positive: ComplexArray, negative: ComplexArray) -> ComplexArra
 def _window_decay(s: ComplexArray, starts: Array, window: AnalysisWindow) -> tuple[ComplexArray, ComplexArray]:
     """E (f, m) = (exp(s t_f) - exp(s t_e)) / N for each start, and dE/ds.
 
-    LinAlgError for a motion that grows beyond measure: no rig that was recorded does.
+    Raises LinAlgError for a motion that grows without bound: no recorded rig does.
     """
     t_f, t_e = starts[:, None], window.stop
     if np.any(s.real * t_e > MAX_GROWTH):
-        raise np.linalg.LinAlgError("the free motion grows without bound")
+        raise np.linalg.LinAlgError("the transient grows without bound")
     share = window.step / (t_e - t_f)
     first, last = np.exp(s * t_f), np.exp(s * t_e)
-    E, slope = share * (first - last), share * (t_f * first - t_e * last)
-    return np.asarray(E, complex), np.asarray(slope, complex)
+    E, dE = share * (first - last), share * (t_f * first - t_e * last)
+    return np.asarray(E, complex), np.asarray(dE, complex)
 
 
 def _resolvent(s: ComplexArray, w: Array, window: AnalysisWindow) -> ComplexArray:

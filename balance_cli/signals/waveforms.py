@@ -1,8 +1,8 @@
-"""What lines leave out, for effects that need it: the mean of a record, and its channels through time.
+"""The mean of a record and its channels through time, for effects that need them beside the spectral lines.
 
-A force that is no linear function of the channels is computed in time. The channels must then be as they were before
-the anti-alias filter, and each spring's channels be brought together: every one tells the spring's force where it
-hears it best, by the inverse of its variance.
+A force that is a nonlinear function of the channels is computed in time. For this the anti-alias filter is removed from
+the channels, and the channels of each spring are combined at every frequency with the inverse of their variance as
+weight.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from balance_cli.signals.sampled_waveform import RecordWaveform, SampledWaveform
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Below this many radians in a time constant a high-pass is trusted with this share of its weight only: undoing it there
-# makes a ramp of the start of the record.
+# Below this many radians per time constant a high-pass channel gets only this fraction of its weight: there the inverse
+# of the high-pass turns the start of the record into a ramp.
 HIGH_PASS_RADIANS = 20.0
 HIGH_PASS_WEIGHT = 1e-9
-# Where the anti-alias filter leaves less, a channel is left out rather than its noise amplified.
+# Where the gain of the anti-alias filter is less, amplitudes are set to zero: dividing by it would amplify their noise.
 LEAST_FILTER_GAIN = 0.3
-# Amplitudes of a record by whose mean power one is told from noise, the probability that noise has as much, and the
-# part of a record's frequencies that hold little else.
+# Number of neighboring amplitudes whose mean power is compared with the noise, the probability at which noise alone has
+# this power, and the fraction of the frequencies of a record that contain little but noise.
 SMOOTHING_LINES = 7
 NOISE_P_VALUE = 1e-3
 QUIET_QUANTILE = 0.1
-# The scatter of the periods' means is taken for noise up to what is exceeded with this probability.
+# Probability below which the scatter of the means of the periods is attributed to a drift, not to noise.
 DRIFT_P_VALUE = 1e-4
 
 
 def append_mean_and_waveform(run: Run, lines: RunSpectrum, geometry: Geometry) -> RunSpectrum:
-    """The lines of a periodic record, with its mean as a line at frequency zero (the last), and its mean period.
+    """Append the mean of a periodic record as a line at frequency zero (the last), and its mean period as a waveform.
 
-    Both are of the periods that are steady at every line.
+    Both are computed from the periods that are steady at every line.
     """
     window = lines.window
     assert window is not None
@@ -63,10 +63,10 @@ def append_mean_and_waveform(run: Run, lines: RunSpectrum, geometry: Geometry) -
 
 
 def nonperiodic_spectrum_with_waveform(run: Run, channel_names: Sequence[str], geometry: Geometry) -> RunSpectrum:
-    """The lines of a record that does not repeat, with its mean as a line at frequency zero (the last), and all of it.
+    """The lines of a record that does not repeat, with its mean as the last line, at frequency zero, and its waveform.
 
-    The mean is weighted by a Hann window, so that the ends of the record do not matter; its noise is 3/2 times that of
-    the plain one.
+    The mean is weighted by a Hann window, which suppresses the ends of the record; its noise power is 3/2 times that of
+    the unweighted mean.
     """
     local = nonperiodic_record(run, channel_names)
     channels, loads = read_samples(run, channel_names)
@@ -90,10 +90,10 @@ def waveform_from_samples(
     geometry: Geometry,
     smoothing_lines: int,
 ) -> SampledWaveform:
-    """Samples (n, c) of what recurs, as amplitudes before the anti-alias filter, for lines of these numbers (K,).
+    """The waveform of samples (n, c) at `rate` [Hz], for bins of the given indices (R,).
 
-    Each amplitude is lessened by the share of noise in the power of so many `smoothing_lines`, itself in the middle: a
-    contact that slips at the least reversal would take noise for motion.
+    Each amplitude is reduced by the fraction of noise in the mean power of `smoothing_lines` amplitudes around it:
+    noise would otherwise pass for reversals of the motion, at which a contact slips.
     """
     amplitudes, volts, frequency, passed = _undo_anti_alias_filter(samples, rate, geometry)
     n = len(samples)
@@ -106,10 +106,11 @@ def waveform_from_samples(
 
 
 def _wiener_gain(amplitudes: ComplexArray, variance: Array, smoothing_lines: int) -> Array:
-    """What of the power of each amplitude (F, c) is no noise of this variance (c,), by its neighbours (Wiener, 1949).
+    """Wiener's gain (F, c): the fraction of the power of each amplitude that is not noise of variance (c,).
 
-    Among neighbours there is none where noise alone would have as much power. What the lines of a record do not follow
-    may be distortion, and motion: no more counts as noise than there is where it is quiet.
+    The power is averaged over neighbors, and the gain is zero where noise alone would have as much. The residual of the
+    lines may be distortion, and so motion: the noise is limited to the power at the quietest frequencies.
+    N. Wiener, Extrapolation, Interpolation, and Smoothing of Stationary Time Series, 1949.
     """
     from scipy.ndimage import uniform_filter1d
     from scipy.stats import chi2
@@ -126,54 +127,54 @@ def _wiener_gain(amplitudes: ComplexArray, variance: Array, smoothing_lines: int
 def _undo_anti_alias_filter(
     samples: Array, rate: float, geometry: Geometry
 ) -> tuple[ComplexArray, ComplexArray, Array, ComplexArray]:
-    """Amplitudes (F, c) of samples (n, c), those before the anti-alias filter, frequency (F,) [Hz], and the filter."""
+    """Amplitudes (F, c) of samples (n, c), those before the anti-alias filter, frequency (F,) [Hz] and filter (F,)."""
     n = len(samples)
     frequency = np.asarray(np.arange((n + 1) // 2) * (rate / n), float)
     passed = anti_alias_response(geometry.acquisition, frequency)
-    heard = np.abs(passed) >= LEAST_FILTER_GAIN
+    is_passed = np.abs(passed) >= LEAST_FILTER_GAIN
     amplitudes = np.fft.rfft(samples, axis=0)[: len(frequency)] * (2.0 / n)
-    volts = np.where(heard[:, None], amplitudes / np.where(heard, passed, 1.0)[:, None], 0.0)
+    volts = np.where(is_passed[:, None], amplitudes / np.where(is_passed, passed, 1.0)[:, None], 0.0)
     return amplitudes, volts, frequency, passed
 
 
 def record_waveform(samples: Array, rate: float, live: Sequence[str], geometry: Geometry) -> SampledWaveform:
-    """All of a record's live channels (n, l) [V], among all channels, as a waveform with all its lines.
+    """The waveform of a record's live channels (n, l) [V], with a bin for each frequency and columns for all channels.
 
-    Of a spring's channels that hears most which gives most volts: their noises are taken for equal.
+    The channels of a spring are weighted as if their noises were equal.
     """
     _, volts, frequency, passed = _undo_anti_alias_filter(samples, rate, geometry)
     share = channel_shares(geometry, live, frequency, np.ones(len(live)))
-    places = [geometry.channel_names.index(name) for name in live]
+    indices = [geometry.channel_names.index(name) for name in live]
     wide = np.zeros((len(volts), len(geometry.channels)), complex)
     wide_share = np.zeros(wide.shape)
-    wide[:, places], wide_share[:, places] = volts, share
+    wide[:, indices], wide_share[:, indices] = volts, share
     return SampledWaveform(
         frequency, wide, wide_share, len(samples), np.arange(len(frequency)), passed, is_periodic=False
     )
 
 
 def channel_shares(geometry: Geometry, names: Sequence[str], frequency: Array, variance: Array) -> Array:
-    """Weights (F, c) of channels of given variance (c,) among those of their spring; zero where none hears anything."""
+    """Weights (F, c) of channels of given variance (c,) among those of their spring; zero where all gains are zero."""
     by_name = {channel.name: channel for channel in geometry.channels}
     channels = [by_name[name] for name in names]
     gains = np.stack([_declared_gain(channel, frequency) for channel in channels], axis=1)
     weight = np.abs(gains) ** 2 / np.where(variance > 0, variance, 1.0)
     weight = weight * np.stack([_high_pass_weights(channel, frequency) for channel in channels], axis=1)
     springs = [channel.cell for channel in channels]
-    alike = np.array([[one == other for other in springs] for one in springs], float)
-    total = weight @ alike
+    same_spring = np.array([[a == b for b in springs] for a in springs], float)
+    total = weight @ same_spring
     return np.asarray(weight / np.where(total > 0, total, 1.0))
 
 
 def _high_pass_weights(channel: Channel, frequency: Array) -> Array:
-    """One; next to nothing (F,) where a high-pass works at frequencies at which it remembers how the record began."""
+    """Factors (F,) of the weights: 1, or `HIGH_PASS_WEIGHT` where a high-pass depends on the start of the record."""
     if channel.time_constant is None:
         return np.ones(len(frequency))
     return np.where(2 * np.pi * frequency * channel.time_constant < HIGH_PASS_RADIANS, HIGH_PASS_WEIGHT, 1.0)
 
 
 def add_channel_shares(points: StaticPoints, geometry: Geometry) -> StaticPoints:
-    """The points with the weight of each channel among those of its spring."""
+    """Add the weight of each channel among those of its spring to the points."""
     share = channel_shares(geometry, points.channel_names, np.zeros(1), np.diag(points.covariance))[0]
     return replace(points, share=share)
 
@@ -187,13 +188,13 @@ def _declared_gain(channel: Channel, frequency: Array) -> ComplexArray:
 
 
 def _ac_coupled_channels(lines: RunSpectrum, geometry: Geometry) -> list[bool]:
-    """Which channels (c,) do not hear a constant load."""
+    """Which channels (c,) do not measure a constant load."""
     by_name = {channel.name: channel for channel in geometry.channels}
     return [not by_name[name].measures_dc for name in lines.channel_names]
 
 
 def _append_mean(lines: RunSpectrum, mean: Array, factor: float, start: float, geometry: Geometry) -> RunSpectrum:
-    """The lines and, from the mean (c+u,) from `start` [s] on, one at frequency zero.
+    """Append a line at frequency zero for the mean (c+u,) of the record from `start` [s] on.
 
     Its noise is `factor` times that of the lowest line.
     """
@@ -219,7 +220,7 @@ def _append_mean(lines: RunSpectrum, mean: Array, factor: float, start: float, g
 
 
 def _append_mean_covariance(covariance: ComplexArray, factor: float, ac_coupled: Sequence[bool]) -> ComplexArray:
-    """Covariances (k, n, n), and the first one once more times a factor; infinite where a channel is deaf."""
+    """Append the first covariance of (k, n, n), times a factor; infinite for channels without a DC response."""
     last = factor * covariance[:1].real.astype(complex)
     for i in np.flatnonzero(ac_coupled):
         last[:, i, :] = last[:, :, i] = 0.0
@@ -228,9 +229,9 @@ def _append_mean_covariance(covariance: ComplexArray, factor: float, ac_coupled:
 
 
 def _drift_factor(means: Array, lines: RunSpectrum, periods: float, geometry: Geometry) -> float:
-    """How much more the means (m, n) of the periods scatter than noise would make them; 1 where that may be chance.
+    """Scatter of the means (m, n) of the periods relative to that of noise; 1 where the excess is not significant.
 
-    The noise is that of the lowest line, the mean of as many `periods`.
+    The noise is that of the lowest line, which is the mean of `periods` periods.
     """
     if len(means) < 2:
         return 1.0

@@ -37,7 +37,7 @@ from balance_cli.steps.identify_paper_form import identify_in_paper_form
 Array = NDArray[np.float64]
 
 FULL_BAND = (0.0, np.inf)
-# The equation error takes the dynamic lines; frequency zero tells nothing of mass and damping.
+# Band of the equation error: frequency zero, which has no information on mass and damping, is left out.
 DYNAMIC_BAND = (0.5, np.inf)
 
 
@@ -55,11 +55,11 @@ class IdentifyOptions:
 
 
 def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | None = None) -> IdentifiedModel:
-    """Fit the balance to the lines of all sweeps and to the static points, at once.
+    """Fit the balance to the lines of all sweeps and to the static points at once.
 
-    The effects that the geometry declares are fitted too, from what is declared of them; the model's geometry has them
-    as found. Raises UserError where there is nothing to fit, and where effects are declared for a method or form that
-    knows none.
+    The effects that the geometry declares are fitted too, from their declared values; the geometry of the model has
+    their fitted values. Raises UserError where there is no sweep, and where effects are declared for a method or form
+    that has none.
     """
     options = options or IdentifyOptions()
     if options.method != "computed" and not spectra.lines:
@@ -77,9 +77,9 @@ def _check_effects(geometry: Geometry, options: IdentifyOptions) -> None:
         return
     names = ", ".join(effect.name for effect in geometry.effects)
     if options.form == "paper":
-        raise UserError(f"the paper's form knows no effects ({names})", "--form", remedy="Use `physical`")
+        raise UserError(f"the paper's form has no effects ({names})", "--form", remedy="Use `physical`")
     if options.method == "ls":
-        raise UserError(f"least squares knows no effects ({names})", "--method", remedy="Use ml or ls+ml")
+        raise UserError(f"least squares cannot fit effects ({names})", "--method", remedy="Use ml or ls+ml")
 
 
 def _paper_options(options: IdentifyOptions) -> PaperOptions:
@@ -115,7 +115,7 @@ def _declared_estimate(model: BalanceModel, batches: Sequence[Batch]) -> Minimum
 
 
 def _loaded_batches(spectra: Spectra, geometry: Geometry) -> tuple[Batch, ...]:
-    """The lines that have loads, without the means; the straight part of the static rows."""
+    """The lines that have loads, without the means; the linear part of the static rows."""
     lines = [run.select(run.frequency > 0) for run in spectra.lines]
     statics = [replace(points, share=None) for points in spectra.statics]
     return stack_runs(lines, statics, geometry.channel_names)
@@ -124,10 +124,10 @@ def _loaded_batches(spectra: Spectra, geometry: Geometry) -> tuple[Batch, ...]:
 def _fit_model(
     model: BalanceModel, batches: Sequence[Batch], loaded: Sequence[Batch], options: IdentifyOptions
 ) -> tuple[Minimum, str]:
-    """The estimate, and where it started: equations of motion, least squares or geometry, which fits the lines best.
+    """The estimate, and the name of its start: equations of motion, least squares or geometry, whichever fits best.
 
-    The `driven` lines serve for a start.
-    With effects both are followed some way, and the better one to its end.
+    The starts are computed from the `loaded` lines. With effects the fits from two starts are compared after some
+    iterations, and the better one is continued.
     """
     declared = model.parameters.value
     if options.method == "ml":
@@ -138,8 +138,8 @@ def _fit_model(
         total = data + prior_curvature(model.parameters, first.theta)
         return Minimum(first.theta, data, total, first.iterations, first.converged), "geometry"
     if model.geometry.effects:
-        found = find_starting_values(model.parameters, loaded, model.system, declared)
-        return fit_best_start(model, batches, {"least squares": found.effects_free, "geometry": found.effects_fixed})
+        points = find_starting_values(model.parameters, loaded, model.system, declared)
+        return fit_best_start(model, batches, {"least squares": points.effects_free, "geometry": points.effects_fixed})
     motion = start_from_equations_of_motion(model.parameters, loaded, model.system, declared)
     starts = {"equations of motion": motion, "least squares": first.theta, "geometry": declared}
     best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
@@ -147,7 +147,7 @@ def _fit_model(
 
 
 def _fit_rigid_equation_error(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
-    """The rigid balance by its equation error: the motion of a flexible part cannot be told from the cells' forces."""
+    """Fit the rigid balance by its equation error: the cells' forces do not determine the motion of a flexible part."""
     rigid = balance_model(without_effects(model.geometry))
     return fit_equation_error(rigid.parameters, batches, rigid.system, DYNAMIC_BAND)
 
@@ -160,18 +160,18 @@ def build_identified_model(
     start: str,
     left_out: dict[str, dict[str, str]],
 ) -> IdentifiedModel:
-    """The model at a minimum, with all that is known of it; `start` and `method` say how it was found."""
+    """The model at a minimum with its covariance, modes and quality; `start` and `method` name how it was found."""
     covariance = covariance_from_information(minimum.total.information)
-    support = parameter_identifiability(model.parameters, minimum.data.information)
+    identifiability = parameter_identifiability(model.parameters, minimum.data.information)
     return IdentifiedModel(
         form="physical",
         method=method,
         start=start,
         geometry=declare_fitted_effects(model.geometry, model.parameters.names, minimum.theta.tolist()),
-        parameters=_parameter_table(model, minimum.theta, covariance, support.informed_by),
+        parameters=_parameter_table(model, minimum.theta, covariance, identifiability.informed_by),
         covariance=_expand_covariance(model, covariance),
         modes=mode_table(model, minimum.theta, covariance),
-        quality=fit_quality(batches, model.system(minimum.theta), support.effective_parameters),
+        quality=fit_quality(batches, model.system(minimum.theta), identifiability.effective_parameters),
         unidentifiable=()
         if method == "computed"
         else unidentifiable_directions(model.parameters, minimum.data.information),
@@ -182,7 +182,7 @@ def build_identified_model(
 
 
 def identified_effects(model: IdentifiedModel) -> tuple[FittedEffect, ...]:
-    """The effects of a model with what was found of them."""
+    """The effects of a model with their fitted parameters."""
     table = model.parameters
     return fitted_effects(model.geometry, table.names, table.value.tolist(), table.sigma.tolist())
 
@@ -212,16 +212,16 @@ def _parameter_table(
 
 def mode_table(model: BalanceModel, theta: Array, covariance: Array) -> ModeTable:
     """Modes at `theta` with sigma from the covariance of the free parameters."""
-    found = modes(model.system(theta))
+    computed = modes(model.system(theta))
     return ModeTable(
-        coordinates=found.coordinates,
-        frequency=found.frequency,
-        damping_ratio=found.damping_ratio,
-        sigma_frequency=_propagate_sigma(found.frequency_derivative, covariance),
-        sigma_damping_ratio=_propagate_sigma(found.damping_derivative, covariance),
-        shape=found.shape,
+        coordinates=computed.coordinates,
+        frequency=computed.frequency,
+        damping_ratio=computed.damping_ratio,
+        sigma_frequency=_propagate_sigma(computed.frequency_derivative, covariance),
+        sigma_damping_ratio=_propagate_sigma(computed.damping_derivative, covariance),
+        shape=computed.shape,
     )
 
 
-def _propagate_sigma(slope: Array, covariance: Array) -> Array:
-    return np.asarray(np.sqrt(np.maximum(np.einsum("mp,pq,mq->m", slope, covariance, slope), 0.0)))
+def _propagate_sigma(jacobian: Array, covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.einsum("mp,pq,mq->m", jacobian, covariance, jacobian), 0.0)))

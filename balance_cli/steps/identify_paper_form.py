@@ -1,4 +1,4 @@
-"""The paper's form as a model of the toolchain: its fit told in the same words as the physical form's."""
+"""Identification in the paper's form, with a result of the same structure as that of the physical form."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ Array = NDArray[np.float64]
 
 
 def identify_in_paper_form(spectra: Spectra, geometry: Geometry, options: PaperOptions) -> IdentifiedModel:
-    """Identify in the paper's form (reading notes 3 to 11); static runs and torque sweeps take no part."""
+    """Identify in the paper's form; static runs and torque sweeps are not used.
+
+    Source: the paper, corrected as in docs/theory/paper-notes.md, notes 3 to 11.
+    """
     if not spectra.lines:
         raise UserError("no sweep run to identify from", remedy="Give sweeps of Fx, Fy, Fz, Mx and My")
     fit = identify_paper_form(geometry, spectra.lines, options)
@@ -38,13 +41,13 @@ def identify_in_paper_form(spectra: Spectra, geometry: Geometry, options: PaperO
 
 
 def _parameters(fit: PaperFit) -> ParameterTable:
-    nothing = np.full(len(fit.parameters), np.nan)
+    undeclared = np.full(len(fit.parameters), np.nan)
     return ParameterTable(
         names=fit.parameter_names,
         units=fit.parameter_units,
         value=fit.parameters,
         sigma=fit.sigma,
-        declared=nothing,
+        declared=undeclared,
         declared_sigma=np.full(len(fit.parameters), np.inf),
         informed_by=("data",) * len(fit.parameters),
     )

@@ -1,4 +1,4 @@
-"""Computed eigenfrequencies of the declared balance, and what each stiffness does to them (paper, figure 8)."""
+"""Computed natural frequencies of the declared balance, and their sensitivity to each stiffness (paper, figure 8)."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 class ComputedModes:
     """Modes of the geometry, with sigma from its tolerances.
 
-    sensitivity (m, s): relative change of each eigenfrequency per relative change of each of the s stiffnesses named
-    in `stiffnesses`. The numbers of one mode add up to 1/2 where all stiffnesses are listed and nothing else springs.
+    `sensitivity` (m, s): relative change of each natural frequency per relative change of each of the s `stiffnesses`.
+    The values of one mode add up to 1/2 where all springs of the balance are listed.
     """
 
     modes: ModeTable
@@ -30,16 +30,15 @@ class ComputedModes:
 
 
 def computed_modes(geometry: Geometry) -> ComputedModes:
-    """Eigenfrequencies, shapes and their sensitivity to each cell and to the torque meter."""
+    """Compute natural frequencies, shapes and their sensitivity to each cell and to the torque meter."""
     model = balance_model(geometry).with_exact_effects()
     parameters = model.parameters
     covariance = np.diag(parameters.sigma[parameters.free] ** 2)
     table = mode_table(model, parameters.value, covariance)
     names = tuple(name for name in parameters.names if "stiffness" in name)
-    everything = model.free_all_parameters()
-    found = modes(everything.system())
+    computed = modes(model.free_all_parameters().system())
     index = [parameters.index(name) for name in names]
-    relative = found.frequency_derivative[:, index] * parameters.value[index] / found.frequency[:, None]
+    relative = computed.frequency_derivative[:, index] * parameters.value[index] / computed.frequency[:, None]
     return ComputedModes(table, tuple(_stiffness_place(name) for name in names), relative)
 
 

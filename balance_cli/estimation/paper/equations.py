@@ -1,4 +1,7 @@
-"""Eq. (6) of the paper, corrected: s'' + D s' + K s = B_F u, with free matrices; its response, derivative and modes."""
+"""Eq. (6) of the paper, corrected: s'' + D s' + K s = B_F u, with free matrices; its response, derivative and modes.
+
+The corrections are those of docs/theory/paper-notes.md, cited as notes by their numbers.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,9 @@ from balance_cli.model.plate import plate_matrices
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+MIN_REFLECTED_DAMPING = 1e-3
+"""Least damping ratio of a reflected mode, below that of real balances, so that it is safely stable."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ def is_stable(model: Coefficients) -> bool:
 
 
 def stabilize(model: Coefficients, full_damping: bool) -> Coefficients | None:
-    """The model with unstable eigenvalues reflected into the left half plane, eigenvectors kept; None where that fails.
+    """Reflect unstable eigenvalues into the left half plane, with the same eigenvectors; None where that fails.
 
     With the eigenvectors V and eigenvalues Lambda of the quadratic problem, [D, K] solves
     V Lambda^2 + D V Lambda + K V = 0. Diagonal damping keeps the diagonal of that D.
@@ -109,7 +115,7 @@ def stabilize(model: Coefficients, full_damping: bool) -> Coefficients | None:
     n = len(model.K)
     eigenvalues, vectors = np.linalg.eig(first_order_matrix(model))
     V = vectors[n:]
-    damped = np.minimum(-np.abs(eigenvalues.real), -1e-3 * np.abs(eigenvalues))
+    damped = np.minimum(-np.abs(eigenvalues.real), -MIN_REFLECTED_DAMPING * np.abs(eigenvalues))
     reflected = np.where(eigenvalues.real < 0, eigenvalues.real, damped) + 1j * eigenvalues.imag
     VL = V * reflected
     try:
@@ -135,7 +141,7 @@ class Mode:
 
 
 def modes_of_coefficients(model: Coefficients, free: NDArray[np.bool_], covariance: Array) -> tuple[Mode, ...]:
-    """Modes by rising frequency, sigma propagated from the covariance (p, p) of the free entries.
+    """Modes in order of frequency, with sigma propagated from the covariance (p, p) of the free entries.
 
     With A X = X Lambda and Y = X^-1, d lambda_i / d A_ab = Y_ia X_bi (analytic, eigenvalues assumed distinct); D and
     K enter the first block row of A with a minus sign, B_F not at all.
@@ -145,18 +151,18 @@ def modes_of_coefficients(model: Coefficients, free: NDArray[np.bool_], covarian
     Y = np.linalg.inv(X)
     row, column = np.nonzero(free)
     in_A = column < 2 * n
-    found = []
+    result = []
     for i in np.flatnonzero(eigenvalues.imag >= 0.0):
-        slope = np.zeros(len(row), complex)
-        slope[in_A] = -Y[i, row[in_A]] * X[column[in_A], i]
-        found.append(_mode(complex(eigenvalues[i]), slope, covariance))
-    return tuple(sorted(found, key=lambda mode: mode.frequency_hz))
+        derivative = np.zeros(len(row), complex)
+        derivative[in_A] = -Y[i, row[in_A]] * X[column[in_A], i]
+        result.append(_mode(complex(eigenvalues[i]), derivative, covariance))
+    return tuple(sorted(result, key=lambda mode: mode.frequency_hz))
 
 
-def _mode(eigenvalue: complex, slope: ComplexArray, covariance: Array) -> Mode:
+def _mode(eigenvalue: complex, derivative: ComplexArray, covariance: Array) -> Mode:
     size = abs(eigenvalue)
-    d_size = (np.conj(eigenvalue) * slope).real / size
+    d_size = (np.conj(eigenvalue) * derivative).real / size
     zeta = -eigenvalue.real / size
-    d_zeta = -slope.real / size - zeta * d_size / size
+    d_zeta = -derivative.real / size - zeta * d_size / size
     sigma_size, sigma_zeta = (float(np.sqrt(max(d @ covariance @ d, 0.0))) for d in (d_size, d_zeta))
     return Mode(size / (2 * np.pi), zeta, sigma_size / (2 * np.pi), sigma_zeta)

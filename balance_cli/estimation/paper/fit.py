@@ -1,4 +1,4 @@
-"""Identify the balance in the form of the 1985 paper: options, the fit, and what is told of it."""
+"""Identification in the form of the 1985 paper."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def identify_paper_form(
 ) -> PaperFit:
     """Identify the balance in the paper's form from the lines of sweep runs.
 
-    Runs that leave the plate alone are not used. Raises UserError where the cells do not fit the form, a cell has no
+    Runs that do not excite the plate are not used. Raises UserError where the cells do not fit the form, a cell has no
     channel, or the runs do not determine the equations.
     """
     options = options or PaperOptions()
@@ -59,7 +59,7 @@ def _fit_maximum_likelihood(
 ) -> tuple[OutputErrorFit, str]:
     data, full = group_by_frequency(spectra), free_coefficients(len(rule.names), len(spectra.inputs), True)
     starts = {"geometry": declared_coefficients(geometry, rule, spectra.inputs)}
-    # Least squares also finds out where lines or sweeps are too few, whatever the start.
+    # Least squares raises UserError where lines or sweeps are too few, whatever the start.
     first = fit_linear_equations(spectra, full)
     if options.method == "ls+ml":
         starts["least squares"] = first.model

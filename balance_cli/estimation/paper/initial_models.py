@@ -1,4 +1,4 @@
-"""Where the maximum likelihood iteration begins: from least squares or from the geometry, whichever fits better."""
+"""Initial models of the maximum-likelihood iteration: least squares or the geometry, whichever fits better."""
 
 from __future__ import annotations
 
@@ -15,25 +15,27 @@ from balance_cli.estimation.paper.likelihood import fit_output_error, invert_sca
 from balance_cli.estimation.paper.output_error import GroupedLines, evaluate_model, gauss_newton_derivatives
 
 REWEIGHTINGS = 8
+"""Iterations of the reweighted equation error; from a mode that is 9 Hz off it takes three."""
 OFF_DIAGONAL_FACTORS = (0.8, 0.6, 0.4, 0.2, 0.0)
-"""Shares of the off-diagonal damping that are left, step by step, on the way from full to diagonal damping."""
+"""Factors of the off-diagonal damping in the steps from full to diagonal damping."""
 ITERATIONS_PER_FACTOR = 12
+"""Iterations at each factor: enough to follow the minimum, which need not be reached before the last."""
 
 
 def select_initial_model(
     data: GroupedLines, starts: dict[str, Coefficients], full_damping: bool
 ) -> tuple[Coefficients, str]:
-    """A stable model near the minimum, and the name of the start that it came from; one of them is `geometry`.
+    """Select a stable model near the minimum, and the name of its start; one of the starts is `geometry`.
 
     All have full damping. Each is refined by reweighted equation errors and judged by sum |eps|^2. For diagonal
-    damping the off-diagonal part is then taken out step by step, the rest refitted at each: put to zero at once it may
-    leave a mode unstable, and the minimum found from there lacks that mode.
+    damping the off-diagonal part is then reduced step by step, and the rest refitted at each step: if it were set to
+    zero at once, a mode might become unstable, and the minimum found from there would lack that mode.
     """
     refined = [(fit_reweighted_equation_error(data, model), name) for name, model in starts.items()]
-    # The declared plate with equal damping everywhere is stable whatever the data are.
+    # The declared plate with equal damping is stable whatever the data are.
     fallback = (_equal_damping(starts["geometry"]), "geometry")
     stable = [(model, name) for model, name in refined if model is not None]
-    ranked = sorted([*stable, fallback], key=lambda found: evaluate_model(data, found[0], "equal").cost)
+    ranked = sorted([*stable, fallback], key=lambda candidate: evaluate_model(data, candidate[0], "equal").cost)
     if full_damping:
         return ranked[0]
     for model, name in ranked:
@@ -46,7 +48,7 @@ def select_initial_model(
 def fit_reweighted_equation_error(data: GroupedLines, start: Coefficients) -> Coefficients | None:
     """Least squares on the equation error weighted by the last model's compliance, repeated.
 
-    R e is the output error where R is that of the model sought, so the weighting undoes most of the bias and of the
+    R e is the output error if R is that of the solution, so that the weighting removes most of the bias and of the
     emphasis on high frequencies (Sanathanan and Koerner, IEEE Trans. Automatic Control 8, 1963). Returns the stable
     iterate with the least sum |eps|^2, None where none is stable.
     """
@@ -70,13 +72,13 @@ def fit_reweighted_equation_error(data: GroupedLines, start: Coefficients) -> Co
 
 
 def continue_to_diagonal_damping(data: GroupedLines, start: Coefficients) -> Coefficients | None:
-    """The model with diagonal damping that a full one turns into; None where it becomes unstable on the way."""
+    """The model with diagonal damping reached from one with full damping; None where it becomes unstable."""
     n, m = start.B_F.shape
     free = free_coefficients(n, m, full_damping=False)
     off_diagonal = start.D - np.diag(np.diag(start.D))
     model = start
-    for share in OFF_DIAGONAL_FACTORS:
-        model = Coefficients(np.diag(np.diag(model.D)) + share * off_diagonal, model.K, model.B_F)
+    for factor in OFF_DIAGONAL_FACTORS:
+        model = Coefficients(np.diag(np.diag(model.D)) + factor * off_diagonal, model.K, model.B_F)
         if not is_stable(model):
             return None
         model = fit_output_error(data, free, model, "equal", ITERATIONS_PER_FACTOR).model

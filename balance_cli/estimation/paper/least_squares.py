@@ -1,4 +1,4 @@
-"""Least squares on the equation error (paper, section 6): linear in the parameters, quick, biased by noise."""
+"""Least squares on the equation error (paper, section 6): linear in the parameters, fast, biased by noise."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RANK_TOLERANCE = 1e-10
 class EquationErrorFit:
     """The coefficients, the covariance (p, p) of their free entries, and the mean e e* (n, n) of the equation error.
 
-    The covariance takes the regressors for exact: it knows nothing of the bias.
+    The covariance assumes exact regressors; it does not include the bias.
     """
 
     model: Coefficients
@@ -33,13 +33,13 @@ class EquationErrorFit:
 def fit_linear_equations(
     spectra: SensorSpectra, free: NDArray[np.bool_], weight: Array | None = None
 ) -> EquationErrorFit:
-    """Minimise sum |w e|^2, e = -omega^2 s - [D, K, B_F] phi(s, u), over all runs and lines (paper, eq. 1).
+    """Minimize sum |w e|^2, e = -omega^2 s - [D, K, B_F] phi(s, u), over all runs and lines (paper, eq. 1).
 
     Every row is a least-squares problem of its own, so the scale of a sensor does not matter; columns are scaled to
-    unit length before solving. `weight` (N,) per line; none is the paper's. The rows s' = j omega s of the paper's
-    first-order form hold by construction and add nothing.
+    unit length before solving. `weight` (N,) per line; the paper has none. The rows s' = j omega s of the paper's
+    first-order form hold by construction and add no information.
 
-    Raises UserError where there are fewer lines than parameters, or the runs do not excite all of the plate.
+    Raises UserError where there are fewer lines than parameters, or the runs do not excite all freedoms of the plate.
     """
     w = np.ones(len(spectra.frequency)) if weight is None else weight / np.max(weight)
     phi = w[:, None] * regressors(spectra.frequency, spectra.s, spectra.u)

@@ -1,4 +1,7 @@
-"""Maximum likelihood on the output error with unknown noise covariance S (paper, eq. 2, with note 10)."""
+"""Maximum likelihood on the output error with unknown noise covariance S (paper, eq. 2).
+
+Its corrected form is that of docs/theory/paper-notes.md, note 10.
+"""
 
 from __future__ import annotations
 
@@ -22,18 +25,18 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 QUASI_LINEAR_ITERATIONS = 8
-"""Gauss-Newton iterations before the exact Hessian takes over; where the model fits they suffice."""
+"""Gauss-Newton iterations before the exact Hessian is used; they suffice where the model fits."""
 MIN_DAMPING_RATIO, MAX_DAMPING_RATIO = 1e-9, 1e9
-"""Range of the Levenberg-Marquardt damping, as a fraction of the scaled Hessian's unit diagonal."""
+"""Range of the Levenberg-Marquardt damping relative to the unit diagonal of the scaled Hessian: no effect, no step."""
 TOLERANCE = 1e-6
 """Newton decrement (in units of the log-likelihood) at which the iteration ends: 0.001 sigma."""
 ROUNDING_POWER_RATIO = 1e-18
-"""Error power over signal power below which only rounding is left."""
+"""Error power over signal power below which the error is rounding."""
 
 
 @dataclass(frozen=True)
 class OutputErrorFit:
-    """The minimum: coefficients, covariance (p, p) of the free entries, S (n, n) [N2], cost N ln det S, and the way.
+    """The minimum: coefficients, covariance (p, p) of the free entries, S (n, n) [N2], and the cost N ln det S.
 
     `covariance` is the inverse of the Fisher information 2 Re sum J* S^-1 J for circular noise E[eps eps*] = S, with
     S corrected for the p parameters fitted.
@@ -51,10 +54,11 @@ class OutputErrorFit:
 def maximize_likelihood(
     data: GroupedLines, free: NDArray[np.bool_], start: Coefficients, noise: NoiseForm, max_iterations: int
 ) -> OutputErrorFit:
-    """The output-error fit with the `noise` asked for; a full S begins where the diagonal one ends.
+    """Fit the output error with the given form of noise; a full S starts from the fit with a diagonal one.
 
-    Where the model cannot fit, ln det S may fall without end: the full S lets one combination of the sensors go and
-    gains at another, and the response gets worse on the way. Then the fit with a diagonal S is returned.
+    Where the model cannot fit, ln det S may decrease without limit: a full S gains more from one combination of sensors
+    with hardly any error than it loses by gross errors of another, and the response gets worse. Then the fit with a
+    diagonal S is returned.
     """
     if noise != "full":
         return fit_output_error(data, free, start, noise, max_iterations)
@@ -70,12 +74,12 @@ def fit_output_error(
     noise: NoiseForm,
     max_iterations: int,
 ) -> OutputErrorFit:
-    """Minimise sum eps* S^-1 eps + N ln det S over the free coefficients and S, from a stable `start`.
+    """Minimize sum eps* S^-1 eps + N ln det S over the free coefficients and S, from a stable `start`.
 
     eps = s - G(theta) u. Given theta the minimum over S is mean eps eps*, which leaves N ln det S(theta); its gradient
     is that of the first term with S held. So the first iterations are Gauss-Newton steps with the present S
-    (quasi-linearisation); afterwards the exact Hessian is used, because where the model cannot fit, Gauss-Newton
-    creeps. Steps are damped after Levenberg and Marquardt until the cost falls and the system is stable.
+    (quasi-linearization); afterwards the exact Hessian is used, because Gauss-Newton converges slowly where the model
+    cannot fit. Steps are damped after Levenberg and Marquardt until the cost decreases and the system is stable.
     """
     at, damping, iterations, converged = evaluate_model(data, start, noise), 1e-3, 0, False
     while not converged and iterations < max_iterations:
@@ -106,8 +110,8 @@ def _is_at_rounding_level(data: GroupedLines, at: ModelEvaluation) -> bool:
 class _NewtonStep:
     """The step as a function of the damping: eigenvectors V of the Hessian scaled to a unit diagonal.
 
-    The entries of K are 1e4 times those of D and more, hence the scale. Where the Hessian is not positive the
-    absolute values of its eigenvalues are taken, so that every step descends (saddle-free Newton).
+    The Hessian is scaled because the entries of K exceed those of D by 1e4 and more. Where it is not positive definite
+    the absolute values of its eigenvalues are used, so that every step descends (saddle-free Newton).
     """
 
     scale: Array
@@ -140,7 +144,7 @@ def _damped_newton_step(
     damping: float,
     noise: NoiseForm,
 ) -> tuple[ModelEvaluation | None, float]:
-    """The first stable point of lower cost along rising damping, and the damping to begin with next time."""
+    """The first stable model of lower cost with increasing damping, and the initial damping of the next step."""
     while damping <= MAX_DAMPING_RATIO:
         table = at.model.table
         table[free] += step.at(damping)

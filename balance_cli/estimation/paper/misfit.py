@@ -1,4 +1,4 @@
-"""How far an identified model is from the measurement: against the noise of the runs, and relative to the signal."""
+"""Misfit of an identified model: against the noise of the runs, and relative to the signal."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 FRF_BAND = (5.0, 150.0)
+"""Band [Hz] of the relative response error (`frf_error` in docs/json.md), the same as for the physical form."""
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,14 @@ class Misfit:
 
     @property
     def chi2_per_dof(self) -> float:
-        """chi2 / dof; about 1 where nothing but the measured noise is left."""
+        """Chi-square per degree of freedom; about 1 where the residual is the measured noise."""
         return self.chi2 / self.dof if self.dof > 0 else float("nan")
 
 
 def compare_with_measurement(
     all_spectra: SensorSpectra, fitted_spectra: SensorSpectra, model: Coefficients, parameters: int
 ) -> Misfit:
-    """Misfit of `model`: chi2 over the `fitted` lines, relative errors over `all_spectra` in the common band."""
+    """Misfit of `model`: chi2 over the `fitted_spectra`, relative errors over `all_spectra` in the common band."""
     errors = frf_errors(all_spectra.in_band(FRF_BAND), model)
     present = [error for error in errors.values() if np.isfinite(error)]
     frf_error = float(np.sqrt(np.mean(np.square(present)))) if present else float("nan")
@@ -50,7 +51,7 @@ def chi2_against_measured_noise(spectra: SensorSpectra, model: Coefficients) -> 
     """2 sum eps* C^-1 eps with C the covariance of eps = s - G u from the measured noise of both s and u.
 
     C = [I, -G] cov[s, u] [I, -G]*. An inverse estimated with dof degrees of freedom is too large by dof / (dof - n)
-    (complex Wishart), which is taken out.
+    (complex Wishart); this factor is removed.
     """
     G = model_response(model, spectra.frequency)
     n = G.shape[1]
@@ -58,8 +59,8 @@ def chi2_against_measured_noise(spectra: SensorSpectra, model: Coefficients) -> 
     error = _output_error(spectra, G)
     C = T @ spectra.covariance @ np.conj(np.swapaxes(T, 1, 2))
     weighted = np.linalg.solve(C, error[:, :, None])[:, :, 0]
-    known = np.isinf(spectra.dof)
-    unbiased = np.where(known, 1.0, 1.0 - n / np.maximum(spectra.dof, n + 1))
+    is_exact = np.isinf(spectra.dof)
+    unbiased = np.where(is_exact, 1.0, 1.0 - n / np.maximum(spectra.dof, n + 1))
     return float(2.0 * np.sum(unbiased * np.sum(np.conj(error) * weighted, axis=1).real))
 
 
@@ -68,11 +69,11 @@ def frf_errors(spectra: SensorSpectra, model: Coefficients) -> dict[str, float]:
     error = _output_error(spectra, model_response(model, spectra.frequency))
     size = np.sum(np.abs(spectra.u) ** 2, axis=1)
     difference, signal = (np.sum(np.abs(x) ** 2, axis=1) / size for x in (error, spectra.s))
-    found = {}
+    errors = {}
     for i, run in enumerate(spectra.runs):
-        mine = spectra.run == i
-        found[run] = float(np.sqrt(difference[mine].sum() / signal[mine].sum())) if mine.any() else float("nan")
-    return found
+        own = spectra.run == i
+        errors[run] = float(np.sqrt(difference[own].sum() / signal[own].sum())) if own.any() else float("nan")
+    return errors
 
 
 def _output_error(spectra: SensorSpectra, G: ComplexArray) -> ComplexArray:

@@ -16,12 +16,12 @@ ComplexArray = NDArray[np.complex128]
 NoiseForm = Literal["full", "diagonal", "equal"]
 
 NOISE_POWER_FLOOR = 1e-24
-"""Least noise power, as a fraction of a sensor's mean power: rounding. It keeps ln det S finite without noise."""
+"""Least noise power relative to the mean power of a sensor: rounding error. It keeps ln det S finite without noise."""
 
 
 @dataclass(frozen=True)
 class GroupedLines:
-    """N lines grouped by frequency, so that what depends on frequency alone is formed once for all runs.
+    """N lines grouped by frequency, so that quantities that depend on frequency alone are computed once for all runs.
 
     `frequency` (F,) [Hz]; `s` (F, r, n) and `u` (F, r, m) hold up to r lines of each frequency, padded with zeros,
     which add nothing to any sum. `power` (n,) is the mean of |s|^2 [N2].
@@ -59,9 +59,9 @@ class ModelEvaluation:
 
 
 def evaluate_model(data: GroupedLines, model: Coefficients, noise: NoiseForm) -> ModelEvaluation:
-    """The cost N ln det S with S estimated from the errors (note 10).
+    """Evaluate the cost N ln det S with S estimated from the errors (docs/theory/paper-notes.md, note 10).
 
-    `full` takes S for the mean of eps eps*; `diagonal` for its diagonal (independent sensors); `equal` for sigma^2 I.
+    With `full` S is the mean of eps eps*, with `diagonal` its diagonal (independent sensors), with `equal` sigma^2 I.
     """
     R = compliance(model, data.frequency)
     output = (data.u @ model.B_F.T) @ np.swapaxes(R, 1, 2)
@@ -76,7 +76,7 @@ def evaluate_model(data: GroupedLines, model: Coefficients, noise: NoiseForm) ->
 
 @dataclass(frozen=True)
 class CostDerivatives:
-    """Half of minus the cost's gradient (p,), and half its Hessian (p, p) as far as asked for."""
+    """Half the negative gradient (p,) of the cost, and half its Hessian (p, p), exact or in part."""
 
     gradient: Array
     hessian: Array
@@ -119,9 +119,9 @@ def exact_derivatives(
 def _noise_term(
     data: GroupedLines, free: NDArray[np.bool_], at: ModelEvaluation, phi: ComplexArray, noise: NoiseForm
 ) -> Array | float:
-    """tr(S^-1 C_i S^-1 C_j) / 2N: how S follows theta."""
+    """tr(S^-1 C_i S^-1 C_j) / 2N, the dependence of S on theta."""
     if noise == "equal":
-        # Proportional to the product of two gradients: nothing at the minimum.
+        # Proportional to the product of two gradients, hence zero at the minimum.
         return 0.0
     cross = np.swapaxes(phi, 1, 2) @ np.conj(at.error)
     A: ComplexArray = np.einsum("iarj->arij", _contract_frequency(at.R, cross))[free]

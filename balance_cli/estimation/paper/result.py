@@ -1,4 +1,4 @@
-"""The result of an identification in the form of the 1985 paper, and the options that led to it."""
+"""The result of an identification in the form of the 1985 paper, and its options."""
 
 from __future__ import annotations
 
@@ -21,17 +21,18 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 PAPER_BAND = (10.0, 125.0)
+"""Band [Hz] of the paper's fits."""
 
 
 @dataclass(frozen=True)
 class PaperOptions:
-    """How to identify.
+    """Options of an identification in the paper's form.
 
-    `method`: `ls` (equation error), `ml` (output error, begun at the geometry) or `ls+ml` (begun at least squares or
-    the geometry, whichever fits better). `damping`: D `diagonal` (the paper's) or `full`. `band` [Hz]: the lines that
-    take part, 10 to 125 Hz in the paper. `noise`: S `full` (the paper's), `diagonal` (independent sensors) or `equal`
-    (sigma^2 I); with a full S that finds no minimum the fit falls back on a diagonal one. `line_weighting` of the
-    equation error: `plain` (the paper's), or `displacement`, divided by omega^2.
+    `method`: `ls` (equation error), `ml` (output error, from the geometry) or `ls+ml` (from least squares or the
+    geometry, whichever fits better). `damping`: D `diagonal` (the paper's) or `full`. `band` [Hz] of the lines that are
+    fitted, 10 to 125 Hz in the paper. `noise`: S `full` (the paper's), `diagonal` (independent sensors) or `equal`
+    (sigma^2 I); where a full S finds no minimum the fit uses a diagonal one. `line_weighting` of the equation error:
+    `plain` (the paper's), or `displacement`, divided by omega^2.
     """
 
     method: Literal["ls", "ml", "ls+ml"] = "ls+ml"
@@ -48,9 +49,10 @@ class PaperFit:
 
     `model` holds D (n, n) [1/s], K (n, n) [1/s2] and B_F (n, m) [1/s2, 1/(m s2)], `free` (n, 2n+m) which entries of
     [D, K, B_F] were fitted, `covariance` (p, p) theirs, in row order. `S` (n, n) is the residual covariance: estimated
-    from the very residuals, so that chi2 against it is 1 by construction (output error [N2]; equation error [N2/s4]
-    after `ls`); `noise` tells which form of S was used in the end. `misfit` compares with the noise measured in the
-    runs instead. `start` names where the maximum likelihood began; `cost` is N ln det S, NaN after `ls`.
+    from the residuals themselves, so that chi2 against it is 1 by construction (output error [N2]; equation error
+    [N2/s4] after `ls`); `noise` is the form of S that was finally used. `misfit` compares with the noise measured in
+    the runs instead. `line_count` is the number of lines fitted, `start` names the start of the maximum likelihood;
+    `cost` is N ln det S, NaN after `ls`.
     """
 
     rule: SensorRule
@@ -91,7 +93,7 @@ class PaperFit:
 
     @property
     def stable(self) -> bool:
-        """Whether every mode is damped; least squares may leave one that is not."""
+        """Whether every mode is damped; after least squares some may not be."""
         return is_stable(self.model)
 
 

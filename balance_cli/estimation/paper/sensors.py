@@ -1,4 +1,7 @@
-"""The n sensors of the paper's form: which cells stand alone, and which two are taken together (s_z34)."""
+"""The n sensors of the paper's form: single cells, and the resultant of two parallel cells (s_z34).
+
+Notes are those of docs/theory/paper-notes.md.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +20,14 @@ Array = NDArray[np.float64]
 PARALLEL_TOLERANCE = 1e-6
 """Axes whose unit vectors differ by less than this are parallel."""
 CONDITION_MARGIN = 10.0
-"""A pair serves where the condition of its P is within this factor of the best pair's."""
+"""Largest condition of the P of a pair relative to that of the best pair: one digit of accuracy is given up at most."""
 MAX_CONDITION = 1e6
-"""Condition of the scaled P beyond which the sensors do not determine the motion of the plate."""
+"""Condition of the scaled P beyond which the sensors do not determine the motion: six of sixteen digits are lost."""
 
 
 @dataclass(frozen=True)
 class SensorRule:
-    """How n sensor forces follow from the cell forces: s = `matrix` (n, cells) times the cells' forces.
+    """The n sensor forces s = `matrix` (n, cells) times the forces of the cells.
 
     `names` (n,) of the sensors; `merged` names the two cells whose resultant is one sensor, empty where n cells
     measure n freedoms; `condition` is that of P = matrix C B with unit rows and columns.
@@ -38,9 +41,9 @@ class SensorRule:
 
 
 def sensor_rule(geometry: Geometry) -> SensorRule:
-    """The sensors of the paper's form: n cells for n freedoms, or n + 1 of which two parallel ones are merged.
+    """Select the sensors of the paper's form: n cells for n freedoms, or n + 1 of which two parallel ones are merged.
 
-    Of the parallel pairs it takes the last in declared order whose P is about as well conditioned as the best pair's.
+    Of the parallel pairs the last in declared order is used whose P is about as well conditioned as the best pair's.
     The sum is exact: c3 d3 + c4 d4 = (c3 + c4) d(p) at the stiffness-weighted mean p of the two positions (note 6).
 
     Raises UserError where the number of cells does not fit, no two are parallel, or the sensors leave P singular.
@@ -61,7 +64,7 @@ def _select_merged_pair(geometry: Geometry, plate: PlateMatrices) -> SensorRule:
     axes = [cell.direction for cell in geometry.cells]
     parallel = [(i, j) for j, i in combinations(range(len(axes))[::-1], 2) if _are_parallel(axes[i], axes[j])]
     if not parallel:
-        raise _unsupported_rig("one cell more than freedoms, but no two cells have parallel axes to be taken together")
+        raise _unsupported_rig("one cell more than freedoms, but no two cells have parallel axes and could be merged")
     rules = [_build_rule(geometry, plate, pair) for pair in parallel]
     least = min(rule.condition for rule in rules)
     return next(rule for rule in rules if rule.condition <= CONDITION_MARGIN * least)

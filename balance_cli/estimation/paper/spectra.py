@@ -1,4 +1,4 @@
-"""From volts at the lines of sweep runs to what the paper's equations hold: sensor forces s and inputs u."""
+"""Sensor forces s and inputs u of the paper's equations, from the lines of sweep runs."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class SensorSpectra:
         return self.subset((self.frequency >= band[0]) & (self.frequency <= band[1]))
 
     def subset(self, mask: NDArray[np.bool_]) -> SensorSpectra:
-        """The chosen lines (N,)."""
+        """The lines (N,) in the mask."""
         return replace(
             self,
             run=self.run[mask],
@@ -55,17 +55,17 @@ class SensorSpectra:
 
 
 def plate_inputs(geometry: Geometry, runs: Sequence[RunSpectrum]) -> tuple[str, ...]:
-    """The excited components that act on the plate, in the order of the hub loads (Mz goes beside the plate)."""
+    """The excited components that act on the plate, in the order of the hub loads (Mz acts on the shaft instead)."""
     excited = {component for run in runs for component in run.components}
-    acts = np.any(plate_matrices(geometry).F != 0.0, axis=0)
-    return tuple(name for name, does in zip(COMPONENTS, acts, strict=True) if does and name in excited)
+    acts_on_plate = np.any(plate_matrices(geometry).F != 0.0, axis=0)
+    return tuple(name for name, acts in zip(COMPONENTS, acts_on_plate, strict=True) if acts and name in excited)
 
 
 def sensor_spectra(geometry: Geometry, rule: SensorRule, runs: Sequence[RunSpectrum]) -> SensorSpectra:
-    """Sensor forces and inputs of the runs that excite the plate; runs that do not are left out.
+    """Compute sensor forces and inputs of the runs that excite the plate; other runs are left out.
 
-    Each cell is read by its piezo channel, by its strain channel where the run holds no piezo of it (or a non-finite
-    one). Sensitivity and declared channel dynamics are divided out; the anti-alias filter is the same in s and u.
+    Each cell is read by its piezo channel, or by its strain channel where the run has no usable piezo channel of it.
+    Sensitivity and declared channel dynamics are divided out; the anti-alias filter is the same in s and u.
 
     Raises UserError where nothing excites the plate, or a run lacks every channel of a cell.
     """
@@ -103,7 +103,7 @@ def _sensor_forces(
     for j, component in enumerate(run.components):
         if component in inputs:
             L[:, n + inputs.index(component), c + j] = 1.0
-    # A channel left out must not reach the result: 0 times a non-finite value is not zero.
+    # Unused channels are removed, not multiplied by zero: 0 times a non-finite value is not zero.
     raw = np.concatenate([run.channels, run.loads], axis=1)
     read = np.any(L != 0.0, axis=(0, 1))
     L, raw, noise = L[:, :, read], raw[:, read], run.covariance[:, read][:, :, read]
@@ -112,12 +112,12 @@ def _sensor_forces(
 
 def _select_channel(geometry: Geometry, cell: str, run: RunSpectrum) -> Channel:
     """The channel that reads `cell`: a piezo channel before a strain channel."""
-    there = [ch for ch in geometry.channels if ch.cell == cell and _is_usable(run, ch.name)]
-    if not there:
+    usable = [ch for ch in geometry.channels if ch.cell == cell and _is_usable(run, ch.name)]
+    if not usable:
         raise UserError(
             f"no usable channel of cell {cell}", file=run.run, place="channels", remedy="Leave this run out"
         )
-    return min(there, key=lambda channel: channel.measures_dc)
+    return min(usable, key=lambda channel: channel.measures_dc)
 
 
 def _is_usable(run: RunSpectrum, name: str) -> bool:
