@@ -46,7 +46,8 @@ def attribution_chunk(one: Case) -> pd.DataFrame:
     errors = hold_out_errors(next(run for run in runs if run.kind == "check"), before, after)
     gains = expected_gains(rig, spectra, hidden)
     powers = [
-        power(gain, len(item.tested_parameters), diagnosis.candidates) for gain, item in zip(gains, hidden, strict=True)
+        power(gain, len(item.tested_parameters), diagnosis.candidate_count)
+        for gain, item in zip(gains, hidden, strict=True)
     ]
     row = {
         "kind": one.kind,
@@ -64,7 +65,7 @@ def attribution_chunk(one: Case) -> pd.DataFrame:
         "by_set": any(not _is_named(effect, one.hidden) for effect in diagnosis.effects),
         "set_size": np.mean([1 + len(effect.indistinguishable_from) for effect in diagnosis.effects] or [np.nan]),
         "deviations": " ".join(f"{z:.3f}" for z in deviations(after, diagnosis.effects, hidden)),
-        "not_testable": ", ".join(item.name for item in diagnosis.not_testable),
+        "not_testable": ", ".join(item.name for item in diagnosis.untestable_effects),
         "chi2_before": diagnosis.chi2_per_dof_before,
         "chi2_after": diagnosis.chi2_per_dof_after,
     }
@@ -119,7 +120,7 @@ def _add_hidden_effects(rig: TrueRig, one: Case, hidden: Sequence[HiddenEffect])
         candidate = parse_candidate(one.hidden[0], load_geometry(GEOMETRY))
         large = {
             item.fitted_name: item.fitted_null + UNTESTABLE_SCALES * item.fitted_scale
-            for item in candidate.one.parameters
+            for item in candidate.placed_effect.parameters
         }
         return apply_effects(rig, [simulation_effect(candidate.at_start(large))])
     return apply_effects(rig, [item.declared for item in hidden])
@@ -134,7 +135,7 @@ def is_right(diagnosis: Diagnosis, one: Case) -> bool:
         physical = [effect for effect in diagnosis.effects if not effect.evidence.empirical]
         return not physical and diagnosis.verdict in (UNEXPLAINED, PARTLY_EXPLAINED)
     if one.kind == "untestable":
-        untestable = {item.name for item in diagnosis.not_testable}
+        untestable = {item.name for item in diagnosis.untestable_effects}
         return not diagnosis.effects and (one.hidden[0].partition("@")[0] in untestable or _is_testable_elsewhere(one))
     return is_attributed(diagnosis.effects, one.hidden)
 

@@ -21,9 +21,11 @@ from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, parameters_of_interest
 from balance_cli.diagnosis.search.score_statistics import scores
-from balance_cli.diagnosis.selection.confirm import SIGNIFICANCE_LEVEL
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
+from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
-from balance_cli.estimation.measurements import Batch, stack_runs
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects import EFFECTS, EffectParameter
 from balance_cli.simulation import TrueRig, simulate_campaign, true_rig
@@ -58,7 +60,7 @@ class HiddenEffect:
     @property
     def tested_parameters(self) -> tuple[EffectParameter, ...]:
         """The parameters that do something by themselves."""
-        return parameters_of_interest(self.candidate.one.parameters)
+        return parameters_of_interest(self.candidate.placed_effect.parameters)
 
     @property
     def departure(self) -> Array:
@@ -72,17 +74,20 @@ def hidden_effect(
     """The effect in the size that should gain so much, its signs and what shapes it drawn."""
     geometry = rig.geometry
     candidate = parse_candidate(label, geometry)
-    values = {item.fitted_name: _draw_value(item, rng) for item in candidate.one.parameters}
+    values = {item.fitted_name: _draw_value(item, rng) for item in candidate.placed_effect.parameters}
     d = np.array(
-        [values[item.fitted_name] - item.fitted_null for item in parameters_of_interest(candidate.one.parameters)]
+        [
+            values[item.fitted_name] - item.fitted_null
+            for item in parameters_of_interest(candidate.placed_effect.parameters)
+        ]
     )
     # What a tone's power shows rests on what is left of the lines: there it must be the rig that made them.
     whose = true_rig(geometry) if candidate.effect.name == "mains-pickup" else rig
     theta = true_parameters(whose, balance_model(geometry).parameters)
     batches = _simulate_declared_campaign(geometry_file, excitation)
-    V = _information(geometry, theta, batches, Candidate(candidate.one, (values,)))
+    V = _information(geometry, theta, batches, Candidate(candidate.placed_effect, (values,)))
     share = scale_for_gain(size, _expected_gain(candidate, d, V))
-    for item, departure in zip(parameters_of_interest(candidate.one.parameters), d, strict=True):
+    for item, departure in zip(parameters_of_interest(candidate.placed_effect.parameters), d, strict=True):
         values[item.fitted_name] = item.fitted_null + share * departure
     return HiddenEffect(candidate, values, size)
 
@@ -125,7 +130,7 @@ def _simulate_declared_campaign(geometry_file: str, excitation: str) -> tuple[Ba
 
 
 def _information(geometry: Geometry, theta: Array, batches: Sequence[Batch], candidate: Candidate) -> Array:
-    return scores(balance_model(geometry), theta, batches, [candidate])[0].information
+    return scores(balance_model(geometry), theta, batches, [candidate], DEFAULT_SETTINGS.score)[0].information
 
 
 def expected_gains(rig: TrueRig, spectra: Spectra, hidden: Sequence[HiddenEffect]) -> list[float]:
@@ -137,7 +142,7 @@ def expected_gains(rig: TrueRig, spectra: Spectra, hidden: Sequence[HiddenEffect
     batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
     found = []
     for one in hidden:
-        V = _information(geometry, theta, batches, Candidate(one.candidate.one, (one.values,)))
+        V = _information(geometry, theta, batches, Candidate(one.candidate.placed_effect, (one.values,)))
         step = _expected_gain(one.candidate, one.departure, V)
         # At parameters without the tone its power is in what is left, and V says nothing.
         found.append(one.target_gain if step.tones else step.quadratic)
@@ -153,7 +158,7 @@ class ExpectedGain:
 
 
 def _expected_gain(candidate: Candidate, d: Array, V: Array) -> ExpectedGain:
-    tone = any(item.squared for item in parameters_of_interest(candidate.one.parameters))
+    tone = any(item.squared for item in parameters_of_interest(candidate.placed_effect.parameters))
     return ExpectedGain(float(d @ V @ d), SWEEPS if tone else 0)
 
 

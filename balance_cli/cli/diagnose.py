@@ -1,4 +1,4 @@
-"""`balance diagnose`: close the loop, and say what the model lacked."""
+"""`balance diagnose`: find the effects that a model lacks, and update the model."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from balance_cli.cli.common import (
 )
 from balance_cli.cli.options import hold_out_option
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import DIAGNOSIS_FORMAT, MODEL_FORMAT
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
@@ -26,10 +27,8 @@ if TYPE_CHECKING:
     from balance_cli.estimation.identified_model import IdentifiedModel
     from balance_cli.estimation.measured_spectra import Spectra
 
-FORMAT = "balance-diagnosis/1"
-MODEL_FORMAT = "balance-model/1"
 EXIT_DISCREPANCY = 3
-"""Exit status of --fail-on-discrepancy where something is missing."""
+"""Exit status of --fail-on-discrepancy where the model lacks something."""
 
 
 @balance_command("diagnose")
@@ -37,7 +36,7 @@ EXIT_DISCREPANCY = 3
 @runs_argument
 @hold_out_option("Check run or sweep that no fit may see, for the errors before and after (repeatable).")
 @click.option(
-    "--model-out", type=OutputFile(), required=True, metavar="MODEL", help="Where the closed model is written."
+    "--model-out", type=OutputFile(), required=True, metavar="MODEL", help="Where the updated model is written."
 )
 @click.option("--fail-on-discrepancy", is_flag=True, help="Exit status 3 unless the verdict is `nothing missing`.")
 @skip_bad_option
@@ -52,11 +51,11 @@ def command(
     skip_bad: bool,
     output: Path,
 ) -> None:
-    """Close the loop: find the effects that the model lacks, add them, and report the error before and after.
+    """Find the effects that a model lacks, add them, and report the errors before and after (model updating).
 
     Sweeps and static runs among RUN... are fitted; runs of other kinds are left out and named. The runs of --hold-out
-    are opened once, after the last decision. MODEL is a physical model, computed, identified or closed before; the
-    closed model is one like it.
+    are used once, after the last decision. MODEL is a physical model: computed, identified, or updated before. So is
+    the updated model.
     """
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text
     from balance_cli.diagnosis.result import NOTHING_MISSING
@@ -73,7 +72,7 @@ def command(
     diagnosis = replace(
         diagnosis, hold_out=_hold_out_run_errors(session, hold_out_runs, before, updated_model, skip_bad)
     )
-    session.save(output, FORMAT, diagnosis)
+    session.save(output, DIAGNOSIS_FORMAT, diagnosis)
     session.save(model_out, MODEL_FORMAT, updated_model)
     if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING:
         session.status = EXIT_DISCREPANCY
@@ -81,7 +80,7 @@ def command(
 
 
 def _load_start_model(session: Session, path: Path) -> IdentifiedModel:
-    """The model to begin with; UserError for the paper's form, which has no place for an effect."""
+    """Return the model to start from. Raises UserError for the paper's form, which cannot have effects."""
     from balance_cli.estimation.identified_model import IdentifiedModel
 
     model: IdentifiedModel = session.artefact(path, {MODEL_FORMAT: IdentifiedModel}, "model").content
@@ -92,7 +91,7 @@ def _load_start_model(session: Session, path: Path) -> IdentifiedModel:
 
 
 def _select_usable_hold_out(session: Session, hold_out_runs: tuple[Run, ...], skip_bad: bool) -> tuple[Run, ...]:
-    """The hold-out runs that have something to compare with: said before the long fit, not after it."""
+    """Return the hold-out runs that have known loads. It is checked before the fits, which take long."""
     from balance_cli.steps.hold_out import require_known_loads
 
     usable_runs = []
@@ -105,7 +104,7 @@ def _select_usable_hold_out(session: Session, hold_out_runs: tuple[Run, ...], sk
 
 def _check_spectra(session: Session, spectra: Spectra) -> None:
     for name, reason in spectra.unused.items():
-        session.left_out(name, reason)
+        session.report_left_out(name, reason)
     for run, channels in spectra.channels_left_out.items():
         for name, reason in channels.items():
             session.warn(f"run {run}: channel {name} left out: {reason}")
@@ -115,7 +114,7 @@ def _check_spectra(session: Session, spectra: Spectra) -> None:
 
 def _warn_about_hold_out(session: Session, before: IdentifiedModel, hold_out_runs: tuple[Run, ...]) -> None:
     if not hold_out_runs:
-        session.warn("no hold-out run: nothing tells what closing is worth; keep check runs for --hold-out")
+        session.warn("no hold-out run: the updated model is not tested on new data; keep check runs for --hold-out")
     for run in hold_out_runs:
         if before.method != "computed" and run.name in before.quality.runs:
             session.warn(f"{run.name} is held out here, but the model was fitted to it: its error before is no test")

@@ -1,4 +1,4 @@
-"""A diagnosis as a summary for scripts, and in words: verdict first."""
+"""A diagnosis as JSON keys for scripts, and as text for the terminal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from balance_cli.diagnosis.result import VERDICT_MEANING, Diagnosis
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 
 if TYPE_CHECKING:
-    from balance_cli.diagnosis.result import FoundEffect, HoldOut, RunErrors
+    from balance_cli.diagnosis.result import FoundEffect, HoldOut, RunErrors, Trial
     from balance_cli.estimation.identified_model import IdentifiedModel
 
 COLUMN_WIDTH = 9
@@ -24,19 +24,19 @@ COLUMN_WIDTH = 9
 
 
 def diagnosis_summary(diagnosis: Diagnosis, updated_model: IdentifiedModel) -> dict[str, Any]:
-    """The keys of the contract, and what else tells how the verdict came about."""
+    """Return the JSON keys of docs/json.md, with the trials and tests that led to the verdict."""
     return {
         "verdict": diagnosis.verdict,
         "effects": [_effect_evidence_summary(effect) for effect in diagnosis.effects],
-        "not_testable": [asdict(item) for item in diagnosis.not_testable],
+        "not_testable": [{"name": item.name, "why": item.reason} for item in diagnosis.untestable_effects],
         "hold_out": {name: asdict(errors) for name, errors in diagnosis.hold_out.items()},
         "chi2_per_dof": {"before": diagnosis.chi2_per_dof_before, "after": diagnosis.chi2_per_dof_after},
         "frf_error": {"before": diagnosis.frf_error_before, "after": diagnosis.frf_error_after},
         "parameters": parameters_summary(updated_model.parameters),
         "modes": {"before": modes_summary(diagnosis.modes_before), "after": modes_summary(diagnosis.modes_after)},
-        "candidates": diagnosis.candidates,
-        "trials": [asdict(trial) for trial in diagnosis.trials],
-        "tests": [asdict(test) for test in diagnosis.tests],
+        "candidates": diagnosis.candidate_count,
+        "trials": [_trial_summary(trial) for trial in diagnosis.trials],
+        "tests": [asdict(test) for test in diagnosis.data_tests],
         "location": diagnosis.location,
         "notes": diagnosis.notes,
         "converged": updated_model.converged,
@@ -44,12 +44,35 @@ def diagnosis_summary(diagnosis: Diagnosis, updated_model: IdentifiedModel) -> d
 
 
 def _effect_evidence_summary(effect: FoundEffect) -> dict[str, Any]:
-    """An effect as the contract has it."""
+    """The JSON keys of an effect and of its evidence."""
+    evidence = effect.evidence
     return {
         **effect_summary(effect),
-        "evidence": asdict(effect.evidence),
+        "evidence": {
+            "gain": evidence.gain,
+            "parameters": evidence.parameters,
+            "p_value": evidence.p_value,
+            "score": evidence.score,
+            "folds": evidence.cross_validation_gain,
+            "round": evidence.round,
+            "empirical": evidence.empirical,
+        },
         "indistinguishable_from": effect.indistinguishable_from,
         "separated_by": effect.separated_by,
+    }
+
+
+def _trial_summary(trial: Trial) -> dict[str, Any]:
+    return {
+        "round": trial.round,
+        "label": trial.label,
+        "score": trial.score,
+        "parameters": trial.parameters,
+        "p_value": trial.p_value,
+        "gain": trial.gain,
+        "decision": trial.decision,
+        "why": trial.reason,
+        "folds": trial.cross_validation_gain,
     }
 
 
@@ -57,24 +80,21 @@ def _effect_evidence_summary(effect: FoundEffect) -> dict[str, Any]:
 
 
 def diagnosis_text(diagnosis: Diagnosis) -> Iterator[str]:
-    """Verdict, effects with their evidence, errors on the hold-out runs, and what could not be tested."""
+    """Return the lines of the text: verdict, effects with their evidence, hold-out errors, and what was not tested."""
     yield f"Verdict: {diagnosis.verdict}: {VERDICT_MEANING[diagnosis.verdict]}"
-    yield (
-        f"chi2/dof {_before_after_text(diagnosis.chi2_per_dof_before, diagnosis.chi2_per_dof_after)} against the "
-        "measured noise, "
-        "error of the responses "
-        f"{_before_after_text(100 * diagnosis.frf_error_before, 100 * diagnosis.frf_error_after)} %"
-    )
+    chi2 = _before_after_text(diagnosis.chi2_per_dof_before, diagnosis.chi2_per_dof_after)
+    error = _before_after_text(100 * diagnosis.frf_error_before, 100 * diagnosis.frf_error_after)
+    yield f"chi2/dof {chi2} against the measured noise, error of the responses {error} %"
     if diagnosis.location:
-        yield f"What is left: {diagnosis.location}"
+        yield f"Remaining residual: {diagnosis.location}"
     if diagnosis.effects and diagnosis.chi2_per_dof_after > GOOD_FIT_CHI2_PER_DOF:
-        yield "The closed model does not describe these data: every sigma below says less than it seems to"
+        yield "The updated model does not describe these data: the uncertainties below are underestimated"
     for effect in diagnosis.effects:
         yield from _effect_text(effect)
     yield from _hold_out_text(diagnosis.hold_out)
-    if diagnosis.not_testable:
-        yield "These runs say nothing of:"
-        yield from (f"   {item.name}: {item.why}" for item in diagnosis.not_testable)
+    if diagnosis.untestable_effects:
+        yield "Not testable with these runs:"
+        yield from (f"   {item.name}: {item.reason}" for item in diagnosis.untestable_effects)
     yield from diagnosis.notes
 
 
@@ -84,7 +104,7 @@ def _before_after_text(before: float, after: float) -> str:
 
 def _effect_text(effect: FoundEffect) -> Iterator[str]:
     evidence = effect.evidence
-    kind = ", empirical: it describes and does not explain" if evidence.empirical else ""
+    kind = ", empirical: describes the data without explaining them" if evidence.empirical else ""
     count = f"{evidence.parameters} parameter{'' if evidence.parameters == 1 else 's'}"
     rise = f"without it chi2 rises by {evidence.gain:.4g}"
     yield f"{effect.label}{kind}: {rise} ({count}, p {_p_value_text(evidence.p_value)})"
@@ -92,9 +112,9 @@ def _effect_text(effect: FoundEffect) -> Iterator[str]:
         interval = "" if item.interval is None else "   95 %: {:.4g} to {:.4g}".format(*item.interval)
         yield f"   {item.name:<24} {item.value:12.5g} +- {item.sigma:<9.2g} {item.unit}{interval}"
     if effect.indistinguishable_from:
-        yield f"   cannot be told from {', '.join(effect.indistinguishable_from)}"
+        yield f"   cannot be distinguished from {', '.join(effect.indistinguishable_from)}"
         if effect.separated_by:
-            yield f"   what would separate them: {effect.separated_by}"
+            yield f"   measurement that would separate them: {effect.separated_by}"
 
 
 def _p_value_text(value: float) -> str:
@@ -102,16 +122,17 @@ def _p_value_text(value: float) -> str:
 
 
 def _hold_out_text(hold_out: dict[str, HoldOut]) -> Iterator[str]:
-    """A block for each run: components across; before, after and what noise alone would leave down."""
+    """A block for each run: a column for each component; rows before, after, and noise floor."""
     if not hold_out:
         return
-    yield "Errors on runs that no fit has seen, %; interaction in brackets"
-    for name, errors in hold_out.items():
+    yield "Errors on hold-out runs, %; interaction in brackets"
+    for run, errors in hold_out.items():
         parts = {"before": errors.before, "after": errors.after, "noise": errors.noise}
-        components = [one for one in COMPONENTS if one in errors.after.load_error or one in errors.after.interaction]
-        yield f"   {name:<16}" + "".join(f"{one:>{COLUMN_WIDTH}}" for one in (*components, "response"))
+        known = {*errors.after.load_error, *errors.after.interaction}
+        components = [name for name in COMPONENTS if name in known]
+        yield f"   {run:<16}" + "".join(f"{title:>{COLUMN_WIDTH}}" for title in (*components, "response"))
         for label, part in parts.items():
-            cells = [*(_component_text(part, one) for one in components), _percent(part.frf_error)]
+            cells = [*(_component_text(part, component) for component in components), _percent(part.frf_error)]
             yield f"      {label:<13}" + "".join(f"{cell:>{COLUMN_WIDTH}}" for cell in cells)
 
 

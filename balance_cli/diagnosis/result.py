@@ -1,15 +1,22 @@
-"""A diagnosis: what `diagnose` leaves behind and the report takes up."""
+"""A diagnosis: what `diagnose` stores and the report shows."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.identified_model import ModeTable
+from balance_cli.io.result_view import ResultView, plural
 from balance_cli.model.fitted_effects import FittedParameter
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -19,37 +26,45 @@ PARTLY_EXPLAINED = "partly explained"
 UNEXPLAINED = "unexplained"
 
 VERDICT_MEANING = {
-    NOTHING_MISSING: "no candidate says anything that chance would not",
+    NOTHING_MISSING: "no candidate is significant",
     EXPLAINED: "with the effects found the model describes the data within their noise",
-    PARTLY_EXPLAINED: "the effects found are there, and something else is left",
-    UNEXPLAINED: "something is missing that no effect of the library accounts for",
+    PARTLY_EXPLAINED: "the effects found are significant, and a residual remains, or an effect only describes it",
+    UNEXPLAINED: "something is missing that no effect of the library describes",
 }
+
+
+EFFECT_TABLE_COLUMNS = (
+    *("effect", "where", "parameter", "value", "sigma", "unit", "gain", "p_value"),
+    "indistinguishable_from",
+)
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What speaks for an effect: `gain`, chi-square that the closed model loses without its `parameters`.
+    """Evidence for an effect.
 
-    Of a weak effect everything is refitted without it; of a strong one it is Wald's chi-square. `p_value` of that gain,
-    corrected for the number of candidates; `score`, what the score test promised before it was added; `folds`, the gain
-    on lines that the fit had not seen; `round` in which it came in (0: from the channels of one cell). `empirical`: it
-    describes and does not explain.
+    `gain`: chi-square that the updated model loses without the effect's `parameters`; of a weak effect by a refit of
+    everything, of a strong one Wald's statistic. `p_value` of that gain, corrected for the number of candidates.
+    `score`: gain that the score test predicted. `cross_validation_gain`: gain on lines that the fit had not used.
+    `round` in which the effect was added (0: from the channels of one cell). `empirical`: it describes the data and
+    does not explain them.
     """
 
     gain: float
     parameters: int
     p_value: float
     score: float
-    folds: float
+    cross_validation_gain: float = field(metadata={"stored_as": "folds"})
     round: int
     empirical: bool = False
 
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect of the closed model, with what cannot be told from it: labels NAME@PLACE, and what would separate.
+    """An effect of the updated model.
 
-    `choice`: the name of a parameter that is a word, and the word.
+    `indistinguishable_from`: labels NAME@PLACE of effects that describe the data as well; `separated_by`: the
+    measurement that would separate them. `choice`: name and value of a parameter that is a word.
     """
 
     name: str
@@ -67,12 +82,13 @@ class FoundEffect:
         return f"{self.name}@{','.join(where)}" if where else self.name
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One candidate in one round: what the score test promised, for how many parameters, with which corrected p-value;
+    """One candidate in one round.
 
-    `gain` after the refit (NaN where it was not refitted); the `decision` (`accepted`, `rejected`, `removed`,
-    `narrowed`) and why; `folds`, what it gained on lines that its fit had not seen (NaN where that was not asked).
+    `score`: predicted gain of chi-square, for so many `parameters`, with its corrected `p_value`. `gain` after the
+    refit (NaN without a refit). `decision`: `accepted`, `rejected`, `removed` or `narrowed`, and its `reason`.
+    `cross_validation_gain`: gain on lines that the fit had not used (NaN where it was not computed).
     """
 
     round: int
@@ -82,8 +98,8 @@ class Trial:
     p_value: float
     gain: float
     decision: str
-    why: str = ""
-    folds: float = float("nan")
+    reason: str = field(default="", metadata={"stored_as": "why"})
+    cross_validation_gain: float = field(default=float("nan"), metadata={"stored_as": "folds"})
 
 
 @dataclass(frozen=True)
@@ -100,15 +116,15 @@ class ModelFreeTest:
 
 @dataclass(frozen=True)
 class UntestableEffect:
-    """An effect of which these runs say nothing, and why."""
+    """An effect that the runs cannot show, and the reason."""
 
     name: str
-    why: str
+    reason: str = field(metadata={"stored_as": "why"})
 
 
 @dataclass(frozen=True)
 class RunErrors:
-    """Errors of a hold-out run: hub loads by component and response, all relative (contract); NaN where not there."""
+    """Relative errors of a hold-out run: hub loads by component, and response; NaN where there is none."""
 
     load_error: dict[str, float]
     interaction: dict[str, float]
@@ -117,7 +133,7 @@ class RunErrors:
 
 @dataclass(frozen=True)
 class HoldOut:
-    """Errors of a run that no fit has seen, before and after closing; `noise`: what its noise alone would leave."""
+    """Errors of a run that no fit has used, before and after updating; `noise`: those that its noise alone causes."""
 
     before: RunErrors
     after: RunErrors
@@ -126,7 +142,7 @@ class HoldOut:
 
 @dataclass(frozen=True)
 class ResidualMap:
-    """Rms whitened residual before and after (runs, bands, channels); one is what noise leaves.
+    """Rms whitened residual before and after (runs, bands, channels); the noise alone gives one.
 
     `edges` (bands + 1,) [Hz]; NaN where a run has no line in a band.
     """
@@ -138,21 +154,21 @@ class ResidualMap:
     after: Array
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """The outcome of the loop.
+@dataclass(frozen=True, repr=False)
+class Diagnosis(ResultView):
+    """The outcome of a diagnosis.
 
-    `verdict` as in the contract; `effects` strongest first; `trials` in the order of the decisions; chi2/dof and
-    response error before and after; eigenmodes before and after, `measured_frequency` [Hz] those read off the measured
-    responses without a model; `location`: where a residual is left, in words.
+    `verdict` as in docs/json.md; `effects` strongest first; `trials` in the order of the decisions; chi2/dof and
+    response error before and after; eigenmodes before and after; `location`: where a residual remains, in words.
+    `settings` with which it was made (None: an artefact that was written without them).
     """
 
     geometry: Geometry
     verdict: str
     effects: tuple[FoundEffect, ...]
     trials: tuple[Trial, ...]
-    tests: tuple[ModelFreeTest, ...]
-    not_testable: tuple[UntestableEffect, ...]
+    data_tests: tuple[ModelFreeTest, ...] = field(metadata={"stored_as": "tests"})
+    untestable_effects: tuple[UntestableEffect, ...] = field(metadata={"stored_as": "not_testable"})
     chi2_per_dof_before: float
     chi2_per_dof_after: float
     frf_error_before: float
@@ -160,7 +176,42 @@ class Diagnosis:
     modes_before: ModeTable
     modes_after: ModeTable
     residual: ResidualMap
-    candidates: int
+    candidate_count: int = field(metadata={"stored_as": "candidates"})
     location: str = ""
     hold_out: dict[str, HoldOut] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    settings: SearchSettings | None = None
+
+    def summary_lines(self) -> Iterator[str]:
+        """Verdict, chi2/dof before and after, the effects, what is not testable, hold-out runs."""
+        yield f"Diagnosis of {self.geometry.rig}: {self.verdict}"
+        yield f"  chi2/dof {self.chi2_per_dof_before:.4g} before, {self.chi2_per_dof_after:.4g} after"
+        if self.effects:
+            shown = ", ".join(effect.label for effect in self.effects[:4])
+            more = f" and {len(self.effects) - 4} more" if len(self.effects) > 4 else ""
+            yield f"  {plural(len(self.effects), 'effect')}: {shown}{more}"
+        if self.untestable_effects:
+            yield f"  {plural(len(self.untestable_effects), 'effect')} not testable with these runs"
+        if self.hold_out:
+            yield f"  hold-out runs: {', '.join(self.hold_out)}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row for each parameter of each effect found, strongest effect first."""
+        import pandas as pd
+
+        rows = [
+            {
+                "effect": effect.name,
+                "where": ",".join(effect.where),
+                "parameter": parameter.name,
+                "value": parameter.value,
+                "sigma": parameter.sigma,
+                "unit": parameter.unit,
+                "gain": effect.evidence.gain,
+                "p_value": effect.evidence.p_value,
+                "indistinguishable_from": "; ".join(effect.indistinguishable_from),
+            }
+            for effect in self.effects
+            for parameter in effect.parameters
+        ]
+        return pd.DataFrame(rows, columns=list(EFFECT_TABLE_COLUMNS))

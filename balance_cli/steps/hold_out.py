@@ -1,4 +1,4 @@
-"""What a model is worth on a run that no fit has seen: errors of hub loads and of responses, before and after."""
+"""Errors of hub loads and responses on hold-out runs, which no fit has used, before and after updating a model."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HOLD_OUT_KINDS = ("check", "sweep")
 
 
 def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -> HoldOut:
-    """Errors of a run by the model before and after closing, and what the noise of the record alone would leave.
+    """Return the errors of a run by the model before and after updating, and the noise floor of its record.
 
     A `check` run has errors of its hub loads and of its response at the rotor harmonics 1 to 8, a `sweep` run those of
     its response from 5 to 150 Hz. Raises UserError for other kinds, and where the run cannot be reduced.
@@ -39,7 +39,7 @@ def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -
 
 
 def require_known_loads(run: Run) -> None:
-    """UserError for a run of which nothing is known that a model could be held to."""
+    """Raise UserError for a run without known loads, with which a model could be compared."""
     place = str(run.path or run.name)
     if run.kind not in HOLD_OUT_KINDS:
         remedy = "Hold out check runs (errors of hub loads) or sweeps (errors of responses)"
@@ -49,10 +49,10 @@ def require_known_loads(run: Run) -> None:
 
 
 def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
-    """Errors of a check run, and their part that is noise, without a calibration: the harmonics from 1 on."""
+    """Errors of a check run and their noise floor, at the harmonics from 1 on, which need no calibration."""
     source, geometry = model_source(model), model.geometry
     record = rotor_record(run, geometry, source)
-    exciter_cross_axis = identified_system(model).exciter_cross_axis.value
+    exciter_cross_axis = identified_system(model).equations.exciter_cross_axis.value
     loads = check_errors(
         record.spectra, harmonic_loads(record, geometry, source), record.components, geometry, exciter_cross_axis
     )
@@ -69,33 +69,33 @@ def _run_errors(loads: CheckErrors, frf_error: float, frf_noise: float) -> tuple
 def _harmonic_errors(
     record: RotorRecord, model: IdentifiedModel, source: ResponseSource, exciter_cross_axis: Array
 ) -> tuple[float, float]:
-    """Rms of measured channels less response times applied loads over rms of the channels, and what noise leaves.
+    """Relative rms of the measured channels minus the response times the applied loads, and its noise floor.
 
-    The anti-alias filter is the same in channels and loads.
+    The anti-alias filter is the same in channels and loads, and cancels.
     """
     spectra = record.spectra
     channel_combination = source.channel_combination(spectra.frequency_hz[1:], record.health.live)
     T = harmonic_response(record, model.geometry, source)[:, channel_combination.rows] @ exciter_cross_axis
-    # Residual and channels as combinations (h, r, c + 6) of everything that was recorded.
-    whole = np.concatenate([channel_combination.combination, np.zeros_like(T)], axis=2)
-    less = np.concatenate([channel_combination.combination, -T], axis=2)
-    mine = spectra.columns((*record.health.live, *COMPONENTS))
-    recorded = spectra.amplitude[1:, mine]
-    covariance = spectra.covariance[1:][:, mine][:, :, mine]
-    size, error = (np.linalg.norm(np.einsum("hrc,hc->hr", part, recorded)) for part in (whole, less))
-    noise = np.sqrt(np.real(np.einsum("hrc,hcd,hrd->", less, covariance, less.conj())))
+    # Channels and residual as combinations (h, r, c + 6) of all recorded signals.
+    measured = np.concatenate([channel_combination.combination, np.zeros_like(T)], axis=2)
+    residual = np.concatenate([channel_combination.combination, -T], axis=2)
+    columns = spectra.columns((*record.health.live, *COMPONENTS))
+    recorded = spectra.amplitude[1:, columns]
+    covariance = spectra.covariance[1:][:, columns][:, :, columns]
+    size, error = (np.linalg.norm(np.einsum("hrc,hc->hr", part, recorded)) for part in (measured, residual))
+    noise = np.sqrt(np.real(np.einsum("hrc,hcd,hrd->", residual, covariance, residual.conj())))
     return float(error / size), float(noise / size)
 
 
 def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunErrors]:
-    """Error of the response of a sweep, as the quality of a fit has it, and what its noise leaves of a true model.
+    """Relative error of the response of a sweep, as in the quality of a fit, and its noise floor.
 
-    Forces along the cells that are not linear go out of the record first: where nothing repeats, what they do to it
-    would pass for noise.
+    The contribution of nonlinear forces is removed from the record first. In a record that does not repeat it would
+    be taken for noise.
     """
     system = identified_system(model)
     run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
     spectra = measured_spectra([run], model.geometry, means=False)
     batches = stack_runs(spectra.lines, (), model.geometry.channel_names)
     quality = fit_quality(batches, system, 0.0).runs[run.name]
-    return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise)
+    return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor)

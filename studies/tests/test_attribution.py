@@ -18,7 +18,7 @@ from studies.unknown import unknown_effect
 from tests.support.rigs import rotor_balance
 from tests.support.unknown_effects import SaturatingChannel, TunedMass
 
-EVIDENCE = Evidence(gain=50.0, parameters=1, p_value=1e-6, score=50.0, folds=40.0, round=1)
+EVIDENCE = Evidence(gain=50.0, parameters=1, p_value=1e-6, score=50.0, cross_validation_gain=40.0, round=1)
 
 
 def found(label, *alike):
@@ -89,8 +89,7 @@ def test_no_test_has_more_power_than_chance_at_zero_and_all_of_it_far_off():
 
 def test_tuned_mass_leaves_what_is_at_rest_and_adds_a_mode():
     rig = true_rig(rotor_balance())
-    mass = TunedMass(mass=1.0, frequency=50.0, position=(0.2, 0.1, 0.3), direction=(0.6, 0.0, 0.8))
-    tuned = rig.with_extensions(mass)
+    tuned = rig.with_extensions(TunedMass(mass=1.0, frequency=50.0, position=(0.2, 0.1, 0.3), direction=(0.6, 0.0, 0.8)))
     bare, with_it = equations_of_motion(rig), equations_of_motion(tuned)
     rest = [np.linalg.solve(one.total_stiffness(), one.loads) for one in (bare, with_it)]
     np.testing.assert_allclose(rest[1][: bare.size], rest[0], rtol=1e-12)

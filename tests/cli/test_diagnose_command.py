@@ -1,4 +1,4 @@
-"""`balance diagnose` as a command: what it reads, writes, says and refuses. The loop itself has tests of its own."""
+"""The command `balance diagnose`: what it reads, writes, prints and refuses, with a diagnosis made by hand."""
 
 import json
 import sys
@@ -42,7 +42,7 @@ def fitted(folder):
 
 @pytest.fixture
 def engine(monkeypatch):
-    """A loop that returns a diagnosis made by hand."""
+    """An engine that returns a diagnosis made by hand."""
     made = FakeDiagnose()
     monkeypatch.setitem(sys.modules, "balance_cli.steps.diagnose", fake_diagnose_module(made))
     return made
@@ -55,7 +55,7 @@ def diagnose(folder, engine, tmp_path):
     def run(*words, runs=None, held=("check-1",), status=0):
         files = fitted(folder) if runs is None else runs
         hold = [word for name in held for word in ("--hold-out", folder / f"{name}.h5")]
-        out = ("-o", tmp_path / "d.h5", "--model-out", tmp_path / "closed.h5", "--json", tmp_path / "d.json")
+        out = ("-o", tmp_path / "d.h5", "--model-out", tmp_path / "updated.h5", "--json", tmp_path / "d.json")
         result = call("diagnose", folder / "rigid.model", *files, *hold, *out, *words, status=status)
         summary = tmp_path / "d.json"
         return result, json.loads(summary.read_text()) if summary.exists() else None
@@ -64,23 +64,23 @@ def diagnose(folder, engine, tmp_path):
 
 
 def test_the_summary_has_the_keys_of_the_contract(diagnose):
-    _, told = diagnose()
-    assert told["verdict"] == EXPLAINED
-    first = told["effects"][0]
+    _, output = diagnose()
+    assert output["verdict"] == EXPLAINED
+    first = output["effects"][0]
     assert {"name", "where", "parameters", "evidence", "indistinguishable_from"} <= set(first)
     assert first["where"] == ["x", "theta"]
     assert first["parameters"]["mass"] == {"value": 512.0, "sigma": 23.0, "unit": "kg"}
     assert first["parameters"]["compliance_x"]["interval_95"] == [1.9e-8, 2.9e-8]
     assert first["parameters"]["damping_ratio"]["sigma"] is None
     assert first["indistinguishable_from"] == ["mast-bending@x"]
-    assert told["not_testable"][0].keys() == {"name", "why"}
-    assert told["chi2_per_dof"] == {"before": 2300.0, "after": 1.04}
-    run = told["hold_out"]["check-1"]
+    assert output["not_testable"][0].keys() == {"name", "why"}
+    assert output["chi2_per_dof"] == {"before": 2300.0, "after": 1.04}
+    run = output["hold_out"]["check-1"]
     assert run["before"].keys() == run["after"].keys() == {"load_error", "interaction", "frf_error"}
     assert run["after"]["load_error"].keys() | run["after"]["interaction"].keys() == set(COMPONENTS)
     assert 0 < run["after"]["frf_error"] < 0.01
-    assert told["trials"][0]["decision"] == "accepted"
-    assert len(told["modes"]["before"]) == 7
+    assert output["trials"][0]["decision"] == "accepted"
+    assert len(output["modes"]["before"]) == 7
 
 
 def test_artefacts_come_back_as_they_were(diagnose, folder, tmp_path):
@@ -88,42 +88,42 @@ def test_artefacts_come_back_as_they_were(diagnose, folder, tmp_path):
     stored = load_artefact(tmp_path / "d.h5", {"balance-diagnosis/1": Diagnosis})
     expected = diagnosis()
     assert stored.content.effects == expected.effects
-    assert stored.content.tests == expected.tests
-    assert stored.content.not_testable == expected.not_testable
+    assert stored.content.data_tests == expected.data_tests
+    assert stored.content.untestable_effects == expected.untestable_effects
     assert list(stored.content.hold_out) == ["check-1", "sweep-Mz"]
     np.testing.assert_array_equal(stored.content.residual.before, expected.residual.before)
     assert stored.content.hold_out["sweep-Mz"].after.load_error == {}
     roles = {item.name: item.role for item in stored.provenance.inputs}
     assert roles["check-1"] == "hold-out" and roles["sweep-Fx"] == "run" and roles["rigid.model"] == "model"
-    closed = load_artefact(tmp_path / "closed.h5", {"balance-model/1": IdentifiedModel}).content
+    updated = load_artefact(tmp_path / "updated.h5", {"balance-model/1": IdentifiedModel}).content
     rigid = load_artefact(folder / "rigid.model", {"balance-model/1": IdentifiedModel}).content
-    np.testing.assert_array_equal(closed.parameters.value, rigid.parameters.value)
-    call("check", tmp_path / "d.h5", tmp_path / "closed.h5")
+    np.testing.assert_array_equal(updated.parameters.value, rigid.parameters.value)
+    call("check", tmp_path / "d.h5", tmp_path / "updated.h5")
 
 
 def test_the_report_takes_what_was_written(diagnose, tmp_path):
     diagnose()
     page, summary = tmp_path / "r.html", tmp_path / "r.json"
-    call("report", tmp_path / "d.h5", tmp_path / "closed.h5", "-o", page, "--json", summary)
-    told = json.loads(summary.read_text())
-    assert "diagnosis" in told["sections"]
-    assert {"hold-out", "residual"} <= set(told["figures"])
+    call("report", tmp_path / "d.h5", tmp_path / "updated.h5", "-o", page, "--json", summary)
+    output = json.loads(summary.read_text())
+    assert "diagnosis" in output["sections"]
+    assert {"hold-out", "residual"} <= set(output["figures"])
     assert "support-flexibility" in page.read_text(encoding="utf-8")
 
 
 def test_other_kinds_among_the_runs_are_left_out_and_never_fitted(diagnose, engine, folder):
     others = [folder / f"{name}.h5" for name in ("wind-1", "check-1")]
-    result, told = diagnose(runs=[*fitted(folder), *others], held=())
-    assert set(told["left_out"]) == {"wind-1", "check-1"}
+    result, output = diagnose(runs=[*fitted(folder), *others], held=())
+    assert set(output["left_out"]) == {"wind-1", "check-1"}
     assert "wind-1 left out" in result.stderr
     seen = {item.run for item in (*engine.spectra.lines, *engine.spectra.statics)}
     assert seen == {path.stem for path in fitted(folder)}
 
 
 def test_without_hold_out_it_warns_and_goes_on(diagnose):
-    result, told = diagnose(held=())
+    result, output = diagnose(held=())
     assert "no hold-out" in result.stderr
-    assert told["hold_out"] == {}
+    assert output["hold_out"] == {}
     assert "Errors on runs" not in result.stdout
 
 
@@ -138,10 +138,10 @@ def test_a_hold_out_run_that_the_model_was_fitted_to_is_named(diagnose, folder):
 )
 def test_exit_status_by_verdict(diagnose, engine, tmp_path, verdict, status):
     engine.verdict = verdict
-    result, told = diagnose("--fail-on-discrepancy", status=status)
-    assert told["verdict"] == verdict
+    result, output = diagnose("--fail-on-discrepancy", status=status)
+    assert output["verdict"] == verdict
     assert result.stdout.startswith(f"Verdict: {verdict}:")
-    assert (tmp_path / "closed.h5").exists()
+    assert (tmp_path / "updated.h5").exists()
     diagnose(status=0)
 
 
@@ -166,15 +166,15 @@ def test_a_hold_out_run_without_known_loads_is_refused_before_the_fit(diagnose, 
     result, _ = diagnose(held=("wind-1",), status=2)
     refused(result, tmp_path, "wind-1", "check runs")
     assert engine.spectra is None
-    result, told = diagnose("--skip-bad", held=("wind-1", "check-1"))
-    assert list(told["hold_out"]) == ["check-1"]
-    assert "wind-1" in str(told["skipped"])
+    result, output = diagnose("--skip-bad", held=("wind-1", "check-1"))
+    assert list(output["hold_out"]) == ["check-1"]
+    assert "wind-1" in str(output["skipped"])
 
 
 def test_the_papers_form_is_refused_with_what_to_do(diagnose, folder, tmp_path):
     paper = folder / "paper.model"
     call("identify", "-g", folder / "geometry.yaml", *fitted(folder), "--form", "paper", "-o", paper)
-    out = ("-o", tmp_path / "d.h5", "--model-out", tmp_path / "closed.h5")
+    out = ("-o", tmp_path / "d.h5", "--model-out", tmp_path / "updated.h5")
     result = call("diagnose", paper, *fitted(folder), *out, status=2)
     refused(result, tmp_path, "paper.model", "--form physical")
 
@@ -182,25 +182,25 @@ def test_the_papers_form_is_refused_with_what_to_do(diagnose, folder, tmp_path):
 def test_no_sweep_and_no_model_are_refused(diagnose, folder, tmp_path):
     result, _ = diagnose(runs=sorted(folder.glob("static-*.h5")), status=2)
     refused(result, tmp_path, "no sweep run")
-    out = ("-o", tmp_path / "d.h5", "--model-out", tmp_path / "closed.h5")
+    out = ("-o", tmp_path / "d.h5", "--model-out", tmp_path / "updated.h5")
     result = call("diagnose", folder / "geometry.yaml", *fitted(folder), *out, status=2)
     refused(result, tmp_path, "geometry.yaml", "balance-model/1")
 
 
-# ---- what is said ----------------------------------------------------------------------------------------------------
+# ---- text ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_text_says_verdict_effects_evidence_and_errors():
+def test_the_text_has_verdict_effects_evidence_and_errors():
     lines = list(diagnosis_text(diagnosis(hold_out=hold_out(), location="z3 at 118 Hz in My")))
     text = "\n".join(lines)
     assert lines[0].startswith("Verdict: explained: ")
     assert lines[1].startswith("chi2/dof 2.3e+03 -> 1.04")
-    assert "What is left: z3 at 118 Hz in My" in text
+    assert "Remaining residual: z3 at 118 Hz in My" in text
     assert "support-flexibility@x,theta: without it chi2 rises by 1.234e+06 (3 parameters, p < 1e-99)" in text
     assert "m/N   95 %: 1.9e-08 to 2.9e-08" in text
-    assert "cannot be told from mast-bending@x" in text and "a tap on the support" in text
-    assert "every sigma" not in text
-    assert any("every sigma" in line for line in diagnosis_text(diagnosis(chi2_per_dof_after=3.0)))
+    assert "cannot be distinguished from mast-bending@x" in text and "a tap on the support" in text
+    assert "underestimated" not in text
+    assert any("underestimated" in line for line in diagnosis_text(diagnosis(chi2_per_dof_after=3.0)))
     assert "time-delay@z1.piezo: without it chi2 rises by 812.3 (1 parameter, p < 1e-99)" in text
     assert "gyroscopic-coupling: all runs are at rest" in text
     (heads,) = (line.split() for line in lines if line.startswith("   check-1"))

@@ -13,6 +13,7 @@ from balance_cli.diagnosis.data_tests.model_free import model_free_tests
 from balance_cli.diagnosis.data_tests.run_pairs import level_tests, spin_tests
 from balance_cli.diagnosis.data_tests.static_pairs import static_tests
 from balance_cli.diagnosis.search.initial_candidates import initial_candidates
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.diagnosis.significance import bonferroni_min_p_value, chi2_p_value, format_with_sigma
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.simulation import CampaignPlan, SweepPlan, draw_rig, short_plan, simulate_campaign, true_rig
@@ -86,7 +87,7 @@ def test_the_simplest_difference_of_two_channels_is_found(name):
         swept_lines("Fz", 10.0, 1, changed={"z3.piezo": factor}),
         swept_lines("Mx", 4.0, 2, changed={"z3.piezo": factor}),
     ]
-    rows = {row.place: row for row in channel_tests(runs, RIG)}
+    rows = {row.place: row for row in channel_tests(runs, RIG, SETTINGS)}
     assert len(rows) == len(channel_pairs(RIG)) == 7
     changed = rows.pop("z3.strain, z3.piezo")
     assert changed.p_value < 1e-12
@@ -99,19 +100,23 @@ def test_the_simplest_difference_of_two_channels_is_found(name):
 
 
 def test_the_first_channel_can_be_the_late_one():
-    (row,) = (r for r in channel_tests([swept_lines(changed={"x.strain": np.exp(-S * 1e-3)})], RIG) if r.p_value < 1e-6)
+    (row,) = (
+        r
+        for r in channel_tests([swept_lines(changed={"x.strain": np.exp(-S * 1e-3)})], RIG, SETTINGS)
+        if r.p_value < 1e-6
+    )
     assert row.finding.startswith("x.strain is late by 1.00") and row.finding.endswith("against x.piezo")
 
 
 def test_a_filter_in_the_first_channel_is_laid_to_it():
     factor = 1 / (1 + S / (2 * np.pi * 300.0))
-    (row,) = (r for r in channel_tests([swept_lines(changed={"y1.strain": factor})], RIG) if r.p_value < 1e-6)
+    (row,) = (r for r in channel_tests([swept_lines(changed={"y1.strain": factor})], RIG, SETTINGS) if r.p_value < 1e-6)
     assert row.finding.startswith("y1.strain has a further low-pass at 30")
 
 
 def test_two_differences_are_both_named():
     factor = 1.01 * np.exp(-S * 5e-4)
-    (row,) = (r for r in channel_tests([swept_lines(changed={"y1.piezo": factor})], RIG) if r.p_value < 1e-6)
+    (row,) = (r for r in channel_tests([swept_lines(changed={"y1.piezo": factor})], RIG, SETTINGS) if r.p_value < 1e-6)
     for word, truth in (("late by", 0.5), ("reads", 1.01)):
         value, sigma = number(row.finding, word)
         assert abs(value - truth) < 4 * sigma
@@ -123,7 +128,7 @@ def test_two_differences_are_two_seeds_and_the_plate_decides_whose_each_is():
         swept_lines("Fz", 10.0, 1, changed={"z3.piezo": factor}),
         swept_lines("Mx", 4.0, 2, changed={"z3.piezo": factor}),
     ]
-    late, forgets = initial_candidates(runs, RIG)
+    late, forgets = initial_candidates(runs, RIG, SETTINGS)
     assert {one.label for one in late.candidates} == {"time-delay@z3.piezo", "time-delay@z3.strain"}
     assert sorted(one.starts[0]["delay"] for one in late.candidates) == pytest.approx([-5e-4, 5e-4], rel=0.01)
     (one,) = forgets.candidates
@@ -134,18 +139,18 @@ def test_two_differences_are_two_seeds_and_the_plate_decides_whose_each_is():
 def test_what_is_no_simple_difference_is_said_to_be_neither():
     factor = 1 + 0.05 / (1 - (FREQUENCY / 80.0) ** 2 + 0.04j * FREQUENCY / 80.0)
     runs = [swept_lines(changed={"z1.piezo": factor})]
-    (row,) = (r for r in channel_tests(runs, RIG) if r.p_value < 1e-6)
+    (row,) = (r for r in channel_tests(runs, RIG, SETTINGS) if r.p_value < 1e-6)
     assert "neither delay, gain nor filter" in row.finding
-    assert not initial_candidates(runs, RIG)
+    assert not initial_candidates(runs, RIG, SETTINGS)
 
 
 def test_gains_within_their_tolerance_are_no_finding():
     tolerant = RIG.model_copy(update={"tolerances": RIG.tolerances.model_copy(update={"sensitivity": 0.01})})
     run = swept_lines(changed={"z2.piezo": np.full(len(S), 1.008), "z4.piezo": 1.008 * np.exp(-S * 3e-4)})
-    rows = {row.place: row for row in channel_tests([run], tolerant)}
+    rows = {row.place: row for row in channel_tests([run], tolerant, SETTINGS)}
     assert rows["z2.strain, z2.piezo"].finding == "equal"
     assert rows["z4.strain, z4.piezo"].finding.startswith("z4.piezo is late by 0.30")
-    assert channel_tests([run], RIG)[4].p_value < 1e-12
+    assert channel_tests([run], RIG, SETTINGS)[4].p_value < 1e-12
 
 
 def test_chances_of_equal_channels_are_even_with_noise_from_few_periods():
@@ -153,7 +158,9 @@ def test_chances_of_equal_channels_are_even_with_noise_from_few_periods():
     found = [
         row.p_value
         for seed in range(30)
-        for row in channel_tests([swept_lines(seed=seed, dof=80.0), swept_lines("Mx", 5.0, seed + 100, dof=80.0)], RIG)
+        for row in channel_tests(
+            [swept_lines(seed=seed, dof=80.0), swept_lines("Mx", 5.0, seed + 100, dof=80.0)], RIG, SETTINGS
+        )
     ]
     assert np.mean(np.array(found) < 0.05) < 0.08
     assert min(found) > 1e-5
@@ -169,8 +176,8 @@ def test_a_channel_that_is_not_live_is_left_out():
         channels=run.channels[:, kept],
         covariance=run.covariance[:, signals[:, None], signals],
     )
-    assert [row.place for row in channel_tests([less], RIG)] == [
-        row.place for row in channel_tests([run], RIG) if not row.place.startswith("x.")
+    assert [row.place for row in channel_tests([less], RIG, SETTINGS)] == [
+        row.place for row in channel_tests([run], RIG, SETTINGS) if not row.place.startswith("x.")
     ]
 
 
@@ -181,7 +188,7 @@ def test_statics_that_are_the_response_at_rest():
     runs = [
         swept_lines(name, level, seed) for seed, (name, level) in enumerate((("Fz", 10.0), ("Fz", 4.0), ("My", 5.0)))
     ]
-    rows = static_tests(runs, [static()], RIG, float(MODES[0]))
+    rows = static_tests(runs, [static()], RIG, float(MODES[0]), SETTINGS.data_tests)
     assert [row.place for row in rows] == ["static: Fz", "static: My"]
     for row in rows:
         assert row.dof == 8 and row.p_value > 1e-3 and row.finding == "equal"
@@ -189,13 +196,16 @@ def test_statics_that_are_the_response_at_rest():
 
 def test_a_lowest_mode_that_is_not_quite_known_does_no_harm():
     for lowest in (0.8 * MODES[0], 1.15 * MODES[0]):
-        assert all(row.p_value > 1e-3 for row in static_tests([swept_lines(noise=0.1)], [static()], RIG, float(lowest)))
+        assert all(
+            row.p_value > 1e-3
+            for row in static_tests([swept_lines(noise=0.1)], [static()], RIG, float(lowest), SETTINGS.data_tests)
+        )
 
 
 def test_a_static_stiffness_of_its_own_is_found():
     factor = np.ones(8)
     factor[5] = 1.02
-    row = static_tests([swept_lines(level=40.0)], [static(factor)], RIG, float(MODES[0]))[0]
+    row = static_tests([swept_lines(level=40.0)], [static(factor)], RIG, float(MODES[0]), SETTINGS.data_tests)[0]
     assert row.p_value < 1e-6
     assert "most in z3.strain" in row.finding
     change, sigma = number(row.finding, "z3.strain:")
@@ -207,7 +217,9 @@ def test_chances_of_statics_are_even():
     found = [
         row.p_value
         for seed in range(60)
-        for row in static_tests([swept_lines(seed=seed, dof=150.0)], [static(seed=seed)], RIG, float(MODES[0]))
+        for row in static_tests(
+            [swept_lines(seed=seed, dof=150.0)], [static(seed=seed)], RIG, float(MODES[0]), SETTINGS.data_tests
+        )
     ]
     assert np.mean(np.array(found) < 0.05) <= 0.12
     assert min(found) > 1e-4
@@ -216,7 +228,7 @@ def test_chances_of_statics_are_even():
 def test_two_components_at_once_are_told_apart():
     """All lines carry both loads: the smoothness of the responses separates them."""
     both = excited_together(np.ones((len(FREQUENCY), 2), bool))
-    rows = static_tests([both], [static()], RIG, float(MODES[0]))
+    rows = static_tests([both], [static()], RIG, float(MODES[0]), SETTINGS.data_tests)
     assert [row.place for row in rows] == ["static: Fz", "static: My"]
     assert all(row.p_value > 1e-3 for row in rows)
 
@@ -247,15 +259,17 @@ def excited_together(driven: np.ndarray, seed: int = 5, level: float = 10.0, mod
 
 def test_levels_that_agree():
     runs = [swept_lines("Fz", level, seed, dof=200.0) for seed, level in enumerate((10.0, 4.0, 2.0))]
-    rows = level_tests([*runs, swept_lines("Mx", 3.0, 9)], RIG)
+    rows = level_tests([*runs, swept_lines("Mx", 3.0, 9)], RIG, SETTINGS.data_tests)
     assert [row.place for row in rows] == [f"{run.run}, {runs[0].run}" for run in runs[1:]]
     assert all(row.finding == "equal" and row.p_value > 1e-3 for row in rows)
-    assert spin_tests(runs, RIG) == []
+    assert spin_tests(runs, RIG, SETTINGS.data_tests) == []
 
 
 def test_a_mode_that_stiffens_with_level_is_found():
     stiffer = np.where(np.isclose(MODES, 54.2), MODES * 1.002, MODES)
-    (row,) = level_tests([swept_lines("Fz", 4.0, 1), swept_lines("Fz", 10.0, 2, modes=stiffer)], RIG)
+    (row,) = level_tests(
+        [swept_lines("Fz", 4.0, 1), swept_lines("Fz", 10.0, 2, modes=stiffer)], RIG, SETTINGS.data_tests
+    )
     assert row.p_value < 1e-12
     assert "higher at the high level" in row.finding
     low, high = (float(word) for word in row.finding.partition("from ")[2].split(" Hz")[0].split(" to "))
@@ -268,23 +282,29 @@ def test_lines_of_two_components_are_compared_where_one_alone_is_driven():
     """Interleaved lines serve; where both act at once nothing can be said without a model."""
     turns = np.stack([np.arange(len(FREQUENCY)) % 2 == 0, np.arange(len(FREQUENCY)) % 2 == 1], axis=1)
     stiffer = np.where(np.isclose(MODES, 54.2), MODES * 1.002, MODES)
-    (equal,) = level_tests([excited_together(turns, 1, 4.0), excited_together(turns, 2, 10.0)], RIG)
+    (equal,) = level_tests(
+        [excited_together(turns, 1, 4.0), excited_together(turns, 2, 10.0)], RIG, SETTINGS.data_tests
+    )
     assert equal.finding == "equal" and equal.dof == 2 * len(NAMES) * len(FREQUENCY)
-    (row,) = level_tests([excited_together(turns, 1, 4.0), excited_together(turns, 2, 10.0, stiffer)], RIG)
+    (row,) = level_tests(
+        [excited_together(turns, 1, 4.0), excited_together(turns, 2, 10.0, stiffer)], RIG, SETTINGS.data_tests
+    )
     assert row.p_value < 1e-12
     every = np.ones_like(turns)
-    assert level_tests([excited_together(every, 1, 4.0), excited_together(every, 2, 10.0)], RIG) == []
+    assert (
+        level_tests([excited_together(every, 1, 4.0), excited_together(every, 2, 10.0)], RIG, SETTINGS.data_tests) == []
+    )
 
 
 def test_a_turning_rotor_is_compared_with_rest():
     rest, near = swept_lines("Fz", 10.0, 1), swept_lines("Fz", 4.0, 2)
     turning = swept_lines("Fz", 9.0, 3, rotor_speed=17.5)
-    (equal,) = spin_tests([rest, near, turning], RIG)
+    (equal,) = spin_tests([rest, near, turning], RIG, SETTINGS.data_tests)
     assert equal.place == f"{rest.run}, {turning.run}" and equal.finding == "equal"
     split = np.where(np.isclose(MODES, 27.4), MODES * 0.995, MODES)
-    (row,) = spin_tests([rest, swept_lines("Fz", 10.0, 3, modes=split, rotor_speed=17.5)], RIG)
+    (row,) = spin_tests([rest, swept_lines("Fz", 10.0, 3, modes=split, rotor_speed=17.5)], RIG, SETTINGS.data_tests)
     assert row.p_value < 1e-12 and "lower with the rotor turning" in row.finding
-    assert level_tests([near, turning], RIG) == []
+    assert level_tests([near, turning], RIG, SETTINGS.data_tests) == []
 
 
 # ---- mains -----------------------------------------------------------------------------------------------------------
@@ -303,7 +323,7 @@ RUNS = [swept_lines(name, 1.0, seed, dof=200.0) for seed, name in enumerate(("Fx
 
 
 def test_no_mains():
-    rows = mains_tests(RUNS)
+    rows = mains_tests(RUNS, SETTINGS.data_tests)
     assert [row.place for row in rows] == ["50 Hz and multiples", "60 Hz and multiples"]
     assert all(row.finding == "nothing" and row.p_value > 1e-3 for row in rows)
 
@@ -311,7 +331,7 @@ def test_no_mains():
 @pytest.mark.parametrize(("frequency", "family"), [(50.0, 0), (100.0, 0), (60.0, 1), (49.75, 0)])
 def test_a_tone_of_the_mains_is_found_in_its_channel(frequency, family):
     picked = [with_tone(run, "z2.piezo", frequency, 8 * NOISE, seed) for seed, run in enumerate(RUNS)]
-    rows = mains_tests(picked)
+    rows = mains_tests(picked, SETTINGS.data_tests)
     assert rows[family].p_value < 1e-4
     assert rows[family].finding.startswith(f"stands out: z2.piezo at {np.rint(frequency / 10) * 10:g} Hz")
     assert rows[1 - family].finding == "nothing"
@@ -320,18 +340,18 @@ def test_a_tone_of_the_mains_is_found_in_its_channel(frequency, family):
 def test_a_sharp_mode_at_the_mains_is_no_mains():
     modes = np.where(np.isclose(MODES, 54.2), 50.0, MODES)
     runs = [swept_lines(name, 1.0, seed, modes=modes, dof=200.0) for seed, name in enumerate(("Fx", "Fz", "My"))]
-    assert all(row.finding == "nothing" for row in mains_tests(runs))
+    assert all(row.finding == "nothing" for row in mains_tests(runs, SETTINGS.data_tests))
 
 
 def test_a_harmonic_of_the_rotor_is_no_mains():
     turning = [replace(with_tone(run, "z2.piezo", 50.0, 1.0, 1), rotor_speed=25.0) for run in RUNS]
-    row = mains_tests(turning)[0]
+    row = mains_tests(turning, SETTINGS.data_tests)[0]
     assert row.finding == "nothing"
 
 
 def test_lines_that_do_not_reach_the_mains_give_no_row():
     low = [run.select(run.frequency < 45.0) for run in RUNS]
-    assert mains_tests(low) == []
+    assert mains_tests(low, SETTINGS.data_tests) == []
 
 
 # ---- simulated campaigns ---------------------------------------------------------------------------------------------
@@ -357,7 +377,7 @@ def two_levels(component: str = "Fz", high: float = 400.0) -> CampaignPlan:
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_nothing_is_found_where_nothing_is_hidden(seed):
     """Short records, in which the piezo amplifiers' own high-pass still rings."""
-    rows = model_free_tests(campaign(seed=seed), RIG, 20.0)
+    rows = model_free_tests(campaign(seed=seed), RIG, 20.0, SETTINGS)
     assert {row.name for row in rows} == {"channels of a cell", "static against low frequency", "mains"}
     assert min(row.p_value for row in rows) * len(rows) > 1e-3
     assert {row.finding for row in rows} == {"equal", "nothing"}
@@ -365,7 +385,7 @@ def test_nothing_is_found_where_nothing_is_hidden(seed):
 
 def test_a_simulated_delay_is_found():
     delay = DeclaredEffect(name="time-delay", where=("y2.piezo",), parameters={"delay": 4e-4})
-    rows = model_free_tests(campaign(delay, seed=3), RIG, 20.0)
+    rows = model_free_tests(campaign(delay, seed=3), RIG, 20.0, SETTINGS)
     (row,) = (row for row in rows if row.p_value * len(rows) < 1e-3)
     assert row.place == "y2.strain, y2.piezo"
     value, sigma = number(row.finding, "late by")
@@ -374,14 +394,14 @@ def test_a_simulated_delay_is_found():
 
 def test_a_simulated_contact_depends_on_level():
     cubic = DeclaredEffect(name="cubic-stiffness", where=("z1",), parameters={"k3": 1e12, "side": "beside"})
-    (row,) = (r for r in model_free_tests(campaign(cubic, plan=two_levels()), RIG, 20.0) if "level" in r.name)
+    (row,) = (r for r in model_free_tests(campaign(cubic, plan=two_levels()), RIG, 20.0, SETTINGS) if "level" in r.name)
     assert row.p_value < 1e-6 and row.finding.startswith("differ most from")
-    (row,) = (r for r in model_free_tests(campaign(plan=two_levels()), RIG, 20.0) if "level" in r.name)
+    (row,) = (r for r in model_free_tests(campaign(plan=two_levels()), RIG, 20.0, SETTINGS) if "level" in r.name)
     assert row.finding == "equal"
 
 
 def test_simulated_mains_are_found():
     pickup = DeclaredEffect(name="mains-pickup", where=("z4.strain",), parameters={"amplitude": 2e-3})
-    rows = mains_tests(campaign(pickup).lines)
+    rows = mains_tests(campaign(pickup).lines, SETTINGS.data_tests)
     assert rows[0].p_value < 1e-3 and "z4.strain at 50 Hz" in rows[0].finding
     assert rows[1].finding == "nothing"

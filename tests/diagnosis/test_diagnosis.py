@@ -1,4 +1,4 @@
-"""The loop and its parts: score test, model error, folds, and whole diagnoses of simulated campaigns."""
+"""Diagnosis: score test, model error, cross-validation, and whole diagnoses of simulated campaigns."""
 
 from dataclasses import replace
 
@@ -7,28 +7,23 @@ import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
+from balance_cli.diagnosis.search.bounded_gain import best_gain
 from balance_cli.diagnosis.search.candidates import candidate_at, candidates, smaller_places
 from balance_cli.diagnosis.search.candidates import parameters_of_interest as acting
+from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
 from balance_cli.diagnosis.search.preference import choose_most_linear
-from balance_cli.diagnosis.search.score_statistics import (
-    Score,
-    add_candidates,
-    best_gain,
-    extend_model,
-    score_in_two_stages,
-    scores,
-)
-from balance_cli.diagnosis.search.search import select_leading
+from balance_cli.diagnosis.search.rounds import select_leading
+from balance_cli.diagnosis.search.score_statistics import Score, score_in_two_stages, scores
 from balance_cli.diagnosis.search.search_lines import search_lines
 from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
-from balance_cli.diagnosis.selection import confirm
+from balance_cli.diagnosis.selection import candidate_refits
 from balance_cli.diagnosis.selection.alternatives import compare_alternatives
-from balance_cli.diagnosis.selection.confirm import STRONG_GAIN
-from balance_cli.diagnosis.selection.cross_validation import cross_validation_gain, folds
+from balance_cli.diagnosis.selection.cross_validation import cross_validation_gain, split_folds
 from balance_cli.diagnosis.selection.effect_selection import drop_unsupported_effects, refit_without_effect
 from balance_cli.diagnosis.selection.effect_statistics import confounding_limit, effect_wald_statistic
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines, unexplained_chi2
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.model_error import add_model_error, estimate_model_error, log_determinant_inflation
@@ -91,7 +86,7 @@ def test_gain_without_bounds_is_that_of_rao():
     root = rng.standard_normal((4, 4))
     V, s = root @ root.T, rng.standard_normal(4)
     nothing = np.zeros(4, bool)
-    gain, used, step = best_gain(s, V, nothing, nothing)
+    gain, used, step = best_gain(s, V, nothing, nothing, SETTINGS.score.min_information_share)
     assert used == 4
     assert gain == pytest.approx(s @ np.linalg.solve(V, s))
     np.testing.assert_allclose(V @ step, s)
@@ -103,7 +98,7 @@ def test_gain_with_bounds_is_the_best_that_is_allowed():
     V, s = root @ root.T + np.eye(2), np.array([-2.0, 1.5])
     grid = np.stack(np.meshgrid(np.linspace(0, 3, 601), np.linspace(-3, 3, 1201), indexing="ij"), axis=-1)
     best = (2 * grid @ s - np.einsum("abi,ij,abj->ab", grid, V, grid)).max()
-    gain, _, step = best_gain(s, V, np.array([True, False]), np.zeros(2, bool))
+    gain, _, step = best_gain(s, V, np.array([True, False]), np.zeros(2, bool), SETTINGS.score.min_information_share)
     assert gain == pytest.approx(best, rel=1e-4)
     assert step[0] >= 0.0
     assert 2 * s @ step - step @ V @ step == pytest.approx(gain)
@@ -112,25 +107,26 @@ def test_gain_with_bounds_is_the_best_that_is_allowed():
 
 def test_a_score_is_what_a_refit_gains(late):
     model, batches = balance_model(RIG), lines_of(late)
-    fit = fit_all_lines(model, model.parameters.value, batches)
+    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
     one = candidate_at("time-delay", ("z1.piezo",), RIG)
-    (score,) = scores(model, fit.theta, batches, [one])
+    (score,) = scores(model, fit.theta, batches, [one], SETTINGS.score)
     wide, theta = extend_model(model, fit.theta, add_candidates(RIG, [(one, 0)]))
-    gained = fit.chi2 - fit_all_lines(wide, theta, batches).chi2
+    gained = fit.chi2 - fit_all_lines(wide, theta, batches, SETTINGS.fit).chi2
     assert score.gain > 50.0
     assert score.gain == pytest.approx(gained, rel=0.02)
 
 
 def test_the_true_effect_has_the_best_score_and_holds_on_other_lines(late):
     model, batches = balance_model(RIG), lines_of(late)
-    fit = fit_all_lines(model, model.parameters.value, batches)
-    found = sorted(score_in_two_stages(model, fit.theta, batches, candidates(RIG)), key=lambda score: -score.gain)
+    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
+    found = score_in_two_stages(model, fit.theta, batches, candidates(RIG), SETTINGS)
+    found = sorted(found, key=lambda score: -score.gain)
     labels = [score.candidate.label for score in found[:2]]
     assert "time-delay@z1.piezo" in labels
     true = next(score for score in found if score.candidate.label == "time-delay@z1.piezo")
-    assert cross_validation_gain(model, fit.theta, batches, true) > 0.5 * true.gain
+    assert cross_validation_gain(model, fit.theta, batches, true, SETTINGS) > 0.5 * true.gain
     chance = next(score for score in found if 0.0 < score.gain < 0.5)
-    assert cross_validation_gain(model, fit.theta, batches, chance) < 2.0
+    assert cross_validation_gain(model, fit.theta, batches, chance, SETTINGS) < 2.0
 
 
 def test_a_part_as_stiff_as_can_be_begins_where_it_is(healthy, capfd):
@@ -145,7 +141,7 @@ def test_a_part_as_stiff_as_can_be_begins_where_it_is(healthy, capfd):
 def test_a_search_begins_what_rests_on_a_place_beside_what_leads():
     def scored(name, where, gain):
         candidate = candidate_at(name, where, RIG)
-        own = len(acting(candidate.one.parameters))
+        own = len(acting(candidate.placed_effect.parameters))
         nothing = np.zeros(own)
         return Score(candidate, 0, gain, own, 1.0, np.inf, np.eye(own), nothing, nothing)
 
@@ -160,20 +156,20 @@ def test_a_search_begins_what_rests_on_a_place_beside_what_leads():
         scored("added-mass", (), 100.0),
     ]
     first = ["dry-friction@x", "transverse-stiffness@all", "structural-damping@z1"]
-    labels = [score.candidate.label for score in select_leading(ranked)]
+    labels = [score.candidate.label for score in select_leading(ranked, SETTINGS)]
     assert labels == [*first, "support-flexibility@x,y,z,psi,theta,phi"]
     weak = [*ranked[:5], scored(*support, 30.0)]
-    assert [score.candidate.label for score in select_leading(weak)] == first
+    assert [score.candidate.label for score in select_leading(weak, SETTINGS)] == first
 
 
 def test_folds_are_disjoint_leave_no_line_out_and_have_means_in_several(healthy):
     batches = lines_of(healthy)
-    for batch, *parts in zip(batches, *folds(batches), strict=True):
-        assert sum(len(part.index) for part in parts) == len(batch.index)
-        means = [int(np.sum(part.frequency[part.index] == 0)) for part in parts]
+    for batch, *parts in zip(batches, *split_folds(batches, SETTINGS.cross_validation), strict=True):
+        assert sum(len(part.lines.index) for part in parts) == len(batch.lines.index)
+        means = [int(np.sum(part.line_frequency == 0)) for part in parts]
         if np.any(batch.frequency > 0):
-            assert sum(means) == len(batch.runs)
-            assert sum(count > 0 for count in means) > len(batch.runs) // 2
+            assert sum(means) == len(batch.run_names)
+            assert sum(count > 0 for count in means) > len(batch.run_names) // 2
 
 
 def test_candidates_leave_out_what_the_rig_has():
@@ -183,7 +179,9 @@ def test_candidates_leave_out_what_the_rig_has():
     assert "time-delay@x.strain" in labels
     assert not any(label.startswith("extra-mode") for label in labels)
     support = next(one for one in candidates(RIG) if one.effect.name == "support-flexibility")
-    assert all(len(where) == len(support.one.where) - 1 for where in smaller_places(support.one, RIG))
+    assert all(
+        len(where) == len(support.placed_effect.where) - 1 for where in smaller_places(support.placed_effect, RIG)
+    )
 
 
 # ---- model error -----------------------------------------------------------------------------------------------------
@@ -191,7 +189,7 @@ def test_candidates_leave_out_what_the_rig_has():
 
 def test_no_model_error_where_nothing_is_wrong(healthy):
     model, batches = balance_model(RIG), lines_of(healthy)
-    fit = fit_all_lines(model, model.parameters.value, batches)
+    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
     shares = estimate_model_error(batches, model.system(fit.theta), sigma_limit=3.0)
     assert set(shares.values()) == {0.0}
     assert add_model_error(batches, shares) == batches
@@ -201,7 +199,7 @@ def test_no_model_error_where_nothing_is_wrong(healthy):
 def test_model_error_is_about_as_large_as_what_is_wrong(healthy):
     """All stiffnesses and masses as they are, every sensitivity of what is measured two per cent off by chance."""
     model, batches = balance_model(RIG), lines_of(healthy)
-    fit = fit_all_lines(model, model.parameters.value, batches)
+    fit = fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit)
     theta = fit.theta.copy()
     rng = np.random.default_rng(4)
     for i, name in enumerate(model.parameters.names):
@@ -211,16 +209,17 @@ def test_model_error_is_about_as_large_as_what_is_wrong(healthy):
     assert 0.005 < np.median(list(shares.values())) < 0.06
 
 
-# ---- the loop --------------------------------------------------------------------------------------------------------
+# ---- whole diagnoses -------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_missing_where_nothing_is(healthy):
-    diagnosis, closed = diagnose(identify(healthy, RIG), healthy)
+    diagnosis, updated = diagnose(identify(healthy, RIG), healthy)
     assert diagnosis.verdict == NOTHING_MISSING
+    assert diagnosis.settings == SETTINGS
     assert not diagnosis.effects
-    assert not closed.geometry.effects
+    assert not updated.geometry.effects
     assert diagnosis.chi2_per_dof_after == pytest.approx(1.0, abs=0.05)
-    assert "gyroscopic-coupling" in {item.name for item in diagnosis.not_testable}
+    assert "gyroscopic-coupling" in {item.name for item in diagnosis.untestable_effects}
     assert any("one level" in note for note in diagnosis.notes)
 
 
@@ -234,70 +233,70 @@ def test_two_effects_at_once_are_found_and_the_model_is_closed():
     )
     spectra = simulated_spectra(*hidden)
     before = identify(spectra, RIG)
-    said = []
-    diagnosis, closed = diagnose(before, spectra, progress=lambda what, share: said.append(share))
+    shares = []
+    diagnosis, updated = diagnose(before, spectra, progress=lambda what, share: shares.append(share))
     assert diagnosis.verdict == EXPLAINED
     assert {effect.label for effect in diagnosis.effects} == {"time-delay@x.piezo", "parallel-stiffness"}
     delay = next(effect for effect in diagnosis.effects if effect.name == "time-delay").parameters[0]
     assert abs(delay.value - 4e-4) < 4 * delay.sigma
     assert diagnosis.chi2_per_dof_before > 10
-    assert closed.quality.chi2_per_dof == pytest.approx(1.0, abs=0.06)
-    assert said == sorted(said)
-    assert said[-1] == 1.0
-    again, _ = diagnose(closed, spectra)
+    assert updated.quality.chi2_per_dof == pytest.approx(1.0, abs=0.06)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    again, _ = diagnose(updated, spectra)
     assert again.verdict == NOTHING_MISSING
 
 
 def test_a_strain_channel_that_forgets_is_found_though_it_reads_nothing_at_rest():
     leak = DeclaredEffect(name="high-pass", where=("z1.strain",), parameters={"cutoff": 0.04})
     spectra = simulated_spectra(leak)
-    found, closed = diagnose(identify(spectra, RIG), spectra)
+    found, updated = diagnose(identify(spectra, RIG), spectra)
     assert found.verdict == EXPLAINED
     assert [effect.label for effect in found.effects] == ["high-pass@z1.strain"]
     (cutoff,) = found.effects[0].parameters
     assert abs(cutoff.value - 0.04) < 4 * cutoff.sigma
-    assert closed.quality.chi2_per_dof < 1.2
+    assert updated.quality.chi2_per_dof < 1.2
 
 
-# ---- rivals, and what cannot be believed -----------------------------------------------------------------------------
+# ---- alternatives, and unsupported effects ---------------------------------------------------------------------------
 
 
-def test_a_rival_that_explains_more_takes_the_place(late):
-    """A crosstalk does part of what a late channel does; so weak an effect meets all others as rivals."""
+def test_a_better_alternative_replaces_an_effect(late):
+    """A crosstalk describes part of a delay. So weak an effect is compared with all candidates."""
     wrong = candidate_at("crosstalk", ("z1.piezo", "x.piezo"), RIG)
     model, theta = extend_model(
         balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(wrong, 0)])
     )
     batches = lines_of(late)
-    fit = fit_all_lines(model, theta, batches)
-    found = compare_alternatives(fit, batches, (), {}, 400, 2, lambda what: None)
+    fit = fit_all_lines(model, theta, batches, SETTINGS.fit)
+    found = compare_alternatives(fit, batches, (), {}, 400, 2, lambda what: None, SETTINGS)
     assert (
         set(found.effect_support) == {"time-delay@z1.piezo"}
-        or "time-delay@z1.piezo" in found.effect_support["low-pass@z1.piezo"].alike
+        or "time-delay@z1.piezo" in found.effect_support["low-pass@z1.piezo"].equivalent
     )
     assert found.fit.chi2 < fit.chi2 - 50.0
     assert [trial.decision for trial in found.trials] == ["removed", "accepted"]
     assert found.trials[0].label == "crosstalk@z1.piezo,x.piezo"
     (standing,) = found.effect_support.values()
     assert standing.gain > 50.0
-    kept = compare_alternatives(fit, batches, (wrong.label,), {}, 400, 2, lambda what: None)
+    kept = compare_alternatives(fit, batches, (wrong.label,), {}, 400, 2, lambda what: None, SETTINGS)
     assert kept.fit is fit
     assert not kept.effect_support
 
 
-def test_small_effects_are_not_believed_beside_a_large_residual():
+def test_small_effects_are_dropped_beside_a_large_residual():
     """A channel that bends is in no file of effects; a gain that takes a little off what it leaves is no finding."""
     batches = lines_of(simulated_spectra(BENDS))
     small = candidate_at("channel-gain", ("y2.strain",), RIG)
     model, theta = extend_model(
         balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(small, 0)])
     )
-    fit = fit_all_lines(model, theta, batches)
-    assert unexplained_chi2(fit, batches, noise_alone=True) > 1e3
-    less, trials = drop_unsupported_effects(fit, batches, True, (), 3)
+    fit = fit_all_lines(model, theta, batches, SETTINGS.fit)
+    assert unexplained_chi2(fit, batches, True, SETTINGS.fit) > 1e3
+    less, trials = drop_unsupported_effects(fit, batches, True, (), 3, SETTINGS)
     assert [trial.label for trial in trials] == ["channel-gain@y2.strain"]
     assert not less.model.geometry.effects
-    assert drop_unsupported_effects(fit, batches, True, ("channel-gain@y2.strain",), 3) == (fit, ())
+    assert drop_unsupported_effects(fit, batches, True, ("channel-gain@y2.strain",), 3, SETTINGS) == (fit, ())
 
 
 STIFF = DeclaredEffect(name="transverse-stiffness", where=("all",), parameters={"stiffness": 2e4})
@@ -309,7 +308,7 @@ def stiff():
     batches = lines_of(simulated_spectra(STIFF))
     known = candidate_at("transverse-stiffness", ("all",), RIG)
     start = extend_model(balance_model(RIG), balance_model(RIG).parameters.value, add_candidates(RIG, [(known, 0)]))
-    return batches, fit_all_lines(*start, batches)
+    return batches, fit_all_lines(*start, batches, SETTINGS.fit)
 
 
 def test_what_a_stiffness_is_worth_does_not_end_at_the_scale_of_the_rig(stiff):
@@ -319,7 +318,7 @@ def test_what_a_stiffness_is_worth_does_not_end_at_the_scale_of_the_rig(stiff):
     gain, known = effect_wald_statistic(fit, one)
     assert known == 1
     assert gain > 1e5
-    assert gain == pytest.approx(refit_without_effect(fit, one, batches).chi2 - fit.chi2, rel=0.5)
+    assert gain == pytest.approx(refit_without_effect(fit, one, batches, SETTINGS.fit).chi2 - fit.chi2, rel=0.5)
 
 
 def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
@@ -329,32 +328,32 @@ def test_a_large_effect_stays_beside_a_large_residual(stiff, monkeypatch):
         "balance_cli.diagnosis.selection.effect_selection.effect_wald_statistic", lambda fit, one: (1.0, 1)
     )
     monkeypatch.setattr(
-        "balance_cli.diagnosis.selection.effect_selection.unexplained_chi2", lambda fit, batches, alone: 1e5
+        "balance_cli.diagnosis.selection.effect_selection.unexplained_chi2", lambda fit, batches, alone, settings: 1e5
     )
-    assert drop_unsupported_effects(fit, batches, True, (), 3) == (fit, ())
+    assert drop_unsupported_effects(fit, batches, True, (), 3, SETTINGS) == (fit, ())
 
 
 def test_fits_that_come_to_no_end_are_tried_with_the_shape_held_at_first(stiff, monkeypatch):
     batches, _ = stiff
-    plain = fit_all_lines(balance_model(RIG), balance_model(RIG).parameters.value, batches)
+    plain = fit_all_lines(balance_model(RIG), balance_model(RIG).parameters.value, batches, SETTINGS.fit)
     path = candidate_at("parallel-stiffness", (), RIG)
-    (score,) = scores(plain.model, plain.theta, batches, [path])
-    assert score.gain > STRONG_GAIN
+    (score,) = scores(plain.model, plain.theta, batches, [path], SETTINGS.score)
+    assert score.gain > SETTINGS.selection.strong_gain
     ends = []
 
-    def creeping(model, theta, batches):
+    def creeping(model, theta, batches, settings):
         """The first two fits stop far above a minimum."""
-        minimum = fit_all_lines(model, theta, batches).minimum
+        minimum = fit_all_lines(model, theta, batches, SETTINGS.fit).minimum
         early = len(ends) < 2
         total = replace(minimum.total, chi2=minimum.total.chi2 + 1e6 * early)
         ends.append(Fit(model, replace(minimum, total=total, converged=not early)))
         return ends[-1]
 
-    monkeypatch.setattr(confirm, "fit_all_lines", creeping)
-    found = confirm._refit_with_candidate(plain, score, batches, None)
+    monkeypatch.setattr(candidate_refits, "fit_all_lines", creeping)
+    found = candidate_refits.refit_with_candidate(plain, score, batches, None, SETTINGS)
     assert len(ends) == 4
     assert found is ends[3]
-    shape = {path.one.full_name(item) for item in path.one.parameters if item.nuisance}
+    shape = {path.placed_effect.full_name(item) for item in path.placed_effect.parameters if item.nuisance}
     held, still = (
         {name for name, free in zip(end.model.parameters.names, end.model.parameters.free, strict=True) if not free}
         for end in (ends[2], found)
@@ -370,27 +369,27 @@ def test_frequency_of_the_mains_is_found_from_a_side_lobe():
     )
     model = balance_model(RIG.model_copy(update={"effects": (beside,)}))
     start = np.array(model.parameters.value)
-    stuck = fit_all_lines(model, start, batches)
-    found = refit_at_best_frequency(stuck, declared_effects(model.geometry), batches)
+    stuck = fit_all_lines(model, start, batches, SETTINGS.fit)
+    found = refit_at_best_frequency(stuck, declared_effects(model.geometry), batches, SETTINGS)
     place = model.parameters.index("mains-pickup@y2.strain.frequency")
     assert abs(stuck.theta[place] - 50.02) > 0.1
     assert found.theta[place] == pytest.approx(50.02, abs=5e-3)
     assert found.chi2 < stuck.chi2 - 100.0
-    assert refit_at_best_frequency(found, declared_effects(model.geometry), batches) is found
+    assert refit_at_best_frequency(found, declared_effects(model.geometry), batches, SETTINGS) is found
     sigma = np.array(model.parameters.sigma)
     sigma[place] = 0.0
-    held = fit_all_lines(model.with_sigma(sigma), start, batches)
-    assert refit_at_best_frequency(held, declared_effects(model.geometry), batches) is held
+    held = fit_all_lines(model.with_sigma(sigma), start, batches, SETTINGS.fit)
+    assert refit_at_best_frequency(held, declared_effects(model.geometry), batches, SETTINGS) is held
 
 
-def test_beside_large_friction_nothing_small_is_told(stiff):
+def test_beside_large_friction_small_effects_are_confounded(stiff):
     batches, fit = stiff
     assert confounding_limit(fit, batches) == (0.0, "")
     friction = candidate_at("dry-friction", ("z1",), RIG)
     model, theta = extend_model(
         fit.model, fit.theta, add_candidates(fit.model.geometry, [(friction, 0)], at_start_values=True)
     )
-    beside = fit_all_lines(model, theta, batches)
+    beside = fit_all_lines(model, theta, batches, SETTINGS.fit)
     (worth,) = (
         effect_wald_statistic(beside, one) for one in declared_effects(model.geometry) if one.label == friction.label
     )
@@ -400,12 +399,12 @@ def test_beside_large_friction_nothing_small_is_told(stiff):
 def test_what_no_effect_describes_stays_unexplained():
     spectra = simulated_spectra(BENDS)
     before = identify(spectra, RIG)
-    found, closed = diagnose(before, spectra)
+    found, updated = diagnose(before, spectra)
     assert found.verdict == UNEXPLAINED
     assert not found.effects
     assert "z1.piezo" in found.location
     assert found.chi2_per_dof_after <= found.chi2_per_dof_before
-    assert not closed.geometry.effects
+    assert not updated.geometry.effects
 
 
 TUNED = TunedMass(mass=0.7, frequency=51.3, damping_ratio=0.013, position=(-0.2, 0.15, 0.02), direction=(0.8, 0, 0.6))
@@ -418,7 +417,7 @@ def resonating():
 
 def test_what_resonates_without_a_cause_is_described_and_named_as_empirical(resonating):
     spectra = resonating
-    found, closed = diagnose(identify(spectra, RIG), spectra)
+    found, updated = diagnose(identify(spectra, RIG), spectra)
     assert found.verdict == PARTLY_EXPLAINED
     (effect,) = found.effects
     assert effect.label == "extra-mode@x"
@@ -429,21 +428,23 @@ def test_what_resonates_without_a_cause_is_described_and_named_as_empirical(reso
     assert values["mass"].value == pytest.approx(0.7 * 0.8**2, rel=0.05)
     assert values["shape_z"].value == pytest.approx(0.75, abs=0.02)
     assert found.chi2_per_dof_before > 100.0
-    assert closed.quality.chi2_per_dof == pytest.approx(1.0, abs=0.06)
+    assert updated.quality.chi2_per_dof == pytest.approx(1.0, abs=0.06)
 
 
 def with_and_without(label, spectra):
-    """What resonances make of a model that has an effect, and of the one that has not, whichever ends better."""
+    """Labels of the effects after unmodelled modes are added with and without an effect, and the labels removed."""
     known = candidate_at(label.partition("@")[0], tuple(label.partition("@")[2].split(",")), RIG)
     start = balance_model(RIG)
     bare = (start, start.parameters.value)
-    begun = extend_model(*bare, add_candidates(RIG, [(known, 0)], at_start_values=True))
-    state, trials = add_unmodelled_modes([begun, bare], search_lines(spectra, RIG.channel_names), 1, lambda what: None)
+    extended = extend_model(*bare, add_candidates(RIG, [(known, 0)], at_start_values=True))
+    state, trials = add_unmodelled_modes(
+        [extended, bare], search_lines(spectra, RIG.channel_names, SETTINGS.fit), 1, lambda what: None, SETTINGS
+    )
     removed = [trial.label for trial in trials if trial.decision == "removed"]
     return {one.label for one in declared_effects(state.geometry)}, removed
 
 
-def test_a_resonance_that_passed_for_a_support_is_told_without_it(resonating):
+def test_a_resonance_taken_for_a_support_replaces_it(resonating):
     wrong = "support-flexibility@y,theta,phi"
     assert with_and_without(wrong, resonating) == ({"extra-mode@x"}, [wrong])
 
@@ -486,10 +487,10 @@ def one_cell(*effects):
     ids=["nothing", "cubic", "cubic and offset", "cubic and quadratic"],
 )
 def test_effects_of_a_rig_with_one_cell_are_found(effects, labels):
-    found, closed = one_cell(*effects)
+    found, updated = one_cell(*effects)
     assert found.verdict == (EXPLAINED if effects else NOTHING_MISSING)
     assert {effect.label for effect in found.effects} == labels
-    assert closed.quality.chi2_per_dof < 1.2
+    assert updated.quality.chi2_per_dof < 1.2
     truth = {item.name: [value for value in item.parameters.values() if isinstance(value, float)] for item in effects}
     for effect in found.effects:
         assert effect.choice == (None if effect.name == "load-offset" else ("side", "beside"))
@@ -499,7 +500,7 @@ def test_effects_of_a_rig_with_one_cell_are_found(effects, labels):
 
 def test_what_has_no_place_in_a_rig_is_not_testable_and_what_was_found_is_not_listed():
     found, _ = one_cell(CUBIC, OFFSET)
-    why = {item.name: item.why for item in found.not_testable}
+    why = {item.name: item.reason for item in found.untestable_effects}
     assert why["crosstalk"] == "a rig with 1 cell, 1 channel that moves in z has no place for it"
     assert not {"load-offset", "cubic-stiffness"} & set(why)
     assert "the fitted parameters" in why["exciter-misalignment"]
@@ -511,9 +512,9 @@ def test_of_two_that_do_the_same_the_linear_one_is_preferred():
         return balance_model(ONE.model_copy(update={"effects": (DeclaredEffect(name=name, where=where),)}))
 
     offset, bends = with_effect("load-offset", ("Fz",)), with_effect("quadratic-stiffness", ("z", "beside"))
-    assert choose_most_linear([bends, offset], [717.6, 715.4]) == 1
-    assert choose_most_linear([bends, offset], [722.0, 715.4]) == 0
-    assert choose_most_linear([offset, bends, offset], [700.0, 690.0, 701.0]) == 2
+    assert choose_most_linear([bends, offset], [717.6, 715.4], SETTINGS.indistinguishable_chi2) == 1
+    assert choose_most_linear([bends, offset], [722.0, 715.4], SETTINGS.indistinguishable_chi2) == 0
+    assert choose_most_linear([offset, bends, offset], [700.0, 690.0, 701.0], SETTINGS.indistinguishable_chi2) == 2
 
 
 @pytest.mark.parametrize(
@@ -527,7 +528,7 @@ def test_friction_is_found_at_once_whether_it_slips_or_sticks(force, stiffness, 
     assert [(effect.label, effect.evidence.round) for effect in found.effects] == [("dry-friction@z", 1)]
     fitted_values = {item.name: item.value for item in found.effects[0].parameters}
     assert fitted_values["force"] == pytest.approx(force, rel=0.01)
-    # A contact that mostly slips says little of how stiff it is.
+    # A contact that mostly slips contains little information on its stiffness.
     assert fitted_values["stick_stiffness"] == pytest.approx(stiffness, rel=share)
     assert found.chi2_per_dof_after < 0.03 * found.chi2_per_dof_before
 
@@ -538,11 +539,11 @@ def test_a_search_begins_friction_with_the_slip_distance_that_it_scored():
     stiffness = ONE.cells[0].effective_stiffness
     slips = []
     for number, start in enumerate(candidate.starts[1:], 1):
-        begun = candidate.start_from_score(ONE, number, [2.0])
-        slips.append(begun["force"] / begun["stick_stiffness"])
+        values = candidate.start_from_score(ONE, number, [2.0])
+        slips.append(values["force"] / values["stick_stiffness"])
         held = candidate.at_null(start).parameters["stick_stiffness"]
         assert slips[-1] == pytest.approx(LEAST_FORCE_SHARE * ONE.cells[0].full_range / held) or (
-            begun["stick_stiffness"] == pytest.approx(STIFFNESS_BOUNDS[1] * stiffness)
+            values["stick_stiffness"] == pytest.approx(STIFFNESS_BOUNDS[1] * stiffness)
         )
     assert slips == sorted(slips)
     assert candidate.start_from_score(ONE, 0, [2.0]) == {}

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from balance_cli.diagnosis.search.noise_dof import RunInformation, noise_dof
-from balance_cli.diagnosis.search.score_statistics import gain_p_value
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
+from balance_cli.diagnosis.significance import gain_p_value
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.signals.run_spectrum import NoisePart, RunSpectrum
 
 CHANNELS = ("a", "b", "c")
+MIN_DOF = SETTINGS.score.min_noise_dof
 FITTED, NONE = np.array([0], np.intp), np.zeros((1, 1))
 
 
@@ -48,14 +50,14 @@ def slopes_along(*channels: int, lines: int = 4) -> np.ndarray:
 
 def test_a_run_alone_has_the_dof_of_its_noise():
     run = run_information(slopes_along(0), dof=40.0)
-    (found,) = noise_dof([run], FITTED, [np.array([1])], [NONE])
-    assert found == pytest.approx(run.batch.noise_dof[0])
-    assert run.batch.noise_dof[0] == 80.0
+    (found,) = noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)
+    assert found == pytest.approx(run.batch.runs[0].noise_dof)
+    assert run.batch.runs[0].noise_dof == 80.0
 
 
 def test_runs_that_tell_alike_add_up():
     run = run_information(slopes_along(0), dof=40.0)
-    assert noise_dof([run, run, run], FITTED, [np.array([1])], [NONE])[0] == pytest.approx(240.0)
+    assert noise_dof([run, run, run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == pytest.approx(240.0)
 
 
 def test_each_direction_has_the_dof_of_the_part_that_it_feels():
@@ -65,23 +67,23 @@ def test_each_direction_has_the_dof_of_the_part_that_it_feels():
         part(np.diag([0.0, 0.0, 1.0]), np.ones(4), 3.0, 1.5),
     )
     run = run_information(slopes_along(0, 2), parts)
-    found = noise_dof([run], FITTED, [np.array([1]), np.array([2])], [NONE, NONE])
+    found = noise_dof([run], FITTED, [np.array([1]), np.array([2])], [NONE, NONE], MIN_DOF)
     assert found == pytest.approx([50.0, 8.0])
 
 
-def test_two_parts_are_together_as_good_as_satterthwaite_says():
+def test_two_parts_combine_by_satterthwaite():
     """Sizes 1 and 3 with 50 and 8: 4^2 / (1 / 50 + 9 / 8)."""
     shape = np.diag([1.0, 0.0, 0.0])
     parts = (part(shape, np.ones(4), 1.0, np.sqrt(2.0 / 50.0)), part(shape, np.ones(4), 3.0, 1.5))
     run = run_information(slopes_along(0), parts)
-    assert noise_dof([run], FITTED, [np.array([1])], [NONE])[0] == pytest.approx(16.0 / (1 / 50 + 9 / 8))
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == pytest.approx(16.0 / (1 / 50 + 9 / 8))
 
 
 def test_a_part_that_was_found_to_be_nothing_is_doubtful_all_the_same():
     shape = np.diag([1.0, 0.0, 0.0])
     parts = (part(shape, np.ones(4), 1.0, 0.0), part(shape, np.ones(4), 0.0, 0.5))
     run = run_information(slopes_along(0), parts)
-    assert noise_dof([run], FITTED, [np.array([1])], [NONE])[0] == pytest.approx(2.0 / 0.25)
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == pytest.approx(2.0 / 0.25)
 
 
 def test_a_part_counts_in_its_own_lines_only():
@@ -90,7 +92,7 @@ def test_a_part_counts_in_its_own_lines_only():
     slopes = slopes_along(0)
     slopes[2:] = 0.0
     run = run_information(slopes, parts)
-    assert noise_dof([run], FITTED, [np.array([1])], [NONE])[0] == pytest.approx(2.0 / 0.01)
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == pytest.approx(2.0 / 0.01)
 
 
 def test_what_the_fitted_parameters_take_along_is_left_out():
@@ -101,17 +103,17 @@ def test_what_the_fitted_parameters_take_along_is_left_out():
     slopes[:, 0, 1] = slopes[:, 2, 1] = 1.0
     run = run_information(slopes, parts)
     assert run.variance(FITTED, np.array([1]), np.ones((1, 1))) == pytest.approx([4.0])
-    assert noise_dof([run], FITTED, [np.array([1])], [np.ones((1, 1))])[0] == pytest.approx(2.0 / 0.01)
+    assert noise_dof([run], FITTED, [np.array([1])], [np.ones((1, 1))], MIN_DOF)[0] == pytest.approx(2.0 / 0.01)
 
 
 def test_a_noise_of_which_nothing_is_known_makes_no_gain_significant():
     shape = np.diag([1.0, 0.0, 0.0])
     run = run_information(slopes_along(0), (part(shape, np.ones(4), 1.0, 0.1), part(shape, np.ones(4), 0.0, 1e12)))
-    (found,) = noise_dof([run], FITTED, [np.array([1])], [NONE])
+    (found,) = noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)
     assert found == 1.0
     assert gain_p_value(1e3, 1, float(found)) > 0.01
 
 
-def test_nothing_told_is_no_reason_for_doubt():
+def test_without_information_the_noise_is_no_limit():
     run = run_information(np.zeros((4, 3, 2)))
-    assert noise_dof([run], FITTED, [np.array([1])], [NONE])[0] == np.inf
+    assert noise_dof([run], FITTED, [np.array([1])], [NONE], MIN_DOF)[0] == np.inf

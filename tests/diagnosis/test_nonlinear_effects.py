@@ -16,7 +16,7 @@ from balance_cli.model.effects.dry_friction import find_last_slip
 from balance_cli.model.fitted_effects import declare_fitted_effects
 from balance_cli.model.placed_effects import add_effects, declared_effects, without_effects
 from balance_cli.reduction.model_sources import model_source
-from balance_cli.signals.run_spectrum import OVERSAMPLING
+from balance_cli.signals.sampled_waveform import OVERSAMPLING
 from balance_cli.simulation import CampaignPlan, RotorPlan, SweepPlan, draw_rig, short_plan, simulate_campaign
 from balance_cli.simulation import true_rig as true_rig_of
 from balance_cli.simulation.plans import HARMONIC_SHAPE
@@ -188,7 +188,7 @@ def test_a_waveform_gives_back_what_was_recorded(linear_runs):
     (lines,) = measured_spectra([run], RIG, means=True).lines
     waveform = lines.waveform
     np.testing.assert_allclose(
-        waveform.to_spectral_lines(waveform.to_time_domain(waveform.volts)), lines.channels, rtol=0.02, atol=1e-3
+        waveform.to_bins(waveform.to_time_domain(waveform.volts)), lines.channels, rtol=0.02, atol=1e-3
     )
     assert len(waveform.to_time_domain(waveform.volts)) == OVERSAMPLING * waveform.samples
 

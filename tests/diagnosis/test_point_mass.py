@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.diagnosis.search import point_mass
+from balance_cli.diagnosis.search import mass_score
 from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, candidates
-from balance_cli.diagnosis.search.point_mass import GRID, POINTS, place_mass_candidates, refine_point_mass
+from balance_cli.diagnosis.search.mass_score import POINTS
+from balance_cli.diagnosis.search.point_mass import place_mass_candidates, refine_point_mass
+from balance_cli.diagnosis.settings import PointMassSettings
 from balance_cli.diagnosis.search.score_statistics import score_in_two_stages, scores
 from balance_cli.diagnosis.selection.fit import fit_all_lines, start_fit
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.maximum_likelihood import penalized_chi2
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects.geometry_scales import position_bound
@@ -37,7 +40,7 @@ def test_ten_masses_make_one_at_any_place():
         return motion.T @ motion
 
     places = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 3))
-    mass_weights = point_mass.mass_weights(places)
+    mass_weights = mass_score.mass_weights(places)
     expected = np.array([square(p) for p in places])
     found = np.einsum("pk,kij->pij", mass_weights, np.array([square(p) for p in POINTS]))
     np.testing.assert_allclose(found, expected, atol=1e-12)
@@ -45,12 +48,12 @@ def test_ten_masses_make_one_at_any_place():
 
 def test_gain_by_the_ten_is_the_score_at_the_place(weighed):
     fit, batches = weighed.fit, weighed.batches
-    ten = point_mass.score_of_masses(fit.model, fit.theta, batches)
-    one = candidate_at("added-mass", (), WEIGHED).one
+    ten = mass_score.score_of_masses(fit.model, fit.theta, batches, SETTINGS.point_mass)
+    one = candidate_at("added-mass", (), WEIGHED).placed_effect
     for place in (np.array(PLACE), *np.random.default_rng(1).uniform(-0.5, 0.5, (4, 3))):
-        (c,) = point_mass.mass_weights(place[None])
+        (c,) = mass_score.mass_weights(place[None])
         there = Candidate(one, (dict(zip("xyz", map(float, place), strict=True)),))
-        (score,) = scores(fit.model, fit.theta, batches, [there])
+        (score,) = scores(fit.model, fit.theta, batches, [there], SETTINGS.score)
         assert (c @ ten.s) ** 2 / (c @ ten.V @ c) == pytest.approx(score.gain, rel=1e-6)
         assert c @ ten.s / (c @ ten.V @ c) == pytest.approx(score.step[0], rel=1e-6)
 
@@ -58,7 +61,7 @@ def test_gain_by_the_ten_is_the_score_at_the_place(weighed):
 def test_beside_tolerances_no_information_is_negative(declared):
     """Mass, centre of gravity and inertia do what the ten do: all but a billionth of it is theirs."""
     fit, batches = declared.fit, declared.batches
-    ten = point_mass.score_of_masses(fit.model, fit.theta, batches)
+    ten = mass_score.score_of_masses(fit.model, fit.theta, batches, SETTINGS.point_mass)
     information = np.linalg.eigvalsh(ten.V)
     assert information[0] > 0.0
     assert information[0] < 1e-9 * np.linalg.eigvalsh(ten.raw)[-1]
@@ -74,9 +77,9 @@ def test_a_mass_is_begun_where_it_is(weighed):
 def test_a_mass_is_begun_near_where_it_is_beside_tolerances(declared):
     """Within one step of the grid."""
     candidate = declared.placed()
-    assert candidate.chosen == 3
+    assert candidate.fitted_start_values == 3
     start = candidate.starts[0]
-    step = 2.0 * position_bound(DECLARED) / (GRID - 1)
+    step = 2.0 * position_bound(DECLARED) / (PointMassSettings().grid - 1)
     assert np.linalg.norm([start[axis] - at for axis, at in zip("xyz", PLACE, strict=True)]) < step
     assert start["mass"] == pytest.approx(2.0, rel=0.4)
 
@@ -85,12 +88,12 @@ def test_no_other_place_gains_more(weighed):
     """Neither hub nor cells, which the effect names, nor any of many by chance."""
     fit, batches = weighed.fit, weighed.batches
     one = candidate_at("added-mass", (), WEIGHED)
-    (best,) = score_in_two_stages(fit.model, fit.theta, batches, [one])
-    (named,) = scores(fit.model, fit.theta, batches, [one])
+    (best,) = score_in_two_stages(fit.model, fit.theta, batches, [one], SETTINGS)
+    (named,) = scores(fit.model, fit.theta, batches, [one], SETTINGS.score)
     assert best.parameters == named.parameters + 3
     assert best.gain > 1.1 * named.gain
-    ten = point_mass.score_of_masses(fit.model, fit.theta, batches)
-    c = point_mass.mass_weights(np.random.default_rng(2).uniform(-1.0, 1.0, (20000, 3)) * position_bound(WEIGHED))
+    ten = mass_score.score_of_masses(fit.model, fit.theta, batches, SETTINGS.point_mass)
+    c = mass_score.mass_weights(np.random.default_rng(2).uniform(-1.0, 1.0, (20000, 3)) * position_bound(WEIGHED))
     assert np.max((c @ ten.s) ** 2 / np.sum((c @ ten.V) * c, axis=1)) < best.gain
 
 
@@ -98,36 +101,36 @@ def test_mass_and_place_settle_where_a_fit_from_the_truth_ends(declared):
     """Along mass against arm chi-square is a narrow valley: without this, ten steps end hundreds above."""
     model, theta = declared.begun_at(0)
     truth = declared.fit_from_the_truth()
-    settled = refine_point_mass(model, theta, declared.batches)
+    settled = refine_point_mass(model, theta, declared.batches, SETTINGS)
     assert penalized_chi2(model, settled, declared.batches) < truth.chi2 + 1.0
-    assert fit_all_lines(model, settled, declared.batches).chi2 < truth.chi2 + 1.0
-    assert start_fit(model, theta, declared.batches).chi2 > truth.chi2 + 200.0
+    assert fit_all_lines(model, settled, declared.batches, SETTINGS.fit).chi2 < truth.chi2 + 1.0
+    assert start_fit(model, theta, declared.batches, SETTINGS.fit).chi2 > truth.chi2 + 200.0
 
 
 def test_a_mass_begun_with_the_wrong_sign_settles_where_it_is(weighed):
     model, theta = weighed.begun_at(0)
     truth = weighed.fit_from_the_truth()
-    settled = refine_point_mass(model, theta, weighed.batches)
+    settled = refine_point_mass(model, theta, weighed.batches, SETTINGS)
     assert penalized_chi2(model, settled, weighed.batches) < truth.chi2 + 1.0
     sigma = np.sqrt(np.diag(np.linalg.inv(truth.minimum.total.information)))
     free = list(np.flatnonzero(model.parameters.free))
     for index, true in zip(mass_and_place(model), (-0.3, *PLACE), strict=True):
         assert abs(settled[index] - true) < 4.0 * sigma[free.index(index)]
-    assert fit_all_lines(model, theta, weighed.batches).chi2 > truth.chi2 + 1e4
+    assert fit_all_lines(model, theta, weighed.batches, SETTINGS.fit).chi2 > truth.chi2 + 1e4
 
 
 def test_what_follows_a_mass_stays_within_its_bounds():
     """The step of the mass would take a low-pass and a loss factor below zero, where no rig is."""
     it = Campaign(add_effects(DECLARED, ["low-pass@z1.piezo", "structural-damping@z1"]), 2.0, (0.15, -0.1, 0.1), 3)
     model, theta = it.begun_at(0)
-    settled = refine_point_mass(model, theta, it.batches)
+    settled = refine_point_mass(model, theta, it.batches, SETTINGS)
     assert np.all((settled >= model.parameters.lower) & (settled <= model.parameters.upper))
     assert penalized_chi2(model, settled, it.batches) < it.fit.chi2 - 1000.0
 
 
 def test_without_a_mass_nothing_is_settled(declared):
     theta = declared.fit.theta
-    assert refine_point_mass(declared.fit.model, theta, declared.batches) is theta
+    assert refine_point_mass(declared.fit.model, theta, declared.batches, SETTINGS) is theta
 
 
 def test_a_rig_that_cannot_move_in_all_ways_keeps_its_candidates():
@@ -135,9 +138,9 @@ def test_a_rig_that_cannot_move_in_all_ways_keeps_its_candidates():
     pool = candidates(rig)
     assert "added-mass" in {one.label for one in pool}
     model = balance_model(rig)
-    for kept, one in zip(place_mass_candidates(pool, model, model.parameters.value, ()), pool, strict=True):
+    for kept, one in zip(place_mass_candidates(pool, model, model.parameters.value, (), SETTINGS), pool, strict=True):
         assert kept is one
     both = rig.model_copy(update={"effects": (DeclaredEffect(name="added-mass"),)})
     model = balance_model(both)
     theta = model.parameters.value
-    assert refine_point_mass(model, theta, ()) is theta
+    assert refine_point_mass(model, theta, (), SETTINGS) is theta

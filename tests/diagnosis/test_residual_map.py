@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from balance_cli.diagnosis.residual_map import location, residual_map
+from balance_cli.diagnosis.residual_map import describe_residual_location, residual_map
 from balance_cli.diagnosis.result import ResidualMap
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.likelihood import data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -68,7 +69,7 @@ def static(noise: float = 1e-3) -> StaticPoints:
 
 
 def test_under_the_truth_it_is_one(batches):
-    found = residual_map(batches, select(), select())
+    found = residual_map(batches, select(), select(), SETTINGS.residual_map)
     assert set(found.runs) == {"heave", "pitch", "deaf", "static"}
     assert found.channels == RIG.channel_names
     assert found.after.shape == (4, len(found.edges) - 1, 2) == found.before.shape
@@ -78,7 +79,7 @@ def test_under_the_truth_it_is_one(batches):
         np.testing.assert_allclose(rms, 1.0, atol=0.06)
     at_rest = found.after[found.runs.index("static"), 0]
     assert np.all((at_rest > 0.05) & (at_rest < 3.0))
-    assert location(found).startswith("Nothing beyond the noise")
+    assert describe_residual_location(found, SETTINGS.residual_map).startswith("Nothing beyond the noise")
 
 
 def test_its_sum_is_chi_square_where_channels_are_independent(spectra):
@@ -90,7 +91,7 @@ def test_its_sum_is_chi_square_where_channels_are_independent(spectra):
     batches = stack_runs(lines, [], rig.channel_names)
     model = balance_model(rig)
     theta = model.parameters.value * 1.003
-    found = residual_map(batches, (model, theta), (model, theta))
+    found = residual_map(batches, (model, theta), (model, theta), SETTINGS.residual_map)
     counts = np.histogram(lines[0].frequency, np.append(found.edges[:-1], np.inf))[0]
     total = 2.0 * np.sum(counts * found.after[0, :, 0] ** 2)
     held = sum(2.0 for _ in lines)
@@ -98,7 +99,7 @@ def test_its_sum_is_chi_square_where_channels_are_independent(spectra):
 
 
 def test_bands_hold_all_lines_and_say_where_there_are_none(batches):
-    found = residual_map(batches, select(), select())
+    found = residual_map(batches, select(), select(), SETTINGS.residual_map)
     assert found.edges[0] == 0.0 and found.edges[1] == pytest.approx(2.0)
     assert len(found.edges) == 32 and np.all(np.diff(found.edges) > 0)
     assert found.edges[-1] > 120.0 - 1e-9
@@ -113,12 +114,12 @@ def test_bands_hold_all_lines_and_say_where_there_are_none(batches):
 
 def test_a_wrong_stiffness_shows_at_its_mode(batches):
     """Heave resonates at 50.3 Hz, pitch at 75.5 Hz; both cells a little too stiff."""
-    found = residual_map(batches, select(**{"stiffness.a": 1.01, "stiffness.b": 1.01}), select())
+    found = residual_map(batches, select(**{"stiffness.a": 1.01, "stiffness.b": 1.01}), select(), SETTINGS.residual_map)
     heave = found.before[found.runs.index("heave"), :, 0]
     worst = int(np.nanargmax(heave))
     assert found.edges[worst] < 51.5 and found.edges[worst + 1] > 49.0
     assert heave[worst] > 10 * np.nanmedian(heave)
-    text = location(replace(found, after=found.before))
+    text = describe_residual_location(replace(found, after=found.before), SETTINGS.residual_map)
     assert text.startswith("Rms ") and "heave" in text and "all channels" in text and "Hz" in text
 
 
@@ -132,7 +133,7 @@ def made(after: np.ndarray) -> ResidualMap:
 def test_the_location_names_runs_bands_and_channels():
     after = np.ones((12, 20, 15))
     after[3, 7:9, 4] = 30.0
-    text = location(made(after))
+    text = describe_residual_location(made(after), SETTINGS.residual_map)
     assert text == "Rms 1.22 of the noise; most in run-3, 32 to 42 Hz, c4."
 
 
@@ -140,19 +141,19 @@ def test_a_residual_at_rest_is_named():
     after = np.full((5, 6, 8), np.nan)
     after[:4, 1:] = 1.0
     after[4, 0] = 6.0
-    assert "most in run-4, at rest, all channels" in location(made(after))
+    assert "most in run-4, at rest, all channels" in describe_residual_location(made(after), SETTINGS.residual_map)
 
 
 def test_what_is_everywhere_is_said_to_be():
-    text = location(made(np.full((12, 20, 15), 4.0)))
+    text = describe_residual_location(made(np.full((12, 20, 15), 4.0)), SETTINGS.residual_map)
     assert text == "Rms 4.00 of the noise; most in all runs, all bands, all channels."
 
 
 def test_noise_alone_has_no_location():
     rng = np.random.default_rng(0)
     noise = np.sqrt(rng.chisquare(60, (12, 20, 15)) / 60)
-    assert location(made(noise)).startswith("Nothing beyond the noise")
-    assert location(made(np.full((1, 2, 3), np.nan))) == "No lines."
+    assert describe_residual_location(made(noise), SETTINGS.residual_map).startswith("Nothing beyond the noise")
+    assert describe_residual_location(made(np.full((1, 2, 3), np.nan)), SETTINGS.residual_map) == "No lines."
 
 
 def test_a_rig_with_all_its_channels():
@@ -163,6 +164,6 @@ def test_a_rig_with_all_its_channels():
     batches = stack_runs(measured_spectra(runs, rig).lines, [], rig.channel_names)
     model = balance_model(rig)
     truth = (model, model.parameters.value)
-    found = residual_map(batches, truth, truth)
+    found = residual_map(batches, truth, truth, SETTINGS.residual_map)
     rms = np.sqrt(np.mean(found.after[0] ** 2, axis=0))
     np.testing.assert_allclose(rms, 1.0, atol=0.1)

@@ -1,4 +1,4 @@
-"""A real measurement: the Silverbox as a balance of one degree of freedom, its fit integrated in time, its loop."""
+"""A real measurement: the Silverbox as a balance with one degree of freedom, its fit and its diagnosis."""
 
 import importlib.util
 import json
@@ -16,6 +16,7 @@ from balance_cli.cli import balance
 from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING
 from balance_cli.diagnosis.search.candidates import candidate_at
 from balance_cli.diagnosis.search.score_statistics import scores
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -67,43 +68,43 @@ def fit(silverbox, spectra, *effects):
 
 
 @pytest.fixture(scope="module")
-def closed(silverbox, spectra):
+def updated(silverbox, spectra):
     return fit(silverbox, spectra, *CLOSING)
 
 
-def test_linear_it_is_as_wrong_as_known(silverbox, spectra, errors):
+def test_errors_of_the_linear_model_are_those_of_the_literature(silverbox, spectra, errors):
     test, arrow = errors(fit(silverbox, spectra))
     assert test == pytest.approx(8.64, abs=0.1)
     assert arrow == pytest.approx(15.3, abs=0.4)
 
 
-def test_load_offset_and_a_cubic_spring_beside_the_cell_close_it(closed, errors):
-    test, arrow = errors(closed)
+def test_load_offset_and_a_cubic_spring_beside_the_cell_explain_it(updated, errors):
+    test, arrow = errors(updated)
     assert test < 0.41
     assert arrow < 0.50
-    found = {effect.name: effect.parameters[0] for effect in identified_effects(closed)}
+    found = {effect.name: effect.parameters[0] for effect in identified_effects(updated)}
     assert found["cubic-stiffness"].value > 30 * found["cubic-stiffness"].sigma
     assert found["load-offset"].value == pytest.approx(0.0053, abs=0.0005)
 
 
-def test_the_side_is_beside(silverbox, spectra, closed):
+def test_the_side_is_beside(silverbox, spectra, updated):
     inside = fit(silverbox, spectra, "load-offset@Fz", "cubic-stiffness@z,inside")
-    assert inside.quality.chi2 > 10 * closed.quality.chi2
+    assert inside.quality.chi2 > 10 * updated.quality.chi2
 
 
-def test_a_quadratic_stiffness_gains_nothing_beyond_an_offset(silverbox, spectra, closed):
+def test_a_quadratic_stiffness_gains_nothing_beyond_an_offset(silverbox, spectra, updated):
     """Beside the cell it is the same as an offset of the channel, a shift of the origin of the elongation."""
     offset = fit(silverbox, spectra, *CLOSING, "channel-offset@z")
     quadratic = fit(silverbox, spectra, *CLOSING, "quadratic-stiffness@z,beside")
-    assert 0.0 < closed.quality.chi2 - quadratic.quality.chi2 < 10.0
+    assert 0.0 < updated.quality.chi2 - quadratic.quality.chi2 < 10.0
     assert quadratic.quality.chi2 == pytest.approx(offset.quality.chi2, abs=0.5)
     model, theta = balance_model(offset.geometry), np.array(offset.parameters.value)
     further = [candidate_at("quadratic-stiffness", ("z", side), offset.geometry) for side in ("beside", "inside")]
-    found = scores(model, theta, stack_runs(spectra.lines, spectra.statics, ("z",)), further)
+    found = scores(model, theta, stack_runs(spectra.lines, spectra.statics, ("z",)), further, SETTINGS.score)
     assert all(score.gain < 1.0 for score in found)
 
 
-# ---- the loop --------------------------------------------------------------------------------------------------------
+# ---- diagnosis by the commands ---------------------------------------------------------------------------------------
 
 
 def call(*words):
@@ -119,49 +120,49 @@ def shortened(run):
 
 
 @pytest.fixture(scope="module")
-def loop(silverbox, tmp_path_factory):
-    """The commands of the manual, with the first third of the training part and the first half of the arrow head:
+def commands(silverbox, tmp_path_factory):
+    """Result and JSON output of `diagnose`, the linear and the updated model, by the commands of the manual.
 
-    what `diagnose` says, its summary, the linear model and the closed one.
+    They use the first third of the training part and the first half of the arrow head.
     """
     folder = tmp_path_factory.mktemp("silverbox")
     silverbox.write_silverbox(CSV, folder)
     write_run(folder / "third.h5", shortened(open_run(folder / "train.h5")))
     write_run(folder / "half.h5", shortened(open_run(folder / "arrow.h5")))
-    linear, closed, told = folder / "linear.h5", folder / "closed.h5", folder / "told.json"
+    linear, updated, output = folder / "linear.h5", folder / "updated.h5", folder / "output.json"
     call("identify", "-g", folder / "geometry.yaml", folder / "third.h5", "-o", linear)
     held = ("--hold-out", folder / "test.h5", "--hold-out", folder / "half.h5")
-    out = ("-o", folder / "diagnosis.h5", "--model-out", closed, "--json", told)
+    out = ("-o", folder / "diagnosis.h5", "--model-out", updated, "--json", output)
     result = call("diagnose", linear, folder / "third.h5", *held, *out)
-    models = [load_artefact(path, {"balance-model/1": IdentifiedModel}).content for path in (linear, closed)]
-    return result, json.loads(told.read_text()), *models
+    models = [load_artefact(path, {"balance-model/1": IdentifiedModel}).content for path in (linear, updated)]
+    return result, json.loads(output.read_text()), *models
 
 
-def test_the_loop_finds_load_offset_and_cubic_stiffness_by_itself(loop):
-    _, told, _, _ = loop
-    assert told["verdict"] == EXPLAINED
-    found = {effect["name"]: effect for effect in told["effects"]}
+def test_diagnose_finds_load_offset_and_cubic_stiffness_by_itself(commands):
+    _, output, _, _ = commands
+    assert output["verdict"] == EXPLAINED
+    found = {effect["name"]: effect for effect in output["effects"]}
     assert {"load-offset", "cubic-stiffness"} <= set(found) <= {"load-offset", "cubic-stiffness", "channel-offset"}
     assert found["load-offset"]["where"] == ["Fz"]
     assert found["cubic-stiffness"]["where"] == ["z"]
     assert found["cubic-stiffness"]["parameters"]["side"] == {"value": "beside", "sigma": None, "unit": ""}
     cubic = found["cubic-stiffness"]["parameters"]["k3"]
     assert cubic["value"] > 30 * cubic["sigma"]
-    assert cubic["value"] == told["parameters"]["cubic-stiffness@z,beside.k3"]["value"]
+    assert cubic["value"] == output["parameters"]["cubic-stiffness@z,beside.k3"]["value"]
 
 
-def test_the_closed_model_simulates_what_the_box_did(loop, errors):
-    _, _, linear, closed = loop
-    before, after = errors(linear), errors(closed)
+def test_the_updated_model_simulates_the_measured_output(commands, errors):
+    _, _, linear, updated = commands
+    before, after = errors(linear), errors(updated)
     assert before[0] > 8.0 and before[1] > 14.0
     assert after[0] < 0.41
     assert after[1] < 0.50
 
 
-def test_errors_on_hold_out_runs_fall_about_to_what_their_noise_leaves(loop):
-    result, told, _, _ = loop
-    assert list(told["hold_out"]) == ["test", "arrow"]
-    for run in told["hold_out"].values():
+def test_errors_on_hold_out_runs_fall_to_about_their_noise_floor(commands):
+    result, output, _, _ = commands
+    assert list(output["hold_out"]) == ["test", "arrow"]
+    for run in output["hold_out"].values():
         before, after, noise = (run[stage]["frf_error"] for stage in ("before", "after", "noise"))
         assert before > 0.03
         assert after < 0.1 * before
@@ -170,14 +171,14 @@ def test_errors_on_hold_out_runs_fall_about_to_what_their_noise_leaves(loop):
     assert "cubic-stiffness@z,beside" in result.stdout
 
 
-def test_what_one_record_of_one_cell_cannot_show_is_said(loop):
-    _, told, _, _ = loop
-    why = {item["name"]: item["why"] for item in told["not_testable"]}
-    assert {"gyroscopic-coupling", "crosstalk", "mast-bending"} <= set(why)
-    assert all("has no place for it" in why[name] for name in ("gyroscopic-coupling", "crosstalk", "mast-bending"))
-    assert "weighing" in why["added-mass"]
-    assert not {"load-offset", "cubic-stiffness", "time-delay"} & set(why)
-    notes = " ".join(told["notes"])
+def test_what_one_record_of_one_cell_cannot_show_is_said(commands):
+    _, output, _, _ = commands
+    reasons = {item["name"]: item["why"] for item in output["not_testable"]}
+    assert {"gyroscopic-coupling", "crosstalk", "mast-bending"} <= set(reasons)
+    assert all("has no place for it" in reasons[name] for name in ("gyroscopic-coupling", "crosstalk", "mast-bending"))
+    assert "weigh" in reasons["added-mass"]
+    assert not {"load-offset", "cubic-stiffness", "time-delay"} & set(reasons)
+    notes = " ".join(output["notes"])
     assert all(word in notes for word in ("one level only", "no static run", "chi2/dof is below one"))
 
 
@@ -198,9 +199,9 @@ def test_a_quadratic_stiffness_in_the_model_is_taken_out_again(silverbox, third,
 
 def test_an_offset_of_the_channel_first_gives_way_to_that_of_the_load(silverbox, third, errors):
     """To the linear model the two are the same."""
-    found, closed = diagnose(fit(silverbox, third, "channel-offset@z"), third)
+    found, updated = diagnose(fit(silverbox, third, "channel-offset@z"), third)
     assert {effect.label for effect in found.effects} == set(CLOSING)
     assert [trial.label for trial in found.trials if trial.decision == "removed"] == ["channel-offset@z"]
-    test, arrow = errors(closed)
+    test, arrow = errors(updated)
     assert test < 0.41
     assert arrow < 0.50

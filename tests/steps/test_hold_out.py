@@ -1,4 +1,4 @@
-"""Errors on runs that no fit has seen: those of `reduce`, without a calibration, and those of the sweeps."""
+"""Errors on hold-out runs: those of `reduce`, without a calibration, and those of the sweeps."""
 
 from dataclasses import replace
 
@@ -25,11 +25,11 @@ def computed(geometry):
 @pytest.fixture(scope="module")
 def errors(campaign, identified):
     """Of the check run: the declared rig before, the identified one after."""
-    return hold_out_errors(campaign.of("check")[0], computed(campaign.geometry), identified)
+    return hold_out_errors(campaign.runs_of_kind("check")[0], computed(campaign.geometry), identified)
 
 
 def test_errors_of_hub_loads_are_those_of_a_reduction(campaign, calibration, identified, errors):
-    run = campaign.of("check")[0]
+    run = campaign.runs_of_kind("check")[0]
     reduced = reduce_run(run, campaign.geometry, calibration, model_source(identified)).check
     assert errors.after.load_error == reduced.load_error
     assert errors.after.interaction == reduced.interaction
@@ -54,11 +54,11 @@ def test_the_error_of_the_response_is_that_of_the_true_rig(campaign, identified,
 
 
 def test_a_sweep_has_the_error_of_its_response_alone(campaign, identified):
-    run = campaign.of("sweep")[0]
+    run = campaign.runs_of_kind("sweep")[0]
     found = hold_out_errors(run, computed(campaign.geometry), identified)
     fit = identified.quality.runs[run.name]
     assert found.after.frf_error == pytest.approx(fit.frf_error)
-    assert found.noise.frf_error == pytest.approx(fit.frf_noise)
+    assert found.noise.frf_error == pytest.approx(fit.frf_noise_floor)
     assert found.before.frf_error > 10 * found.after.frf_error
     assert found.after.load_error == found.after.interaction == found.noise.load_error == {}
 
@@ -68,7 +68,7 @@ def test_what_the_noise_leaves_of_a_response_is_what_a_good_fit_leaves(identifie
     sweeps = [run for run in identified.quality.runs.values() if np.isfinite(run.frf_error)]
     assert len(sweeps) == 6
     for run in sweeps:
-        assert run.frf_error == pytest.approx(run.frf_noise, rel=0.15)
+        assert run.frf_error == pytest.approx(run.frf_noise_floor, rel=0.15)
 
 
 def test_a_sweep_is_held_to_its_noise_without_what_a_spring_that_hardens_does():
@@ -88,7 +88,7 @@ def test_a_sweep_is_held_to_its_noise_without_what_a_spring_that_hardens_does():
 
 
 def test_loads_that_an_exciter_spills_act_too(campaign):
-    """What a model knows of its exciters belongs to the loads that its reduction is held to."""
+    """The applied loads, with which a reduction is compared, include the exciter cross-axis matrix of the model."""
     from balance_cli.simulation import Noise, short_plan, simulate_run, true_rig
     from balance_cli.simulation.extensions.library import extension
     from balance_cli.simulation.rig import apply_effects
@@ -110,25 +110,25 @@ def test_loads_that_an_exciter_spills_act_too(campaign):
 
 @pytest.mark.parametrize("kind", ["wind", "static"])
 def test_runs_without_loads_to_compare_with_are_refused(campaign, identified, kind):
-    run = campaign.of(kind)[0]
+    run = campaign.runs_of_kind(kind)[0]
     with pytest.raises(UserError, match=f"a {kind} run has no known loads") as error:
         hold_out_errors(run, identified, identified)
     assert "check runs" in error.value.remedy
     with pytest.raises(UserError, match="no `loads`"):
-        hold_out_errors(replace(campaign.of("check")[0], has_loads=False), identified, identified)
+        hold_out_errors(replace(campaign.runs_of_kind("check")[0], has_loads=False), identified, identified)
 
 
 def test_a_dead_channel_is_left_out_of_the_comparison(campaign, identified):
     from tests.support.channels import with_channel
 
-    whole = campaign.of("check")[0]
+    whole = campaign.runs_of_kind("check")[0]
     found = hold_out_errors(with_channel(whole, "z3.piezo", np.zeros_like), identified, identified)
     assert found.after.frf_error < 5e-3
     assert all(value < 0.02 for value in found.after.load_error.values())
 
 
 @pytest.mark.parametrize(("kind", "k3"), [("check", 3e14), ("sweep", 3e13)])
-def test_what_is_not_linear_is_taken_out_where_the_model_knows_of_it(kind, k3):
+def test_the_nonlinear_contribution_is_removed_where_the_model_has_it(kind, k3):
     from balance_cli.simulation import Noise, short_plan, simulate_run, true_rig
     from balance_cli.simulation.extensions.library import extension
     from balance_cli.simulation.rig import apply_effects

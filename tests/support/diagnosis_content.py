@@ -84,12 +84,65 @@ def trials() -> tuple[Trial, ...]:
     """Two rounds and a removal."""
     nan = float("nan")
     return (
-        Trial(1, "support-flexibility@x,theta", 0.9e6, 3, 0.0, 1.2e6, "accepted", "lowers the error on the folds"),
-        Trial(1, "mast-bending@x", 0.8e6, 3, 0.0, 1.1e6, "rejected", "gains less"),
-        Trial(1, "channel-gain@x.piezo", 12.0, 1, 0.3, nan, "not refitted", "within chance"),
-        Trial(2, "time-delay@z1.piezo", 790.0, 1, 2.2e-150, 812.3, "accepted"),
-        Trial(3, "added-mass", 3.1, 1, 0.9, nan, "not refitted", "within chance"),
-        Trial(4, "support-flexibility@x,theta", nan, 3, nan, 1.234e6, "kept", "needed beside the others"),
+        Trial(
+            round=1,
+            label="support-flexibility@x,theta",
+            score=0.9e6,
+            parameters=3,
+            p_value=0.0,
+            gain=1.2e6,
+            decision="accepted",
+            reason="lowers the error on the folds",
+        ),
+        Trial(
+            round=1,
+            label="mast-bending@x",
+            score=0.8e6,
+            parameters=3,
+            p_value=0.0,
+            gain=1.1e6,
+            decision="rejected",
+            reason="gains less",
+        ),
+        Trial(
+            round=1,
+            label="channel-gain@x.piezo",
+            score=12.0,
+            parameters=1,
+            p_value=0.3,
+            gain=nan,
+            decision="not refitted",
+            reason="within chance",
+        ),
+        Trial(
+            round=2,
+            label="time-delay@z1.piezo",
+            score=790.0,
+            parameters=1,
+            p_value=2.2e-150,
+            gain=812.3,
+            decision="accepted",
+        ),
+        Trial(
+            round=3,
+            label="added-mass",
+            score=3.1,
+            parameters=1,
+            p_value=0.9,
+            gain=nan,
+            decision="not refitted",
+            reason="within chance",
+        ),
+        Trial(
+            round=4,
+            label="support-flexibility@x,theta",
+            score=nan,
+            parameters=3,
+            p_value=nan,
+            gain=1.234e6,
+            decision="kept",
+            reason="needed beside the others",
+        ),
     )
 
 
@@ -101,11 +154,13 @@ def diagnosis(verdict: str = EXPLAINED, **changes: object) -> Diagnosis:
         verdict=verdict,
         effects=(support_effect(), delay_effect()),
         trials=trials(),
-        tests=(
+        data_tests=(
             ModelFreeTest("two channels of one cell", "z1", 812.0, 120.0, 1e-99, "z1.piezo is 0.25 ms late"),
             ModelFreeTest("low level against high", "Fx", 118.0, 120.0, 0.53, "alike"),
         ),
-        not_testable=(UntestableEffect("gyroscopic-coupling", "all runs are at rest; sweep with a spinning rotor"),),
+        untestable_effects=(
+            UntestableEffect("gyroscopic-coupling", "all runs are at rest; sweep with a spinning rotor"),
+        ),
         chi2_per_dof_before=2300.0,
         chi2_per_dof_after=1.04,
         frf_error_before=0.07,
@@ -113,7 +168,7 @@ def diagnosis(verdict: str = EXPLAINED, **changes: object) -> Diagnosis:
         modes_before=first.modes,
         modes_after=last.modes,
         residual=residual_map(first.geometry),
-        candidates=61,
+        candidate_count=61,
         notes=("2 of 3 starts of support-flexibility came to the same minimum",),
     )
     return replace(made, **changes)  # type: ignore[arg-type]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.search.candidates import candidate_at
+from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
 from balance_cli.diagnosis.search.point_mass import place_mass_candidates
-from balance_cli.diagnosis.search.score_statistics import add_candidates, extend_model
 from balance_cli.diagnosis.selection.fit import fit_all_lines
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import balance_model
@@ -40,12 +41,12 @@ class Campaign:
         self.geometry, self.mass = geometry, mass
         self.batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
         model = balance_model(geometry)
-        self.fit = fit_all_lines(model, model.parameters.value, self.batches)
+        self.fit = fit_all_lines(model, model.parameters.value, self.batches, SETTINGS.fit)
 
     def placed(self):
         """The candidate, begun where a mass gains most."""
         one = candidate_at("added-mass", (), self.geometry)
-        return place_mass_candidates([one], self.fit.model, self.fit.theta, self.batches)[0]
+        return place_mass_candidates([one], self.fit.model, self.fit.theta, self.batches, SETTINGS)[0]
 
     def begun_at(self, number):
         """The model with the mass in it, and where it begins: no mass, at the place of this start."""
@@ -54,7 +55,7 @@ class Campaign:
     def fit_from_the_truth(self):
         model, theta = self.begun_at(0)
         theta[mass_and_place(model)] = (self.mass, *PLACE)
-        return fit_all_lines(model, theta, self.batches)
+        return fit_all_lines(model, theta, self.batches, SETTINGS.fit)
 
 
 def mass_and_place(model):

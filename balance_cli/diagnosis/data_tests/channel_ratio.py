@@ -1,75 +1,96 @@
-"""Two channels of one cell: is what they read the same, and if not, what does the ratio of the two look like?
+"""Two channels of one cell: is their ratio one, and if not, what does it look like?
 
-At every line z = [y_A / g_A, y_B / g_B] = [1, r] s + noise, g the declared dynamics and s the force of the cell, any
-number. s is eliminated like the loads of a fit: e = z_B - r z_A, v = var e,
+At every line z = [y_A / g_A, y_B / g_B] = [1, r] s + noise, g being the declared dynamics and s the unknown force of
+the cell. s is eliminated like the loads of a fit: with e = z_B - r z_A and v = var e,
 
     chi2 = 2 sum |e|^2 / v,     s = z_A - E[n_A e*] e / v,     half gradient = -2 Re sum (dr s)* e / v,
 
-and 2 Re sum (dr s)* (dr s) / v is the information. ln r is a sum of kinds, each zero where its parameter is. What a
-channel's own slow high-pass still rings in a record, of unknown size, is projected out of e and dr s run by run.
+and 2 Re sum (dr s)* (dr s) / v is the information. ln r is a sum of kinds of difference, each zero where its parameter
+is. The transient of a channel's own slow high-pass, of unknown size in each run, is projected out of e and dr s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.diagnosis.data_test_settings import ChannelPairSettings
+from balance_cli.model.effects import EFFECTS, Effect
+from balance_cli.model.effects.search_hints import ChannelRatio
+
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-
-STEPS = 12
-MIN_STEP_GAIN = 1e-6
-# Lines that the first value of a parameter is looked for on, and how many values are tried.
-FEW_LINES = 600
-START_VALUES = 61
 
 
 @dataclass(frozen=True)
 class DifferenceKind:
-    """One way in which two channels differ, by a parameter that is zero where they do not.
+    """One way in which two channels differ: an effect in the second channel (B), or in the first one (A)."""
 
-    `log_ratio` and its derivative `slope` at s = j w (K,); `one_sided`: the parameter is not negative; `values`
-    (first, last): sizes among which a first value is looked for.
+    effect: Effect
+    ratio: ChannelRatio
+    in_first: bool = False
+
+    @property
+    def sign(self) -> float:
+        """Sign with which the effect's logarithm enters ln r."""
+        return -1.0 if self.in_first else 1.0
+
+    def log_ratio(self, s: ComplexArray, value: float) -> ComplexArray:
+        """Logarithm of r (K,) at s = j w."""
+        return np.asarray(self.sign * self.ratio.log_ratio(s, value))
+
+    def derivative(self, s: ComplexArray, value: float) -> ComplexArray:
+        """Derivative of ln r (K,) with respect to the parameter."""
+        return np.asarray(self.sign * self.ratio.derivative(s, value))
+
+    def start_values(self, count: int) -> Array:
+        """Values (n,) from which a fit may begin, `count` of each sign."""
+        sizes = np.geomspace(*self.ratio.sizes, count)
+        return sizes if self.ratio.one_sided else np.concatenate([-sizes[::-1], sizes])
+
+
+def _difference_kinds() -> Iterator[DifferenceKind]:
+    """The kinds whose parameter has either sign, then the one-sided ones, which are in the second or the first channel.
+
+    A parameter of either sign covers both channels.
     """
-
-    name: str
-    log_ratio: Callable[[ComplexArray, float], ComplexArray]
-    derivative: Callable[[ComplexArray, float], ComplexArray]
-    one_sided: bool
-    values: tuple[float, float]
-
-    def start_values(self) -> Array:
-        """Values (n,) from which a fit may begin."""
-        sizes = np.geomspace(*self.values, START_VALUES)
-        return sizes if self.one_sided else np.concatenate([-sizes[::-1], sizes])
+    ratios = [(effect, effect.search.channel_ratio) for effect in EFFECTS]
+    known = [(effect, ratio) for effect, ratio in ratios if ratio is not None]
+    yield from (DifferenceKind(effect, ratio) for effect, ratio in known if not ratio.one_sided)
+    for effect, ratio in known:
+        if ratio.one_sided:
+            yield DifferenceKind(effect, ratio)
+            yield DifferenceKind(effect, ratio, in_first=True)
 
 
-GAIN = DifferenceKind("gain", lambda s, a: np.full_like(s, a), lambda s, a: np.ones_like(s), False, (1e-5, 1.0))
-DELAY = DifferenceKind("delay", lambda s, t: -s * t, lambda s, t: -s, False, (1e-6, 2e-2))
-LOW_PASS_B = DifferenceKind(
-    "low-pass B", lambda s, t: -np.log(1 + s * t), lambda s, t: -s / (1 + s * t), True, (1e-6, 1.0)
-)
-LOW_PASS_A = DifferenceKind(
-    "low-pass A", lambda s, t: np.log(1 + s * t), lambda s, t: s / (1 + s * t), True, (1e-6, 1.0)
-)
-HIGH_PASS_B = DifferenceKind(
-    "high-pass B", lambda s, r: -np.log(1 + r / s), lambda s, r: -1 / (s + r), True, (1e-3, 1e3)
-)
-HIGH_PASS_A = DifferenceKind("high-pass A", lambda s, r: np.log(1 + r / s), lambda s, r: 1 / (s + r), True, (1e-3, 1e3))
-DIFFERENCE_KINDS = (GAIN, DELAY, LOW_PASS_B, LOW_PASS_A, HIGH_PASS_B, HIGH_PASS_A)
-# Those that differ where the parameter is null: there a delay is a low-pass, and A's filters are B's with another sign.
-SCORED_KINDS = (GAIN, DELAY, HIGH_PASS_B)
+def _distinct_at_null(kinds: tuple[DifferenceKind, ...]) -> Iterator[DifferenceKind]:
+    """The kinds whose derivatives at the null differ: there a low-pass is a delay, and A's filters are B's negative."""
+    s = 2j * np.pi * np.array([1.0, 10.0])
+    derivatives: list[ComplexArray] = []
+    for kind in kinds:
+        derivative = kind.derivative(s, 0.0)
+        if not any(np.allclose(derivative, sign * earlier) for earlier in derivatives for sign in (1.0, -1.0)):
+            derivatives.append(derivative)
+            yield kind
+
+
+DIFFERENCE_KINDS = tuple(_difference_kinds())
+SCORED_KINDS = tuple(_distinct_at_null(DIFFERENCE_KINDS))
+"""The kinds of which a score test tests the null."""
+TOLERATED_KINDS = tuple(kind for kind in DIFFERENCE_KINDS if kind.ratio.sensitivity)
+"""The kinds that the declared tolerance of the sensitivities covers."""
 
 
 @dataclass(frozen=True)
 class PairSpectrum:
-    """Lines of two channels: s = j w (K,), forces (K, 2), their noise (K, 2, 2), `factor` (K,) that frees the inverse
+    """Spectral lines of two channels, as forces of their cell.
 
-    of a measured variance of its bias; `ringing` (K, 2): what a channel's own motion adds to its lines, up to its size
-    in each `run` (K,); `gain_sigma`: how well the ratio of the sensitivities is declared.
+    `s` = j w (K,); `forces` (K, 2) and their noise covariance (K, 2, 2); `factor` (K,) removes the bias of the inverse
+    of a measured variance; `high_pass_transient` (K, 2): the lines of each channel's own transient, up to its size in
+    each `run` (K,); `gain_sigma`: standard deviation of the ratio of the declared sensitivities.
     """
 
     s: ComplexArray
@@ -80,9 +101,9 @@ class PairSpectrum:
     run: NDArray[np.intp]
     gain_sigma: float = 0.0
 
-    def decimate(self) -> PairSpectrum:
-        """Few of them, over the whole band."""
-        n = max(1, len(self.s) // FEW_LINES)
+    def decimate(self, count: int) -> PairSpectrum:
+        """About `count` of the lines, over the whole band."""
+        n = max(1, len(self.s) // count)
         return replace(
             self,
             s=self.s[::n],
@@ -96,7 +117,7 @@ class PairSpectrum:
 
 @dataclass(frozen=True)
 class RatioFit:
-    """What was fitted: kinds with their values and sigma (q,), and chi-square at them."""
+    """A fit: the kinds with their values and standard deviations (q,), and chi-square."""
 
     kinds: tuple[DifferenceKind, ...]
     values: Array
@@ -105,7 +126,7 @@ class RatioFit:
 
 
 def ratio_chi2(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], values: Array) -> float:
-    """Chi-square with the prior of the gain, where it has one."""
+    """Chi-square with the prior of the ratio of the sensitivities."""
     r = _ratio(lines, kinds, values)
     e, v, _ = _residual(lines, r)
     e = _project_out_transients(lines, r, lines.factor / v, e[:, None])[:, 0]
@@ -127,7 +148,7 @@ def _residual(lines: PairSpectrum, r: ComplexArray) -> tuple[ComplexArray, Array
 
 
 def _project_out_transients(lines: PairSpectrum, r: ComplexArray, weight: Array, values: ComplexArray) -> ComplexArray:
-    """Values (K, q) without what a real number in each run times each channel's ringing explains, weighted."""
+    """Values (K, q) with the transients of both channels projected out, a real factor for each channel and run."""
     for column in (lines.high_pass_transient[:, 1], r * lines.high_pass_transient[:, 0]):
         if not column.any():
             continue
@@ -140,8 +161,8 @@ def _project_out_transients(lines: PairSpectrum, r: ComplexArray, weight: Array,
 
 
 def _prior(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], values: Array) -> tuple[float, Array, Array]:
-    """Chi-square of the declared gain, half its gradient (q,) and its information (q,)."""
-    known = np.array([kind is GAIN and lines.gain_sigma > 0 for kind in kinds], bool)
+    """Chi-square of the declared sensitivities, half its gradient (q,) and its information (q,)."""
+    known = np.array([kind in TOLERATED_KINDS and lines.gain_sigma > 0 for kind in kinds], bool)
     weight = np.where(known, 1.0 / max(lines.gain_sigma, 1e-300) ** 2 if lines.gain_sigma else 0.0, 0.0)
     return float(weight @ values**2), weight * values, weight
 
@@ -158,26 +179,31 @@ def ratio_curvature(
     D = np.empty((len(r), len(kinds)), complex)
     for i, (kind, value) in enumerate(zip(kinds, values, strict=True)):
         D[:, i] = kind.derivative(lines.s, value) * r * force
-    left = _project_out_transients(lines, r, weight, np.concatenate([D, e[:, None]], axis=1))
-    D, e = left[:, :-1], left[:, -1]
+    projected = _project_out_transients(lines, r, weight, np.concatenate([D, e[:, None]], axis=1))
+    D, e = projected[:, :-1], projected[:, -1]
     gradient = -2.0 * np.real(D.conj().T @ (weight * e)) + prior_gradient
     information = 2.0 * np.real((D.conj() * weight[:, None]).T @ D) + np.diag(prior_information)
     return float(2.0 * np.sum(weight * np.abs(e) ** 2)) + prior, gradient, information
 
 
-def fit_ratio(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], start: Array) -> RatioFit:
-    """Gauss-Newton steps from `start` (q,), halved until they gain."""
-    low = np.array([0.0 if kind.one_sided else -np.inf for kind in kinds])
+def fit_ratio(
+    lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], start: Array, settings: ChannelPairSettings
+) -> RatioFit:
+    """The fit by Gauss-Newton steps from `start` (q,), halved until they lower chi-square."""
+    low = np.array([0.0 if kind.ratio.one_sided else -np.inf for kind in kinds])
     values = np.maximum(start, low)
     chi2, gradient, information = ratio_curvature(lines, kinds, values)
-    for _ in range(STEPS if len(kinds) else 0):
+    for _ in range(settings.steps if len(kinds) else 0):
         step = -np.linalg.lstsq(information, gradient, rcond=1e-12)[0]
-        if -gradient @ step < MIN_STEP_GAIN:
+        if -gradient @ step < settings.min_step_gain:
             break
         share = 1.0
-        while share > 1e-3 and ratio_chi2(lines, kinds, np.maximum(values + share * step, low)) >= chi2:
+        while (
+            share > settings.min_step_fraction
+            and ratio_chi2(lines, kinds, np.maximum(values + share * step, low)) >= chi2
+        ):
             share *= 0.5
-        if share <= 1e-3:
+        if share <= settings.min_step_fraction:
             break
         values = np.maximum(values + share * step, low)
         chi2, gradient, information = ratio_curvature(lines, kinds, values)
@@ -188,17 +214,20 @@ def _inverse(information: Array) -> Array:
     return np.asarray(np.linalg.pinv(information)) if information.size else information
 
 
-def fit_with_kind(lines: PairSpectrum, fit: RatioFit, kind: DifferenceKind) -> RatioFit:
-    """The fit with one kind more, begun at the best of many values on few lines."""
-    few, kinds = lines.decimate(), (*fit.kinds, kind)
-    starts = [np.append(fit.values, value) for value in kind.start_values()]
-    return fit_ratio(lines, kinds, min(starts, key=lambda at: ratio_chi2(few, kinds, at)))
+def fit_with_kind(lines: PairSpectrum, fit: RatioFit, kind: DifferenceKind, settings: ChannelPairSettings) -> RatioFit:
+    """The fit with one kind more, started at the value that is best on few lines."""
+    few, kinds = lines.decimate(settings.start_lines), (*fit.kinds, kind)
+    starts = [np.append(fit.values, value) for value in kind.start_values(settings.start_values)]
+    return fit_ratio(lines, kinds, min(starts, key=lambda at: ratio_chi2(few, kinds, at)), settings)
 
 
-def score_gain(lines: PairSpectrum, fit: RatioFit, kind: DifferenceKind) -> float:
-    """What a kind would gain in chi-square from its derivative where it is null, the fitted ones projected out."""
+def score_gain(lines: PairSpectrum, fit: RatioFit, kind: DifferenceKind, min_information_share: float) -> float:
+    """The score statistic of a kind at its null: the gain in chi-square that its derivative predicts.
+
+    The fitted kinds are projected out. Zero where they leave no more than `min_information_share`.
+    """
     _, g, information = ratio_curvature(lines, (*fit.kinds, kind), np.append(fit.values, 0.0))
     inner = _inverse(information[:-1, :-1])
     s = g[-1] - information[-1, :-1] @ inner @ g[:-1]
     V = information[-1, -1] - information[-1, :-1] @ inner @ information[:-1, -1]
-    return float(s**2 / V) if 1e-9 * information[-1, -1] < V else 0.0
+    return float(s**2 / V) if min_information_share * information[-1, -1] < V else 0.0

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from balance_cli.diagnosis.data_test_settings import DataTestSettings, MainsDetectionSettings
 from balance_cli.diagnosis.result import ModelFreeTest
-from balance_cli.diagnosis.significance import bonferroni_min_p_value
+from balance_cli.diagnosis.significance import bonferroni_min_p_value, fisher_p_values, variance_ratio_p_values
 from balance_cli.signals.local.fit import LocalFit, ModelOrders, WindowedData, fit_windows
 from balance_cli.signals.run_spectrum import RunSpectrum
 
@@ -25,22 +26,6 @@ Index = NDArray[np.intp]
 
 MAINS_TEST_NAME = "mains"
 MAINS = (50.0, 60.0)
-DATA_TEST_LEVEL = 1e-3
-# Lines on either side of the middle; middles of neighbouring windows, in lines away from it.
-HALF_WINDOW = 13
-NEIGHBOR_OFFSETS = np.array([-14, -10, -7, -4, 4, 7, 10, 14])
-EXCLUDED_BINS = 1.01
-# The simplest one that follows a window serves: what more there is to fit, noise puts where nothing is looked at.
-ORDERS = tuple(ModelOrders(response=3, transient=-1, denominator=n) for n in (0, 2, 3))
-# The most that one run may say, for now and then a local model finds a wrong pole.
-MIN_RUN_P_VALUE = 1e-4
-MIN_NEIGHBOR_COUNT = 8.0
-# Chi-square per degree of freedom up to which a local model follows its window.
-MAX_WINDOW_CHI2 = 1.5
-# Lines from the middle within which a pole makes a peak that the left-out lines may hide.
-HIDDEN_PEAK_LINES = 3.0
-# Shapes of the moving rig that are taken out.
-SHAPES = 3
 
 
 @dataclass(frozen=True)
@@ -58,37 +43,39 @@ class _Departures:
     others: Array
 
 
-def mains_tests(runs: Sequence[RunSpectrum]) -> list[ModelFreeTest]:
+def mains_tests(runs: Sequence[RunSpectrum], settings: DataTestSettings) -> list[ModelFreeTest]:
     """One row for 50 and one for 60 Hz, where any run has lines there."""
     rows = []
     for mains in MAINS:
-        departures = [departure for departure in (_departures(run, mains) for run in runs) if departure is not None]
+        by_run = (_departures(run, mains, settings.mains) for run in runs)
+        departures = [departure for departure in by_run if departure is not None]
         if any(departure.count.any() for departure in departures):
-            rows.append(_test(mains, departures))
+            rows.append(_test(mains, departures, settings))
     return rows
 
 
-def _departures(run: RunSpectrum, mains: float) -> _Departures | None:
+def _departures(run: RunSpectrum, mains: float, settings: MainsDetectionSettings) -> _Departures | None:
+    half_window, offsets = settings.half_window, np.array(settings.neighbor_offsets)
     moving = np.flatnonzero(run.frequency > 0)
     frequency = run.frequency[moving]
-    if len(frequency) < 2 * HALF_WINDOW + 1:
+    if len(frequency) < 2 * half_window + 1:
         return None
     bin_width = float(np.min(np.diff(frequency)))
     multiples = np.arange(mains, frequency[-1] + bin_width, mains)
     middles = [
         (multiple, int(np.argmin(np.abs(frequency - multiple))))
         for multiple in multiples
-        if np.min(np.abs(frequency - multiple)) <= EXCLUDED_BINS * bin_width
-        and not _is_rotor_harmonic(run, multiple, bin_width)
+        if np.min(np.abs(frequency - multiple)) <= settings.excluded_bins * bin_width
+        and not _is_rotor_harmonic(run, multiple, settings.rotor_harmonic_bins * bin_width)
     ]
-    middles = [(f, k) for f, k in middles if HALF_WINDOW <= k < len(frequency) - HALF_WINDOW]
+    middles = [(f, k) for f, k in middles if half_window <= k < len(frequency) - half_window]
     if not middles:
         return None
-    every = np.concatenate([[k, *(k + NEIGHBOR_OFFSETS)] for _, k in middles])
-    every = np.clip(every, HALF_WINDOW, len(frequency) - HALF_WINDOW - 1)
-    near = np.min(np.abs(frequency[:, None] - multiples), axis=1) <= EXCLUDED_BINS * bin_width
-    power, count, noise = _excluded_line_power(run, moving, every, near)
-    shape = (len(middles), 1 + len(NEIGHBOR_OFFSETS), -1)
+    every = np.concatenate([[k, *(k + offsets)] for _, k in middles])
+    every = np.clip(every, half_window, len(frequency) - half_window - 1)
+    near = np.min(np.abs(frequency[:, None] - multiples), axis=1) <= settings.excluded_bins * bin_width
+    power, count, noise = _excluded_line_power(run, moving, every, near, settings)
+    shape = (len(middles), 1 + len(offsets), -1)
     power, count, noise = power.reshape(shape), count.reshape(shape), noise.reshape(shape)
     # A neighbour whose window was pushed onto the lines of the mains says nothing.
     apart = np.abs(every.reshape(shape[:2])[:, 1:] - every.reshape(shape[:2])[:, :1]) > 2
@@ -100,24 +87,24 @@ def _departures(run: RunSpectrum, mains: float) -> _Departures | None:
     )
 
 
-def _is_rotor_harmonic(run: RunSpectrum, frequency: float, bin_width: float) -> bool:
+def _is_rotor_harmonic(run: RunSpectrum, frequency: float, distance: float) -> bool:
     """Whether a harmonic of a turning rotor lies there, too."""
     if run.rotor_speed <= 0:
         return False
     away = abs(frequency - run.rotor_speed * round(frequency / run.rotor_speed))
-    return bool(away < 2.0 * bin_width)
+    return bool(away < distance)
 
 
 def _excluded_line_power(
-    run: RunSpectrum, moving: Index, middles: Index, near: NDArray[np.bool_]
+    run: RunSpectrum, moving: Index, middles: Index, near: NDArray[np.bool_], settings: MainsDetectionSettings
 ) -> tuple[Array, Array, Array]:
     """Power (w, c) of what the lines beside each middle are away from the others' model, their real values (w, c) and
 
     the noise's power (w, c) per real value. Lines at the mains are left out of every fit, and counted in none of the
     neighbours. A window that the local model does not follow has no real values.
     """
-    c = len(run.channel_names)
-    at = middles[:, None] + np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
+    c, offsets = len(run.channel_names), np.arange(-settings.half_window, settings.half_window + 1)
+    at = middles[:, None] + offsets
     lines = moving[at]
     variance = np.median(_noise_variance(run)[lines], axis=1)
     Y = run.channels[lines] / np.sqrt(variance)[:, None, :]
@@ -126,12 +113,12 @@ def _excluded_line_power(
     frequency = run.frequency[lines]
     ends = frequency[:, :1], frequency[:, -1:]
     r = (2.0 * frequency - ends[0] - ends[1]) / (ends[1] - ends[0])
-    beside = np.abs(np.arange(-HALF_WINDOW, HALF_WINDOW + 1)) <= 1
+    beside = np.abs(offsets) <= 1
     here = near[at]
     windows = WindowedData(Y, U, np.where(beside | here, 0.0, 1.0), r)
-    modelled, followed = _simplest_local_model(windows)
-    away = _remove_response_shapes(Y - modelled, Y * windows.weight[:, :, None])
-    counted = np.where(here[:, HALF_WINDOW, None], here, beside & ~here) & beside
+    modelled, followed = _simplest_local_model(windows, settings)
+    away = _remove_response_shapes(Y - modelled, Y * windows.weight[:, :, None], settings.shapes)
+    counted = np.where(here[:, settings.half_window, None], here, beside & ~here) & beside
     power = np.sum(np.where(counted[:, :, None], np.abs(away) ** 2, 0.0), axis=1) * variance
     count = np.where(followed, 2.0 * counted.sum(axis=1), 0.0)[:, None] * np.ones(c)
     return np.where(count > 0, power, 0.0), count, 0.5 * variance
@@ -146,28 +133,32 @@ def _noise_variance(run: RunSpectrum) -> Array:
     return np.asarray(variance[:, :c] + np.abs(run.channels) ** 2 * loads[:, None])
 
 
-def _has_hidden_peak(fit: LocalFit) -> NDArray[np.bool_]:
+def _has_hidden_peak(fit: LocalFit, settings: MainsDetectionSettings) -> NDArray[np.bool_]:
     """Whether a window (w,) has a sharp peak about its middle, where it was not looked at."""
     near = np.zeros(len(fit.denominator), bool)
     for i, a in enumerate(fit.denominator):
-        poles = HALF_WINDOW * legendre.legroots(a)
-        near[i] = bool(np.any((np.abs(poles.real) < HIDDEN_PEAK_LINES) & (np.abs(poles.imag) < HIDDEN_PEAK_LINES)))
+        poles = settings.half_window * legendre.legroots(a)
+        hidden = np.maximum(np.abs(poles.real), np.abs(poles.imag)) < settings.hidden_peak_lines
+        near[i] = bool(np.any(hidden))
     return near
 
 
-def _simplest_local_model(windows: WindowedData) -> tuple[ComplexArray, NDArray[np.bool_]]:
+def _simplest_local_model(
+    windows: WindowedData, settings: MainsDetectionSettings
+) -> tuple[ComplexArray, NDArray[np.bool_]]:
     """What the simplest local model that follows a window says of its lines (w, M, c), and whether (w,) any does."""
     c, u = windows.Y.shape[2], windows.U.shape[2]
     modelled = np.zeros_like(windows.Y)
     followed = np.zeros(len(windows.Y), bool)
-    for orders in ORDERS:
+    for denominator in settings.denominator_orders:
+        orders = ModelOrders(response=settings.response_order, transient=-1, denominator=denominator)
         left = np.flatnonzero(~followed)
         if not left.size:
             break
         some = windows.subset(left)
         fit = fit_windows(some, orders)
         free = some.weight.sum(axis=1) - orders.coefficients(u) - orders.denominator / c
-        good = (fit.cost / c < MAX_WINDOW_CHI2 * np.maximum(free, 0.0)) & ~_has_hidden_peak(fit)
+        good = (fit.cost / c < settings.max_window_chi2 * np.maximum(free, 0.0)) & ~_has_hidden_peak(fit, settings)
         modelled[left[good]] = _predict_windows(some, fit)[good]
         followed[left[good]] = True
     return modelled, followed
@@ -182,29 +173,29 @@ def _predict_windows(windows: WindowedData, fit: LocalFit) -> ComplexArray:
     return np.asarray(driven.reshape(*driven.shape[:2], -1) @ fit.coefficients / A)
 
 
-def _remove_response_shapes(away: ComplexArray, Y: ComplexArray) -> ComplexArray:
+def _remove_response_shapes(away: ComplexArray, Y: ComplexArray, max_shapes: int) -> ComplexArray:
     """What is left of departures (w, M, c) beside the shapes in which the channels Y (w, M, c) move in fitted lines.
 
     A sharp peak that the local model misses is such a shape; what a channel picks up is not.
     """
-    shapes = min(SHAPES, max(Y.shape[2] - 2, 0))
+    shapes = min(max_shapes, max(Y.shape[2] - 2, 0))
     V = np.linalg.svd(Y, full_matrices=False)[2][:, :shapes]
     return np.asarray(away - (away @ V.conj().swapaxes(1, 2)) @ V)
 
 
-def _test(mains: float, departures: Sequence[_Departures]) -> ModelFreeTest:
+def _test(mains: float, departures: Sequence[_Departures], settings: DataTestSettings) -> ModelFreeTest:
     """Power at the mains over that of the neighbours, by multiple and channel over all runs."""
     channels = tuple(dict.fromkeys(name for departure in departures for name in departure.channels))
     multiples = np.unique(np.concatenate([departure.multiple for departure in departures]))
     sums = _MainsSums.zeros(len(multiples), len(channels))
     for departure in departures:
         places = np.array([channels.index(name) for name in departure.channels])
-        sums.add(departure, np.ix_(np.searchsorted(multiples, departure.multiple), places))
+        sums.add(departure, np.ix_(np.searchsorted(multiples, departure.multiple), places), settings.mains)
     looks = sums.fisher_p_values()
     p_value = bonferroni_min_p_value(looks[sums.runs > 0])
     finding = "nothing"
-    if p_value <= DATA_TEST_LEVEL:
-        clear = [(int(i), int(j)) for i, j in np.argwhere(looks * np.sum(sums.runs > 0) <= DATA_TEST_LEVEL)]
+    if p_value <= settings.significance_level:
+        clear = [(int(i), int(j)) for i, j in np.argwhere(looks * np.sum(sums.runs > 0) <= settings.significance_level)]
         amplitude = np.sqrt(sums.excess_power / np.maximum(sums.runs, 1.0))
         finding = _finding(sorted(clear, key=lambda at: looks[at]), channels, multiples, amplitude)
     place = f"{mains:g} Hz and multiples"
@@ -229,25 +220,21 @@ class _MainsSums:
         """Nothing yet."""
         return cls(*(np.zeros((multiples, channels)) for _ in range(5)))
 
-    def add(self, departure: _Departures, at: tuple[Index, ...]) -> None:
+    def add(self, departure: _Departures, at: tuple[Index, ...], settings: MainsDetectionSettings) -> None:
         """Take a run in."""
-        from scipy.stats import f
-
         n, d = departure.count, departure.others
-        told = (d > MIN_NEIGHBOR_COUNT) & (n > 0)
+        told = (d > settings.min_neighbor_count) & (n > 0)
         ratio = departure.power / departure.neighbor_power
-        chance = f.sf(ratio / np.maximum(n, 1.0), np.maximum(n, 1.0), np.maximum(d, 1.0))
+        p_values = np.maximum(variance_ratio_p_values(ratio, n, d), settings.min_run_p_value)
         self.chi2[at] += np.where(told, ratio * (d - 2.0) / np.maximum(d, 1.0), 0.0)
         self.count[at] += np.where(told, n, 0.0)
-        self.fisher[at] += np.where(told, -2.0 * np.log(np.maximum(chance, MIN_RUN_P_VALUE)), 0.0)
+        self.fisher[at] += np.where(told, -2.0 * np.log(p_values), 0.0)
         self.runs[at] += told
         self.excess_power[at] += np.where(told, np.maximum(departure.power - n * departure.neighbor_power, 0.0), 0.0)
 
     def fisher_p_values(self) -> Array:
         """Probability of each multiple and channel, all runs together."""
-        from scipy.stats import chi2
-
-        return np.asarray(np.where(self.runs > 0, chi2.sf(self.fisher, np.maximum(2.0 * self.runs, 1.0)), 1.0))
+        return fisher_p_values(self.fisher, self.runs)
 
 
 def _finding(clear: Sequence[tuple[int, int]], channels: Sequence[str], multiples: Array, amplitude: Array) -> str:

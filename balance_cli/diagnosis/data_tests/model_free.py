@@ -8,10 +8,13 @@ from balance_cli.diagnosis.data_tests.mains_detection import mains_tests
 from balance_cli.diagnosis.data_tests.run_pairs import level_tests, spin_tests
 from balance_cli.diagnosis.data_tests.static_pairs import static_tests
 from balance_cli.diagnosis.result import ModelFreeTest
+from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.measured_spectra import Spectra
 
 
-def model_free_tests(spectra: Spectra, geometry: Geometry, lowest_mode: float) -> tuple[ModelFreeTest, ...]:
+def model_free_tests(
+    spectra: Spectra, geometry: Geometry, lowest_mode: float, settings: SearchSettings
+) -> tuple[ModelFreeTest, ...]:
     """All of them; `lowest_mode` [Hz], well below which a response is a power series in frequency.
 
     Each row's probability counts the looks that were taken at it, but not the other rows. A test that these runs
@@ -19,9 +22,9 @@ def model_free_tests(spectra: Spectra, geometry: Geometry, lowest_mode: float) -
     """
     runs = spectra.lines
     return (
-        *channel_tests(runs, geometry),
-        *static_tests(runs, spectra.statics, geometry, lowest_mode),
-        *level_tests(runs, geometry),
-        *spin_tests(runs, geometry),
-        *mains_tests(runs),
+        *channel_tests(runs, geometry, settings),
+        *static_tests(runs, spectra.statics, geometry, lowest_mode, settings.data_tests),
+        *level_tests(runs, geometry, settings.data_tests),
+        *spin_tests(runs, geometry, settings.data_tests),
+        *mains_tests(runs, settings.data_tests),
     )

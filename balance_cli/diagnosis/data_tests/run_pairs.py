@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.data_test_settings import DataTestSettings, RunPairSettings
 from balance_cli.diagnosis.data_tests.channel_pairs import declared_paths
 from balance_cli.diagnosis.data_tests.high_pass_transient import (
     high_pass_transient,
@@ -37,19 +38,6 @@ Index = NDArray[np.intp]
 
 LEVEL_TEST_NAME = "low against high level"
 SPIN_TEST_NAME = "rest against spin"
-DATA_TEST_LEVEL = 1e-3
-# Bands in which a change is looked for by itself, and lines that a run must share to be compared at all.
-CHANGE_BANDS = 20
-MIN_SHARED_LINES = 10
-# Of the load that is driven, what another may have at the same line; or this many sigma of its noise.
-CROSS_LOAD_SHARE = 1e-3
-CROSS_LOAD_SIGMA = 5.0
-# Times its sigma that a change of frequency or damping must be to be named.
-CLEAR_SIGMA = 5.0
-# Share of one of the two below which the other is held to come from the slope's own error.
-MINOR_SHARE = 0.3
-# Times its rms that the ringing of a high-pass may be.
-TRANSIENT_FACTOR = 3.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +71,7 @@ class _Change:
     shift: ComplexArray
 
 
-def level_tests(runs: Sequence[RunSpectrum], geometry: Geometry) -> list[ModelFreeTest]:
+def level_tests(runs: Sequence[RunSpectrum], geometry: Geometry, settings: DataTestSettings) -> list[ModelFreeTest]:
     """One row for each sweep and the one of the highest level among those of its components and rotor speed."""
     groups: dict[tuple[tuple[str, ...], float], list[RunSpectrum]] = {}
     for run in runs:
@@ -91,18 +79,19 @@ def level_tests(runs: Sequence[RunSpectrum], geometry: Geometry) -> list[ModelFr
     pairs = []
     for group in groups.values():
         highest = max(group, key=_rms_load)
-        pairs += [(run, highest) for run in group if _rms_load(run) < 0.9 * _rms_load(highest)]
-    return _pair_tests(LEVEL_TEST_NAME, pairs, geometry, "at the high level")
+        limit = settings.run_pairs.max_level_ratio * _rms_load(highest)
+        pairs += [(run, highest) for run in group if _rms_load(run) < limit]
+    return _pair_tests(LEVEL_TEST_NAME, pairs, geometry, "at the high level", settings)
 
 
-def spin_tests(runs: Sequence[RunSpectrum], geometry: Geometry) -> list[ModelFreeTest]:
+def spin_tests(runs: Sequence[RunSpectrum], geometry: Geometry, settings: DataTestSettings) -> list[ModelFreeTest]:
     """One row for each sweep with a turning rotor and the one at rest that is nearest to it in level."""
     pairs = []
     for run in runs:
         resting = [other for other in runs if other.components == run.components and other.rotor_speed == 0.0]
         if run.rotor_speed > 0 and resting:
             pairs.append((min(resting, key=lambda other: abs(np.log(_rms_load(other) / _rms_load(run)))), run))
-    return _pair_tests(SPIN_TEST_NAME, pairs, geometry, "with the rotor turning")
+    return _pair_tests(SPIN_TEST_NAME, pairs, geometry, "with the rotor turning", settings)
 
 
 def _rms_load(run: RunSpectrum) -> float:
@@ -111,25 +100,30 @@ def _rms_load(run: RunSpectrum) -> float:
 
 
 def _pair_tests(
-    name: str, pairs: Sequence[tuple[RunSpectrum, RunSpectrum]], geometry: Geometry, finding_suffix: str
+    name: str,
+    pairs: Sequence[tuple[RunSpectrum, RunSpectrum]],
+    geometry: Geometry,
+    finding_suffix: str,
+    settings: DataTestSettings,
 ) -> list[ModelFreeTest]:
     paths = {path.channel: path for path in declared_paths(geometry)}
     found = []
     for first, second in pairs:
-        change = _compare_runs(first, second, paths)
+        change = _compare_runs(first, second, paths, settings.run_pairs)
         if change is not None:
-            found.append(_test(name, f"{first.run}, {second.run}", change, finding_suffix))
+            found.append(_test(name, f"{first.run}, {second.run}", change, finding_suffix, settings))
     return found
 
 
-def _responses(run: RunSpectrum, paths: Sequence[ChannelPath]) -> _Responses:
+def _responses(run: RunSpectrum, paths: Sequence[ChannelPath], settings: RunPairSettings) -> _Responses:
     """Where one component alone is driven."""
     c = len(run.channel_names)
     amplitude = np.abs(run.loads)
     driven = np.argmax(amplitude, axis=1)
     noise = np.sqrt(np.maximum(np.diagonal(run.covariance, axis1=1, axis2=2).real[:, c:], 0.0))
     largest = amplitude.max(axis=1)
-    others = amplitude > np.maximum(CROSS_LOAD_SHARE * largest[:, None], CROSS_LOAD_SIGMA * noise)
+    limit = np.maximum(settings.cross_load_share * largest[:, None], settings.cross_load_sigma * noise)
+    others = amplitude > limit
     others[np.arange(len(driven)), driven] = False
     kept = np.flatnonzero((run.frequency > 0) & (largest > 0) & ~others.any(axis=1))
     places = np.array([run.channel_names.index(path.channel) for path in paths], dtype=np.intp)
@@ -141,19 +135,22 @@ def _responses(run: RunSpectrum, paths: Sequence[ChannelPath]) -> _Responses:
     combine = np.concatenate([identity, -H[:, :, None]], axis=2) / U[:, None, None]
     noise_of_response = combine @ covariance @ combine.conj().swapaxes(1, 2)
     rung = [
-        TRANSIENT_FACTOR * typical_transient_rms(run, path) * high_pass_transient(run, path, kept) / U for path in paths
+        settings.transient_factor * typical_transient_rms(run, path) * high_pass_transient(run, path, kept) / U
+        for path in paths
     ]
     return _Responses(run.frequency[kept], driven[kept], H, noise_of_response, np.stack(rung, axis=1), run.dof)
 
 
-def _compare_runs(first: RunSpectrum, second: RunSpectrum, paths: Mapping[str, ChannelPath]) -> _Change | None:
+def _compare_runs(
+    first: RunSpectrum, second: RunSpectrum, paths: Mapping[str, ChannelPath], settings: RunPairSettings
+) -> _Change | None:
     """What changes from the first run to the second; None where they share next to nothing."""
     names = tuple(name for name in first.channel_names if name in second.channel_names)
     if not names:
         return None
-    one, other = (_responses(run, [paths[name] for name in names]) for run in (first, second))
+    one, other = (_responses(run, [paths[name] for name in names], settings) for run in (first, second))
     i, j = _shared_lines(one, other)
-    if len(i) < MIN_SHARED_LINES:
+    if len(i) < settings.min_shared_lines:
         return None
     covariance = one.covariance[i] + other.covariance[j]
     share = np.trace(np.linalg.solve(covariance, one.covariance[i]), axis1=1, axis2=2).real.mean() / len(names)
@@ -199,13 +196,15 @@ def _shift(frequency: Array, component: Index, response: ComplexArray) -> Comple
     return shift
 
 
-def _test(name: str, place: str, change: _Change, finding_suffix: str) -> ModelFreeTest:
+def _test(name: str, place: str, change: _Change, finding_suffix: str, settings: DataTestSettings) -> ModelFreeTest:
     """Chi-square against no change; looked at as a whole, band by band, and for a change of the modes in each band."""
     c = len(change.channels)
     weighted = np.matmul(change.precision, change.change[:, :, None])[:, :, 0]
     chi2 = 2.0 * np.sum(change.change.conj() * weighted, axis=1).real
     noise = 2.0 * (c * max(change.dof - c, 1.0) if is_invertible(change.dof, c) else change.dof)
-    bands = np.array_split(np.arange(len(chi2)), min(CHANGE_BANDS, max(1, len(chi2) // MIN_SHARED_LINES)))
+    limits = settings.run_pairs
+    count = min(limits.bands, max(1, len(chi2) // limits.min_shared_lines))
+    bands = np.array_split(np.arange(len(chi2)), count)
     modal, sigma = _modal_changes(change, weighted, bands)
     looks = [chi2_p_value(float(chi2.sum()), (2.0 * c * len(chi2),), (noise,))]
     looks += [chi2_p_value(float(chi2[band].sum()), (2.0 * c * len(band),), (noise,)) for band in bands]
@@ -213,7 +212,7 @@ def _test(name: str, place: str, change: _Change, finding_suffix: str) -> ModelF
         chi2_p_value(2.0 * abs(one) ** 2 / s**2, (2.0,), (noise,)) for one, s in zip(modal, sigma, strict=True) if s
     ]
     p_value = bonferroni_min_p_value(looks)
-    if p_value > DATA_TEST_LEVEL:
+    if p_value > settings.significance_level:
         return ModelFreeTest(name, place, float(chi2.sum()), 2.0 * c * len(chi2), p_value, "equal")
     excess = np.array([chi2[band].sum() / (2.0 * c * len(band)) for band in bands])
     gains = 2.0 * np.abs(modal) ** 2 / np.where(sigma > 0, sigma, np.inf) ** 2
@@ -222,7 +221,7 @@ def _test(name: str, place: str, change: _Change, finding_suffix: str) -> ModelF
     # What the change leaves, its derivative being taken at one place, widens sigma (Birge).
     left = (chi2[bands[best]].sum() - gains[best]) / (2.0 * c * len(bands[best]))
     of_modes = _describe_mode_change(
-        change.frequency[bands[best]], modal[best], sigma[best] * np.sqrt(max(left, 1.0)), finding_suffix
+        change.frequency[bands[best]], modal[best], sigma[best] * np.sqrt(max(left, 1.0)), finding_suffix, limits
     )
     finding = "; ".join(part for part in (finding, of_modes) if part)
     return ModelFreeTest(name, place, float(chi2.sum()), 2.0 * c * len(chi2), p_value, finding)
@@ -248,14 +247,16 @@ def _describe_location(change: _Change, band: Index) -> str:
     return f"differ most from {low:.4g} to {high:.4g} Hz, by {100 * size:.2g} %, in {channel}"
 
 
-def _describe_mode_change(frequency: Array, change: complex, sigma: float, finding_suffix: str) -> str:
+def _describe_mode_change(
+    frequency: Array, change: complex, sigma: float, finding_suffix: str, settings: RunPairSettings
+) -> str:
     """In words what happens to frequency and damping; from slopes between lines, so in round figures."""
-    half = CLEAR_SIGMA * sigma / np.sqrt(2.0)
+    half = settings.clear_sigma * sigma / np.sqrt(2.0)
     parts = []
-    if abs(change.real) > max(half, MINOR_SHARE * abs(change.imag)):
+    if abs(change.real) > max(half, settings.minor_share * abs(change.imag)):
         sense = "higher" if change.real > 0 else "lower"
         parts.append(f"frequencies about {100 * abs(change.real):.2g} % {sense}")
-    if abs(change.imag) > max(half, MINOR_SHARE * abs(change.real)):
+    if abs(change.imag) > max(half, settings.minor_share * abs(change.real)):
         sense = "larger" if change.imag > 0 else "smaller"
         parts.append(f"damping ratios about {abs(change.imag):.2g} {sense}")
     if not parts:

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.data_test_settings import DataTestSettings, StaticPairSettings
 from balance_cli.diagnosis.data_tests.channel_pairs import declared_paths
 from balance_cli.diagnosis.result import ModelFreeTest
-from balance_cli.diagnosis.significance import combined_dof, format_with_sigma
+from balance_cli.diagnosis.significance import combined_dof, format_with_sigma, hotelling_p_value
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.mechanics.equations import ChannelPath
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
@@ -29,15 +30,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 STATIC_TEST_NAME = "static against low frequency"
-# Share of the lowest mode's frequency up to which lines serve, and how many there must be.
-MAX_FREQUENCY_SHARE = 0.4
-MIN_LOW_LINES = 6
-# Terms of the series, and how many of them are free.
-TERMS = 6
-FREE_TERMS = 2
-DATA_TEST_LEVEL = 1e-3
-# Degrees of freedom beyond which a covariance is as good as known.
-MAX_DOF = 1e9
 
 
 @dataclass(frozen=True)
@@ -51,25 +43,29 @@ class _StaticResponse:
 
 
 def static_tests(
-    runs: Sequence[RunSpectrum], statics: Sequence[StaticPoints], geometry: Geometry, lowest_mode: float
+    runs: Sequence[RunSpectrum],
+    statics: Sequence[StaticPoints],
+    geometry: Geometry,
+    lowest_mode: float,
+    settings: DataTestSettings,
 ) -> list[ModelFreeTest]:
     """One row for each static run and component that both it and a sweep have."""
-    dynamic = _extrapolate_responses(runs, geometry, lowest_mode)
+    dynamic = _extrapolate_responses(runs, geometry, lowest_mode, settings.static_pairs)
     rows = []
     for points in statics:
-        for component, response in _static_responses(points, geometry).items():
+        for component, response in _static_responses(points, geometry, settings.static_pairs.max_condition).items():
             if component in dynamic:
-                rows.append(_test(f"{points.run}: {component}", response, dynamic[component]))
+                rows.append(_test(f"{points.run}: {component}", response, dynamic[component], settings))
     return rows
 
 
-def _static_responses(points: StaticPoints, geometry: Geometry) -> dict[str, _StaticResponse]:
+def _static_responses(points: StaticPoints, geometry: Geometry, max_condition: float) -> dict[str, _StaticResponse]:
     """The straight part of a static run."""
     varied = np.flatnonzero(np.ptp(points.loads, axis=0) > 0)
     gain = {channel.name: channel.sensitivity for channel in geometry.channels}
     gains = np.array([gain[name] for name in points.channel_names])
     Q, R = np.linalg.qr((points.loads - points.loads.mean(axis=0))[:, varied])
-    if not len(varied) or np.linalg.cond(R) > 1e8:
+    if not len(varied) or np.linalg.cond(R) > max_condition:
         return {}
     inverse = np.linalg.inv(R)
     slopes = inverse @ (Q.T @ (points.channels / gains))
@@ -81,33 +77,37 @@ def _static_responses(points: StaticPoints, geometry: Geometry) -> dict[str, _St
 
 
 def _extrapolate_responses(
-    runs: Sequence[RunSpectrum], geometry: Geometry, lowest_mode: float
+    runs: Sequence[RunSpectrum], geometry: Geometry, lowest_mode: float, settings: StaticPairSettings
 ) -> dict[str, _StaticResponse]:
     """Responses at frequency zero to each component that was swept; of several runs their weighted mean."""
     found: dict[str, list[_StaticResponse]] = {}
     dc = [path for path in declared_paths(geometry) if not path.high_pass]
     for run in runs:
         similar_runs = sum(other.components == run.components for other in runs)
-        for component, response in _extrapolate_run(run, dc, lowest_mode, similar_runs).items():
+        for component, response in _extrapolate_run(run, dc, lowest_mode, similar_runs, settings).items():
             found.setdefault(component, []).append(response)
     return {component: _mean(responses) for component, responses in found.items()}
 
 
 def _extrapolate_run(
-    run: RunSpectrum, dc: Sequence[ChannelPath], lowest_mode: float, similar_runs: int
+    run: RunSpectrum,
+    dc: Sequence[ChannelPath],
+    lowest_mode: float,
+    similar_runs: int,
+    settings: StaticPairSettings,
 ) -> dict[str, _StaticResponse]:
     """What higher terms may do is the same in all `alike` runs: no mean makes it less."""
-    low = np.flatnonzero((run.frequency > 0) & (run.frequency <= MAX_FREQUENCY_SHARE * lowest_mode))
+    low = np.flatnonzero((run.frequency > 0) & (run.frequency <= settings.max_frequency_share * lowest_mode))
     dc = [path for path in dc if path.channel in run.channel_names]
     u = len(run.components)
-    if len(low) < MIN_LOW_LINES * u or not dc:
+    if len(low) < settings.min_lines * u or not dc:
         return {}
     c = len(run.channel_names)
     signals = np.array([*(run.channel_names.index(path.channel) for path in dc), *range(c, c + u)])
     gains = np.concatenate([channel_gains(dc, run.frequency[low]), np.ones((len(low), u))], axis=1)
     z = np.concatenate([run.channels, run.loads], axis=1)[low[:, None], signals] / gains
     noise = run.covariance[low[:, None, None], signals[:, None], signals] / (gains[:, :, None] * gains[:, None].conj())
-    value, covariance = _fit_power_series(run.frequency[low] / lowest_mode, z, noise, u, similar_runs)
+    value, covariance = _fit_power_series(run.frequency[low] / lowest_mode, z, noise, u, similar_runs, settings)
     names = tuple(path.channel for path in dc)
     return {
         component: _StaticResponse(names, value[j], covariance[j], 2.0 * run.dof)
@@ -115,45 +115,53 @@ def _extrapolate_run(
     }
 
 
-def _fit_power_series(x: Array, z: ComplexArray, noise: ComplexArray, u: int, similar_runs: int) -> tuple[Array, Array]:
+def _fit_power_series(
+    x: Array, z: ComplexArray, noise: ComplexArray, u: int, similar_runs: int, settings: StaticPairSettings
+) -> tuple[Array, Array]:
     """Terms of order zero (u, c) and their covariance (u, c, c) from forces and loads z (K, c+u) at x = f/f1 (K,).
 
     Noise of the loads counts by the response that a first fit gives.
     """
     c = z.shape[1] - u
     forces, loads = z[:, :c], z[:, c:]
-    columns = _columns(x, loads)
+    terms = settings.terms
+    columns = _columns(x, loads, terms)
     own = noise[:, :c, :c]
     size = np.sqrt(np.mean(np.abs(forces) ** 2) / np.mean(np.sum(np.abs(loads) ** 2, axis=1)))
     for _ in range(2):
-        _, _, value = _solve_series(columns, forces, own, size, u)
-        response = np.einsum("kn,ujnc->kcu", x[:, None] ** (2 * np.arange(TERMS)), value.reshape(u, 2, TERMS, c)[:, :1])
+        _, _, value = _solve_series(columns, forces, own, size, u, settings)
+        response = np.einsum("kn,ujnc->kcu", x[:, None] ** (2 * np.arange(terms)), value.reshape(u, 2, terms, c)[:, :1])
         combine = np.concatenate([np.broadcast_to(np.eye(c), (len(x), c, c)), -response], axis=2)
         own = combine @ noise @ combine.swapaxes(1, 2)
-        size = max(float(np.abs(value.reshape(u, 2, TERMS, c)[:, 0, 0]).max()), np.finfo(float).tiny)
-    kernel, prior, value = _solve_series(columns, forces, own, size, u)
-    rest = [2 * TERMS * j for j in range(u)]
+        size = max(float(np.abs(value.reshape(u, 2, terms, c)[:, 0, 0]).max()), np.finfo(float).tiny)
+    kernel, prior, value = _solve_series(columns, forces, own, size, u, settings)
+    rest = [2 * terms * j for j in range(u)]
     covariance = 0.5 * np.einsum("cjk,kcd,djk->jcd", kernel[:, rest].conj(), own, kernel[:, rest], optimize=True).real
     covariance += similar_runs * np.stack([np.diag(prior[:, place]) for place in rest])
     return value[rest], covariance
 
 
-def _columns(x: Array, loads: ComplexArray) -> ComplexArray:
-    """Each load times each term, (K, u 2 TERMS): even ones first, then odd ones."""
-    even = x[:, None] ** (2 * np.arange(TERMS))
+def _columns(x: Array, loads: ComplexArray, count: int) -> ComplexArray:
+    """Each load times each term, (K, 2 u count): even ones first, then odd ones."""
+    even = x[:, None] ** (2 * np.arange(count))
     terms = np.concatenate([even.astype(complex), 1j * x[:, None] * even], axis=1)
     return np.asarray((loads[:, :, None] * terms[:, None, :]).reshape(len(x), -1))
 
 
 def _solve_series(
-    columns: ComplexArray, forces: ComplexArray, noise: ComplexArray, size: float, u: int
+    columns: ComplexArray,
+    forces: ComplexArray,
+    noise: ComplexArray,
+    size: float,
+    u: int,
+    settings: StaticPairSettings,
 ) -> tuple[ComplexArray, Array, Array]:
     """Coefficients (q, c) as Re sum_k kernel* force, kernel (c, q, K), and the share (c, q) of their variance that the
 
     bound on the higher terms leaves.
     """
     variance = np.diagonal(noise, axis1=1, axis2=2).real
-    held = np.tile(np.arange(TERMS) >= FREE_TERMS, 2 * u)
+    held = np.tile(np.arange(settings.terms) >= settings.free_terms, 2 * u)
     weighted = columns.T[None] / variance.T[:, None, :]
     information = np.real(2.0 * weighted @ columns.conj()) + np.diag(np.where(held, 1.0 / size**2, 0.0))
     scale = 1.0 / np.sqrt(np.diagonal(information, axis1=1, axis2=2))
@@ -174,21 +182,18 @@ def _mean(responses: Sequence[_StaticResponse]) -> _StaticResponse:
     return _StaticResponse(same[0].channels, value, covariance, sum(one.dof for one in same))
 
 
-def _test(place: str, static: _StaticResponse, dynamic: _StaticResponse) -> ModelFreeTest:
+def _test(place: str, static: _StaticResponse, dynamic: _StaticResponse, settings: DataTestSettings) -> ModelFreeTest:
     """Hotelling's test of the difference, over the channels that both have."""
-    from scipy.stats import f
-
     names = [name for name in static.channels if name in dynamic.channels]
     c = len(names)
     parts = [_extract_channels(one, names) for one in (static, dynamic)]
     covariance = parts[0][1] + parts[1][1]
     difference = parts[0][0] - parts[1][0]
     share = float(np.trace(np.linalg.solve(covariance, parts[0][1]))) / c
-    dof = min(combined_dof((share, 1.0 - share), (static.dof, dynamic.dof)), MAX_DOF)
+    dof = min(combined_dof((share, 1.0 - share), (static.dof, dynamic.dof)), settings.static_pairs.max_dof)
     squared = float(difference @ np.linalg.solve(covariance, difference))
-    free = max(dof - c + 1.0, 1.0)
-    p_value = float(f.sf(squared * free / (dof * c), c, free))
-    finding = "equal" if p_value > DATA_TEST_LEVEL else _finding(names, parts, covariance)
+    p_value = hotelling_p_value(squared, c, dof)
+    finding = "equal" if p_value > settings.significance_level else _finding(names, parts, covariance)
     return ModelFreeTest(STATIC_TEST_NAME, place, squared * max(dof - c - 1.0, 1.0) / dof, float(c), p_value, finding)
 
 

@@ -1,12 +1,13 @@
-"""Which masses at which places the data allow: the likelihood of a point mass over all places at once.
+"""The region of masses and positions that the data allow: the likelihood of a point mass over all positions at once.
 
-About a fit with s (10,) and V (10, 10) of ten masses (`point_mass`), counted from no mass, chi-square falls by
+Near a fit with s (10,) and V (10, 10) of ten masses (see `mass_score`), relative to no mass, chi-square falls by
 
     gain(p, m) = 2 m c(p)'s - m^2 c(p)'V c(p),        at most (c's)^2 / (c'V c)
 
-by a mass m at p. Mass and place lie in a curved valley, sometimes in two, of which sigma at the best one says little.
-The region in which the gain is within 3.84 of the largest is searched by a crowd of places that moves along differences
-of its own members (differential evolution, Storn and Price, 1997). Its extent along each parameter is the interval.
+by a mass m at p. Mass and position lie in a curved valley, sometimes in two, which the covariance at the best point
+does not describe. The region in which the gain is within 3.84 of the largest is searched by a population of positions
+that moves along differences of its members (differential evolution, Storn and Price, J. Global Optim. 11 (1997) 341).
+Its extent along each parameter is the 95 % interval.
 """
 
 from __future__ import annotations
@@ -17,23 +18,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.search.point_mass import MassScore, mass_parameter_indices, score_without_point_mass
-from balance_cli.estimation.measurements import Batch
+from balance_cli.diagnosis.search.mass_score import MassScore
+from balance_cli.diagnosis.search.point_mass import mass_parameter_indices, score_without_point_mass
+from balance_cli.diagnosis.settings import MassRegionSettings, SearchSettings
+from balance_cli.estimation.batch import Batch
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.effects.geometry_scales import position_bound
 
 Array = NDArray[np.float64]
 
 CHI2_95 = 3.841458820694124
-"""What chi-square may rise by within 95 % of one parameter."""
-ROUNDS = 60
-CHILDREN = 3000
-# Places that are kept beside the extremes, and steps by chance, relative to the reach of the rig.
-SURVIVORS = 600
-WIDEST, NARROWEST = 0.3, 1e-5
-# The longest stride along a difference, and by how much less than the best a place may gain and still be a parent.
-STRIDE = 2.0
-MAX_GAIN_DEFICIT = 12.0
+"""95 % point of chi-square with one degree of freedom."""
 
 
 @dataclass(frozen=True)
@@ -48,40 +43,48 @@ class MassRegion:
         return np.stack([self.ends[i, :, i] for i in range(4)])
 
 
-def mass_region(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> MassRegion | None:
+def mass_region(
+    model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: SearchSettings
+) -> MassRegion | None:
     """The region of 95 % about a fit `theta` (p,) of a model with a point mass; None for one without."""
     at = mass_parameter_indices(model)
     if at is None:
         return None
-    return search_mass_region(
-        score_without_point_mass(model, theta, batches, at), theta[at[1:]], position_bound(model.geometry)
-    )
+    score = score_without_point_mass(model, theta, batches, at, settings.point_mass)
+    return search_mass_region(score, theta[at[1:]], position_bound(model.geometry), settings.mass_region)
 
 
-def mass_intervals(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> dict[str, tuple[float, float]]:
+def mass_intervals(
+    model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: SearchSettings
+) -> dict[str, tuple[float, float]]:
     """Intervals of 95 % of a point mass and its place, by the full names of the parameters; none without one."""
-    region, at = mass_region(model, theta, batches), mass_parameter_indices(model)
+    region, at = mass_region(model, theta, batches, settings), mass_parameter_indices(model)
     if region is None or at is None:
         return {}
     ends = ((float(lower), float(upper)) for lower, upper in region.intervals)
     return dict(zip((model.parameters.names[i] for i in at), ends, strict=True))
 
 
-def search_mass_region(masses: MassScore, place: Array, far: float) -> MassRegion:
+def search_mass_region(masses: MassScore, place: Array, far: float, settings: MassRegionSettings) -> MassRegion:
     """The region about the best `place` (3,), no coordinate further than `far` from the origin."""
-    rng = np.random.default_rng(1985)
-    population = _evaluate_places(masses, np.vstack([place, rng.uniform(-far, far, (CHILDREN, 3))]))
-    for _ in range(ROUNDS):
-        parents = population.places
-        pick = rng.integers(len(parents), size=(3, CHILDREN))
-        scale = far * np.exp(rng.uniform(np.log(NARROWEST), np.log(WIDEST), (CHILDREN, 1)))
-        along = rng.uniform(0.0, STRIDE, (CHILDREN, 1)) * (parents[pick[1]] - parents[pick[2]])
-        wander = rng.random((CHILDREN, 1)) < 0.5
-        children = parents[pick[0]] + np.where(wander, scale * rng.standard_normal((CHILDREN, 3)), along)
-        population = _select_survivors(
-            _evaluate_places(masses, np.vstack([parents, np.clip(children, -far, far)])), rng
-        )
+    rng, count = np.random.default_rng(settings.seed), settings.children
+    population = _evaluate_places(masses, np.vstack([place, rng.uniform(-far, far, (count, 3))]))
+    for _ in range(settings.rounds):
+        children = _move_places(population.places, far, rng, settings)
+        places = np.vstack([population.places, np.clip(children, -far, far)])
+        population = _select_survivors(_evaluate_places(masses, places), rng, settings)
     return MassRegion(population.ends())
+
+
+def _move_places(parents: Array, far: float, rng: np.random.Generator, settings: MassRegionSettings) -> Array:
+    """New places (children, 3): each a parent moved along a difference of two others, or by a random step."""
+    count = settings.children
+    pick = rng.integers(len(parents), size=(3, count))
+    widths = np.log(settings.narrowest_step), np.log(settings.widest_step)
+    scale = far * np.exp(rng.uniform(*widths, (count, 1)))
+    difference = rng.uniform(0.0, settings.stride, (count, 1)) * (parents[pick[1]] - parents[pick[2]])
+    is_random = rng.random((count, 1)) < 0.5
+    return np.asarray(parents[pick[0]] + np.where(is_random, scale * rng.standard_normal((count, 3)), difference))
 
 
 @dataclass(frozen=True)
@@ -118,15 +121,16 @@ def _evaluate_places(masses: MassScore, places: Array) -> _Population:
     return _Population(places, gain, slope / information, half_width)
 
 
-def _select_survivors(population: _Population, rng: np.random.Generator) -> _Population:
+def _select_survivors(population: _Population, rng: np.random.Generator, settings: MassRegionSettings) -> _Population:
     """Some of the places near the region, and those at its ends."""
-    near = np.flatnonzero(population.gain_deficit <= MAX_GAIN_DEFICIT)
-    some = rng.permutation(near)[:SURVIVORS]
-    best = np.argsort(population.gain_deficit)[: SURVIVORS // 10]
+    near = np.flatnonzero(population.gain_deficit <= settings.max_gain_deficit)
+    some = rng.permutation(near)[: settings.survivors]
+    best = np.argsort(population.gain_deficit)[: settings.survivors // 10]
     inside = np.flatnonzero(population.gain_deficit <= CHI2_95)
     low, high = (part[inside] for part in population.bounds())
-    ends = np.concatenate([inside[np.argsort(low, axis=0)[:5].ravel()], inside[np.argsort(-high, axis=0)[:5].ravel()]])
-    index = np.unique(np.concatenate([some, best, ends]))
+    lower_ends = inside[np.argsort(low, axis=0)[: settings.end_places].ravel()]
+    upper_ends = inside[np.argsort(-high, axis=0)[: settings.end_places].ravel()]
+    index = np.unique(np.concatenate([some, best, lower_ends, upper_ends]))
     return _Population(
         population.places[index], population.gain[index], population.mass[index], population.half_width[index]
     )

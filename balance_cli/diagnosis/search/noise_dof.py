@@ -1,7 +1,8 @@
-"""How well the noise is known that a score is judged by.
+"""Degrees of freedom of the measured noise against which a score is tested.
 
-A score's variance V is a sum over runs, and of a run's noise over parts of which some are known from a few readings
-only. With v_i what a part gives to V and var v_i the doubt about it, V is as good as an estimate with
+The variance V of a score is a sum over runs, and within a run over parts of the noise, of which some are known from a
+few readings only. With the contribution v_i of a part and the variance var v_i of its estimate, V is as well known as
+an estimate with
 
     2 V^2 / sum var v_i
 
@@ -16,23 +17,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import BatchDerivatives
-from balance_cli.estimation.measurements import Batch
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-MIN_SCORE_NOISE_DOF = 1.0
-"""Of a noise of which nothing is known: against F with so many no gain says much."""
-
 
 @dataclass(frozen=True)
 class RunInformation:
-    """What one run tells: half the `gradient` (p,) of chi-square, and of its information rows `cross` (f, p) for the
+    """Half the `gradient` (p,) of chi-square of one run, and parts of its information matrix.
 
-    fitted parameters and `blocks` (q, q) for those of each candidate.
-    `weighted`: the slopes P dY (K, c, p), kept where the noise has parts.
+    `cross` (f, p): rows of the fitted parameters; `blocks` (q, q): diagonal blocks of the candidates. `weighted`: the
+    weighted derivatives P dY (K, c, p), kept only where the noise has parts.
     """
 
     batch: Batch
@@ -42,55 +40,62 @@ class RunInformation:
     weighted: ComplexArray | None
 
     @classmethod
-    def from_batch(cls, batch: Batch, slopes: BatchDerivatives, fitted: Index, own: Sequence[Index]) -> RunInformation:
-        """Of a batch of one run."""
-        weighted = slopes.weighted()
-        blocks = tuple(slopes.diagonal_blocks(weighted, own))
-        cross = slopes.information(weighted, fitted, slice(None))
-        return cls(batch, slopes.gradient(), cross, blocks, weighted if batch.noise_parts[0] else None)
+    def from_batch(
+        cls, batch: Batch, derivatives: BatchDerivatives, fitted: Index, tested: Sequence[Index]
+    ) -> RunInformation:
+        """Return the information of a batch of one run."""
+        weighted = derivatives.weighted()
+        blocks = tuple(derivatives.diagonal_blocks(weighted, tested))
+        cross = derivatives.information(weighted, fitted, slice(None))
+        return cls(batch, derivatives.gradient(), cross, blocks, weighted if batch.runs[0].noise_parts else None)
 
     def variance(self, fitted: Index, tested: Index, projection: Array) -> Array:
-        """What the run gives to the variance (n,) of each score, whose parameters take `along` (f, n) with them.
+        """Return the run's contribution (n,) to the variance of each score.
 
-        `tested` (n,): the parameters of all candidates in turn.
+        `tested` (n,): parameters of all candidates in turn; `projection` (f, n): change of the fitted ones with them.
         """
         diagonal = np.concatenate([np.diag(block) for block in self.blocks])
-        own = diagonal - 2.0 * np.sum(projection * self.cross[:, tested], axis=0)
-        return np.asarray(np.maximum(own + np.sum(projection * (self.cross[:, fitted] @ projection), axis=0), 0.0))
+        variance = diagonal - 2.0 * np.sum(projection * self.cross[:, tested], axis=0)
+        variance += np.sum(projection * (self.cross[:, fitted] @ projection), axis=0)
+        return np.asarray(np.maximum(variance, 0.0))
 
     def variance_uncertainty(self, fitted: Index, tested: Index, projection: Array) -> Array:
-        """The relative variance (n,) of that, as the noise was estimated."""
-        parts = self.batch.noise_parts[0]
+        """Return the relative variance (n,) of that contribution, since the noise was estimated."""
+        parts = self.batch.runs[0].noise_parts
         if self.weighted is None:
-            return np.full(len(tested), 2.0 / self.batch.noise_dof[0])
+            return np.full(len(tested), 2.0 / self.batch.runs[0].noise_dof)
         influence = self.weighted[:, :, tested] - self.weighted[:, :, fitted] @ projection
         power = np.array([_weighted_power(influence, part.shape, part.share) for part in parts])
         size, error = (np.array([getattr(part, name) for part in parts]) for name in ("size", "error"))
-        whole = np.maximum(size @ power, np.finfo(float).tiny)
-        return np.asarray(np.sum((error[:, None] * power / whole) ** 2, axis=0))
+        total = np.maximum(size @ power, np.finfo(float).tiny)
+        return np.asarray(np.sum((error[:, None] * power / total) ** 2, axis=0))
 
 
 def _weighted_power(influence: ComplexArray, shape: Array, share: Array) -> Array:
     """Sum of share (k,) g* shape g over the lines of an influence (k, c, n): (n,)."""
-    felt = np.einsum("cd,kdn->kcn", shape, influence)
-    return np.asarray(np.einsum("k,kcn,kcn->n", share, influence.conj(), felt, optimize=True).real)
+    shaped = np.einsum("cd,kdn->kcn", shape, influence)
+    return np.asarray(np.einsum("k,kcn,kcn->n", share, influence.conj(), shaped, optimize=True).real)
 
 
 def noise_dof(
-    runs: Sequence[RunInformation], fitted: Index, own: Sequence[Index], projection: Sequence[Array]
+    runs: Sequence[RunInformation],
+    fitted: Index,
+    tested: Sequence[Index],
+    projections: Sequence[Array],
+    min_dof: float,
 ) -> Array:
-    """Degrees of freedom (n,) of the noise for each of n candidates with parameters `own` (q,), `along` (f, q).
+    """Return the degrees of freedom (n,) of the noise for each of n candidates, at least `min_dof`.
 
-    The parameters of one candidate count alike, each by what it tells.
+    Each candidate has parameters `tested` (q,) and a projection (f, q). Its parameters count by their information.
     """
-    tested, joined = np.concatenate(own), np.hstack(projection)
-    variance = np.array([run.variance(fitted, tested, joined) for run in runs])
-    variance_uncertainty = np.array([run.variance_uncertainty(fitted, tested, joined) for run in runs])
-    whole = variance.sum(axis=0)
-    share = variance / np.where(whole > 0.0, whole, 1.0)
-    edges = np.cumsum([0, *(len(each) for each in own)])[:-1]
-    gathered = np.add.reduceat(share, edges, axis=1)
-    spread = np.sum(gathered * np.add.reduceat(share * variance_uncertainty, edges, axis=1), axis=0)
-    total = gathered.sum(axis=0)
-    found = np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
-    return np.asarray(np.maximum(found, MIN_SCORE_NOISE_DOF))
+    parameters, projection = np.concatenate(tested), np.hstack(projections)
+    variance = np.array([run.variance(fitted, parameters, projection) for run in runs])
+    uncertainty = np.array([run.variance_uncertainty(fitted, parameters, projection) for run in runs])
+    total = variance.sum(axis=0)
+    share = variance / np.where(total > 0.0, total, 1.0)
+    edges = np.cumsum([0, *(len(each) for each in tested)])[:-1]
+    by_candidate = np.add.reduceat(share, edges, axis=1)
+    spread = np.sum(by_candidate * np.add.reduceat(share * uncertainty, edges, axis=1), axis=0)
+    whole = by_candidate.sum(axis=0)
+    dof = np.where(spread > 0.0, 2.0 * whole**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
+    return np.asarray(np.maximum(dof, min_dof))

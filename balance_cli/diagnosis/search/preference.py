@@ -1,4 +1,4 @@
-"""Which of several explanations comes in where the data cannot tell them apart."""
+"""Choice among explanations that the data cannot distinguish."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 from balance_cli.model.balance import BalanceModel
 
-INDISTINGUISHABLE_CHI2 = 6.0
-"""Chi-square within which two explanations are the same: a log-likelihood of 3."""
 
+def choose_most_linear(models: Sequence[BalanceModel], gains: Sequence[float], tolerance: float) -> int:
+    """Return the index of the model with the fewest nonlinear forces among those within `tolerance` of the best gain.
 
-def choose_most_linear(models: Sequence[BalanceModel], gains: Sequence[float]) -> int:
-    """Number of the one that gains most; of those that gain the same, one with the fewest forces that are not linear.
-
-    An offset and a force that bends can do the same; the one is found in every rig.
+    An offset and a nonlinear force can have the same effect on the data, and every rig has offsets. Among models with
+    equally many forces the one with the largest gain is chosen.
     """
-    alike = [i for i, gain in enumerate(gains) if gain >= max(gains) - INDISTINGUISHABLE_CHI2]
-    return min(alike, key=lambda i: (len(models[i].system().forces), -gains[i]))
+    equivalent = [i for i, gain in enumerate(gains) if gain >= max(gains) - tolerance]
+    return min(equivalent, key=lambda i: (len(models[i].system().equations.forces), -gains[i]))

@@ -1,7 +1,7 @@
-"""Fits during the search: with a model error that shrinks as the model gets better, from several starts.
+"""Fits during the search, with a model error that shrinks as the model improves, from several starts.
 
-Fits with different model errors are compared by -2 ln likelihood, the volume of the error included: an effect is worth
-what it takes off the error of all runs.
+Fits with different model errors are compared by -2 ln likelihood, including the log-determinant of the error, so that
+an effect gains by reducing the error of all runs.
 """
 
 from __future__ import annotations
@@ -14,19 +14,15 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.search.candidates import Candidate
+from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
 from balance_cli.diagnosis.search.point_mass import refine_point_mass
-from balance_cli.diagnosis.search.score_statistics import (
-    Score,
-    add_candidates,
-    add_scored_candidate,
-    extend_model,
-    has_nuisance_parameters,
-)
+from balance_cli.diagnosis.search.score_statistics import Score, add_scored_candidate, has_nuisance_parameters
 from balance_cli.diagnosis.search.search_lines import SearchLines
+from balance_cli.diagnosis.settings import FitSettings, SearchSettings
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import data_chi2
 from balance_cli.estimation.maximum_likelihood import penalized_chi2, take_first_steps
-from balance_cli.estimation.measurements import Batch
 from balance_cli.estimation.model_error import (
     ModelErrors,
     add_model_error,
@@ -38,30 +34,19 @@ from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
 
-PENALTY = 6.0
-"""What a parameter costs, in -2 ln likelihood."""
-# Steps that tell one start from another, and those of a fit.
-FIRST_STEPS = 3
-STEPS = 12
-ROUNDS = 8
-# A step that promises less chi-square is the last.
-MIN_STEP_GAIN = 4.0
-# A model error that shrinks by less than this share in a round has settled.
-MIN_ERROR_DECREASE = 0.1
-
 
 @dataclass(frozen=True)
 class SearchState:
-    """A model during the search: its parameters, the model error by run, -2 ln likelihood of fitted and judging lines.
+    """A model during the search: its parameters `theta` (p,), and the model error of each run as a share.
 
-    `error`: rms of the model error over the runs.
+    `fit_criterion` and `validation_criterion`: -2 ln likelihood of the fitted and of the validation lines.
     """
 
     model: BalanceModel
     theta: Array
     shares: ModelErrors
-    fitted: float
-    folds: float
+    fit_criterion: float
+    validation_criterion: float
 
     @property
     def geometry(self) -> Geometry:
@@ -70,43 +55,46 @@ class SearchState:
 
     @property
     def error(self) -> float:
-        """Rms over the runs of the model error, a share of the response."""
+        """Rms of the model error over the runs, a share of the response."""
         return float(np.sqrt(np.mean(np.square(list(self.shares.values())))))
 
 
 def fit_until_stable(
-    model: BalanceModel, theta: Array, lines: SearchLines, near: ModelErrors | None = None
+    model: BalanceModel, theta: Array, lines: SearchLines, settings: FitSettings, shares: ModelErrors | None = None
 ) -> SearchState:
-    """Fit and model error in turn, until the error no longer shrinks."""
-    shares = estimate_model_error(lines.fitted, model.system(theta), near)
-    for _ in range(ROUNDS):
-        theta = take_steps(model, theta, add_model_error(lines.fitted, shares), STEPS)
+    """Return the fit from `theta` after rounds of fit and model error, until the error no longer shrinks.
+
+    `shares`: the model error to start from.
+    """
+    shares = estimate_model_error(lines.fitted, model.system(theta), shares)
+    for _ in range(settings.search_rounds):
+        theta = take_steps(model, theta, add_model_error(lines.fitted, shares), settings.search_steps, settings)
         before, shares = shares, estimate_model_error(lines.fitted, model.system(theta), shares)
-        if all(shares[run] >= (1.0 - MIN_ERROR_DECREASE) * before[run] for run in shares):
+        if all(shares[run] >= (1.0 - settings.min_error_decrease) * before[run] for run in shares):
             break
     prior = prior_curvature(model.parameters, theta).chi2
-    other = estimate_model_error(lines.folds, model.system(theta), shares)
-    fitted, folds = (
-        minus_two_log_likelihood(model, theta, *pair) + prior for pair in ((lines.fitted, shares), (lines.folds, other))
-    )
-    return SearchState(model, theta, shares, fitted, folds)
+    validation_shares = estimate_model_error(lines.validation, model.system(theta), shares)
+    fit_criterion = minus_two_log_likelihood(model, theta, lines.fitted, shares) + prior
+    validation_criterion = minus_two_log_likelihood(model, theta, lines.validation, validation_shares) + prior
+    return SearchState(model, theta, shares, fit_criterion, validation_criterion)
 
 
-def take_steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int) -> Array:
-    """At most `count` steps of the maximum likelihood from `theta`; what the data hardly tell stays near it."""
-    return take_first_steps(model, theta, batches, count, REGRESSION_PRIOR_SCALES, MIN_STEP_GAIN).theta
+def take_steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], count: int, settings: FitSettings) -> Array:
+    """Return `theta` after at most `count` steps of maximum likelihood; poorly informed parameters stay near it."""
+    minimum = take_first_steps(model, theta, batches, count, REGRESSION_PRIOR_SCALES, settings.search_min_step_gain)
+    return minimum.theta
 
 
 def minus_two_log_likelihood(model: BalanceModel, theta: Array, batches: Sequence[Batch], shares: ModelErrors) -> float:
-    """-2 ln likelihood (up to a constant of the data) of these lines, with this model error."""
+    """Return -2 ln likelihood of these lines with this model error, up to a constant of the data."""
     return data_chi2(add_model_error(batches, shares), model.system(theta)) + log_determinant_inflation(batches, shares)
 
 
 @dataclass(frozen=True)
 class PartialFit:
-    """A few steps of a candidate's fit, with the model error as it was, and where they led.
+    """The first steps of a candidate's fit, with the model error of the state before it.
 
-    `gain`: -2 ln likelihood that is gained if the model error shrinks with chi-square, n ln(chi2 / chi2).
+    `gain`: decrease of -2 ln likelihood if the model error shrinks with chi-square, n ln(chi2 before / chi2 after).
     """
 
     model: BalanceModel
@@ -114,47 +102,48 @@ class PartialFit:
     gain: float
 
 
-def fit_partially(state: SearchState, score: Score, lines: SearchLines) -> PartialFit:
-    """The model with the candidate, some steps from where it begins or, if that leads further, from a regression.
+def fit_partially(state: SearchState, score: Score, lines: SearchLines, settings: SearchSettings) -> PartialFit:
+    """Return the first steps with the candidate, from its start or, if that fits better, from a regression.
 
-    The equations of motion with the cells' forces have no resonances to get wrong (`estimation.starting_values`). They
-    are asked where the candidate has values that nobody knows.
+    The equations of motion with the forces of the cells have no resonance that could lead to a wrong minimum
+    (`estimation.starting_values`). They are solved where the candidate has nuisance parameters.
     """
+    batches = add_model_error(lines.fitted, state.shares)
     model, theta = extend_model(state.model, state.theta, add_scored_candidate(state.geometry, score))
-    if score.candidate.chosen:
-        _, null = extend_model(
-            state.model, state.theta, add_candidates(state.geometry, [(score.candidate, score.start)])
-        )
-        theta = refine_point_mass(model, null, add_model_error(lines.fitted, state.shares))
+    if score.candidate.fitted_start_values:
+        geometry = add_candidates(state.geometry, [(score.candidate, score.start)])
+        theta = refine_point_mass(model, extend_model(state.model, state.theta, geometry)[1], batches, settings)
     starts = [theta]
     if has_nuisance_parameters(score):
         starts.append(start_from_equations_of_motion(model.parameters, lines.fitted, model.system, theta))
-    return _best_partial_fit(model, starts, state, lines)
+    return _best_partial_fit(model, starts, state, batches, settings.fit)
 
 
 def _best_partial_fit(
-    model: BalanceModel, starts: Sequence[Array], state: SearchState, lines: SearchLines
+    model: BalanceModel, starts: Sequence[Array], state: SearchState, batches: Sequence[Batch], settings: FitSettings
 ) -> PartialFit:
-    batches = add_model_error(lines.fitted, state.shares)
     before = penalized_chi2(state.model, state.theta, batches)
-    ends = [take_steps(model, start, batches, FIRST_STEPS) for start in starts]
-    best = take_steps(model, min(ends, key=lambda end: penalized_chi2(model, end, batches)), batches, FIRST_STEPS)
+    ends = [take_steps(model, start, batches, settings.trial_steps, settings) for start in starts]
+    best = min(ends, key=lambda end: penalized_chi2(model, end, batches))
+    best = take_steps(model, best, batches, settings.trial_steps, settings)
     chi2 = penalized_chi2(model, best, batches)
     return PartialFit(model, best, data_count(batches) * float(np.log(before / chi2)))
 
 
 def data_count(batches: Sequence[Batch]) -> float:
-    """Real data that the lines hold."""
-    return float(sum(np.sum(batch.count) for batch in batches))
+    """Return the number of real values in the lines."""
+    return float(sum(np.sum(batch.lines.count) for batch in batches))
 
 
-def fit_with_candidate(state: SearchState, candidate: Candidate, lines: SearchLines) -> SearchState:
-    """The model with the candidate, fitted from its first start."""
+def fit_with_candidate(
+    state: SearchState, candidate: Candidate, lines: SearchLines, settings: FitSettings
+) -> SearchState:
+    """Return the model with the candidate, fitted from its first start."""
     geometry = add_candidates(state.geometry, [(candidate, 0)], at_start_values=True)
-    return fit_until_stable(*extend_model(state.model, state.theta, geometry), lines, state.shares)
+    return fit_until_stable(*extend_model(state.model, state.theta, geometry), lines, settings, state.shares)
 
 
-def restart(state: SearchState, lines: SearchLines) -> SearchState:
-    """The same model, everything fitted once more from the regression."""
+def restart(state: SearchState, lines: SearchLines, settings: FitSettings) -> SearchState:
+    """Return the same model, with all parameters fitted again from the regression."""
     theta = start_from_equations_of_motion(state.model.parameters, lines.fitted, state.model.system, state.theta)
-    return fit_until_stable(state.model, theta, lines)
+    return fit_until_stable(state.model, theta, lines, settings)

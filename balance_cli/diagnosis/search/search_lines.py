@@ -1,4 +1,4 @@
-"""Lines for the search: few enough to try many fits, and others of the same runs to judge them by."""
+"""Spectral lines for the search: few, so that many candidates can be fitted, and others to validate the fits."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.diagnosis.settings import FitSettings
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.measured_spectra import Spectra
-from balance_cli.estimation.measurements import Batch, stack_runs
+from balance_cli.estimation.measurements import stack_runs
 from balance_cli.signals.run_spectrum import RunSpectrum
-
-# Lines of all sweeps together that a fit of the search takes, and at least of each run.
-TARGET_LINES = 300
-MIN_RUN_LINES = 20
 
 
 @dataclass(frozen=True)
 class SearchLines:
-    """Batches that are fitted, and `folds` that judge: other lines of the same sweeps, and every static run."""
+    """Batches that are `fitted`, and others for `validation`: other lines of the same sweeps, and every static run."""
 
     fitted: tuple[Batch, ...]
-    folds: tuple[Batch, ...]
+    validation: tuple[Batch, ...]
 
 
-def search_lines(spectra: Spectra, channel_names: tuple[str, ...]) -> SearchLines:
-    """Every n-th line of each sweep, and those half way between, both with all static points.
+def search_lines(spectra: Spectra, channel_names: tuple[str, ...], settings: FitSettings) -> SearchLines:
+    """Return every n-th line of each sweep, and those half way between, both with all static points.
 
-    The free motion that rings in a record is left in: beside a model's error it is nothing.
+    The transient of a record is not removed: it is small compared with the model error.
     """
     runs = spectra.lines
     count = sum(len(run.frequency) for run in runs)
-    stride = max(2, count // TARGET_LINES)
-    strides = [max(2, min(stride, len(run.frequency) // MIN_RUN_LINES)) for run in runs]
+    stride = max(2, count // settings.target_lines)
+    strides = [max(2, min(stride, len(run.frequency) // settings.min_run_lines)) for run in runs]
     fitted = [_every_nth_line(run, n, i % n) for i, (run, n) in enumerate(zip(runs, strides, strict=True))]
-    judged = [_every_nth_line(run, n, (i + n // 2) % n) for i, (run, n) in enumerate(zip(runs, strides, strict=True))]
-    return SearchLines(_stacked(fitted, spectra, channel_names), _stacked(judged, spectra, channel_names))
+    validation = [
+        _every_nth_line(run, n, (i + n // 2) % n) for i, (run, n) in enumerate(zip(runs, strides, strict=True))
+    ]
+    return SearchLines(_stack(fitted, spectra, channel_names), _stack(validation, spectra, channel_names))
 
 
-def _stacked(lines: Sequence[RunSpectrum], spectra: Spectra, channel_names: tuple[str, ...]) -> tuple[Batch, ...]:
-    # Of the static runs the straight part: a few lines for a hundred.
+def _stack(lines: Sequence[RunSpectrum], spectra: Spectra, channel_names: tuple[str, ...]) -> tuple[Batch, ...]:
+    # Of the static runs only the linear part: it replaces a hundred points by a few lines.
     statics = [replace(points, share=None) for points in spectra.statics]
     return stack_runs(lines, statics, channel_names)
 
@@ -48,7 +48,7 @@ def _stacked(lines: Sequence[RunSpectrum], spectra: Spectra, channel_names: tupl
 def _every_nth_line(lines: RunSpectrum, stride: int, first: int) -> RunSpectrum:
     if len(lines.frequency) < 2 * stride:
         return replace(lines, window=None)
-    every: NDArray[np.intp] = np.arange(len(lines.frequency))
-    # The mean of a record stands alone.
-    chosen = (every % stride == first) | (lines.frequency == 0)
-    return replace(lines.select(chosen), window=None)
+    index: NDArray[np.intp] = np.arange(len(lines.frequency))
+    # The mean of a record has no neighbor that could stand for it.
+    selected = (index % stride == first) | (lines.frequency == 0)
+    return replace(lines.select(selected), window=None)

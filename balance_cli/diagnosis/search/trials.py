@@ -1,4 +1,4 @@
-"""What the loop tried, put down."""
+"""The record of a candidate that was tried."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from balance_cli.diagnosis.search.score_statistics import Score
 
 
 def make_trial(
-    number: int, score: Score, count: int, gain: float, accepted: bool, why: str, folds: float = float("nan")
+    number: int, score: Score, count: int, gain: float, accepted: bool, reason: str, validation: float = float("nan")
 ) -> Trial:
-    """One of `count` candidates in round `number`, with what its refit gained, there and on other lines."""
+    """Return the trial of one of `count` candidates in round `number`.
+
+    `gain` of its refit, and `validation`, its gain on other lines.
+    """
     return Trial(
         round=number,
         label=score.candidate.label,
@@ -18,6 +21,6 @@ def make_trial(
         p_value=min(1.0, count * score.p_value),
         gain=gain,
         decision="accepted" if accepted else "rejected",
-        why=why,
-        folds=folds,
+        reason=reason,
+        cross_validation_gain=validation,
     )

@@ -1,7 +1,7 @@
-"""Where the library is exhausted: resonances of free shape, begun where most of the residual is.
+"""Unmodelled modes: resonances of free shape, added where no physical effect of the library explains the residual.
 
-They describe and do not explain. What they are worth is that hub loads come out right where the balance resonates in a
-way that nobody has written down; what made them, someone has to look for at the frequencies found.
+They describe the residual without explaining it. With them the hub loads are correct where the balance resonates in an
+unknown way; the cause has to be looked for at the identified frequencies.
 """
 
 from __future__ import annotations
@@ -15,25 +15,20 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates
-from balance_cli.diagnosis.search.refit import PENALTY, SearchState, fit_until_stable
-from balance_cli.diagnosis.search.score_statistics import extend_model
-from balance_cli.diagnosis.search.search import SMALL_ERROR, search_round
+from balance_cli.diagnosis.search.extended_models import extend_model
+from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable
+from balance_cli.diagnosis.search.rounds import search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
-from balance_cli.estimation.likelihood import evaluate_batch as fitted_lines
-from balance_cli.estimation.measurements import Batch
+from balance_cli.diagnosis.settings import FitSettings, SearchSettings, UnmodelledModeSettings
+from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.likelihood import evaluate_batch
 from balance_cli.estimation.model_error import add_model_error
 from balance_cli.model.balance import BalanceModel
-from balance_cli.model.placed_effects import declared_effects
-from balance_cli.model.system import System, solve
+from balance_cli.model.placed_effects import declared_effects, effect_label, find_effect
+from balance_cli.model.system import System
+from balance_cli.model.system_response import solve
 
 Array = NDArray[np.float64]
-
-MODE_EFFECT_NAME = "extra-mode"
-# Frequencies at which a resonance is tried, and the share of one that belongs to it.
-PEAKS = 5
-PEAK_WIDTH = 0.08
-# One for each direction at most.
-MAX_MODES = 3
 
 
 def add_unmodelled_modes(
@@ -41,100 +36,114 @@ def add_unmodelled_modes(
     lines: SearchLines,
     first_round: int,
     announce: Callable[[str], None],
+    settings: SearchSettings,
 ) -> tuple[SearchState | None, tuple[Trial, ...]]:
-    """The model with resonances that take their share off its error, and what was tried; None where none does.
+    """The model with the resonances that reduce its error, and the trials; None where no resonance is accepted.
 
-    Of several beginnings the one that ends with the better description. The first one has all that was found before;
-    what one of the others lacks of it is put down as removed.
+    Of several starting models the one that ends with the best description is returned. The first one has all effects
+    found before; those of its effects that the returned model lacks are listed as removed.
     """
     announce("resonances without a cause")
-    ends = [_add_modes(model, theta, lines, first_round) for model, theta in starting_models]
-    worth = [_cost(state) for state, _ in ends]
-    best = int(np.argmin(worth))
-    state, trials = ends[best]
+    results = [_add_modes(model, theta, lines, first_round, settings) for model, theta in starting_models]
+    costs = [_cost(state, settings.parameter_cost) for state, _ in results]
+    best = int(np.argmin(costs))
+    state, trials = results[best]
     if not any(trial.decision == "accepted" for trial in trials):
         return None, trials
-    labels = [{one.label for one in declared_effects(model.geometry)} for model, _ in starting_models]
-    gain = worth[best] - worth[0]
-    return state, (
-        *trials,
-        *(_superseded_trial(first_round, label, gain) for label in sorted(labels[0] - labels[best])),
-    )
+    labels = [{effect.label for effect in declared_effects(model.geometry)} for model, _ in starting_models]
+    gain = costs[best] - costs[0]
+    removed = sorted(labels[0] - labels[best])
+    return state, (*trials, *(_superseded_trial(first_round, label, gain) for label in removed))
 
 
-def _cost(state: SearchState) -> float:
-    """-2 ln likelihood, and what parameters cost."""
-    return state.fitted + PENALTY * float(np.count_nonzero(state.model.parameters.free))
+def _cost(state: SearchState, parameter_cost: float) -> float:
+    """-2 ln likelihood plus the cost of the free parameters."""
+    return state.fit_criterion + parameter_cost * float(np.count_nonzero(state.model.parameters.free))
 
 
 def _superseded_trial(number: int, label: str, gain: float) -> Trial:
-    return Trial(number, label, 0.0, 1, 1.0, gain, "removed", "resonances alone describe more")
+    return Trial(
+        round=number,
+        label=label,
+        score=0.0,
+        parameters=1,
+        p_value=1.0,
+        gain=gain,
+        decision="removed",
+        reason="resonances alone describe more",
+    )
 
 
 def _add_modes(
-    model: BalanceModel, theta: Array, lines: SearchLines, first_round: int
+    model: BalanceModel, theta: Array, lines: SearchLines, first_round: int, settings: SearchSettings
 ) -> tuple[SearchState, tuple[Trial, ...]]:
-    """The model with the resonances that are accepted from one beginning, or as it settles without any."""
-    state = fit_until_stable(model, theta, lines)
+    """The stable fit of one starting model with the resonances that are accepted, if any."""
+    state = fit_until_stable(model, theta, lines, settings.fit)
     trials: list[Trial] = []
-    for number in range(first_round, first_round + MAX_MODES):
-        if state.error < SMALL_ERROR:
+    for number in range(first_round, first_round + settings.modes.max_modes):
+        if state.error < settings.rounds.small_error:
             break
-        added = search_round(state, lines, number, trials, {}, unmodelled_mode_candidates(state, lines.fitted))
-        if added is None:
+        pool = unmodelled_mode_candidates(state, lines.fitted, settings.modes)
+        added = search_round(state, lines, number, pool, settings)
+        trials += added.trials
+        if added.state is None:
             break
-        state = orient_along_largest(added, lines)
+        state = move_to_best_places(added.state, lines, settings.fit)
     return state, tuple(trials)
 
 
-def unmodelled_mode_candidates(state: SearchState, batches: Sequence[Batch]) -> tuple[Candidate, ...]:
-    """The empirical candidates, begun at the frequencies where the model is most in error."""
+def unmodelled_mode_candidates(
+    state: SearchState, batches: Sequence[Batch], settings: UnmodelledModeSettings
+) -> tuple[Candidate, ...]:
+    """The empirical candidates, started at the frequencies of the largest model errors."""
     system = state.model.system(state.theta)
-    starts = tuple({"frequency": peak} for peak in _error_peaks(add_model_error(batches, state.shares), system))
-    pool = candidates(state.geometry, empirical=True)
-    return tuple(replace(one, starts=starts) for one in pool if one.effect.empirical and starts)
+    peaks = _error_peaks(add_model_error(batches, state.shares), system, settings)
+    found = []
+    for candidate in candidates(state.geometry, empirical=True):
+        start_at_frequency = candidate.effect.search.start_at_frequency
+        if candidate.effect.empirical and start_at_frequency is not None and peaks:
+            found.append(replace(candidate, starts=tuple(start_at_frequency(peak) for peak in peaks)))
+    return tuple(found)
 
 
-def orient_along_largest(state: SearchState, lines: SearchLines) -> SearchState:
-    """The same with each resonance at the direction in which it moves most: there its mass and shape are well told."""
-    known = dict(zip(state.model.parameters.names, state.theta, strict=True))
-    effects, taken = [], {item.where for item in state.geometry.effects if item.name == MODE_EFFECT_NAME}
+def move_to_best_places(state: SearchState, lines: SearchLines, settings: FitSettings) -> SearchState:
+    """The same model with each effect declared at the place where its parameters are determined best."""
+    fitted = dict(zip(state.model.parameters.names, state.theta.tolist(), strict=True))
+    occupied = {(item.name, item.where) for item in state.geometry.effects}
+    effects = []
     for item in state.geometry.effects:
-        turned = item if item.name != MODE_EFFECT_NAME else _reorient(item, known)
-        effects.append(item if turned.where in taken else turned)
+        moved = _move_to_best_place(item, fitted)
+        effects.append(item if (moved.name, moved.where) in occupied else moved)
     if tuple(effects) == state.geometry.effects:
         return state
     model, theta = extend_model(state.model, state.theta, state.geometry.model_copy(update={"effects": tuple(effects)}))
-    return fit_until_stable(model, theta, lines, state.shares)
+    return fit_until_stable(model, theta, lines, settings, state.shares)
 
 
-def _reorient(item: DeclaredEffect, known: Mapping[str, float]) -> DeclaredEffect:
-    """With s the part of the new direction in the shape, m becomes m s^2 and the shape is divided by s."""
-    prefix = f"{MODE_EFFECT_NAME}@{item.where[0]}."
-    values = {name: known.get(prefix + name, value) for name, value in item.parameters.items()}
-    shape = {name: float(value) for name, value in values.items() if name.startswith("shape_")}
-    shape[f"shape_{item.where[0]}"] = 1.0
-    largest = max((name for name in shape if name[-2:] in ("_x", "_y", "_z")), key=lambda name: abs(shape[name]))
-    part = shape[largest]
-    turned = {name: value / part for name, value in shape.items() if name != largest}
-    mass = {"mass": float(values["mass"]) * part**2}
-    rest = {name: value for name, value in values.items() if name not in (*shape, "mass")}
-    return DeclaredEffect(name=MODE_EFFECT_NAME, where=(largest[-1],), parameters={**rest, **mass, **turned})
+def _move_to_best_place(item: DeclaredEffect, fitted: Mapping[str, float]) -> DeclaredEffect:
+    """The declared effect at its best place, `fitted` being all parameters of the model by their full names."""
+    best_place = find_effect(item.name).search.best_place
+    if best_place is None:
+        return item
+    label = effect_label(item.name, item.where)
+    values = {name: float(fitted.get(f"{label}.{name}", value)) for name, value in item.parameters.items()}
+    where, parameters = best_place(item.where, values)
+    return DeclaredEffect(name=item.name, where=where, parameters=dict(parameters))
 
 
-def _error_peaks(batches: Sequence[Batch], system: System) -> list[float]:
-    """Frequencies [Hz] of the largest errors, each apart from the others."""
-    found: list[float] = []
-    frequency = np.concatenate([batch.frequency[batch.index] for batch in batches])
-    left = np.concatenate([_line_chi2(batch, system) for batch in batches])
-    left[frequency == 0] = 0.0
-    while len(found) < PEAKS and left.any():
-        peak = float(frequency[np.argmax(left)])
-        found.append(peak)
-        left[np.abs(frequency - peak) < PEAK_WIDTH * peak] = 0.0
-    return found
+def _error_peaks(batches: Sequence[Batch], system: System, settings: UnmodelledModeSettings) -> list[float]:
+    """Frequencies [Hz] of the largest model errors, no two within the width of a peak."""
+    peaks: list[float] = []
+    frequency = np.concatenate([batch.line_frequency for batch in batches])
+    chi2 = np.concatenate([_line_chi2(batch, system) for batch in batches])
+    chi2[frequency == 0] = 0.0
+    while len(peaks) < settings.max_peaks and chi2.any():
+        peak = float(frequency[np.argmax(chi2)])
+        peaks.append(peak)
+        chi2[np.abs(frequency - peak) < settings.peak_width * peak] = 0.0
+    return peaks
 
 
 def _line_chi2(batch: Batch, system: System) -> Array:
-    """Chi-square (K,) of the lines."""
-    return fitted_lines(batch, system, solve(system, batch.frequency, batch.spin)).chi2
+    """Chi-square (K,) of the spectral lines."""
+    return evaluate_batch(batch, system, solve(system, batch.frequency, batch.spin)).chi2

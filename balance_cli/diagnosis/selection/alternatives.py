@@ -1,51 +1,56 @@
-"""What would do as well in an effect's place, and what does better: sets that the data cannot tell apart."""
+"""Alternatives of each effect: effects that describe the data as well in its place, and those that do it better."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import Candidate, candidates, parameters_of_interest
+from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
 from balance_cli.diagnosis.search.point_mass import place_mass_candidates, refine_point_mass
-from balance_cli.diagnosis.search.preference import INDISTINGUISHABLE_CHI2
-from balance_cli.diagnosis.search.refit import PENALTY
-from balance_cli.diagnosis.search.score_statistics import (
-    Score,
-    add_candidates,
-    apply_score_step,
-    extend_model,
-    score_in_two_stages,
-)
-from balance_cli.diagnosis.selection.confirm import STRONG_GAIN
+from balance_cli.diagnosis.search.score_statistics import Score, score_in_two_stages
+from balance_cli.diagnosis.selection.candidate_refits import fit_scored_candidate
 from balance_cli.diagnosis.selection.effect_selection import prune_effects, refit_without_effect, without_effect
 from balance_cli.diagnosis.selection.effect_statistics import effect_wald_statistic
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
-from balance_cli.estimation.measurements import Batch
+from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.estimation.batch import Batch
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
-
-# Rivals of an effect that are refitted, and how far the scores of a weak one's may fall short of its own.
-MAX_ALTERNATIVES = 4
-MAX_SCORE_DEFICIT = 8.0
-MOST_REPLACED = 6
 
 
 @dataclass(frozen=True)
 class EffectSupport:
-    """What an effect of the closed model gains in chi-square, for how many known parameters, and what does as well."""
+    """What an effect of the updated model gains in chi-square, with so many identifiable parameters.
+
+    `equivalent`: labels of effects that describe the data as well in its place.
+    """
 
     gain: float
     parameters: int
-    alike: tuple[str, ...]
+    equivalent: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class ComparisonResult:
-    """The fit with the better of each effect and its rivals, where each then stands, and what was put in its place."""
+    """The fit with the better of each effect and its alternatives, the support of each effect, and the replacements."""
 
     fit: Fit
-    effect_support: dict[str, EffectSupport]
-    trials: tuple[Trial, ...]
+    effect_support: dict[str, EffectSupport] = field(default_factory=dict)
+    trials: tuple[Trial, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """An effect of a fit against its alternatives.
+
+    `support`: of the effect; `refits`: fits with alternatives in its place, by label; `better`: the label of one that
+    should replace it.
+    """
+
+    support: EffectSupport
+    refits: dict[str, Fit]
+    better: str | None
 
 
 def compare_alternatives(
@@ -56,109 +61,125 @@ def compare_alternatives(
     count: int,
     number: int,
     announce: Callable[[str], None],
+    settings: SearchSettings,
 ) -> ComparisonResult:
-    """Every effect that is not `given` against its rivals: those of its round (labels), or of a weak one all.
+    """Compare every effect that is not given with its `alternatives` (labels), and a weak one with all candidates.
 
-    A rival takes the place of an effect where it explains more than can be chance or its parameters can make. What it
-    makes needless goes, and all are looked at once more: two small effects may have stood for one of many parameters.
+    An alternative replaces an effect where it gains more than chance and its parameters can. Effects that it makes
+    unnecessary are removed, and all effects are compared once more: two small effects may have stood for a large one.
     """
-    alternatives, trials = dict(alternatives), list[Trial]()
-    effect_support: dict[str, EffectSupport] = {}
-    while label := next(
-        (one.label for one in _added_effects(fit, given_labels) if one.label not in effect_support), None
-    ):
-        announce(f"evidence of {label}")
-        one = _effect_by_label(fit, label)
-        gain, known = effect_wald_statistic(fit, one)
-        less = refit_without_effect(fit, one, batches) if gain < STRONG_GAIN else None
-        ends = _fit_alternatives(fit, one, batches, alternatives.get(label, ()), less)
-        better = _better_alternative(fit, one, ends)
-        if better is None or len(trials) >= 2 * MOST_REPLACED:
-            gain = gain if less is None else less.chi2 - fit.chi2
-            alike = tuple(name for name, end in ends.items() if end.chi2 - fit.chi2 <= INDISTINGUISHABLE_CHI2)
-            effect_support[label] = EffectSupport(gain, known, alike)
+    known, result = dict(alternatives), ComparisonResult(fit)
+    while effect := _next_effect(result, given_labels):
+        announce(f"evidence of {effect.label}")
+        label, fit = effect.label, result.fit
+        comparison = _compare(fit, effect, batches, known.get(label, ()), settings)
+        better = comparison.better
+        if better is None or len(result.trials) >= 2 * settings.selection.max_replaced:
+            support = {**result.effect_support, label: comparison.support}
+            result = ComparisonResult(fit, support, result.trials)
             continue
-        trials += _replacement_trials(number, one, better, fit.chi2 - ends[better].chi2, known)
-        alternatives[better] = (label, *alternatives.get(label, ()))
-        fit, removed = prune_effects(ends[better], batches, count, number)
-        trials += removed
-        effect_support.clear()
-    return ComparisonResult(fit, effect_support, tuple(trials))
+        refit = comparison.refits[better]
+        replaced = _replacement_trials(number, label, better, fit.chi2 - refit.chi2, comparison.support.parameters)
+        known[better] = (label, *known.get(label, ()))
+        fit, removed = prune_effects(refit, batches, count, number, settings)
+        result = ComparisonResult(fit, {}, (*result.trials, *replaced, *removed))
+    return result
 
 
-def _added_effects(fit: Fit, given_labels: Collection[str]) -> list[PlacedEffect]:
-    return [one for one in declared_effects(fit.model.geometry) if one.label not in given_labels]
+def _next_effect(result: ComparisonResult, given_labels: Collection[str]) -> PlacedEffect | None:
+    """The first effect that is not given and has not been compared."""
+    effects = declared_effects(result.fit.model.geometry)
+    compared = {*given_labels, *result.effect_support}
+    return next((effect for effect in effects if effect.label not in compared), None)
 
 
-def _effect_by_label(fit: Fit, label: str) -> PlacedEffect:
-    return next(one for one in declared_effects(fit.model.geometry) if one.label == label)
+def _compare(
+    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], names: Sequence[str], settings: SearchSettings
+) -> _Comparison:
+    gain, parameters = effect_wald_statistic(fit, effect)
+    if gain < settings.selection.strong_gain:
+        reduced = refit_without_effect(fit, effect, batches, settings.fit)
+        gain = reduced.chi2 - fit.chi2
+        near = _near_alternatives(reduced, effect, batches, gain, settings)
+        refits = {score.candidate.label: fit_scored_candidate(reduced, score, batches, settings) for score in near}
+    else:
+        refits = _fit_named_alternatives(fit, effect, batches, names, settings)
+    tolerance = settings.indistinguishable_chi2
+    equivalent = tuple(label for label, refit in refits.items() if refit.chi2 - fit.chi2 <= tolerance)
+    support = EffectSupport(gain, parameters, equivalent)
+    return _Comparison(support, refits, _better_alternative(fit, effect, refits, settings))
 
 
-def _fit_alternatives(
-    fit: Fit, one: PlacedEffect, batches: Sequence[Batch], names: Sequence[str], less: Fit | None
-) -> dict[str, Fit]:
-    """The fits with rivals in the effect's place. `less`: the model without a weak one, whose scores name them."""
-    if less is not None:
-        near = _near_alternatives(less, one, batches, less.chi2 - fit.chi2)[:MAX_ALTERNATIVES]
-        return {item.candidate.label: _fit_scored_candidate(less, item, batches) for item in near}
-    possible = {item.label: item for item in candidates(without_effect(fit.model.geometry, one))}
-    known = [name for name in names if name in possible and name != one.label][:MAX_ALTERNATIVES]
-    return {name: _fit_in_place(fit, one, possible[name], batches) for name in known}
+def _better_alternative(
+    fit: Fit, effect: PlacedEffect, refits: Mapping[str, Fit], settings: SearchSettings
+) -> str | None:
+    """The alternative that gains most, less the cost of further parameters; None where the effect is as good."""
+    count = len(parameters_of_interest(effect.parameters))
+    gains = {}
+    for label, refit in refits.items():
+        placed = next(item for item in declared_effects(refit.model.geometry) if item.label == label)
+        further = max(len(parameters_of_interest(placed.parameters)) - count, 0)
+        gains[label] = fit.chi2 - refit.chi2 - settings.parameter_cost * further
+    best = max(gains, key=lambda label: gains[label], default=None)
+    return best if best is not None and gains[best] > settings.indistinguishable_chi2 else None
 
 
-def _better_alternative(fit: Fit, one: PlacedEffect, ends: Mapping[str, Fit]) -> str | None:
-    """The rival that explains most, each parameter paid for; None where the effect itself is as good."""
-    own = len(parameters_of_interest(one.parameters))
-    worth = {
-        label: fit.chi2
-        - end.chi2
-        - PENALTY * max(len(parameters_of_interest(_effect_by_label(end, label).parameters)) - own, 0)
-        for label, end in ends.items()
-    }
-    best = max(worth, key=lambda label: worth[label], default=None)
-    return best if best is not None and worth[best] > INDISTINGUISHABLE_CHI2 else None
+def _replacement_trials(number: int, label: str, better: str, gain: float, parameters: int) -> tuple[Trial, Trial]:
+    """The trials of the effect that was removed, and of the one that replaced it."""
 
+    def trial(name: str, change: float, decision: str, reason: str) -> Trial:
+        return Trial(
+            round=number,
+            label=name,
+            score=float("nan"),
+            parameters=parameters,
+            p_value=1.0,
+            gain=change,
+            decision=decision,
+            reason=reason,
+        )
 
-def _replacement_trials(number: int, one: PlacedEffect, better: str, gain: float, known: int) -> tuple[Trial, Trial]:
-    """Both put down: what came in, and what had to go."""
-    nan = float("nan")
     return (
-        Trial(number, one.label, nan, known, 1.0, -gain, "removed", f"{better} explains more in its place"),
-        Trial(number, better, nan, known, 1.0, gain, "accepted", f"explains more than {one.label}"),
+        trial(label, -gain, "removed", f"{better} explains more in its place"),
+        trial(better, gain, "accepted", f"explains more than {label}"),
     )
 
 
-def _fit_scored_candidate(less: Fit, score: Score, batches: Sequence[Batch]) -> Fit:
-    """A candidate fitted from its score's step, or, a mass, from its best place."""
-    if not score.candidate.chosen:
-        return fit_all_lines(*apply_score_step(less.model, less.theta, batches, score), batches)
-    geometry = add_candidates(less.model.geometry, [(score.candidate, score.start)])
-    model, null = extend_model(less.model, less.theta, geometry)
-    return fit_all_lines(model, refine_point_mass(model, null, batches), batches)
+# ---- refits of alternatives ------------------------------------------------------------------------------------------
 
 
-def _fit_in_place(fit: Fit, one: PlacedEffect, alternative: Candidate, batches: Sequence[Batch]) -> Fit:
-    """The model with a rival in the place of an effect, refitted from the best of its starts."""
-    others = without_effect(fit.model.geometry, one)
-    (alternative,) = place_mass_candidates([alternative], *extend_model(fit.model, fit.theta, others), batches)
-    if alternative.chosen:
-        model, null = extend_model(fit.model, fit.theta, add_candidates(others, [(alternative, 0)]))
-        return fit_all_lines(model, refine_point_mass(model, null, batches), batches)
-    fits = []
-    for number in range(len(alternative.starts)):
-        model, theta = extend_model(
-            fit.model, fit.theta, add_candidates(others, [(alternative, number)], at_start_values=True)
-        )
-        fits.append(fit_all_lines(model, theta, batches))
-    return min(fits, key=lambda item: item.chi2)
+def _near_alternatives(
+    reduced: Fit, effect: PlacedEffect, batches: Sequence[Batch], loss: float, settings: SearchSettings
+) -> list[Score]:
+    """Candidates that score about as much as the `loss` of chi-square without the effect, the best first."""
+    limits, model = settings.selection, reduced.model
+    scored = score_in_two_stages(model, reduced.theta, batches, candidates(model.geometry), settings)
+    lowest = loss - limits.alternative_score_deficit - limits.score_inaccuracy * loss
+    near = [score for score in scored if score.candidate.label != effect.label and score.gain > lowest]
+    return sorted(near, key=lambda score: -score.gain)[: limits.max_alternatives]
 
 
-def _near_alternatives(less: Fit, one: PlacedEffect, batches: Sequence[Batch], lost: float) -> list[Score]:
-    """Candidates that score about as well as what was lost with the effect, the best first."""
-    found = score_in_two_stages(less.model, less.theta, batches, candidates(less.model.geometry))
-    near = [
-        item
-        for item in found
-        if item.candidate.label != one.label and item.gain > lost - MAX_SCORE_DEFICIT - 0.1 * lost
-    ]
-    return sorted(near, key=lambda item: -item.gain)
+def _fit_named_alternatives(
+    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], names: Sequence[str], settings: SearchSettings
+) -> dict[str, Fit]:
+    """Refits with each of these alternatives in the effect's place, by label."""
+    possible = {item.label: item for item in candidates(without_effect(fit.model.geometry, effect))}
+    labels = [name for name in names if name in possible and name != effect.label]
+    labels = labels[: settings.selection.max_alternatives]
+    return {label: _fit_in_place(fit, effect, possible[label], batches, settings) for label in labels}
+
+
+def _fit_in_place(
+    fit: Fit, effect: PlacedEffect, alternative: Candidate, batches: Sequence[Batch], settings: SearchSettings
+) -> Fit:
+    """The model with an alternative in the place of an effect, refitted from the best of its starts."""
+    others = without_effect(fit.model.geometry, effect)
+    (placed,) = place_mass_candidates([alternative], *extend_model(fit.model, fit.theta, others), batches, settings)
+    if placed.fitted_start_values:
+        model, null = extend_model(fit.model, fit.theta, add_candidates(others, [(placed, 0)]))
+        return fit_all_lines(model, refine_point_mass(model, null, batches, settings), batches, settings.fit)
+    refits = []
+    for number in range(len(placed.starts)):
+        geometry = add_candidates(others, [(placed, number)], at_start_values=True)
+        refits.append(fit_all_lines(*extend_model(fit.model, fit.theta, geometry), batches, settings.fit))
+    return min(refits, key=lambda refit: refit.chi2)

@@ -1,4 +1,4 @@
-"""What of a closed model is needed: each effect's evidence, what can go, and what cannot be believed."""
+"""Effect selection: remove the effects of an updated model that are not needed, and those that are not supported."""
 
 from __future__ import annotations
 
@@ -10,145 +10,171 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import candidate_at, parameters_of_interest, smaller_places
-from balance_cli.diagnosis.search.score_statistics import extend_model
-from balance_cli.diagnosis.selection.confirm import (
-    MIN_EFFECT_SHARE,
-    SIGNIFICANCE_LEVEL,
-    STRONG_GAIN,
-    bonferroni_p_value,
-)
+from balance_cli.diagnosis.search.extended_models import extend_model
 from balance_cli.diagnosis.selection.effect_statistics import effect_wald_statistic, wald_statistic
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines, unexplained_chi2
-from balance_cli.estimation.measurements import Batch
+from balance_cli.diagnosis.settings import FitSettings, SearchSettings
+from balance_cli.diagnosis.significance import bonferroni_p_value
+from balance_cli.estimation.batch import Batch
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.effects import Where
 from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 
 Array = NDArray[np.float64]
 
-# Probability beyond which a motion of an effect is as well left out.
-NEGLIGIBLE_P_VALUE = 1e-3
+REASON_NOT_NEEDED = "later effects have made it needless"
+REASON_NOT_SUPPORTED = "what no effect explains is larger and could look like it"
 
 
-def refit_without_effect(fit: Fit, one: PlacedEffect, batches: Sequence[Batch]) -> Fit:
-    """The model without an effect, refitted."""
-    model, theta = extend_model(fit.model, fit.theta, without_effect(fit.model.geometry, one))
-    return fit_all_lines(model, theta, batches)
+def refit_without_effect(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: FitSettings) -> Fit:
+    """Return the refit of the model without an effect."""
+    model, theta = extend_model(fit.model, fit.theta, without_effect(fit.model.geometry, effect))
+    return fit_all_lines(model, theta, batches, settings)
 
 
 def keep_effects(
     labels: Collection[str], geometry: Geometry, model: BalanceModel, theta: Array
 ) -> tuple[BalanceModel, Array]:
-    """A model with those effects of a geometry that have these labels, its other parameters as they are in `theta`."""
-    kept = [
-        item
-        for item, one in zip(geometry.effects, _effects_in_declared_order(geometry), strict=True)
-        if one.label in labels
-    ]
-    return extend_model(model, theta, geometry.model_copy(update={"effects": tuple(kept)}))
+    """Return a model with those effects of a geometry that have these labels, its other parameters as in `theta`."""
+    effects = tuple(item for item, placed in _declared_and_placed(geometry) if placed.label in labels)
+    return extend_model(model, theta, geometry.model_copy(update={"effects": effects}))
 
 
-def without_effect(geometry: Geometry, one: PlacedEffect) -> Geometry:
-    """The geometry without an effect."""
-    kept = [
-        item
-        for item, placed in zip(geometry.effects, _effects_in_declared_order(geometry), strict=True)
-        if placed.label != one.label
-    ]
-    return geometry.model_copy(update={"effects": tuple(kept)})
+def without_effect(geometry: Geometry, effect: PlacedEffect) -> Geometry:
+    """Return the geometry without an effect."""
+    effects = tuple(item for item, placed in _declared_and_placed(geometry) if placed.label != effect.label)
+    return geometry.model_copy(update={"effects": effects})
 
 
-def _effects_in_declared_order(geometry: Geometry) -> list[PlacedEffect]:
-    """Placed effects in the order in which the geometry declares them."""
-    return [declared_effects(geometry.model_copy(update={"effects": (item,)}))[0] for item in geometry.effects]
+def _declared_and_placed(geometry: Geometry) -> list[tuple[DeclaredEffect, PlacedEffect]]:
+    """The effects that a geometry declares, in its order, each with its place."""
+    return [(item, declared_effects(geometry.model_copy(update={"effects": (item,)}))[0]) for item in geometry.effects]
 
 
-def prune_effects(fit: Fit, batches: Sequence[Batch], count: int, number: int) -> tuple[Fit, tuple[Trial, ...]]:
-    """The model without effects, and without motions of effects, that later ones have made needless."""
-    trials: list[Trial] = []
-    for one in sorted(declared_effects(fit.model.geometry), key=lambda item: effect_wald_statistic(fit, item)[0]):
-        gain, known = effect_wald_statistic(fit, one)
-        if gain < STRONG_GAIN and bonferroni_p_value(gain, max(known, 1), count) >= SIGNIFICANCE_LEVEL:
-            less = refit_without_effect(fit, one, batches)
-            if bonferroni_p_value(less.chi2 - fit.chi2, max(known, 1), count) >= SIGNIFICANCE_LEVEL:
-                why = "later effects have made it needless"
-                trials.append(_removal_trial(number, one, known, less.chi2 - fit.chi2, why))
-                fit = less
+# ---- effects that are not needed -------------------------------------------------------------------------------------
+
+
+def prune_effects(
+    fit: Fit, batches: Sequence[Batch], count: int, number: int, settings: SearchSettings
+) -> tuple[Fit, tuple[Trial, ...]]:
+    """Return the model without effects, and without motions of effects, that others have made unnecessary."""
+    limits, trials = settings.selection, list[Trial]()
+    for effect in sorted(declared_effects(fit.model.geometry), key=lambda item: effect_wald_statistic(fit, item)[0]):
+        gain, parameters = effect_wald_statistic(fit, effect)
+        weak = gain < limits.strong_gain
+        if weak and bonferroni_p_value(gain, max(parameters, 1), count) >= limits.significance_level:
+            reduced = refit_without_effect(fit, effect, batches, settings.fit)
+            gain = reduced.chi2 - fit.chi2
+            if bonferroni_p_value(gain, max(parameters, 1), count) >= limits.significance_level:
+                trials.append(_removal_trial(number, effect, parameters, gain, REASON_NOT_NEEDED))
+                fit = reduced
                 continue
-        fit, smaller = _narrow_place(fit, one, batches, number)
-        trials += smaller
+        fit, narrowed = _narrow_place(fit, effect, batches, number, settings)
+        trials += narrowed
     return fit, tuple(trials)
+
+
+def _removal_trial(number: int, effect: PlacedEffect, parameters: int, gain: float, reason: str) -> Trial:
+    return Trial(
+        round=number,
+        label=effect.label,
+        score=gain,
+        parameters=parameters,
+        p_value=1.0,
+        gain=gain,
+        decision="removed",
+        reason=reason,
+    )
+
+
+def _narrow_place(
+    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], number: int, settings: SearchSettings
+) -> tuple[Fit, list[Trial]]:
+    """The effect at a smaller place, as long as chi-square does not rise significantly."""
+    limit, trials = settings.selection.negligible_p_value, list[Trial]()
+    while True:
+        choices = [(where, *_lost_chi2(fit, effect, where)) for where in smaller_places(effect, fit.model.geometry)]
+        choices = [item for item in choices if bonferroni_p_value(item[1], max(item[2], 1), 1) > limit]
+        if not choices:
+            return fit, trials
+        where, _, parameters = min(choices, key=lambda item: item[1])
+        reduced, smaller = _refit_at_place(fit, effect, where, batches, settings.fit)
+        loss = reduced.chi2 - fit.chi2
+        if bonferroni_p_value(loss, max(parameters, 1), 1) <= limit:
+            return fit, trials
+        trials.append(
+            Trial(
+                round=number,
+                label=effect.label,
+                score=loss,
+                parameters=parameters,
+                p_value=1.0,
+                gain=loss,
+                decision="narrowed",
+                reason=f"nothing is lost at {smaller.label}",
+            )
+        )
+        fit, effect = reduced, smaller
+
+
+def _lost_chi2(fit: Fit, effect: PlacedEffect, where: Where) -> tuple[float, int]:
+    """Wald's chi-square of the parameters that the smaller place does not have, and how many are identifiable."""
+    remaining = {
+        item.name for item in candidate_at(effect.effect.name, where, fit.model.geometry).placed_effect.parameters
+    }
+    lost = [item for item in parameters_of_interest(effect.parameters) if item.name not in remaining]
+    return wald_statistic(fit, [effect.full_name(item) for item in lost], [item.fitted_null for item in lost])
+
+
+def _refit_at_place(
+    fit: Fit, effect: PlacedEffect, where: Where, batches: Sequence[Batch], settings: FitSettings
+) -> tuple[Fit, PlacedEffect]:
+    """The same effect at another place, refitted from the same values."""
+    geometry = fit.model.geometry
+    moved = candidate_at(effect.effect.name, where, geometry).placed_effect
+    names = {item.name for item in moved.parameters}
+    effects = tuple(
+        DeclaredEffect(name=item.name, where=where, parameters={k: v for k, v in item.parameters.items() if k in names})
+        if placed.label == effect.label
+        else item
+        for item, placed in _declared_and_placed(geometry)
+    )
+    model, theta = extend_model(fit.model, fit.theta, geometry.model_copy(update={"effects": effects}))
+    for item in moved.parameters:
+        value = fit.theta[fit.model.parameters.index(effect.full_name(item))]
+        theta[model.parameters.index(moved.full_name(item))] = value
+    return fit_all_lines(model, theta, batches, settings), moved
+
+
+# ---- effects that are not supported ----------------------------------------------------------------------------------
 
 
 def drop_unsupported_effects(
-    fit: Fit, batches: Sequence[Batch], noise_alone: bool, certain_labels: Collection[str], number: int
+    fit: Fit,
+    batches: Sequence[Batch],
+    noise_alone: bool,
+    certain_labels: Collection[str],
+    number: int,
+    settings: SearchSettings,
 ) -> tuple[Fit, tuple[Trial, ...]]:
-    """The model without effects that are worth little beside all that no effect explains: that could look like them.
+    """Return the model without effects whose gain is small beside the chi-square that no effect explains.
 
-    Where the weights carry a model error, little is less than all; the labels in `sure` are not in question.
+    What is unexplained could look like them. Where the weights carry a model error (not `noise_alone`), an effect must
+    gain more than all of it. Effects with `certain_labels` stay.
     """
     trials: list[Trial] = []
-    share = MIN_EFFECT_SHARE if noise_alone else 1.0
-    while least := share * unexplained_chi2(fit, batches, noise_alone):
-        open_ones = [one for one in declared_effects(fit.model.geometry) if one.label not in certain_labels]
-        if not open_ones:
-            break
+    share = settings.selection.min_effect_share if noise_alone else 1.0
+    while threshold := share * unexplained_chi2(fit, batches, noise_alone, settings.fit):
         weak = [
-            (one, refit_without_effect(fit, one, batches))
-            for one in open_ones
-            if effect_wald_statistic(fit, one)[0] < least
+            (effect, refit_without_effect(fit, effect, batches, settings.fit))
+            for effect in declared_effects(fit.model.geometry)
+            if effect.label not in certain_labels and effect_wald_statistic(fit, effect)[0] < threshold
         ]
-        one, less = min(weak, key=lambda item: item[1].chi2, default=(None, fit))
-        gain = less.chi2 - fit.chi2
-        if one is None or gain >= least:
+        effect, reduced = min(weak, key=lambda item: item[1].chi2, default=(None, fit))
+        gain = reduced.chi2 - fit.chi2
+        if effect is None or gain >= threshold:
             break
-        why, known = "what no effect explains is larger and could look like it", effect_wald_statistic(fit, one)[1]
-        trials.append(_removal_trial(number, one, known, gain, why))
-        fit = less
+        parameters = effect_wald_statistic(fit, effect)[1]
+        trials.append(_removal_trial(number, effect, parameters, gain, REASON_NOT_SUPPORTED))
+        fit = reduced
     return fit, tuple(trials)
-
-
-def _removal_trial(number: int, one: PlacedEffect, known: int, gain: float, why: str) -> Trial:
-    return Trial(number, one.label, gain, known, 1.0, gain, "removed", why)
-
-
-def _narrow_place(fit: Fit, one: PlacedEffect, batches: Sequence[Batch], number: int) -> tuple[Fit, list[Trial]]:
-    """The effect at a smaller place, as long as nothing is lost by it."""
-    trials: list[Trial] = []
-    while True:
-        choices = [(where, *_lost_chi2(fit, one, where)) for where in smaller_places(one, fit.model.geometry)]
-        choices = [item for item in choices if bonferroni_p_value(item[1], max(item[2], 1), 1) > NEGLIGIBLE_P_VALUE]
-        if not choices:
-            return fit, trials
-        where, _, known = min(choices, key=lambda item: item[1])
-        less, smaller = _refit_at_place(fit, one, where, batches)
-        if bonferroni_p_value(less.chi2 - fit.chi2, max(known, 1), 1) <= NEGLIGIBLE_P_VALUE:
-            return fit, trials
-        why = f"nothing is lost at {smaller.label}"
-        trials.append(Trial(number, one.label, less.chi2 - fit.chi2, known, 1.0, less.chi2 - fit.chi2, "narrowed", why))
-        fit, one = less, smaller
-
-
-def _lost_chi2(fit: Fit, one: PlacedEffect, where: Where) -> tuple[float, int]:
-    """Wald's chi-square of the parameters that the smaller place does not have."""
-    kept = {item.name for item in candidate_at(one.effect.name, where, fit.model.geometry).one.parameters}
-    gone = [item for item in parameters_of_interest(one.parameters) if item.name not in kept]
-    return wald_statistic(fit, [one.full_name(item) for item in gone], [item.fitted_null for item in gone])
-
-
-def _refit_at_place(fit: Fit, one: PlacedEffect, where: Where, batches: Sequence[Batch]) -> tuple[Fit, PlacedEffect]:
-    """The same effect at another place, refitted from the same values."""
-    geometry = fit.model.geometry
-    smaller = candidate_at(one.effect.name, where, geometry).one
-    known = {item.name for item in smaller.parameters}
-    effects = tuple(
-        DeclaredEffect(name=item.name, where=where, parameters={k: v for k, v in item.parameters.items() if k in known})
-        if placed.label == one.label
-        else item
-        for item, placed in zip(geometry.effects, _effects_in_declared_order(geometry), strict=True)
-    )
-    model, theta = extend_model(fit.model, fit.theta, geometry.model_copy(update={"effects": effects}))
-    for item in smaller.parameters:
-        was = one.full_name(item)
-        theta[model.parameters.index(smaller.full_name(item))] = fit.theta[fit.model.parameters.index(was)]
-    return fit_all_lines(model, theta, batches), smaller

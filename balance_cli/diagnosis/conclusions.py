@@ -1,0 +1,117 @@
+"""The conclusions of a diagnosis: verdict, evidence for each effect, and notes on what was not tested."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from balance_cli.diagnosis.model_update import UpdateResult, is_good_fit
+from balance_cli.diagnosis.result import (
+    EXPLAINED,
+    NOTHING_MISSING,
+    PARTLY_EXPLAINED,
+    UNEXPLAINED,
+    Evidence,
+    FoundEffect,
+    Trial,
+)
+from balance_cli.diagnosis.selection.fit import Fit
+from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.diagnosis.significance import bonferroni_p_value
+from balance_cli.estimation.identified_model import FitQuality
+from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.model.fitted_effects import FittedEffect
+from balance_cli.model.placed_effects import PlacedEffect
+
+
+def decide_verdict(
+    effects: Sequence[FoundEffect], update: UpdateResult, quality: FitQuality, settings: SearchSettings
+) -> str:
+    """Return the verdict, as docs/json.md defines it.
+
+    Without a good fit it is never `nothing missing`; with an empirical effect it is never `explained`.
+    """
+    good = is_good_fit(update.confirmation, quality, settings)
+    if not effects:
+        return NOTHING_MISSING if good else UNEXPLAINED
+    empirical = any(effect.evidence.empirical for effect in effects)
+    return EXPLAINED if good and not empirical else PARTLY_EXPLAINED
+
+
+def describe_added_effects(
+    placed: Sequence[PlacedEffect],
+    fitted: Sequence[FittedEffect],
+    update: UpdateResult,
+    intervals: Mapping[str, tuple[float, float]],
+) -> tuple[FoundEffect, ...]:
+    """Return the effects that the update has added, with their evidence, strongest first.
+
+    `fitted`: the effects of the updated model with their parameters; `intervals`: 95 % intervals of parameters whose
+    likelihood is far from normal, by full name.
+    """
+    by_label = {effect.label: effect for effect in fitted}
+    effects = []
+    for effect in placed:
+        support = update.effect_support.get(effect.label)
+        if support is None:
+            continue
+        described = by_label[effect.label]
+        parameters = tuple(
+            replace(item, interval=intervals.get(f"{effect.label}.{item.name}")) for item in described.parameters
+        )
+        effects.append(
+            FoundEffect(
+                name=described.name,
+                where=described.where,
+                parameters=parameters,
+                evidence=_evidence(effect, update),
+                indistinguishable_from=support.equivalent,
+                separated_by=effect.effect.separated_by if support.equivalent else "",
+                choice=described.choice,
+            )
+        )
+    return tuple(sorted(effects, key=lambda item: -item.evidence.gain))
+
+
+def _evidence(effect: PlacedEffect, update: UpdateResult) -> Evidence:
+    support, count = update.effect_support[effect.label], len(update.confirmation.scores)
+    trial = next((item for item in update.trials if _added(item, effect.label)), None)
+    return Evidence(
+        gain=support.gain,
+        parameters=support.parameters,
+        p_value=bonferroni_p_value(support.gain, max(support.parameters, 1), count),
+        score=trial.score if trial else float("nan"),
+        cross_validation_gain=trial.cross_validation_gain if trial else float("nan"),
+        round=trial.round if trial else 0,
+        empirical=effect.effect.empirical,
+    )
+
+
+def _added(trial: Trial, label: str) -> bool:
+    """Whether a trial added the effect, perhaps at a larger place than now."""
+    name, _, where = label.partition("@")
+    trial_name, _, trial_where = trial.label.partition("@")
+    same = name == trial_name and set(where.split(",")) <= set(trial_where.split(","))
+    return trial.decision == "accepted" and same
+
+
+def diagnosis_notes(spectra: Spectra, fit: Fit, quality: FitQuality, settings: SearchSettings) -> tuple[str, ...]:
+    """Return notes on what the runs leave untested, and on a chi-square that is too small."""
+    notes = []
+    bin_sums = any(run.waveform is not None and run.waveform.lines_are_bin_sums for run in spectra.lines)
+    too_good = quality.chi2_per_dof < settings.selection.too_good_chi2_per_dof
+    if fit.model.system(fit.theta).equations.forces and bin_sums and too_good:
+        notes.append(
+            "chi2/dof is below one because the noise of records that do not repeat was measured with the nonlinear "
+            "forces still in it: every sigma and p-value is on the safe side"
+        )
+    levels: dict[tuple[tuple[str, ...], float], set[tuple[float, ...]]] = {}
+    for run in spectra.lines:
+        levels.setdefault((run.components, run.rotor_speed), set()).add(tuple(run.level))
+    if all(len(each) == 1 for each in levels.values()):
+        notes.append("every component was excited at one level only: levels were not compared")
+    if len({run.rotor_speed for run in spectra.lines}) == 1:
+        notes.append("all sweeps have one rotor speed: speeds were not compared")
+    if not spectra.statics:
+        notes.append("no static run: the static response was not tested")
+    return tuple(notes)

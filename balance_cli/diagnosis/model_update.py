@@ -1,0 +1,168 @@
+"""Model updating: search for effects, test them on all lines, and describe what remains by unmodelled modes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.diagnosis.result import Trial
+from balance_cli.diagnosis.search.initial_candidates import initial_candidates
+from balance_cli.diagnosis.search.search import SearchResult, search
+from balance_cli.diagnosis.search.search_lines import SearchLines, search_lines
+from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
+from balance_cli.diagnosis.selection.alternatives import EffectSupport, compare_alternatives
+from balance_cli.diagnosis.selection.confirm import ConfirmedFit, confirm
+from balance_cli.diagnosis.selection.effect_selection import drop_unsupported_effects, keep_effects, prune_effects
+from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
+from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
+from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
+from balance_cli.estimation.fit_quality import fit_quality
+from balance_cli.estimation.identifiability import parameter_identifiability
+from balance_cli.estimation.identified_model import FitQuality
+from balance_cli.estimation.likelihood import data_curvature
+from balance_cli.estimation.maximum_likelihood import TOLERANCE
+from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.estimation.model_error import add_model_error
+from balance_cli.model.balance import BalanceModel
+from balance_cli.model.placed_effects import declared_effects
+
+Array = NDArray[np.float64]
+Announce = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class UpdateResult:
+    """The fit of the updated model, the support of each effect in it, all trials, and the last confirmation."""
+
+    fit: Fit
+    effect_support: dict[str, EffectSupport]
+    trials: tuple[Trial, ...]
+    confirmation: ConfirmedFit
+
+
+@dataclass(frozen=True)
+class _UpdateTask:
+    """What an update is made of: the model to start from and its parameters, the lines, and which effects are certain.
+
+    `given_labels`: effects of the starting model; `certain_labels`: these and the ones that the channels demand.
+    """
+
+    start: BalanceModel
+    theta: Array
+    batches: Sequence[Batch]
+    lines: SearchLines
+    given_labels: Collection[str]
+    certain_labels: Collection[str]
+    announce: Announce
+    settings: SearchSettings
+
+
+def update_model(
+    start: BalanceModel,
+    theta: Array,
+    spectra: Spectra,
+    batches: Sequence[Batch],
+    announce: Announce,
+    settings: SearchSettings,
+) -> UpdateResult:
+    """Return the model `start` with parameters `theta` (p,), updated to describe the spectra."""
+    lines = search_lines(spectra, start.geometry.channel_names, settings.fit)
+    announce("search")
+    initial_sets = initial_candidates(spectra.lines, start.geometry, settings)
+    search_result = search(start, theta, lines, announce, initial_sets, settings)
+    given_labels = effect_labels(start)
+    certain_labels = given_labels | {trial.label for trial in search_result.trials if trial.round == 0}
+    task = _UpdateTask(start, theta, batches, lines, given_labels, certain_labels, announce, settings)
+    update = _test_on_all_lines(task, search_result)
+    if is_good_fit(update.confirmation, model_quality(update.fit.model, update.fit.theta, batches), settings):
+        return update
+    state, tried = add_unmodelled_modes(
+        _starting_models(task, update), lines, last_round(update.trials) + 1, announce, settings
+    )
+    trials = (*update.trials, *tried)
+    if state is None:
+        return replace(update, trials=trials)
+    return _test_on_all_lines(task, replace(search_result, state=state, trials=trials))
+
+
+def _starting_models(task: _UpdateTask, update: UpdateResult) -> list[tuple[BalanceModel, Array]]:
+    """The models to which modes are added: the updated one, and one without the effects that a mode may have caused."""
+    model = update.fit.model
+    starting_models = [(model, update.fit.theta)]
+    if not effect_labels(model) <= set(task.certain_labels):
+        starting_models.append(keep_effects(task.certain_labels, model.geometry, task.start, task.theta))
+    return starting_models
+
+
+def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> UpdateResult:
+    """Test the result of a search on all lines: confirm, prune, drop what is unsupported, and compare alternatives."""
+    task.announce("maximum likelihood of all lines")
+    settings, state = task.settings, search_result.state
+    # While the model still has an error, the noise alone is no measure of significance.
+    noise_alone = state.error <= settings.rounds.large_error
+    batches = list(task.batches) if noise_alone else add_model_error(task.batches, state.shares)
+    fit = fit_all_lines(state.model, state.theta, batches, settings.fit)
+    fit = refit_at_best_frequency(fit, declared_effects(fit.model.geometry), batches, settings)
+    trials, alternatives = search_result.trials, _search_alternatives(search_result, settings)
+    for number in range(settings.selection.max_passes):
+        confirmation = confirm(fit, batches, noise_alone, last_round(trials) + 1, task.announce, settings)
+        task.announce("effect selection")
+        trials = (*trials, *confirmation.trials)
+        alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
+        count, last = len(confirmation.scores), last_round(trials) + 1
+        fit, pruned = prune_effects(confirmation.fit, batches, count, last, settings)
+        fit, dropped = drop_unsupported_effects(fit, batches, noise_alone, task.certain_labels, last, settings)
+        comparison = compare_alternatives(
+            fit, batches, task.given_labels, alternatives, count, last + 1, task.announce, settings
+        )
+        trials, fit = (*trials, *pruned, *dropped, *comparison.trials), comparison.fit
+        if not comparison.trials or number == settings.selection.max_passes - 1:
+            break
+    fit = fit_all_lines(fit.model, fit.theta, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
+    return UpdateResult(fit, comparison.effect_support, trials, confirmation)
+
+
+def _search_alternatives(search_result: SearchResult, settings: SearchSettings) -> dict[str, tuple[str, ...]]:
+    """By label of each effect, the candidates that gained about as much in its round of the search."""
+    share = settings.rounds.alternative_gain_share
+    return {
+        label: tuple(name for name, gain in gains.items() if name != label and gain > share * gains[label])
+        for label, gains in search_result.alternatives.items()
+    }
+
+
+def _confirm_alternatives(confirmation: ConfirmedFit, settings: SearchSettings) -> dict[str, tuple[str, ...]]:
+    """By label of each effect, the candidates that came near it in its round of the confirmation, nearest first."""
+    return {label: _labels_within(gaps, settings.alternative_gap) for label, gaps in confirmation.alternatives.items()}
+
+
+def _labels_within(gaps: Mapping[str, float], limit: float) -> tuple[str, ...]:
+    return tuple(name for name, gap in sorted(gaps.items(), key=lambda item: item[1]) if gap < limit)
+
+
+def effect_labels(model: BalanceModel) -> set[str]:
+    """Return the labels of the effects of a model."""
+    return {effect.label for effect in declared_effects(model.geometry)}
+
+
+def last_round(trials: Sequence[Trial]) -> int:
+    """Return the number of the last round; 0 where there was none."""
+    return max((trial.round for trial in trials), default=0)
+
+
+def model_quality(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> FitQuality:
+    """Return how well a model with parameters `theta` (p,) describes the lines."""
+    system = model.system(theta)
+    identifiability = parameter_identifiability(model.parameters, data_curvature(batches, system).information)
+    return fit_quality(batches, system, identifiability.effective_parameters)
+
+
+def is_good_fit(confirmation: ConfirmedFit, quality: FitQuality, settings: SearchSettings) -> bool:
+    """Return whether no candidate is significant and chi2/dof is that of a good fit."""
+    insignificant = confirmation.smallest_p_value >= settings.selection.significance_level
+    return insignificant and quality.chi2_per_dof <= GOOD_FIT_CHI2_PER_DOF

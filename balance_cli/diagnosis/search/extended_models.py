@@ -1,0 +1,52 @@
+"""Models with candidates added, and parameters from which they are fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.search.candidates import Candidate
+from balance_cli.model.balance import BalanceModel, balance_model
+
+Array = NDArray[np.float64]
+
+
+def add_candidates(
+    geometry: Geometry, candidates: Sequence[tuple[Candidate, int]], at_start_values: bool = False
+) -> Geometry:
+    """Return the geometry with candidates at their nulls, or at the start of this number where a fit begins."""
+    added = [
+        candidate.at_start(candidate.starts[number]) if at_start_values else candidate.at_null(candidate.starts[number])
+        for candidate, number in candidates
+    ]
+    return geometry.model_copy(update={"effects": (*geometry.effects, *added)})
+
+
+def extend_model(model: BalanceModel, theta: Array, geometry: Geometry) -> tuple[BalanceModel, Array]:
+    """Return the model of a geometry with other effects, and its parameters with those of `model` as in `theta`.
+
+    Parameters that are held in `model` (sigma 0) are held in the new one.
+    """
+    extended = balance_model(geometry)
+    known = dict(zip(model.parameters.names, theta, strict=True))
+    known_sigma = dict(zip(model.parameters.names, model.parameters.sigma, strict=True))
+    parameters = extended.parameters
+    values = [known.get(name, value) for name, value in zip(parameters.names, parameters.value, strict=True)]
+    sigma = [known_sigma.get(name, s) for name, s in zip(parameters.names, parameters.sigma, strict=True)]
+    return extended.with_sigma(np.array(sigma, float)), np.array(values, float)
+
+
+def hold_other_parameters(extended: BalanceModel, model: BalanceModel, names: set[str]) -> BalanceModel:
+    """Return the extended model with only the parameters of `model` and these names free."""
+    free = names | set(model.parameters.names)
+    parameters = extended.parameters
+    sigma = [s if name in free else 0.0 for name, s in zip(parameters.names, parameters.sigma, strict=True)]
+    return extended.with_sigma(np.array(sigma, float))
+
+
+def free_names(model: BalanceModel) -> list[str]:
+    """Return the names of the free parameters, in order."""
+    return [name for name, free in zip(model.parameters.names, model.parameters.free, strict=True) if free]

@@ -1,0 +1,112 @@
+"""Refits of candidates on all lines, from the starts that their scores suggest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.diagnosis.search.extended_models import add_candidates, extend_model
+from balance_cli.diagnosis.search.point_mass import refine_point_mass
+from balance_cli.diagnosis.search.score_statistics import Score, apply_score_step, has_nuisance_parameters
+from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines, start_fit
+from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
+from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.maximum_likelihood import penalized_chi2
+from balance_cli.estimation.starting_values import start_from_equations_of_motion
+from balance_cli.model.balance import BalanceModel
+
+Array = NDArray[np.float64]
+
+
+def first_steps_of_uncertain(
+    fit: Fit,
+    candidates: Sequence[Score],
+    selected: Sequence[Score],
+    batches: Sequence[Batch],
+    settings: SearchSettings,
+) -> dict[str, Fit]:
+    """Return further candidates whose first steps gain as much as the selected ones, by label, with these steps.
+
+    They have nuisance parameters, at whose start values their scores may be far too small.
+    """
+    limits = settings.selection
+    threshold, labels = min(score.gain for score in selected), {score.candidate.label for score in selected}
+    uncertain = [
+        score
+        for score in candidates
+        if score.candidate.label not in labels
+        and has_nuisance_parameters(score)
+        and score.gain > limits.nuisance_score_share * selected[0].gain
+        and score.p_value < limits.significance_level
+    ]
+    result = {}
+    for score in sorted(uncertain, key=lambda score: -score.gain)[: limits.max_nuisance_refits]:
+        first = fit_first_steps(fit, score, batches, settings)
+        if fit.chi2 - first.chi2 - settings.parameter_cost * score.parameters > threshold:
+            result[score.candidate.label] = first
+    return result
+
+
+def fit_first_steps(fit: Fit, score: Score, batches: Sequence[Batch], settings: SearchSettings) -> Fit:
+    """Return the first steps with a candidate, from its score's step or from a regression, whichever fits better.
+
+    A point mass starts at its best place.
+    """
+    if score.candidate.fitted_start_values:
+        model, theta = start_point_mass(fit, score, batches, settings)
+        return start_fit(model, theta, batches, settings.fit)
+    model, near = apply_score_step(fit.model, fit.theta, batches, score, settings.score)
+    regressed = start_from_equations_of_motion(model.parameters, batches, model.system, near)
+    starts = [near, regressed] if np.isfinite(penalized_chi2(model, regressed, batches)) else [near]
+    return min((start_fit(model, start, batches, settings.fit) for start in starts), key=lambda end: end.chi2)
+
+
+def fit_scored_candidate(fit: Fit, score: Score, batches: Sequence[Batch], settings: SearchSettings) -> Fit:
+    """Return the refit with a candidate from its score's step, or, of a point mass, from its best place."""
+    if score.candidate.fitted_start_values:
+        model, theta = start_point_mass(fit, score, batches, settings)
+    else:
+        model, theta = apply_score_step(fit.model, fit.theta, batches, score, settings.score)
+    return fit_all_lines(model, theta, batches, settings.fit)
+
+
+def start_point_mass(
+    fit: Fit, score: Score, batches: Sequence[Batch], settings: SearchSettings
+) -> tuple[BalanceModel, Array]:
+    """Return the model with a point mass, and its parameters with the mass at its best place."""
+    geometry = add_candidates(fit.model.geometry, [(score.candidate, score.start)])
+    model, null = extend_model(fit.model, fit.theta, geometry)
+    return model, refine_point_mass(model, null, batches, settings)
+
+
+def refit_with_candidate(
+    fit: Fit, score: Score, batches: Sequence[Batch], first: Fit | None, settings: SearchSettings
+) -> Fit:
+    """Return the refit with a candidate, from its `first` steps; with a large score from its start values, too.
+
+    Where neither converges, in a curved valley of chi-square, it is fitted with its nuisance parameters held at first.
+    """
+    if not has_nuisance_parameters(score):
+        return fit_scored_candidate(fit, score, batches, settings)
+    first = fit_first_steps(fit, score, batches, settings) if first is None else first
+    best = fit_all_lines(first.model, first.theta, batches, settings.fit)
+    if score.gain >= settings.selection.strong_gain and not score.candidate.fitted_start_values:
+        geometry = add_candidates(fit.model.geometry, [(score.candidate, score.start)], at_start_values=True)
+        from_start = fit_all_lines(*extend_model(fit.model, fit.theta, geometry), batches, settings.fit)
+        best = min(best, from_start, key=lambda end: end.chi2)
+        if not best.minimum.converged:
+            best = min(best, _fit_nuisance_last(fit, score, batches, settings), key=lambda end: end.chi2)
+    return refit_at_best_frequency(best, [score.candidate.placed_effect], batches, settings)
+
+
+def _fit_nuisance_last(fit: Fit, score: Score, batches: Sequence[Batch], settings: SearchSettings) -> Fit:
+    """The refit with the nuisance parameters of a candidate held until all others are fitted."""
+    model, near = apply_score_step(fit.model, fit.theta, batches, score, settings.score)
+    effect, names = score.candidate.placed_effect, model.parameters.names
+    nuisance = {effect.full_name(item) for item in effect.parameters if item.nuisance}
+    sigma = [0.0 if name in nuisance else s for name, s in zip(names, model.parameters.sigma, strict=True)]
+    held = fit_all_lines(model.with_sigma(np.array(sigma)), near, batches, settings.fit)
+    return fit_all_lines(model, held.theta, batches, settings.fit)

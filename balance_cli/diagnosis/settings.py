@@ -1,0 +1,251 @@
+"""Tuning constants of a diagnosis, each with the reason for its value.
+
+All chi-square values are those of -2 ln likelihood. A share is a fraction of one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from balance_cli.diagnosis.data_test_settings import DataTestSettings
+from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
+
+
+@dataclass(frozen=True)
+class ScoreSettings:
+    """The score test of candidates, before any refit."""
+
+    min_information_share: float = 1e-9
+    """Share of a candidate's information that the fitted parameters must leave: less may be rounding."""
+    screening_lines: int = 2000
+    """Spectral lines on which all candidates are scored: enough to rank them."""
+    full_score_candidates: int = 40
+    """Best candidates of the screening that are scored on all lines: ten times as many as are refitted."""
+    step_fractions: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03)
+    """Fractions of a score's step that are tried in turn until chi-square falls: the score is only linear."""
+    min_noise_dof: float = 1.0
+    """Degrees of freedom of a noise of which nothing is known: with one, F makes hardly any gain significant."""
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """Fits on the few lines of the search, and fits on all lines."""
+
+    target_lines: int = 300
+    """Lines of all sweeps together that a fit of the search takes: few, so that many candidates can be fitted."""
+    min_run_lines: int = 20
+    """Lines that each sweep keeps at least, so that none of its modes is lost."""
+    trial_steps: int = 3
+    """Steps from each start, to tell a good start from a bad one."""
+    search_steps: int = 12
+    """Steps of a fit of the search between two estimates of the model error."""
+    search_rounds: int = 8
+    """Rounds of fit and model error: a bound for errors that shrink slowly."""
+    search_min_step_gain: float = 4.0
+    """Decrease of chi-square that a step of the search must promise: below it no decision changes."""
+    min_error_decrease: float = 0.1
+    """Relative decrease of the model error by which a round is worth another one."""
+    start_steps: int = 10
+    """First steps of a fit on all lines, with every parameter held near its start."""
+    max_start_scales: float = 3.0
+    """Scales by which these steps may move a parameter without a prior."""
+    min_step_gain: float = 0.3
+    """Decrease of chi-square that a first step on all lines must promise: below it starts are equally good."""
+    comparison_tolerance: float = 0.1
+    """Tolerance of chi-square of fits that are compared: well below `indistinguishable_chi2`."""
+    max_noise_chi2_per_dof: float = 1.05
+    """chi2/dof that the uncertainty of the measured noise alone can make."""
+
+
+@dataclass(frozen=True)
+class RoundSettings:
+    """Rounds of the search, each of which adds one effect."""
+
+    max_effects: int = 12
+    """Effects that a search adds: a bound for data that no set of effects describes."""
+    max_leading: int = 3
+    """Leading effects of a round that are refitted: a score ranks them only approximately."""
+    min_score_share: float = 0.2
+    """Share of the best score that makes a leading effect worth a refit."""
+    nuisance_score_share: float = 0.1
+    """The same for effects with several nuisance parameters, whose scores can be far too small."""
+    max_nuisance_trials: int = 1
+    """Such effects that are refitted beside the leading ones."""
+    max_full_fits: int = 2
+    """Candidates of a round that are fitted until stable."""
+    min_partial_gain_share: float = 0.7
+    """Share of the best gain of first steps that makes a candidate one of them."""
+    slow_progress: float = 0.7
+    """Model error after a round, over that before, above which the fit may be in a wrong minimum."""
+    min_progress: float = 0.05
+    """Relative decrease of the model error that counts as progress. Smaller steps describe and do not explain."""
+    small_error: float = 1e-3
+    """Model error (share of the response) below which the tests against the noise take over."""
+    large_error: float = 3e-3
+    """Model error above which a fit may be in a wrong minimum, and its weights must carry the error."""
+    alternative_gain_share: float = 0.9
+    """Share of an effect's gain by which another candidate of its round becomes an alternative."""
+
+
+@dataclass(frozen=True)
+class UnmodelledModeSettings:
+    """Resonances of free shape, where the library is exhausted."""
+
+    max_peaks: int = 5
+    """Frequencies at which a resonance is tried: not every peak of the residual is a mode."""
+    peak_width: float = 0.08
+    """Half-width of a peak over its frequency: a mode of damping ratio 0.02 has fallen to a quarter there."""
+    max_modes: int = 3
+    """Resonances added at most: one for each direction."""
+
+
+@dataclass(frozen=True)
+class PointMassSettings:
+    """The place of a point mass that gains most, and its fit."""
+
+    grid: int = 25
+    """Points along each axis of the grid from which the best place is refined."""
+    min_remaining_share: float = 1e-12
+    """Share of a mass's information that remains at least, so that nothing is divided by rounding error."""
+    steps: int = 3
+    """Gauss-Newton steps of mass and place: a bound, the valley along mass times arm is followed step by step."""
+    follow_steps: int = 4
+    """Steps of all parameters after each: beside a narrow resonance the change of the mass was a large one."""
+
+
+@dataclass(frozen=True)
+class MassRegionSettings:
+    """Differential evolution (Storn and Price, J. Global Optim. 11 (1997) 341) over the places of a mass."""
+
+    rounds: int = 60
+    """Generations."""
+    children: int = 3000
+    """Places evaluated in each generation: all at once, as one product of matrices."""
+    survivors: int = 600
+    """Places kept beside the extremes: enough for differences in all directions of the region."""
+    end_places: int = 5
+    """Places kept at each end of each parameter: their differences lead along the end."""
+    widest_step: float = 0.3
+    """Largest random step, relative to the reach of the rig."""
+    narrowest_step: float = 1e-5
+    """Smallest random step, relative to the reach of the rig: it fixes how well the ends are resolved."""
+    stride: float = 2.0
+    """Longest step along a difference of two places: the factor F of Storn and Price, who recommend 0 to 2."""
+    max_gain_deficit: float = 12.0
+    """Loss of chi-square against the best place up to which a place is kept: three times that of the region."""
+    seed: int = 1985
+    """Seed of the random numbers, so that the same data give the same region."""
+
+
+@dataclass(frozen=True)
+class MainsFrequencySettings:
+    """Search of the mains frequency around a fitted one."""
+
+    search_range: float = 0.5
+    """Distance from the fitted frequency [Hz] that is searched: grids keep within 0.2 Hz."""
+    spacing: float = 0.005
+    """Spacing of the grid [Hz]: the main lobe of a one-minute record is 0.03 Hz wide."""
+    amplitude_range: float = 30.0
+    """Factor by which the amplitude may be larger or smaller: beside a main lobe it is fitted far too small."""
+    amplitude_count: int = 60
+    """Amplitudes that are tried at each frequency: steps of 12 %."""
+
+
+@dataclass(frozen=True)
+class CrossValidationSettings:
+    """Gain on lines from which a step was not taken."""
+
+    folds: int = 8
+    """Parts of the lines: each step sees seven eighths of them."""
+    block: int = 8
+    """Adjacent lines that stay together: neighbors share what is wrong with them."""
+    max_fold_share: float = 0.8
+    """Share of the information above which a fold cannot be predicted from the others."""
+    min_predictable_share: float = 0.5
+    """Share of the information that must lie in predictable folds for the test to say anything."""
+
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """Tests of the effects against the noise, on all lines."""
+
+    significance_level: float = SIGNIFICANCE_LEVEL
+    """Bonferroni-corrected p-value below which an effect is accepted: one false alarm in 300 campaigns."""
+    negligible_p_value: float = 1e-3
+    """p-value above which a smaller place of an effect serves as well: without correction, one place is one test."""
+    max_rounds: int = 8
+    """Rounds, each of which adds one effect: a bound, as for the search."""
+    max_passes: int = 2
+    """Passes through confirmation, pruning and comparison: a second one where an alternative was better."""
+    min_effect_share: float = 0.1
+    """Share of the unexplained chi-square that an effect must take off: any effect can imitate a little of another."""
+    strong_gain: float = 1e3
+    """Gain of chi-square above which Wald's statistic is enough and no refit without the effect is needed."""
+    max_refits: int = 4
+    """Candidates of a round that are refitted."""
+    refit_score_deficit: float = 12.0
+    """Score below the best one up to which a refit may reverse the order, beside `score_inaccuracy`."""
+    score_inaccuracy: float = 0.1
+    """Relative error of a score: it takes the effect for a linear one."""
+    nuisance_score_share: float = 0.2
+    """Share of the best score that makes a candidate with nuisance parameters worth its first steps."""
+    max_nuisance_refits: int = 2
+    """Such candidates whose first steps are taken."""
+    max_alternatives: int = 4
+    """Alternatives of an effect that are refitted."""
+    alternative_score_deficit: float = 8.0
+    """As `refit_score_deficit`, for alternatives of a weak effect, whose loss a refit has measured."""
+    max_replaced: int = 6
+    """Effects that alternatives may replace: two that replace each other in turn must end."""
+    invisible_chi2: float = 1e-3
+    """Change of chi-square that counts as none at all."""
+    detectable_chi2: float = 4.0
+    """Change of chi-square that can be told from noise: two sigma of one parameter."""
+    too_good_chi2_per_dof: float = 0.7
+    """chi2/dof below which the noise was smaller than was measured."""
+
+
+@dataclass(frozen=True)
+class ResidualMapSettings:
+    """The residual by run, frequency band and channel, and the sentence that describes it."""
+
+    bands: int = 30
+    """Frequency bands: as many as a figure can show."""
+    clear_rms: float = 1.1
+    """Rms of a run, band or channel, over the noise, that is more than an error of the noise itself."""
+    clear_field: float = 2.5
+    """Rms of a single field of the map that is more than noise: for one line its p-value is exp(-2.5^2) = 0.002."""
+    field_values: int = 2
+    """Real values that a field holds at least: one complex line."""
+    sigma: float = 4.0
+    """Standard deviations by which chance may raise a mean square: p = 3e-5, for thirty bands and more."""
+    named_share: float = 0.3
+    """Share of the largest excess that makes a run, band or channel worth naming."""
+    max_named: int = 3
+    """Runs, bands or channels named at most."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """All tuning constants of a diagnosis."""
+
+    score: ScoreSettings = field(default_factory=ScoreSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+    rounds: RoundSettings = field(default_factory=RoundSettings)
+    modes: UnmodelledModeSettings = field(default_factory=UnmodelledModeSettings)
+    mains: MainsFrequencySettings = field(default_factory=MainsFrequencySettings)
+    point_mass: PointMassSettings = field(default_factory=PointMassSettings)
+    mass_region: MassRegionSettings = field(default_factory=MassRegionSettings)
+    cross_validation: CrossValidationSettings = field(default_factory=CrossValidationSettings)
+    selection: SelectionSettings = field(default_factory=SelectionSettings)
+    data_tests: DataTestSettings = field(default_factory=DataTestSettings)
+    residual_map: ResidualMapSettings = field(default_factory=ResidualMapSettings)
+    parameter_cost: float = 6.0
+    """What a parameter costs in chi-square: AIC asks 2, BIC ln n = 5.7 for the 300 lines of the search."""
+    indistinguishable_chi2: float = 6.0
+    """Difference of chi-square within which two explanations are equally good: a log-likelihood ratio of 3."""
+    alternative_gap: float = 30.0
+    """Difference of chi-square on which an explanation is not yet rejected: the plate, or all lines, may reverse it."""
+
+
+DEFAULT_SETTINGS = SearchSettings()
