@@ -4,9 +4,9 @@
 
 A circuit that obeys m y'' + d y' + a y + b y^3 = u (Wigren and Schoukens, ECC 2013), sampled at 1e7/2^14 Hz. Its input
 [V] plays the load Fz [N], its output [V] the force of a cell. The stiffness of that cell is declared as 1 N/m exactly:
-it only says how long a metre is. Mass, damping and sensitivity have tolerances so wide that the data decide.
+it defines the unit of length. Mass, damping and sensitivity have tolerances so wide that the data decide.
 
-What to do with them is in docs/silverbox.md.
+The commands that use the files are in docs/silverbox.md.
 
 Written: `geometry.yaml`; `train.h5`, the first 75 % of the multisines; `test.h5`, their rest; `arrow.h5`, noise of
 growing level.
@@ -33,7 +33,7 @@ GEOMETRY = {
     "name": "silverbox",
     "rig": "SILVERBOX",
     "hub": [0.0, 0.0, 0.0],
-    # About what the output's resonance near 70 Hz asks for; the tolerances leave it to the data.
+    # Approximately what the resonance near 70 Hz requires; the tolerances leave the value to the data.
     "bodies": [
         {"name": "mass", "mass": 5e-6, "position": [0.0, 0.0, 0.0], "inertia": {"xx": 1e-6, "yy": 1e-6, "zz": 1e-6}}
     ],
@@ -46,7 +46,7 @@ GEOMETRY = {
 
 
 def silverbox_run(name: str, rows: np.ndarray) -> Run:
-    """A record of input and output (n, 2) [V]."""
+    """Return the run with a record of input and output (n, 2) [V]."""
     loads = np.zeros((len(rows), 6))
     loads[:, 2] = rows[:, 0]
     return Run(
@@ -65,7 +65,7 @@ def silverbox_run(name: str, rows: np.ndarray) -> Run:
 
 
 def silverbox_runs(csv: Path) -> dict[str, Run]:
-    """Training part and test part of the multisines, and the arrow head, by name."""
+    """Return training and test part of the multisines, and the arrow head, by name."""
     rows = np.genfromtxt(csv, delimiter=",", skip_header=1)[:, :2]
     multisines = rows[MULTISINES]
     cut = round(TRAINING_FRACTION * len(multisines))
@@ -74,7 +74,7 @@ def silverbox_runs(csv: Path) -> dict[str, Run]:
 
 
 def write_silverbox(csv: Path, folder: Path) -> None:
-    """Write geometry and runs."""
+    """Write the geometry and the run files into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     save_geometry(folder / "geometry.yaml", geometry_from_dict(GEOMETRY))
     for name, run in silverbox_runs(csv).items():
@@ -82,7 +82,7 @@ def write_silverbox(csv: Path, folder: Path) -> None:
 
 
 def main() -> None:
-    """As called from the command line."""
+    """Write the files that the command line names."""
     write_silverbox(Path(sys.argv[1]), Path(sys.argv[2]))
 
 

@@ -1,4 +1,4 @@
-"""How far models of the Silverbox are from what it did: their output, simulated in time from the input alone.
+"""Errors of models of the Silverbox: their output, simulated in time from the input alone, against the measured one.
 
     python tools/silverbox_errors.py OUTDIR MODEL.h5...
 
@@ -36,9 +36,9 @@ CONSTANTS = ("load-offset", "channel-offset", "channel-gain")
 
 
 def silverbox_rig(model: IdentifiedModel) -> tuple[TrueRig, dict[str, float]]:
-    """The rig that a model says it is, with its forces along the cell, and its parameters by name.
+    """Return the rig that a model describes, with its nonlinear forces along the cell, and its parameters by name.
 
-    ValueError for an effect that is neither such a force nor a gain or offset.
+    Raises ValueError for an effect that is neither such a force nor a gain or offset.
     """
     value = dict(zip(model.parameters.names, model.parameters.value.tolist(), strict=True))
     for effect in model.geometry.effects:
@@ -55,9 +55,9 @@ def silverbox_rig(model: IdentifiedModel) -> tuple[TrueRig, dict[str, float]]:
 
 
 def simulate_output(model: IdentifiedModel, loads: Array, rate: float) -> Array:
-    """The channel (n,) [V] under recorded loads (n,) [N], band-limited between samples, integrated from rest."""
+    """Return the channel (n,) [V] under recorded loads (n,) [N], band-limited between samples, integrated from rest."""
     rig, value = silverbox_rig(model)
-    motion, step, n = RigDynamics.of(equations_of_motion(rig)), 1.0 / (rate * OVERSAMPLING), len(loads)
+    motion, step, n = RigDynamics.from_mechanics(equations_of_motion(rig)), 1.0 / (rate * OVERSAMPLING), len(loads)
     spectrum = np.zeros(OVERSAMPLING * n // 2 + 1, complex)
     spectrum[: n // 2 + 1] = np.fft.rfft(loads)
     fine = np.zeros((OVERSAMPLING * n, 6))
@@ -68,7 +68,7 @@ def simulate_output(model: IdentifiedModel, loads: Array, rate: float) -> Array:
 
 
 def errors(model: IdentifiedModel, runs: Mapping[str, Run]) -> tuple[float, float, float]:
-    """RMSE [mV] on the test part, on the arrow head, and on that of it which needs no extrapolation."""
+    """Return the RMSE [mV] on the test part, on the arrow head, and on its part without extrapolation."""
     train, test, arrow = (runs[name].read() for name in ("train", "test", "arrow"))
     rate = runs["train"].sample_rate
     multisines = simulate_output(model, np.concatenate([train.loads[:, 2], test.loads[:, 2]]), rate)
@@ -82,7 +82,7 @@ def errors(model: IdentifiedModel, runs: Mapping[str, Run]) -> tuple[float, floa
 
 
 def rmse(output_error: Array) -> float:
-    """Root mean square [mV] of an error [V]."""
+    """Return the root mean square [mV] of an error [V]."""
     return 1e3 * float(np.sqrt(np.mean(output_error**2)))
 
 
@@ -91,9 +91,9 @@ def main() -> None:
     folder = Path(sys.argv[1])
     runs = {name: open_run(folder / f"{name}.h5") for name in ("train", "test", "arrow")}
     print(f"{'RMSE [mV]':<24}{'test':>10}{'arrow':>10}{'inside':>10}")
-    for word in sys.argv[2:]:
-        model = load_artefact(Path(word), {"balance-model/1": IdentifiedModel}).content
-        print(f"{word:<24}" + "".join(f"{error:10.3f}" for error in errors(model, runs)))
+    for path in sys.argv[2:]:
+        model = load_artefact(Path(path), {"balance-model/1": IdentifiedModel}).content
+        print(f"{path:<24}" + "".join(f"{error:10.3f}" for error in errors(model, runs)))
 
 
 if __name__ == "__main__":
