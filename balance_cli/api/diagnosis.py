@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from balance_cli.api.inputs import RunLike, require_disjoint, to_runs
 from balance_cli.diagnosis.result import Diagnosis
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.steps.diagnose import diagnose as run_diagnosis
@@ -18,22 +19,25 @@ def diagnose(
     runs: RunLike | Iterable[RunLike],
     *,
     hold_out: RunLike | Iterable[RunLike] = (),
+    settings: SearchSettings = DEFAULT_SETTINGS,
     progress: Callable[[str, float], None] | None = None,
 ) -> tuple[Diagnosis, IdentifiedModel]:
     """Find the effects that a model lacks, as `balance diagnose` does; returns the diagnosis and the updated model.
 
     Give the sweeps and static runs of the model. Check runs and sweeps of `hold_out` are read after the last decision
-    and compared before and after the update. `progress` is called with a description and the completed fraction.
-    Raises UserError for a model in the paper's form, and where no run is a sweep.
+    and compared before and after the update. `settings` holds the thresholds of the search; `progress` is called with a
+    description and the completed fraction. Raises UserError for a model in the paper's form, and where no run is a
+    sweep.
 
     On the sample campaign this takes about half a minute:
 
     >>> import balance_cli as bal
     >>> from glob import glob
     >>> runs = glob("sample_data/static-*.h5") + glob("sample_data/sweep-*.h5")
-    >>> model = bal.identify(runs, "configs/rts-6.yaml")                                 # doctest: +SKIP
-    >>> diagnosis, updated = bal.diagnose(model, runs, hold_out=glob("sample_data/check-*.h5"))  # doctest: +SKIP
-    >>> diagnosis.verdict                                                                # doctest: +SKIP
+    >>> checks = glob("sample_data/check-*.h5")
+    >>> model = bal.identify(runs, "configs/rts-6.yaml")  # doctest: +SKIP
+    >>> diagnosis, updated = bal.diagnose(model, runs, hold_out=checks)  # doctest: +SKIP
+    >>> diagnosis.verdict  # doctest: +SKIP
     'explained'
     """
     fitted, checks = to_runs(runs, model.geometry), to_runs(hold_out, model.geometry)
@@ -41,6 +45,6 @@ def diagnose(
     for run in checks:
         require_known_loads(run)
     spectra = measured_spectra(fitted, model.geometry, means=True)
-    diagnosis, updated = run_diagnosis(model, spectra, progress)
+    diagnosis, updated = run_diagnosis(model, spectra, progress, settings)
     errors = {run.name: hold_out_errors(run, model, updated) for run in checks}
     return replace(diagnosis, hold_out=errors), updated
