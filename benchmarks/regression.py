@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import regression
-from balance_cli.calibration.terms import all_terms, columns
+from balance_cli.calibration.least_squares import solve_least_squares
+from balance_cli.calibration.terms import all_terms, term_values
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -64,7 +64,7 @@ def problem(seed: int = 0) -> tuple[Array, Array, Index]:
     """Columns of all terms (m, p), readings (m, c) and sequences (m,) of random loads."""
     rng = np.random.default_rng(seed)
     terms = all_terms(LOADS)
-    X = columns(terms, rng.uniform(-1.0, 1.0, (POINTS, LOADS)))
+    X = term_values(terms, rng.uniform(-1.0, 1.0, (POINTS, LOADS)))
     block = np.repeat(np.arange(SEQUENCES), POINTS // SEQUENCES)
     Y = X @ rng.standard_normal((len(terms), CHANNELS)) + rng.standard_normal((SEQUENCES, CHANNELS))[block]
     return X, Y + NOISE * rng.standard_normal(Y.shape), block
@@ -85,7 +85,7 @@ def _relative_difference(one: Array, other: Array) -> float:
 
 
 def _with_balance_cli(X: Array, Y: Array, block: Index) -> RegressionResult:
-    fit = regression(X, Y, block)
+    fit = solve_least_squares(X, Y, block)
     return RegressionResult(fit.coefficients, fit.sigma, fit.press_residuals, fit.variance_inflation)
 
 

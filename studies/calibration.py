@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import CheckLoads, calibrate_all_trims, evaluate_check_loads
 from balance_cli.calibration.fit import CalibrationPoints
-from balance_cli.calibration.least_squares import regression
+from balance_cli.calibration.least_squares import solve_least_squares
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noise import CalibrationNoise
-from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms, term_from_name
+from balance_cli.calibration.terms import Term, all_terms, linear_terms, term_from_name, term_values
 from balance_cli.campaign.rig.components import COMPONENTS
 
 Array = NDArray[np.float64]
@@ -50,7 +50,9 @@ class TrueBalance:
 
     def readings(self, x: Array, zero: Array, rng: np.random.Generator) -> Array:
         """What is read (m, 8) at loads x (m, 6) over full range with zeros (m, 8)."""
-        return columns(TERMS, x) @ self.coefficients + zero + self.noise * rng.standard_normal((len(x), len(CHANNELS)))
+        return (
+            term_values(TERMS, x) @ self.coefficients + zero + self.noise * rng.standard_normal((len(x), len(CHANNELS)))
+        )
 
     def curved(self, channel: int) -> set[Term]:
         """The curved terms that a channel has."""
@@ -117,7 +119,7 @@ def calibration_chunk(seed: int) -> pd.DataFrame:
     floor = _check_true_model(balance, whole.model, run)
     true = [balance.curved(c) for c in range(len(CHANNELS))]
     found = [_nonlinear_terms_found(whole.model, name) for name in CHANNELS]
-    rows = check.solved & floor.solved
+    rows = check.is_valid & floor.is_valid
     return pd.DataFrame(
         {
             "seed": seed,
@@ -129,11 +131,13 @@ def calibration_chunk(seed: int) -> pd.DataFrame:
                 _fits_better(points, c, found[c], true[c]) for c in range(len(CHANNELS)) if found[c] != true[c]
             ),
             "wrong_channels": sum(one != other for one, other in zip(found, true, strict=True)),
-            "refused": len(whole.model.refused),
-            "set_aside": len(whole.outliers) + len(whole.bad_sequences),
-            "solved": check.solved.mean(),
+            "refused": len(whole.model.unsupported_terms),
+            "set_aside": len(whole.outliers) + len(whole.suspect_series),
+            "solved": check.is_valid.mean(),
             # The first row told the zero.
-            "hits": np.mean((np.abs(check.found - check.applied) <= check.interval)[1:][check.solved[1:]], axis=0),
+            "hits": np.mean(
+                (np.abs(check.computed - check.applied) <= check.prediction_interval)[1:][check.is_valid[1:]], axis=0
+            ),
             "rms": _rms(check, rows),
             "floor": _rms(floor, rows),
         }
@@ -155,13 +159,13 @@ def _fits_better(points: CalibrationPoints, channel: int, found: set[Term], true
     """Whether as many terms as the truth has, or fewer, leave less than the truth: then the readings mislead."""
     left = []
     for terms in (found, true):
-        X = columns((*linear_terms(LOADS), *terms), points.x)
-        left.append(float(regression(X, points.channels[:, [channel]], points.sequence).variance[0]))
+        X = term_values((*linear_terms(LOADS), *terms), points.x)
+        left.append(float(solve_least_squares(X, points.channels[:, [channel]], points.load_series).variance[0]))
     return len(found) <= len(true) and left[0] < left[1]
 
 
 def _rms(check: CheckLoads, rows: NDArray[np.bool_]) -> Array:
-    return np.asarray(np.sqrt(np.mean(((check.found - check.applied)[rows] / FULL_RANGE) ** 2, axis=0)))
+    return np.asarray(np.sqrt(np.mean(((check.computed - check.applied)[rows] / FULL_RANGE) ** 2, axis=0)))
 
 
 def _check_true_model(balance: TrueBalance, model: CalibrationModel, run: tuple[str, Array, Array]) -> CheckLoads:

@@ -73,7 +73,7 @@ def test_files_that_are_named_exist(page):
 def test_options_that_are_named_exist(page):
     commands = [balance.get_command(click.Context(balance), name) for name in listed_commands()]
     known = {name for command in [balance, *commands] for item in command.params for name in item.opts} | {"--help"}
-    asked = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", " ".join(CODE.findall(text_of(page)))))
+    asked = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", " ".join(CODE.findall(text_of(page)))))
     assert asked <= known
 
 
@@ -167,7 +167,8 @@ NAMES = {
     **dict.fromkeys(("hysteresis_percent_fs", "sensitivity", "sensitivities", "stiffness"), 1),
     **dict.fromkeys(("coherence_min", "relative_sigma", "redundancy", "redundancy_limit", "condition"), 1),
     **dict.fromkeys(("load_error", "interaction", "load_noise", "interaction_noise"), 1),
-    **dict.fromkeys(("terms_refused", "residual", "press", "left_out_sequences", "reach", "drift_per_sequence"), 1),
+    **dict.fromkeys(("unsupported_terms", "residual", "press", "cross_validation", "reach", "drift_per_series"), 1),
+    **dict.fromkeys(("terms_refused", "left_out_sequences", "drift_per_sequence", "calibrated_range"), 1),
     **dict.fromkeys(("scatter_chi2_per_dof", "checks", "error_percent_fs", "within_interval"), 1),
     **dict.fromkeys(("channels", "noise_v"), 1),
     **dict.fromkeys(("terms", "linear", "C0", "T0", "channel_hysteresis", "channels_left_out"), 2),

@@ -1,9 +1,9 @@
-"""The whole calibration, all trims together: gage model, zeros, what is wrong in it, and loads that checked it."""
+"""Calibration of all trims together: calibration model, zeros, outliers, and loads held out to check it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
 from balance_cli.calibration.noise import APPLIED_SHARE, CalibrationNoise, estimate_calibration_noise
 from balance_cli.calibration.noniterative import NonIterativeModel, fit_noniterative_model
-from balance_cli.calibration.outliers import Outlier, SuspectLoadSeries, exchanged
+from balance_cli.calibration.outliers import Outlier, SuspectLoadSeries, find_swapped_channels
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import gravity_directions
@@ -23,59 +23,65 @@ from balance_cli.campaign.rig.components import COMPONENTS
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 LEVEL_GRAVITY = gravity_directions([[0.0, 0.0]])
+MIN_ZEROS = 3
+"""Zeros that a drift rate with a residual needs: a line through two of them leaves no degree of freedom."""
+SAME_LOAD_TOLERANCE = 1e-3
+"""Share of the calibrated range within which two loads count as the same: a tenth of the smallest load step."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Zeros over the order of the sequences: slope (c,) [V per sequence] with sigma, and how much more the zeros
+    """A straight line through the zeros of the load series in their order.
 
-    scatter about that line than their standard errors say, as chi-square per degree of freedom (c,). NaN for fewer than
-    three sequences.
+    `slope` (c,) [V per load series] with `slope_sigma` (c,); `chi2_per_dof` (c,): chi-square per degree of freedom of
+    the zeros about the line, 1 where their standard errors explain the scatter. NaN for fewer than three load series.
     """
 
     slope: Array
     slope_sigma: Array
-    scatter: Array
+    chi2_per_dof: Array = field(metadata={"stored_as": "scatter"})
 
 
 @dataclass(frozen=True)
 class CheckLoads:
-    """Loads that took no part: applied (m, k) and found (m, k) [N, N m], half the prediction interval (m, k).
+    """Loads of a held-out run: applied (m, k) and computed (m, k) [N, N m], with half the prediction interval (m, k).
 
-    `solved` (m,): rows within the range of the calibration, where the iteration holds.
+    `is_valid` (m,): rows within the calibrated loads for which the iteration converged.
     """
 
     run: str
     applied: Array
-    found: Array
-    interval: Array
-    solved: NDArray[np.bool_]
+    computed: Array = field(metadata={"stored_as": "found"})
+    prediction_interval: Array = field(metadata={"stored_as": "interval"})
+    is_valid: NDArray[np.bool_] = field(metadata={"stored_as": "solved"})
 
     @property
     def interval_coverage(self) -> Array:
-        """Share (k,) of the loads within their prediction interval, among rows that were solved; NaN without any."""
-        within = np.abs(self.found - self.applied) <= self.interval
-        return (
-            np.asarray(np.mean(within[self.solved], axis=0)) if self.solved.any() else np.full(within.shape[1], np.nan)
-        )
+        """Share (k,) of the valid rows whose load lies within its prediction interval; NaN without any."""
+        within = (np.abs(self.computed - self.applied) <= self.prediction_interval)[self.is_valid]
+        return np.asarray(np.mean(within, axis=0)) if len(within) else np.full(within.shape[1], np.nan)
 
     @property
     def error(self) -> Array:
-        """Rms error (k,) [N, N m] of the rows that were solved."""
-        errors = (self.found - self.applied)[self.solved]
+        """Rms error (k,) [N, N m] of the valid rows; NaN without any."""
+        errors = (self.computed - self.applied)[self.is_valid]
         return np.asarray(np.sqrt(np.mean(errors**2, axis=0))) if len(errors) else np.full(errors.shape[1], np.nan)
 
 
 @dataclass(frozen=True)
 class AllTrimsCalibration:
-    """Gage model of all trims with the rows behind it: loads (m, k), residuals and errors of sequences left out (m, c)
+    """Calibration model of all trims, with the rows that it was fitted to.
 
-    [V], NaN where a row took no part; `run` (m,) counts `runs`. `exchanged`: pairs of channels that read each other's
-    loads throughout; `limits`: where the hunt for what is wrong ended, and why tares are not told; `direct`: the direct
-    model, where it was asked for.
+    Of each row: `run` (m,), an index into `runs`; `loads` (m, k) [N, N m]; `residuals` (m, c) and
+    `cross_validation_errors` (m, c) [V], the latter predicted without the load series of the row. Both are NaN where a
+    row was excluded. `attitude_segment` (m,): index of the attitude, None where no run states one.
 
-    With `tares` the loads and the model are those with the metric part's weight, and the zeros those without any load.
-    `stretch` (m,) counts the attitudes of all runs, None where no run states them.
+    `outliers` and `suspect_series` were excluded from the fit. `swapped_channels`: pairs of channels that read each
+    other's loads in all runs. `screening_notes`: where the search for outliers stopped early, and why the weight of the
+    metric part is not determined. `non_iterative`: the model of that method, where it was requested.
+
+    With `tares` the loads of the rows and of the model include the weight of the metric part, and the zeros are those
+    of the balance without any load.
     """
 
     model: CalibrationModel
@@ -83,21 +89,21 @@ class AllTrimsCalibration:
     run: Index
     loads: Array
     residuals: Array
-    left_out: Array
+    cross_validation_errors: Array = field(metadata={"stored_as": "left_out"})
     drift: Drift
     noise: CalibrationNoise
     outliers: tuple[Outlier, ...]
-    bad_sequences: tuple[SuspectLoadSeries, ...]
-    exchanged: tuple[str, ...] = ()
-    limits: tuple[str, ...] = ()
-    direct: NonIterativeModel | None = None
+    suspect_series: tuple[SuspectLoadSeries, ...] = field(metadata={"stored_as": "bad_sequences"})
+    swapped_channels: tuple[str, ...] = field(default=(), metadata={"stored_as": "exchanged"})
+    screening_notes: tuple[str, ...] = field(default=(), metadata={"stored_as": "limits"})
+    non_iterative: NonIterativeModel | None = field(default=None, metadata={"stored_as": "direct"})
     checks: tuple[CheckLoads, ...] = ()
     tares: Tares | None = None
-    stretch: Index | None = None
+    attitude_segment: Index | None = field(default=None, metadata={"stored_as": "stretch"})
 
     @property
-    def level(self) -> Array:
-        """Loads (k,) [N, N m] of the metric part's weight on the level rig, beyond what a zero record knows; or 0."""
+    def level_weight_loads(self) -> Array:
+        """Loads (k,) [N, N m] of the weight of the metric part on the level rig; zero where the tares are not known."""
         names = self.model.components
         return np.zeros(len(names)) if self.tares is None else self.tares.loads(LEVEL_GRAVITY, names)[0]
 
@@ -107,82 +113,78 @@ def calibrate_all_trims(
     checks: Sequence[tuple[str, Array, Array]] = (),
     search: bool = True,
     declared: Array | None = None,
-    direct: bool = False,
+    non_iterative: bool = False,
     check_gravity: Mapping[str, Array] | None = None,
 ) -> AllTrimsCalibration:
-    """Fit all points; `checks` are names, readings (m, c) and loads (m, k) of runs that took no part.
+    """Fit one calibration model to the points of all trims.
 
-    With the `declared` response (c, k) [V per N, N m] channels that are exchanged are named; with `direct` the loads
-    are fitted as functions of the readings, too. `check_gravity`: gravity (m, 3) in rig axes of the checks that state
-    their attitude, by name.
+    `checks`: name, readings (m, c) [V] and loads (m, k) [N, N m] of each held-out run; `check_gravity`: directions of
+    gravity (m, 3) in rig axes of those that state their attitude, by name. With the `declared` response (c, k)
+    [V/N, V/(N m)] swapped channels are identified. With `non_iterative` the loads are also fitted as functions of the
+    readings.
 
-    Raises least_squares.CollinearError where the loads were never applied by themselves.
+    Raises least_squares.CollinearError where a load was never applied without the others.
     """
-    total, found, tares = screen_outliers_with_tares(points, search)
-    model = found.fit.model
-    k, used = len(model.components), np.asarray(np.isfinite(found.fit.residuals).all(axis=1))
-    linear_coefficients = model.coefficients[:k].T
-    noise = estimate_calibration_noise(
-        found.fit.residuals[used], points.x[used], linear_coefficients, model.residual_covariance
-    )
+    total, screened, tares = screen_outliers_with_tares(points, search)
+    fit, model = screened.fit, screened.fit.model
+    used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
+    C = model.coefficients[: len(model.components)].T
+    noise = estimate_calibration_noise(fit.residuals[used], points.x[used], C, model.residual_covariance)
     return AllTrimsCalibration(
         model=model,
         runs=points.run_names,
         run=points.run,
         loads=total.loads,
-        residuals=found.fit.residuals,
-        left_out=found.fit.left_out,
-        drift=drift(model.zeros, found.fit.zero_covariance),
+        residuals=fit.residuals,
+        cross_validation_errors=fit.cross_validation_errors,
+        drift=fit_drift(model.zeros, fit.zero_covariance),
         noise=noise,
-        outliers=found.outliers,
-        bad_sequences=found.sequences,
-        exchanged=() if declared is None else exchanged(points, declared * points.full_range),
-        limits=(*found.limits, *_runs_without_attitude(points)),
-        direct=fit_noniterative_model(total, model, used, search) if direct else None,
+        outliers=screened.outliers,
+        suspect_series=screened.suspect_series,
+        swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
+        screening_notes=(*screened.screening_notes, *_runs_without_attitude(points)),
+        non_iterative=fit_noniterative_model(total, model, used, search) if non_iterative else None,
         checks=tuple(
             evaluate_check_loads(model, noise, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0])))
             for check in checks
         ),
         tares=tares,
-        stretch=None if points.gravity is None else points.stretch,
+        attitude_segment=None if points.gravity is None else points.attitude_segment,
     )
 
 
 def _tare_loads(tares: Tares | None, model: CalibrationModel, gravity: Array | None) -> Array | None:
-    """Loads (m, k) of the metric part's weight; None where they or the attitude are not known."""
+    """Loads (m, k) of the weight of the metric part; None where it or the attitude is not known."""
     return None if tares is None or gravity is None else tares.loads(gravity, model.components)
 
 
 def _runs_without_attitude(points: CalibrationPoints) -> Iterator[str]:
-    """Runs without attitude among others that have one."""
+    """Notes on the runs that do not state an attitude while others do."""
     if points.gravity is None:
         return
     for run in np.unique(points.run[~np.isfinite(points.gravity).all(axis=1)]):
-        yield f"run {points.run_names[run]} does not state its attitude: the weight of the metric part is not told"
+        name = points.run_names[run]
+        yield f"run {name} does not state its attitude: the weight of the metric part cannot be determined"
 
 
-def drift(zeros: Array, covariance: Array) -> Drift:
-    """A straight line through zeros (s, c) in their order, with the covariance (c, s, s) of each channel's (Aitken).
+def fit_drift(zeros: Array, covariance: Array) -> Drift:
+    """Fit a straight line through the zeros (s, c) of the load series in their order.
 
-    NaN for fewer than three sequences.
+    Generalized least squares with the covariance (c, s, s) of each channel's zeros (Aitken, 1935).
     """
     s, c = zeros.shape
     if s < MIN_ZEROS:
         return Drift(*(np.full(c, np.nan) for _ in range(3)))
     line = np.column_stack([np.ones(s), np.arange(s) - 0.5 * (s - 1)])
-    slope, sigma, scatter = np.zeros(c), np.zeros(c), np.zeros(c)
+    slope, sigma, chi2_per_dof = np.zeros(c), np.zeros(c), np.zeros(c)
     for channel in range(c):
         weighted = np.linalg.solve(covariance[channel], np.column_stack([line, zeros[:, channel]]))
         inverse = np.linalg.inv(line.T @ weighted[:, :2])
-        found = inverse @ (line.T @ weighted[:, 2])
-        left = zeros[:, channel] - line @ found
-        slope[channel], sigma[channel] = found[1], np.sqrt(inverse[1, 1])
-        scatter[channel] = left @ np.linalg.solve(covariance[channel], left) / (s - 2)
-    return Drift(slope, sigma, scatter)
-
-
-MIN_ZEROS = 3
-"""Sequences through whose zeros a line says anything."""
+        coefficients = inverse @ (line.T @ weighted[:, 2])
+        residual = zeros[:, channel] - line @ coefficients
+        slope[channel], sigma[channel] = coefficients[1], np.sqrt(inverse[1, 1])
+        chi2_per_dof[channel] = residual @ np.linalg.solve(covariance[channel], residual) / (s - 2)
+    return Drift(slope, sigma, chi2_per_dof)
 
 
 def evaluate_check_loads(
@@ -193,34 +195,30 @@ def evaluate_check_loads(
     loads: Array,
     weight: Array | None = None,
 ) -> CheckLoads:
-    """Loads found from the readings of a run that took no part, counted from the load that it begins with.
+    """Compute the loads of a held-out run from its readings (m, c) [V], with their prediction intervals.
 
-    The rows at that load tell its zero: what they read beyond what the model makes of the load. The interval holds the
-    noise of the applied load's own reading, where that load was applied. `weight` (m, k): loads of the metric part
-    beside those applied.
+    The rows at the load (m, k) [N, N m] with which the run begins determine its zero: their mean reading less that of
+    the model. The interval includes the noise of a load reading where that load was applied. `weight` (m, k): loads of
+    the metric part in addition to those applied.
     """
     weight_loads_in_rows = np.zeros_like(loads) if weight is None else weight
-    S = noise.readings
-    tare = np.all(np.abs(loads - loads[0]) <= SAME_LOAD_TOLERANCE * model.full_range, axis=1)
+    S = noise.reading_covariance
+    tare = np.all(np.abs(loads - loads[0]) <= SAME_LOAD_TOLERANCE * model.calibrated_range, axis=1)
     zero = np.mean(channels[tare] - model.readings((loads + weight_loads_in_rows)[tare]), axis=0)
-    found, solved = model.loads(channels - zero)
-    beyond = (EXTRAPOLATION_MARGIN - 1.0) * model.full_range
-    solved &= np.all((found <= model.largest + beyond) & (found >= model.smallest - beyond), axis=1)
-    interval = np.full(found.shape, np.nan)
-    if solved.any():
-        of_readings = model.interval(found[solved], S * (1.0 + 1.0 / np.count_nonzero(tare)))
-        applied = np.abs(loads[solved]) > APPLIED_SHARE * model.full_range
-        of_load = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE) * applied * noise.loads * model.full_range
-        interval[solved] = np.hypot(of_readings, of_load)
-    return CheckLoads(run, loads, found - weight_loads_in_rows, interval, solved)
-
-
-SAME_LOAD_TOLERANCE = 1e-3
-"""Of full range: loads that count as the same."""
+    computed, is_valid = model.loads(channels - zero)
+    beyond = (EXTRAPOLATION_MARGIN - 1.0) * model.calibrated_range
+    is_valid &= np.all((computed <= model.largest_load + beyond) & (computed >= model.smallest_load - beyond), axis=1)
+    interval = np.full(computed.shape, np.nan)
+    if is_valid.any():
+        reading_interval = model.interval(computed[is_valid], S * (1.0 + 1.0 / np.count_nonzero(tare)))
+        applied = np.abs(loads[is_valid]) > APPLIED_SHARE * model.calibrated_range
+        load_interval = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE) * applied * noise.load_sigma * model.calibrated_range
+        interval[is_valid] = np.hypot(reading_interval, load_interval)
+    return CheckLoads(run, loads, computed - weight_loads_in_rows, interval, is_valid)
 
 
 def read_load_points(run: Run, channel_names: Sequence[str], components: Sequence[str]) -> tuple[Array, Array]:
-    """Readings (m, c) and loads (m, k) of a static run."""
+    """Read the readings (m, c) [V] and loads (m, k) [N, N m] of a static run."""
     loads = run.read().loads
     assert loads is not None
     return read_channels(run, channel_names), loads[:, [COMPONENTS.index(name) for name in components]]

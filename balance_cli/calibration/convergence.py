@@ -1,17 +1,19 @@
-"""Loads from outputs by iteration, and the proof that it converges.
+"""Loads from readings by iteration, and a proof that the iteration converges.
 
-Outputs r = C1 x + C2 h(x) of loads x in units of full range; with W C1 = 1 the iteration is
+Readings r = C1 x + C2 h(x) of loads x in units of the calibrated range; with W C1 = 1 the iteration is
 
     x <- W (r - C2 h(x)).
 
-Over |x_j| <= reach_j the derivative of the right side is at most M = |W C2| max |dh/dx|, element by element, for every
-derivative of a term grows with the loads. M has no negative element: if its spectral radius rho is below 1, the
-iteration contracts with rho in the norm max |x_i| / v_i, v its Perron vector, and x has one solution (Banach). For a
-load within full range the first error is at most e = |W C2| |h(1)|, element by element, the n-th at most M^n e. So none
-is larger than (1 - M)^-1 e = e + M e + ..., nor outside the ball that e has in the norm above; both together give the
-reach for which M must be taken. (The ball is wide where a load has next to no part in the slowest direction, the sum
-where M is nearly 1.)
-(AIAA R-091A-2020, section 3, iterates so; the proof is ours.)
+Over |x_j| <= reach_j the derivative of the right side is bounded, element by element, by M = |W C2| max |dh/dx|,
+because every derivative of a term grows with the size of the loads. M is nonnegative. If its spectral radius rho is
+below 1, the iteration is a contraction with factor rho in the norm max |x_i| / v_i, where v is the Perron vector of M,
+and the solution is unique (Banach). For a load within the calibrated range the first error is at most
+e = |W C2| |h(1)|, and the n-th at most M^n e, element by element. The errors are therefore bounded by
+(1 - M)^-1 e = e + M e + ... and by the ball of radius |e| in the norm above. The smaller bound of each component gives
+the reach over which M must be taken. (The ball is wide where a load hardly contributes to the slowest direction, the
+sum where rho is close to 1.)
+
+AIAA R-091A-2020, section 3, uses this iteration; the proof is given in docs/theory/calibration-model.md.
 """
 
 from __future__ import annotations
@@ -22,22 +24,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.terms import Term, columns, largest_derivatives
+from balance_cli.calibration.terms import Term, largest_derivatives, term_values
 
 Array = NDArray[np.float64]
 
-# Loads beyond full range that are still taken, flagged: the proof covers them.
 EXTRAPOLATION_MARGIN = 1.1
+"""Loads up to this multiple of the calibrated range are accepted and flagged; the proof includes them."""
 REACH_ITERATIONS = 50
+"""Upper bound on the extensions of the reach; the search ends when the reach is consistent or rho is 1 or more."""
 LOAD_ITERATIONS = 200
+"""At most so many load iterations: a contraction of 0.87 reaches the tolerance; a slower one is not accepted."""
 LOAD_TOLERANCE = 1e-12
+"""Largest last step, in units of the calibrated range: rounding of the readings, far below any noise."""
 
 
 @dataclass(frozen=True)
 class Contraction:
-    """`rho`, by which every step shrinks the error at least; `reach` (n,), loads over full range, where that holds.
+    """Contraction factor `rho` of the iteration within `reach` (n,), loads in units of the calibrated range.
 
-    Infinite rho where no reach could be found: then nothing is proved.
+    `rho` is infinite where no reach was found: convergence is then not proved.
     """
 
     rho: float
@@ -45,16 +50,16 @@ class Contraction:
 
     @property
     def proved(self) -> bool:
-        """Whether the iteration converges from every load within MARGIN of full range."""
+        """Whether the iteration converges for every load within EXTRAPOLATION_MARGIN times the calibrated range."""
         return self.rho < 1.0
 
 
 def contraction(nonlinear_matrix: Array, terms: Sequence[Term], size: int) -> Contraction:
-    """The proof for `back` = W C2 (n, q), the loads that each of the q curved terms feigns; n is `size`."""
+    """Bound the iteration for `nonlinear_matrix` = W C2 (n, q), apparent loads of q nonlinear terms; `size` is n."""
     if not terms:
         return Contraction(0.0, np.full(size, EXTRAPOLATION_MARGIN))
     apparent = np.abs(nonlinear_matrix)
-    first = apparent @ np.abs(columns(terms, np.full((1, size), EXTRAPOLATION_MARGIN)))[0]
+    first = apparent @ np.abs(term_values(terms, np.full((1, size), EXTRAPOLATION_MARGIN)))[0]
     reach = EXTRAPOLATION_MARGIN + first
     for _ in range(REACH_ITERATIONS):
         M = apparent @ largest_derivatives(terms, reach)
@@ -69,8 +74,8 @@ def contraction(nonlinear_matrix: Array, terms: Sequence[Term], size: int) -> Co
 
 
 def _perron_root(M: Array) -> tuple[float, Array]:
-    """A bound of the spectral radius rho of a matrix without negative elements, and v > 0 (n,) with M v <= rho v."""
-    # A small positive part everywhere can only make rho larger, and makes v positive.
+    """Bound the spectral radius rho of a nonnegative matrix; also returns v > 0 (n,) with M v <= rho v."""
+    # A small positive addition to all elements can only increase rho, and makes v positive (Perron).
     values, vectors = np.linalg.eig(M + 1e-9 * max(float(M.max()), 1e-9))
     k = int(np.argmax(values.real))
     v = np.abs(vectors[:, k].real)
@@ -80,16 +85,17 @@ def _perron_root(M: Array) -> tuple[float, Array]:
 def iterate_loads(
     linear_loads: Array, nonlinear_matrix: Array, terms: Sequence[Term]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Loads x (m, n) with x = `linear_loads` - back h(x), and which rows (m,) converged; `linear_loads` (m, n) is W
-    r.
+    """Solve x = `linear_loads` - `nonlinear_matrix` h(x) for the loads x (m, n); `linear_loads` (m, n) is W r.
+
+    Returns the loads and which rows (m,) converged.
     """
     x = linear_loads.copy()
-    done = np.zeros(len(x), bool)
+    converged = np.zeros(len(x), bool)
     for _ in range(LOAD_ITERATIONS):
         with np.errstate(over="ignore", invalid="ignore"):
-            new = linear_loads - columns(terms, x) @ nonlinear_matrix.T
-            done = np.max(np.abs(new - x), axis=1, initial=0.0) < LOAD_TOLERANCE
+            new = linear_loads - term_values(terms, x) @ nonlinear_matrix.T
+            converged = np.max(np.abs(new - x), axis=1, initial=0.0) < LOAD_TOLERANCE
         x = new
-        if done.all():
+        if converged.all():
             break
-    return x, done
+    return x, converged

@@ -1,20 +1,20 @@
-"""The gage model of a calibration: terms that the loads support, those that each channel has, and what it leaves."""
+"""Fit of the calibration model: supported terms, term selection by channel, coefficients and residuals."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import LeastSquares, regression
+from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares
 from balance_cli.calibration.load_series import describe_load_series, find_load_series
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.selection import select_terms
 from balance_cli.calibration.term_support import find_supported_terms
-from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms
+from balance_cli.calibration.terms import Term, all_terms, linear_terms, term_values
 from balance_cli.campaign.rig.attitude import attitude_segments
 
 Array = NDArray[np.float64]
@@ -23,10 +23,11 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class CalibrationPoints:
-    """Rows of all runs in the order of loading: channels (m, c) [V] and loads (m, k) [N, N m], which `full_range` (k,)
+    """Rows of all runs in the order of loading: `channels` (m, c) [V] and `loads` (m, k) [N, N m].
 
-    makes numbers near one; `run` (m,) counts `run_names`; `weight` (m,) by the noise of the run; `gravity` (m, 3) unit
-    vectors in rig axes, NaN for runs that do not state their attitude, None where no run does.
+    `calibrated_range` (k,) [N, N m] scales the loads; `run` (m,) is an index into `run_names`; `weight` (m,) follows
+    from the noise of the run, 0 excludes a row. `gravity` (m, 3): unit vectors in rig axes, NaN for runs that do not
+    state their attitude; None where no run does.
     """
 
     channel_names: tuple[str, ...]
@@ -36,173 +37,197 @@ class CalibrationPoints:
     loads: Array
     run: Index
     weight: Array
-    full_range: Array
+    calibrated_range: Array
     gravity: Array | None = None
 
     @property
     def x(self) -> Array:
-        """Loads (m, k) over full range."""
-        return self.loads / self.full_range
+        """Loads (m, k) in units of the calibrated range."""
+        return self.loads / self.calibrated_range
 
     @cached_property
-    def sequence(self) -> Index:
-        """The loading sequence (m,) of each row."""
-        return find_load_series(self.x, self.stretch)
+    def load_series(self) -> Index:
+        """Number (m,) of the load series of each row."""
+        return find_load_series(self.x, self.attitude_segment)
 
     @cached_property
-    def stretch(self) -> Index:
-        """The stretch (m,) of rows of one run in one attitude."""
+    def attitude_segment(self) -> Index:
+        """Number (m,) of the segment of each row: consecutive rows of one run in one attitude."""
         return attitude_segments(self.run, self.gravity)
 
     def exclude_rows(self, rows: NDArray[np.bool_]) -> CalibrationPoints:
-        """With the weight of some rows taken away: they keep their place in the order, and say nothing."""
+        """Copy with zero weight for some rows (m,), which keep their place in the order of loading."""
         return replace(self, weight=np.where(rows, 0.0, self.weight))
 
 
 @dataclass(frozen=True)
 class CalibrationModelFit:
-    """The model, and of all rows the residuals (m, c), errors of rows and of sequences that took no part (m, c) [V].
+    """The model with its errors in all rows (m, c) [V].
 
-    NaN where a row has no weight, and where the other sequences do not determine a term. `zero_covariance` (c, s, s):
-    that of each channel's zeros, which share the errors of the coefficients.
+    `residuals`; `press`: errors where all other rows predict the row; `cross_validation_errors`: errors where the other
+    load series predict it. NaN where a row has no weight or the other series do not determine a term.
+    `zero_covariance` (c, s, s) [V2]: covariance of each channel's zeros, which share the errors of the coefficients.
     """
 
     model: CalibrationModel
     residuals: Array
     press: Array
-    left_out: Array
+    cross_validation_errors: Array
     zero_covariance: Array
 
 
 def fit_calibration_model(
     points: CalibrationPoints, search: bool = True, schedule: Array | None = None
 ) -> CalibrationModelFit:
-    """Fit the terms that `search` finds, or the loads alone.
+    """Fit the calibration model: with `search` the terms selected for each channel, otherwise the loads alone.
 
-    `schedule` (m, k) are the loads over full range that were applied, where `points` hold others: they say which terms
-    are supported. Raises least_squares.CollinearError where the loads were never applied by themselves.
+    `schedule` (m, k): the loads that were applied, in units of the calibrated range, where `points` hold other
+    regressors; they decide which terms are supported.
+
+    Raises least_squares.CollinearError where a load was never applied without the others.
     """
     used = points.weight > 0
-    x, sequence = points.x[used], points.sequence[used]
+    x, load_series = points.x[used], points.load_series[used]
     k = len(points.components)
-    terms, refused = linear_terms(k), {}
+    terms, unsupported = linear_terms(k), {}
     if search:
-        support = find_supported_terms(
-            all_terms(k), x if schedule is None else schedule[used], sequence, points.components
-        )
-        terms, refused = support.terms, support.refused
-    X, Y, w = columns(terms, x), points.channels[used], points.weight[used]
-    regression(X[:, :k], Y, sequence, w)
+        applied = x if schedule is None else schedule[used]
+        support = find_supported_terms(all_terms(k), applied, load_series, points.components)
+        terms, unsupported = support.terms, support.unsupported
+    X, Y, w = term_values(terms, x), points.channels[used], points.weight[used]
+    solve_least_squares(X[:, :k], Y, load_series, w)  # raises where the loads are collinear
     channel_terms = [tuple(range(k))] * Y.shape[1]
-    if search and len(X) > k + len(np.unique(sequence)) + 1:
-        channel_terms = select_terms(X, Y, sequence, sequence, k, w)
-    return _fit_terms(points, terms, refused, channel_terms)
+    if search and len(X) > k + len(np.unique(load_series)) + 1:
+        channel_terms = select_terms(X, Y, load_series, load_series, k, w)
+    return _fit_terms(points, terms, unsupported, channel_terms)
 
 
 def refit_terms(points: CalibrationPoints, model: CalibrationModel) -> CalibrationModelFit:
-    """The terms that a model has, fitted to other points."""
+    """Fit the terms that a model has to other points."""
     channel_terms = [tuple(np.flatnonzero(np.isfinite(column)).tolist()) for column in model.t.T]
     return _fit_terms(points, model.parsed_terms, {}, channel_terms)
 
 
+@dataclass(frozen=True)
+class _ChannelFits:
+    """Fits of all channels, each with its selected columns of X (m, p), to the m rows `used` of the points."""
+
+    points: CalibrationPoints
+    used: NDArray[np.bool_]
+    X: Array
+    selected: tuple[tuple[int, ...], ...]
+    fits: tuple[LeastSquares, ...]
+
+    @cached_property
+    def load_series(self) -> Index:
+        """Load series (m,) of each row used."""
+        return np.asarray(self.points.load_series[self.used])
+
+    @cached_property
+    def weight(self) -> Array:
+        """Weight (m,) of each row used."""
+        return np.asarray(self.points.weight[self.used])
+
+    def stack(self, values: Callable[[LeastSquares], Array]) -> Array:
+        """One column (m, c) per channel of what `values` takes (m, 1) from its fit."""
+        return np.column_stack([values(fit)[:, 0] for fit in self.fits])
+
+
 def _fit_terms(
-    points: CalibrationPoints, terms: Sequence[Term], refused: dict[Term, str], channel_terms: Sequence[tuple[int, ...]]
-) -> CalibrationModelFit:
-    """Every channel fitted with its chosen ones of these terms."""
-    used = points.weight > 0
-    X, sequence, w = columns(terms, points.x[used]), points.sequence[used], points.weight[used]
-    fits = [
-        regression(X[:, list(one)], points.channels[used][:, [c]], sequence, w) for c, one in enumerate(channel_terms)
-    ]
-    return _assemble_fit(points, used, sequence, terms, refused, channel_terms, fits, X)
-
-
-def _assemble_fit(
     points: CalibrationPoints,
-    used: NDArray[np.bool_],
-    sequence: Index,
     terms: Sequence[Term],
-    refused: dict[Term, str],
+    unsupported: dict[Term, str],
     channel_terms: Sequence[tuple[int, ...]],
-    fits: Sequence[LeastSquares],
-    X: Array,
 ) -> CalibrationModelFit:
+    """Fit each channel with its selected terms, given as indices into `terms`."""
+    used = points.weight > 0
+    X, load_series, w = term_values(terms, points.x[used]), points.load_series[used], points.weight[used]
+    fits = tuple(
+        solve_least_squares(X[:, list(selected)], points.channels[used][:, [c]], load_series, w)
+        for c, selected in enumerate(channel_terms)
+    )
+    return _assemble_fit(_ChannelFits(points, used, X, tuple(channel_terms), fits), terms, unsupported)
+
+
+def _assemble_fit(channels: _ChannelFits, terms: Sequence[Term], unsupported: dict[Term, str]) -> CalibrationModelFit:
+    points, w = channels.points, channels.weight
+    residuals, press = channels.stack(lambda fit: fit.residuals), channels.stack(lambda fit: fit.press_residuals)
+    left_out = channels.stack(lambda fit: fit.cross_validation_errors(channels.load_series))
+    dof = np.array([fit.dof for fit in channels.fits], float)
+    zeros, zero_covariance = _series_zeros(channels)
     names = points.components
-    kept = sorted(set().union(*channel_terms))
-    place = {term: i for i, term in enumerate(kept)}
-    p, c = len(kept), len(fits)
-    table = {name: np.full((p, c), np.nan) for name in ("t", "p_value", "variance_inflation")}
-    coefficients, covariance = np.zeros((p, c)), np.zeros((c, p, p))
-    for channel, (one, fit) in enumerate(zip(channel_terms, fits, strict=True)):
-        at = [place[term] for term in one]
-        coefficients[at, channel] = fit.coefficients[:, 0]
-        covariance[channel][np.ix_(at, at)] = fit.inverse * fit.variance[0]
-        for name, values in (("t", fit.t), ("p_value", fit.p_value)):
-            table[name][at, channel] = values[:, 0]
-        table["variance_inflation"][at, channel] = fit.variance_inflation
-    errors = {
-        "residuals": np.column_stack([fit.residuals[:, 0] for fit in fits]),
-        "press": np.column_stack([fit.press_residuals[:, 0] for fit in fits]),
-        "left_out": np.column_stack([fit.left_out(sequence)[:, 0] for fit in fits]),
-    }
-    w, dof = points.weight[used], np.array([fit.dof for fit in fits], float)
-    residual_covariance = (errors["residuals"].T * w) @ errors["residuals"] / np.sqrt(dof[:, None] * dof)
-    zeros, zero_covariance = _series_zeros(channel_terms, fits, X, sequence, w)
     model = CalibrationModel(
         channel_names=points.channel_names,
         components=names,
-        full_range=points.full_range,
-        terms=tuple(terms[i].name(names) for i in kept),
-        coefficients=coefficients,
-        covariance=covariance,
-        **table,
-        residual_covariance=residual_covariance,
+        calibrated_range=points.calibrated_range,
+        terms=tuple(terms[i].name(names) for i in _terms_in_model(channels)),
+        **_coefficient_tables(channels),
+        residual_covariance=(residuals.T * w) @ residuals / np.sqrt(dof[:, None] * dof),
         dof=dof,
-        press=_weighted_rms(errors["press"], w),
-        left_out=_weighted_rms(errors["left_out"], w),
-        sequences=_series_descriptions(points),
+        press=_weighted_rms(press, w),
+        cross_validation_rms=_weighted_rms(left_out, w),
+        load_series=_series_descriptions(points),
         zeros=zeros,
         zero_sigma=np.sqrt(np.diagonal(zero_covariance, axis1=1, axis2=2)).T,
-        largest=points.loads[used].max(axis=0),
-        smallest=points.loads[used].min(axis=0),
-        refused={term.name(names): reason for term, reason in refused.items()},
+        largest_load=points.loads[channels.used].max(axis=0),
+        smallest_load=points.loads[channels.used].min(axis=0),
+        unsupported_terms={term.name(names): reason for term, reason in unsupported.items()},
     )
-    everywhere = {name: _expand_to_all_rows(values, used) for name, values in errors.items()}
-    return CalibrationModelFit(model, **everywhere, zero_covariance=zero_covariance)
+    residuals, press, left_out = (_expand_to_all_rows(errors, channels.used) for errors in (residuals, press, left_out))
+    return CalibrationModelFit(model, residuals, press, left_out, zero_covariance)
 
 
-def _series_zeros(
-    channel_terms: Sequence[tuple[int, ...]], fits: Sequence[LeastSquares], X: Array, sequence: Index, weight: Array
-) -> tuple[Array, Array]:
-    """Zeros (s, c) of the sequences, and the covariance (c, s, s) of each channel's.
+def _terms_in_model(channels: _ChannelFits) -> list[int]:
+    """Indices of the terms that at least one channel has."""
+    return sorted(set().union(*channels.selected))
 
-    With M (s, p) the means of the terms: s^2 (diag(1/n) + M (R'R)^-1 M').
+
+def _coefficient_tables(channels: _ChannelFits) -> dict[str, Array]:
+    """Coefficients and what is known of them, by the field of CalibrationModel, for the p terms of the model."""
+    place = {term: i for i, term in enumerate(_terms_in_model(channels))}
+    p, c = len(place), len(channels.fits)
+    tables = {name: np.full((p, c), np.nan) for name in ("t", "p_value", "variance_inflation")}
+    coefficients, covariance = np.zeros((p, c)), np.zeros((c, p, p))
+    for channel, (selected, fit) in enumerate(zip(channels.selected, channels.fits, strict=True)):
+        at = [place[term] for term in selected]
+        coefficients[at, channel] = fit.coefficients[:, 0]
+        covariance[channel][np.ix_(at, at)] = fit.inverse * fit.variance[0]
+        tables["t"][at, channel] = fit.t[:, 0]
+        tables["p_value"][at, channel] = fit.p_value[:, 0]
+        tables["variance_inflation"][at, channel] = fit.variance_inflation
+    return {"coefficients": coefficients, "covariance": covariance, **tables}
+
+
+def _series_zeros(channels: _ChannelFits) -> tuple[Array, Array]:
+    """Zeros (s, c) of the load series [V], and the covariance (c, s, s) of each channel's zeros.
+
+    With M (s, p) the means of the terms in each series: s^2 (diag(1/n) + M (R'R)^-1 M').
     """
-    names = np.unique(sequence)
-    M = np.array([np.average(X[sequence == name], axis=0, weights=weight[sequence == name]) for name in names])
-    share = np.diag([1.0 / weight[sequence == name].sum() for name in names])
-    zeros = np.column_stack([fit.zeros[:, 0] for fit in fits])
+    load_series, weight, X = channels.load_series, channels.weight, channels.X
+    names = np.unique(load_series)
+    M = np.array([np.average(X[load_series == n], axis=0, weights=weight[load_series == n]) for n in names])
+    share = np.diag([1.0 / weight[load_series == n].sum() for n in names])
     covariance = [
-        fit.variance[0] * (share + M[:, list(one)] @ fit.inverse @ M[:, list(one)].T)
-        for one, fit in zip(channel_terms, fits, strict=True)
+        fit.variance[0] * (share + M[:, list(selected)] @ fit.inverse @ M[:, list(selected)].T)
+        for selected, fit in zip(channels.selected, channels.fits, strict=True)
     ]
-    return zeros, np.stack(covariance)
+    return channels.stack(lambda fit: fit.zeros), np.stack(covariance)
 
 
 def _series_descriptions(points: CalibrationPoints) -> tuple[str, ...]:
-    """The sequences in words, those without any weight left out."""
-    sequence, found = points.sequence, []
-    for name in np.unique(sequence[points.weight > 0]):
-        rows = np.flatnonzero(sequence == name)
+    """Describe each load series that has rows of nonzero weight."""
+    load_series, descriptions = points.load_series, []
+    for name in np.unique(load_series[points.weight > 0]):
+        rows = np.flatnonzero(load_series == name)
         run = int(points.run[rows[0]])
         first = int(np.flatnonzero(points.run == run)[0])
         run_loads = points.x[points.run == run]
-        found.append(describe_load_series(rows - first, points.run_names[run], points.components, run_loads))
-    return tuple(found)
+        descriptions.append(describe_load_series(rows - first, points.run_names[run], points.components, run_loads))
+    return tuple(descriptions)
 
 
 def _weighted_rms(errors: Array, weight: Array) -> Array:
-    """Weighted rms (c,) over the rows that have an error."""
+    """Weighted rms (c,) over the rows whose error is known."""
     known = np.isfinite(errors)
     total = np.sum(np.where(known, weight[:, None], 0.0), axis=0)
     squares = np.sum(np.where(known, errors, 0.0) ** 2 * weight[:, None], axis=0)
@@ -210,6 +235,7 @@ def _weighted_rms(errors: Array, weight: Array) -> Array:
 
 
 def _expand_to_all_rows(values: Array, used: NDArray[np.bool_]) -> Array:
-    found = np.full((len(used), values.shape[1]), np.nan)
-    found[used] = values
-    return found
+    """Values (m, c) of the rows used in the place of all rows, NaN in the others."""
+    expanded = np.full((len(used), values.shape[1]), np.nan)
+    expanded[used] = values
+    return expanded

@@ -1,20 +1,20 @@
-"""Linear regression with a zero for each loading sequence, and what tells whether it can be trusted.
+"""Weighted linear regression with a zero for each block of rows, and its diagnostic statistics.
 
-Rows come in blocks, each with a zero of its own (a natural zero and its shift), which is eliminated: every column less
-its weighted mean in each block. One QR decomposition of the centred terms, columns scaled, serves everything: with
-A = Q R,
+Each block (a load series) has its own zero, which is eliminated: the weighted mean of the block is subtracted from
+every column. One QR decomposition A = Q R of the resulting columns, scaled, yields everything:
 
     coefficients     b = R^-1 Q'y, refined together with the zeros (Bjorck, BIT 7 (1967) 257)
     covariance       s^2 (R'R)^-1
-    variance inflation   diag (R'R)^-1 diag(R'R): zeros taken out (Marquardt, Technometrics 12 (1970) 591)
-    PRESS            e_i / (1 - h_i),  h the diagonal of QQ' and the share of a row in its zero
+    variance inflation   diag (R'R)^-1 diag(R'R), zeros eliminated (Marquardt, Technometrics 12 (1970) 591)
+    PRESS            e_i / (1 - h_i),  h_i from the diagonal of QQ' and the share of row i in its zero
                      (Allen, Technometrics 16 (1974) 125)
-    left-out blocks  (1 - Q_B Q_B')^-1 e_B: a block that took no part still has its own zero
+    left-out blocks  (1 - Q_B Q_B')^-1 e_B: a block that was left out still has its own zero
 
-so that no model is fitted twice. All outputs have the same terms, and are done together.
+No model is fitted twice. All outputs have the same terms and are solved together.
 
-Errors grow with the condition of the terms. Where that is large, or what comes is in extended precision, so are the
-residuals of the refinement and the decomposition that the standard errors rest on.
+Rounding errors grow with the condition of the terms. Where the condition is large, or the data are in extended
+precision, the residuals of the refinement and the decomposition behind the standard errors are computed in extended
+precision.
 """
 
 from __future__ import annotations
@@ -30,26 +30,27 @@ from balance_cli.calibration.extended_precision import ExtendedArray, gram_schmi
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# Largest condition of the scaled columns that leaves coefficients a few digits in double precision.
 COLLINEAR_CONDITION = 1e13
-# Condition beyond which double precision would leave fewer than some eleven digits.
+"""Condition of the scaled columns from which they count as collinear: double precision leaves some three digits."""
 EXTENDED_CONDITION = 1e4
-# Refinements at most; each leaves of the error what the first solution has of it. They end where no more is gained.
+"""Condition from which extended precision is used: double precision would leave fewer than about eleven digits."""
 MAX_REFINEMENTS = 8
+"""Upper bound on the refinements. Each reduces the error by the relative error of the first solution."""
 TINY = float(np.finfo(float).tiny)
-# A row that alone determines a coefficient is granted this share of its residual.
 PRESS_LEVERAGE_FLOOR = 1e-8
-# Share of what is known of a term that rows of other groups must hold, to predict a group by them.
+"""Floor of 1 - leverage, so that the PRESS residual of a row that alone determines a coefficient is finite."""
 MIN_KNOWN_SHARE = 1e-4
+"""Share of the information on each term that the other groups must hold for a group to be predicted from them."""
 
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """Regression of outputs (m, c) on p terms with a zero for each of b blocks.
+    """Regression of outputs (m, c) on p terms, with a zero for each of b blocks.
 
-    coefficients (p, c) and zeros (b, c); residuals (m, c); leverage (m,); `root` (p, p): R of the head of this module,
-    terms in their own units, and `inverse` (p, p) = (R'R)^-1, the covariance of the coefficients for s = 1; weight
-    (m,), block (m,); dof: rows less everything fitted; Q (m, p) spans the terms within the blocks, in weighted rows.
+    `coefficients` (p, c), `zeros` (b, c), `residuals` (m, c), `leverage` (m,), `weight` (m,), `block` (m,). `root`
+    (p, p): the factor R for unscaled terms; `inverse` (p, p) = (R'R)^-1, the covariance of the coefficients for s = 1.
+    `dof`: number of rows less the number of coefficients and zeros. `Q` (m, p) spans the terms within the blocks, in
+    weighted rows.
     """
 
     coefficients: Array
@@ -65,7 +66,7 @@ class LeastSquares:
 
     @property
     def variance(self) -> Array:
-        """s^2 (c,) of a row of weight one."""
+        """Residual variance s^2 (c,) of a row of weight one."""
         return np.asarray(self.weight @ self.residuals**2 / self.dof)
 
     @property
@@ -80,60 +81,62 @@ class LeastSquares:
 
     @property
     def p_value(self) -> Array:
-        """Probability (p, c) of so large a t where the coefficient is zero."""
+        """Two-sided p-value (p, c) of the hypothesis that the coefficient is zero."""
         from scipy import stats
 
         return np.asarray(2.0 * stats.t.sf(np.abs(self.t), self.dof))
 
     @property
     def variance_inflation(self) -> Array:
-        """By how much (p,) the other terms inflate the variance of each; 1 where it is orthogonal to them."""
+        """Variance inflation factor (p,) of each term; 1 where it is orthogonal to the others."""
         return np.asarray(np.diag(self.inverse) * np.sum(self.root**2, axis=0))
 
     @property
     def press_residuals(self) -> Array:
-        """Error (m, c) of each row, predicted by all others."""
+        """Error (m, c) of the prediction of each row by all others."""
         return np.asarray(self.residuals / np.maximum(1.0 - self.leverage, PRESS_LEVERAGE_FLOOR)[:, None])
 
     @property
     def press(self) -> Array:
-        """Sum (c,) of the squares of `press_residuals`, weighted."""
+        """Weighted sum (c,) of the squared `press_residuals`."""
         return np.asarray(self.weight @ self.press_residuals**2)
 
-    def left_out(self, group: Index) -> Array:
-        """Errors (m, c) of the rows of each group, predicted by the rows of all others and the zeros of their blocks.
+    def cross_validation_errors(self, group: Index) -> Array:
+        """Errors (m, c) of the rows of each group, predicted from the other groups and the zero of each block.
 
-        `group` (m,): whole blocks. NaN where the others do not determine a term.
+        `group` (m,) consists of whole blocks. NaN where the other groups do not determine a term.
         """
         errors = np.full(self.residuals.shape, np.nan)
         root = np.sqrt(self.weight)[:, None]
         for name in np.unique(group):
             rows = np.flatnonzero(group == name)
             Q = self.Q[rows]
-            # The small one of the two forms: (1 - Q Q')^-1 = 1 + Q (1 - Q'Q)^-1 Q'.
-            left = np.eye(Q.shape[1]) - Q.T @ Q
-            if np.linalg.eigvalsh(left)[0] > MIN_KNOWN_SHARE:
+            # The smaller of two equivalent systems: (1 - Q Q')^-1 = 1 + Q (1 - Q'Q)^-1 Q'.
+            remainder = np.eye(Q.shape[1]) - Q.T @ Q
+            if np.linalg.eigvalsh(remainder)[0] > MIN_KNOWN_SHARE:
                 e = root[rows] * self.residuals[rows]
-                errors[rows] = (e + Q @ np.linalg.solve(left, Q.T @ e)) / root[rows]
+                errors[rows] = (e + Q @ np.linalg.solve(remainder, Q.T @ e)) / root[rows]
         return errors
 
 
 class CollinearError(Exception):
-    """Columns of the regression that say the same; `share` (p,) says how much of each is in it."""
+    """Columns of the regression are collinear; `share` (p,) is the part of each in the null direction."""
 
     def __init__(self, share: Array) -> None:
-        super().__init__("columns of the regression say the same")
+        super().__init__("columns of the regression are collinear")
         self.share = share
 
 
-def regression(X: NDArray[np.floating], Y: Array, block: Index, weight: Array | None = None) -> LeastSquares:
+def solve_least_squares(X: NDArray[np.floating], Y: Array, block: Index, weight: Array | None = None) -> LeastSquares:
     """Regress outputs Y (m, c) on columns X (m, p), with a zero for each block (m,) of rows.
 
-    X and Y may come in extended precision, which is kept where it matters. Raises CollinearError.
+    X and Y may be in extended precision, which is then used throughout. `weight` (m,): 1 by default.
+
+    Raises CollinearError where the columns are collinear within the blocks.
     """
     w = np.ones(len(X)) if weight is None else np.asarray(weight, float)
     zeros = _BlockZeros.from_blocks(block, w)
-    # The size of a column with its zeros in it, to a power of two: what the zeros leave of it may be rounding.
+    # Scaled by a power of two near the norm before elimination: after it a column may consist of rounding errors.
     size = np.sqrt(w @ np.asarray(X, float) ** 2)
     scale = np.exp2(np.round(np.log2(np.where(size > 0, size, 1.0))))
     Q, R = np.linalg.qr(zeros.subtract_means(np.asarray(X, float) / scale))
@@ -158,9 +161,10 @@ def regression(X: NDArray[np.floating], Y: Array, block: Index, weight: Array | 
 
 @dataclass(frozen=True)
 class _BlockZeros:
-    """Blocks of rows: `place` (m,) among the blocks, `order` (m,) and `starts` (b,) of rows sorted by them; sums
+    """Zeros of blocks of rows, for elimination from weighted rows.
 
-    of weights `total` (b,), square roots of weights `root` (m,).
+    `place` (m,): block of each row; `order` (m,) sorts the rows by block and `starts` (b,) are the first rows of the
+    blocks in that order; `total` (b,): sum of the weights; `root` (m,): square roots of the weights.
     """
 
     place: Index
@@ -177,26 +181,26 @@ class _BlockZeros:
         return cls(place, order, starts, np.asarray(np.bincount(place, weight), float), np.sqrt(weight))
 
     def sums(self, rows: NDArray[np.floating]) -> NDArray[np.floating]:
-        """D' times weighted rows (m, p), with D (m, b) the weighted columns of the zeros."""
+        """Product D' A (b, p) of weighted rows A (m, p), with D (m, b) the weighted columns of the zeros."""
         weighted = rows * self.root[:, None]
         return np.asarray(np.add.reduceat(weighted[self.order], self.starts, axis=0))
 
     def expand(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
-        """D times values (b, p) of the blocks."""
+        """Product D V (m, p) of values V (b, p) of the blocks."""
         return np.asarray(values[self.place] * self.root[:, None])
 
     def means(self, rows: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Means (b, p) of weighted rows (m, p) in each block."""
+        """Weighted mean (b, p) of the rows in each block, from weighted rows (m, p)."""
         return np.asarray(self.sums(rows) / self.total[:, None])
 
     def subtract_means(self, values: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Weighted rows of values (m, p), without what the zeros explain of them."""
+        """Weight the rows of values (m, p) and subtract their block means."""
         rows = values * self.root[:, None]
         return np.asarray(rows - self.expand(self.means(rows)))
 
 
 def subtract_block_means(values: Array, block: Index, weight: Array | None = None) -> Array:
-    """Weighted rows of values (m, p) less their weighted means in each block (m,)."""
+    """Weight the rows of values (m, p) and subtract their weighted mean in each block (m,)."""
     w = np.ones(len(values)) if weight is None else weight
     return np.asarray(_BlockZeros.from_blocks(block, w).subtract_means(values), float)
 
@@ -207,20 +211,20 @@ def _gram_inverse(R: Array) -> Array:
 
 
 def _extended_qr(A: ExtendedArray) -> tuple[Array, Array, Array]:
-    """Q, R of A = Q R and (R'R)^-1, to double precision whatever the condition."""
+    """Q, R of A = Q R and (R'R)^-1, accurate to double precision for any condition."""
     Q, R = gram_schmidt(A)
     inverse = triangular_inverse(R)
     return np.asarray(Q, float), np.asarray(R, float), np.asarray(inverse @ inverse.T, float)
 
 
 def _check_condition(R: Array) -> float:
-    """Condition of the terms, times what the zeros cancel of them.
+    """Condition of the terms, including the cancellation when the zeros are eliminated.
 
-    Raises CollinearError with the smallest right singular vector where they say the same.
+    Raises CollinearError, with the smallest right singular vector, where the terms are collinear.
     """
     if not R.size:
         return 1.0
-    # The columns were scaled with their zeros in them: what these leave of a term is its size in R.
+    # Columns had unit norm before elimination: their norm in R is what remains after it.
     size = np.linalg.norm(R, axis=0)
     if np.any(size * COLLINEAR_CONDITION < 1.0):
         raise CollinearError((size * COLLINEAR_CONDITION < 1.0).astype(float))
@@ -233,9 +237,9 @@ def _check_condition(R: Array) -> float:
 def _shift_columns(
     X: NDArray[np.floating], Y: NDArray[np.floating], zeros: _BlockZeros, extended: bool
 ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-    """Weighted rows of X, shifted by some (b, p), and of Y; and the shifts.
+    """Weighted rows of X less block means (b, p), weighted rows of Y, and the means that were subtracted.
 
-    In extended precision by nothing: the difference would be rounded.
+    In extended precision nothing is subtracted, because the difference would be rounded.
     """
     if extended:
         root = zeros.root.astype(np.longdouble)[:, None]
@@ -252,10 +256,11 @@ def _refine_solution(
     Q: Array,
     R: Array,
 ) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-    """Solution x, zeros z and residual r of r + D z + A x = y with D'r = 0 and A'r = 0; `shift` is added to A again.
+    """Solve r + D z + A x = y with D'r = 0 and A'r = 0 by iterative refinement (Bjorck, BIT 7 (1967) 257).
 
-    The residuals of all three equations have the precision of A. Refined once always, further as long as the last step
-    says that something is left to refine.
+    Returns the solution x, zeros z and residuals r; z refers to A with `shift` added again. The residuals of the three
+    equations are computed in the precision of A. The solution is refined once, and again while the steps shrink to
+    something significant.
     """
     x, z = np.zeros((A.shape[1], y.shape[1]), A.dtype), np.zeros((len(shift), y.shape[1]), A.dtype)
     r, means, last = np.zeros_like(y), np.asarray(zeros.means(A), float), np.inf
@@ -265,7 +270,7 @@ def _refine_solution(
         dx, dz = solve_triangular(R, step), (zeros.sums(f) - h) / zeros.total[:, None]
         x, z, r = x + dx, z + dz - means @ dx, r + (f - Q @ step - zeros.expand(dz))
         size = float(np.max(np.max(np.abs(dx), axis=0) / np.maximum(np.max(np.abs(x), axis=0), TINY), initial=0.0))
-        # The next step is as much smaller as this one is than the last.
+        # Convergence is linear: the next step would be smaller by the ratio of this step to the last.
         if number and (size >= last or size * size <= np.finfo(A.dtype).eps * last):
             break
         last = size

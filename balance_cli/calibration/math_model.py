@@ -1,37 +1,39 @@
-"""Outputs of all channels as functions of all loads, through every trim: one model, and loads from it by iteration."""
+"""The calibration model: readings of all channels as functions of all loads, and loads by iteration."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from balance_cli.calibration.convergence import Contraction, contraction, iterate_loads
-from balance_cli.calibration.terms import Term, columns, linear_terms, term_derivatives, term_from_name
+from balance_cli.calibration.terms import Term, term_derivatives, term_from_name, term_values
 
 Array = NDArray[np.float64]
 CONFIDENCE = 0.95
+"""Probability that a load lies within its prediction interval: the usual level of balance calibrations."""
 
 
 @dataclass(frozen=True)
 class CalibrationModel:
-    """Readings r - zero = sum over p terms of coefficients (p, c) times terms of the loads over `full_range` (k,).
+    """Readings r = zero + sum over p terms of coefficients (p, c) times terms of the loads.
 
-    The first k terms are the loads themselves. Coefficients [V], with `covariance` (c, p, p) of each channel's own;
-    those that a channel does not have are zero, with zero variance. `t`, `p_value` and `variance_inflation` (p, c), NaN
-    where a channel has no such term. `residual_covariance` (c, c) of a row, with `dof` (c,); `left_out` (c,): rms of
-    rows predicted by the sequences that they are not of [V]; `press` (c,): rms of rows predicted by all others [V].
-    `zeros` (s, c): reading of the unloaded rig in each of s loading sequences, `zero_sigma` (s, c).
-    `largest` (k,) and `smallest` (k,) [N, N m]: the loads between which it was calibrated.
-    `refused`: terms that the loads do not support, with the reason.
+    The loads are in units of `calibrated_range` (k,) [N, N m]. The first k terms are the loads themselves.
+    `coefficients` (p, c) [V] with the `covariance` (c, p, p) of those of each channel; both are zero for a term that a
+    channel does not have. `t`, `p_value` and `variance_inflation` (p, c) are NaN there.
+    `residual_covariance` (c, c) [V2] of a row, with `dof` (c,) degrees of freedom; `press` (c,) [V]: rms error of rows
+    predicted by all others; `cross_validation_rms` (c,) [V]: rms error of rows predicted by the other load series.
+    `load_series`: description of each of the s series; `zeros` (s, c) [V]: reading of the unloaded rig in each, with
+    `zero_sigma` (s, c). `largest_load` and `smallest_load` (k,) [N, N m]: the limits of the applied loads.
+    `unsupported_terms`: terms that the loads do not support, with the reason.
     """
 
     channel_names: tuple[str, ...]
     components: tuple[str, ...]
-    full_range: Array
+    calibrated_range: Array = field(metadata={"stored_as": "full_range"})
     terms: tuple[str, ...]
     coefficients: Array
     covariance: Array
@@ -41,96 +43,102 @@ class CalibrationModel:
     residual_covariance: Array
     dof: Array
     press: Array
-    left_out: Array
-    sequences: tuple[str, ...]
+    cross_validation_rms: Array = field(metadata={"stored_as": "left_out"})
+    load_series: tuple[str, ...] = field(metadata={"stored_as": "sequences"})
     zeros: Array
     zero_sigma: Array
-    largest: Array
-    smallest: Array
-    refused: dict[str, str]
+    largest_load: Array = field(metadata={"stored_as": "largest"})
+    smallest_load: Array = field(metadata={"stored_as": "smallest"})
+    unsupported_terms: dict[str, str] = field(metadata={"stored_as": "refused"})
 
     @property
-    def curved(self) -> bool:
-        """Whether there is more than the loads themselves."""
+    def is_nonlinear(self) -> bool:
+        """Whether the model has terms beyond the loads themselves."""
         return len(self.terms) > len(self.components)
 
     @property
     def parsed_terms(self) -> tuple[Term, ...]:
-        """The terms as such."""
+        """The terms (p,), parsed from their names."""
         return tuple(term_from_name(name, self.components) for name in self.terms)
 
     def inverse(self, rows: NDArray[np.intp] | None = None) -> Array:
-        """W (k, c): the weighted inverse of the straight part, loads over full range; of some channels (rows)."""
+        """Weighted inverse W (k, c) of the linear part, loads in units of the calibrated range; rows: some channels."""
         k = len(self.components)
         at = np.arange(len(self.channel_names)) if rows is None else rows
         return weighted_inverse(self.coefficients[:k, at].T, self.residual_covariance[np.ix_(at, at)])
 
     def nonlinear_matrix(self, rows: NDArray[np.intp] | None = None) -> Array:
-        """W C2 (k, q): the loads, over full range, that each curved term feigns."""
+        """Apparent loads W C2 (k, q) of the nonlinear terms, in units of the calibrated range."""
         at = np.arange(len(self.channel_names)) if rows is None else rows
         return np.asarray(self.inverse(rows) @ self.coefficients[len(self.components) :, at].T)
 
     def contraction(self, rows: NDArray[np.intp] | None = None) -> Contraction:
-        """The proof that the iteration converges."""
+        """Contraction factor and reach of the load iteration, with some channels (rows)."""
         return contraction(self.nonlinear_matrix(rows), self.parsed_terms[len(self.components) :], len(self.components))
 
     def readings(self, loads: ArrayLike) -> Array:
-        """Readings (m, c) [V] beyond the zero, of loads (m, k) [N, N m]."""
-        return np.asarray(columns(self.parsed_terms, np.asarray(loads, float) / self.full_range) @ self.coefficients)
+        """Readings (m, c) [V] less the zero, for loads (m, k) [N, N m]."""
+        return np.asarray(
+            term_values(self.parsed_terms, np.asarray(loads, float) / self.calibrated_range) @ self.coefficients
+        )
 
     def jacobian(self, loads: ArrayLike, rows: NDArray[np.intp] | None = None) -> Array:
-        """Derivative (m, c, k) [V] of the readings by the loads over full range, at loads (m, k) [N, N m]."""
+        """Jacobian (m, c, k) [V] of the readings with respect to loads in units of the calibrated range."""
         at = np.arange(len(self.channel_names)) if rows is None else rows
-        x = np.atleast_2d(np.asarray(loads, float)) / self.full_range
+        x = np.atleast_2d(np.asarray(loads, float)) / self.calibrated_range
         return np.asarray(np.einsum("mpk,pc->mck", term_derivatives(self.parsed_terms, x), self.coefficients[:, at]))
 
     def model_covariance(self, loads: ArrayLike, rows: NDArray[np.intp] | None = None) -> Array:
-        """Covariance (m, c, c) [V2] that the errors of the coefficients leave in the readings of loads (m, k) [N, N m].
+        """Covariance (m, c, c) [V2] of the readings due to the errors of the coefficients, at loads (m, k) [N, N m].
 
-        Coefficients of two channels are as alike as their residuals: their terms come from the same rows.
+        Coefficients of two channels are correlated as their residuals are, because they are fitted to the same rows.
         """
         at = np.arange(len(self.channel_names)) if rows is None else rows
-        X = columns(self.parsed_terms, np.atleast_2d(np.asarray(loads, float)) / self.full_range)
-        spread = np.sqrt(np.maximum(np.einsum("mp,cpq,mq->mc", X, self.covariance[at], X, optimize=True), 0.0))
+        X = term_values(self.parsed_terms, np.atleast_2d(np.asarray(loads, float)) / self.calibrated_range)
+        sigma = np.sqrt(np.maximum(np.einsum("mp,cpq,mq->mc", X, self.covariance[at], X, optimize=True), 0.0))
         S = self.residual_covariance[np.ix_(at, at)]
-        size = np.sqrt(np.diag(S))
-        return np.asarray(spread[:, :, None] * (S / (size[:, None] * size)) * spread[:, None, :])
+        residual_sigma = np.sqrt(np.diag(S))
+        correlation = S / (residual_sigma[:, None] * residual_sigma)
+        return np.asarray(sigma[:, :, None] * correlation * sigma[:, None, :])
 
     def loads(self, change: ArrayLike, rows: NDArray[np.intp] | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Loads (m, k) [N, N m] of readings (m, c) [V] beyond the zero, and for which rows (m,) the iteration holds.
+        """Compute loads (m, k) [N, N m] from readings (m, c) [V] less the zero.
 
-        It holds where it converged to loads within the reach of the proof.
+        Also returns which rows (m,) are valid: those that converged to loads within the reach of the proof.
         """
         proof = self.contraction(rows)
         linear_loads = np.atleast_2d(np.asarray(change, float)) @ self.inverse(rows).T
-        x, done = iterate_loads(linear_loads, self.nonlinear_matrix(rows), self.parsed_terms[len(self.components) :])
+        x, converged = iterate_loads(
+            linear_loads, self.nonlinear_matrix(rows), self.parsed_terms[len(self.components) :]
+        )
         inside = np.all(np.abs(x) <= proof.reach, axis=1)
-        return x * self.full_range, done & inside & proof.proved
+        return x * self.calibrated_range, converged & inside & proof.proved
 
     def load_covariance(
         self, loads: ArrayLike, reading_covariance: ArrayLike | None = None, rows: NDArray[np.intp] | None = None
     ) -> Array:
-        """Covariance (m, k, k) of loads (m, k) found from readings of covariance (c, c), by default that of a row.
+        """Covariance (m, k, k) of loads (m, k) [N, N m] computed from readings of covariance (c, c) [V2].
 
-        With the tangent J = dr/dx at the loads and W = (J'S^-1 J)^-1 J'S^-1: W (S + x' cov(b) x) W'.
+        By default the covariance of the readings is that of a row of the calibration. With the Jacobian J = dr/dx at
+        the loads and W = (J'S^-1 J)^-1 J'S^-1 it is W (S + x' cov(b) x) W'.
         """
         at = np.arange(len(self.channel_names)) if rows is None else rows
         S = self.residual_covariance[np.ix_(at, at)]
         noise = S if reading_covariance is None else np.asarray(reading_covariance, float)
-        W = np.stack([weighted_inverse(one, S) for one in self.jacobian(loads, rows)])
-        whole = noise + self.model_covariance(loads, rows)
-        covariance = W @ whole @ W.swapaxes(1, 2)
-        return np.asarray(covariance * self.full_range[:, None] * self.full_range)
+        W = np.stack([weighted_inverse(J, S) for J in self.jacobian(loads, rows)])
+        total = noise + self.model_covariance(loads, rows)
+        covariance = W @ total @ W.swapaxes(1, 2)
+        return np.asarray(covariance * self.calibrated_range[:, None] * self.calibrated_range)
 
     def interval(self, loads: ArrayLike, reading_covariance: ArrayLike | None = None) -> Array:
-        """Half the width (m, k) of the interval that holds a load with probability CONFIDENCE."""
+        """Half-width (m, k) [N, N m] of the prediction interval at the level CONFIDENCE."""
         variance = np.diagonal(self.load_covariance(loads, reading_covariance), axis1=1, axis2=2)
         return np.asarray(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, float(self.dof.min())) * np.sqrt(variance))
 
     def extrapolated_components(self, loads: ArrayLike) -> tuple[str, ...]:
-        """Components whose load (k,) lies outside what the calibration applied."""
+        """Components whose load (k,) [N, N m] lies outside the loads applied in the calibration."""
         f = np.asarray(loads, float)
-        outside = (f > self.largest) | (f < self.smallest)
+        outside = (f > self.largest_load) | (f < self.smallest_load)
         return tuple(name for name, is_outside in zip(self.components, outside, strict=True) if is_outside)
 
     def channel_coefficients(self, channel: str) -> Mapping[str, float]:
@@ -140,13 +148,8 @@ class CalibrationModel:
 
 
 def weighted_inverse(C: Array, covariance: Array) -> Array:
-    """W (k, c) with W C = 1 for C (c, k), of least variance where there are more channels than loads."""
+    """Compute W (k, c) with W C = 1 for C (c, k), of least variance where there are more channels than loads."""
     if C.shape[0] == C.shape[1]:
         return np.asarray(np.linalg.inv(C))
     weighted = np.linalg.solve(covariance, C)
     return np.asarray(np.linalg.solve(C.T @ weighted, weighted.T))
-
-
-def linear_term_names(components: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the terms that are the loads themselves."""
-    return tuple(term.name(components) for term in linear_terms(len(components)))

@@ -1,4 +1,4 @@
-"""The matrix of a balance in engineering units: what balances are handed on with, and the way from and to the model."""
+"""The calibration matrix in engineering units, and its conversion from and to the calibration model."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.math_model import CalibrationModel
-from balance_cli.calibration.terms import Term, all_terms, columns, linear_terms
+from balance_cli.calibration.terms import Term, all_terms, linear_terms, term_values
 from balance_cli.campaign.rig.components import UNIT_OF
 
 Array = NDArray[np.float64]
 
 MATRIX_SERIES = "as stated in the matrix"
-"""In the place of the loading sequence that a zero belongs to."""
+"""Description of the one load series of a model that was read from a matrix; stored in artefacts."""
 
 
 @dataclass(frozen=True)
 class CalibrationMatrix:
     """Readings = zero + sum over p terms of coefficients (p, c) times terms of the loads in N and N m.
 
-    The p terms are `all_terms` of the k components, in that order; coefficients in V per N^a (N m)^b, zero where a
-    channel does not have a term. `full_range`, `smallest` and `largest` (k,) [N, N m]; `zeros` (c,) [V];
-    `residual_sigma` (c,) [V] with `dof` (c,); `correlation` (c, c) of the residuals. `rig`: its name, empty where it is
-    not stated.
+    The p terms are `all_terms` of the k components, in that order. `coefficients` [V per N^a (N m)^b] are zero where a
+    channel does not have a term. `calibrated_range`, `smallest_load` and `largest_load` (k,) [N, N m]; `zeros` (c,)
+    [V]; `residual_sigma` (c,) [V] with `dof` (c,); `correlation` (c, c) of the residuals. `rig` is empty where the
+    matrix does not state it.
     """
 
     rig: str
     components: tuple[str, ...]
-    full_range: Array
-    smallest: Array
-    largest: Array
+    calibrated_range: Array
+    smallest_load: Array
+    largest_load: Array
     channel_names: tuple[str, ...]
     zeros: Array
     residual_sigma: Array
@@ -52,7 +52,7 @@ class CalibrationMatrix:
 
 
 def matrix_from_model(model: CalibrationModel, rig: str) -> CalibrationMatrix:
-    """The matrix of a model; its zero is the mean over the loading sequences."""
+    """Convert a calibration model to a matrix; its zeros are the means over the load series."""
     terms = all_terms(len(model.components))
     row = {term.name(model.components): i for i, term in enumerate(terms)}
     per_full_range = np.zeros((len(terms), len(model.channel_names)))
@@ -63,22 +63,22 @@ def matrix_from_model(model: CalibrationModel, rig: str) -> CalibrationMatrix:
     return CalibrationMatrix(
         rig=rig,
         components=model.components,
-        full_range=model.full_range,
-        smallest=model.smallest,
-        largest=model.largest,
+        calibrated_range=model.calibrated_range,
+        smallest_load=model.smallest_load,
+        largest_load=model.largest_load,
         channel_names=model.channel_names,
         zeros=model.zeros.mean(axis=0),
         residual_sigma=sigma,
         dof=model.dof,
         correlation=correlation,
-        coefficients=per_full_range / terms_at_calibrated_range(model.full_range)[:, None],
+        coefficients=per_full_range / terms_at_calibrated_range(model.calibrated_range)[:, None],
     )
 
 
 def model_from_matrix(matrix: CalibrationMatrix) -> CalibrationModel:
-    """The model of a matrix. Errors of its coefficients are not known: covariance zero, t and the like NaN."""
+    """Convert a matrix to a calibration model with unknown errors: zero covariance; t, p-values and the like NaN."""
     k, c = len(matrix.components), len(matrix.channel_names)
-    coefficients = matrix.coefficients * terms_at_calibrated_range(matrix.full_range)[:, None]
+    coefficients = matrix.coefficients * terms_at_calibrated_range(matrix.calibrated_range)[:, None]
     linear = {term.name(matrix.components) for term in linear_terms(k)}
     has_term = [name in linear or bool(np.any(row)) for name, row in zip(matrix.term_names, coefficients, strict=True)]
     names = tuple(name for name, is_present in zip(matrix.term_names, has_term, strict=True) if is_present)
@@ -86,7 +86,7 @@ def model_from_matrix(matrix: CalibrationMatrix) -> CalibrationModel:
     return CalibrationModel(
         channel_names=matrix.channel_names,
         components=matrix.components,
-        full_range=matrix.full_range,
+        calibrated_range=matrix.calibrated_range,
         terms=names,
         coefficients=coefficients[has_term],
         covariance=np.zeros((c, len(names), len(names))),
@@ -96,23 +96,23 @@ def model_from_matrix(matrix: CalibrationMatrix) -> CalibrationModel:
         residual_covariance=matrix.residual_covariance,
         dof=matrix.dof,
         press=np.full(c, np.nan),
-        left_out=np.full(c, np.nan),
-        sequences=(MATRIX_SERIES,),
+        cross_validation_rms=np.full(c, np.nan),
+        load_series=(MATRIX_SERIES,),
         zeros=matrix.zeros[None],
         zero_sigma=np.full((1, c), np.nan),
-        largest=matrix.largest,
-        smallest=matrix.smallest,
-        refused={},
+        largest_load=matrix.largest_load,
+        smallest_load=matrix.smallest_load,
+        unsupported_terms={},
     )
 
 
 def terms_at_calibrated_range(full_range: Array) -> Array:
-    """Values (p,) of all terms at full range (k,): what a coefficient in engineering units is multiplied by."""
-    return np.asarray(columns(all_terms(len(full_range)), full_range[None])[0])
+    """Values (p,) of all terms at the calibrated range (k,): V = coefficient in engineering units times this."""
+    return np.asarray(term_values(all_terms(len(full_range)), full_range[None])[0])
 
 
 def term_unit(term: Term, components: Sequence[str]) -> str:
-    """Unit of a coefficient: `V/N`, `V/(N m)^2`, `V/(N (N m))`."""
+    """Unit of the coefficient of a term: `V/N`, `V/(N m)^2`, `V/(N (N m))`."""
     powers = {"N": 0, "N m": 0}
     for i in (term.i,) * (term.degree - (not term.single_load)) + (() if term.single_load else (term.j,)):
         powers[UNIT_OF[components[i]]] += 1

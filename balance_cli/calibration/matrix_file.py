@@ -1,4 +1,4 @@
-"""Files of matrices (`balance-matrix/1`): read from disk."""
+"""Reading of matrix files (`balance-matrix/1`) from disk."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import describe_file, require_file
 
 MAX_BYTES = 10_000_000
+"""Size from which a file is refused unread: a matrix of six loads and 100 channels has less than 1 MB."""
 
 
 def read_matrix_file(path: Path) -> tuple[ParsedMatrix, str]:
-    """The matrix in a file, and the hex SHA-256 of the file. UserError for its first fault."""
+    """Read a matrix file; returns the matrix and the hex SHA-256 of the file.
+
+    Raises UserError for its first fault.
+    """
     require_file(path)
     if not path.is_file():
         raise UserError(

@@ -1,4 +1,4 @@
-"""The reader of `balance-matrix/1`: a matrix from its CSV text, or one message that names line, fault and remedy."""
+"""Parser of `balance-matrix/1`: a matrix from its CSV text, or an error that names line, fault and remedy."""
 
 from __future__ import annotations
 
@@ -50,24 +50,30 @@ CREDIBLE_LIMITS = {
     RESIDUAL: (1e-12, 1e6),
     DOF: (1.0, 1e9),
 }
-"""Beyond these a number is a mistake of units or of typing."""
+"""Limits far beyond any balance: a number outside them has the wrong unit or a typing error."""
 MAX_READING = 1e6
-"""Volts that a term may make at full range."""
+"""Largest contribution of a term at the calibrated range [V]; beyond it the coefficient is a mistake."""
 MAX_LINEAR_CONDITION = 1e8
+"""Condition of the linear part from which it does not determine the loads: half the digits of double precision."""
 MIN_EIGENVALUE = 1e-12
+"""Least eigenvalue of a correlation matrix that counts as positive definite in double precision."""
 SYMMETRY_TOLERANCE = 1e-9
+"""Difference from a symmetric correlation matrix with unit diagonal that printing to ten digits may cause."""
 
 
 @dataclass(frozen=True)
 class ParsedMatrix:
-    """A matrix as read, with the number of the line in which each part stands."""
+    """A matrix as read, with the line number of each row by its name."""
 
     matrix: CalibrationMatrix
     line: Mapping[str, int]
 
 
 def read_matrix(text: str) -> ParsedMatrix:
-    """The matrix that a CSV text states. UserError with place, fault and remedy where it is none."""
+    """Parse the CSV text of a matrix.
+
+    Raises UserError, with place, fault and remedy, where the text is not a valid matrix.
+    """
     lines = matrix_rows(text)
     header, terms = _split_sections(lines)
     components = _component_names(header)
@@ -83,9 +89,9 @@ def read_matrix(text: str) -> ParsedMatrix:
     matrix = CalibrationMatrix(
         rig=_rig_name(header),
         components=components,
-        full_range=loads[FULL_RANGE],
-        smallest=loads[SMALLEST],
-        largest=loads[LARGEST],
+        calibrated_range=loads[FULL_RANGE],
+        smallest_load=loads[SMALLEST],
+        largest_load=loads[LARGEST],
         channel_names=channels,
         zeros=stated[ZERO],
         residual_sigma=stated[RESIDUAL],
@@ -99,7 +105,7 @@ def read_matrix(text: str) -> ParsedMatrix:
 
 
 def _split_sections(lines: Sequence[MatrixRow]) -> tuple[dict[str, MatrixRow], list[MatrixRow]]:
-    """The lines before the terms, by name, and those from the head of the terms on."""
+    """Split the rows into those of the header, by name, and those of the terms with their heading."""
     start = next((i for i, line in enumerate(lines) if line.name == TERM), None)
     if start is None:
         remedy = "It is followed by the channels, and the terms stand below it"
@@ -121,9 +127,9 @@ def _split_sections(lines: Sequence[MatrixRow]) -> tuple[dict[str, MatrixRow], l
 
 
 def _check_header(line: MatrixRow) -> None:
-    """UserError for a name that no line of the header has, or a wrong unit."""
+    """Raise UserError for an unknown name in the header or a wrong unit."""
     if line.name not in HEADER and not line.name.startswith(CORRELATION):
-        raise line.error("is no line of the header", f"{suggest_name(line.name, HEADER)}; comments begin with #")
+        raise line.error("is not a line of the header", f"{suggest_name(line.name, HEADER)}; comments begin with #")
     expected = VOLT if line.name in VOLT_ROWS else ""
     if line.unit != expected:
         raise unit_error(line, expected)
@@ -137,12 +143,12 @@ def _rig_name(header: Mapping[str, MatrixRow]) -> str:
 
 
 def _component_names(header: Mapping[str, MatrixRow]) -> tuple[str, ...]:
-    """The components, each with the unit that it has here."""
+    """Names of the components, whose units are checked."""
     line, units = header[COMPONENT], header[UNIT]
     _check_names(line)
     for name in line.values:
         if name not in COMPONENTS:
-            raise line.error(f"`{name}` is no load component", f"Known are {', '.join(COMPONENTS)}")
+            raise line.error(f"`{name}` is not a load component", f"Known are {', '.join(COMPONENTS)}")
     check_value_count(units, line.values)
     for name, unit in zip(line.values, units.values, strict=True):
         if unit.split() != UNIT_OF[name].split():
@@ -161,7 +167,7 @@ def _channel_names(header: Mapping[str, MatrixRow]) -> tuple[str, ...]:
 
 
 def _check_names(line: MatrixRow) -> None:
-    """UserError unless there are names, each once."""
+    """Raise UserError unless there are names, each once."""
     if not line.values:
         raise line.error("names nothing", "Give the names from the third cell on")
     for i, name in enumerate(line.values):
@@ -172,7 +178,7 @@ def _check_names(line: MatrixRow) -> None:
 
 
 def _check_columns(line: MatrixRow, channels: tuple[str, ...]) -> None:
-    """UserError unless the columns of the terms are the channels of the header."""
+    """Raise UserError unless the columns of the terms are the channels of the header."""
     if line.unit != UNIT:
         raise line.error(f"`{line.unit}` is in the second cell, where `{UNIT}` was expected", f"Write `{UNIT}` there")
     for name in channels:
@@ -191,7 +197,7 @@ def _check_range(line: MatrixRow, components: Sequence[str], smallest: Array, la
 
 
 def _correlation(header: Mapping[str, MatrixRow], channels: tuple[str, ...]) -> Array:
-    """Correlation (c, c) of the residuals; none where it is not stated."""
+    """Correlation (c, c) of the residuals; the unit matrix where the file does not state it."""
     lines = {name.removeprefix(CORRELATION): line for name, line in header.items() if name.startswith(CORRELATION)}
     for name, line in lines.items():
         if name not in channels:
@@ -202,14 +208,15 @@ def _correlation(header: Mapping[str, MatrixRow], channels: tuple[str, ...]) -> 
         if name not in lines:
             fault, remedy = f"there is no line `{CORRELATION}{name}`", "State it for all channels, or for none"
             raise UserError(fault, place=f"line {header[CHANNEL].number}, `{CHANNEL}`", remedy=remedy)
-    found = np.array([parse_numbers(lines[name], channels, (-1.0, 1.0)) for name in channels])
+    correlation = np.array([parse_numbers(lines[name], channels, (-1.0, 1.0)) for name in channels])
     for i, name in enumerate(channels):
-        if abs(found[i, i] - 1.0) > SYMMETRY_TOLERANCE or np.max(np.abs(found[i] - found[:, i])) > SYMMETRY_TOLERANCE:
+        asymmetry = np.max(np.abs(correlation[i] - correlation[:, i]))
+        if max(abs(correlation[i, i] - 1.0), asymmetry) > SYMMETRY_TOLERANCE:
             raise lines[name].error("is not symmetric with 1 on the diagonal", "Correct it, or leave correlations out")
-    if np.linalg.eigvalsh(found)[0] < MIN_EIGENVALUE:
+    if np.linalg.eigvalsh(correlation)[0] < MIN_EIGENVALUE:
         fault = "the correlations contradict each other (not positive definite)"
         raise lines[channels[0]].error(fault, "Correct them, or leave correlations out")
-    return found
+    return correlation
 
 
 # ---- terms -----------------------------------------------------------------------------------------------------------
@@ -218,26 +225,26 @@ def _correlation(header: Mapping[str, MatrixRow], channels: tuple[str, ...]) -> 
 def _ordered_term_rows(
     lines: Sequence[MatrixRow], components: tuple[str, ...], term_row_number: int
 ) -> list[MatrixRow]:
-    """The lines of all terms, in their usual order."""
+    """The rows of all terms in the order of `all_terms`."""
     terms = {term.name(components): term for term in all_terms(len(components))}
-    # Whether there is a space between two loads does not matter.
-    plain = {_remove_spaces(name): name for name in terms}
-    found: dict[str, MatrixRow] = {}
+    # Spaces between two loads are optional.
+    full_names = {_remove_spaces(name): name for name in terms}
+    rows: dict[str, MatrixRow] = {}
     for line in lines:
-        name = plain.get(_remove_spaces(line.name))
+        name = full_names.get(_remove_spaces(line.name))
         if name is None:
-            raise line.error("is no term of these components", suggest_name(line.name, tuple(terms)))
-        if name in found:
-            raise line.error(f"is there twice, first in line {found[name].number}", "Keep one of them")
+            raise line.error("is not a term of these components", suggest_name(line.name, tuple(terms)))
+        if name in rows:
+            raise line.error(f"is there twice, first in line {rows[name].number}", "Keep one of them")
         _check_unit(line, terms[name], components)
-        found[name] = line
+        rows[name] = line
     for name in terms:
-        if name not in found:
+        if name not in rows:
             remedy = "Write a line for each term, of zeros where no channel has it"
             raise UserError(
                 f"there is no line for the term `{name}`", place=f"below line {term_row_number}", remedy=remedy
             )
-    return [found[name] for name in terms]
+    return [rows[name] for name in terms]
 
 
 def _remove_spaces(text: str) -> str:
@@ -251,19 +258,19 @@ def _check_unit(line: MatrixRow, term: Term, components: tuple[str, ...]) -> Non
 
 
 def _check_magnitudes(lines: Sequence[MatrixRow], matrix: CalibrationMatrix) -> None:
-    """UserError for a coefficient that makes more at full range than any gage does."""
-    at_full_range = terms_at_calibrated_range(matrix.full_range)
-    for line, coefficients, load in zip(lines, matrix.coefficients, at_full_range, strict=True):
+    """Raise UserError for a coefficient whose contribution at the calibrated range is not credible."""
+    at_calibrated_range = terms_at_calibrated_range(matrix.calibrated_range)
+    for line, coefficients, load in zip(lines, matrix.coefficients, at_calibrated_range, strict=True):
         for name, value in zip(matrix.channel_names, coefficients, strict=True):
             if abs(value) > MAX_READING / load:
-                fault = f"{value:g} makes more than {MAX_READING:g} V at full range"
+                fault = f"{value:g} contributes more than {MAX_READING:g} V at the calibrated range"
                 raise line.error(fault, "Correct the number or its unit", name)
 
 
 def _check_conditioning(line: MatrixRow, matrix: CalibrationMatrix) -> None:
-    """UserError where the straight part does not determine the loads."""
-    linear_matrix = matrix.coefficients[: len(matrix.components)].T * matrix.full_range
+    """Raise UserError where the linear part does not determine the loads."""
+    linear_matrix = matrix.coefficients[: len(matrix.components)].T * matrix.calibrated_range
     s = np.linalg.svd(linear_matrix / matrix.residual_sigma[:, None], compute_uv=False)
     if s[-1] * MAX_LINEAR_CONDITION <= s[0]:
-        fault = "the terms of first degree do not tell the loads apart"
+        fault = "the terms of first degree do not determine the loads"
         raise line.error(fault, "Correct them, or give the channels that are missing")

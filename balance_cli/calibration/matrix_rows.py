@@ -1,4 +1,4 @@
-"""Lines of a `balance-matrix/1` file: cells, numbers, and messages that name line, fault and remedy."""
+"""Rows of a `balance-matrix/1` file: cells, numbers, and errors that name line, fault and remedy."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from balance_cli.io.errors import UserError
 Array = NDArray[np.float64]
 
 MAX_CELLS = 1000
+"""Cells of a line from which the file is taken for something else; each channel needs one."""
 SEMICOLON_REMEDY = "Save it with commas between cells and points in numbers"
 
 
 @dataclass(frozen=True)
 class MatrixRow:
-    """One line of the file: its number, name, unit and values."""
+    """One line of the file: line number, name, unit and values."""
 
     number: int
     name: str
@@ -29,30 +30,30 @@ class MatrixRow:
     values: tuple[str, ...]
 
     def error(self, fault: str, remedy: str, column: str = "") -> UserError:
-        """What is wrong in this line."""
+        """The error to raise for a fault in this line."""
         place = f"line {self.number}, `{self.name[:60]}`" + (f", {column}" if column else "")
         return UserError(fault, place=place, remedy=remedy)
 
 
 def matrix_rows(text: str) -> list[MatrixRow]:
-    """The lines that hold something, after the first, which must name the format."""
+    """Split the text into rows, without blank lines and comments; the first line must name the format."""
     numbered = enumerate(text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1)
     cells = [(number, _parse_cells(number, line)) for number, line in numbered]
-    held = [(number, each) for number, each in cells if any(each) and not each[0].startswith("#")]
-    if not held:
-        raise UserError("holds nothing", place="line 1", remedy=f"Its first line must be `{FORMAT}`")
-    _check_format(*held[0])
-    if len(held) > 1 and len(held[1][1]) == 1 and ";" in held[1][1][0]:
-        raise UserError("is separated by semicolons", place=f"line {held[1][0]}", remedy=SEMICOLON_REMEDY)
-    return [MatrixRow(number, " ".join(each[0].split()), (*each, "")[1], tuple(each[2:])) for number, each in held[1:]]
+    rows = [(number, row) for number, row in cells if any(row) and not row[0].startswith("#")]
+    if not rows:
+        raise UserError("is empty", place="line 1", remedy=f"Its first line must be `{FORMAT}`")
+    _check_format(*rows[0])
+    if len(rows) > 1 and len(rows[1][1]) == 1 and ";" in rows[1][1][0]:
+        raise UserError("is separated by semicolons", place=f"line {rows[1][0]}", remedy=SEMICOLON_REMEDY)
+    return [MatrixRow(number, " ".join(row[0].split()), (*row, "")[1], tuple(row[2:])) for number, row in rows[1:]]
 
 
 def _parse_cells(number: int, line: str) -> list[str]:
-    """The cells of a line, without the empty ones that a spreadsheet appends."""
+    """Cells of a line, without the empty ones that spreadsheets append."""
     try:
         cells = [cell.strip() for cell in next(csv.reader([line], strict=True), [])]
     except csv.Error as error:
-        fault = f"is no line of a CSV file: {error}"
+        fault = f"is not a line of a CSV file: {error}"
         raise UserError(fault, place=f"line {number}", remedy="Save it as CSV, quotes in pairs") from error
     while cells and not cells[-1]:
         cells.pop()
@@ -79,7 +80,10 @@ def _check_format(number: int, cells: Sequence[str]) -> None:
 
 
 def parse_numbers(line: MatrixRow, columns: Sequence[str], limits: tuple[float, float] | None = None) -> Array:
-    """The values of a line, one for each column."""
+    """Parse the values of a line, one for each column.
+
+    Raises UserError for a missing or invalid value, or one outside `limits`.
+    """
     check_value_count(line, columns)
     values = np.array([_parse_number(line, text, name) for text, name in zip(line.values, columns, strict=True)])
     if limits is not None:
@@ -91,7 +95,7 @@ def parse_numbers(line: MatrixRow, columns: Sequence[str], limits: tuple[float, 
 
 
 def check_value_count(line: MatrixRow, columns: Sequence[str]) -> None:
-    """UserError unless there is one value for each column."""
+    """Raise UserError unless there is one value for each column."""
     if len(line.values) != len(columns):
         missing = f", `{columns[len(line.values)]}` is missing" if len(line.values) < len(columns) else ""
         fault = f"has {len(line.values)} values, where {len(columns)} are expected{missing}"
@@ -109,14 +113,14 @@ def _parse_number(line: MatrixRow, text: str, column: str) -> float:
 
 
 def unit_error(line: MatrixRow, expected: str) -> UserError:
-    """What to say where another unit, or none, was expected."""
+    """The error to raise where another unit, or none, was expected."""
     if not expected:
-        return line.error(f"has the unit `{line.unit}`, where none stands", "Leave the second cell empty")
+        return line.error(f"has the unit `{line.unit}`, where none was expected", "Leave the second cell empty")
     fault = f"has the unit `{line.unit}`, where `{expected}` was expected"
-    return line.error(fault, f"Convert the values to {expected}, and write so in the second cell")
+    return line.error(fault, f"Convert the values to {expected}, and write that unit in the second cell")
 
 
 def suggest_name(name: str, known: Sequence[str]) -> str:
-    """The known name that was perhaps meant, or some of them."""
+    """Suggest the known name nearest to a misspelled one, or list some of them."""
     near = difflib.get_close_matches(name[:100], known, n=1)
     return f"Did you mean `{near[0]}`?" if near else f"Known are {', '.join(known[:20])}"

@@ -1,7 +1,7 @@
-"""A matrix as text: CSV that spreadsheets and `read_matrix` take (`balance-matrix/1`), and aligned columns for reading.
+"""A calibration matrix as text: CSV for spreadsheets and `read_matrix` (`balance-matrix/1`), or aligned columns.
 
-Every line has a name, a unit, and values. First come the components and what was calibrated, then the channels, then
-one line for each term, one column for each channel.
+Every line has a name, a unit and values: first the components and their calibrated ranges, then the channels, then one
+line for each term with one column for each channel.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NamedValues = tuple[str, str, Sequence[str | float]]
 
 
 def matrix_csv(matrix: CalibrationMatrix) -> str:
-    """The matrix as CSV, every number with all its digits."""
+    """Format the matrix as CSV, with all digits of every number."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([FORMAT])
@@ -44,7 +44,7 @@ def matrix_csv(matrix: CalibrationMatrix) -> str:
 
 
 def matrix_text(matrix: CalibrationMatrix) -> str:
-    """The same in aligned columns, numbers to seven digits."""
+    """Format the matrix in aligned columns, with seven digits."""
     lines = list(_named_values(matrix))
     notes = [values[0] for name, _, values in lines if name == NOTE]
     cells = [[name, unit, *map(_format_value, values)] for name, unit, values in lines if name != NOTE]
@@ -59,14 +59,18 @@ def _format_value(value: str | float) -> str:
 
 
 def _named_values(matrix: CalibrationMatrix) -> Iterator[NamedValues]:
-    """Name, unit and values of each line, in their order."""
+    """Name, unit and values of each line, in the order of the file."""
     for note in NOTES:
         yield NOTE, "", (note,)
     if matrix.rig:
         yield RIG, "", (matrix.rig,)
     yield COMPONENT, "", matrix.components
     yield UNIT, "", tuple(UNIT_OF[name] for name in matrix.components)
-    for name, loads in ((FULL_RANGE, matrix.full_range), (SMALLEST, matrix.smallest), (LARGEST, matrix.largest)):
+    for name, loads in (
+        (FULL_RANGE, matrix.calibrated_range),
+        (SMALLEST, matrix.smallest_load),
+        (LARGEST, matrix.largest_load),
+    ):
         yield name, "", loads.tolist()
     yield CHANNEL, "", matrix.channel_names
     yield ZERO, VOLT, matrix.zeros.tolist()

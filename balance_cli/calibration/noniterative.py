@@ -1,61 +1,62 @@
-"""Loads as functions of the readings, without iteration: the direct model of balance practice.
+"""The non-iterative method: loads as functions of the readings (AIAA R-091A-2020).
 
-With more channels than loads the readings say the same several times over; so the first loads y = W (r - zero), in
-units of full range, stand for them, W C1 = 1 as in the gage model. The loads are
+With more channels than loads the readings are redundant. They are therefore replaced by the linear loads
+y = W (r - zero), in units of the calibrated range, with W C1 = 1 as in the calibration model. The loads are
 
     x = y + sum_t b_t h_t(y),
 
-the terms h chosen and fitted as those of a channel are, with the loads in the place of the readings. It is quicker, and
-needs no proof; it is worse than the iteration where readings are noisy, for terms of noisy y are biased.
+with terms h selected and fitted as for a channel, loads in the place of readings. The method is faster than the
+iteration and needs no proof of convergence. It is less accurate where readings are noisy, because terms of noisy
+regressors y are biased.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
 from balance_cli.calibration.math_model import CalibrationModel
-from balance_cli.calibration.terms import columns
+from balance_cli.calibration.terms import term_values
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class NonIterativeModel:
-    """`inverse` W (k, c) [1/V], and the model of the loads over full range as functions of y: its `channels` are loads.
+    """Linear loads y = W (r - zero) with `inverse` W (k, c) [1/V], and the model of the loads as functions of y.
 
-    `full_range` (k,) [N, N m].
+    The channels of `model` are the load components, in units of `calibrated_range` (k,) [N, N m].
     """
 
     inverse: Array
     model: CalibrationModel
-    full_range: Array
+    calibrated_range: Array = field(metadata={"stored_as": "full_range"})
 
     @property
     def residual_percent_fs(self) -> Array:
-        """Standard deviation (k,) of the loads about the model, percent of full range."""
+        """Standard deviation (k,) of the loads about the model, percent of the calibrated range."""
         return np.asarray(100.0 * np.sqrt(np.diag(self.model.residual_covariance)))
 
     def loads(self, change: ArrayLike) -> Array:
-        """Loads (m, k) [N, N m] of readings (m, c) [V] beyond the zero."""
+        """Compute loads (m, k) [N, N m] from readings (m, c) [V] less the zero."""
         y = np.atleast_2d(np.asarray(change, float)) @ self.inverse.T
-        return np.asarray(columns(self.model.parsed_terms, y) @ self.model.coefficients * self.full_range)
+        return np.asarray(term_values(self.model.parsed_terms, y) @ self.model.coefficients * self.calibrated_range)
 
 
 def fit_noniterative_model(
-    points: CalibrationPoints, gage: CalibrationModel, used: NDArray[np.bool_], search: bool = True
+    points: CalibrationPoints, math_model: CalibrationModel, used: NDArray[np.bool_], search: bool = True
 ) -> NonIterativeModel:
-    """Fit it to the rows `used` (m,) of the gage model `gage`, readings counted from the zeros found there."""
-    W = gage.inverse()
-    sequence = points.sequence
-    kept = np.unique(sequence[used])
-    # Rows of a sequence that took no part have no zero, and no weight.
-    place = np.clip(np.searchsorted(kept, sequence), 0, len(kept) - 1)
-    y = (points.channels - gage.zeros[place]) @ W.T
-    first = CalibrationPoints(
+    """Fit the loads as functions of the readings to the rows `used` (m,), with the zeros of the calibration model."""
+    W = math_model.inverse()
+    load_series = points.load_series
+    fitted_series = np.unique(load_series[used])
+    # Rows of an excluded load series have no zero: the zero assigned to them does not matter, their weight is 0.
+    place = np.clip(np.searchsorted(fitted_series, load_series), 0, len(fitted_series) - 1)
+    y = (points.channels - math_model.zeros[place]) @ W.T
+    exchanged_points = CalibrationPoints(
         channel_names=points.components,
         components=points.components,
         run_names=points.run_names,
@@ -63,7 +64,9 @@ def fit_noniterative_model(
         loads=y,
         run=points.run,
         weight=np.where(used, points.weight, 0.0),
-        full_range=np.ones(len(points.components)),
+        calibrated_range=np.ones(len(points.components)),
         gravity=points.gravity,
     )
-    return NonIterativeModel(W, fit_calibration_model(first, search, points.x).model, points.full_range)
+    return NonIterativeModel(
+        W, fit_calibration_model(exchanged_points, search, points.x).model, points.calibrated_range
+    )

@@ -1,13 +1,13 @@
-"""What is plainly wrong in a calibration: a row, a loading sequence of a channel, two channels exchanged.
+"""Outliers of a calibration: rows, load series in which a channel has a wrong gain, and swapped channels.
 
-Each is judged by what the rest predicts, never by a fit that it took part in, and the scale is a median, which the
-wrong ones do not move.
+Rows and load series are compared with predictions from the rest of the data, never with a fit that includes them. The
+scale of the errors is a median, which outliers hardly affect.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,26 +18,35 @@ from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# Probability of one good row among all being called an outlier, and of one good sequence.
 OUTLIER_SIGNIFICANCE_LEVEL = 1e-3
-# A sequence whose gain is off by less than this share is no matter of cables.
+"""Probability of calling any good row an outlier, and of suspecting any good channel of a load series (Bonferroni)."""
 MIN_GAIN_ERROR = 0.01
-# Share of a sequence's signal that a channel must leave to be called another one's.
+"""Gain error below which no load series is suspected: nonlinearity causes as much, a wrong cable or range far more."""
 MIN_UNEXPLAINED_SHARE = 0.3
+"""Share of a channel's signal, as amplitude, that its own prediction must leave for it to be held against others."""
+MIN_PLAUSIBLE_GAIN = 0.5
+"""Gain below which a channel is always held against the predictions of the others."""
 MAX_SUSPECT_SERIES = 6
-# Share of the rows that may be outliers before it is the model that is wrong.
+"""Suspect load series from which on the screening stops: with more of them the majority is not to be trusted."""
 MAX_OUTLIER_SHARE = 0.05
+"""Share of the rows that may be outliers; more of them point to the model instead of the rows."""
 OUTLIER_LIMIT_FACTOR = 1.3
-# Noise over signal up to which a channel hears a sequence; how much worse another sequence may be and still be named.
+"""Factor on the limit of Student's t: the median of a load series is itself known to a few per cent only."""
 MAX_NOISE_TO_SIGNAL = 0.1
+"""Noise over signal up to which the gain of a channel in a load series is tested: above it the gain is uncertain."""
 AMBIGUITY_FACTOR = 1.5
-# Square of an error over its noise beyond which it counts no more.
+"""Another series is named as an alternative where excluding it leaves at most this multiple of the least misfit."""
 MAX_SCALED_SQUARE = 100.0
+"""Squared error over noise at which errors are clipped (10 sigma), so that a second bad series does not decide."""
+MIN_SWAPPED_COSINE = 0.95
+"""Cosine of a channel's sensitivities with those declared for the other channel, in both of a swapped pair at least."""
+MAX_OWN_COSINE = 0.8
+"""Cosine with its own declared sensitivities, in either channel of a swapped pair at most."""
 
 
 @dataclass(frozen=True)
 class Outlier:
-    """A row that the others do not predict: `row` counted from 1 in its run, error [V], and that over its sigma."""
+    """A row that the others do not predict: `row` from 1 in its run, `error` [V], and the error over its sigma."""
 
     run: str
     row: int
@@ -48,106 +57,125 @@ class Outlier:
 
 @dataclass(frozen=True)
 class SuspectLoadSeries:
-    """A loading sequence in which a channel does not do what the other sequences predict.
+    """A load series in which a channel does not follow the prediction from the other load series.
 
-    `gain` +- `gain_sigma` of its change over the predicted one; `like`: the channel whose prediction it follows
-    instead, empty where none. `or_else`: sequences that may be the bad ones in its place.
+    `gain` with `gain_sigma`: regression coefficient of its change on the prediction. `resembled_channel`: the channel
+    whose prediction it follows instead, empty for none. `alternatives`: load series that may be wrong in its place.
     """
 
-    sequence: str
+    load_series: str = field(metadata={"stored_as": "sequence"})
     channel: str
     gain: float
     gain_sigma: float
-    like: str
-    or_else: tuple[str, ...] = ()
+    resembled_channel: str = field(metadata={"stored_as": "like"})
+    alternatives: tuple[str, ...] = field(default=(), metadata={"stored_as": "or_else"})
 
 
 @dataclass(frozen=True)
 class ScreenedFit:
-    """The fit without what is wrong, what that is, and `limits`, where the hunt was given up."""
+    """The fit without outliers and suspect load series, these, and notes where the screening stopped early."""
 
     fit: CalibrationModelFit
     outliers: tuple[Outlier, ...]
-    sequences: tuple[SuspectLoadSeries, ...]
-    limits: tuple[str, ...]
+    suspect_series: tuple[SuspectLoadSeries, ...]
+    screening_notes: tuple[str, ...]
 
 
 def screen_outliers(points: CalibrationPoints, search: bool = True) -> ScreenedFit:
-    """Fit, name what is plainly wrong, and fit again without: sequences one by one, then rows.
+    """Fit, exclude suspect load series and then outlying rows one by one, and fit again without them.
 
-    Nothing is dropped silently: what took no part is in the result.
+    Everything that is excluded is listed in the result.
     """
+    included, fit, suspect_series, series_notes = _exclude_suspect_series(points, search)
+    included, outliers, row_notes = _exclude_outliers(included, fit)
+    fit = fit_calibration_model(included, search) if outliers else fit
+    return ScreenedFit(fit, outliers, suspect_series, series_notes + row_notes)
+
+
+def _exclude_suspect_series(
+    points: CalibrationPoints, search: bool
+) -> tuple[CalibrationPoints, CalibrationModelFit, tuple[SuspectLoadSeries, ...], tuple[str, ...]]:
+    """Exclude load series until the rest agree; returns the remaining points, their fit, the series and notes."""
     suspect_series: list[SuspectLoadSeries] = []
-    limits: list[str] = []
-    used, fit = points, fit_calibration_model(points, search)
-    worst = _worst_series(used, fit, fit_calibration_model(used, search=False) if search else fit)
-    while worst is not None and len({one.sequence for one in suspect_series}) < MAX_SUSPECT_SERIES:
-        rows, found = worst
-        suspect_series += found
-        used = used.exclude_rows(rows)
-        fit = fit_calibration_model(used, search)
-        worst = _worst_series(used, fit, fit_calibration_model(used, search=False) if search else fit)
-    if worst is not None:
-        limits.append(f"{MAX_SUSPECT_SERIES} loading sequences took no part, and more disagree")
+    included, fit, worst = points, *_fit_and_find_worst(points, search)
+    while worst is not None and len({suspect.load_series for suspect in suspect_series}) < MAX_SUSPECT_SERIES:
+        rows, suspects = worst
+        suspect_series += suspects
+        included = included.exclude_rows(rows)
+        fit, worst = _fit_and_find_worst(included, search)
+    notes = () if worst is None else (f"{MAX_SUSPECT_SERIES} load series were excluded, and more disagree",)
+    return included, fit, tuple(suspect_series), notes
+
+
+def _fit_and_find_worst(
+    points: CalibrationPoints, search: bool
+) -> tuple[CalibrationModelFit, tuple[NDArray[np.bool_], list[SuspectLoadSeries]] | None]:
+    fit = fit_calibration_model(points, search)
+    return fit, _worst_series(points, fit, fit_calibration_model(points, search=False) if search else fit)
+
+
+def _exclude_outliers(
+    points: CalibrationPoints, fit: CalibrationModelFit
+) -> tuple[CalibrationPoints, tuple[Outlier, ...], tuple[str, ...]]:
+    """Exclude outlying rows; returns the remaining points, the outliers and notes."""
     outliers: list[Outlier] = []
-    # One by one: a bad row pulls the model away from its neighbours.
-    found_row = _largest_outlier(used, left := fit)
-    while found_row is not None and len(outliers) < MAX_OUTLIER_SHARE * len(points.loads):
-        row, outlier = found_row
+    # One by one, refitted each time: an outlier biases the predictions of the rows near it.
+    largest = _largest_outlier(points, fit)
+    while largest is not None and len(outliers) < MAX_OUTLIER_SHARE * len(points.loads):
+        row, outlier = largest
         outliers.append(outlier)
-        used = used.exclude_rows(np.arange(len(points.loads)) == row)
-        left = refit_terms(used, left.model)
-        found_row = _largest_outlier(used, left)
-    if found_row is not None:
-        limits.append(f"{len(outliers)} rows took no part, and more are away from what the others say")
-    fit = fit_calibration_model(used, search) if outliers else fit
-    return ScreenedFit(fit, tuple(outliers), tuple(suspect_series), tuple(limits))
+        points = points.exclude_rows(np.arange(len(points.loads)) == row)
+        fit = refit_terms(points, fit.model)
+        largest = _largest_outlier(points, fit)
+    notes = () if largest is None else (f"{len(outliers)} rows were excluded as outliers, and more remain",)
+    return points, tuple(outliers), notes
 
 
 def _worst_series(
     points: CalibrationPoints, fit: CalibrationModelFit, linear_fit: CalibrationModelFit
 ) -> tuple[NDArray[np.bool_], list[SuspectLoadSeries]] | None:
-    """The rows (m,) of the sequence without which the rest agrees best, and what is wrong in which channels of it.
+    """Rows (m,) of the load series without which the others agree best, and its suspect channels; None without any.
 
-    None where all are sound. It must look wrong by the loads alone, and by the terms that were found: what these
-    explain is no fault. Of two that disagree with no third to decide, the other one is named with it.
+    A load series is suspected only if it deviates both from the model of the loads alone and from that with the
+    selected terms, because nonlinearity explained by terms is not a fault. Where two series disagree and no third one
+    decides, the second is named as an alternative.
     """
-    sequence, used = points.sequence, points.weight > 0
+    load_series, used = points.load_series, points.weight > 0
     unexplained = _find_suspect_series(points, fit)
     if not unexplained:
         return None
-    each = {
-        name: found for name, found in _find_suspect_series(points, linear_fit).items() if name in unexplained and found
-    }
-    if not each:
+    linear_suspects = _find_suspect_series(points, linear_fit)
+    candidates = {name: suspects for name, suspects in linear_suspects.items() if name in unexplained and suspects}
+    if not candidates:
         return None
-    left = {name: _cross_validation_misfit(points, (sequence == name) & used) for name in each}
-    worst = min(each, key=lambda name: left[name])
-    known = dict(_series_names(np.unique(sequence[used]), fit))
-    others = tuple(known[name] for name in each if name != worst and left[name] < AMBIGUITY_FACTOR * left[worst])
-    return (sequence == worst) & used, [replace(one, or_else=others) for one in each[worst]]
+    misfit = {name: _cross_validation_misfit(points, (load_series == name) & used) for name in candidates}
+    worst = min(candidates, key=lambda name: misfit[name])
+    words = dict(_series_names(np.unique(load_series[used]), fit))
+    limit = AMBIGUITY_FACTOR * misfit[worst]
+    alternatives = tuple(words[name] for name in candidates if name != worst and misfit[name] < limit)
+    return (load_series == worst) & used, [replace(suspect, alternatives=alternatives) for suspect in candidates[worst]]
 
 
 def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) -> dict[int, list[SuspectLoadSeries]]:
-    """What is wrong in which channels, by sequence; an empty list where the others do not predict a sequence."""
-    sequence, used = points.sequence, points.weight > 0
-    found = {}
-    for name, description in _series_names(np.unique(sequence[used]), fit):
-        rows = (sequence == name) & used
-        known = bool(np.isfinite(fit.left_out[rows]).all())
-        wrong = _suspect_channels(points, fit, rows, description) if known else []
-        if wrong or not known:
-            found[name] = wrong
-    return found
+    """Suspect channels by load series; an empty list where the other series do not predict a load series."""
+    load_series, used = points.load_series, points.weight > 0
+    suspects = {}
+    for name, description in _series_names(np.unique(load_series[used]), fit):
+        rows = (load_series == name) & used
+        known = bool(np.isfinite(fit.cross_validation_errors[rows]).all())
+        channels = _suspect_channels(points, fit, rows, description) if known else []
+        if channels or not known:
+            suspects[name] = channels
+    return suspects
 
 
 def _series_names(names: Index, fit: CalibrationModelFit) -> list[tuple[int, str]]:
-    return list(zip(names.tolist(), fit.model.sequences, strict=True))
+    return list(zip(names.tolist(), fit.model.load_series, strict=True))
 
 
 def _cross_validation_misfit(points: CalibrationPoints, rows: NDArray[np.bool_]) -> float:
-    """Mean square error of the sequences that are left without these rows, over the noise, large ones reined in."""
-    errors = fit_calibration_model(points.exclude_rows(rows), search=False).left_out
+    """Mean square cross-validation error without these rows (m,), in units of the noise, large errors clipped."""
+    errors = fit_calibration_model(points.exclude_rows(rows), search=False).cross_validation_errors
     scaled = (errors / _robust_sigma(errors)) ** 2
     return float(np.mean(np.minimum(scaled[np.isfinite(scaled)], MAX_SCALED_SQUARE)))
 
@@ -160,91 +188,90 @@ def _robust_sigma(errors: Array) -> Array:
 def _suspect_channels(
     points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], description: str
 ) -> list[SuspectLoadSeries]:
-    """What is wrong with each channel in these rows."""
+    """Suspect channels in the rows of one load series."""
     change = points.channels[rows] - points.channels[rows].mean(axis=0)
-    errors = fit.left_out[rows]
+    errors = fit.cross_validation_errors[rows]
     predicted = change - (errors - errors.mean(axis=0))
-    noise = _robust_sigma(fit.left_out)
-    each = [
+    noise = _robust_sigma(fit.cross_validation_errors)
+    suspects = (
         _check_channel_gain(c, change, predicted, noise, points.channel_names, description)
         for c in range(change.shape[1])
-    ]
-    return [one for one in each if one is not None]
+    )
+    return [suspect for suspect in suspects if suspect is not None]
 
 
 def _check_channel_gain(
     c: int, change: Array, predicted: Array, noise: Array, channels: Sequence[str], description: str
 ) -> SuspectLoadSeries | None:
-    """Whether one channel's change (rows,) follows its prediction, and if not, whose it follows."""
+    """Compare the change of channel c in some rows (r, channels) with its prediction; None where they agree."""
     power = float(np.sum(predicted[:, c] ** 2))
     if power == 0.0:
         return None
     gain = float(predicted[:, c] @ change[:, c] / power)
-    # What a straight line misses goes with the load: it does not average out over the rows.
+    # The misfit of a linear model follows the load: it does not average out over the rows.
     sigma = float(noise[c] / np.sqrt(power / len(change)))
     is_significant = abs(gain - 1.0) > max(
         stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / len(channels)) * sigma, MIN_GAIN_ERROR
     )
-    # A channel that hears next to nothing in this sequence tells nothing of its gain.
+    # A channel with hardly any signal in this load series does not determine its gain.
     if not is_significant or sigma > MAX_NOISE_TO_SIGNAL:
         return None
-    left = change[:, c] - gain * predicted[:, c]
-    like = ""
-    if np.sum(left**2) > MIN_UNEXPLAINED_SHARE**2 * np.sum(change[:, c] ** 2) or gain < 0.5:
-        others = [_unexplained_share(change[:, c], predicted[:, i]) for i in range(len(channels))]
-        best = int(np.argmin(others))
-        like = channels[best] if best != c and others[best] < MIN_UNEXPLAINED_SHARE**2 else ""
-    return SuspectLoadSeries(description, channels[c], gain, sigma, like)
+    residual = change[:, c] - gain * predicted[:, c]
+    resembled = ""
+    if np.sum(residual**2) > MIN_UNEXPLAINED_SHARE**2 * np.sum(change[:, c] ** 2) or gain < MIN_PLAUSIBLE_GAIN:
+        shares = [_unexplained_share(change[:, c], predicted[:, i]) for i in range(len(channels))]
+        best = int(np.argmin(shares))
+        resembled = channels[best] if best != c and shares[best] < MIN_UNEXPLAINED_SHARE**2 else ""
+    return SuspectLoadSeries(description, channels[c], gain, sigma, resembled)
 
 
 def _unexplained_share(change: Array, predicted: Array) -> float:
-    """Share of a change's power that a prediction leaves, as it is."""
+    """Share of the power of a change that a prediction, not rescaled, leaves unexplained."""
     return float(np.sum((change - predicted) ** 2) / max(float(np.sum(change**2)), np.finfo(float).tiny))
 
 
 def _largest_outlier(points: CalibrationPoints, fit: CalibrationModelFit) -> tuple[int, Outlier] | None:
-    """The row whose error, predicted by all others, is largest, if it is beyond chance."""
+    """The row with the largest error when predicted by all others, and that outlier; None if it is not significant."""
     used = points.weight > 0
     scaled = fit.press * np.sqrt(points.weight)[:, None]
-    over = np.where(used[:, None], np.abs(scaled) / _robust_row_sigma(scaled, points.sequence, used), 0.0)
-    # A median of so many rows is itself known to a few per cent only.
-    limit = OUTLIER_LIMIT_FACTOR * stats.t.isf(
-        0.5 * OUTLIER_SIGNIFICANCE_LEVEL / over.size, max(float(np.min(fit.model.dof)), 3.0)
-    )
-    row, c = divmod(int(np.argmax(over)), over.shape[1])
-    if over[row, c] <= limit:
+    ratio = np.where(used[:, None], np.abs(scaled) / _robust_row_sigma(scaled, points.load_series, used), 0.0)
+    dof = max(float(np.min(fit.model.dof)), 3.0)  # below 3 the variance of Student's t is infinite
+    limit = OUTLIER_LIMIT_FACTOR * stats.t.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / ratio.size, dof)
+    row, c = divmod(int(np.argmax(ratio)), ratio.shape[1])
+    if ratio[row, c] <= limit:
         return None
     run = int(points.run[row])
     number = row - int(np.flatnonzero(points.run == run)[0]) + 1
     name, channel = points.run_names[run], points.channel_names[c]
-    return row, Outlier(name, number, channel, float(fit.press[row, c]), float(over[row, c]))
+    return row, Outlier(name, number, channel, float(fit.press[row, c]), float(ratio[row, c]))
 
 
-def _robust_row_sigma(errors: Array, sequence: Index, used: NDArray[np.bool_]) -> Array:
-    """Robust standard deviation (m, c) of each row's errors: of all rows or, where larger, of its sequence.
+def _robust_row_sigma(errors: Array, load_series: Index, used: NDArray[np.bool_]) -> Array:
+    """Robust standard deviation (m, c) of the errors of each row: that of all rows or, if larger, of its load series.
 
-    The noise of a load reading is there only where that load was applied.
+    The noise of a load reading is present only where that load was applied.
     """
-    found = np.tile(_robust_sigma(errors[used]), (len(errors), 1))
-    for name in np.unique(sequence[used]):
-        rows = (sequence == name) & used
-        # A bad row shifts the zero of its sequence: all others are off by as much.
-        found[rows] = np.maximum(found[rows], _robust_sigma(errors[rows] - np.median(errors[rows], axis=0)))
-    return found
+    sigma = np.tile(_robust_sigma(errors[used]), (len(errors), 1))
+    for name in np.unique(load_series[used]):
+        rows = (load_series == name) & used
+        # An outlier shifts the zero of its load series, and with it the errors of all other rows.
+        sigma[rows] = np.maximum(sigma[rows], _robust_sigma(errors[rows] - np.median(errors[rows], axis=0)))
+    return sigma
 
 
-def exchanged(points: CalibrationPoints, expected: Array) -> tuple[str, ...]:
-    """Pairs of channels that read each other's loads, `expected` (c, k) being the declared response over full range.
+def find_swapped_channels(points: CalibrationPoints, expected: Array) -> tuple[str, ...]:
+    """Find pairs of channels that read each other's loads.
 
-    Two rows of the straight fit that both follow the other's declared row far better than their own.
+    `expected` (c, k) [V]: declared response to loads of the calibrated range. In a swapped pair both channels of the
+    linear fit resemble the declared sensitivities of the other channel far more than their own.
     """
-    found = fit_calibration_model(replace(points), search=False).model.coefficients[: len(points.components)].T
-    alike = _unit_rows(found) @ _unit_rows(expected).T
+    C = fit_calibration_model(points, search=False).model.coefficients[: len(points.components)].T
+    cosine = _unit_rows(C) @ _unit_rows(expected).T
     pairs = []
-    for i in range(len(found)):
-        for j in range(i + 1, len(found)):
-            own, other = min(alike[i, i], alike[j, j]), min(alike[i, j], alike[j, i])
-            if other > 0.95 and own < 0.8:
+    for i in range(len(C)):
+        for j in range(i + 1, len(C)):
+            own, crossed = min(cosine[i, i], cosine[j, j]), min(cosine[i, j], cosine[j, i])
+            if crossed > MIN_SWAPPED_COSINE and own < MAX_OWN_COSINE:
                 pairs.append(f"{points.channel_names[i]} and {points.channel_names[j]}")
     return tuple(pairs)
 

@@ -1,9 +1,10 @@
-"""What a static calibration gives: C0, T0 and what is known of their errors, one set for each trim."""
+"""Result of a static calibration: C0 and T0 with their errors for each trim, and the model of all trims."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,16 +12,20 @@ from numpy.typing import ArrayLike, NDArray
 from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.result_view import ResultView, plural
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Hysteresis:
-    """Reading on the way up less reading on the way down, of the same load, with standard errors; NaN where a
-    component was not both loaded and unloaded.
+    """Reading while loading less reading while unloading, at the same load, with standard errors.
 
-    `channels` (c, k) [V] of each channel while component k moved, `loads` (k,) [N, N m] of each component's own load.
+    `channels` (c, k) [V]: of each channel while component k is changed; `loads` (k,) [N, N m]: of each component as
+    its own load. NaN where a component was not both loaded and unloaded.
     """
 
     channels: Array
@@ -33,15 +38,15 @@ class Hysteresis:
 class TrimCalibration:
     """Static calibration about one trim: s = offset + C0 f and back, for c channels [V] and k load components.
 
-    `C0` (c, k) [V/N, V/(N m)] and `T0` (k, c) with standard errors; `C0_covariance` (c, k, c, k) is that of
-    the elements of C0. `offsets` (runs, c) [V]: reading of the
-    unloaded rig by the straight line, each run's own. `mean_load` (k,) and `mean_channels` (c,): centre of the rows.
-    `residual_covariance` (c, c) of a row about the line with `dof` degrees of freedom, `noise_covariance` (c, c) of a
-    row as its neighbours tell it; `lack_of_fit` is the one over the other: 1 where a straight line is all there is.
-    `full_range` (k,): the largest load applied in the calibration, over all trims; `channel_full_range` (c,) [V]: that
-    of the cell. `residual` (k,) and `channel_residual` (c,): standard deviation about the applied loads and readings.
-    `condition`: of C0 with loads in units of full range and channels in units of their noise.
-    `left_out`: channels that could not be used, with the reason.
+    `C0` (c, k) [V/N, V/(N m)] and `T0` (k, c) with standard errors; `C0_covariance` (c, k, c, k) of the elements of C0.
+    `offsets` (runs, c) [V]: reading of the unloaded rig by the straight line of each run. `mean_load` (k,) [N, N m] and
+    `mean_channels` (c,) [V]: center of the rows. `residual_covariance` (c, c) [V2] of a row about the line, with `dof`
+    degrees of freedom; `noise_covariance` (c, c) [V2] of a row, from differences of neighboring rows; `lack_of_fit`:
+    ratio of the two, 1 where a straight line describes the readings. `calibrated_range` (k,) [N, N m]: largest load
+    applied over all trims; `channel_rated_range` (c,) [V]: rated range of the channel. `residual` (k,) and
+    `channel_residual` (c,): standard deviation about the applied loads and the readings. `condition` of C0, loads in
+    units of the calibrated range, channels in units of their noise. `excluded_channels`: unusable channels, with the
+    reason.
     """
 
     trim: str
@@ -61,43 +66,43 @@ class TrimCalibration:
     dof: int
     noise_covariance: Array
     lack_of_fit: float
-    full_range: Array
-    channel_full_range: Array
+    calibrated_range: Array = field(metadata={"stored_as": "full_range"})
+    channel_rated_range: Array = field(metadata={"stored_as": "channel_full_range"})
     residual: Array
     channel_residual: Array
     hysteresis: Hysteresis
     condition: float
-    left_out: dict[str, str] = field(default_factory=dict)
+    excluded_channels: dict[str, str] = field(default_factory=dict, metadata={"stored_as": "left_out"})
 
     @property
     def misfit_share(self) -> float:
-        """Share of the residual covariance that is no noise (curvature, hysteresis) and does not average out.
+        """Share of the residual covariance that is not noise (nonlinearity, hysteresis) and does not average out.
 
-        All of it where the noise is not known.
+        1 where the noise is not known.
         """
         return max(0.0, 1.0 - 1.0 / self.lack_of_fit) if np.isfinite(self.lack_of_fit) else 1.0
 
     @property
     def residual_percent_fs(self) -> dict[str, float]:
-        """Standard deviation of back-calculated less applied loads, percent of full range, by component."""
-        return dict(zip(self.components, (100.0 * self.residual / self.full_range).tolist(), strict=True))
+        """Standard deviation of back-calculated less applied loads, percent of the calibrated range, by component."""
+        return dict(zip(self.components, (100.0 * self.residual / self.calibrated_range).tolist(), strict=True))
 
     @property
     def channel_residual_percent_fs(self) -> dict[str, float]:
-        """Standard deviation of the readings about the line, percent of the cell's full range, by channel."""
-        percent = 100.0 * self.channel_residual / self.channel_full_range
+        """Standard deviation of the readings about the line, percent of the rated range of the channel, by channel."""
+        percent = 100.0 * self.channel_residual / self.channel_rated_range
         return dict(zip(self.channel_names, percent.tolist(), strict=True))
 
     def loads(self, channels: ArrayLike, zero_shift: ArrayLike = 0.0) -> Array:
-        """Hub loads (..., 6) [N, N m] from readings (..., c) [V] of `channel_names`: f = mean + T0 (s - mean).
+        """Compute hub loads (..., 6) [N, N m] from readings (..., c) [V] of `channel_names`: f = mean + T0 (s - mean).
 
-        `zero_shift` (c,) [V] is what the unloaded rig reads now more than it did in the calibration. Components that
-        the balance does not carry are 0.
+        `zero_shift` (c,) [V]: reading of the unloaded rig less that in the calibration. Components that the balance
+        does not carry are 0.
         """
         change = np.asarray(channels, float) - self.mean_channels - np.asarray(zero_shift, float)
-        found = self.mean_load + change @ self.T0.T
-        loads = np.zeros((*found.shape[:-1], len(COMPONENTS)))
-        loads[..., [COMPONENTS.index(name) for name in self.components]] = found
+        carried = self.mean_load + change @ self.T0.T
+        loads = np.zeros((*carried.shape[:-1], len(COMPONENTS)))
+        loads[..., [COMPONENTS.index(name) for name in self.components]] = carried
         return loads
 
     def loads_covariance(self, channel_covariance: ArrayLike) -> Array:
@@ -105,18 +110,18 @@ class TrimCalibration:
         return np.asarray(self.T0 @ np.asarray(channel_covariance, float) @ self.T0.T)
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """Static calibration of a rig: one set of matrices for each trim, by its label, and one `gage` model through all.
+@dataclass(frozen=True, repr=False)
+class Calibration(ResultView):
+    """Static calibration of a rig: matrices for each trim, by its label, and the calibration model of `all_trims`.
 
-    None where the trims have too few channels in common, or loads were applied that the balance does not carry. From a
-    matrix that somebody else made there is one trim, its straight part at zero load, without runs and without errors:
-    standard errors, hysteresis and lack of fit NaN, covariances of coefficients zero.
+    `all_trims` is None where the trims have too few channels in common, or loads were applied that the balance does not
+    carry. A calibration from a matrix file has one trim, the linear part at zero load, without runs and errors:
+    standard errors, hysteresis and lack of fit are NaN, covariances of coefficients zero.
     """
 
     geometry: Geometry
     trims: dict[str, TrimCalibration]
-    gage: AllTrimsCalibration | None = None
+    all_trims: AllTrimsCalibration | None = field(default=None, metadata={"stored_as": "gage"})
 
     @property
     def errors_known(self) -> bool:
@@ -124,10 +129,40 @@ class Calibration:
         return all(bool(np.isfinite(trim.C0_sigma).all()) for trim in self.trims.values())
 
     def nearest_trim(self, mean_load: Mapping[str, float]) -> TrimCalibration:
-        """The trim whose mean load is nearest (name -> N or N m), components in units of their full range."""
+        """The trim whose mean load is nearest to `mean_load` [N, N m], components in units of the calibrated range."""
 
         def distance(trim: TrimCalibration) -> float:
-            wanted = np.array([mean_load.get(name, 0.0) for name in trim.components])
-            return float(np.linalg.norm((wanted - trim.mean_load) / trim.full_range))
+            load = np.array([mean_load.get(name, 0.0) for name in trim.components])
+            return float(np.linalg.norm((load - trim.mean_load) / trim.calibrated_range))
 
         return min(self.trims.values(), key=distance)
+
+    def summary_lines(self) -> Iterator[str]:
+        """One line for each trim, at most four."""
+        trims = list(self.trims.values())
+        yield f"Calibration of {self.geometry.rig}: {plural(len(trims), 'trim')}"
+        for trim in trims[:4]:
+            worst = max(trim.residual_percent_fs, key=lambda name: trim.residual_percent_fs[name])
+            yield (
+                f"  {trim.trim or 'one trim'}: {plural(trim.rows, 'row')}, condition {trim.condition:.1f}, "
+                f"largest residual {trim.residual_percent_fs[worst]:.3g} % FS ({worst})"
+            )
+        if len(trims) > 4:
+            yield f"  and {len(trims) - 4} more"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row of C0 for each trim and channel: coefficients [V/N, V/(N m)], then their standard errors."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            [
+                {
+                    "trim": trim.trim,
+                    "channel": channel,
+                    **dict(zip(trim.components, row, strict=True)),
+                    **{f"sigma_{name}": sigma for name, sigma in zip(trim.components, sigmas, strict=True)},
+                }
+                for trim in self.trims.values()
+                for channel, row, sigmas in zip(trim.channel_names, trim.C0, trim.C0_sigma, strict=True)
+            ]
+        )

@@ -1,4 +1,4 @@
-"""C0 by linear regression of static load points, T0 as its inverse, and the errors of both (paper, section 1)."""
+"""C0 by linear regression of static load points, its inverse T0, and the errors of both (paper, section 1)."""
 
 from __future__ import annotations
 
@@ -12,19 +12,23 @@ from balance_cli.io.errors import UserError
 Array = NDArray[np.float64]
 
 COLLINEARITY_RATIO = 1e-6
-NOISE_FLOOR_SHARE = (
-    1e-7  # of a channel's spread: no reading is better than that, and a computed one must not weigh infinitely
-)
-HC3_LEVERAGE_FLOOR = 0.1  # of its own residual that a row is granted, where it alone determines a coefficient
-MIN_MOVEMENT = 0.01  # of a component's spread, by which a row must differ from the one before to count as a movement
+"""Least over largest singular value of the scaled columns below which they are collinear: loads are read no better."""
+NOISE_FLOOR_SHARE = 1e-7
+"""Floor of a channel's noise over its range: no reading is better, and a computed one must not have infinite weight."""
+HC3_LEVERAGE_FLOOR = 0.1
+"""Floor of 1 - leverage in HC3, so that a row that alone determines a coefficient has a finite error."""
+MIN_MOVEMENT = 0.01
+"""Share of a component's range by which consecutive rows must differ to count as a movement: above load noise."""
+MIN_NULL_SHARE = 0.1
+"""Share in the null direction from which a component is named in an error about collinear loads."""
 
 
 @dataclass(frozen=True)
 class TrimRows:
     """Rows of the static runs of one trim, in the order of loading: channels (m, c) [V], loads (m, k) [N, N m].
 
-    `others` (m, o): loads that were applied but that the balance does not carry; `run` (m,): which run, or attitude in
-    it, a row is of; `weight` (m,): by the noise of its run.
+    `uncarried_loads` (m, o) [N, N m]: loads that were applied but that the balance does not carry; `run` (m,):
+    number of the run, or of the segment of constant attitude, of each row; `weight` (m,): from the noise of its run.
     """
 
     channels: Array
@@ -36,9 +40,9 @@ class TrimRows:
 
 @dataclass(frozen=True)
 class TrimRegression:
-    """s = offset of the run + C0 f: offsets (runs, c), C0 (c, k), residuals (m, c) with their covariance (c, c).
+    """Regression s = offset of the run + C0 f: offsets (runs, c) [V], C0 (c, k) and residuals (m, c) [V].
 
-    `C0_covariance` (c, k, c, k) is that of the coefficients.
+    `C0_covariance` (c, k, c, k) is that of the coefficients, `covariance` (c, c) [V2] that of the residuals of a row.
     """
 
     offsets: Array
@@ -51,7 +55,7 @@ class TrimRegression:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Coefficients (p, c) of the columns X (m, p), influence (p, m) of each row on them, residuals (m, c), dof."""
+    """Coefficients (p, c) of columns X (m, p), influence (p, m) of rows on them, residuals (m, c), leverage (m,)."""
 
     coefficients: Array
     influence: Array
@@ -62,8 +66,8 @@ class _Fit:
     def covariance(self, columns: slice) -> Array:
         """Covariance (c, q, c, q) of the coefficients of some columns.
 
-        Rows are not equally noisy: the noise of a load reading is there only where that load was applied. So each row
-        speaks for itself (MacKinnon and White, J. Econometrics 29, 1985, estimator HC3).
+        Rows are not equally noisy, because the noise of a load reading is present only where that load was applied. The
+        covariance is therefore robust to heteroscedasticity (MacKinnon and White, J. Econometrics 29, 1985, HC3).
         """
         e = self.residuals / np.maximum(1.0 - self.leverage, HC3_LEVERAGE_FLOOR)[:, None]
         each = np.einsum("mi,jm->mij", e, self.influence[columns])
@@ -71,10 +75,12 @@ class _Fit:
 
 
 def regress(rows: TrimRows, components: tuple[str, ...]) -> TrimRegression:
-    """C0 and offsets by linear regression over all rows.
+    """Estimate C0 and the offsets by linear regression over all rows.
 
-    All channels have the same regressors, so that the weighted regression of all is that of each by itself (Zellner,
-    J. Am. Stat. Assoc. 57, 1962). UserError where rows are too few, or components were only loaded together.
+    All channels have the same regressors, so that their joint weighted regression equals that of each channel alone
+    (Zellner, J. Am. Stat. Assoc. 57, 1962).
+
+    Raises UserError where there are too few rows, or components were only loaded together.
     """
     offsets = _run_columns(rows)
     r, k = offsets.shape[1], rows.loads.shape[1]
@@ -90,23 +96,23 @@ def regress(rows: TrimRows, components: tuple[str, ...]) -> TrimRegression:
 
 
 def standard_errors(covariance: Array) -> Array:
-    """Square roots (c, k) of the variances in a covariance (c, k, c, k)."""
+    """Standard errors (c, k) from a covariance (c, k, c, k)."""
     return np.asarray(np.sqrt(np.einsum("ijij->ij", covariance)))
 
 
 def _run_columns(rows: TrimRows) -> Array:
-    """One column (m, runs) of ones for each run: its offset."""
+    """Indicator columns (m, runs) of the runs, for their offsets."""
     return np.eye(int(rows.run[-1]) + 1)[rows.run]
 
 
 def _fit_columns(X: Array, rows: TrimRows, names: tuple[str, ...] = ()) -> _Fit:
-    """Weighted regression of the channels on X (m, p); UserError where columns of X are collinear."""
+    """Weighted regression of the channels on X (m, p); raises UserError where columns of X are collinear."""
     root = np.sqrt(rows.weight)[:, None]
     scale = np.linalg.norm(root * X, axis=0)
     U, s, Vt = np.linalg.svd(root * X / np.where(scale > 0, scale, 1.0), full_matrices=False)
     if s[-1] <= COLLINEARITY_RATIO * s[0]:
-        involved = [name for name, share in zip(names, np.abs(Vt[-1]), strict=False) if name and share > 0.1]
-        fault = f"{' and '.join(f'`{name}`' for name in involved)} never loaded by themselves"
+        involved = [name for name, share in zip(names, np.abs(Vt[-1]), strict=False) if name and share > MIN_NULL_SHARE]
+        fault = f"{' and '.join(f'`{name}`' for name in involved)} were never loaded separately"
         raise UserError(fault, remedy="Load each component without the others")
     influence = (Vt.T / s) @ (root * U).T / np.where(scale > 0, scale, 1.0)[:, None]
     coefficients = influence @ rows.channels
@@ -115,17 +121,17 @@ def _fit_columns(X: Array, rows: TrimRows, names: tuple[str, ...] = ()) -> _Fit:
 
 
 def significance(regression: TrimRegression) -> Array:
-    """Mean over the channels of (coefficient / standard error)^2 for each component (k,): about 1 if all is noise."""
+    """Mean squared t (k,) over the channels for each component: about 1 if its coefficients are noise."""
     sigma = standard_errors(regression.C0_covariance) + np.finfo(float).tiny
     return np.asarray(np.mean((regression.C0 / sigma) ** 2, axis=0))
 
 
 def inverse_matrix(C0: Array, covariance: Array) -> tuple[Array, Array]:
-    """T0 (k, c) with T0 C0 = 1, and its derivatives (k, c, c, k) by the elements of C0.
+    """Compute T0 (k, c) with T0 C0 = 1, and its derivatives (k, c, c, k) with respect to the elements of C0.
 
-    The inverse where there are as many channels as components, else the pseudo-inverse weighted by the covariance of
-    the residuals, T0 = (C0' W C0)^-1 C0' W, W = S^-1: the loads then have the least variance (Aitken). With
-    N = (C0' W C0)^-1 and P = W (1 - C0 T0),
+    T0 is the inverse where there are as many channels as components, otherwise the pseudo-inverse weighted by the
+    covariance of the residuals, T0 = (C0' W C0)^-1 C0' W, W = S^-1: the loads then have the least variance (Aitken).
+    With N = (C0' W C0)^-1 and P = W (1 - C0 T0),
 
         dT0 = -T0 dC0 T0 + N dC0' P,
 
@@ -145,20 +151,24 @@ def inverse_sigma(derivative: Array, C0_covariance: Array) -> Array:
 
 
 def lack_of_fit(residual: Array, noise: Array, dof: float) -> float:
-    """Mean of the residuals' squares over those of the noise; the inverse of an estimated covariance is too large."""
+    """Mean square of the residuals over that of the noise, corrected for the bias of the inverse of its covariance.
+
+    The noise covariance (c, c) is estimated with `dof` degrees of freedom; its inverse is too large by a factor of
+    dof/(dof - c - 1).
+    """
     c = len(noise)
     unbiased = (dof - c - 1) / dof if dof > c + 1 else 1.0
     return float(np.trace(np.linalg.solve(noise, residual)) / c * unbiased)
 
 
 def add_variance_floor(covariance: Array, channels: Array) -> Array:
-    """The covariance (c, c) with a floor far below any real noise, so that it has an inverse."""
+    """Add variances far below any real noise to a covariance (c, c), so that it is invertible."""
     spread = np.ptp(channels, axis=0)
     return covariance + np.diag((NOISE_FLOOR_SHARE * np.where(spread > 0, spread, 1.0)) ** 2)
 
 
 def loading_directions(rows: TrimRows) -> Array:
-    """For each row (m, k): +1 where that component was last moved up, -1 down, 0 where another one was moved."""
+    """Direction of the last load change (m, k): +1 up, -1 down, 0 where another component was changed."""
     spread = np.ptp(rows.loads, axis=0)
     steps = np.diff(rows.loads, axis=0, prepend=rows.loads[:1]) / np.where(spread > 0, spread, 1.0)
     steps[np.diff(rows.run, prepend=rows.run[:1]) != 0] = 0.0
@@ -170,10 +180,11 @@ def loading_directions(rows: TrimRows) -> Array:
 
 
 def hysteresis(rows: TrimRows, T0: Array) -> tuple[Array, Array, Array, Array]:
-    """Reading up less reading down, and its standard error, of channels (c, k) and of the components' loads (k,).
+    """Estimate the hysteresis: reading while loading less reading while unloading, at the same load.
 
-    The direction of the last movement is one more regressor for each component; its coefficient is half of the mean
-    width of the loop. NaN where a component did not go both ways.
+    Returns the width for each channel (c, k) [V] with its standard error, and as load (k,) [N, N m] with its standard
+    error. The direction of the last load change is one more regressor for each component; its coefficient is half the
+    mean width of the loop. NaN where a component was not both loaded and unloaded.
     """
     U = loading_directions(rows)
     c, k = rows.channels.shape[1], rows.loads.shape[1]

@@ -1,20 +1,21 @@
-"""Natural zeros, and the weight of the metric part, from the zeros of loading sequences in several attitudes.
+"""Natural zeros and weight of the metric part, from the zeros of load series in several attitudes.
 
-Loads are applied without the metric part's own weight. In attitude a the unloaded balance reads, in every channel,
+The applied loads do not include the weight of the metric part. In attitude a each channel of the
+unloaded balance reads
 
     zero(a) = N + C T(a) w,    w = (W, W r),
 
-with the natural zeros N, the straight part C, and the weight W [N] of the metric part at r from the hub [m]: the force
-W g(a) and the moment (W r) x g(a) about the hub along the direction of gravity g(a), both linear in w. N and w follow
-by generalised least squares from the zeros, which share the errors of the coefficients.
+with the natural zeros N, the linear part C of the model, and the weight W [N] of the metric part at r [m] from the hub.
+T(a) w is the force W g(a) and the moment (W r) x g(a) about the hub, with the direction of gravity g(a). N and w follow
+from the zeros by generalized least squares; the zeros share the errors of the coefficients.
 
-Curved terms depend on the whole load. So the fit is done again with w added to the applied loads, until w settles: what
-the zeros then still say of w is its correction.
+Nonlinear terms depend on the total load. The fit is therefore repeated with the weight added to the applied loads until
+w converges; the zeros of each new fit determine a correction of w.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,24 +30,26 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 TARE_ITERATIONS = 3
-# Of a standard error: a change of w that is none.
+"""Upper bound on the repeated fits. Each reduces the error of w by the nonlinearity of the readings, a few per cent."""
 TARE_TOLERANCE = 0.01
-# Distance of the third direction of gravity from the line through two others that tells, some 0.6 deg; unit vectors.
+"""Change of w, in standard errors, below which it has converged."""
 MIN_DIRECTION_SPREAD = 0.01
-# Least over largest singular value of the equations, columns scaled, below which they do not tell w.
+"""Distance of the third direction of gravity (unit vectors) from the line through two others: about 0.6 deg."""
 MIN_SINGULAR_RATIO = 1e-8
-# Standard errors by which the weight must differ from zero for its place to be told.
+"""Least over largest singular value of the scaled equations below which they do not determine w: half the digits."""
 MIN_WEIGHT_SIGNIFICANCE = 3.0
-# Probability of a chi-square beyond which the standard errors are widened.
+"""Standard errors by which the weight must differ from zero for its center of gravity to be stated."""
 MISFIT_P_VALUE = 1e-3
+"""P-value of chi-square below which the standard errors are widened."""
 
 
 @dataclass(frozen=True)
 class Tares:
-    """`w` (4,): weight of the metric part [N] and its first moments about the hub [N m], covariance (4, 4).
+    """Weight of the metric part and natural zeros.
 
-    `natural_zeros` (c,) [V]: what the channels read without any load, with sigma. `chi2_per_dof` of the zeros of the
-    `sequences` about it, NaN where they are just enough; sigma is widened where it is beyond chance.
+    `w` (4,): weight [N] and its first moments about the hub [N m], with covariance (4, 4). `natural_zeros`
+    (c,) [V]: reading of the channels without any load, with sigma. `chi2_per_dof` of the zeros of `series_count` load series about this model, NaN without degrees of freedom; the
+    standard errors are widened where it is significant.
     """
 
     w: Array
@@ -54,7 +57,7 @@ class Tares:
     natural_zeros: Array
     natural_zeros_sigma: Array
     chi2_per_dof: float
-    sequences: int
+    series_count: int = field(metadata={"stored_as": "sequences"})
 
     @property
     def weight(self) -> float:
@@ -68,28 +71,28 @@ class Tares:
 
     @property
     def center_of_gravity(self) -> Array:
-        """Centre of gravity of the metric part (3,), from the hub in rig axes [m]; NaN where there is no weight."""
+        """Center of gravity (3,) [m] of the metric part from the hub, in rig axes; NaN for an insignificant weight."""
         return self.w[1:] / self.weight if self._weight_is_significant else np.full(3, np.nan)
 
     @property
     def center_of_gravity_sigma(self) -> Array:
-        """Standard errors (3,) of the centre [m]."""
+        """Standard errors (3,) of the center of gravity [m]."""
         if not self._weight_is_significant:
             return np.full(3, np.nan)
-        slope = np.column_stack([-self.center_of_gravity, np.eye(3)]) / self.weight
-        return np.asarray(np.sqrt(np.diag(slope @ self.w_covariance @ slope.T)))
+        derivative = np.column_stack([-self.center_of_gravity, np.eye(3)]) / self.weight
+        return np.asarray(np.sqrt(np.diag(derivative @ self.w_covariance @ derivative.T)))
 
     @property
     def _weight_is_significant(self) -> bool:
         return abs(self.weight) > MIN_WEIGHT_SIGNIFICANCE * self.weight_sigma
 
     def loads(self, gravity: Array, components: tuple[str, ...]) -> Array:
-        """Loads (m, k) [N, N m] of the metric part's weight on these components, gravity (m, 3) in rig axes."""
+        """Loads (m, k) [N, N m] on these components by the weight of the metric part; gravity (m, 3) in rig axes."""
         return np.asarray(weight_loads(gravity, components) @ self.w)
 
 
 def weight_loads(gravity: Array, components: tuple[str, ...] = COMPONENTS) -> Array:
-    """T(a) (m, k, 4): loads on the balance by w = (W, W r), gravity (m, 3) unit vectors in rig axes."""
+    """T(a) (m, k, 4): loads on the balance per element of w = (W, W r), for unit vectors of gravity (m, 3)."""
     force = np.concatenate([gravity[:, :, None], np.zeros((len(gravity), 3, 3))], axis=2)
     moments = np.cross(np.eye(3), gravity[:, None, :]).swapaxes(1, 2)
     moment = np.concatenate([np.zeros((len(gravity), 3, 1)), moments], axis=2)
@@ -99,47 +102,47 @@ def weight_loads(gravity: Array, components: tuple[str, ...] = COMPONENTS) -> Ar
 def screen_outliers_with_tares(
     points: CalibrationPoints, search: bool = True
 ) -> tuple[CalibrationPoints, ScreenedFit, Tares | None]:
-    """The points with the loads of the metric part added, what `suspects.screen_outliers` makes of these, and the
-    tares.
+    """Screen outliers with the weight of the metric part added to the applied loads.
 
-    The points as they are, and None, where the attitudes do not tell it.
+    Returns the points with these loads, their screened fit, and the tares; the given points and None where the
+    attitudes do not determine the weight.
     """
-    found = screen_outliers(points, search)
-    tares, total = estimate_tares(points, found.fit), points
+    screened = screen_outliers(points, search)
+    tares, total = estimate_tares(points, screened.fit), points
     for _ in range(TARE_ITERATIONS if tares is not None else 0):
         assert tares is not None
         total = add_weight_loads(points, tares)
-        found = screen_outliers(total, search)
-        again = estimate_tares(total, found.fit, tares.w)
-        if again is None:
+        screened = screen_outliers(total, search)
+        updated = estimate_tares(total, screened.fit, tares.w)
+        if updated is None:
             break
-        change, tares = np.abs(again.w - tares.w), again
+        change, tares = np.abs(updated.w - tares.w), updated
         if np.all(change <= TARE_TOLERANCE * np.sqrt(np.diag(tares.w_covariance))):
             break
-    return total, found, tares
+    return total, screened, tares
 
 
 def add_weight_loads(points: CalibrationPoints, tares: Tares) -> CalibrationPoints:
-    """The points with the loads of the metric part in the attitude of each stretch added to those applied."""
+    """Add the weight of the metric part, in the attitude of each segment, to the applied loads."""
     assert points.gravity is not None
     return replace(points, loads=points.loads + tares.loads(segment_mean_gravity(points), points.components))
 
 
 def segment_mean_gravity(points: CalibrationPoints) -> Array:
-    """Gravity (m, 3), for each row the mean over its stretch."""
+    """Direction of gravity (m, 3) of each row, averaged over its segment of constant attitude."""
     assert points.gravity is not None
-    stretch = points.stretch
-    sums = np.zeros((stretch[-1] + 1, 3))
-    np.add.at(sums, stretch, points.gravity)
-    return np.asarray((sums / np.bincount(stretch)[:, None])[stretch])
+    segment = points.attitude_segment
+    sums = np.zeros((segment[-1] + 1, 3))
+    np.add.at(sums, segment, points.gravity)
+    return np.asarray((sums / np.bincount(segment)[:, None])[segment])
 
 
 def estimate_tares(
     points: CalibrationPoints, fit: CalibrationModelFit, added_weight: Array | None = None
 ) -> Tares | None:
-    """What the zeros of a fit tell, of loads to which the weight `before` (4,) was added already (default: none).
+    """Estimate the tares from the zeros of a fit to loads that already include `added_weight` (4,), none by default.
 
-    None where a run does not state its attitude, there are fewer than three directions of gravity, or they lie in line.
+    None where a run does not state its attitude, or there are not three directions of gravity out of line.
     """
     if points.gravity is None or not np.isfinite(points.gravity).all():
         return None
@@ -147,52 +150,56 @@ def estimate_tares(
     if np.count_nonzero(is_constant) == 0 or not _directions_suffice(gravity[is_constant]):
         return None
     k = len(points.components)
-    slope = fit.model.coefficients[:k].T / fit.model.full_range
-    effect = np.einsum("ck,skw->csw", slope, weight_loads(gravity[is_constant], points.components))
+    C = fit.model.coefficients[:k].T / fit.model.calibrated_range
+    effect = np.einsum("ck,skw->csw", C, weight_loads(gravity[is_constant], points.components))
     covariance = fit.zero_covariance[:, is_constant][:, :, is_constant]
     solved = _solve_tares(effect, fit.model.zeros[is_constant].T, covariance, fit.model.residual_covariance)
     return None if solved is None else _tares_from_solution(*solved, added_weight)
 
 
 def _series_gravity(points: CalibrationPoints, used: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
-    """Gravity (s, 3) of the sequences that have rows which took part (m,), and in which (s,) it was constant."""
+    """Direction of gravity (s, 3) of each load series with rows that were used (m,), and whether it was constant."""
     assert points.gravity is not None
-    sequence, means = points.sequence, segment_mean_gravity(points)
-    names = np.unique(sequence[used])
-    away = np.linalg.norm(points.gravity - means, axis=1)
-    is_constant = np.array([away[(sequence == name) & used].max() <= ATTITUDE_TOLERANCE for name in names])
-    return np.array([means[np.argmax(sequence == name)] for name in names]), is_constant
+    load_series, means = points.load_series, segment_mean_gravity(points)
+    names = np.unique(load_series[used])
+    deviation = np.linalg.norm(points.gravity - means, axis=1)
+    is_constant = np.array([deviation[(load_series == name) & used].max() <= ATTITUDE_TOLERANCE for name in names])
+    return np.array([means[np.argmax(load_series == name)] for name in names]), is_constant
 
 
 def _directions_suffice(gravity: Array) -> bool:
-    """Whether directions (s, 3) are at least three, and not in line."""
-    away = gravity - gravity[0]
-    along = away[np.argmax(np.linalg.norm(away, axis=1))]
-    length = np.linalg.norm(along)
+    """Whether there are at least three directions (s, 3) that do not lie on a line."""
+    difference = gravity - gravity[0]
+    longest = difference[np.argmax(np.linalg.norm(difference, axis=1))]
+    length = np.linalg.norm(longest)
     if length < MIN_DIRECTION_SPREAD:
         return False
-    return bool(np.max(np.linalg.norm(np.cross(away, along / length), axis=1)) >= MIN_DIRECTION_SPREAD)
+    return bool(np.max(np.linalg.norm(np.cross(difference, longest / length), axis=1)) >= MIN_DIRECTION_SPREAD)
 
 
 def _solve_tares(
     effect: Array, zeros: Array, covariance: Array, residual: Array
 ) -> tuple[Array, Array, float, int] | None:
-    """N and w (c + 4,), their covariance, chi-square and sequences, of effect (c, s, 4), zeros (c, s), covariance
+    """Solve zeros (c, s) = N + effect (c, s, 4) w by generalized least squares.
 
-    (c, s, s) of each channel's zeros and that of the residuals (c, c): zeros of two channels are as alike as their
-    residuals. None where the equations do not tell it, or there is no noise.
+    `covariance` (c, s, s) is that of each channel's zeros. Zeros of two channels are correlated as their residuals are,
+    of covariance `residual` (c, c). Returns N and w (c + 4,), their covariance, chi-square and the number of load
+    series; None where the equations do not determine them, or there is no noise.
     """
     c, s, _ = effect.shape
-    size = np.sqrt(np.diag(residual))
-    if np.any(size == 0):
+    sigma = np.sqrt(np.diag(residual))
+    if np.any(sigma == 0):
         return None
     natural = np.repeat(np.eye(c)[:, None], s, axis=1)
     table = np.concatenate([natural, effect, zeros[:, :, None]], axis=2)
-    own = [
-        linalg.solve_triangular(np.linalg.cholesky(K), of, lower=True) for K, of in zip(covariance, table, strict=True)
+    within_channels = [
+        linalg.solve_triangular(np.linalg.cholesky(K), rows, lower=True)
+        for K, rows in zip(covariance, table, strict=True)
     ]
-    correlation_root = np.linalg.cholesky(residual / (size[:, None] * size))
-    white = linalg.solve_triangular(correlation_root, np.reshape(own, (c, -1)), lower=True).reshape(c * s, -1)
+    correlation_root = np.linalg.cholesky(residual / (sigma[:, None] * sigma))
+    white = linalg.solve_triangular(correlation_root, np.reshape(within_channels, (c, -1)), lower=True).reshape(
+        c * s, -1
+    )
     X, y = white[:, :-1], white[:, -1]
     scale = np.linalg.norm(X, axis=0)
     if not np.all(scale > 0) or len(y) < len(scale):
@@ -201,23 +208,24 @@ def _solve_tares(
     if d[-1] < MIN_SINGULAR_RATIO * d[0]:
         return None
     root = Vt.T / d / scale[:, None]
-    found = root @ (U.T @ y)
-    return found, root @ root.T, float(np.sum((y - X @ found) ** 2)), s
+    solution = root @ (U.T @ y)
+    return solution, root @ root.T, float(np.sum((y - X @ solution) ** 2)), s
 
 
 def _tares_from_solution(
-    found: Array, covariance: Array, chi2: float, sequences: int, added_weight: Array | None
+    solution: Array, covariance: Array, chi2: float, series_count: int, added_weight: Array | None
 ) -> Tares:
-    c = len(found) - 4
-    dof = c * sequences - len(found)
+    """Tares from N and w (c + 4,), with the covariance widened by chi-square where that is significant."""
+    c = len(solution) - 4
+    dof = c * series_count - len(solution)
     ratio = chi2 / dof if dof else float("nan")
     if dof and stats.chi2.sf(chi2, dof) < MISFIT_P_VALUE:
         covariance = covariance * ratio
     return Tares(
-        w=found[c:] + (0.0 if added_weight is None else added_weight),
+        w=solution[c:] + (0.0 if added_weight is None else added_weight),
         w_covariance=covariance[c:, c:],
-        natural_zeros=found[:c],
+        natural_zeros=solution[:c],
         natural_zeros_sigma=np.sqrt(np.diag(covariance)[:c]),
         chi2_per_dof=ratio,
-        sequences=sequences,
+        series_count=series_count,
     )

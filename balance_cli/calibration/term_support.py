@@ -1,4 +1,4 @@
-"""Which terms a load schedule can tell at all, and why it cannot tell the others."""
+"""Terms that a load schedule supports, and the reason why it does not support the others."""
 
 from __future__ import annotations
 
@@ -9,52 +9,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.least_squares import subtract_block_means
-from balance_cli.calibration.terms import Term, columns, linear_terms
+from balance_cli.calibration.terms import Term, linear_terms, term_values
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# Share of a term's variation that the loads themselves must leave; a share of full range that counts as loaded.
 MIN_INDEPENDENT_SHARE = 1e-3
+"""Share of the norm of a term that loads and zeros must not explain; less is inexact repetition of loads."""
 MIN_APPLIED_LOAD = 0.02
+"""Share of the calibrated range above which a component counts as loaded, well above load noise."""
 
 
 @dataclass(frozen=True)
 class TermSupport:
-    """Terms that the loads support, and the reason for each of the others, by term."""
+    """The terms that the loads support, and for each of the others the reason why not."""
 
     terms: tuple[Term, ...]
-    refused: dict[Term, str]
+    unsupported: dict[Term, str]
 
 
 def find_supported_terms(terms: Sequence[Term], x: Array, block: Index, loads: Sequence[str]) -> TermSupport:
-    """Sort terms by whether loads x (m, n), in units of full range, with a zero for each block (m,), support them.
+    """Find the terms that loads x (m, n) support, in units of the calibrated range, with a zero for each block (m,).
 
-    A term is refused where the zeros and the loads themselves explain it, or it does what a term before it does.
+    A term is not supported where the zeros and the loads themselves explain it, or where it is collinear with an
+    earlier term in this schedule.
     """
-    linear_columns = subtract_block_means(columns(linear_terms(x.shape[1]), x), block)
+    linear_columns = subtract_block_means(term_values(linear_terms(x.shape[1]), x), block)
     basis = _orthonormal_basis(linear_columns)
-    kept: list[Term] = []
-    refused: dict[Term, str] = {}
+    supported: list[Term] = []
+    unsupported: dict[Term, str] = {}
     spanned = np.zeros((len(x), 0))
     for term in terms:
-        column = subtract_block_means(columns([term], x), block)[:, 0]
+        column = subtract_block_means(term_values([term], x), block)[:, 0]
         if term.linear:
-            kept.append(term)
+            supported.append(term)
             continue
         left = column - basis @ (basis.T @ column)
-        if np.linalg.norm(left) <= MIN_INDEPENDENT_SHARE * np.linalg.norm(columns([term], x)):
-            refused[term] = _refusal_reason(term, x, loads)
+        if np.linalg.norm(left) <= MIN_INDEPENDENT_SHARE * np.linalg.norm(term_values([term], x)):
+            unsupported[term] = _refusal_reason(term, x, loads)
             continue
         unit = left / np.linalg.norm(left)
         correlation = np.abs(unit @ spanned)
         if correlation.size and correlation.max() > 1.0 - 0.5 * MIN_INDEPENDENT_SHARE**2:
-            equivalent_term = [one for one in kept if not one.linear][int(np.argmax(correlation))]
-            refused[term] = f"does what {equivalent_term.name(loads)} does in these loads"
+            equivalent_term = [earlier for earlier in supported if not earlier.linear][int(np.argmax(correlation))]
+            unsupported[term] = f"does what {equivalent_term.name(loads)} does in these loads"
             continue
-        kept.append(term)
+        supported.append(term)
         spanned = np.column_stack([spanned, unit])
-    return TermSupport(tuple(kept), refused)
+    return TermSupport(tuple(supported), unsupported)
 
 
 def _orthonormal_basis(values: Array) -> Array:
@@ -64,7 +66,7 @@ def _orthonormal_basis(values: Array) -> Array:
 
 
 def _refusal_reason(term: Term, x: Array, loads: Sequence[str]) -> str:
-    """What the schedule lacks, in words."""
+    """What the schedule lacks, in words that are stored in artefacts."""
     applied = np.abs(x) > MIN_APPLIED_LOAD
     for i in term.loads:
         if not applied[:, i].any():

@@ -1,177 +1,112 @@
-"""What `calibrate` says of the gage model, as text and in the JSON summary."""
+"""Terminal text of `balance calibrate`: matrices of each trim, the calibration model of all trims, and warnings."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from balance_cli.cli.calibration_summary import nonlinear_terms_summary
+
 if TYPE_CHECKING:
     from balance_cli.calibration.all_trims import AllTrimsCalibration, CheckLoads
-    from balance_cli.calibration.noniterative import NonIterativeModel
     from balance_cli.calibration.outliers import SuspectLoadSeries
+    from balance_cli.calibration.result import Calibration, TrimCalibration
     from balance_cli.calibration.tares import Tares
 
 
-def math_model_summary(gage: AllTrimsCalibration) -> dict[str, Any]:
-    """For the JSON summary."""
-    model, channels = gage.model, gage.model.channel_names
-    proof = model.contraction()
-    return {
-        "terms": {name: _nonlinear_terms_summary(gage, c) for c, name in enumerate(channels)},
-        "linear": {
-            name: dict(zip(model.components, model.coefficients[:, c], strict=False))
-            for c, name in _enumerate_channels(gage)
-        },
-        "full_range": dict(zip(model.components, model.full_range, strict=True)),
-        "terms_refused": model.refused,
-        "residual": dict(zip(channels, np.sqrt(np.diag(model.residual_covariance)), strict=True)),
-        "press": dict(zip(channels, model.press, strict=True)),
-        "left_out_sequences": dict(zip(channels, model.left_out, strict=True)),
-        "iteration": {
-            "contraction": proof.rho if proof.proved else None,
-            "proved": proof.proved,
-            "reach": dict(zip(model.components, proof.reach, strict=True)),
-        },
-        "zeros": {
-            "sequences": model.sequences,
-            "drift_per_sequence": _values_with_sigma(channels, gage.drift.slope, gage.drift.slope_sigma),
-            "scatter_chi2_per_dof": dict(zip(channels, gage.drift.scatter, strict=True)),
-        },
-        "direct": _non_iterative_summary(gage.direct) if gage.direct else None,
-        "tares": None if gage.tares is None else _tares_summary(gage.tares, channels),
-        "outliers": [vars(suspect) for suspect in gage.outliers],
-        "exchanged": gage.exchanged,
-        "limits": gage.limits,
-        "bad_sequences": [vars(suspect) for suspect in gage.bad_sequences],
-        "checks": {check.run: _check_load_summary(check, model.components, model.full_range) for check in gage.checks},
-    }
+def calibration_text(calibration: Calibration) -> Iterator[str]:
+    """Lines of text that summarize a calibration."""
+    for trim in calibration.trims.values():
+        yield from _trim_text(trim)
+    if calibration.all_trims:
+        yield from _math_model_text(calibration.all_trims)
 
 
-def _enumerate_channels(gage: AllTrimsCalibration) -> Iterator[tuple[int, str]]:
-    return enumerate(gage.model.channel_names)
-
-
-def _nonlinear_terms_summary(gage: AllTrimsCalibration, channel: int) -> dict[str, Mapping[str, float]]:
-    """Every term of a channel that is not a load itself, with what is known of it."""
-    model = gage.model
-    # A matrix from elsewhere states no errors: its t is unknown, too.
-    sigma = np.where(np.isfinite(model.t[:, channel]), np.sqrt(np.diag(model.covariance[channel])), np.nan)
-    columns = {
-        "value": model.coefficients[:, channel],
-        "sigma": sigma,
-        "t": model.t[:, channel],
-        "p": model.p_value[:, channel],
-        "variance_inflation": model.variance_inflation[:, channel],
-    }
-    return {
-        name: {what: float(values[i]) for what, values in columns.items()}
-        for i, name in enumerate(model.terms)
-        if i >= len(model.components) and (np.isfinite(model.t[i, channel]) or columns["value"][i] != 0.0)
-    }
-
-
-def _non_iterative_summary(direct: NonIterativeModel) -> dict[str, Any]:
-    """The direct model: what is left, and its terms by load."""
-    model, components = direct.model, direct.model.components
-    return {
-        "residual_percent_fs": dict(zip(components, direct.residual_percent_fs, strict=True)),
-        "terms": {name: model.channel_coefficients(name) for name in components},
-    }
-
-
-def _values_with_sigma(names: tuple[str, ...], value: Any, sigma: Any) -> dict[str, dict[str, float]]:
-    return {name: {"value": value[i], "sigma": sigma[i]} for i, name in enumerate(names)}
-
-
-def _tares_summary(tares: Tares, channels: tuple[str, ...]) -> dict[str, Any]:
-    return {
-        "weight": {"value": tares.weight, "sigma": tares.weight_sigma},
-        "centre": _values_with_sigma(("x", "y", "z"), tares.center_of_gravity, tares.center_of_gravity_sigma),
-        "natural_zeros": _values_with_sigma(channels, tares.natural_zeros, tares.natural_zeros_sigma),
-        "chi2_per_dof": tares.chi2_per_dof,
-        "sequences": tares.sequences,
-    }
-
-
-def _check_load_summary(check: CheckLoads, components: tuple[str, ...], full_range: Any) -> dict[str, Any]:
-    return {
-        "rows": len(check.applied),
-        "solved": int(np.count_nonzero(check.solved)),
-        "error_percent_fs": dict(zip(components, 100.0 * check.error / full_range, strict=True)),
-        "within_interval": dict(zip(components, check.interval_coverage, strict=True)),
-    }
-
-
-def math_model_warnings(gage: AllTrimsCalibration) -> Iterator[str]:
-    """What took no part in the fit, and what the iteration cannot promise."""
-    for suspect in gage.bad_sequences:
+def math_model_warnings(all_trims: AllTrimsCalibration) -> Iterator[str]:
+    """Warnings about excluded rows and load series, swapped channels, and an iteration that may not converge."""
+    for suspect in all_trims.suspect_series:
         yield _suspect_series_text(suspect)
-    for row in gage.outliers:
+    for outlier in all_trims.outliers:
         yield (
-            f"run {row.run} row {row.row}: {row.channel} is {1e6 * row.error:.3g} uV away from what all others say "
-            f"({row.over_sigma:.1f} sigma); the row took no part"
+            f"run {outlier.run} row {outlier.row}: {outlier.channel} deviates by {1e6 * outlier.error:.3g} uV from the "
+            f"prediction of all other rows ({outlier.over_sigma:.1f} sigma); the row was excluded"
         )
-    for pair in gage.exchanged:
-        yield f"{pair} read each other's loads throughout: their cables look exchanged"
-    yield from gage.limits
-    if not gage.model.contraction().proved:
-        yield "the iteration for loads is not proved to converge over the range of the calibration; reduce refuses it"
+    for pair in all_trims.swapped_channels:
+        yield f"{pair} read each other's loads in all runs: their cables seem to be swapped"
+    yield from all_trims.screening_notes
+    if not all_trims.model.contraction().proved:
+        yield "the load iteration is not proved to converge over the calibrated range; reduce refuses this model"
 
 
 def _suspect_series_text(suspect: SuspectLoadSeries) -> str:
-    like = f", as {suspect.like} should" if suspect.like else ""
-    other = f"; or it is {' or '.join(suspect.or_else)} that is wrong" if suspect.or_else else ""
+    resembled = f", as expected of {suspect.resembled_channel}" if suspect.resembled_channel else ""
+    alternatives = f"; {' or '.join(suspect.alternatives)} may be wrong instead" if suspect.alternatives else ""
     return (
-        f"{suspect.sequence}: {suspect.channel} changes {suspect.gain:.4f} +- {suspect.gain_sigma:.4f} times as "
-        f"much as the other sequences say{like}; the sequence took no part{other}"
+        f"{suspect.load_series}: {suspect.channel} changes {suspect.gain:.4f} +- {suspect.gain_sigma:.4f} times as "
+        f"much as the other load series predict{resembled}; the load series was excluded{alternatives}"
     )
 
 
-def math_model_text(gage: AllTrimsCalibration) -> Iterator[str]:
-    """For the terminal."""
-    model = gage.model
+def _trim_text(trim: TrimCalibration) -> Iterator[str]:
+    if not trim.runs:
+        yield f"From a matrix, linear part at zero load: condition {trim.condition:.1f}"
+        return
+    yield f"Trim {trim.trim}: {trim.rows} rows of {', '.join(trim.runs)}; condition {trim.condition:.1f}"
+    yield f"  residual over noise {trim.lack_of_fit:.2f} (1: a straight line describes the readings)"
+    yield "  component  cal. range   residual % FS   hysteresis % FS"
+    for j, name in enumerate(trim.components):
+        full = trim.calibrated_range[j]
+        loop, sigma = 100 * trim.hysteresis.loads[j] / full, 100 * trim.hysteresis.loads_sigma[j] / full
+        yield f"  {name:9s} {full:11.1f} {trim.residual_percent_fs[name]:15.4f}   {loop:9.4f} +- {sigma:.4f}"
+
+
+def _math_model_text(all_trims: AllTrimsCalibration) -> Iterator[str]:
+    model = all_trims.model
     proof = model.contraction()
-    if gage.runs:
-        yield f"All trims, {len(gage.loads)} rows in {len(model.sequences)} loading sequences, each with its own zero"
-    for channel, name in _enumerate_channels(gage):
-        terms = _nonlinear_terms_summary(gage, channel)
-        said = ", ".join(_term_text(term, of["t"]) for term, of in terms.items()) or "the loads alone"
-        yield f"  {name:12s} {said}"
-    if proof.proved and model.curved:
-        yield f"  loads by iteration: every step shrinks the error at least {1 / max(proof.rho, 1e-12):.0f} times"
-    if gage.direct is not None:
-        left = ", ".join(
-            f"{name} {value:.4f}" for name, value in zip(model.components, gage.direct.residual_percent_fs, strict=True)
-        )
-        yield f"  direct, without iteration; residual % FS: {left}"
-    if gage.tares is not None:
-        yield from _tares_text(gage.tares)
-    if model.refused:
-        yield f"  {len(model.refused)} terms that these loads do not support, {_first_refusal_text(model.refused)}"
-    for check in gage.checks:
-        outside = len(check.solved) - int(np.count_nonzero(check.solved))
-        left = f"; {outside} of {len(check.solved)} rows outside the calibrated loads are left out" if outside else ""
-        yield f"  {check.run}: rms error % FS, and loads within their 95 % interval{left}"
-        for j, component in enumerate(model.components):
-            error, share = 100.0 * check.error[j] / model.full_range[j], 100.0 * check.interval_coverage[j]
-            yield f"    {component:4s} {error:9.4f} {share:6.1f} %"
+    if all_trims.runs:
+        yield f"All trims, {len(all_trims.loads)} rows in {len(model.load_series)} load series, each with its own zero"
+    for channel, name in enumerate(model.channel_names):
+        terms = nonlinear_terms_summary(all_trims, channel)
+        yield f"  {name:12s} {', '.join(_term_text(term, values['t']) for term, values in terms.items()) or 'linear'}"
+    if proof.proved and model.is_nonlinear:
+        yield f"  loads by iteration: every step reduces the error at least {1 / max(proof.rho, 1e-12):.0f} times"
+    if all_trims.non_iterative is not None:
+        residuals = zip(model.components, all_trims.non_iterative.residual_percent_fs, strict=True)
+        yield f"  non-iterative method; residual % FS: {', '.join(f'{name} {value:.4f}' for name, value in residuals)}"
+    if all_trims.tares is not None:
+        yield from _tares_text(all_trims.tares)
+    if model.unsupported_terms:
+        count, example = len(model.unsupported_terms), _first_unsupported_term_text(model.unsupported_terms)
+        yield f"  {count} terms are not supported by these loads, such as {example}"
+    for check in all_trims.checks:
+        yield from _check_text(check, all_trims)
+
+
+def _check_text(check: CheckLoads, all_trims: AllTrimsCalibration) -> Iterator[str]:
+    model, rows = all_trims.model, len(check.is_valid)
+    outside = rows - int(np.count_nonzero(check.is_valid))
+    note = f"; {outside} of {rows} rows outside the calibrated loads are left out" if outside else ""
+    yield f"  {check.run}: rms error % FS, and share of loads within their 95 % interval{note}"
+    for j, component in enumerate(model.components):
+        error, share = 100.0 * check.error[j] / model.calibrated_range[j], 100.0 * check.interval_coverage[j]
+        yield f"    {component:4s} {error:9.4f} {share:6.1f} %"
 
 
 def _tares_text(tares: Tares) -> Iterator[str]:
-    yield f"  metric part: weight {tares.weight:.6g} +- {tares.weight_sigma:.2g} N, which the loads of the model hold"
+    yield f"  metric part: weight {tares.weight:.6g} +- {tares.weight_sigma:.2g} N, included in the loads of the model"
     if np.isfinite(tares.center_of_gravity).all():
-        each = zip("xyz", 1e3 * tares.center_of_gravity, 1e3 * tares.center_of_gravity_sigma, strict=True)
-        place = ", ".join(f"{axis} {value:.5g} +- {sigma:.2g}" for axis, value, sigma in each)
-        yield f"    its centre of gravity from the hub [mm]: {place}"
-    yield f"    zeros of {tares.sequences} sequences about it: chi2/dof {tares.chi2_per_dof:.2f}"
+        axes = zip("xyz", 1e3 * tares.center_of_gravity, 1e3 * tares.center_of_gravity_sigma, strict=True)
+        place = ", ".join(f"{axis} {value:.5g} +- {sigma:.2g}" for axis, value, sigma in axes)
+        yield f"    its center of gravity from the hub [mm]: {place}"
+    yield f"    from the zeros of {tares.series_count} load series: chi2/dof {tares.chi2_per_dof:.2f}"
 
 
 def _term_text(term: str, t: float) -> str:
     return f"{term} (t {t:.1f})" if np.isfinite(t) else term
 
 
-def _first_refusal_text(refused: Mapping[str, str]) -> str:
-    name, reason = next(iter(refused.items()))
-    return f"as {name}: {reason}"
+def _first_unsupported_term_text(unsupported: Mapping[str, str]) -> str:
+    name, reason = next(iter(unsupported.items()))
+    return f"{name}: {reason}"

@@ -1,6 +1,6 @@
-"""Harmonic 0: mean hub loads from strain and torque channels through the static matrix of the nearest trim.
+"""Mean hub loads (harmonic 0) from strain and torque channels by the static matrix of the nearest trim.
 
-Where the readings curve with the loads, `balance_cli.reduction.mean_loads_nonlinear` takes the place of the matrix.
+Where the calibration model is nonlinear, `balance_cli.reduction.mean_loads_nonlinear` is used instead.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]
 
-# Stretches into which a zero record is cut; the scatter of their means is the error of the whole mean.
 ZERO_SEGMENTS = 16
+"""Segments of a zero record. The scatter of their means gives the error of the whole mean, known to 18 % by so many."""
 NO_ZERO = "no zero"
 REDUNDANCY = "redundancy"
 EXTRAPOLATED = "extrapolated"
-# Condition of the matrix, loads in units of full range, from which it does not determine them.
 LARGEST_CONDITION = 1e8
+"""Condition of C0, loads in units of the calibrated range, from which it does not determine them: half the digits."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ZeroRecord:
 
 
 def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
-    """Means of a wind-off record, with the error that the scatter of its stretches shows."""
+    """Compute the means of a wind-off record, with their variance from the scatter of its segments."""
     names = tuple(name for name in channel_names if name in run.channel_names)
     values = read_channels(run, names)
     means = np.array([part.mean(axis=0) for part in np.array_split(values, ZERO_SEGMENTS)])
@@ -50,9 +50,10 @@ def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
 
 @dataclass(frozen=True)
 class MeanLoads:
-    """Mean loads (m,) of the named components with sigma (m,), the trim that was used, and the surplus chi-square.
+    """Mean loads (m,) [N, N m] of the named components with sigma (m,).
 
-    `flags` (m,): the words of each component.
+    `trim`: label of the trim whose matrix was used. `flags` (m,): flags of each component, joined by `; `.
+    `redundancy`: chi-square per degree of freedom of the residual test, with its limit; `condition` of the matrix.
     """
 
     components: tuple[str, ...]
@@ -67,7 +68,7 @@ class MeanLoads:
 
 @dataclass(frozen=True)
 class MeanReading:
-    """Mean readings (c,) of the usable ones (rows) of some channels, counted from a reading, with covariance (c, c)."""
+    """Mean readings (c,) [V] of the usable channels (rows) less a reference reading, with covariance (c, c)."""
 
     rows: list[int]
     change: Array
@@ -77,27 +78,30 @@ class MeanReading:
 def linear_mean_loads(
     spectra: Harmonics, calibration: Calibration, health: ChannelHealth, zero: ZeroRecord | None
 ) -> MeanLoads:
-    """Loads through T0 of the trim nearest in mean load, found by going through the trims once.
+    """Compute mean loads by T0 of the trim nearest in mean load.
 
-    Where channels were left out, the weighted inverse of what remains of C0 takes the place of T0. Raises UserError
-    where that does not determine the loads. A load outside those of the whole calibration is flagged, where they are
-    known.
+    The loads by the first trim decide which trim is nearest. Where channels were left out, the weighted inverse of the
+    remaining rows of C0 replaces T0. Loads outside those applied in the calibration are flagged, where these are known.
+
+    Raises UserError where the remaining channels do not determine the loads.
     """
     first = next(iter(calibration.trims.values()))
-    found = _loads_by_trim(first, spectra, health, zero)
-    trim = calibration.nearest_trim(_loads_by_component(found))
+    mean_loads = _loads_by_trim(first, spectra, health, zero)
+    trim = calibration.nearest_trim(_loads_by_component(mean_loads))
     if trim is not first:
-        found = _loads_by_trim(trim, spectra, health, zero)
-    gage = calibration.gage
-    extrapolated_names = gage.model.extrapolated_components(found.loads + gage.level) if gage else ()
-    return flag_extrapolated(found, extrapolated_names)
+        mean_loads = _loads_by_trim(trim, spectra, health, zero)
+    all_trims = calibration.all_trims
+    if all_trims is None:
+        return mean_loads
+    total_loads = mean_loads.loads + all_trims.level_weight_loads
+    return flag_extrapolated(mean_loads, all_trims.model.extrapolated_components(total_loads))
 
 
 def flag_extrapolated(loads: MeanLoads, extrapolated_names: Sequence[str]) -> MeanLoads:
-    """The same loads, those of the components `outside` flagged as EXTRAPOLATED."""
-    words = zip(loads.components, loads.flags, strict=True)
+    """Flag the named components as EXTRAPOLATED."""
     flags = (
-        "; ".join(filter(None, (flag, EXTRAPOLATED if name in extrapolated_names else ""))) for name, flag in words
+        "; ".join(filter(None, (flag, EXTRAPOLATED if name in extrapolated_names else "")))
+        for name, flag in zip(loads.components, loads.flags, strict=True)
     )
     return replace(loads, flags=tuple(flags))
 
@@ -112,11 +116,11 @@ def _loads_by_trim(
     unloaded = trim.offsets.mean(axis=0)
     reading = mean_reading(trim.channel_names, trim.mean_channels, unloaded, spectra, health, zero)
     C0 = trim.C0[reading.rows]
-    if not determines_loads(C0 * trim.full_range):
+    if not determines_loads(C0 * trim.calibrated_range):
         raise undetermined_loads_error(health, spectra.run)
     W = np.linalg.inv(trim.noise_covariance[np.ix_(reading.rows, reading.rows)])
-    whole = len(reading.rows) == len(trim.channel_names)
-    T0 = trim.T0 if whole else np.linalg.inv(C0.T @ W @ C0) @ C0.T @ W
+    is_complete = len(reading.rows) == len(trim.channel_names)
+    T0 = trim.T0 if is_complete else np.linalg.inv(C0.T @ W @ C0) @ C0.T @ W
     change = T0 @ reading.change
     covariance = reading.covariance + _model_covariance(trim, reading.rows, change)
     redundancy, limit = mean_load_redundancy(reading.change - C0 @ change, C0, covariance)
@@ -134,13 +138,13 @@ def _loads_by_trim(
 
 
 def run_flags(components: Sequence[str], zero: ZeroRecord | None, misfit: bool) -> tuple[str, ...]:
-    """The words that all components of a run have."""
+    """Flags (m,) that all components of a run have in common."""
     words = ([NO_ZERO] if zero is None else []) + ([REDUNDANCY] if misfit else [])
     return tuple(["; ".join(words)] * len(components))
 
 
 def _model_covariance(trim: TrimCalibration, rows: list[int], change: Array) -> Array:
-    """Covariance (c, c) of C0 f for the load change (m,), and of what the straight line leaves beyond noise."""
+    """Covariance (c, c) of the readings by the errors of C0 at a load change (m,), and by the misfit of the line."""
     spread = np.einsum("ijkl,j,l->ik", trim.C0_covariance, change, change)
     return np.asarray((spread + trim.misfit_share * trim.residual_covariance)[np.ix_(rows, rows)])
 
@@ -153,9 +157,9 @@ def mean_reading(
     health: ChannelHealth,
     zero: ZeroRecord | None,
 ) -> MeanReading:
-    """What the usable ones of the channels (c,) read more than `middle` (c,), zero shift taken off.
+    """Mean reading of the usable channels less `reference_reading` (c,) and less the zero shift.
 
-    The zero shift is what a zero record reads more than the rig read `unloaded` (c,) in the calibration.
+    The zero shift is the reading of the zero record less the reading `unloaded` (c,) of the calibration.
     """
     usable = set(health.live) & set(channel_names)
     if zero is not None:
@@ -173,23 +177,23 @@ def mean_reading(
 
 
 def determines_loads(C0: Array) -> bool:
-    """Whether the matrix (c, k) of the channels that remain, loads over full range, determines the loads."""
+    """Whether the matrix (c, k) of the remaining channels determines the loads, in units of the calibrated range."""
     return len(C0) >= C0.shape[1] and bool(np.linalg.cond(C0) < LARGEST_CONDITION)
 
 
 def undetermined_loads_error(health: ChannelHealth, run: str) -> UserError:
-    """What is wrong with a run whose remaining channels do not determine the loads."""
+    """The error to raise for a run whose remaining channels do not determine the loads."""
     names = "; ".join(f"{name}: {reason}" for name, reason in health.left_out.items()) or "none"
     return UserError(
         f"the remaining strain and torque channels do not determine the mean loads (left out: {names})",
         run,
         "channels",
-        "Mend the channels, or leave the run out with --skip-bad",
+        "Repair the channels, or leave the run out with --skip-bad",
     )
 
 
 def mean_load_redundancy(residual: Array, C0: Array, covariance: Array) -> tuple[float, float]:
-    """Chi-square per degree of freedom of the surplus channels, and its 99.9 % point."""
+    """Residual test of the redundant channels: chi-square per degree of freedom, and its 99.9 % point."""
     degrees = len(C0) - C0.shape[1]
     if degrees <= 0:
         return float("nan"), float("inf")

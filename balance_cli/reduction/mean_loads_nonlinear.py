@@ -1,4 +1,4 @@
-"""Harmonic 0 where readings curve with the loads: mean hub loads by iteration through the model of all trims."""
+"""Mean hub loads (harmonic 0) by nonlinear calibration: iteration with the calibration model of all trims."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from balance_cli.signals.rotor.harmonics import Harmonics
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-# Standard errors by which the least singular value of the straight part must differ from zero.
 MIN_SINGULAR_VALUE_SIGNIFICANCE = 5.0
+"""Standard errors by which the least singular value of the linear part must differ from zero, as in `calibrate`."""
 ALL_TRIMS = "all trims"
-"""What stands in the place of a trim's label."""
+"""Label in the place of that of a trim."""
 
 
 @dataclass(frozen=True)
 class _UsableChannels:
-    """The model as some of its channels (rows) show it in one run, `left_out` with the reason."""
+    """The model with the channels (rows) that are usable in one run; `left_out`: the others, with the reason."""
 
     model: CalibrationModel
     rows: Index
@@ -46,7 +46,7 @@ class _UsableChannels:
 
     @property
     def left_out_note(self) -> str:
-        """The channels left out, for a message."""
+        """The channels left out, as part of a message."""
         lost = "; ".join(f"{name}: {reason}" for name, reason in self.left_out.items())
         return f" (left out: {lost})" if lost else ""
 
@@ -58,16 +58,17 @@ def nonlinear_mean_loads(
     health: ChannelHealth,
     zero: ZeroRecord | None,
 ) -> MeanLoads:
-    """Mean loads of one run by the iteration through `model`, counted from the unloaded rig.
+    """Compute the mean loads of one run, relative to the unloaded rig, by iteration with `model`.
 
-    That is the zero record or, without one, the mean of the zeros of the calibration. Where the calibration tells the
-    weight of the metric part, the level rig carries it in both: the iteration is for all loads. Where it has the direct
-    model and all channels are there, that gives the loads.
+    The unloaded rig is that of the zero record or, without one, the mean of the zeros of the calibration. Where the
+    calibration determined the weight of the metric part, the iteration includes that of the level rig. Where all
+    channels are usable and the calibration has a non-iterative model, that model computes the loads.
 
-    Raises UserError where the channels that remain do not determine the loads, and where the iteration is not proved to
-    find them.
+    Raises UserError where the remaining channels do not determine the loads, or convergence of the iteration is not
+    proved.
     """
-    level = np.zeros(len(model.components)) if calibration.gage is None else calibration.gage.level
+    all_trims = calibration.all_trims
+    level = np.zeros(len(model.components)) if all_trims is None else all_trims.level_weight_loads
     natural = model.zeros.mean(axis=0)
     unloaded = natural + model.readings(level[None])[0]
     reading = mean_reading(model.channel_names, natural, unloaded, spectra, health, zero)
@@ -76,9 +77,9 @@ def nonlinear_mean_loads(
         raise undetermined_loads_error(health, spectra.run)
     left_out = {name: reason for name, reason in health.left_out.items() if name in model.channel_names}
     loads = _solve_loads(_UsableChannels(model, rows, spectra.run, left_out), reading.change)
-    direct = calibration.gage.direct if calibration.gage is not None else None
-    if direct is not None and len(rows) == len(model.channel_names):
-        loads = direct.loads(reading.change)
+    non_iterative = None if all_trims is None else all_trims.non_iterative
+    if non_iterative is not None and len(rows) == len(model.channel_names):
+        loads = non_iterative.loads(reading.change)
     J = model.jacobian(loads, rows)[0]
     noise = reading.covariance + _misfit_covariance(calibration, rows)
     total_covariance = noise + model.model_covariance(loads, rows)[0]
@@ -100,7 +101,7 @@ def nonlinear_mean_loads(
 
 
 def _loads_determined(model: CalibrationModel, rows: Index) -> bool:
-    """Whether the straight part of these channels determines the loads, beyond the errors of its coefficients."""
+    """Whether the linear part of these channels determines the loads, beyond the errors of its coefficients."""
     k = len(model.components)
     C = model.coefficients[:k, rows].T
     if not determines_loads(C):
@@ -113,20 +114,20 @@ def _loads_determined(model: CalibrationModel, rows: Index) -> bool:
 
 
 def _jacobian_condition(J: Array, covariance: Array) -> float:
-    """Of the tangent matrix (c, k), loads over full range, channels in units of their residuals."""
+    """Condition of the Jacobian (c, k), loads in units of the calibrated range, channels of their residuals."""
     return float(np.linalg.cond(J / np.sqrt(np.diagonal(covariance))[:, None]))
 
 
 def _misfit_covariance(calibration: Calibration, rows: Index) -> Array:
-    """Covariance (c, c) of what the model leaves in a row beyond noise: that does not average out over a record."""
-    assert calibration.gage is not None
-    model = calibration.gage.model
+    """Covariance (c, c) of the misfit of the model beyond noise, which does not average out over a record."""
+    assert calibration.all_trims is not None
+    model = calibration.all_trims.model
     share = _misfit_share(calibration, model)
     return np.asarray(share * model.residual_covariance[np.ix_(rows, rows)])
 
 
 def _misfit_share(calibration: Calibration, model: CalibrationModel) -> float:
-    """How much of the residual covariance is no noise, by that of the trims; all of it where none tells its noise."""
+    """Share of the residual covariance that is not noise, from the noise of the trims; 1 where that is not known."""
     with_known_noise = [trim for trim in calibration.trims.values() if np.isfinite(trim.lack_of_fit)]
     if not with_known_noise:
         return 1.0
@@ -140,38 +141,38 @@ def _misfit_share(calibration: Calibration, model: CalibrationModel) -> float:
 
 
 def _solve_loads(usable: _UsableChannels, change: Array) -> Array:
-    """Loads (1, k) of the change (c,) of the readings. UserError where they are not proved to be the loads."""
+    """Loads (1, k) for the change (c,) of the readings; raises UserError where convergence is not proved."""
     model, rows = usable.model, usable.rows
     proof = model.contraction(rows)
     if not proof.proved:
         fault = f"the iteration for the mean loads is not proved to converge{usable.left_out_note}"
-        remedy = "Calibrate with --terms linear or over smaller loads, mend the channels, or leave the run out"
+        remedy = "Calibrate with --terms linear or over smaller loads, repair the channels, or leave the run out"
         raise UserError(fault, usable.run, f"mean of {', '.join(model.components)}", f"{remedy} with --skip-bad")
-    loads, solved = model.loads(change, rows)
-    if not solved[0]:
+    loads, is_valid = model.loads(change, rows)
+    if not is_valid[0]:
         raise _unproved_loads_error(usable, proof, change, loads[0])
     return loads
 
 
 def _unproved_loads_error(usable: _UsableChannels, proof: Contraction, change: Array, loads: Array) -> UserError:
-    """What is wrong with a run whose loads (k,) the iteration does not tell."""
+    """The error to raise for a run whose loads (k,) lie outside the reach of the proof."""
     model = usable.model
-    # Far outside the iteration runs away: the straight part then tells where the loads are, roughly.
-    x = loads / model.full_range
+    # Far outside the reach the iteration diverges: the linear part then gives the approximate loads.
+    x = loads / model.calibrated_range
     if not np.isfinite(x).all():
         x = model.inverse(usable.rows) @ change
-    over = np.abs(x) / proof.reach
-    worst = [j for j in range(len(x)) if over[j] > 1.0] or [int(np.argmax(over))]
+    ratio = np.abs(x) / proof.reach
+    worst = [j for j in range(len(x)) if ratio[j] > 1.0] or [int(np.argmax(ratio))]
     place = ", ".join(model.components[j] for j in worst)
-    said = "; ".join(_describe_excess(model, proof, x, j) for j in worst)
-    fault = f"the mean lies where loads by iteration are not proved: {said}{usable.left_out_note}"
+    excess = "; ".join(_describe_excess(model, proof, x, j) for j in worst)
+    fault = f"the mean lies outside the range of proved convergence: {excess}{usable.left_out_note}"
     remedy = "Calibrate over larger loads, check channels and zero run, or leave the run out with --skip-bad"
     return UserError(fault, usable.run, f"mean of {place}", remedy)
 
 
 def _describe_excess(model: CalibrationModel, proof: Contraction, x: Array, j: int) -> str:
-    """In words: `Fz of about 5210 N is 1.42 times full range (3670 N), proved up to 1.31 times`."""
-    name, full = model.components[j], float(model.full_range[j])
+    """Describe a load as `Fz of about 5210 N is 1.42 times the calibrated range (3670 N), proved up to 1.31 times`."""
+    name, full = model.components[j], float(model.calibrated_range[j])
     unit = UNIT_OF[name]
-    size = f"{name} of about {x[j] * full:.4g} {unit} is {abs(x[j]):.3g} times full range ({full:.4g} {unit})"
+    size = f"{name} of about {x[j] * full:.4g} {unit} is {abs(x[j]):.3g} times the calibrated range ({full:.4g} {unit})"
     return f"{size}, proved up to {proof.reach[j]:.3g} times"

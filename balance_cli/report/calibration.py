@@ -1,4 +1,4 @@
-"""The static calibration: C0, residuals, hysteresis and condition, trim by trim; the gage model through all trims."""
+"""The static calibration on the page: C0, T0, residuals and hysteresis of each trim, and the calibration model."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from balance_cli.report.sources import Source, Sources
 Array = NDArray[np.float64]
 
 LARGEST_LACK_OF_FIT = 1.5
-"""Above this a straight line is plainly not all there is."""
+"""Residual over noise variance above which a warning says that a straight line does not describe the readings."""
 
 
 def section(sources: Sources) -> Section | None:
-    """All calibrations, one after the other; None where there is none."""
+    """The section of all calibrations; None without any."""
     named, blocks = len(sources.calibrations) > 1, list[PageBlock]()
     for i, source in enumerate(sources.calibrations):
         blocks += _calibration_blocks(source, named)
@@ -46,8 +46,8 @@ def _calibration_blocks(source: Source[Calibration], named: bool) -> Iterator[Pa
     if named:
         yield Heading(source.file)
     yield Paragraph(
-        f"{len(trims)} trim{'s' if len(trims) > 1 else ''}, {rows} load points, straight lines through each "
-        "trim by itself. Residual: standard deviation of back-calculated less applied loads."
+        f"{len(trims)} trim{'s' if len(trims) > 1 else ''}, {rows} load points, a linear fit to each trim. "
+        "Residual: standard deviation of back-calculated less applied loads."
     )
     for trim in trims.values():
         yield from _trim_warnings(trim)
@@ -56,11 +56,11 @@ def _calibration_blocks(source: Source[Calibration], named: bool) -> Iterator[Pa
         yield hysteresis_table(source.content)
     for trim in trims.values():
         yield matrix_table(trim)
-    yield Details("T0, the way back from channels to loads", tuple(inverse_table(trim) for trim in trims.values()))
+    yield Details("T0: loads from channels", tuple(inverse_table(trim) for trim in trims.values()))
 
 
 def _trim_warnings(trim: TrimCalibration) -> Iterator[PageBlock]:
-    for channel, reason in trim.left_out.items():
+    for channel, reason in trim.excluded_channels.items():
         yield WarningText(f"Trim {trim.trim}: channel {channel} left out: {reason}.")
     if trim.lack_of_fit > LARGEST_LACK_OF_FIT:
         yield WarningText(
@@ -70,7 +70,7 @@ def _trim_warnings(trim: TrimCalibration) -> Iterator[PageBlock]:
 
 
 def residual_table(calibration: Calibration) -> Table:
-    """Residuals in percent of full range by component, condition and lack of fit, one row a trim."""
+    """Residuals in percent of the calibrated range by component, condition and lack of fit; one row per trim."""
     components = next(iter(calibration.trims.values())).components
     head = (
         TableCell("trim"),
@@ -82,11 +82,11 @@ def residual_table(calibration: Calibration) -> Table:
     )
     rows = tuple(_residual_row(trim) for trim in calibration.trims.values())
     first = next(iter(calibration.trims.values()))
-    ranges = zip(first.components, first.full_range, strict=True)
+    ranges = zip(first.components, first.calibrated_range, strict=True)
     full = ", ".join(f"{name} {format_significant(float(value))} {UNIT_OF[name]}" for name, value in ranges)
     caption = (
-        f"Residual in % of full range ({full}); condition of C0 in units of full range and of the channels' noise; "
-        "variance of the residuals over that of the noise (1 where a straight line is all there is)."
+        f"Residual in % of the calibrated range ({full}); condition of C0 in units of that range and of the noise of "
+        "the channels; variance of the residuals over that of the noise (1 where a straight line fits the readings)."
     )
     return Table(caption, (head,), rows)
 
@@ -103,17 +103,17 @@ def _residual_row(trim: TrimCalibration) -> Row:
 
 
 def hysteresis_table(calibration: Calibration) -> Table:
-    """Mean width of the loading loops, as loads."""
+    """Hysteresis of each trim, as loads."""
     components = next(iter(calibration.trims.values())).components
     head = (TableCell("trim"), *(TableCell(f"{name} [{UNIT_OF[name]}]") for name in components))
     rows = []
     for trim in calibration.trims.values():
-        pairs = zip(trim.hysteresis.loads, trim.hysteresis.loads_sigma, trim.full_range, strict=True)
+        pairs = zip(trim.hysteresis.loads, trim.hysteresis.loads_sigma, trim.calibrated_range, strict=True)
         cells = [_hysteresis_cell(float(width), float(sigma), float(full)) for width, sigma, full in pairs]
         rows.append((TableCell(trim.trim, mark="name"), *cells))
     caption = (
-        "Hysteresis: reading on the way up less reading on the way down, as load, with its standard error; small: % of "
-        "full range. Marked: more than three standard errors."
+        "Hysteresis: reading while loading less reading while unloading, as load, with standard error; small: % of the "
+        "calibrated range. Marked: more than three standard errors."
     )
     return Table(caption, (head,), tuple(rows))
 
@@ -127,14 +127,14 @@ def _hysteresis_cell(width: float, sigma: float, full_range: float) -> TableCell
 
 
 def matrix_table(trim: TrimCalibration) -> Table:
-    """C0 with its standard errors."""
+    """C0 of a trim with standard errors."""
     caption = f"C0 of trim {trim.trim} [\N{MICRO SIGN}V/N, \N{MICRO SIGN}V/(N m)] with standard errors."
     scaled = (1e6 * trim.C0, 1e6 * trim.C0_sigma)
     return _coefficient_table(caption, trim.channel_names, trim.components, *scaled)
 
 
 def inverse_table(trim: TrimCalibration) -> Table:
-    """T0 with its standard errors."""
+    """T0 of a trim with standard errors."""
     caption = f"T0 of trim {trim.trim} [N/V, N m/V] with standard errors."
     return _coefficient_table(caption, trim.components, trim.channel_names, trim.T0, trim.T0_sigma)
 

@@ -1,4 +1,4 @@
-"""Rows of a gage calibration as its pictures need them: loading sequences, what moved in them, what took no part."""
+"""Load series of a calibration for its pictures: rows, varied loads, excluded rows and suspect channels."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class LoadSeriesRows:
-    """One loading sequence: its rows among those of all runs, its run, the loads that moved (by number), its name.
+    """One load series: `rows` among those of all runs, index of its run, indices of the varied loads, description.
 
-    `bad` (c,): channels in which it is bad; `used`: whether any row of it took part in the fit.
+    `bad` (c,): channels that are suspect in it; `used`: whether the fit includes any of its rows.
     """
 
     rows: Index
@@ -33,47 +33,51 @@ class LoadSeriesRows:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Its ends in the order of loading, rows counted from 1."""
+        """Limits on the axis of the order of loading, rows counted from 1."""
         return float(self.rows[0]) + 0.5, float(self.rows[-1]) + 1.5
 
 
-def split_load_series(gage: AllTrimsCalibration) -> tuple[LoadSeriesRows, ...]:
-    """All loading sequences in their order, those that took no part included."""
-    x = gage.loads / gage.model.full_range
-    sequence = find_load_series(x, gage.run if gage.stretch is None else gage.stretch)
-    return tuple(_load_series_rows(gage, x, np.flatnonzero(sequence == name)) for name in np.unique(sequence))
+def split_load_series(all_trims: AllTrimsCalibration) -> tuple[LoadSeriesRows, ...]:
+    """Split all rows into their load series, in order, including excluded ones."""
+    x = all_trims.loads / all_trims.model.calibrated_range
+    load_series = find_load_series(
+        x, all_trims.run if all_trims.attitude_segment is None else all_trims.attitude_segment
+    )
+    return tuple(
+        _load_series_rows(all_trims, x, np.flatnonzero(load_series == name)) for name in np.unique(load_series)
+    )
 
 
-def _load_series_rows(gage: AllTrimsCalibration, x: Array, rows: Index) -> LoadSeriesRows:
-    run = int(gage.run[rows[0]])
-    of_run = np.flatnonzero(gage.run == run)
-    words = describe_load_series(rows - of_run[0], gage.runs[run], gage.model.components, x[of_run])
-    wrong = {one.channel for one in gage.bad_sequences if one.sequence == words}
+def _load_series_rows(all_trims: AllTrimsCalibration, x: Array, rows: Index) -> LoadSeriesRows:
+    run = int(all_trims.run[rows[0]])
+    run_rows = np.flatnonzero(all_trims.run == run)
+    words = describe_load_series(rows - run_rows[0], all_trims.runs[run], all_trims.model.components, x[run_rows])
+    suspect_channels = {suspect.channel for suspect in all_trims.suspect_series if suspect.load_series == words}
     return LoadSeriesRows(
         rows=rows,
         run=run,
         moved=tuple(np.flatnonzero(np.ptp(x[rows], axis=0) > MIN_LOAD_CHANGE).tolist()),
         words=words,
-        bad=np.array([name in wrong for name in gage.model.channel_names]),
-        used=bool(np.isfinite(gage.residuals[rows]).any()),
+        bad=np.array([name in suspect_channels for name in all_trims.model.channel_names]),
+        used=bool(np.isfinite(all_trims.residuals[rows]).any()),
     )
 
 
-def channel_outliers(gage: AllTrimsCalibration, channel: int) -> Iterator[tuple[int, Outlier]]:
-    """(row among those of all runs, outlier) of one channel."""
-    for one in gage.outliers:
-        if one.channel == gage.model.channel_names[channel]:
-            first = int(np.flatnonzero(gage.run == gage.runs.index(one.run))[0])
-            yield first + one.row - 1, one
+def channel_outliers(all_trims: AllTrimsCalibration, channel: int) -> Iterator[tuple[int, Outlier]]:
+    """Pairs of row, among those of all runs, and outlier of one channel."""
+    for outlier in all_trims.outliers:
+        if outlier.channel == all_trims.model.channel_names[channel]:
+            first = int(np.flatnonzero(all_trims.run == all_trims.runs.index(outlier.run))[0])
+            yield first + outlier.row - 1, outlier
 
 
-def channel_residual_sigma(gage: AllTrimsCalibration) -> Array:
+def channel_residual_sigma(all_trims: AllTrimsCalibration) -> Array:
     """Residual standard deviation (c,) of a row [V]."""
-    return np.asarray(np.sqrt(np.diag(gage.model.residual_covariance)))
+    return np.asarray(np.sqrt(np.diag(all_trims.model.residual_covariance)))
 
 
-def channel_ranges(calibration: Calibration, gage: AllTrimsCalibration) -> Array:
-    """Full range (c,) of the gage model's channels [V]."""
+def channel_ranges(calibration: Calibration, all_trims: AllTrimsCalibration) -> Array:
+    """Rated range (c,) [V] of the channels of the calibration model."""
     trim = next(iter(calibration.trims.values()))
-    known = dict(zip(trim.channel_names, trim.channel_full_range.tolist(), strict=True))
-    return np.array([known[name] for name in gage.model.channel_names])
+    ranges = dict(zip(trim.channel_names, trim.channel_rated_range.tolist(), strict=True))
+    return np.array([ranges[name] for name in all_trims.model.channel_names])

@@ -1,4 +1,4 @@
-"""The gage model of a calibration on the page: what it is, what is wrong in it, its tables and its pictures."""
+"""The calibration model on the page: overview, warnings, tables and pictures."""
 
 from __future__ import annotations
 
@@ -33,156 +33,166 @@ from balance_cli.report.number_format import format_significant, join_names, val
 from balance_cli.report.sources import Source
 
 NO_MODEL_TEXT = (
-    "There is no model through all trims: their channels in common do not serve, or loads were applied that the "
-    "balance does not carry."
+    "There is no calibration model of all trims: the channels that the trims have in common do not determine the "
+    "loads, or loads were applied that the balance does not carry."
 )
+MATRIX_ONLY_TEXT = (
+    "Calibration model of all channels, read from a matrix: load points and errors of its coefficients are not known."
+)
+LINEAR_TERMS_TEXT = "All channels have linear terms only; no others were searched for."
 
 
 def math_model_blocks(source: Source[Calibration], named: bool, suffix: str) -> Iterator[PageBlock]:
-    """Everything of one calibration's gage model; `ending` makes the names of its pictures unique."""
-    gage = source.content.gage
-    yield Heading(f"{source.file}: one model through all trims" if named else "One model through all trims")
-    if gage is None:
+    """The part of the page on one calibration model; `suffix` makes the names of its pictures unique."""
+    all_trims = source.content.all_trims
+    yield Heading(f"{source.file}: calibration model of all trims" if named else "Calibration model of all trims")
+    if all_trims is None:
         yield Paragraph(NO_MODEL_TEXT)
         return
-    proof = gage.model.contraction()
-    stated = not len(gage.loads)
-    yield Paragraph(
-        MATRIX_ONLY_TEXT
-        if stated
-        else _overview_text(gage, source.artefact.provenance.options.get("terms") != "linear")
-    )
-    yield from _math_model_warnings(gage, proof)
+    has_rows = len(all_trims.loads) > 0
+    with_search = source.artefact.provenance.options.get("terms") != "linear"
+    yield Paragraph(_overview_text(all_trims, with_search) if has_rows else MATRIX_ONLY_TEXT)
+    proof = all_trims.model.contraction()
+    yield from _math_model_warnings(all_trims, proof)
     if proof.proved:
-        yield Paragraph(_iteration_text(gage, proof))
-    if gage.direct is not None:
-        yield Paragraph(_non_iterative_text(gage.direct))
-    if not stated:
-        yield channel_table(gage, channel_ranges(source.content, gage))
-    if gage.model.curved:
-        yield term_table(gage)
-    if gage.tares is not None:
-        yield Paragraph(_metric_weight_text(gage.tares))
-        yield tare_table(gage.model.channel_names, gage.tares)
-    if gage.checks:
-        yield check_table(gage)
-    if not stated:
-        yield from _residual_pictures(source.content, gage, suffix)
-    if gage.model.refused:
-        words = f"{len(gage.model.refused)} terms that these loads do not support"
-        yield Details(words, (unsupported_terms_table(gage),))
+        yield Paragraph(_iteration_text(all_trims, proof))
+    if all_trims.non_iterative is not None:
+        yield Paragraph(_non_iterative_text(all_trims.non_iterative))
+    yield from _math_model_tables(source.content, all_trims, has_rows)
+    if has_rows:
+        yield from _residual_pictures(source.content, all_trims, suffix)
+    if all_trims.model.unsupported_terms:
+        summary = f"{len(all_trims.model.unsupported_terms)} terms that these loads do not support"
+        yield Details(summary, (unsupported_terms_table(all_trims),))
 
 
-def _overview_text(gage: AllTrimsCalibration, search: bool) -> str:
-    rows, used = len(gage.loads), int(np.count_nonzero(np.isfinite(gage.residuals).any(axis=1)))
-    taken = f"{rows} rows" if used == rows else f"{used} of {rows} rows"
-    count = len(gage.model.sequences)
-    each = f"{count} loading sequences, each with a zero of its own" if count > 1 else "one loading sequence"
-    chosen = _selection_text(gage) if search else LINEAR_TERMS_TEXT
-    return f"All channels through all trims, {taken} of {join_names(gage.runs)} in {each}. {chosen}"
+def _math_model_tables(calibration: Calibration, all_trims: AllTrimsCalibration, has_rows: bool) -> Iterator[PageBlock]:
+    if has_rows:
+        yield channel_table(all_trims, channel_ranges(calibration, all_trims))
+    if all_trims.model.is_nonlinear:
+        yield term_table(all_trims)
+    if all_trims.tares is not None:
+        yield Paragraph(_metric_weight_text(all_trims.tares))
+        yield tare_table(all_trims.model.channel_names, all_trims.tares)
+    if all_trims.checks:
+        yield check_table(all_trims)
 
 
-MATRIX_ONLY_TEXT = (
-    "All channels through all trims, as a matrix states them: no load points are behind it, nor errors of its terms."
-)
-LINEAR_TERMS_TEXT = "Every channel has the loads alone; no other terms were sought."
+# ---- text ------------------------------------------------------------------------------------------------------------
 
 
-def _selection_text(gage: AllTrimsCalibration) -> str:
-    names = gage.model.channel_names
-    curved = [name for c, name in enumerate(names) if nonlinear_terms(gage, c)]
-    having = f"{join_names(curved)} {'have' if len(curved) > 1 else 'has'} some" if curved else "no channel has any"
+def _overview_text(all_trims: AllTrimsCalibration, with_search: bool) -> str:
+    rows, used = len(all_trims.loads), int(np.count_nonzero(np.isfinite(all_trims.residuals).any(axis=1)))
+    row_text = f"{rows} rows" if used == rows else f"{used} of {rows} rows"
+    count = len(all_trims.model.load_series)
+    series = f"{count} load series, each with its own zero" if count > 1 else "one load series"
+    selection = _selection_text(all_trims) if with_search else LINEAR_TERMS_TEXT
+    return f"All channels, all trims: {row_text} of {join_names(all_trims.runs)} in {series}. {selection}"
+
+
+def _selection_text(all_trims: AllTrimsCalibration) -> str:
+    names = all_trims.model.channel_names
+    nonlinear = [name for c, name in enumerate(names) if nonlinear_terms(all_trims, c)]
+    verb = "have" if len(nonlinear) > 1 else "has"
+    result = f"{join_names(nonlinear)} {verb} such terms" if nonlinear else "no channel has such terms"
     return (
-        "Beside the loads themselves a channel has the terms that are significant (probability of a spurious one in "
-        f"the whole balance {TERM_SIGNIFICANCE_LEVEL:g}) and that help to predict loading sequences that took no part: "
-        f"{having}."
+        "Beside the linear terms a channel has those nonlinear terms that are significant (probability of any spurious "
+        f"term in the balance {TERM_SIGNIFICANCE_LEVEL:g}) and that reduce the cross-validation error of the load "
+        f"series: {result}."
     )
 
 
-def _iteration_text(gage: AllTrimsCalibration, proof: Contraction) -> str:
-    """Between which loads it was calibrated, and beyond which it is refused."""
-    model = gage.model
-    limits = zip(model.components, model.smallest, model.largest, strict=True)
+def _iteration_text(all_trims: AllTrimsCalibration, proof: Contraction) -> str:
+    """The calibrated range, and the loads beyond which a result is refused."""
+    model = all_trims.model
+    limits = zip(model.components, model.smallest_load, model.largest_load, strict=True)
     calibrated = ", ".join(
         f"{name} {format_significant(float(low))} to {format_significant(float(high))} {UNIT_OF[name]}"
         for name, low, high in limits
     )
-    reach = zip(model.components, proof.reach * model.full_range, strict=True)
+    reach = zip(model.components, proof.reach * model.calibrated_range, strict=True)
     refused = ", ".join(f"{name} {PLUS_MINUS}{format_significant(float(size))} {UNIT_OF[name]}" for name, size in reach)
-    shrinks = "Loads are found by iteration; every step shrinks the error at least "
-    steps = f"{shrinks}{format_significant(1.0 / max(proof.rho, 1e-12), 2)} times. " if model.curved else ""
-    return f"{steps}Calibrated: {calibrated}. Loads beyond {refused} are refused."
+    factor = format_significant(1.0 / max(proof.rho, 1e-12), 2)
+    iteration = f"Loads are computed by iteration; every step reduces the error at least {factor} times. "
+    return f"{iteration if model.is_nonlinear else ''}Calibrated: {calibrated}. Loads beyond {refused} are refused."
 
 
-def _non_iterative_text(direct: NonIterativeModel) -> str:
-    """What the loads as functions of the readings leave."""
-    pairs = zip(direct.model.components, direct.residual_percent_fs, strict=True)
-    left = ", ".join(f"{name} {format_significant(float(value), 2)}" for name, value in pairs)
-    return f"Mean loads are taken as functions of the readings, without iteration; residual in % of full range: {left}."
+def _non_iterative_text(non_iterative: NonIterativeModel) -> str:
+    pairs = zip(non_iterative.model.components, non_iterative.residual_percent_fs, strict=True)
+    residuals = ", ".join(f"{name} {format_significant(float(value), 2)}" for name, value in pairs)
+    return (
+        "Non-iterative method: mean loads are computed as functions of the readings; residual in % of the calibrated "
+        f"range: {residuals}."
+    )
 
 
 def _metric_weight_text(tares: Tares) -> str:
-    """The weight of the metric part and its place, in words."""
     weight = f" {PLUS_MINUS} ".join(value_and_sigma_text(tares.weight, tares.weight_sigma))
     place = ""
     if np.isfinite(tares.center_of_gravity).all():
-        each = zip("xyz", tares.center_of_gravity, tares.center_of_gravity_sigma, strict=True)
-        words = (
-            f"{axis} {f' {PLUS_MINUS} '.join(value_and_sigma_text(1e3 * at, 1e3 * sigma))}" for axis, at, sigma in each
+        axes = zip("xyz", tares.center_of_gravity, tares.center_of_gravity_sigma, strict=True)
+        values = (
+            f"{axis} {f' {PLUS_MINUS} '.join(value_and_sigma_text(1e3 * at, 1e3 * sigma))}" for axis, at, sigma in axes
         )
-        place = f", its centre of gravity from the hub at {', '.join(words)} mm"
+        place = f", center of gravity from the hub {', '.join(values)} mm"
     chi2 = format_significant(tares.chi2_per_dof, 2)
     return (
-        f"The zeros of {tares.sequences} loading sequences in their attitudes tell the metric part: weight {weight} N"
-        f"{place} (chi-square per degree of freedom {chi2}). Loads of the model hold this weight."
+        f"Metric part, from the zeros of {tares.series_count} load series in their attitudes: weight {weight} N{place} "
+        f"(chi-square per degree of freedom {chi2}). The loads of the model include this weight."
     )
 
 
-def _math_model_warnings(gage: AllTrimsCalibration, proof: Contraction) -> Iterator[PageBlock]:
-    for one in gage.bad_sequences:
-        yield WarningText(_suspect_series_warning(one))
-    for row in gage.outliers:
-        yield WarningText(_outlier_warning(row))
+# ---- warnings --------------------------------------------------------------------------------------------------------
+
+
+def _math_model_warnings(all_trims: AllTrimsCalibration, proof: Contraction) -> Iterator[PageBlock]:
+    for suspect in all_trims.suspect_series:
+        yield WarningText(_suspect_series_warning(suspect))
+    for outlier in all_trims.outliers:
+        yield WarningText(_outlier_warning(outlier))
     if not proof.proved:
         yield WarningText(
-            "The iteration from readings to loads is not proved to converge over the range of the calibration: no "
-            "loads are found with this model."
+            "The load iteration is not proved to converge over the calibrated range: no loads are computed with this "
+            "model."
         )
 
 
-def _suspect_series_warning(one: SuspectLoadSeries) -> str:
-    gain = f" {PLUS_MINUS} ".join(value_and_sigma_text(one.gain, one.gain_sigma))
-    like = f", as {one.like} should" if one.like else ""
-    other = f" Or it is {' or '.join(one.or_else)} that is wrong." if one.or_else else ""
+def _suspect_series_warning(suspect: SuspectLoadSeries) -> str:
+    gain = f" {PLUS_MINUS} ".join(value_and_sigma_text(suspect.gain, suspect.gain_sigma))
+    resembled = f", as expected of {suspect.resembled_channel}" if suspect.resembled_channel else ""
+    alternatives = f" {' or '.join(suspect.alternatives)} may be wrong instead." if suspect.alternatives else ""
     return (
-        f"{one.sequence}: {one.channel} changes {gain} times as much as the other sequences say{like}. The sequence "
-        f"took no part.{other}"
+        f"{suspect.load_series}: {suspect.channel} changes {gain} times as much as the other load series "
+        f"predict{resembled}. The load series was excluded.{alternatives}"
     )
 
 
-def _outlier_warning(one: Outlier) -> str:
-    size, way = format_significant(abs(1e6 * one.error)), "above" if one.error > 0 else "below"
+def _outlier_warning(outlier: Outlier) -> str:
+    size, direction = format_significant(abs(1e6 * outlier.error)), "above" if outlier.error > 0 else "below"
     return (
-        f"{one.run} row {one.row}: {one.channel} is {size} {MICROVOLT} {way} what all other rows say "
-        f"({format_significant(abs(one.over_sigma))} standard deviations). The row took no part."
+        f"{outlier.run} row {outlier.row}: {outlier.channel} is {size} {MICROVOLT} {direction} the prediction of all "
+        f"other rows ({format_significant(abs(outlier.over_sigma))} standard deviations). The row was excluded."
     )
 
 
-def _residual_pictures(calibration: Calibration, gage: AllTrimsCalibration, suffix: str) -> Iterator[PageBlock]:
-    known, ranges = split_load_series(gage), channel_ranges(calibration, gage)
-    lost = " Hatched: took no part." if not all(one.used for one in known) else ""
-    found = " Triangles: rows that took no part." if gage.outliers else ""
+# ---- pictures --------------------------------------------------------------------------------------------------------
+
+
+def _residual_pictures(calibration: Calibration, all_trims: AllTrimsCalibration, suffix: str) -> Iterator[PageBlock]:
+    series, ranges = split_load_series(all_trims), channel_ranges(calibration, all_trims)
+    excluded = " Hatched: excluded." if not all(rows.used for rows in series) else ""
+    outliers = " Triangles: excluded rows." if all_trims.outliers else ""
     yield _picture(
-        f"gage-order{suffix}",
-        "Residual of each channel in the order of loading; the bands are the loading sequences, named by the loads "
-        f"that moved. Dashed: two standard deviations.{lost}{found}",
-        lambda: order_figure(gage, known, ranges),
+        f"calibration-order{suffix}",
+        "Residual of each channel in the order of loading; the bands are the load series, named by the loads that were "
+        f"varied. Dashed: two standard deviations.{excluded}{outliers}",
+        lambda: order_figure(all_trims, series, ranges),
     )
     yield _picture(
-        f"gage-load{suffix}",
-        "Residual of each channel against the applied load in % of its full range, every row at each load that moved "
-        f"in its sequence. A line, cubic, where more is left of a component than chance leaves.{found}",
-        lambda: load_figure(gage, known, ranges),
+        f"calibration-load{suffix}",
+        "Residual of each channel against the applied load in % of its calibrated range, every row at each load that "
+        f"was varied in its load series. A cubic is drawn where a residual depends significantly on a load.{outliers}",
+        lambda: load_figure(all_trims, series, ranges),
     )
 
 

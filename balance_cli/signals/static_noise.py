@@ -1,4 +1,4 @@
-"""Load points of a static run, and the noise of a row from differences along the loading sequence.
+"""Load points of a static run, and the noise of a row from differences along the load series.
 
 Gasser, Sroka and Jennen-Steinmetz, Biometrika 73 (1986) 625-633: a straight line through the two neighbours of a
 point predicts it but for noise, whatever smooth misfit the model has (hysteresis, drift, curvature). Nothing is asked
@@ -27,7 +27,7 @@ VARIANCE_FLOOR_SHARE = 1e-9
 def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     """Rows of a static run in the order of loading, with the noise covariance of `channels - C0 loads`.
 
-    The rows are first freed of what is linear in the loads, then differenced along the ramps of the loading sequence,
+    The rows are first freed of what is linear in the loads, then differenced along the ramps of the load series,
     then freed of the differences that a quadratic or cubic misfit leaves. UserError: no loads, too few rows in order.
     """
     channels, loads = read_samples(run, channel_names)

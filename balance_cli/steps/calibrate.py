@@ -1,4 +1,4 @@
-"""The step `calibrate`: static runs to the matrices C0 and T0, one set for each trim."""
+"""The step `calibrate`: from static runs to the matrices C0 and T0 of each trim and the model of all trims."""
 
 from __future__ import annotations
 
@@ -29,42 +29,48 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import carried_components
 from balance_cli.signals.static_noise import static_points
-from balance_cli.steps.calibrate_all_trims import fit_all_trims, gravity
+from balance_cli.steps.calibrate_all_trims import fit_all_trims, gravity_of_runs
 
 Array = NDArray[np.float64]
 
 MIN_SIGNIFICANCE = 25.0
+"""Mean squared t of a component's coefficients (5 sigma) below which it counts as hardly loaded."""
 MIN_LOAD_VARIATION = 0.01
-MIN_SINGULAR_VALUE_SIGNIFICANCE = 5.0  # standard errors by which the least singular value of C0 must differ from zero
+"""Variation of a load over its largest value below which it counts as constant: above load noise, below any step."""
+MIN_SINGULAR_VALUE_SIGNIFICANCE = 5.0
+"""Standard errors by which the least singular value of C0 must differ from zero for it to determine the loads."""
 LARGEST_CONDITION = 1e8
+"""Condition of C0 from which it does not determine the loads: half the digits of double precision."""
+MIN_NULL_SHARE = 0.1
+"""Share in the least singular vector from which a component is named in an error."""
 
 
 @dataclass(frozen=True)
 class _TrimTask:
-    """One trim to be calibrated: its runs, usable channels, carried components and their full range (k,)."""
+    """One trim to be calibrated: runs, usable channels, carried components and their calibrated range (k,) [N, N m]."""
 
     label: str
     runs: tuple[Run, ...]
     geometry: Geometry
     channel_names: tuple[str, ...]
-    left_out: dict[str, str]
+    excluded_channels: dict[str, str]
     components: tuple[str, ...]
-    full_range: Array
+    calibrated_range: Array
 
     def error(self, fault: str, remedy: str) -> UserError:
-        """What is wrong with this trim."""
+        """The error to raise for a fault of this trim."""
         return UserError(fault, ", ".join(_place(run) for run in self.runs), f"trim {self.label}", remedy)
 
     @property
     def left_out_note(self) -> str:
-        """The channels left out, for a message."""
-        lost = ", ".join(f"{name}: {reason}" for name, reason in self.left_out.items())
+        """The excluded channels, as part of a message."""
+        lost = ", ".join(f"{name}: {reason}" for name, reason in self.excluded_channels.items())
         return f" (left out: {lost})" if lost else ""
 
 
 @dataclass(frozen=True)
 class _RowNoise:
-    """Noise of a row: covariance (c, c), its degrees of freedom (0: not told by the rows), relative size by run."""
+    """Noise of a row: covariance (c, c) [V2], degrees of freedom (0 if unknown), and relative variance of each run."""
 
     covariance: Array
     dof: float
@@ -72,16 +78,20 @@ class _RowNoise:
 
 
 def calibrate(
-    runs: Iterable[Run], geometry: Geometry, search: bool = True, hold_out: Sequence[Run] = (), direct: bool = False
+    runs: Iterable[Run],
+    geometry: Geometry,
+    search: bool = True,
+    hold_out: Sequence[Run] = (),
+    non_iterative: bool = False,
 ) -> Calibration:
-    """C0 and T0 for each trim, from the static runs among `runs`; runs of one trim are taken together.
+    """Calibrate from the static runs among `runs`: C0 and T0 for each trim, and one model of all trims.
 
-    One gage model goes through all trims: the loads alone, or with `search` the terms that the channels have. The
-    static runs of `hold_out` take no part and check it; with `direct` the loads as functions of the readings come
-    beside it. Full range of a component is the largest load applied to it in all runs.
+    The model has the loads alone, or with `search` the terms selected for each channel. The static runs of `hold_out`
+    are not fitted, but check the model. With `non_iterative` the loads are also fitted as functions of the readings.
+    The calibrated range of a component is the largest load applied to it in all runs.
 
-    Raises UserError where there is no static run, a run has no loads, a trim does not load a component that the
-    geometry's freedom carries, or the channels that can be used do not determine the loads.
+    Raises UserError where there is no static run, a run has no loads, a trim does not load a component that the balance
+    carries, or the usable channels do not determine the loads.
     """
     static = [run for run in runs if run.kind == "static"]
     if not static:
@@ -91,17 +101,18 @@ def calibrate(
             raise UserError("a static run without loads", _place(run), "loads", "Record the applied loads")
     components = carried_components(geometry)
     loads_range = np.max([np.max(np.abs(_loads_of_run(run)), axis=0) for run in static], axis=0)
-    full_range = loads_range[[COMPONENTS.index(name) for name in components]]
+    calibrated_range = loads_range[[COMPONENTS.index(name) for name in components]]
     trims = {}
     for label in dict.fromkeys(run.trim or "" for run in static):
         members = tuple(run for run in static if (run.trim or "") == label)
-        names, left_out = _usable_channels(members, geometry)
-        trims[label] = _calibrate_trim(_TrimTask(label, members, geometry, names, left_out, components, full_range))
-    return Calibration(geometry, trims, fit_all_trims(static, geometry, trims, hold_out, search, direct))
+        names, excluded = _usable_channels(members, geometry)
+        task = _TrimTask(label, members, geometry, names, excluded, components, calibrated_range)
+        trims[label] = _calibrate_trim(task)
+    return Calibration(geometry, trims, fit_all_trims(static, geometry, trims, hold_out, search, non_iterative))
 
 
 def _calibrate_trim(task: _TrimTask) -> TrimCalibration:
-    """Calibration about one trim. UserError as for `calibrate`."""
+    """Calibrate one trim; raises UserError as `calibrate` does."""
     c, k = len(task.channel_names), len(task.components)
     if c < k:
         fault = f"{c} usable channels cannot determine {k} load components{task.left_out_note}"
@@ -128,7 +139,7 @@ def _loads_of_run(run: Run) -> Array:
 
 
 def _usable_channels(runs: Sequence[Run], geometry: Geometry) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Channels that pass a constant load and are sound in every run, and the others of these with the reason."""
+    """Channels that measure constant loads and are live in every run, and the unusable ones with the reason."""
     left_out: dict[str, str] = {}
     for run in runs:
         for name, reason in live_channels(run, geometry).left_out.items():
@@ -140,12 +151,12 @@ def _usable_channels(runs: Sequence[Run], geometry: Geometry) -> tuple[tuple[str
 
 
 def _pooled_noise(task: _TrimTask) -> _RowNoise:
-    """Noise of a row from the differences of neighbours, pooled over the runs whose rows tell it."""
+    """Noise of a row from differences of neighboring rows, pooled over the runs."""
     measured = []
     for run in task.runs:
         try:
             points = static_points(run, task.channel_names)
-        except UserError:  # rows in no order, or too few: the residual of the regression has to serve
+        except UserError:  # too few rows in a ramp: the residuals of the regression are used instead
             c = len(task.channel_names)
             return _RowNoise(np.zeros((c, c)), 0.0, np.ones(len(task.runs)))
         measured.append((points.covariance, points.dof))
@@ -157,17 +168,17 @@ def _pooled_noise(task: _TrimTask) -> _RowNoise:
 
 def _stack_rows(task: _TrimTask, noise: _RowNoise) -> TrimRows:
     loads = [_loads_of_run(run) for run in task.runs]
-    of_run = np.repeat(np.arange(len(loads)), [len(each) for each in loads])
-    together = np.vstack(loads)
+    run = np.repeat(np.arange(len(loads)), [len(run_loads) for run_loads in loads])
+    all_loads = np.vstack(loads)
     carried = [COMPONENTS.index(name) for name in task.components]
-    other = [j for j in range(len(COMPONENTS)) if j not in carried and np.ptp(together[:, j]) > 0]
+    uncarried = [j for j in range(len(COMPONENTS)) if j not in carried and np.ptp(all_loads[:, j]) > 0]
     channels = np.vstack([read_channels(run, task.channel_names) for run in task.runs])
-    offset = attitude_segments(of_run, gravity(task.runs))
-    return TrimRows(channels, together[:, carried], together[:, other], offset, 1.0 / noise.relative[of_run])
+    offset = attitude_segments(run, gravity_of_runs(task.runs))
+    return TrimRows(channels, all_loads[:, carried], all_loads[:, uncarried], offset, 1.0 / noise.relative[run])
 
 
 def _check_loaded(task: _TrimTask, rows: TrimRows) -> None:
-    """UserError for a component whose load did not change."""
+    """Raise UserError for a component whose load did not change."""
     spread, size = np.ptp(rows.loads, axis=0), np.max(np.abs(rows.loads), axis=0)
     for name, varied in zip(task.components, spread > MIN_LOAD_VARIATION * size, strict=True):
         if not varied:
@@ -175,7 +186,7 @@ def _check_loaded(task: _TrimTask, rows: TrimRows) -> None:
 
 
 def _check_significance(task: _TrimTask, regression: TrimRegression) -> None:
-    """UserError for a component whose load no channel shows."""
+    """Raise UserError for a component to which no channel responds significantly."""
     for name, significant in zip(task.components, significance(regression), strict=True):
         if significant < MIN_SIGNIFICANCE:
             fault = f"`{name}` was hardly loaded, or no usable channel shows it{task.left_out_note}"
@@ -183,7 +194,7 @@ def _check_significance(task: _TrimTask, regression: TrimRegression) -> None:
 
 
 def _trim_calibration(task: _TrimTask, rows: TrimRows, regression: TrimRegression, noise: _RowNoise) -> TrimCalibration:
-    """Everything that follows from the regression."""
+    """Matrices, errors and residuals of a trim from its regression."""
     residual_covariance = add_variance_floor(regression.covariance, rows.channels)
     noise_covariance = add_variance_floor(noise.covariance, rows.channels) if noise.dof else residual_covariance
     condition = _condition(task, regression, noise_covariance)
@@ -206,42 +217,47 @@ def _trim_calibration(task: _TrimTask, rows: TrimRows, regression: TrimRegressio
         dof=regression.dof,
         noise_covariance=noise_covariance,
         lack_of_fit=lack_of_fit(residual_covariance, noise_covariance, noise.dof),
-        full_range=task.full_range,
-        channel_full_range=channel_full_range(task.geometry, task.channel_names, task.components, task.full_range),
+        calibrated_range=task.calibrated_range,
+        channel_rated_range=channel_full_range(
+            task.geometry, task.channel_names, task.components, task.calibrated_range
+        ),
         residual=_standard_deviation(regression.residuals @ T0.T, rows.weight, regression.dof),
         channel_residual=_standard_deviation(regression.residuals, rows.weight, regression.dof),
         hysteresis=Hysteresis(*hysteresis(rows, T0)),
         condition=condition,
-        left_out=task.left_out,
+        excluded_channels=task.excluded_channels,
     )
 
 
 def _mean_channels(task: _TrimTask, rows: TrimRows, regression: TrimRegression) -> Array:
-    """Mean reading (c,) of the rows; where attitudes are stated, as if all rows were read with the mean offset."""
+    """Mean reading (c,) [V] of the rows; where attitudes are stated, referred to the mean offset."""
     away = np.zeros_like(rows.channels)
-    if gravity(task.runs) is not None:
+    if gravity_of_runs(task.runs) is not None:
         away = regression.offsets.mean(axis=0) - regression.offsets[rows.run]
     return np.asarray(np.average(rows.channels + away, axis=0, weights=rows.weight))
 
 
 def _standard_deviation(errors: Array, weight: Array, dof: int) -> Array:
-    """Standard deviation of each column of errors (m, n) about the line."""
+    """Standard deviation (n,) of each column of errors (m, n)."""
     return np.asarray(np.sqrt(weight @ errors**2 / dof))
 
 
 def _condition(task: _TrimTask, regression: TrimRegression, noise_covariance: Array) -> float:
-    """Condition of C0, loads in units of full range, channels of their noise.
+    """Condition of C0, loads in units of the calibrated range, channels in units of their noise.
 
-    UserError where the least singular value is not told from zero: then some loads together leave no trace.
+    Raises UserError where the least singular value is not significant: then a combination of loads has no effect on
+    the channels.
     """
     unit = 1.0 / np.sqrt(np.diagonal(noise_covariance))
-    U, s, Vt = np.linalg.svd(unit[:, None] * regression.C0 * task.full_range, full_matrices=False)
-    u, v = U[:, -1] * unit, Vt[-1] * task.full_range
+    U, s, Vt = np.linalg.svd(unit[:, None] * regression.C0 * task.calibrated_range, full_matrices=False)
+    u, v = U[:, -1] * unit, Vt[-1] * task.calibrated_range
     variance = float(np.einsum("i,j,ijlm,l,m->", u, v, regression.C0_covariance, u, v, optimize=True))
     condition = float(s[0] / max(s[-1], np.finfo(float).tiny))
     if s[-1] < MIN_SINGULAR_VALUE_SIGNIFICANCE * np.sqrt(max(variance, 0.0)) or condition > LARGEST_CONDITION:
-        involved = [f"`{name}`" for name, share in zip(task.components, np.abs(Vt[-1]), strict=True) if share > 0.1]
-        fault = f"the usable channels do not tell {' and '.join(involved)} apart{task.left_out_note}"
+        involved = [
+            f"`{name}`" for name, share in zip(task.components, np.abs(Vt[-1]), strict=True) if share > MIN_NULL_SHARE
+        ]
+        fault = f"the usable channels cannot distinguish {' and '.join(involved)}{task.left_out_note}"
         raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig")
     return condition
 
@@ -249,7 +265,7 @@ def _condition(task: _TrimTask, regression: TrimRegression, noise_covariance: Ar
 def channel_full_range(
     geometry: Geometry, channel_names: Sequence[str], components: Sequence[str], full_range: Array
 ) -> Array:
-    """Full range (c,) of each channel [V]: that of its cell; of a torque meter the range (k,) that was applied."""
+    """Rated range (c,) [V] of each channel: that of its cell; for a torque meter the torque that was applied."""
     torque = dict(zip(components, full_range.tolist(), strict=True)).get("Mz", 1.0)
     cells = {cell.name: cell.full_range for cell in geometry.cells}
     declared = {

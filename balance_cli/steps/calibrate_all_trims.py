@@ -31,23 +31,25 @@ def fit_all_trims(
     search: bool,
     non_iterative: bool = False,
 ) -> AllTrimsCalibration | None:
-    """One model through all trims.
+    """Fit one calibration model to the runs of all trims.
 
-    None where their common channels do not serve, other loads were applied, or no load by itself within a load series.
-    UserError for a hold-out run without some of the channels.
+    Returns None where the channels that the trims have in common do not determine the loads, loads were applied that
+    the balance does not carry, or a load was never applied separately within a load series.
+
+    Raises UserError for a hold-out run without some of the channels.
     """
     first = next(iter(trims.values()))
     names = tuple(name for name in first.channel_names if all(name in trim.channel_names for trim in trims.values()))
     if len(names) < len(first.components) or any(_has_uncarried_loads(run, first.components) for run in runs):
         return None
-    each = [read_load_points(run, names, first.components) for run in runs]
-    lengths = [len(loads) for _, loads in each]
+    rows = [read_load_points(run, names, first.components) for run in runs]
+    lengths = [len(loads) for _, loads in rows]
     points = CalibrationPoints(
         channel_names=names,
         components=first.components,
         run_names=tuple(run.name for run in runs),
-        channels=np.vstack([channels for channels, _ in each]),
-        loads=np.vstack([loads for _, loads in each]),
+        channels=np.vstack([channels for channels, _ in rows]),
+        loads=np.vstack([loads for _, loads in rows]),
         run=np.repeat(np.arange(len(runs)), lengths),
         weight=np.repeat([1.0 / _relative_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
         calibrated_range=first.calibrated_range,
@@ -64,7 +66,7 @@ def fit_all_trims(
 
 
 def gravity_of_runs(runs: Sequence[Run]) -> Array | None:
-    """Directions (m, 3) of gravity in all rows, NaN for runs that do not state their attitude; None where none does."""
+    """Directions of gravity (m, 3) in all rows, NaN for runs that do not state an attitude; None where no run does."""
     known = _gravity_by_run(runs)
     return np.vstack([known.get(run.name, np.full((run.samples, 3), np.nan)) for run in runs]) if known else None
 
@@ -74,7 +76,7 @@ def _gravity_by_run(runs: Sequence[Run]) -> dict[str, Array]:
 
 
 def _declared_response(geometry: Geometry, points: CalibrationPoints) -> Array:
-    """What the declared rig reads at rest (c, k) [V/N, V/(N m)]."""
+    """Static response (c, k) [V/N, V/(N m)] of the declared rig."""
     system = balance_model(geometry).system()
     T = response(system, solve(system, np.zeros(1)))[0].real
     rows = [geometry.channel_names.index(name) for name in points.channel_names]
@@ -82,7 +84,7 @@ def _declared_response(geometry: Geometry, points: CalibrationPoints) -> Array:
 
 
 def _check_hold_out_channels(run: Run, names: tuple[str, ...]) -> None:
-    """UserError for a hold-out run that lacks a channel of the calibration."""
+    """Raise UserError for a hold-out run that lacks a channel of the calibration."""
     lost = [name for name in names if name not in run.channel_names]
     if lost:
         fault = f"the hold-out run has no channel {', '.join(lost)}"
@@ -95,15 +97,15 @@ def _has_uncarried_loads(run: Run, components: tuple[str, ...]) -> bool:
     """Whether a load was applied that the balance does not carry."""
     loads = run.read().loads
     assert loads is not None
-    other = [j for j, name in enumerate(COMPONENTS) if name not in components]
-    return bool(np.any(np.ptp(loads[:, other], axis=0) > 0))
+    uncarried = [j for j, name in enumerate(COMPONENTS) if name not in components]
+    return bool(np.any(np.ptp(loads[:, uncarried], axis=0) > 0))
 
 
 def _relative_noise(run: Run, names: tuple[str, ...], trim: TrimCalibration) -> float:
-    """Mean variance of a row of this run over that of its trim; 1 where its rows do not tell."""
+    """Mean noise variance of the rows of a run over that of its trim; 1 where it is not known."""
     try:
-        own = np.diagonal(static_points(run, names).covariance)
+        variance = np.diagonal(static_points(run, names).covariance)
     except UserError:
         return 1.0
     at = [trim.channel_names.index(name) for name in names]
-    return float(np.mean(own / np.diagonal(trim.noise_covariance)[at]))
+    return float(np.mean(variance / np.diagonal(trim.noise_covariance)[at]))

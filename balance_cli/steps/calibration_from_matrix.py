@@ -1,4 +1,4 @@
-"""A calibration from a matrix that is stated, not measured here: one trim, the model of the matrix, no runs."""
+"""Calibration from a matrix file instead of runs: one trim, the model of the matrix, no rows."""
 
 from __future__ import annotations
 
@@ -25,17 +25,19 @@ from balance_cli.steps.calibrate import channel_full_range
 Array = NDArray[np.float64]
 
 MATRIX_TRIM = "matrix"
-"""Label of the one trim."""
+"""Label of the one trim of such a calibration."""
 NOT_IN_MATRIX = "absent from the matrix"
 
 
 def calibration_from_matrix(
     parsed_matrix: ParsedMatrix, geometry: Geometry, hold_out: Sequence[Run] = ()
 ) -> Calibration:
-    """The calibration that a matrix states: C0 and T0 its straight part at zero load, and the model with all terms.
+    """Convert a matrix to a calibration: C0 and T0 are its linear part at zero load, the model has all its terms.
 
-    What the matrix does not state is unknown: standard errors NaN, and no part of any sigma. The static runs of
-    `hold_out` check it. Raises UserError where the matrix is of another rig, components or channels than the geometry.
+    Standard errors of the coefficients are unknown: they are NaN and not included in any sigma. The static runs of
+    `hold_out` check the calibration.
+
+    Raises UserError where the matrix is of another rig, or of other components or channels, than the geometry.
     """
     _check_rig(parsed_matrix, geometry)
     _check_components(parsed_matrix, geometry)
@@ -63,7 +65,7 @@ def _check_channels(parsed_matrix: ParsedMatrix, geometry: Geometry) -> None:
     for name in parsed_matrix.matrix.channel_names:
         if name in constant:
             continue
-        fault = f"`{name[:60]}` is no strain or torque channel of the geometry `{geometry.name}`"
+        fault = f"`{name[:60]}` is not a strain or torque channel of the geometry `{geometry.name}`"
         near = difflib.get_close_matches(name[:60], constant, n=1)
         remedy = f"Did you mean `{near[0]}`?" if near else f"It has {', '.join(constant)}"
         raise _row_error(parsed_matrix, CHANNEL, fault, remedy)
@@ -74,9 +76,9 @@ def _row_error(parsed_matrix: ParsedMatrix, name: str, fault: str, remedy: str) 
 
 
 def _linear_trim(model: CalibrationModel, geometry: Geometry) -> TrimCalibration:
-    """The straight part about zero load, counted from the zeros."""
+    """Trim of the linear part at zero load, relative to the zeros."""
     k, c = len(model.components), len(model.channel_names)
-    C0 = model.coefficients[:k].T / model.full_range
+    C0 = model.coefficients[:k].T / model.calibrated_range
     S = model.residual_covariance
     T0 = inverse_matrix(C0, S)[0]
     unit = 1.0 / np.sqrt(np.diagonal(S))
@@ -99,18 +101,18 @@ def _linear_trim(model: CalibrationModel, geometry: Geometry) -> TrimCalibration
         dof=int(model.dof.min()),
         noise_covariance=S,
         lack_of_fit=float("nan"),
-        full_range=model.full_range,
-        channel_full_range=channel_full_range(geometry, model.channel_names, model.components, model.full_range),
+        calibrated_range=model.calibrated_range,
+        channel_rated_range=channel_full_range(geometry, model.channel_names, model.components, model.calibrated_range),
         residual=np.sqrt(np.diagonal(T0 @ S @ T0.T)),
         channel_residual=np.sqrt(np.diagonal(S)),
         hysteresis=Hysteresis(*(np.full(shape, np.nan) for shape in ((c, k), (c, k), (k,), (k,)))),
-        condition=float(np.linalg.cond(unit[:, None] * C0 * model.full_range)),
-        left_out={name: NOT_IN_MATRIX for name in constant if name not in model.channel_names},
+        condition=float(np.linalg.cond(unit[:, None] * C0 * model.calibrated_range)),
+        excluded_channels={name: NOT_IN_MATRIX for name in constant if name not in model.channel_names},
     )
 
 
 def _model_without_rows(model: CalibrationModel, hold_out: Sequence[Run]) -> AllTrimsCalibration:
-    """The model without rows behind it; no noise of load readings is known."""
+    """Calibration of all trims without rows; the noise of load readings is not known and taken as zero."""
     k, c = len(model.components), len(model.channel_names)
     noise = CalibrationNoise(model.residual_covariance, np.zeros(k))
     names = (model.channel_names, model.components)
@@ -120,10 +122,10 @@ def _model_without_rows(model: CalibrationModel, hold_out: Sequence[Run]) -> All
         run=np.zeros(0, np.intp),
         loads=np.zeros((0, k)),
         residuals=np.zeros((0, c)),
-        left_out=np.zeros((0, c)),
+        cross_validation_errors=np.zeros((0, c)),
         drift=Drift(*(np.full(c, np.nan) for _ in range(3))),
         noise=noise,
         outliers=(),
-        bad_sequences=(),
+        suspect_series=(),
         checks=tuple(evaluate_check_loads(model, noise, run.name, *read_load_points(run, *names)) for run in hold_out),
     )

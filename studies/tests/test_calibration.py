@@ -32,7 +32,7 @@ def test_the_schedule_is_one_of_a_calibration_stand():
     }
     assert len(signs) == 15 * 4
     assert np.all((x != 0).sum(axis=1) <= 2)
-    assert find_supported_terms(TERMS, x, sequence, COMPONENTS).refused == {}
+    assert find_supported_terms(TERMS, x, sequence, COMPONENTS).unsupported == {}
 
 
 def test_balances_are_drawn_as_stated():

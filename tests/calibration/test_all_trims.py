@@ -9,7 +9,7 @@ from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN, contractio
 from balance_cli.calibration.fit import fit_calibration_model
 from balance_cli.calibration.math_model import CalibrationModel, weighted_inverse
 from balance_cli.calibration.noise import estimate_calibration_noise
-from balance_cli.calibration.terms import Term, columns, term_from_name
+from balance_cli.calibration.terms import Term, term_from_name, term_values
 from balance_cli.campaign.rig.components import COMPONENTS
 from tests.support.calibration_stand import FULL_RANGE, NOISE, stand_loads, stand_points, true_model
 
@@ -29,7 +29,7 @@ def random_loads(rows, reach=1.0, seed=7):
 def test_loads_of_the_readings_of_loads_are_the_loads(model):
     applied = np.vstack([np.zeros(6), random_loads(200)])
     found, solved = model.loads(model.readings(applied))
-    assert model.curved and solved.all()
+    assert model.is_nonlinear and solved.all()
     np.testing.assert_allclose(found / FULL_RANGE, applied / FULL_RANGE, atol=1e-9)
 
 
@@ -67,7 +67,7 @@ def test_the_weighted_inverse_is_that_of_least_variance():
 def test_readings_are_those_of_the_true_balance(model):
     terms, b = true_model()
     applied = random_loads(50)
-    np.testing.assert_allclose(model.readings(applied), columns(terms, applied / FULL_RANGE) @ b, atol=5 * NOISE)
+    np.testing.assert_allclose(model.readings(applied), term_values(terms, applied / FULL_RANGE) @ b, atol=5 * NOISE)
 
 
 def test_the_interval_holds_95_percent_of_found_loads(model):
@@ -78,7 +78,7 @@ def test_the_interval_holds_95_percent_of_found_loads(model):
     for seed in range(6):
         one = fit_calibration_model(stand_points(seed)).model
         applied = random_loads(150, seed=100 + seed)
-        read = columns(terms, applied / FULL_RANGE) @ b + NOISE * rng.normal(size=(150, 8))
+        read = term_values(terms, applied / FULL_RANGE) @ b + NOISE * rng.normal(size=(150, 8))
         found, solved = one.loads(read)
         assert solved.all()
         hits.append(np.abs(found - applied) <= one.interval(found))
@@ -92,7 +92,7 @@ def test_the_covariance_of_loads_is_that_of_the_tangent(model):
     applied = 0.7 * FULL_RANGE * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     sigma = NOISE * np.arange(1, 9)
     stated = replace(model, residual_covariance=np.diag(sigma**2))
-    X = columns(model.parsed_terms, applied[None] / FULL_RANGE)[0]
+    X = term_values(model.parsed_terms, applied[None] / FULL_RANGE)[0]
     # As much of the model's own error as of the readings' noise.
     stated = replace(stated, covariance=100.0 * model.covariance)
     shifts = [rng.multivariate_normal(np.zeros(len(X)), one, 4000) @ X for one in stated.covariance]
@@ -124,13 +124,13 @@ def test_every_step_shrinks_the_error_by_the_bound_at_least(size):
         if not proof.proved:
             continue
         x = rng.uniform(-EXTRAPOLATION_MARGIN, EXTRAPOLATION_MARGIN, (200, 2))
-        straight = x + columns(terms, x) @ nonlinear_matrix.T
+        straight = x + term_values(terms, x) @ nonlinear_matrix.T
         now = straight
         weights = perron(nonlinear_matrix, terms, proof.reach)
         error = np.max(np.abs(now - x) / weights, axis=1)
         for _ in range(6):
             assert np.all(np.abs(now) <= proof.reach + 1e-12)
-            now = straight - columns(terms, now) @ nonlinear_matrix.T
+            now = straight - term_values(terms, now) @ nonlinear_matrix.T
             after = np.max(np.abs(now - x) / weights, axis=1)
             assert np.all(after <= (proof.rho + 1e-6) * error + 1e-14)
             big = error > 1e-8
@@ -148,7 +148,10 @@ def perron(nonlinear_matrix, terms, reach):
     corner = np.asarray(reach)[None]
     step = 1e-7
     slope = np.stack(
-        [(columns(terms, corner + step * e) - columns(terms, corner - step * e))[0] / (2 * step) for e in np.eye(2)]
+        [
+            (term_values(terms, corner + step * e) - term_values(terms, corner - step * e))[0] / (2 * step)
+            for e in np.eye(2)
+        ]
     )
     M = np.abs(nonlinear_matrix) @ np.abs(slope).T
     v = np.ones(2)
@@ -164,7 +167,7 @@ def test_nothing_is_proved_where_the_iteration_diverges():
     assert terms[0].name("F") == "F^2"
     nonlinear_matrix = np.array([[2.0]])
     x = np.array([[1.0]])
-    found, done = iterate_loads(x + columns(terms, x) @ nonlinear_matrix.T, nonlinear_matrix, terms)
+    found, done = iterate_loads(x + term_values(terms, x) @ nonlinear_matrix.T, nonlinear_matrix, terms)
     assert not done.any() or abs(found[0, 0] - 1.0) > 0.1
     proof = contraction(nonlinear_matrix, terms, 1)
     assert not proof.proved and proof.rho == float("inf")
@@ -200,15 +203,15 @@ def test_noise_of_readings_and_of_loads_are_told_apart():
     for _ in range(6):
         load_noise = np.where(np.abs(x) > 0, of_loads * rng.normal(size=x.shape), 0.0)
         residuals = own * rng.normal(size=(len(x), 8)) + load_noise @ C.T
-        found = estimate_calibration_noise(residuals, x, C, np.cov(residuals.T))
-        stated.append(found.loads)
-        channels.append(np.sqrt(np.diag(found.readings)))
+        estimate = estimate_calibration_noise(residuals, x, C, np.cov(residuals.T))
+        stated.append(estimate.load_sigma)
+        channels.append(np.sqrt(np.diag(estimate.reading_covariance)))
     np.testing.assert_allclose(np.mean(stated, axis=0)[[1, 3]], of_loads[[1, 3]], rtol=0.1)
     assert np.all(np.mean(stated, axis=0)[[0, 2, 4]] < 4e-4)
     np.testing.assert_allclose(np.mean(channels, axis=0), own, rtol=0.15)
-    sigma = found.row_sigma(np.array([[0.0] * 6, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]), C)
-    np.testing.assert_allclose(sigma[0], np.sqrt(np.diag(found.readings)))
-    np.testing.assert_allclose(sigma[1] ** 2 - sigma[0] ** 2, (C[:, 1] * found.loads[1]) ** 2, rtol=1e-9)
+    sigma = estimate.row_sigma(np.array([[0.0] * 6, [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]]), C)
+    np.testing.assert_allclose(sigma[0], np.sqrt(np.diag(estimate.reading_covariance)))
+    np.testing.assert_allclose(sigma[1] ** 2 - sigma[0] ** 2, (C[:, 1] * estimate.load_sigma[1]) ** 2, rtol=1e-9)
 
 
 def test_loads_without_noise_get_none():
@@ -216,5 +219,5 @@ def test_loads_without_noise_get_none():
     x, _ = stand_loads()
     _, b = true_model()
     residuals = NOISE * rng.normal(size=(len(x), 8))
-    found = estimate_calibration_noise(residuals, x, b[:6].T, np.cov(residuals.T))
-    assert np.all(found.loads < 0.5 * NOISE)
+    estimate = estimate_calibration_noise(residuals, x, b[:6].T, np.cov(residuals.T))
+    assert np.all(estimate.load_sigma < 0.5 * NOISE)

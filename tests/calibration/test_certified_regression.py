@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from balance_cli.calibration.least_squares import regression
+from balance_cli.calibration.least_squares import solve_least_squares
 from tests.support.certified_data import DATASETS
 
 # Correct digits of (coefficients, standard errors, residual standard deviation) that must be reached; certified values
@@ -34,7 +34,7 @@ def extended(value):
 def fitted(data):
     X = np.array([[extended(value) for value in row] for row in data.X], np.longdouble)
     y = np.array([[extended(value)] for value in data.y], np.longdouble)
-    return regression(X, y, np.zeros(len(y), int))
+    return solve_least_squares(X, y, np.zeros(len(y), int))
 
 
 def solved_exactly(data):

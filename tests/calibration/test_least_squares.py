@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.extended_precision import inner_products
-from balance_cli.calibration.least_squares import CollinearError, regression
+from balance_cli.calibration.least_squares import CollinearError, solve_least_squares
 
 
 def problem(seed=0, blocks=6, rows=9, p=4, c=2):
@@ -32,7 +32,7 @@ def by_hand(X, Y, block, weight, drop=None):
 def test_coefficients_zeros_and_errors(weighted):
     X, Y, block, weight = problem()
     w = weight if weighted else np.ones(len(X))
-    fit = regression(X, Y, block, weight if weighted else None)
+    fit = solve_least_squares(X, Y, block, weight if weighted else None)
     zeros, b, A = by_hand(X, Y, block, w)
     np.testing.assert_allclose(fit.coefficients, b, rtol=1e-10)
     np.testing.assert_allclose(fit.zeros, zeros, rtol=1e-10)
@@ -53,7 +53,7 @@ def test_coefficients_zeros_and_errors(weighted):
 
 def test_press_is_the_error_of_a_row_that_took_no_part():
     X, Y, block, weight = problem()
-    fit = regression(X, Y, block, weight)
+    fit = solve_least_squares(X, Y, block, weight)
     for row in range(len(X)):
         drop = np.arange(len(X)) == row
         zeros, b, A = by_hand(X, Y, block, weight, drop)
@@ -63,9 +63,9 @@ def test_press_is_the_error_of_a_row_that_took_no_part():
 
 def test_left_out_is_the_error_of_blocks_that_only_give_their_own_zero():
     X, Y, block, weight = problem()
-    fit = regression(X, Y, block, weight)
+    fit = solve_least_squares(X, Y, block, weight)
     group = np.where(block < 8, 0, np.where(block < 15, 1, 2))
-    errors = fit.left_out(group)
+    errors = fit.cross_validation_errors(group)
     for name in np.unique(group):
         mine = group == name
         b = by_hand(X, Y, block, weight, mine)[1]
@@ -80,14 +80,14 @@ def test_a_block_without_which_a_term_is_unknown_has_no_error_left_out():
     X, Y, block, weight = problem()
     last = block == block.max()
     X[:, 0] = np.where(last, X[:, 0], 0.0)
-    errors = regression(X, Y, block, weight).left_out(block)
+    errors = solve_least_squares(X, Y, block, weight).cross_validation_errors(block)
     assert np.isnan(errors[last]).all() and np.isfinite(errors[~last]).all()
 
 
 def test_variance_inflation_is_that_of_its_definition():
     """1 / (1 - R^2) of the regression of a term, zeros taken out, on all others."""
     X, Y, block, _ = problem(p=5)
-    fit = regression(X, Y, block)
+    fit = solve_least_squares(X, Y, block)
     ones = np.ones(len(X))
     for j in range(X.shape[1]):
         others = np.delete(X, j, axis=1)
@@ -102,7 +102,7 @@ def test_a_weight_of_two_is_a_row_read_twice():
     X, Y, block, _ = problem()
     weight = np.where(np.arange(len(X)) % 3 == 0, 2.0, 1.0)
     twice = np.r_[np.arange(len(X)), np.flatnonzero(weight == 2.0)]
-    one, other = regression(X, Y, block, weight), regression(X[twice], Y[twice], block[twice])
+    one, other = solve_least_squares(X, Y, block, weight), solve_least_squares(X[twice], Y[twice], block[twice])
     np.testing.assert_allclose(one.coefficients, other.coefficients, rtol=1e-10)
     np.testing.assert_allclose(one.inverse, other.inverse, rtol=1e-9, atol=1e-14)
     assert other.dof - one.dof == int((weight == 2.0).sum())
@@ -111,7 +111,7 @@ def test_a_weight_of_two_is_a_row_read_twice():
 def test_units_make_no_difference():
     X, Y, block, weight = problem()
     units = np.array([1e-9, 1.0, 3e7, 1e3])
-    one, other = regression(X, Y, block, weight), regression(X * units, Y, block, weight)
+    one, other = solve_least_squares(X, Y, block, weight), solve_least_squares(X * units, Y, block, weight)
     np.testing.assert_allclose(other.coefficients * units[:, None], one.coefficients, rtol=1e-12)
     np.testing.assert_allclose(other.variance_inflation, one.variance_inflation, rtol=1e-11)
     np.testing.assert_allclose(other.press_residuals, one.press_residuals, rtol=1e-9)
@@ -125,7 +125,7 @@ def test_ill_conditioned_terms_keep_their_digits():
     b = a + rng.integers(-1000, 1000, 200) / 2.0**33
     X = np.column_stack([a, b])
     Y = (X @ np.array([3.0, -2.0]) + block)[:, None]
-    fit = regression(X, Y, block)
+    fit = solve_least_squares(X, Y, block)
     np.testing.assert_allclose(fit.coefficients[:, 0], [3.0, -2.0], rtol=1e-9)
     # Gram determinants in integers give the exact inverse.
     A, B = np.round(a * 2**33).astype(object), np.round(b * 2**33).astype(object)
@@ -140,7 +140,7 @@ def test_ill_conditioned_terms_keep_their_digits():
 def test_terms_that_say_the_same_are_refused_by_name():
     X, Y, block, _ = problem()
     with pytest.raises(CollinearError) as caught:
-        regression(np.column_stack([X, X[:, 0] - 2.0 * X[:, 2]]), Y, block)
+        solve_least_squares(np.column_stack([X, X[:, 0] - 2.0 * X[:, 2]]), Y, block)
     share = caught.value.share
     assert share[[0, 2, 4]].min() > 0.1 and share[[1, 3]].max() < 1e-6
 
@@ -149,14 +149,14 @@ def test_a_term_that_the_zeros_explain_is_refused():
     X, Y, block, _ = problem()
     X[:, 1] = block
     with pytest.raises(CollinearError) as caught:
-        regression(X, Y, block)
+        solve_least_squares(X, Y, block)
     np.testing.assert_array_equal(caught.value.share, [0.0, 1.0, 0.0, 0.0])
 
 
 def test_terms_in_extended_precision_are_refused_all_the_same():
     X, Y, block, _ = problem()
     with pytest.raises(CollinearError):
-        regression(np.column_stack([X, X[:, 0]]).astype(np.longdouble), Y, block)
+        solve_least_squares(np.column_stack([X, X[:, 0]]).astype(np.longdouble), Y, block)
 
 
 def test_zeros_far_above_what_a_term_does_within_a_sequence():
@@ -166,7 +166,7 @@ def test_zeros_far_above_what_a_term_does_within_a_sequence():
     small = rng.integers(-1000, 1000, (200, 3)) / 1024.0
     X = small + 2.0**20 * (1 + block)[:, None]
     Y, weight = small @ rng.integers(-5, 5, (3, 2)) + block[:, None], rng.uniform(0.5, 2.0, 200)
-    one, other = regression(X, Y, block, weight), regression(small, Y, block, weight)
+    one, other = solve_least_squares(X, Y, block, weight), solve_least_squares(small, Y, block, weight)
     np.testing.assert_allclose(one.coefficients, other.coefficients, atol=1e-12)
     np.testing.assert_allclose(one.inverse, other.inverse, rtol=1e-12, atol=1e-17)
 

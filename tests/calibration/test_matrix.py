@@ -16,7 +16,7 @@ from balance_cli.calibration.matrix_file import read_matrix_file
 from balance_cli.calibration.matrix_reader import read_matrix
 from balance_cli.calibration.matrix_text import FORMAT, matrix_csv, matrix_text
 from balance_cli.calibration.result import Calibration
-from balance_cli.calibration.terms import all_terms, columns
+from balance_cli.calibration.terms import all_terms, term_values
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -33,7 +33,7 @@ from tests.support.nonlinear_rig import NAMES, RIG, calibration, readings, recor
 from tests.support.rigs import CONFIGS, one_degree_of_freedom
 from tests.support.static_runs import without
 
-MODEL = calibration().gage.model
+MODEL = calibration().all_trims.model
 CSV = matrix_csv(matrix_from_model(MODEL, RIG.rig))
 LINES = CSV.splitlines()
 LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
@@ -98,17 +98,17 @@ def test_units_of_coefficients():
 
 def test_coefficients_are_those_of_the_readings_in_engineering_units():
     matrix = matrix_from_model(MODEL, RIG.rig)
-    by_matrix = columns(all_terms(6), LOADS[None]) @ matrix.coefficients
+    by_matrix = term_values(all_terms(6), LOADS[None]) @ matrix.coefficients
     np.testing.assert_allclose(by_matrix, MODEL.readings(LOADS[None]), rtol=1e-12, atol=1e-15)
 
 
 def test_the_file_gives_back_the_model():
     found = model_from_matrix(read_matrix(CSV).matrix)
     assert (found.terms, found.channel_names, found.components) == (MODEL.terms, NAMES, COMPONENTS)
-    for name in ("coefficients", "residual_covariance", "full_range", "largest", "smallest", "dof"):
+    for name in ("coefficients", "residual_covariance", "calibrated_range", "largest_load", "smallest_load", "dof"):
         np.testing.assert_allclose(getattr(found, name), getattr(MODEL, name), rtol=1e-13, atol=1e-30)
     np.testing.assert_allclose(found.zeros[0], MODEL.zeros.mean(axis=0), rtol=1e-13)
-    volts = MODEL.readings(np.random.default_rng(0).uniform(-0.9, 0.9, (100, 6)) * MODEL.full_range)
+    volts = MODEL.readings(np.random.default_rng(0).uniform(-0.9, 0.9, (100, 6)) * MODEL.calibrated_range)
     (ours, _), (theirs, solved) = MODEL.loads(volts), found.loads(volts)
     assert solved.all()
     np.testing.assert_allclose(theirs, ours, rtol=1e-9, atol=1e-9)
@@ -145,14 +145,14 @@ def test_the_text_for_reading_has_the_same_in_columns():
     table = [line for line in lines if line.startswith(("term ", "Fz^2 ", "|Fx^3| ", "channel "))]
     assert len(table) == 4 and len({len(line) for line in table[1:]}) == 1
     assert sum("V/" in line for line in lines) == 96
-    value = MODEL.coefficients[MODEL.terms.index("Fz^2"), NAMES.index("z1.strain")] / MODEL.full_range[2] ** 2
+    value = MODEL.coefficients[MODEL.terms.index("Fz^2"), NAMES.index("z1.strain")] / MODEL.calibrated_range[2] ** 2
     assert f"{value:.7g}" in next(line for line in lines if line.startswith("Fz^2"))
 
 
 # ---- bad files -------------------------------------------------------------------------------------------------------
 
 BAD = {
-    "empty": ("", "line 1: holds nothing"),
+    "empty": ("", "line 1: is empty"),
     "another file": ("run,component\n1,2", "line 1: begins with `run`"),
     "another version": (CSV.replace("matrix/1", "matrix/7", 1), "line 1: is of format `balance-matrix/7`"),
     "semicolons": (CSV.replace(",", ";"), "line 2: is separated by semicolons"),
@@ -160,11 +160,14 @@ BAD = {
     "missing header": (changed("zero", lambda _: None), "before `term`: there is no line `zero`"),
     "no terms": ("\n".join(LINES[: line_of("term")]), "there is no line `term`"),
     "twice": ("\n".join([*LINES[:5], *LINES[4:]]), "line 6, `component`: is there twice, first in line 5"),
-    "unknown header": (changed("zero", cell(0, "zeroes")), "`zeroes`: is no line of the header. Did you mean `zero`?"),
-    "no component": (changed("component", cell(2, "Lift")), "line 5, `component`: `Lift` is no load component"),
+    "unknown header": (
+        changed("zero", cell(0, "zeroes")),
+        "`zeroes`: is not a line of the header. Did you mean `zero`?",
+    ),
+    "no component": (changed("component", cell(2, "Lift")), "line 5, `component`: `Lift` is not a load component"),
     "unit of a component": (changed("unit", cell(4, "lb")), "line 6, `unit`, Fz: `lb`, where `N` was expected"),
     "unit of a zero": (changed("zero", cell(1, "mV")), "`zero`: has the unit `mV`, where `V` was expected"),
-    "unit where none stands": (changed("full range", cell(1, "N")), "has the unit `N`, where none stands"),
+    "unit where none is expected": (changed("full range", cell(1, "N")), "has the unit `N`, where none was expected"),
     "unit of a term": (changed("Fz^2", cell(1, "V/N")), "`Fz^2`: has the unit `V/N`, where `V/N^2` was expected"),
     "missing channel": (changed("term", lambda c: c[:-1]), "`term`: channel `torque` is missing"),
     "channels exchanged": (changed("term", lambda c: [*c[:2], c[3], c[2], *c[4:]]), "in another order than `channel`"),
@@ -177,7 +180,10 @@ BAD = {
     "infinite": (changed("Fz^2", cell(5, "1e999")), "`1e999` is not a number"),
     "empty cell": (changed("Fz^2", cell(5, "")), "`Fz^2`, z1.strain: `` is not a number"),
     "grouped": (changed("Fz^2", cell(5, "1_0")), "`1_0` is not a number"),
-    "unknown term": (changed("Fz^3", cell(0, "Fz^4")), "`Fz^4`: is no term of these components. Did you mean `Fz^3`?"),
+    "unknown term": (
+        changed("Fz^3", cell(0, "Fz^4")),
+        "`Fz^4`: is not a term of these components. Did you mean `Fz^3`?",
+    ),
     "missing term": (changed("Mz^3", lambda _: None), "there is no line for the term `Mz^3`"),
     "cut short": ("\n".join(LINES[:-3]), "there is no line for the term `|Mx^3|`"),
     "term twice": (changed("Mz^3", cell(0, "My^3")), "`My^3`: is there twice"),
@@ -187,9 +193,9 @@ BAD = {
     "correlation": (changed("correlation with x.strain", cell(3, "0.5")), "is not symmetric"),
     "correlation of none": (changed("correlation with x.strain", cell(0, "correlation with q")), "`q` is not among"),
     "correlation missing": (changed("correlation with x.strain", lambda _: None), "there is no line `correlation with"),
-    "incredible": (changed("Fz^2", cell(5, "3")), "`Fz^2`, z1.strain: 3 makes more than 1e+06 V"),
-    "not told apart": (changed("Mz", lambda c: [*c[:2], *["0"] * 8]), "do not tell the loads apart"),
-    "quotes": (CSV.replace("Fz^2,", '"Fz^2,', 1), "is no line of a CSV file"),
+    "incredible": (changed("Fz^2", cell(5, "3")), "`Fz^2`, z1.strain: 3 contributes more than 1e+06 V"),
+    "not told apart": (changed("Mz", lambda c: [*c[:2], *["0"] * 8]), "do not determine the loads"),
+    "quotes": (CSV.replace("Fz^2,", '"Fz^2,', 1), "is not a line of a CSV file"),
 }
 
 
@@ -277,7 +283,7 @@ def mutated(draw):
 def test_the_reader_raises_nothing_but_user_errors(text):
     try:
         stated = read_matrix(text)
-        calibration_from_matrix(stated, RIG).gage.model.contraction()
+        calibration_from_matrix(stated, RIG).all_trims.model.contraction()
     except UserError as error:
         assert error.fault and error.remedy and error.place
 
@@ -298,25 +304,25 @@ def test_nor_does_it_where_text_is_put_into_the_file(text, at, lost):
 def test_a_stated_calibration_is_the_straight_part_at_zero_load_and_the_model():
     cal = calibration_from_matrix(read_matrix(CSV), RIG)
     trim = cal.trims[MATRIX_TRIM]
-    np.testing.assert_allclose(trim.C0, MODEL.coefficients[:6].T / MODEL.full_range, rtol=1e-12)
+    np.testing.assert_allclose(trim.C0, MODEL.coefficients[:6].T / MODEL.calibrated_range, rtol=1e-12)
     np.testing.assert_allclose(trim.T0 @ trim.C0, np.eye(6), atol=1e-9)
     np.testing.assert_allclose(trim.loads(MODEL.zeros.mean(axis=0)), 0.0, atol=1e-9)
     assert not cal.errors_known and np.isnan(trim.C0_sigma).all() and calibration().errors_known
-    assert cal.gage.model.curved and cal.gage.model.contraction().proved
+    assert cal.all_trims.model.is_nonlinear and cal.all_trims.model.contraction().proved
 
 
 @pytest.mark.parametrize("curved", [True, False])
 @pytest.mark.parametrize("with_zero", [True, False])
 def test_mean_loads_by_the_file_are_those_by_the_model(curved, with_zero):
-    model = calibration(curved).gage.model
-    assert model.curved == curved
+    model = calibration(curved).all_trims.model
+    assert model.is_nonlinear == curved
     cal = calibration_from_matrix(read_matrix(matrix_csv(matrix_from_model(model, RIG.rig))), RIG)
     zero = zero_record(record("zero", np.zeros(6), kind="zero", seed=5), NAMES) if with_zero else None
     volts = 0.05 + (readings(LOADS)[0] if curved else model.readings(LOADS[None])[0])
     record_of = (spectra(volts, 1e-6), cal)
     health = ChannelHealth(NAMES, {})
     found = (
-        nonlinear_mean_loads(*record_of, cal.gage.model, health, zero)
+        nonlinear_mean_loads(*record_of, cal.all_trims.model, health, zero)
         if curved
         else linear_mean_loads(*record_of, health, zero)
     )
@@ -337,8 +343,8 @@ def test_sigma_by_the_file_holds_the_noise_and_the_stated_residual():
 def test_a_channel_that_the_matrix_lacks_is_left_out():
     run = static_runs(np.random.default_rng(1))
     lost = calibrate([without(one, "z3.strain") for one in run], RIG)
-    cal = calibration_from_matrix(read_matrix(matrix_csv(matrix_from_model(lost.gage.model, ""))), RIG)
-    assert cal.trims[MATRIX_TRIM].left_out == {"z3.strain": NOT_IN_MATRIX}
+    cal = calibration_from_matrix(read_matrix(matrix_csv(matrix_from_model(lost.all_trims.model, ""))), RIG)
+    assert cal.trims[MATRIX_TRIM].excluded_channels == {"z3.strain": NOT_IN_MATRIX}
 
 
 @pytest.mark.parametrize(
@@ -354,7 +360,7 @@ def test_a_matrix_of_something_else_is_refused(change, message):
     if change[0] == "channel":
         name = next(csv.reader([text.splitlines()[line_of("channel")]]))[2]
         text = text.replace("x.strain", name)
-        message = f"line 10, `channel`: `{name}` is no strain or torque channel"
+        message = f"line 10, `channel`: `{name}` is not a strain or torque channel"
     with pytest.raises(UserError) as caught:
         calibration_from_matrix(read_matrix(text), RIG)
     assert str(caught.value).startswith(message)
@@ -393,7 +399,7 @@ def test_there_and_back_again_gives_the_same_mean_loads(campaign):
         "calibrate", *G, "--from-matrix", campaign / "m.csv", "-o", campaign / "cal2.h5", "--matrix", campaign / "m.txt"
     )
     assert done.exit_code == 0, done.output
-    assert "states no errors of its own" in done.stderr and "Fz^2" in done.stdout
+    assert "states no errors of its coefficients" in done.stderr and "Fz^2" in done.stdout
     (ours, _), (theirs, summary) = (mean_loads(campaign, name) for name in ("cal.h5", "cal2.h5"))
     np.testing.assert_allclose(theirs.cosine, ours.cosine, rtol=1e-9)
     assert summary["notes"] == [ERRORS_UNKNOWN]
@@ -407,8 +413,8 @@ def test_static_runs_check_a_matrix(campaign):
     words = ["--from-matrix", campaign / "m.csv", "--hold-out", campaign / "static-lift.h5", "-o", campaign / "cal3.h5"]
     done = call("calibrate", *G, *words, "--json", campaign / "cal3.json")
     assert done.exit_code == 0, done.output
-    check = json.loads((campaign / "cal3.json").read_text())["gage"]["checks"]["static-lift"]
-    assert check["solved"] == check["rows"] and max(check["error_percent_fs"].values()) < 0.1
+    check = json.loads((campaign / "cal3.json").read_text())["all_trims"]["checks"]["static-lift"]
+    assert check["valid_rows"] == check["rows"] and max(check["error_percent_fs"].values()) < 0.1
 
 
 @pytest.mark.parametrize(
@@ -421,8 +427,8 @@ def test_static_runs_check_a_matrix(campaign):
         ([], "RUN...: no run is given"),
         (["--from-matrix", "{m}", "--terms", "linear"], "--terms, --from-matrix: a matrix has its own terms"),
         (["{static}", "--matrix", "{folder}/m.xlsx"], "m.xlsx: a matrix is written as .csv or .txt"),
-        (["--from-matrix", "{bad}"], "bad.csv, line 10, `channel`: `q` is no strain or torque channel"),
-        (["--from-matrix", "{m}", "--matrix", "{m}"], "is an input of this very command"),
+        (["--from-matrix", "{bad}"], "bad.csv, line 10, `channel`: `q` is not a strain or torque channel"),
+        (["--from-matrix", "{m}", "--matrix", "{m}"], "is also an input of this command"),
     ],
 )
 def test_a_call_that_cannot_be_meant_is_refused(campaign, tmp_path, words, message):

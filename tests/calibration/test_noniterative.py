@@ -23,38 +23,38 @@ LOADS = np.array([300.0, -200.0, 2000.0, 100.0, -80.0, 150.0])
 
 
 def fitted(points):
-    gage = fit_calibration_model(points).model
-    return gage, fit_noniterative_model(points, gage, points.weight > 0)
+    math_model = fit_calibration_model(points).model
+    return math_model, fit_noniterative_model(points, math_model, points.weight > 0)
 
 
 def check_errors(noise):
-    """Rms errors of random loads, over full range, by the iteration and by the direct model."""
-    gage, direct = fitted(stand_points(noise=noise))
+    """Rms errors of random loads, over full range, by the iteration and by the non-iterative model."""
+    math_model, non_iterative = fitted(stand_points(noise=noise))
     rng = np.random.default_rng(3)
     applied = rng.uniform(-0.6, 0.6, (300, 6)) * FULL_RANGE
     read = fit_calibration_model(stand_points(noise=1e-9)).model.readings(applied) + noise * rng.normal(size=(300, 8))
-    pair = gage.loads(read)[0], direct.loads(read)
+    pair = math_model.loads(read)[0], non_iterative.loads(read)
     return [np.sqrt(np.mean(((found - applied) / FULL_RANGE) ** 2)) for found in pair]
 
 
 def test_it_is_about_as_good_as_the_iteration_and_far_better_than_a_straight_matrix():
-    iterated, direct = check_errors(NOISE)
-    gage = fit_calibration_model(stand_points(), search=False).model
+    iterated, non_iterative = check_errors(NOISE)
+    math_model = fit_calibration_model(stand_points(), search=False).model
     rng = np.random.default_rng(3)
     applied = rng.uniform(-0.6, 0.6, (300, 6)) * FULL_RANGE
     read = fit_calibration_model(stand_points(noise=1e-9)).model.readings(applied)
-    straight = np.sqrt(np.mean(((gage.loads(read)[0] - applied) / FULL_RANGE) ** 2))
-    assert direct < 1.5 * iterated
-    assert direct < 0.3 * straight
+    straight = np.sqrt(np.mean(((math_model.loads(read)[0] - applied) / FULL_RANGE) ** 2))
+    assert non_iterative < 1.5 * iterated
+    assert non_iterative < 0.3 * straight
 
 
 def test_of_a_straight_balance_it_is_the_straight_inverse():
     points = stand_points()
     straight = fit_calibration_model(points, search=False).model
     points = replace(points, channels=straight.readings(points.loads))
-    gage, direct = fitted(points)
-    assert not gage.curved and not direct.model.curved
-    np.testing.assert_allclose(direct.loads(points.channels), points.loads, atol=1e-6 * FULL_RANGE.max())
+    math_model, non_iterative = fitted(points)
+    assert not math_model.is_nonlinear and not non_iterative.model.is_nonlinear
+    np.testing.assert_allclose(non_iterative.loads(points.channels), points.loads, atol=1e-6 * FULL_RANGE.max())
 
 
 def test_rows_that_took_no_part_have_none_here_either():
@@ -62,14 +62,14 @@ def test_rows_that_took_no_part_have_none_here_either():
     out = np.zeros(len(points.loads), bool)
     out[100:110] = True
     spoiled = replace(points, channels=points.channels + 0.5 * out[:, None]).exclude_rows(out)
-    (_, sound), (_, direct) = fitted(points), fitted(spoiled)
-    np.testing.assert_allclose(direct.residual_percent_fs, sound.residual_percent_fs, rtol=0.2)
+    (_, sound), (_, non_iterative) = fitted(points), fitted(spoiled)
+    np.testing.assert_allclose(non_iterative.residual_percent_fs, sound.residual_percent_fs, rtol=0.2)
 
 
 def test_reduce_takes_mean_loads_from_it_where_all_channels_are_there():
     zero = zero_record(record("zero", np.zeros(6), 0.0, kind="zero", seed=5), NAMES)
-    cal = calibrate(static_runs(np.random.default_rng(1)), RIG, direct=True)
-    assert cal.gage.direct.model.curved
+    cal = calibrate(static_runs(np.random.default_rng(1)), RIG, non_iterative=True)
+    assert cal.all_trims.non_iterative.model.is_nonlinear
     found = reduce_run(record("w", LOADS), RIG, cal, static_source(cal), zero).amplitude[0].real
     iterated = reduce_run(record("w", LOADS), RIG, calibration(), static_source(calibration()), zero).amplitude[0].real
     error = np.abs(found - LOADS) / np.abs(FULL_RANGE)
@@ -82,11 +82,11 @@ def test_command_states_it_and_refuses_it_for_a_matrix(tmp_path):
         paths.append(str(tmp_path / f"{run.name}.h5"))
         write_run(tmp_path / f"{run.name}.h5", run)
     words = ["calibrate", "-g", str(CONFIGS / "rts-6.yaml"), *paths, "-o", str(tmp_path / "c.h5")]
-    result = CliRunner().invoke(balance, [*words, "--direct", "--json", str(tmp_path / "c.json")])
-    assert result.exit_code == 0 and "direct, without iteration" in result.stdout
-    stated = json.loads((tmp_path / "c.json").read_text())["gage"]["direct"]
+    result = CliRunner().invoke(balance, [*words, "--non-iterative", "--json", str(tmp_path / "c.json")])
+    assert result.exit_code == 0 and "non-iterative method" in result.stdout
+    stated = json.loads((tmp_path / "c.json").read_text())["all_trims"]["non_iterative"]
     assert set(stated["residual_percent_fs"]) == set(COMPONENTS)
     refused = CliRunner().invoke(
-        balance, [*words[:3], "--from-matrix", "m.csv", "--direct", "-o", str(tmp_path / "d.h5")]
+        balance, [*words[:3], "--from-matrix", "m.csv", "--non-iterative", "-o", str(tmp_path / "d.h5")]
     )
-    assert refused.exit_code == 2 and "--direct" in refused.stderr
+    assert refused.exit_code == 2 and "--non-iterative" in refused.stderr

@@ -7,8 +7,8 @@ import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import fit_calibration_model
-from balance_cli.calibration.outliers import _find_suspect_series, exchanged, screen_outliers
-from balance_cli.calibration.terms import columns
+from balance_cli.calibration.outliers import _find_suspect_series, find_swapped_channels, screen_outliers
+from balance_cli.calibration.terms import term_values
 from balance_cli.campaign.rig.components import COMPONENTS
 from tests.support.calibration_stand import CHANNELS, NOISE, NONLINEAR_TERMS, stand_points, true_model
 
@@ -25,7 +25,7 @@ def spoiled(change, seed=0):
     """The sound calibration with its readings changed in place."""
     points = stand_points(seed)
     channels = points.channels.copy()
-    change(channels, points.sequence)
+    change(channels, points.load_series)
     return replace(points, channels=channels)
 
 
@@ -35,9 +35,9 @@ def test_nothing_in_a_sound_calibration(seed, search):
     points = stand_points(seed)
     if not search:
         terms, b = true_model()
-        points = replace(points, channels=points.channels - columns(terms, points.x)[:, 6:] @ b[6:])
+        points = replace(points, channels=points.channels - term_values(terms, points.x)[:, 6:] @ b[6:])
     found = screen_outliers(points, search)
-    assert found.outliers == () and found.sequences == ()
+    assert found.outliers == () and found.suspect_series == ()
 
 
 def test_curved_terms_are_no_fault_of_the_sequences_they_show_in():
@@ -45,7 +45,7 @@ def test_curved_terms_are_no_fault_of_the_sequences_they_show_in():
     points = stand_points()
     straight = fit_calibration_model(points, search=False)
     assert any(_find_suspect_series(points, straight).values())
-    assert screen_outliers(points).sequences == ()
+    assert screen_outliers(points).suspect_series == ()
 
 
 def test_an_outlier_is_named_with_its_row_and_channel():
@@ -53,7 +53,7 @@ def test_an_outlier_is_named_with_its_row_and_channel():
     found = screen_outliers(points)
     assert [(one.row, one.channel, one.run) for one in found.outliers] == [(322, "g4", "stand")]
     assert found.outliers[0].error == pytest.approx(15 * NOISE, rel=0.4)
-    assert found.sequences == ()
+    assert found.suspect_series == ()
     assert terms_found(found.fit) == CURVED_NAMES
     assert np.isnan(found.fit.residuals[321]).all() and np.isfinite(found.fit.residuals[320]).all()
 
@@ -68,9 +68,9 @@ def test_a_wrong_gain_in_one_sequence():
         channels[rows, 1] = first + 1.2 * (channels[rows, 1] - first)
 
     found = screen_outliers(spoiled(change))
-    assert [(one.channel, one.like) for one in found.sequences] == [("g2", "")]
-    (one,) = found.sequences
-    assert one.sequence == "stand rows 41 to 60 (Fz)"
+    assert [(one.channel, one.resembled_channel) for one in found.suspect_series] == [("g2", "")]
+    (one,) = found.suspect_series
+    assert one.load_series == "stand rows 41 to 60 (Fz)"
     assert one.gain == pytest.approx(1.2, abs=5 * one.gain_sigma + 0.01)
     assert terms_found(found.fit) == CURVED_NAMES
 
@@ -81,17 +81,17 @@ def test_two_channels_exchanged_in_one_sequence():
         channels[np.ix_(rows, [2, 5])] = channels[np.ix_(rows, [5, 2])]
 
     found = screen_outliers(spoiled(change))
-    assert {(one.channel, one.like) for one in found.sequences} == {("g3", "g6"), ("g6", "g3")}
-    assert {one.sequence for one in found.sequences} == {"stand rows 81 to 100 (My)"}
+    assert {(one.channel, one.resembled_channel) for one in found.suspect_series} == {("g3", "g6"), ("g6", "g3")}
+    assert {one.load_series for one in found.suspect_series} == {"stand rows 81 to 100 (My)"}
     assert terms_found(found.fit) == CURVED_NAMES
 
 
 def test_two_channels_exchanged_throughout():
     points = stand_points()
     expected = fit_calibration_model(points, search=False).model.coefficients[:6].T
-    assert exchanged(points, expected) == ()
+    assert find_swapped_channels(points, expected) == ()
     swapped = replace(points, channels=points.channels[:, [0, 4, 2, 3, 1, 5, 6, 7]])
-    assert exchanged(swapped, expected) == ("g2 and g5",)
+    assert find_swapped_channels(swapped, expected) == ("g2 and g5",)
 
 
 def test_what_took_no_part_has_no_residuals_in_the_whole_calibration():

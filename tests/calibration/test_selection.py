@@ -5,11 +5,11 @@ import pytest
 
 from balance_cli.calibration import selection
 from balance_cli.calibration.fit import fit_calibration_model
-from balance_cli.calibration.least_squares import regression, subtract_block_means
+from balance_cli.calibration.least_squares import solve_least_squares, subtract_block_means
 from balance_cli.calibration.load_series import describe_load_series, find_load_series
 from balance_cli.calibration.selection import select_terms
 from balance_cli.calibration.term_support import find_supported_terms
-from balance_cli.calibration.terms import all_terms, columns, term_from_name
+from balance_cli.calibration.terms import all_terms, term_from_name, term_values
 from balance_cli.campaign.rig.components import COMPONENTS
 from tests.support.calibration_stand import CHANNELS, NONLINEAR_TERMS, stand_loads, stand_points
 
@@ -52,7 +52,7 @@ def test_a_sequence_in_words():
 def test_the_whole_schedule_supports_all_terms():
     x, sequence = stand_loads()
     found = find_supported_terms(TERMS, x, sequence, COMPONENTS)
-    assert found.terms == TERMS and found.refused == {}
+    assert found.terms == TERMS and found.unsupported == {}
 
 
 def test_reasons_why_terms_are_not_supported():
@@ -61,7 +61,7 @@ def test_reasons_why_terms_are_not_supported():
     x, sequence = x[alone & (x[:, 5] == 0)], sequence[alone & (x[:, 5] == 0)]
     up = x[:, 1] >= 0
     found = find_supported_terms(TERMS, x[up], sequence[up], COMPONENTS)
-    reasons = {term.name(COMPONENTS): reason for term, reason in found.refused.items()}
+    reasons = {term.name(COMPONENTS): reason for term, reason in found.unsupported.items()}
     assert reasons["Mz^2"] == "Mz was never loaded"
     assert reasons["Fx Fz"] == "Fx and Fz were never loaded together"
     assert reasons["|Fy|"] == "Fy was never loaded downwards"
@@ -76,7 +76,7 @@ def test_a_load_to_one_side_only_tells_no_odd_from_even_terms():
     found = find_supported_terms(TERMS, x[up], sequence[up], COMPONENTS)
     kept = {term.name(COMPONENTS) for term in found.terms}
     assert "Fx^2" in kept and "Fx|Fx|" not in kept
-    assert found.refused[term_from_name("Fx|Fx|", COMPONENTS)] == "does what Fx^2 does in these loads"
+    assert found.unsupported[term_from_name("Fx|Fx|", COMPONENTS)] == "does what Fx^2 does in these loads"
 
 
 # ---- selection -------------------------------------------------------------------------------------------------------
@@ -86,7 +86,7 @@ def readings(terms, sigma=5e-4, seed=0):
     """Columns of all terms, one output with these terms beside the loads, and the sequences."""
     rng = np.random.default_rng(seed)
     x, sequence = stand_loads()
-    X = columns(TERMS, x)
+    X = term_values(TERMS, x)
     y = X[:, :6] @ rng.normal(size=6) + sum((value * X[:, place(name)] for name, value in terms.items()), 0.0)
     zeros = rng.normal(size=sequence[-1] + 1)[sequence]
     return X, (y + zeros + sigma * rng.normal(size=len(x)))[:, None], sequence
@@ -141,7 +141,7 @@ def test_a_term_that_is_no_longer_significant_goes():
 def test_spurious_terms_are_as_rare_as_the_level_says(monkeypatch):
     """With the level at one a half, half of all balances without curved terms may get one; at 0.01 next to none."""
     x, sequence = stand_loads()
-    X = columns(TERMS, x)
+    X = term_values(TERMS, x)
     rng = np.random.default_rng(5)
     Y = rng.normal(size=(len(x), 200))
     monkeypatch.setattr(selection, "_cross_validate", lambda found, *_: tuple(found))
@@ -159,7 +159,7 @@ def test_a_term_that_does_not_help_sequences_left_out_goes():
     rows = sequence == 2
     Y[rows] += 0.01 * X[rows][:, [own]]
     whole, w = [*range(6), own, true], np.ones(len(X))
-    assert regression(X[:, whole], Y, sequence).t[6, 0] > 5.0
+    assert solve_least_squares(X[:, whole], Y, sequence).t[6, 0] > 5.0
     kept = selection._cross_validate(whole, X, Y[:, 0], sequence, sequence, 6, w)
     assert kept == (*range(6), true)
 

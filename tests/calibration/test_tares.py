@@ -287,14 +287,14 @@ def test_calibrate_tells_the_weight(tmp_path):
     words = ["-g", str(CONFIGS / "rts-6.yaml"), str(tmp_path / "s1.h5"), "-o", str(tmp_path / "cal.h5")]
     result = CliRunner().invoke(balance, ["calibrate", *words, "--json", str(tmp_path / "out.json")])
     assert result.exit_code == 0, result.output
-    assert "metric part: weight" in result.output and "centre of gravity from the hub [mm]" in result.output
+    assert "metric part: weight" in result.output and "center of gravity from the hub [mm]" in result.output
     summary = json.loads((tmp_path / "out.json").read_text())
-    tares = summary["gage"]["tares"]
+    tares = summary["all_trims"]["tares"]
     assert abs(tares["weight"]["value"] - W) < 4 * tares["weight"]["sigma"] < 4
     for axis, at in zip("xyz", R, strict=True):
-        assert abs(tares["centre"][axis]["value"] - at) < 4 * tares["centre"][axis]["sigma"]
+        assert abs(tares["center_of_gravity"][axis]["value"] - at) < 4 * tares["center_of_gravity"][axis]["sigma"]
     assert all(abs(one["value"] - 0.3) < 4 * one["sigma"] for one in tares["natural_zeros"].values())
-    assert tares["sequences"] == len(summary["gage"]["zeros"]["sequences"])
+    assert tares["series_count"] == len(summary["all_trims"]["zeros"]["load_series"])
     # Each attitude has an offset of its own in the matrices, too.
     assert max(summary["trims"]["bare"]["residual_percent_fs"].values()) < 0.5
 
@@ -302,6 +302,6 @@ def test_calibrate_tells_the_weight(tmp_path):
 def test_the_page_tells_the_weight():
     calibration = calibrate([tilted_runs()], rotor_balance(), search=False)
     made = section(group_sources([(Path("c.h5"), artefact("balance-calibration/1", calibration, "1" * 64))]))
-    assert "tell the metric part: weight" in texts(made, "text")
+    assert "Metric part, from the zeros of" in texts(made, "text")
     table = next(one for one in tables(made) if "Natural zeros" in one.caption)
     assert len(table.rows) == len(calibration.all_trims.model.channel_names)

@@ -6,11 +6,11 @@ import pytest
 from balance_cli.calibration.terms import (
     Term,
     all_terms,
-    columns,
     largest_derivatives,
     linear_terms,
     term_derivatives,
     term_from_name,
+    term_values,
 )
 
 LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -34,7 +34,7 @@ def test_number_of_terms(count):
 
 def test_values_are_what_the_names_say():
     x = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 6))
-    values = columns(all_terms(6), x)
+    values = term_values(all_terms(6), x)
     for i, term in enumerate(all_terms(6)):
         # `Fx^2 |My|` as Python: names are loads, bars are absolute values, what stands beside each other is multiplied.
         expected = np.ones(len(x))
@@ -67,7 +67,7 @@ def test_slopes_are_those_of_finite_differences():
         more[:, j] += step
         less[:, j] -= step
         np.testing.assert_allclose(
-            found[:, :, j], (columns(terms, more) - columns(terms, less)) / (2 * step), atol=1e-9
+            found[:, :, j], (term_values(terms, more) - term_values(terms, less)) / (2 * step), atol=1e-9
         )
 
 

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.calibration.convergence import contraction
-from balance_cli.calibration.terms import all_terms, columns, term_derivatives
+from balance_cli.calibration.terms import all_terms, term_derivatives, term_values
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import write_run
@@ -35,7 +35,7 @@ def reduced(run, cal, reference=None):
 
 def with_model(cal, **changes):
     """The calibration with its model changed."""
-    return replace(cal, gage=replace(cal.gage, model=replace(cal.gage.model, **changes)))
+    return replace(cal, all_trims=replace(cal.all_trims, model=replace(cal.all_trims.model, **changes)))
 
 
 def test_mean_loads_are_those_applied_within_sigma():
@@ -44,7 +44,7 @@ def test_mean_loads_are_those_applied_within_sigma():
     assert np.abs(error).max() < 4.0
     assert np.all(found.sigma_cosine[0] < 1e-4 * AMPLITUDE)
     assert found.flags[0] == ("",) * 6 and found.trim == ALL_TRIMS and found.redundancy[0] < found.redundancy_limit[0]
-    straight = replace(calibration(), gage=None)
+    straight = replace(calibration(), all_trims=None)
     assert np.max(np.abs(reduced(record("w", LOADS), straight, zero()).amplitude[0].real - LOADS)) > 0.5
 
 
@@ -75,7 +75,7 @@ def test_sigma_covers_the_errors_of_calibration_and_record():
     for _ in range(200):
         loads = 0.8 * AMPLITUDE * rng.uniform(-1, 1, 6)
         volts = 0.05 + readings(loads)[0] + 2e-5 * rng.normal(size=len(NAMES))
-        found = nonlinear_mean_loads(spectra(volts, 2e-5), cal, cal.gage.model, ALL_LIVE, None)
+        found = nonlinear_mean_loads(spectra(volts, 2e-5), cal, cal.all_trims.model, ALL_LIVE, None)
         inside.append(np.abs(found.loads - loads) < 1.96 * found.sigma)
     assert np.mean(inside) > 0.85
     assert np.mean(found.sigma / AMPLITUDE) < 1e-4
@@ -84,10 +84,10 @@ def test_sigma_covers_the_errors_of_calibration_and_record():
 def test_readings_that_contradict_each_other_are_flagged():
     volts = 0.05 + readings(LOADS)[0]
     volts[NAMES.index("z2.strain")] += 0.01
-    found = nonlinear_mean_loads(spectra(volts, 2e-5), calibration(), calibration().gage.model, ALL_LIVE, None)
+    found = nonlinear_mean_loads(spectra(volts, 2e-5), calibration(), calibration().all_trims.model, ALL_LIVE, None)
     assert found.flags == ("no zero; redundancy",) * 6
     sound = nonlinear_mean_loads(
-        spectra(0.05 + readings(LOADS)[0], 2e-5), calibration(), calibration().gage.model, ALL_LIVE, None
+        spectra(0.05 + readings(LOADS)[0], 2e-5), calibration(), calibration().all_trims.model, ALL_LIVE, None
     )
     assert np.all(found.sigma > 3 * sound.sigma)
 
@@ -95,7 +95,7 @@ def test_readings_that_contradict_each_other_are_flagged():
 @pytest.mark.parametrize("curved", [True, False])
 def test_a_load_outside_those_of_the_calibration_is_flagged(curved):
     cal = calibration(curved)
-    assert cal.gage.model.curved == curved
+    assert cal.all_trims.model.is_nonlinear == curved
     loads = LOADS * [1, 1, 1, 1, 1, 1.03 * 450.0 / 150.0]
     found = reduced(record("w", loads, curved=curved), cal, zero())
     assert found.flags[0] == ("",) * 5 + ("extrapolated",)
@@ -116,21 +116,21 @@ def test_loads_beyond_the_reach_of_the_proof_are_refused():
         reduced(record("w9", 1.6 * AMPLITUDE * [0, 0, 1, 0, 0, 0]), calibration(), zero())
     message = str(caught.value)
     assert message.startswith(
-        "w9, mean of Fz: the mean lies where loads by iteration are not proved: Fz of about 5600 N"
+        "w9, mean of Fz: the mean lies outside the range of proved convergence: Fz of about 5600 N"
     )
-    assert "1.6 times full range (3500 N)" in message and "--skip-bad" in message
+    assert "1.6 times the calibrated range (3500 N)" in message and "--skip-bad" in message
 
 
 def test_loads_so_large_that_the_iteration_runs_away_are_refused():
-    with pytest.raises(UserError, match=r"mean of .*Fx.*times full range"):
+    with pytest.raises(UserError, match=r"mean of .*Fx.*times the calibrated range"):
         reduced(record("w9", 60.0 * AMPLITUDE * [1, 0, 1, 0, 0, 0]), calibration(), zero())
 
 
 def test_a_model_whose_iteration_is_not_proved_is_refused():
-    model = calibration().gage.model
+    model = calibration().all_trims.model
     curved = np.arange(len(model.terms))[:, None] >= 6
     wild = with_model(calibration(), coefficients=np.where(curved, 60.0, 1.0) * model.coefficients)
-    assert not wild.gage.model.contraction().proved
+    assert not wild.all_trims.model.contraction().proved
     with pytest.raises(UserError, match=r"w, mean of Fx, Fy, Fz, Mx, My, Mz: the iteration .* not proved to converge"):
         reduced(record("w", LOADS), wild, zero())
 
@@ -138,7 +138,7 @@ def test_a_model_whose_iteration_is_not_proved_is_refused():
 def test_channels_that_do_not_determine_the_loads_are_refused():
     with pytest.raises(UserError, match="do not determine the mean loads"):
         live = ChannelHealth(tuple(name for name in NAMES if name != "torque"), {"torque": "dead"})
-        nonlinear_mean_loads(spectra(np.zeros(len(NAMES))), calibration(), calibration().gage.model, live, None)
+        nonlinear_mean_loads(spectra(np.zeros(len(NAMES))), calibration(), calibration().all_trims.model, live, None)
 
 
 def test_skip_bad_leaves_out_the_run_that_cannot_be_solved(tmp_path):
@@ -161,10 +161,10 @@ def test_skip_bad_leaves_out_the_run_that_cannot_be_solved(tmp_path):
 
 
 def test_the_tangent_is_the_derivative_of_the_readings():
-    model = calibration().gage.model
+    model = calibration().all_trims.model
     h = 1e-6
     for j in range(6):
-        step = h * np.eye(6)[j] * model.full_range
+        step = h * np.eye(6)[j] * model.calibrated_range
         numerical = (model.readings(LOADS[None] + step) - model.readings(LOADS[None] - step))[0] / (2 * h)
         np.testing.assert_allclose(model.jacobian(LOADS)[0, :, j], numerical, atol=1e-8)
 
@@ -179,5 +179,5 @@ def test_the_proof_holds_where_a_load_has_next_to_no_part_in_the_slowest_directi
     # What was proved: no error after one step is larger than M times the error before.
     M = np.abs(nonlinear_matrix) @ np.max(np.abs(term_derivatives(terms, proof.reach[None])), axis=0)
     x, y = (proof.reach * rng.uniform(-1, 1, (500, 6)) for _ in range(2))
-    after = np.abs((columns(terms, x) - columns(terms, y)) @ nonlinear_matrix.T)
+    after = np.abs((term_values(terms, x) - term_values(terms, y)) @ nonlinear_matrix.T)
     assert np.all(after <= np.abs(x - y) @ M.T + 1e-12)

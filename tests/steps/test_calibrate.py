@@ -99,7 +99,7 @@ def test_runs_of_one_trim_are_pooled_each_with_its_own_offset():
     assert found.nearest_trim({"Fz": 200.0}).trim == "bare"
     # Full range is the largest load of the whole calibration, in every trim.
     np.testing.assert_allclose(
-        found.trims["hover"].full_range, np.maximum(AMPLITUDE, [0, 0, 3550, 0, 0, 385]), rtol=1e-3
+        found.trims["hover"].calibrated_range, np.maximum(AMPLITUDE, [0, 0, 3550, 0, 0, 385]), rtol=1e-3
     )
 
 
@@ -155,14 +155,14 @@ def test_one_degree_of_freedom_needs_its_own_component_alone():
 def test_a_lost_channel_is_left_out_while_the_rest_determine_the_loads():
     run = static_run(RIG, C0, loading(), np.random.default_rng(9))
     trim = calibrate([without(run, "z3.strain")], RIG).trims["bare"]
-    assert "z3.strain" not in trim.channel_names and trim.left_out == {"z3.strain": "absent from the run"}
+    assert "z3.strain" not in trim.channel_names and trim.excluded_channels == {"z3.strain": "absent from the run"}
     np.testing.assert_allclose(trim.T0 @ np.delete(C0, 5, axis=0), np.eye(6), atol=2e-3)
 
 
 @pytest.mark.parametrize(
     ("lost", "fault"),
     [
-        (("z3.strain", "x.strain"), "do not tell `Fx` and `My` apart"),
+        (("z3.strain", "x.strain"), "cannot distinguish `Fx` and `My`"),
         (("torque",), "`Mz` was hardly loaded, or no usable channel shows it.*torque: absent"),
         (("z3.strain", "z2.strain", "y1.strain"), "5 usable channels cannot determine 6 load components"),
     ],
@@ -183,7 +183,7 @@ def test_a_component_that_was_never_loaded_is_named(constant):
 def test_components_that_were_only_loaded_together_are_named():
     loads = loading(components=("Fx", "Fy", "Fz", "Mx", "Mz"))
     loads[:, 4] = 0.5 * loads[:, 0]
-    with pytest.raises(UserError, match=r"`Fx` and `My` never loaded by themselves"):
+    with pytest.raises(UserError, match=r"`Fx` and `My` were never loaded separately"):
         calibrate([static_run(RIG, C0, loads)], RIG)
 
 

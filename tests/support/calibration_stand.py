@@ -3,7 +3,7 @@
 import numpy as np
 
 from balance_cli.calibration.fit import CalibrationPoints
-from balance_cli.calibration.terms import columns, linear_terms, term_from_name
+from balance_cli.calibration.terms import linear_terms, term_from_name, term_values
 from balance_cli.campaign.rig.components import COMPONENTS
 
 CHANNELS = (*(f"g{i + 1}" for i in range(7)), "torque")
@@ -51,7 +51,7 @@ def stand_points(seed=0, noise=NOISE):
     x, sequence = stand_loads()
     terms, b = true_model()
     zeros = 0.01 * rng.normal(size=(sequence[-1] + 1, 8))
-    read = columns(terms, x) @ b + zeros[sequence] + noise * rng.normal(size=(len(x), 8))
+    read = term_values(terms, x) @ b + zeros[sequence] + noise * rng.normal(size=(len(x), 8))
     return CalibrationPoints(
         CHANNELS, COMPONENTS, ("stand",), read, x * FULL_RANGE, np.zeros(len(x), int), np.ones(len(x)), FULL_RANGE
     )

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from balance_cli.calibration.terms import Term, columns, term_from_name
+from balance_cli.calibration.terms import Term, term_from_name, term_values
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.signals.rotor.harmonics import Harmonics
@@ -36,7 +36,7 @@ def readings(loads):
 
 def values(term: Term, loads):
     """The term of loads (m, 6) over the largest that are applied."""
-    return columns([term], loads / AMPLITUDE)[:, 0]
+    return term_values([term], loads / AMPLITUDE)[:, 0]
 
 
 def static_runs(rng, curved=True):
