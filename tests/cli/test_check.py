@@ -1,4 +1,4 @@
-"""`balance check`: every file is recognised by its content, and all that is wrong with it is said."""
+"""`balance check`: every file is recognized by its content, and all that is wrong with it is said."""
 
 import json
 import shutil
@@ -134,7 +134,7 @@ def test_an_artefact_that_was_changed_is_faulty(artefact: Path) -> None:
     assert "digest" in faults(artefact)[0][1]
 
 
-def test_a_broken_geometry_is_recognised_by_its_name(tmp_path: Path) -> None:
+def test_a_broken_geometry_is_recognized_by_its_name(tmp_path: Path) -> None:
     path = tmp_path / "rig.yaml"
     path.write_text("fromat: balance-geometry/1\nname: [\n", encoding="utf-8")
     assert "not YAML" in faults(path)[0][1]

@@ -12,7 +12,7 @@ def acquisition(order=6, cutoff=200.0):
 
 @pytest.mark.parametrize("order", range(1, 13))
 @pytest.mark.parametrize("cutoff", [0.5, 200.0])
-def test_equals_the_analogue_butterworth_of_scipy(order, cutoff):
+def test_equals_the_analog_butterworth_of_scipy(order, cutoff):
     frequency = cutoff * np.array([0.0, 0.01, 0.3, 0.99, 1.0, 1.5, 4.0])
     _, expected = freqs(*butter(order, 2 * np.pi * cutoff, analog=True), worN=2 * np.pi * frequency)
     np.testing.assert_allclose(anti_alias_response(acquisition(order, cutoff), frequency), expected, rtol=1e-8)

@@ -149,7 +149,7 @@ def test_inverse_bias_factor_by_simulation():
         inverse_bias_factor(6, 6)
 
 
-def test_one_bad_line_does_not_spoil_its_neighbours():
+def test_one_bad_line_does_not_spoil_its_neighbors():
     rng = np.random.default_rng(2)
     scatter, counts = _scatter(rng, 400, 6, 3)
     clean, dof = pooled_covariance(scatter, counts)
@@ -163,9 +163,9 @@ def test_one_bad_line_does_not_spoil_its_neighbours():
 def test_covariance_follows_the_colour_of_the_noise():
     rng = np.random.default_rng(3)
     scatter, counts = _scatter(rng, 1000, 4, 3)
-    colour = np.linspace(1.0, 10.0, 1000)
-    pooled, _ = pooled_covariance(scatter * colour[:, None, None], counts)
-    ratio = np.trace(pooled, axis1=1, axis2=2).real / (4 * colour)
+    color = np.linspace(1.0, 10.0, 1000)
+    pooled, _ = pooled_covariance(scatter * color[:, None, None], counts)
+    ratio = np.trace(pooled, axis1=1, axis2=2).real / (4 * color)
     assert np.abs(ratio[30:-30] - 1).max() < 0.3
     assert ratio[30:-30].mean() == pytest.approx(1.0, abs=0.03)
 
@@ -182,6 +182,6 @@ def test_recovery_of_one_channel_is_seen():
     spectra = rng.normal(size=(7, 500, 8)) + 1j * rng.normal(size=(7, 500, 8))
     spectra[:, :, 3] += 40.0 * np.exp(-4 / 3 * np.arange(7))[:, None]
     first = find_steady_start(spectra).first
-    left = (40.0 * np.exp(-4 / 3 * first)) / (7 - first) / (1 - np.exp(-4 / 3))
-    assert np.median(left * np.sqrt((7 - first) / 2)) < 0.7
+    bias = (40.0 * np.exp(-4 / 3 * first)) / (7 - first) / (1 - np.exp(-4 / 3))
+    assert np.median(bias * np.sqrt((7 - first) / 2)) < 0.7
     assert np.mean(first <= 5) == 1.0

@@ -59,29 +59,29 @@ def run_of(loads: np.ndarray, channels: np.ndarray) -> Run:
 def estimates(kind: str, load_noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(8)
     C0 = 1e-3 * rng.normal(size=(4, 6))
-    root, loads, found, dofs = np.linalg.cholesky(COVARIANCE), sequence(), [], []
+    root, loads, covariances, dofs = np.linalg.cholesky(COVARIANCE), sequence(), [], []
     for _ in range(REPEATS):
         channels = loads @ C0.T + rng.normal(size=(len(loads), 4)) @ root.T + misfit(kind, loads, rng)
         read = loads + load_noise * rng.normal(size=loads.shape)
         points = static_points(run_of(read, channels), CHANNELS)
-        found.append(points.covariance)
+        covariances.append(points.covariance)
         dofs.append(points.dof)
-    return np.array(found), np.array(dofs)
+    return np.array(covariances), np.array(dofs)
 
 
 @pytest.mark.parametrize(
     "kind", ["none", "cubic", "quadratic", "hysteresis that jumps", "hysteresis that bends", "drift"]
 )
 def test_covariance_is_right_whatever_the_misfit(kind):
-    found, _ = estimates(kind)
+    covariances, _ = estimates(kind)
     tolerance = 0.09 if kind == "hysteresis that bends" else 0.05
-    assert found.mean(axis=0) / COVARIANCE[0, 0] == pytest.approx(COVARIANCE / COVARIANCE[0, 0], abs=tolerance)
+    assert covariances.mean(axis=0) / COVARIANCE[0, 0] == pytest.approx(COVARIANCE / COVARIANCE[0, 0], abs=tolerance)
 
 
 def test_degrees_of_freedom_are_those_of_the_scatter():
     """The variance of a variance estimated with n degrees of freedom is 2/n of its square."""
-    found, dofs = estimates("none")
-    relative = np.diagonal(found, axis1=1, axis2=2) / np.diagonal(COVARIANCE)
+    covariances, dofs = estimates("none")
+    relative = np.diagonal(covariances, axis1=1, axis2=2) / np.diagonal(COVARIANCE)
     assert dofs.mean() > 40
     assert np.mean(np.var(relative, axis=0)) == pytest.approx(2 / dofs.mean(), rel=0.25)
 
@@ -89,9 +89,9 @@ def test_degrees_of_freedom_are_those_of_the_scatter():
 def test_noise_of_the_load_readings_is_in_it():
     rng = np.random.default_rng(8)
     C0 = 1e-3 * rng.normal(size=(4, 6))
-    found, _ = estimates("none", load_noise=0.2)
+    covariances, _ = estimates("none", load_noise=0.2)
     expected = COVARIANCE + 0.2**2 * C0 @ C0.T
-    assert np.diagonal(found.mean(axis=0)) == pytest.approx(np.diagonal(expected), rel=0.08)
+    assert np.diagonal(covariances.mean(axis=0)) == pytest.approx(np.diagonal(expected), rel=0.08)
 
 
 def test_one_wild_row_hardly_matters():
@@ -123,7 +123,7 @@ def test_random_poses_have_no_ramp():
 def test_a_row_has_the_noise_of_a_load_only_where_that_was_applied():
     """The torque meter reads 0.02 V/(N m): beside its own 0.2 mV the moment's 0.05 N m are 1 mV."""
     rig, noise = true_rig(rotor_balance()), Noise()
-    found = []
+    variances = []
     for seed in range(8):
         runs, _ = simulate_campaign(rig, CampaignPlan(runs=static_plans()[:1]), seed=seed)
         points = static_points(runs[0], runs[0].channel_names)
@@ -131,13 +131,13 @@ def test_a_row_has_the_noise_of_a_load_only_where_that_was_applied():
         variance = sum(part.covariance for part in points.noise_parts)[:, torque, torque]
         twisted = points.loads[:, 5] != 0.0
         assert np.ptp(variance[twisted]) == 0.0
-        found.append((variance[twisted].mean(), variance[~twisted].mean()))
+        variances.append((variance[twisted].mean(), variance[~twisted].mean()))
     of_moment = noise.static_channel**2 + (0.02 * noise.static_load) ** 2
-    assert np.mean(found, axis=0) == pytest.approx([of_moment, noise.static_channel**2], rel=0.35)
+    assert np.mean(variances, axis=0) == pytest.approx([of_moment, noise.static_channel**2], rel=0.35)
 
 
 def test_what_is_known_of_a_loads_noise_is_said():
-    """Some twenty rows, of which neighbours share their differences, tell the variance of a reading to a half."""
+    """Some twenty rows, of which neighbors share their differences, tell the variance of a reading to a half."""
     rig, noise = true_rig(rotor_balance()), Noise()
     sizes, errors = [], []
     for seed in range(24):

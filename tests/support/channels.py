@@ -1,4 +1,4 @@
-"""Geometries with a channel changed."""
+"""Runs with a channel changed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from balance_cli.campaign.recording.run import MemorySource
 
 
 def with_channel(run, name, change):
-    """The run with one channel changed."""
+    """Return the run with one channel changed."""
     block = run.read()
     channels = block.channels.copy()
     column = run.channel_names.index(name)

@@ -23,7 +23,7 @@ def numbers(low: float, high: float) -> st.SearchStrategy[float]:
 
 @st.composite
 def inertias(draw: st.DrawFn) -> dict[str, float]:
-    """Inertia of three point masses about their common centre: whatever they are, a mass has it."""
+    """Inertia of three point masses about their common center of gravity: whatever they are, a mass has it."""
     points = np.array(draw(st.lists(st.tuples(*[numbers(-0.5, 0.5)] * 3), min_size=3, max_size=3)))
     points = points - points.mean(axis=0) + np.array([[0.3, 0, 0], [0, 0.3, 0], [-0.3, -0.3, 0]])
     products = points.T @ points

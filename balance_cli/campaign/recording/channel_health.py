@@ -46,7 +46,7 @@ PLATEAU_FACTOR = 1.5
 """A channel is clipped where its extreme occurs so many times as often as the other values counted at its end.
 
 At the peak of a sine, where values are densest, that ratio is 1 / (sqrt(8) - 1) = 0.55 for eight steps of a converter.
-The limit is about three times that.
+The limit is about three times that, and LEAST_PLATEAU more, because a few coarse samples at a peak may coincide.
 """
 LEAST_PLATEAU = 3
 """A channel that repeats no other value (load points, say) is clipped where its extreme occurs so often."""
@@ -251,14 +251,15 @@ def _clipping_fault(record: _ChannelStatistics, limit: float | None) -> str:
         if limit is not None and abs(extreme) >= AT_RANGE * limit:
             return f"clipped: reaches {extreme:.6g} V, its range is {limit:g} V"
         in_flatline = _has_flatline(record) and record.flatline_value == extreme and 2 * record.flatline_length >= times
-        if extreme != 0.0 and _is_clipping_plateau(record, counts) and not in_flatline:
+        if extreme != 0.0 and _is_clipping_plateau(record, extreme, counts) and not in_flatline:
             return f"clipped: {times} samples at its extreme of {extreme:.6g} V"
     return ""
 
 
-def _is_clipping_plateau(record: _ChannelStatistics, counts: Integers) -> bool:
+def _is_clipping_plateau(record: _ChannelStatistics, extreme: float, counts: Integers) -> bool:
     """Whether the extreme (first count) stands out among its neighbors, in a channel of enough distinct values."""
     if len(counts) < EXTREME_VALUES or record.highest[0][-1] <= record.lowest[0][-1]:
         return False
-    only_there = 0 < record.repeated_count < counts[0] and counts[1:].max() == 1
-    return bool(counts[0] > PLATEAU_FACTOR * counts[1:].sum() or (only_there and counts[0] >= LEAST_PLATEAU))
+    only_there = record.flatline_value == extreme and 0 < record.repeated_count < counts[0] and counts[1:].max() == 1
+    plateau = counts[0] > PLATEAU_FACTOR * counts[1:].sum() + LEAST_PLATEAU
+    return bool(plateau or (only_there and counts[0] >= LEAST_PLATEAU))

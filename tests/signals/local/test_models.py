@@ -63,13 +63,13 @@ def test_local_rational_model_does_not_leak(run, lrm):
 
 def test_the_other_estimators_do(run):
     """95th percentile beside the modes (half a hertz), what the local rational model is there for."""
-    found = {}
+    errors = {}
     for name, estimate in (("lpm", local_response), ("h1", averaged_response)):
         response = estimate(run, RIG.names, name, BAND)
         error = relative_error(RIG, response.frequency, response.response)
-        found[name] = np.percentile(error[near_mode(response.frequency, 0.5)], 95)
-    assert found["lpm"] > 0.05
-    assert found["h1"] > 0.1
+        errors[name] = np.percentile(error[near_mode(response.frequency, 0.5)], 95)
+    assert errors["lpm"] > 0.05
+    assert errors["h1"] > 0.1
 
 
 def test_covariance_of_the_response_is_right(lrm):
@@ -186,10 +186,10 @@ def window(seed=0, noise=0.0, lines=61, pole=0.2 + 0.15j):
 def test_exact_rational_function_is_found_exactly():
     windows, G, pole = window()
     fit = fit_windows(windows, ModelOrders(1, 1, 1))
-    one = split_windows(fit, windows)[0]
+    window_fit = split_windows(fit, windows)[0]
     assert fit.cost[0] < 1e-18
-    assert poles(one) == pytest.approx([pole])
-    assert (response_rows(one, np.array([0.37])) @ one.coefficients)[0, 0] == pytest.approx(G(0.37))
+    assert poles(window_fit) == pytest.approx([pole])
+    assert (response_rows(window_fit, np.array([0.37])) @ window_fit.coefficients)[0, 0] == pytest.approx(G(0.37))
 
 
 def test_slope_of_a_window():
@@ -235,16 +235,16 @@ def test_lines_of_a_stepped_record_are_wrong_by_little_beside_their_noise():
     plan = SweepPlan(run="sweep-Fx", excited=("Fx",), level=(40.0,), excitation="stepped", period=2.0, periods=5)
     noisy, _ = simulate_run(rig, plan, seed=2)
     clean, _ = simulate_run(rig, plan, Noise().scale_by(0.0), seed=2)
-    found = nonperiodic_record(noisy, geometry.channel_names)
-    window = found.first[:, None] + np.arange(found.weight.shape[1])
+    record = nonperiodic_record(noisy, geometry.channel_names)
+    window = record.first[:, None] + np.arange(record.weight.shape[1])
     channels, loads = read_samples(clean, geometry.channel_names)
-    spectrum = np.fft.rfft(np.hstack([channels, loads[:, :1]]), axis=0)[found.bin_index] * (2.0 / len(channels))
-    exact = np.matmul(found.weight[:, None, :], spectrum[window])[:, 0]
-    lines = found.spectrum
+    spectrum = np.fft.rfft(np.hstack([channels, loads[:, :1]]), axis=0)[record.bin_index] * (2.0 / len(channels))
+    exact = np.matmul(record.weight[:, None, :], spectrum[window])[:, 0]
+    lines = record.spectrum
     T = identified_response(rig, lines.frequency)
-    left = exact[:, :-1] - T * exact[:, -1:]
+    remainder = exact[:, :-1] - T * exact[:, -1:]
     noise = lines.covariance[:, :-1, :-1] + T[:, :, None] * T[:, None, :].conj() * lines.covariance[:, -1:, -1:].real
-    excess = 2.0 * np.real(np.einsum("ki,kij,kj->k", left.conj(), np.linalg.inv(noise), left))
+    excess = 2.0 * np.real(np.einsum("ki,kij,kj->k", remainder.conj(), np.linalg.inv(noise), remainder))
     assert excess.sum() < 50.0
     assert excess.max() < 10.0
     assert len(lines.frequency) > 200

@@ -121,27 +121,27 @@ def turning(models):
 def test_lines_for_identification_still_hold_the_tone(record):
     """They are sums over the lines of the whole record, by weights that do not take a tone out."""
     run, frequency, _, _ = record
-    both = with_tone(run, frequency)
-    found = nonperiodic_record(both, run.channel_names, BAND)
-    expected = summed(found, run.read().channels)
-    expected[:, CHANNEL] += summed(found, tone_of(run, frequency))
-    np.testing.assert_allclose(found.spectrum.channels, expected, atol=1e-9 * np.abs(expected).max())
-    taken_out = nonperiodic_record(replace(both, rotor_speed=17.5), run.channel_names, BAND)
-    assert heard(found, tone_of(run, frequency)) > 300.0
-    assert heard(taken_out, tone_of(run, frequency)) < 10.0
+    with_tone_record = with_tone(run, frequency)
+    lines = nonperiodic_record(with_tone_record, run.channel_names, BAND)
+    expected = combine(lines, run.read().channels)
+    expected[:, CHANNEL] += combine(lines, tone_of(run, frequency))
+    np.testing.assert_allclose(lines.spectrum.channels, expected, atol=1e-9 * np.abs(expected).max())
+    lines_without_tone = nonperiodic_record(replace(with_tone_record, rotor_speed=17.5), run.channel_names, BAND)
+    assert tone_chi2(lines, tone_of(run, frequency)) > 300.0
+    assert tone_chi2(lines_without_tone, tone_of(run, frequency)) < 10.0
 
 
-def summed(lines, signal):
+def combine(lines, signal):
     """What the sums make of a signal (n, ...)."""
-    neighbours = lines.first[:, None] + np.arange(lines.weight.shape[1])
+    neighbors = lines.first[:, None] + np.arange(lines.weight.shape[1])
     spectrum = spectrum_of(signal)[lines.bin_index]
-    return np.einsum("kw,kw...->k...", lines.weight, spectrum[neighbours])
+    return np.einsum("kw,kw...->k...", lines.weight, spectrum[neighbors])
 
 
-def heard(lines, tone):
+def tone_chi2(lines, tone):
     """The chi-square of a tone in the channel's lines."""
     variance = lines.spectrum.covariance[:, CHANNEL, CHANNEL].real
-    return float(np.sum(np.abs(summed(lines, tone)) ** 2 / variance))
+    return float(np.sum(np.abs(combine(lines, tone)) ** 2 / variance))
 
 
 @pytest.mark.parametrize("excitation", ["random", "sine_sweep"])

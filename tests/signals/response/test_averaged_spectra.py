@@ -46,8 +46,9 @@ def test_biases_are_those_of_the_textbook():
     """With noise of relative power r on the load alone H1 is low by 1 / (1 + r) and H2 is right; Hv is between."""
     gains = {}
     for estimator in ("h1", "h2", "hv"):
-        found = [averaged_response(record(s, load_noise=0.5), ("a", "b", "c"), estimator).response for s in range(6)]
-        gains[estimator] = np.abs(np.mean(found, axis=(0, 1))[:, 0]) / np.abs(GAIN[:, 0])
+        records = [record(seed, load_noise=0.5) for seed in range(6)]
+        responses = [averaged_response(each, ("a", "b", "c"), estimator).response for each in records]
+        gains[estimator] = np.abs(np.mean(responses, axis=(0, 1))[:, 0]) / np.abs(GAIN[:, 0])
     assert gains["h1"] == pytest.approx(np.full(3, 1 / 1.25), rel=0.02)
     assert gains["h2"] == pytest.approx(np.ones(3), rel=0.02)
     assert np.all((gains["h1"] < gains["hv"]) & (gains["hv"] < gains["h2"]))
@@ -62,15 +63,15 @@ def test_coherence_is_signal_over_signal_and_noise():
 @pytest.mark.parametrize("inputs", [1, 2])
 def test_covariance_is_that_of_repetitions(inputs):
     """Bendat and Piersol: variance S_nn / (S_uu n) with n independent averages."""
-    found, stated = [], []
+    errors, stated = [], []
     for seed in range(60):
         response = averaged_response(record(seed, noise=0.5, seconds=20.0, inputs=inputs), ("a", "b", "c"))
-        found.append(response.response - GAIN[:, :inputs])
+        errors.append(response.response - GAIN[:, :inputs])
         channels = np.diagonal(response.channel_covariance, axis1=1, axis2=2).real
         loads = np.diagonal(response.load_covariance, axis1=1, axis2=2).real
         stated.append(channels[:, :, None] * loads[:, None, :])
     # Beyond its mean the stated variance scatters with S_uu; a few averages make its mean larger than 1 / mean(S_uu).
-    assert np.mean(np.abs(found) ** 2) == pytest.approx(np.mean(stated), rel=0.12)
+    assert np.mean(np.abs(errors) ** 2) == pytest.approx(np.mean(stated), rel=0.12)
 
 
 def test_overlapping_hann_windows_are_worth_nearly_as_many_averages():

@@ -20,12 +20,12 @@ def pulses(duration=20.0, drift=0.04):
     """Pulse times, by bisection on the count."""
     time = np.linspace(0, duration, 200_001)
     count, _ = revolutions(time, drift)
-    wanted = np.arange(1, int(count[-1]))
-    found = np.interp(wanted, count, time)
+    target = np.arange(1, int(count[-1]))
+    times = np.interp(target, count, time)
     for _ in range(5):
-        value, speed = revolutions(found, drift)
-        found = found - (value - wanted) / speed
-    return found
+        value, speed = revolutions(times, drift)
+        times = times - (value - target) / speed
+    return times
 
 
 def test_azimuth_and_speed_of_a_drifting_rotor():
@@ -48,8 +48,8 @@ def test_outside_the_pulses_there_is_no_azimuth():
 
 def test_time_of_inverts_the_count():
     azimuth = azimuth_from_pulses(pulses())
-    wanted = np.linspace(0, azimuth.turns, 777)
-    np.testing.assert_allclose(azimuth.psi(azimuth.time_of(wanted)) / (2 * np.pi), wanted, atol=1e-10)
+    revolution = np.linspace(0, azimuth.turns, 777)
+    np.testing.assert_allclose(azimuth.psi(azimuth.time_of(revolution)) / (2 * np.pi), revolution, atol=1e-10)
 
 
 @settings(max_examples=40, deadline=None)

@@ -18,12 +18,12 @@ def count(time, drift, period=12.0):
 
 def pulse_times(duration, drift):
     fine = np.linspace(0, duration, 400_001)
-    wanted = np.arange(1, int(count(fine, drift)[-1]))
-    found = np.interp(wanted, count(fine, drift), fine)
+    target = np.arange(1, int(count(fine, drift)[-1]))
+    times = np.interp(target, count(fine, drift), fine)
     for _ in range(5):
-        slope = (count(found + 1e-4, drift) - count(found - 1e-4, drift)) / 2e-4
-        found -= (count(found, drift) - wanted) / slope
-    return found
+        speed = (count(times + 1e-4, drift) - count(times - 1e-4, drift)) / 2e-4
+        times -= (count(times, drift) - target) / speed
+    return times
 
 
 def time_of(duration):
@@ -54,11 +54,11 @@ def test_periodic_signals_come_out_exactly_whatever_the_speed_does(drift, block)
     truth = amplitudes(1, 12, 3)
     time = time_of(20)
     azimuth = azimuth_from_pulses(pulse_times(20, drift))
-    found = estimate_harmonics(run_of(periodic(truth, 2 * np.pi * (count(time, drift) - 1))), azimuth, block=block)
+    harmonics = estimate_harmonics(run_of(periodic(truth, 2 * np.pi * (count(time, drift) - 1))), azimuth, block=block)
     # 1e-8 revolutions at worst from the spline through the pulses of this quick drift, none without drift.
-    np.testing.assert_allclose(found.amplitude, truth[:9], atol=1e-10 if drift == 0.0 else 1e-8)
-    np.testing.assert_allclose(found.frequency_hz, np.arange(9) * azimuth.mean_rate, rtol=1e-9)
-    assert np.max(np.abs(found.covariance)) < 1e-18
+    np.testing.assert_allclose(harmonics.amplitude, truth[:9], atol=1e-10 if drift == 0.0 else 1e-8)
+    np.testing.assert_allclose(harmonics.frequency_hz, np.arange(9) * azimuth.mean_rate, rtol=1e-9)
+    assert np.max(np.abs(harmonics.covariance)) < 1e-18
 
 
 def test_exact_where_the_azimuth_is_exact():
@@ -66,26 +66,26 @@ def test_exact_where_the_azimuth_is_exact():
     azimuth = azimuth_from_pulses(pulse_times(20, 0.05))
     time = time_of(20)
     inside = np.clip(time, azimuth.first, azimuth.last)
-    found = estimate_harmonics(run_of(periodic(truth, azimuth.psi(inside))), azimuth)
-    np.testing.assert_allclose(found.amplitude, truth[:9], atol=1e-10)
+    harmonics = estimate_harmonics(run_of(periodic(truth, azimuth.psi(inside))), azimuth)
+    np.testing.assert_allclose(harmonics.amplitude, truth[:9], atol=1e-10)
 
 
 def test_cosine_sine_and_phase_follow_the_convention():
     azimuth = azimuth_from_pulses(pulse_times(20, 0.0))
     psi = 2 * np.pi * (count(time_of(20), 0.0) - 1)
-    found = estimate_harmonics(run_of((3 * np.cos(2 * psi) + 4 * np.sin(2 * psi))[:, None]), azimuth, n=3)
-    assert found.cosine[2, 0] == pytest.approx(3) and found.sine[2, 0] == pytest.approx(4)
-    assert np.abs(found.amplitude[2, 0]) == pytest.approx(5)
+    harmonics = estimate_harmonics(run_of((3 * np.cos(2 * psi) + 4 * np.sin(2 * psi))[:, None]), azimuth, n=3)
+    assert harmonics.cosine[2, 0] == pytest.approx(3) and harmonics.sine[2, 0] == pytest.approx(4)
+    assert np.abs(harmonics.amplitude[2, 0]) == pytest.approx(5)
 
 
-def test_an_amplitude_that_moves_does_not_leak_into_its_neighbours():
+def test_an_amplitude_that_moves_does_not_leak_into_its_neighbors():
     time, azimuth = time_of(30), azimuth_from_pulses(pulse_times(30, 0.03))
     psi = 2 * np.pi * (count(time, 0.03) - 1)
     moving = 1.0 + 0.2 * (time / 30) + 0.3 * np.sin(2 * np.pi * time / 13)
-    found = estimate_harmonics(run_of((moving * np.cos(4 * psi))[:, None]), azimuth, n=8)
+    harmonics = estimate_harmonics(run_of((moving * np.cos(4 * psi))[:, None]), azimuth, n=8)
     inside = (time >= azimuth.first) & (time <= azimuth.last)
-    assert found.amplitude[4, 0] == pytest.approx(np.mean(moving[inside]), rel=1e-4)
-    others = np.delete(np.abs(found.amplitude[:, 0]), 4)
+    assert harmonics.amplitude[4, 0] == pytest.approx(np.mean(moving[inside]), rel=1e-4)
+    others = np.delete(np.abs(harmonics.amplitude[:, 0]), 4)
     assert np.max(others) < 1e-6
 
     plain = np.exp(-3j * psi[inside]) @ (moving * np.cos(4 * psi))[inside] * 2 / np.count_nonzero(inside)
@@ -100,15 +100,15 @@ def test_loads_are_fitted_with_the_channels_and_unmeasured_ones_stay_zero():
     channels = periodic(amplitudes(4, 8, 2), psi) + shared
     loads = np.zeros((len(psi), 6))
     loads[:, 2:3] = 100 * np.cos(psi)[:, None] - 3 * shared
-    found = estimate_harmonics(run_of(channels, loads), azimuth)
-    assert found.names == ("c0", "c1", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
-    fx, fz, c0 = found.columns(["Fx", "Fz", "c0"])
-    assert np.all(found.amplitude[:, fx] == 0) and np.all(found.covariance[:, fx] == 0)
+    harmonics = estimate_harmonics(run_of(channels, loads), azimuth)
+    assert harmonics.names == ("c0", "c1", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
+    fx, fz, c0 = harmonics.columns(["Fx", "Fz", "c0"])
+    assert np.all(harmonics.amplitude[:, fx] == 0) and np.all(harmonics.covariance[:, fx] == 0)
     # The same noise in both: correlation -1, and three times as much in the load.
-    np.testing.assert_allclose(found.covariance[:, fz, c0], -3 * found.covariance[:, c0, c0], rtol=0.02)
+    np.testing.assert_allclose(harmonics.covariance[:, fz, c0], -3 * harmonics.covariance[:, c0, c0], rtol=0.02)
 
 
-def coloured(kind, rng, shape):
+def colored(kind, rng, shape):
     """Noise with a memory: (samples, channels)."""
     white = rng.normal(size=(shape[0] + 4000, shape[1]))
     if kind == "white":
@@ -120,21 +120,21 @@ def coloured(kind, rng, shape):
 
 
 @pytest.mark.parametrize("kind", ["white", "turbulence", "mode"])
-def test_coverage_of_the_sigma_on_coloured_noise(kind):
+def test_coverage_of_the_sigma_on_colored_noise(kind):
     rng = np.random.default_rng(5)
     truth = amplitudes(6, 8, 20)
     time, azimuth = time_of(30), azimuth_from_pulses(pulse_times(30, 0.02))
     signal = periodic(truth, 2 * np.pi * (count(time, 0.02) - 1))
     inside, mean_inside, cross = [], [], []
     for _ in range(6):
-        found = estimate_harmonics(run_of(signal + coloured(kind, rng, signal.shape)), azimuth)
-        error = found.amplitude - truth
-        variance = np.real(np.diagonal(found.covariance, axis1=1, axis2=2))
+        harmonics = estimate_harmonics(run_of(signal + colored(kind, rng, signal.shape)), azimuth)
+        error = harmonics.amplitude - truth
+        variance = np.real(np.diagonal(harmonics.covariance, axis1=1, axis2=2))
         sigma = np.sqrt(variance[1:] / 2)
         inside += [np.abs(error[1:].real) < 1.96 * sigma, np.abs(error[1:].imag) < 1.96 * sigma]
         mean_inside.append(np.abs(error[0].real) < 1.96 * np.sqrt(variance[0]))
         cross.append(np.abs(error[1:]) ** 2 / variance[1:])
-        assert np.all(found.dof[1:] > 25) and found.dof[0] > 7
+        assert np.all(harmonics.dof[1:] > 25) and harmonics.dof[0] > 7
     assert 0.93 < np.mean(inside) < 0.97
     for harmonic in range(8):  # beside the mode as well as far from it
         assert 0.90 < np.mean([values[harmonic] for values in inside]) < 0.985
