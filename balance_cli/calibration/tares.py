@@ -47,9 +47,9 @@ MISFIT_P_VALUE = 1e-3
 class Tares:
     """Weight of the metric part and natural zeros.
 
-    `w` (4,): weight [N] and its first moments about the hub [N m], with covariance (4, 4). `natural_zeros`
-    (c,) [V]: reading of the channels without any load, with sigma. `chi2_per_dof` of the zeros of `series_count` load series about this model, NaN without degrees of freedom; the
-    standard errors are widened where it is significant.
+    `w` (4,): weight [N] and its first moments about the hub [N m], with covariance (4, 4). `natural_zeros` (c,) [V]:
+    reading of the channels without any load, with sigma. `chi2_per_dof` of the zeros of `series_count` load series
+    about this model, NaN without degrees of freedom; the standard errors are widened where it is significant.
     """
 
     w: Array

@@ -11,6 +11,7 @@ from balance_cli.calibration.noniterative import fit_noniterative_model
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
+from balance_cli.cli.calibration_summary import _with_former_keys
 from balance_cli.reduction.mean_loads import zero_record
 from balance_cli.reduction.response_sources import static_source
 from balance_cli.steps.calibrate import calibrate
@@ -90,3 +91,34 @@ def test_command_states_it_and_refuses_it_for_a_matrix(tmp_path):
         balance, [*words[:3], "--from-matrix", "m.csv", "--non-iterative", "-o", str(tmp_path / "d.h5")]
     )
     assert refused.exit_code == 2 and "--non-iterative" in refused.stderr
+
+
+def test_former_option_and_keys_work_for_one_release(tmp_path):
+    paths = [str(tmp_path / f"{run.name}.h5") for run in static_runs(np.random.default_rng(1))]
+    for run, path in zip(static_runs(np.random.default_rng(1)), paths, strict=True):
+        write_run(path, run)
+    words = ["calibrate", "-g", str(CONFIGS / "rts-6.yaml"), *paths, "-o", str(tmp_path / "c.h5")]
+    result = CliRunner().invoke(balance, [*words, "--direct", "--json", str(tmp_path / "c.json")])
+    assert result.exit_code == 0 and "--direct is deprecated; use --non-iterative" in result.stderr
+    summary = json.loads((tmp_path / "c.json").read_text())
+    present, former = summary["all_trims"], summary["gage"]
+    assert present["non_iterative"] == former["direct"] is not None
+    assert present["zeros"]["load_series"] == former["zeros"]["sequences"]
+    for key, name in {"calibrated_range": "full_range", "unsupported_terms": "terms_refused"}.items():
+        assert present[key] == former[name]
+    trim = next(iter(summary["trims"].values()))
+    assert trim["calibrated_range"] == trim["full_range"]
+
+
+def test_former_keys_of_suspect_series_tares_and_checks():
+    suspect = {"load_series": "s", "channel": "c", "gain": 1, "resembled_channel": "", "alternatives": ()}
+    summary = {
+        "zeros": {"load_series": ["s"], "drift_per_series": {}},
+        "tares": {"center_of_gravity": {}, "series_count": 3},
+        "checks": {"r": {"rows": 2, "valid_rows": 1}},
+        "suspect_series": [suspect],
+    }
+    former = _with_former_keys(summary)
+    assert former["bad_sequences"] == [{"sequence": "s", "channel": "c", "gain": 1, "like": "", "or_else": ()}]
+    assert former["tares"] == {"centre": {}, "sequences": 3} and former["checks"] == {"r": {"rows": 2, "solved": 1}}
+    assert former["zeros"] == {"sequences": ["s"], "drift_per_sequence": {}}
