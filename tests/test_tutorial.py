@@ -46,7 +46,7 @@ def folder(tmp_path_factory):
             elif language == "python":
                 exec(compile(content, str(TUTORIAL), "exec"), {})
             else:
-                for line in content.splitlines():
+                for line in content.replace("\\\n", " ").splitlines():
                     run_line(line)
     return folder
 
