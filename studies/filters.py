@@ -78,7 +78,7 @@ class SimulatedRecord:
 
 @dataclass(frozen=True)
 class ReducedRecord:
-    """Loads (n, 2) between the pulses from sample `first` on, sigma (n, 2) or None, amplitudes (8, 2) over `interval`."""
+    """Loads (n, 2) from sample `first` on between the pulses, sigma (n, 2) or None, amplitudes (8, 2) in `interval`."""
 
     first: int
     loads: Array

@@ -28,7 +28,7 @@ def filters_picture(table: pd.DataFrame, seed: int = 0) -> Figure:
     _draw_maneuver(figure.add_subplot(above[0, 0]), figure.add_subplot(above[0, 1]), seed)
     below = figure.add_gridspec(2, 4, left=0.165, right=0.985, top=0.63, bottom=0.04, hspace=0.24, wspace=0.09)
     for i, case in enumerate(dict.fromkeys(table["case"])):
-        _draw_errors(figure.add_subplot(below[i // 4, i % 4]), table[table["case"] == case], case, labelled=i % 4 == 0)
+        _draw_errors(figure.add_subplot(below[i // 4, i % 4]), table[table["case"] == case], case, labeled=i % 4 == 0)
     _draw_key(figure.add_subplot(below[1, 3]))
     return figure
 
@@ -53,7 +53,7 @@ def _draw_maneuver(loads: Axes, errors: Axes, seed: int) -> None:
     loads.legend(loc="upper left", ncols=2)
 
 
-def _draw_errors(axes: Axes, rows: pd.DataFrame, case: str, labelled: bool) -> None:
+def _draw_errors(axes: Axes, rows: pd.DataFrame, case: str, labeled: bool) -> None:
     """Draw medians and ranges over the seeds, one row per method."""
     methods = list(rows["method"])[::-1]
     for _, row in rows.iterrows():
@@ -65,7 +65,7 @@ def _draw_errors(axes: Axes, rows: pd.DataFrame, case: str, labelled: bool) -> N
     axes.set_xscale("log")
     axes.set_xlim(LIMITS)
     axes.set_ylim(-0.7, len(methods) - 0.4)
-    axes.set_yticks(range(len(methods)), methods if labelled else [""] * len(methods))
+    axes.set_yticks(range(len(methods)), methods if labeled else [""] * len(methods))
     axes.axvline(1.0, color=BLACK, linewidth=0.6)
     axes.set_title(case)
 

@@ -109,6 +109,10 @@ def paths_of_type(context: click.Context, *types: type[click.Path]) -> Iterator[
         yield from (path for path in values if isinstance(path, Path) and str(path) != "-")
 
 
+STORED_OPTION_NAMES = {"load_model": "loads-as"}
+"""Names under which artefacts store options that were renamed later, so that digests stay."""
+
+
 def non_default_options(context: click.Context) -> dict[str, Any]:
     """The options of the call that differ from their defaults, without paths, `--json` and `--verbose`."""
     settings = {}
@@ -118,7 +122,7 @@ def non_default_options(context: click.Context) -> dict[str, Any]:
             continue
         value = context.params.get(name)
         if value != parameter.get_default(context) and value not in ((), None):
-            settings[name.replace("_", "-")] = value
+            settings[STORED_OPTION_NAMES.get(name, name.replace("_", "-"))] = value
     return settings
 
 

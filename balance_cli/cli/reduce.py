@@ -47,17 +47,15 @@ if TYPE_CHECKING:
     help="harmonic: regression on azimuth over the record. kalman: loads in time by a Kalman filter, from the past of "
     "each sample. smoother: loads in time from the whole record.",
 )
-# The parameter keeps the name under which artefacts store the option, so that digests stay.
 @click.option(
     "--load-model",
-    "loads_as",
     type=click.Choice(LOAD_MODELS),
     default=LOAD_MODELS[0],
     show_default=True,
     help="With --method kalman or smoother, what is assumed of the loads. harmonics: locked to the azimuth, and random "
     "loads. random: random loads only. free: any loads within a band.",
 )
-@deprecated_option("--loads-as", "--load-model", "loads_as", type=click.Choice(LOAD_MODELS))
+@deprecated_option("--loads-as", "--load-model", "load_model", type=click.Choice(LOAD_MODELS))
 @click.option(
     "--lag",
     type=float,
@@ -78,7 +76,7 @@ def command(
     static: bool,
     interpolation: str,
     method: str,
-    loads_as: str,
+    load_model: str,
     lag: float | None,
     harmonics: int,
     zero: Path | None,
@@ -100,7 +98,7 @@ def command(
     from balance_cli.reduction.result import HubLoads
 
     _check_options(model, transfer, static, output)
-    method_options = MethodOptions(method, loads_as if _is_given("loads_as") else None, lag, harmonics)
+    method_options = MethodOptions(method, load_model if _is_given("load_model") else None, lag, harmonics)
     method_options.check(model is not None)
     cal: Calibration = session.artefact(calibration, {"balance-calibration/1": Calibration}, "calibration").content
     source = _response_source(session, cal, model, transfer, interpolation)

@@ -152,14 +152,14 @@ def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseS
 def _check_determined(T: ComplexArray, record: RotorRecord) -> None:
     """Raise UserError unless the columns of T (n, rows, m) are linearly independent."""
     norms = np.linalg.norm(T, axis=1, keepdims=True)
-    unseen = [name for name, norm in zip(record.components, norms[0, 0], strict=True) if norm == 0]
-    enough = not unseen and T.shape[1] >= T.shape[2]
+    without_response = [name for name, norm in zip(record.components, norms[0, 0], strict=True) if norm == 0]
+    enough = not without_response and T.shape[1] >= T.shape[2]
     if enough and bool(np.all(np.linalg.cond(T / norms) < LARGEST_CONDITION)):
         return
     left_out = "; ".join(f"{name}: {reason}" for name, reason in record.health.left_out.items()) or "none"
-    undetermined = ", ".join(unseen) or ", ".join(record.components)
+    unidentifiable = ", ".join(without_response) or ", ".join(record.components)
     raise UserError(
-        f"the remaining channels do not determine {undetermined} (left out: {left_out})",
+        f"the remaining channels do not determine {unidentifiable} (left out: {left_out})",
         _place(record.run),
         "channels",
         "Repair the channels, or leave the run out with --skip-bad",

@@ -1,4 +1,4 @@
-"""Loads from channel amplitudes: weights, covariance, the law of the surplus."""
+"""Loads from channel amplitudes: weights, covariance, distribution of the residual test."""
 
 import numpy as np
 import pytest

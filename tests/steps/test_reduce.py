@@ -48,12 +48,12 @@ def test_errors_are_little_more_than_the_true_response_would_leave(campaign, cal
         assert value < 0.02
 
 
-def test_the_surplus_equations_agree(reduced):
+def test_the_redundant_channels_agree(reduced):
     assert np.all(reduced.redundancy[1:] < 2.5)
     assert all(flag == "" for flags in reduced.flags[1:] for flag in flags)
 
 
-def test_the_static_matrix_is_wrong_and_the_surplus_says_so(campaign, calibration, check):
+def test_the_residual_test_rejects_the_static_matrix(campaign, calibration, check):
     static = reduce_run(check, campaign.geometry, calibration, static_source(calibration))
     assert max(static.check.load_error.values()) > 0.1
     assert any("redundancy" in flags[0] for flags in static.flags[1:])

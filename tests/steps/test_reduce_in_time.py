@@ -20,7 +20,7 @@ from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 FORMATS = {"balance-loads/1": HubLoads}
 MADE = Provenance("a-test", {}, (), {}, "2026-01-02T03:04:05+00:00")
 SHORT = 6.0
-"""Time [s] that is enough where the loads themselves are not looked at."""
+"""Length [s] of a record where the loads themselves are not checked."""
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def changed(run, name, length=None, change=None):
 
 
 def reduced(folder, out, *words, run="short", status=0):
-    """What the command says; its results are in `out`."""
+    """Run the command and return its result; the files are in `out`."""
     out.mkdir(exist_ok=True)
     call = ["reduce", "--calibration", folder / "cal.h5", "--model", folder / "model.h5", *words]
     call += [
@@ -77,7 +77,7 @@ def history(out, run="short"):
 
 
 def error_of(campaign, run, found):
-    """Loads less the truth over sigma, means taken off, of the inner half of a history (n, 6)."""
+    """Return error less its mean, sigma and true loads of the inner half of a history (n, 6)."""
     truth = campaign.truths[run]
     n = len(found["time"])
     inner = slice(n // 4, 3 * n // 4)
@@ -125,7 +125,7 @@ def test_amplitudes_of_a_history_are_those_of_the_table(smoothed):
 
 
 def test_means_of_revolutions_hold_nothing_of_the_harmonics(campaign, smoothed):
-    """No whole number of samples makes a revolution; steady means would be seen to beat with the speed."""
+    """A revolution is not a whole number of samples; plain means would beat with the speed."""
     out, _ = smoothed
     found = history(out, "check-1")["harmonics"]
     largest = np.hypot(found["cosine"], found["sine"])[:, 1:].max()
@@ -133,31 +133,31 @@ def test_means_of_revolutions_hold_nothing_of_the_harmonics(campaign, smoothed):
     assert np.all(np.isnan(found["cosine"][[0, -1], 0]))
 
 
-def test_the_text_and_the_summary_say_how_the_filter_fares(smoothed):
+def test_text_and_summary_contain_the_innovation_tests(smoothed):
     out, result = smoothed
     assert "innovations: NIS" in result.output
-    told = summary(out, "check-1")
+    run_summary = summary(out, "check-1")
     assert json.loads((out / "loads.json").read_text())["method"] == "smoother"
-    assert told["load_model"] == told["loads_as"] == "harmonics"
-    assert told["lag_s"] is None
-    assert told["nis"] == pytest.approx(1.0, abs=0.3)
-    assert told["nis_sigma"] < 0.05
-    assert set(told["channels"]) == set(told["noise_v"])
-    assert len(told["noise_v"]) == 15
-    assert told["gap_notes"] == told["bridged"] == []
-    assert max(told["load_error"].values()) < 0.02
+    assert run_summary["load_model"] == run_summary["loads_as"] == "harmonics"
+    assert run_summary["lag_s"] is None
+    assert run_summary["nis"] == pytest.approx(1.0, abs=0.3)
+    assert run_summary["nis_sigma"] < 0.05
+    assert set(run_summary["channels"]) == set(run_summary["noise_v"])
+    assert len(run_summary["noise_v"]) == 15
+    assert run_summary["gap_notes"] == run_summary["bridged"] == []
+    assert max(run_summary["load_error"].values()) < 0.02
 
 
 def test_an_artefact_keeps_what_the_report_needs(smoothed):
     out, _ = smoothed
     loads = load_artefact(out / "loads.h5", FORMATS).content
     run = loads.runs["check-1"].in_time
-    told = summary(out, "check-1")
+    run_summary = summary(out, "check-1")
     assert loads.method == "smoother"
     assert (run.load_model, run.lag, run.gap_notes) == ("harmonics", None, ())
-    assert run.innovations.nis == told["nis"]
-    assert run.innovations.channels == told["channels"]
-    assert run.noise == told["noise_v"]
+    assert run.innovations.nis == run_summary["nis"]
+    assert run.innovations.channels == run_summary["channels"]
+    assert run.noise == run_summary["noise_v"]
     found = history(out, "check-1")["harmonics"]
     np.testing.assert_array_equal(run.track.amplitude.real, found["cosine"])
     np.testing.assert_array_equal(run.track.time, found["time"])
@@ -165,16 +165,16 @@ def test_an_artefact_keeps_what_the_report_needs(smoothed):
 
 @pytest.mark.parametrize("load_model", LOAD_MODELS)
 @pytest.mark.parametrize("method", ["kalman", "smoother"])
-def test_every_way_to_take_the_loads(campaign, folder, tmp_path, method, load_model):
+def test_every_load_model(campaign, folder, tmp_path, method, load_model):
     reduced(folder, tmp_path, "--method", method, "--load-model", load_model)
     found = history(tmp_path)
     assert np.all(np.isfinite(found["loads"])) and np.all(found["sigma"] > 0)
     assert ("harmonics" in found) == (load_model == "harmonics")
     error, sigma, _ = error_of(campaign, "check-1", found)
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 4.0 * sigma.mean(axis=0))
-    told = summary(tmp_path)
-    assert told["load_model"] == load_model
-    assert told["lag_s"] == (0.05 if method == "kalman" else None)
+    run_summary = summary(tmp_path)
+    assert run_summary["load_model"] == load_model
+    assert run_summary["lag_s"] == (0.05 if method == "kalman" else None)
 
 
 def test_a_lag_makes_a_filter_surer(folder, tmp_path):
@@ -224,13 +224,13 @@ def gap(start, stop):
     return change
 
 
-def test_a_short_gap_is_bridged_and_said_so(campaign, folder, tmp_path):
+def test_a_short_gap_is_bridged_and_reported(campaign, folder, tmp_path):
     broken = changed(campaign.runs_of_kind("check")[0], "gap", change=gap(2.0, 2.2))
     write_run(tmp_path / "gap.h5", broken)
     reduced(folder, tmp_path / "out", "--method", "smoother", run=tmp_path / "gap.h5")
-    told, found = summary(tmp_path / "out", "gap"), history(tmp_path / "out", "gap")
-    assert any(note.startswith("gap from 1.99") and note.endswith("bridged") for note in told["notes"])
-    assert told["gap_notes"] and set(told["gap_notes"]) <= set(told["notes"])
+    run_summary, found = summary(tmp_path / "out", "gap"), history(tmp_path / "out", "gap")
+    assert any(note.startswith("gap from 1.99") and note.endswith("bridged") for note in run_summary["notes"])
+    assert run_summary["gap_notes"] and set(run_summary["gap_notes"]) <= set(run_summary["notes"])
     inside = (found["time"] > 2.05) & (found["time"] < 2.15)
     after = (found["time"] > 3.0) & (found["time"] < 4.0)
     assert inside.sum() > 50
@@ -267,15 +267,15 @@ def test_a_channel_at_its_range_for_a_while_is_bridged(campaign, calibration, id
 
     write_run(tmp_path / "clipped.h5", changed(run, "clipped", SHORT, clip))
     reduced(tmp_path, tmp_path / "out", "--method", "smoother", "--load-model", "random", run="clipped")
-    told = summary(tmp_path / "out", "clipped")
-    assert any("z1.piezo not used from" in note for note in told["notes"])
-    assert "z1.piezo" in told["noise_v"]
-    assert told["channels_left_out"] == {}
+    run_summary = summary(tmp_path / "out", "clipped")
+    assert any("z1.piezo not used from" in note for note in run_summary["notes"])
+    assert "z1.piezo" in run_summary["noise_v"]
+    assert run_summary["channels_left_out"] == {}
     error, sigma, _ = error_of(campaign, "check-1", history(tmp_path / "out", "clipped"))
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 4.0 * sigma.mean(axis=0))
 
 
-# ---- calls that cannot end well --------------------------------------------------------------------------------------
+# ---- refused calls ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -328,9 +328,9 @@ def test_the_page_shows_loads_in_time(smoothed, tmp_path):
     words = ["report", out / "loads.h5", "-o", tmp_path / "r.html", "--json", tmp_path / "r.json"]
     result = CliRunner().invoke(balance, [str(word) for word in words])
     assert result.exit_code == 0, result.output
-    told = json.loads((tmp_path / "r.json").read_text())
-    assert told["sections"]["in-time"] == "Loads in time"
-    assert "in-time-1-check-1" in told["figures"]
+    run_summary = json.loads((tmp_path / "r.json").read_text())
+    assert run_summary["sections"]["in-time"] == "Loads in time"
+    assert "in-time-1-check-1" in run_summary["figures"]
     page = (tmp_path / "r.html").read_text()
     assert "harmonics locked to the azimuth" in page
     assert "z4.piezo" in page

@@ -1,4 +1,4 @@
-"""Small models, and what Gaussian conditioning makes of them without any recursion."""
+"""Small models, and their estimates by Gaussian conditioning without any recursion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def small_model(seed: int = 1) -> SampledModel:
-    """A load that wanders, a lightly damped oscillator that it drives, three channels."""
+    """Return a model of a drifting load, a lightly damped oscillator that it drives, and three channels."""
     rng = np.random.default_rng(seed)
     turn, decay = 0.7, 0.93
     c, s = decay * np.cos(turn), decay * np.sin(turn)
@@ -29,7 +29,7 @@ def small_model(seed: int = 1) -> SampledModel:
 
 @dataclass(frozen=True)
 class TimeInvariantPredictor:
-    """Gaps of a model that does not change with time."""
+    """Prediction by a time-invariant model."""
 
     F: Array
 
@@ -89,8 +89,8 @@ def condition_on_samples(
     prior = np.einsum("an,nm,am->a", U, states, U)
     last = np.repeat(np.full(n, n) if until is None else until, len(model.U))
     for limit in np.unique(last):
-        mine, told = last == limit, known <= limit
-        gain = np.linalg.solve(joint[np.ix_(told, told)], cross[np.ix_(mine, told)].T).T
-        mean[mine] = gain @ y.ravel()[read.ravel()][told]
-        variance[mine] = prior[mine] - np.sum(gain * cross[np.ix_(mine, told)], axis=1)
+        mine, selected = last == limit, known <= limit
+        gain = np.linalg.solve(joint[np.ix_(selected, selected)], cross[np.ix_(mine, selected)].T).T
+        mean[mine] = gain @ y.ravel()[read.ravel()][selected]
+        variance[mine] = prior[mine] - np.sum(gain * cross[np.ix_(mine, selected)], axis=1)
     return mean.reshape(n, -1), variance.reshape(n, -1)

@@ -82,8 +82,8 @@ def test_at_one_speed_it_is_the_steady_filter(still):
         assert np.allclose(locked.variance(7, 5, smooth), steady.variance(7, 5, smooth), rtol=1e-12)
 
 
-def test_a_piece_holds_no_states_but_the_last(still):
-    """Pieces wait for the smoother by the dozen; the states of all their samples would fill the memory."""
+def test_a_block_keeps_only_the_last_state(still):
+    """Many blocks are pending in the smoother; the states of all their samples would fill the memory."""
     locked, steady = still
     filter_block = locked.forward_pass(0, np.zeros((300, 3)), np.ones(steady.model.order))
     rho = locked.backward_pass(filter_block, np.ones(steady.model.order))[1]
@@ -95,7 +95,7 @@ def test_a_piece_holds_no_states_but_the_last(still):
 
 
 def test_marked_pairs_add_up_to_the_loads_of_the_oscillators(still):
-    """Loads that are nothing but oscillators are the sum of p over the harmonics: updated and smoothed."""
+    """Loads of oscillators only are the sum of p over the harmonics, filtered and smoothed."""
     locked, steady = still
     oscillator_states = np.zeros_like(steady.model.U)
     oscillator_states[:, locked.oscillator_states.states] = steady.model.U[:, locked.oscillator_states.states]
@@ -123,7 +123,7 @@ def test_filter_is_close_to_the_exact_one_while_the_speed_moves(moving):
 
 
 @pytest.mark.parametrize("count", [200, SAMPLES])
-def test_information_of_a_stretch_is_that_of_its_samples_one_by_one(moving, count):
+def test_information_of_a_segment_is_that_of_its_samples(moving, count):
     """The adjoint of channels that read nothing is -O d from the start d, sample by sample at their own speeds."""
     (filters, segments), _, prior, _ = moving
     channel_filter = filters.channel_filters[segments[0].channels]
@@ -186,20 +186,20 @@ def test_backward_is_the_adjoint_of_forward(rate):
     rng = np.random.default_rng(2)
     order = channel_filter.filters[0].model.order
     start, after, e = rng.standard_normal(order), rng.standard_normal(order), rng.standard_normal((500, 3))
-    led_on = channel_filter.forward_pass(100, np.zeros((500, 3)), start)
-    rho = channel_filter.backward_pass(replace(led_on, innovation=e), after)[1]
+    free_block = channel_filter.forward_pass(100, np.zeros((500, 3)), start)
+    rho = channel_filter.backward_pass(replace(free_block, innovation=e), after)[1]
     inverse = np.stack([np.linalg.inv(item.matrices.S) for item in channel_filter.filters])
     place = np.interp(channel_filter.oscillator_states.speed(100, 500), channel_filter.speeds, np.arange(len(inverse)))
     share = np.rint(SPEED_SUBDIVISIONS * place) / SPEED_SUBDIVISIONS
     weights = np.stack(
         [np.interp(share, np.arange(len(inverse)), column) for column in inverse.reshape(len(inverse), -1).T], axis=1
     ).reshape(-1, 3, 3)
-    segment_information = -np.einsum("ka,kab,kb->", e, weights, led_on.innovation)
-    assert np.isclose(rho @ start, segment_information + after @ led_on.end, rtol=1e-10)
+    segment_information = -np.einsum("ka,kab,kb->", e, weights, free_block.innovation)
+    assert np.isclose(rho @ start, segment_information + after @ free_block.end, rtol=1e-10)
 
 
-def test_lag_knows_no_more_than_its_samples(moving):
-    """What comes later than twice the lag changes nothing."""
+def test_a_lag_uses_no_later_samples(moving):
+    """Samples later than twice the lag have no effect."""
     (filters, segments), _, _, (y, _, _) = moving
     changed = y[0].copy()
     changed[1000:] += 100.0

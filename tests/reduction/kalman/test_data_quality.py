@@ -139,8 +139,8 @@ def test_a_record_of_bad_channels_alone_is_refused():
         _found(y)
 
 
-def test_channels_that_are_never_sound_together_are_refused():
-    """Each is bad in a small part of the record, but somewhere one always is."""
+def test_channels_that_are_never_good_together_are_refused():
+    """Each is bad in a small part of the record, but at any time one of them is."""
     geometry = rig_geometry()
     first = geometry.channels[0]
     many = tuple(first.model_copy(update={"name": f"c{i}"}) for i in range(6))

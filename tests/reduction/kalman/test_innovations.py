@@ -47,15 +47,15 @@ def test_the_channel_that_is_larger_is_named():
     assert np.isclose(found.channels["c"], 4.0, rtol=0.1)
 
 
-@pytest.mark.parametrize("colour", [0.1, -0.1])
-def test_coloured_innovations_are_told(colour):
-    e = scipy.signal.lfilter([np.sqrt(1 - colour**2)], [1.0, -colour], _white(3), axis=0)
+@pytest.mark.parametrize("color", [0.1, -0.1])
+def test_colored_innovations_are_detected(color):
+    e = scipy.signal.lfilter([np.sqrt(1 - color**2)], [1.0, -color], _white(3), axis=0)
     found = _tests(e)
     assert (found.whiteness - 1.0) / found.whiteness_sigma > 5.0
     assert abs(found.nis - 1.0) < 5.0 * found.nis_sigma
 
 
-def test_a_tone_below_the_noise_is_told():
+def test_a_tone_below_the_noise_is_detected():
     e = _white(4) + 0.4 * np.sin(0.7 * np.arange(5000))[:, None]
     found = _tests(e)
     assert (found.whiteness - 1.0) / found.whiteness_sigma > 5.0

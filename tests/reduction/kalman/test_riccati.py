@@ -58,13 +58,13 @@ def test_the_filter_at_its_steady_gain_is_stable(system):
     assert np.abs(np.linalg.eigvals(L)).max() < 1.0
 
 
-@pytest.mark.parametrize("unseen", [1.0, 1.1, 3.0])
-def test_what_grows_unseen_has_no_steady_covariance(unseen):
+@pytest.mark.parametrize("unobservable", [1.0, 1.1, 3.0])
+def test_a_growing_unobservable_state_has_no_steady_covariance(unobservable):
     with pytest.raises(np.linalg.LinAlgError, match="no steady solution"):
-        steady_covariance(np.diag([0.5, unseen]), np.eye(2), np.array([[1.0, 0.0]]))
+        steady_covariance(np.diag([0.5, unobservable]), np.eye(2), np.array([[1.0, 0.0]]))
 
 
-def test_what_decays_unseen_has_one():
+def test_what_decays_unobservable_has_one():
     P = steady_covariance(np.diag([0.5, 0.9]), np.eye(2), np.array([[1.0, 0.0]]))
     assert np.isclose(P[1, 1], 1.0 / (1.0 - 0.81), rtol=1e-10)
 

@@ -28,9 +28,9 @@ def _read(y: Array):
     return lambda start, stop, channels: y[start:stop][:, list(channels)]
 
 
-def _mask(stretches: tuple[Segment, ...]):
-    read = np.zeros((stretches[-1].stop, 3), bool)
-    for s in stretches:
+def _mask(segments: tuple[Segment, ...]):
+    read = np.zeros((segments[-1].stop, 3), bool)
+    for s in segments:
         read[s.start : s.stop, list(s.channels)] = True
     return read
 
@@ -41,13 +41,13 @@ def _joined(estimates):
     return np.concatenate([part.loads for part in parts]), np.concatenate([part.variance for part in parts])
 
 
-@pytest.mark.parametrize("stretches", [WHOLE, BROKEN], ids=["whole", "broken"])
+@pytest.mark.parametrize("segments", [WHOLE, BROKEN], ids=["whole", "broken"])
 @pytest.mark.parametrize("block", [8192, 17])
-def test_smoother_is_conditioning(stretches, block, monkeypatch):
+def test_smoother_is_conditioning(segments, block, monkeypatch):
     monkeypatch.setattr(segments_module, "BLOCK", block)
-    y, _ = draw_samples(MODEL, stretches[-1].stop)
-    outputs, variance = _joined(smoothed_estimates(_read(y), stretches, steady_filters(MODEL, stretches), 200))
-    mean, exact = condition_on_samples(MODEL, y, _mask(stretches))
+    y, _ = draw_samples(MODEL, segments[-1].stop)
+    outputs, variance = _joined(smoothed_estimates(_read(y), segments, steady_filters(MODEL, segments), 200))
+    mean, exact = condition_on_samples(MODEL, y, _mask(segments))
     assert np.abs(outputs - mean).max() < 1e-3 * np.sqrt(exact.min())
     assert np.abs(variance / exact - 1.0).max() < 2e-3
 
