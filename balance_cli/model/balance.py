@@ -1,4 +1,4 @@
-"""The balance model: a geometry, its parameters, and the system that they give."""
+"""The balance model: a geometry, its parameters, and the system that they define."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class BalanceModel:
     def system(self, theta: Array | None = None) -> System:
         """The system at the full parameter vector `theta`, by default the declared one.
 
-        Its slopes refer to the free parameters only, in their order.
+        Its derivatives refer to the free parameters only, in their order.
         """
         vector = self.parameters.value if theta is None else np.asarray(theta, float)
         dual = Dual(vector, np.eye(len(vector))[self.parameters.free])
@@ -37,16 +37,16 @@ class BalanceModel:
         return assemble_system(apply_placed_effects(rigid, self.geometry, self.effects, value))
 
     def free_all_parameters(self) -> BalanceModel:
-        """The same model with slopes for every parameter, exact ones included."""
+        """The same model with derivatives for every parameter, including exact ones."""
         sigma = np.where(self.parameters.sigma > 0, self.parameters.sigma, self.parameters.scale)
         return self.with_sigma(sigma)
 
     def with_sigma(self, sigma: Array) -> BalanceModel:
-        """The same model with other standard deviations (p,) of what is declared; 0 holds a parameter."""
+        """The same model with other prior standard deviations (p,); 0 holds a parameter."""
         return replace(self, parameters=replace(self.parameters, sigma=sigma))
 
     def with_exact_effects(self) -> BalanceModel:
-        """The same model with effects exactly as declared: no tolerance is declared for them."""
+        """The same model with its effects held at their declared values, for which no tolerance is declared."""
         sigma = self.parameters.sigma
         return self.with_sigma(np.where(np.isfinite(sigma), sigma, 0.0))
 

@@ -1,4 +1,4 @@
-"""What the channels make of the springs' forces: gain, first-order filters and delay of each, and their derivatives."""
+"""Gains of the channels: sensitivity, first-order filters and delay of each, and their derivatives."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArra
 
 
 def channel_dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:
-    """First-order filters and delay of one channel at s (k,), j omega or any other."""
+    """First-order filters and delay of one channel at s (k,) = j omega, or any other complex s."""
     value = np.ones_like(s)
     for tau in path.low_pass:
         value = value / (1 + s * tau.value)
     for rate in path.high_pass:
-        # s / (s + r), which is zero at rest for any true high-pass and one where there is none.
+        # s / (s + r) is zero at rest for any rate r > 0, and one without a high-pass.
         value = value * (s / (s + rate.value) if rate.value > 0 else 1.0)
     return value if path.delay is None else value * np.exp(-s * path.delay.value)
 
 
 def log_gain_derivatives(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
-    """Derivatives (k, c, p) of ln g: of gain, time constants, rates and delay of each channel."""
+    """Derivatives (k, c, p) of ln g of each channel, by its gain, time constants, rates and delay."""
     s = 2j * np.pi * np.asarray(frequency, float)[:, None]
     return np.stack([log_gain_derivative(path, s) for path in paths], axis=1)
 
@@ -48,5 +48,5 @@ def log_gain_derivative(path: ChannelPath, s: ComplexArray) -> ComplexArray:
 
 def path_parameters(path: ChannelPath) -> NDArray[np.bool_]:
     """Which parameters (p,) change the gain of a channel."""
-    every = (path.gain, *path.low_pass, *path.high_pass, *(() if path.delay is None else (path.delay,)))
-    return np.asarray(np.any([part.derivative != 0 for part in every], axis=0))
+    parts = (path.gain, *path.low_pass, *path.high_pass, *(() if path.delay is None else (path.delay,)))
+    return np.asarray(np.any([part.derivative != 0 for part in parts], axis=0))

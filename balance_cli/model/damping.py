@@ -1,4 +1,4 @@
-"""Modal damping of the plate, with the derivative of its eigenvectors taken along."""
+"""Modal damping of the plate, including the derivatives of its eigenvectors."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from scipy.linalg import eigh
 
 from balance_cli.model.mechanics.dual_numbers import Dual
 
-# Two eigenvalues closer than this (relative) are one: their vectors may be chosen freely in the common plane.
 DEGENERACY_TOLERANCE = 1e-9
+"""Relative distance below which two eigenvalues are equal: far above rounding, far below any real separation."""
 
 
 def modal_damping(M: Dual, K: Dual, zeta: Dual) -> Dual:
@@ -40,8 +40,8 @@ def _rotation_terms(dK: np.ndarray, dM: np.ndarray, eigenvalues: np.ndarray, g: 
     safe = np.where(close | same, 1.0, gap)
     difference = np.where(same, 0.0, (g[None, :] - g[:, None]) / safe)
     cross = np.where(same, g, (eigenvalues[None, :] * g[:, None] - eigenvalues[:, None] * g[None, :]) / safe)
-    # In a degenerate plane the vectors may be chosen freely; with one ratio for both, g = 2 zeta sqrt(lambda) is a
-    # smooth function, and the limits are dg/dlambda = g / (2 lambda) and g - lambda dg/dlambda = g / 2.
+    # In a degenerate plane the eigenvectors are arbitrary. With one damping ratio for both g = 2 zeta sqrt(lambda) is
+    # smooth, and the limits are dg/dlambda = g / (2 lambda) and g - lambda dg/dlambda = g / 2.
     mean = 0.5 * (g[None, :] + g[:, None])
     limit = mean / (2.0 * np.where(close, eigenvalues, 1.0))
     return np.asarray(dK * np.where(close, limit, difference) + dM * np.where(close, 0.5 * mean, cross))

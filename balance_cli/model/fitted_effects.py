@@ -1,4 +1,4 @@
-"""Effects as found: the values of their parameters in a model, and a geometry that declares them so."""
+"""Identified effects: the values of their parameters in a model, and the geometry that declares them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from balance_cli.model.placed_effects import PlacedEffect, declared_effects, eff
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """A parameter of an effect as found; sigma is 0 where it was held, infinite where nothing told of it.
+    """An identified parameter of an effect; sigma is 0 where it was held, infinite where it is unidentifiable.
 
-    `interval`: that of 95 % by the likelihood, where it is no matter of sigma.
+    `interval`: the 95 % interval by the likelihood, where sigma does not describe it.
     """
 
     name: str
@@ -28,7 +28,7 @@ class FittedParameter:
 
 @dataclass(frozen=True)
 class FittedEffect:
-    """An effect with its parameters as found; `choice` is the name of a parameter that is a word, and the word."""
+    """An effect with its identified parameters; `choice` is the name of a parameter that is a word, and the word."""
 
     name: str
     where: Where
@@ -44,11 +44,11 @@ class FittedEffect:
 def fitted_effects(
     geometry: Geometry, names: Sequence[str], values: Iterable[float], sigma: Iterable[float]
 ) -> tuple[FittedEffect, ...]:
-    """The effects of a geometry with values and sigmas from the parameters of a model, by their names."""
-    found = dict(zip(names, zip(values, sigma, strict=True), strict=True))
+    """The effects of a geometry with values and standard deviations from the parameters of a model, by their names."""
+    fitted = dict(zip(names, zip(values, sigma, strict=True), strict=True))
 
     def describe_parameter(entry: PlacedEffect, parameter: EffectParameter) -> FittedParameter:
-        value, spread = (float(number) for number in found[entry.full_name(parameter)])
+        value, spread = (float(number) for number in fitted[entry.full_name(parameter)])
         sigma = parameter.physical_sigma(value, spread)
         return FittedParameter(parameter.name, parameter.physical_value(value), sigma, parameter.unit)
 
@@ -61,13 +61,13 @@ def fitted_effects(
 
 
 def _split_choice(entry: PlacedEffect) -> tuple[Where, tuple[str, str] | None]:
-    """Where an effect is, and its choice."""
+    """The place of an effect without its choice, and the choice."""
     choice = entry.effect.choice
     return (entry.where, None) if choice is None else (entry.where[:-1], (choice.name, entry.where[-1]))
 
 
 def declare_fitted_effects(geometry: Geometry, names: Sequence[str], values: Sequence[float]) -> Geometry:
-    """The geometry with its effects declared at these parameter values; an infinite one is its null, and left out."""
+    """The geometry with its effects declared at these parameter values; an infinite value is its null, and left out."""
     effects = tuple(
         DeclaredEffect(
             name=entry.name,

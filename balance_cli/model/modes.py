@@ -19,7 +19,7 @@ class Modes:
     """m oscillatory modes in order of rising frequency.
 
     frequency (m,) [Hz] is that of the undamped oscillator |s| / (2 pi); damping_ratio (m,) = -Re s / |s|; shape (m, n)
-    complex, its largest element 1; frequency_slope and damping_slope (m, p) for the system's free parameters.
+    complex, its largest element 1; frequency_derivative and damping_derivative (m, p) for the system's free parameters.
     """
 
     coordinates: tuple[str, ...]
@@ -33,8 +33,8 @@ class Modes:
 def modes(system: System, spin: float = 0.0) -> Modes:
     """Eigenvalues s of (s^2 M + s (D + Omega G) + K + jH) x = 0 in the upper half plane.
 
-    Slopes are ds = -y (s^2 dM + s dD + dK + j dH) x / y (2 s M + D) x, with y the left eigenvector. What springs
-    stiffen with frequency comes in by the same formula.
+    Derivatives are ds = -y (s^2 dM + s dD + dK + j dH) x / y (2 s M + D) x, with y the left eigenvector. The
+    frequency-dependent stiffness of springs is included to first order by the same formula.
     """
     M, D, K = _pencil_matrices(system, spin)
     s, left, right = eigenvalues(M, D, K)
@@ -53,9 +53,9 @@ def modes(system: System, spin: float = 0.0) -> Modes:
 def frequency_stiffness_shift(
     system: System, s: ComplexArray, left: ComplexArray, right: ComplexArray, norm: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """First-order change (m,) of eigenvalues because springs stiffen with frequency, and its slopes (m, p).
+    """First-order change (m,) of the eigenvalues by frequency-dependent stiffness, and its derivatives (m, p).
 
-    Of the vectors left, right (m, n), with norm (m,) = y (2 s M + D) x.
+    `left` and `right` (m, n) are the eigenvectors, `norm` (m,) = y (2 s M + D) x.
     """
     frequency_stiffness = system.pencil.frequency_stiffness
     each = -np.log(np.abs(s) / (2 * np.pi * REFERENCE_FREQUENCY)) / norm
@@ -78,11 +78,11 @@ def eigenvalues(M: Array, D: Array, K: ComplexArray) -> tuple[ComplexArray, Comp
     """Oscillatory eigenvalues (m,) of rising size with left and right vectors (m, n) of the quadratic problem.
 
     The companion pencil is [[0, I], [-K, -D]] v = s [[I, 0], [0, M]] v; M may be singular (infinite eigenvalues).
-    LinAlgError where the matrices are not finite, or inertia or stiffness have no size.
+    Raises LinAlgError where the matrices are not finite, or inertia or stiffness vanish.
     """
     inertia, stiffness = np.trace(M), np.abs(np.trace(K))
     if not (inertia > 0.0 and stiffness > 0.0 and all(np.isfinite(part).all() for part in (M, D, K))):
-        raise np.linalg.LinAlgError("matrices of motion that are not finite, or of no inertia or stiffness")
+        raise np.linalg.LinAlgError("the matrices of motion are not finite, or have no inertia or stiffness")
     n = len(M)
     identity, nothing = np.eye(n), np.zeros((n, n))
     scale = np.sqrt(stiffness / inertia)

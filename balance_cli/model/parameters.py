@@ -1,4 +1,4 @@
-"""The physical parameters of the declared rig, with the priors that its tolerances give."""
+"""The physical parameters of the declared rig, with priors from its tolerances."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 class ParameterSet:
     """p parameters: name, unit, declared value, one standard deviation of it, and bounds.
 
-    `sigma` 0 means exact (never fitted), infinite means nothing is known beforehand; `scale` (p,) is the size of a
-    change that matters, in which a fit counts.
+    `sigma` 0 means exact (never fitted), infinite means without a prior; `scale` (p,) is the size of a change that
+    matters, the unit in which a fit works.
     """
 
     names: tuple[str, ...]

@@ -1,6 +1,6 @@
-"""The rigid plate of the paper's section 3: lumped masses, cells and hub to M, B, C, K and F.
+"""The rigid plate of the paper's section 3: the matrices M, B, C, K and F of lumped masses, cells and hub.
 
-Coordinates are q = (x, y, z, psi, theta, phi): motion of the centre of gravity of the moving part, axes parallel to
+Coordinates are q = (x, y, z, psi, theta, phi): motion of the center of gravity of the metric side, axes parallel to
 the rig's, psi about z, theta about y, phi about x, small angles.
 """
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 def mass_matrix(mass: float, inertia: Array) -> Array:
-    """M (6, 6) about the centre of gravity: diag(m, m, m) and the inertia tensor in the order psi, theta, phi."""
+    """M (6, 6) about the center of gravity: diag(m, m, m) and the inertia tensor in the order psi, theta, phi."""
     matrix = np.zeros((6, 6))
     matrix[:3, :3] = mass * np.eye(3)
     matrix[3:, 3:] = ROTATION_ORDER @ inertia @ ROTATION_ORDER.T
@@ -31,9 +31,9 @@ def mass_matrix(mass: float, inertia: Array) -> Array:
 
 
 def load_matrix(geometry: Geometry, center: Array) -> Array:
-    """F (6, 6): generalised forces per unit hub load (Fx .. Mz), by virtual work.
+    """F (6, 6): generalized forces per unit hub load (Fx .. Mz), by virtual work.
 
-    With a torque meter Mz goes through the shaft and leaves the plate alone.
+    With a torque meter Mz acts on the shaft and not on the plate.
     """
     at_hub = motion_at(np.asarray(geometry.hub, float) - center)
     forces = at_hub.T
@@ -83,17 +83,17 @@ def plate_matrices(geometry: Geometry) -> PlateMatrices:
 
 
 def moment_reference_length(hub: Sequence[float]) -> float:
-    """Length [m] by which moments are made comparable with forces: the height of the hub over the plate."""
+    """Length [m] that makes moments comparable with forces: the height of the hub above the plate."""
     height = abs(float(hub[2]))
     return height if height > 0 else 1.0
 
 
-# The load component that drives each freedom by itself.
 COMPONENT_OF_FREEDOM = {"x": "Fx", "y": "Fy", "z": "Fz", "psi": "Mz", "theta": "My", "phi": "Mx"}
+"""The load component that drives each motion by itself."""
 
 
 def carried_components(geometry: Geometry) -> tuple[str, ...]:
-    """The hub load components that this balance can tell: one per freedom of plate and shaft."""
+    """The hub load components that this balance can measure: one per motion of plate and shaft."""
     carried = {COMPONENT_OF_FREEDOM[name] for name in geometry.freedom}
     if geometry.torque_meter:
         carried.add("Mz")

@@ -1,12 +1,12 @@
-"""Realisations of linear systems: descriptor systems to state space, that to modes, and what is built of both.
+"""Realizations of linear systems: descriptor systems to state space, state space to modal form, and connections.
 
 A descriptor system E x' = A x + B u, y = C x with a singular E has finite poles and infinite ones. The finite part is
-that of its deflating subspaces: V of the finite poles, and W across the image of the infinite ones (generalized Schur
-form; Moler and Stewart, SIAM J. Numer. Anal. 10, 1973),
+that of its deflating subspaces: V of the finite poles, and W orthogonal to the image of the infinite ones (generalized
+Schur form; Moler and Stewart, SIAM J. Numer. Anal. 10, 1973),
 
     C (s E - A)^-1 B = C V (s W' E V - W' A V)^-1 W' B + D.
 
-No eigenvector is needed for it, so that poles may meet. D is the direct term of a proper system.
+It needs no eigenvectors, so that poles may coincide. D is the direct term of a proper system.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
-# Units of s [rad/s], the first that will do: the middle of what a balance is used for, and to either side of it.
+# Units of s [rad/s], tried in turn: the middle of the band of a balance, then a value on either side of it.
 TIME_SCALE_RATES = 2 * np.pi * np.array([100.0, 250.0, 40.0])
-# Where the response is held against the exact one [rad/s], on the real axis.
+# Points on the real axis [rad/s] at which the response is compared with the exact one.
 CHECK_FREQUENCIES = 2 * np.pi * np.array([10.0, 1000.0])
-# Faster poles [rad/s] count as infinite: in the band of a balance what they do is constant. Rounding leaves those that
-# are infinite beyond 1e7 rad/s.
+# Faster poles [rad/s] count as infinite: in the band of a balance their contribution is constant. Rounding leaves
+# infinite poles beyond 1e7 rad/s.
 FASTEST_FINITE_POLE = 2 * np.pi * 1e6
-# Factor by which finite and infinite poles are to be apart, or the two parts are not well told from each other.
+# Factor that must separate finite from infinite poles; otherwise the two subspaces are ill-conditioned.
 POLE_GAP = 3.0
-# Sweeps that equalise rows and columns; each halves what is left, in the logarithm.
+# Equilibration sweeps; each halves the remaining imbalance on a logarithmic scale.
 EQUILIBRATION_SWEEPS = 12
-# Of the largest state, what one is taken for that is hardly driven or read.
+# Lower bound of the size of a weakly driven or observed state, relative to the largest one.
 LEAST_STATE_SHARE = 1e-5
-# Of the largest response of an input or an output, what is rounding in the direct term.
+# Rounding error of the direct term, relative to the largest response of its input or output.
 DIRECT_TERM_ROUNDING = 1e-11
-# Agreement there that a proper system reaches with much to spare.
+# Relative agreement at these points, which a proper system exceeds by orders of magnitude.
 RESPONSE_TOLERANCE = 1e-7
-# Condition of the eigenvectors beyond which the states are left coupled: two poles that meet have 1e8, and residues
-# that cancel to as many digits.
+# Condition of the eigenvectors above which the states stay coupled: for two coincident poles it is 1e8, and residues
+# cancel to as many digits.
 WORST_EIGENVECTOR_CONDITION = 1e6
-# Of the largest residue of an input or an output, what counts as none.
+# Residues below this share of the largest one of their input or output are rounding errors.
 NEGLIGIBLE_RESIDUE = 1e-13
 
 
@@ -84,11 +84,11 @@ class Descriptor:
         return np.asarray(self.C @ np.linalg.solve(s * self.E - self.A, self.B))
 
 
-# ---- put together ----------------------------------------------------------------------------------------------------
+# ---- connections -----------------------------------------------------------------------------------------------------
 
 
 def series(first: Realization, second: Realization) -> Realization:
-    """The second system driven by the outputs of the first; their states one after the other."""
+    """The second system driven by the outputs of the first, whose states come first."""
     nothing = np.zeros((len(first.A), len(second.A)))
     return Realization(
         A=np.block([[first.A, nothing], [second.B @ first.C, second.A]]),
@@ -99,7 +99,7 @@ def series(first: Realization, second: Realization) -> Realization:
 
 
 def parallel(parts: Sequence[Realization]) -> Realization:
-    """Systems side by side, each with inputs and outputs of its own."""
+    """Systems in parallel, each with its own inputs and outputs."""
     return Realization(*(_block_diagonal_array([getattr(part, name) for part in parts]) for name in "ABCD"))
 
 
@@ -119,7 +119,7 @@ def static_gain_system(value: ArrayLike) -> Realization:
 def proper_part(system: Descriptor) -> Realization:
     """State space of a proper descriptor system, its poles beyond `FASTEST_FINITE_POLE` in the direct term.
 
-    UserError where the response is not that of finite poles and a direct term.
+    Raises UserError where the response is not that of finite poles and a direct term.
     """
     for rate in TIME_SCALE_RATES:
         # The QZ iteration may fail to converge; in another unit of time it does.
@@ -132,12 +132,12 @@ def proper_part(system: Descriptor) -> Realization:
                 return whole
     raise UserError(
         "the balance has no state space: its response is not that of finite poles and a direct term",
-        remedy="Look for an effect with a parameter that is out of all proportion",
+        remedy="Look for an effect with an implausibly large parameter",
     )
 
 
 def _add_direct_term(finite: Realization, system: Descriptor) -> Realization:
-    """D by the difference at one point; what is rounding there is left out."""
+    """The finite part with D from the difference at one point, without rounding errors."""
     exact = system.transfer_function(TIME_SCALE_RATES[0])
     D = exact - finite.transfer_function(TIME_SCALE_RATES[0])[0].real
     return replace(finite, D=np.where(np.abs(D) > DIRECT_TERM_ROUNDING * _reference_size(np.abs(exact)), D, 0.0))
@@ -148,7 +148,7 @@ def _responses_agree(response: Array, exact: Array) -> bool:
 
 
 def _reference_size(size: Array) -> Array:
-    """Of every output (rows) and input (columns) of `size` (..., o, i), the largest; the larger of the two (o, i)."""
+    """The larger (o, i) of the largest elements of each output and each input of `size` (..., o, i)."""
     largest = size.reshape(-1, *size.shape[-2:]).max(axis=0)
     return np.asarray(np.maximum(largest.max(axis=1)[:, None], largest.max(axis=0)), float)
 
@@ -156,7 +156,7 @@ def _reference_size(size: Array) -> Array:
 def _equilibrate(system: Descriptor, rate: float) -> Descriptor:
     """Rows and columns scaled until the largest element of each is one, time in units of 1 / `rate`.
 
-    The sweeps are those of Ruiz (Rutherford Appleton Laboratory RAL-TR-2001-034); the response stays as it is.
+    The sweeps are those of Ruiz (Rutherford Appleton Laboratory RAL-TR-2001-034); the response does not change.
     """
     size = rate * np.abs(system.E) + np.abs(system.A)
     row, column = np.ones((len(size), 1)), np.ones(len(size))
@@ -174,10 +174,10 @@ def _scale_rows_and_columns(system: Descriptor, row: Array, column: Array) -> De
 
 
 def _balance_states(system: Descriptor) -> Descriptor:
-    """States scaled so that each is driven by the inputs, at s = 1, as much as it is read by the outputs.
+    """The system with states scaled so that each is equally controllable and observable at s = 1.
 
-    A coordinate in other units than the rest, a load itself, would else bring its own rounding into all responses. A
-    coordinate and its rate, of which a fast mode makes a large one, keep their ratio.
+    Otherwise a coordinate in different units, such as a load, would spread its rounding errors to all responses. A
+    coordinate and its rate keep their ratio, because the rate of a fast mode is large.
     """
     pencil = system.E - system.A
     driven = _raise_to_least(np.linalg.norm(np.linalg.solve(pencil, system.B), axis=1))
@@ -203,7 +203,7 @@ def _finite_part(system: Descriptor, rate: float) -> Realization:
 
 
 def _subspaces(system: Descriptor, limit: float) -> tuple[Array, Array]:
-    """V (n, f) of the f poles that are finite, up to `limit`, and W (n, f) across the image of the others."""
+    """V (n, f) of the f finite poles, up to `limit`, and W (n, f) orthogonal to the image of the others."""
     fastest = _limit_in_pole_gap(system, limit)
 
     def finite(alpha: NDArray[Any], beta: NDArray[Any]) -> Mask:
@@ -212,32 +212,32 @@ def _subspaces(system: Descriptor, limit: float) -> tuple[Array, Array]:
     def infinite(alpha: NDArray[Any], beta: NDArray[Any]) -> Mask:
         return ~finite(alpha, beta)
 
-    # scipy takes a choice of all eigenvalues at once, its stubs one of each.
-    chosen: Any = finite
-    others: Any = infinite
-    *_, alpha, beta, _, V = ordqz(system.A, system.E, sort=chosen, output="real")
-    *_, W, _ = ordqz(system.A, system.E, sort=others, output="real")
+    # SciPy passes all eigenvalues at once; its stubs declare a single one.
+    select_finite: Any = finite
+    select_infinite: Any = infinite
+    *_, alpha, beta, _, V = ordqz(system.A, system.E, sort=select_finite, output="real")
+    *_, W, _ = ordqz(system.A, system.E, sort=select_infinite, output="real")
     count = int(np.count_nonzero(finite(alpha, beta)))
     return np.asarray(V, float)[:, :count], np.asarray(W, float)[:, len(system.A) - count :]
 
 
 def _limit_in_pole_gap(system: Descriptor, limit: float) -> float:
-    """The first speed from `limit` on from which the nearest poles are a factor `POLE_GAP` away."""
+    """The smallest of limit, limit POLE_GAP, ... from which every pole is at least a factor `POLE_GAP` away."""
     alpha, beta = np.abs(eigvals(system.A, system.E, homogeneous_eigvals=True))
     while np.any((alpha > limit / POLE_GAP * beta) & (alpha < limit * POLE_GAP * beta)):
         limit *= POLE_GAP
     return limit
 
 
-# ---- to modes --------------------------------------------------------------------------------------------------------
+# ---- modal form ------------------------------------------------------------------------------------------------------
 
 
 def modal_form(system: Realization) -> Realization:
-    """The same system in its modes, of rising |s|: a block [[a, -b], [b, a]] for each pair a +- jb, else one state.
+    """The same system in modal form, by increasing |s|.
 
-    Input and output norm of each are equal. Modes that no output reads or no input drives are left out. Where the
-    condition of the eigenvectors is worse than `WORST_EIGENVECTOR_CONDITION` (poles that meet) the system is returned
-    as it is.
+    A pair of poles a +- jb makes a block [[a, -b], [b, a]], a real pole one state. Input and output norms of each mode
+    are equal. Unobservable and uncontrollable modes are left out. Where the condition of the eigenvectors is worse than
+    `WORST_EIGENVECTOR_CONDITION` (coincident poles) the system is returned unchanged.
     """
     s, vectors = np.linalg.eig(system.A)
     if not len(s) or np.linalg.cond(vectors) > WORST_EIGENVECTOR_CONDITION:
@@ -255,7 +255,7 @@ def modal_form(system: Realization) -> Realization:
 
 
 def _significant_residues(s: ComplexArray, b: ComplexArray, c: ComplexArray) -> Mask:
-    """Poles (m,) with a residue c b' / |s|, of b (m, i) and c (o, m), that is not rounding."""
+    """Whether each pole (m,) has a residue c b' / |s|, of b (m, i) and c (o, m), above rounding errors."""
     size = np.abs(c.T[:, :, None] * b[:, None, :] / s[:, None, None])
     return np.asarray((size > NEGLIGIBLE_RESIDUE * _reference_size(size)).any(axis=(1, 2)))
 

@@ -1,11 +1,11 @@
-"""A chain of relaxations: the lag of structural damping as it can be realised in time.
+"""A chain of relaxations: structural damping as a passive system in the time domain.
 
     h(s) = sum_i g_i s / (s + a_i) - g_0,        g_i >= 0,
 
-follows j + (2 / pi) ln(f / f0), f0 = `REFERENCE_FREQUENCY`, over a band: what a causal spring of unit loss factor has
-besides its
-stiffness (Makris, J. Eng. Mech. 123, 1997, 1209-1214). Each term is a spring in series with a dashpot, so the chain
-is passive whatever the g_i are. Below the band it relaxes to -g_0, beyond it it stiffens no more.
+follows j + (2 / pi) ln(f / f0), f0 = `REFERENCE_FREQUENCY`, over a band: the complex stiffness that a causal spring of
+unit loss factor has in addition to its static one (Makris, J. Eng. Mech. 123, 1997, 1209-1214). Each term is a spring
+in series with a dashpot, so the chain is passive. Below the band it relaxes to -g_0; above the band its stiffness is
+constant.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ BAND = (0.5, 1000.0)
 """Frequencies [Hz] between which the chain follows the law."""
 
 RATES_PER_DECADE = 2
-# The rates reach beyond the band by this factor: relaxations outside make the law at its ends.
+"""Relaxations per decade: one each half decade, so that neighboring relaxations overlap."""
 BAND_MARGIN = 6.0
+"""Factor by which the rates extend beyond the band: relaxations outside it determine the law at its ends."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class RelaxationChain:
 
     @property
     def instantaneous_increment(self) -> float:
-        """What is added to the stiffness at infinite frequency, sum_i g_i - g_0."""
+        """Increase of the stiffness at infinite frequency, sum_i g_i - g_0."""
         return float(self.strengths.sum() - self.relaxed_decrement)
 
     def transfer_function(self, s: ArrayLike) -> ComplexArray:
@@ -65,8 +66,8 @@ def relaxation_chain() -> RelaxationChain:
     frequency = np.geomspace(*BAND, 40 * len(rates))
     terms = _relaxation_terms(frequency, rates)
     at_reference = _relaxation_terms(np.array([REFERENCE_FREQUENCY]), rates)[0].real
-    centred, law = terms - at_reference, hysteretic_law(frequency)
-    strengths, _ = nnls(np.concatenate([centred.real, centred.imag]), np.concatenate([law.real, law.imag]))
+    centered, law = terms - at_reference, hysteretic_law(frequency)
+    strengths, _ = nnls(np.concatenate([centered.real, centered.imag]), np.concatenate([law.real, law.imag]))
     used = strengths > 0
     return RelaxationChain(rates[used], strengths[used], float(at_reference @ strengths))
 

@@ -1,4 +1,4 @@
-"""The rigid balance as equations: plate, torque shaft and channels from a geometry and its parameter vector."""
+"""The equations of the rigid balance: plate, torque shaft and channels, from a geometry and its parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Equations:
-    """Plate and shaft at the parameters `value` by name, whose slopes refer to `p` free ones."""
+    """Equations of plate and shaft at the parameters `value` by name, with derivatives by `p` free parameters."""
     mass, B, F = _plate(geometry, value)
     k = stack([value[f"stiffness.{cell.name}"] for cell in geometry.cells])
     stiffness = B.T @ (k.insert_axis(-1) * B)
@@ -59,7 +59,7 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
 
 
 def _plate(geometry: Geometry, value: Mapping[str, Dual]) -> tuple[Dual, Dual, Dual]:
-    """M (n, n), B (cells, n) and F (n, 6) of the plate; B and F are linear in the centre of gravity."""
+    """M (n, n), B (cells, n) and F (n, 6) of the plate; B and F are linear in the center of gravity."""
     free = free_index(geometry)
     mass = value["mass"] * np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     for name in INERTIA_NAMES:
@@ -74,7 +74,7 @@ def _plate(geometry: Geometry, value: Mapping[str, Dual]) -> tuple[Dual, Dual, D
 
 
 def _inertia_pattern(name: str) -> Array:
-    """How one of the six inertia numbers enters M (6, 6); products enter with a minus sign."""
+    """The derivative (6, 6) of M by one of the six inertia numbers; products enter with a minus sign."""
     i, j = "xyz".index(name[0]), "xyz".index(name[1])
     tensor = np.zeros((3, 3))
     tensor[i, j] = tensor[j, i] = 1.0 if i == j else -1.0

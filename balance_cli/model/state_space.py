@@ -1,12 +1,12 @@
-"""The balance as a real system in continuous time: a state space of the modes that matter and of the channels' filters.
+"""The balance as a real system in continuous time: a state space of its modes and of the channels' filters.
 
 With the states x of modes and filters, u the hub loads and z the volts before delay and crosstalk,
 
     x' = A x + B u,        z = C x + D u,        y_c(t) = sum_d mixing_cd z_d(t - delay_d),
 
-has the response of the `System` it is made of. Poles s_m and residues R_m of the pencil give the springs' forces,
-sum_m R_m / (s - s_m) + D_f; D_f is what parts without mass, or without compliance, leave of the exact response. A loss
-factor, which nothing in time has at every frequency, is made of relaxations.
+has the response of the `System` from which it is made. Poles s_m and residues R_m of the pencil give the springs'
+forces, sum_m R_m / (s - s_m) + D_f; D_f is the contribution of parts without mass or without compliance. A loss factor,
+which no causal system has at every frequency, is approximated by relaxations.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from balance_cli.signals.anti_alias import butterworth_poles
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Of the largest singular value, what is rounding in the rank of the springs with loss.
 LOSS_RANK_TOLERANCE = 1e-12
+"""Singular values below this share of the largest are rounding errors in the rank of the springs with loss."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class StateSpace:
 
 
 def state_space(system: System, spin: float = 0.0) -> StateSpace:
-    """The state space of a balance at rotor speed `spin` [Hz], of true hub loads (no spill of an exciter).
+    """The state space of a balance at rotor speed `spin` [Hz], of true hub loads (no cross-axis matrix).
 
-    Forces along springs that are not linear, pick-up and offsets are left out, as they are in its response. UserError
+    Nonlinear forces along springs, mains interference and offsets are left out, as in its response. Raises UserError
     where the response is not that of finite poles and a direct term.
     """
     read = sorted({path.spring for path in system.equations.paths})
@@ -95,9 +95,9 @@ def with_anti_alias(space: StateSpace, acquisition: Acquisition) -> StateSpace:
 def realization_error(space: StateSpace, system: System, frequency: ArrayLike, spin: float = 0.0) -> float:
     """Rms of the difference of the two responses over the rms of the system's own, at `frequency` (k,) [Hz].
 
-    Each load's, then each channel's responses are scaled to an rms of one, so that all count alike. It is rounding but
-    for springs with loss: their law is followed from 0.5 to 1000 Hz, and with its stiffening (`causality` 1) whatever
-    is declared; a spring at rest has relaxed, which the response of the system does not know.
+    The responses of each load, then of each channel, are scaled to an rms of one, so that all have equal weight. The
+    error is rounding except for springs with loss. Their law is followed from 0.5 to 1000 Hz, always with its
+    stiffening (`causality` 1). At rest such a spring has relaxed, which the response of the system does not include.
     """
     exact = response(system, solve(system, np.atleast_1d(np.asarray(frequency, float)), spin))
     load = _rms(exact, (0, 1))
@@ -107,7 +107,7 @@ def realization_error(space: StateSpace, system: System, frequency: ArrayLike, s
 
 
 def _rms(values: ComplexArray, axes: tuple[int, ...]) -> Array:
-    """Root mean square over the axes, one where there is nothing."""
+    """Root mean square over the axes; one where it vanishes."""
     rms = np.sqrt(np.mean(np.abs(values) ** 2, axis=axes, keepdims=True))
     return np.where(rms > 0, rms, 1.0)
 
@@ -148,12 +148,12 @@ def _structural_descriptor(system: System, spin: float, read: list[int]) -> Desc
 def _rank_factors(rows: Array) -> tuple[Array, Array]:
     """U (e, r) and R (r, n) of full rank r with U R = rows (e, n)."""
     U, size, V = np.linalg.svd(rows, full_matrices=False)
-    some = size > LOSS_RANK_TOLERANCE * size[0]
-    return U[:, some], size[some, None] * V[some]
+    significant = size > LOSS_RANK_TOLERANCE * size[0]
+    return U[:, significant], size[significant, None] * V[significant]
 
 
 def _second_order_matrices(system: System, spin: float) -> tuple[Array, Array, Array]:
-    """M, D + Omega G and K (n, n) at rotor speed `spin` [Hz]; D has the rotor's share."""
+    """M, D + Omega G and K (n, n) at rotor speed `spin` [Hz]; the damping includes the gyroscopic part."""
     pencil = system.pencil
     damping = pencil.damping.value + 2 * np.pi * spin * pencil.gyroscopic.value
     return pencil.mass.value, damping, pencil.stiffness.value
@@ -163,7 +163,7 @@ def _second_order_matrices(system: System, spin: float) -> tuple[Array, Array, A
 
 
 def _channel_filters(path: ChannelPath) -> Realization:
-    """From a spring's force to volts, all but the delay."""
+    """The path from a spring's force to volts, without the delay."""
     whole = static_gain_system(float(path.gain.value))
     for tau in path.low_pass:
         whole = whole if tau.value == 0 else series(whole, _low_pass(1 / float(tau.value)))
@@ -185,7 +185,7 @@ def _high_pass(rate: float) -> Realization:
 
 
 def _butterworth_filter(declared: AnalogFilter) -> Realization:
-    """The low-pass of `butterworth_poles`, its pairs of poles one after the other and the real one, if any, last."""
+    """The low-pass of `butterworth_poles`: its pairs of poles in series, then the real pole, if any."""
     poles = 2 * np.pi * declared.cutoff * butterworth_poles(declared.order)
     whole = static_gain_system(1.0)
     for pole in poles[: declared.order // 2]:

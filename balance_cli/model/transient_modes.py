@@ -1,12 +1,12 @@
-"""The free motion of a balance, as its channels read it: what is left of a start long after the load has settled.
+"""Transient modes: the free motion of a balance as its channels read it.
 
 The modes s of the upper half plane form an invariant pair, M X S^2 + D X S + (K + jH) X = 0 with S = diag(s), and the
 free motion is q(t) = Re X exp(S t) a with one complex amplitude a per mode. A channel reads Re Phi exp(S t) a with
-Phi = c (r_c X) g_c(S): a filter answers exp(s t) with its gain at s, once its own start has gone. That of a high-pass
-with a rate r takes long: it is a motion exp(-r t) of one channel, with a real amplitude.
+Phi = c (r_c X) g_c(S): a filter responds to exp(s t) with its gain at s, once its own transient has decayed. That of
+a high-pass with a rate r lasts long: it is a motion exp(-r t) of one channel, with a real amplitude.
 
-A change of parameters changes the pair as a whole; S then is no longer diagonal, but nothing has to be divided by the
-difference of two eigenvalues of it, so that equal frequencies do no harm (Kressner, Numer. Math. 114, 2009). For any
+A change of parameters changes the pair as a whole. S is then no longer diagonal, but nothing is divided by the
+difference of two eigenvalues, so that equal frequencies are allowed (Kressner, Numer. Math. 114, 2009). For any
 function of S, (d f(S))_ij = f[s_i, s_j] dS_ij with the divided difference f[a, b] (Daleckii and Krein).
 """
 
@@ -25,17 +25,17 @@ from balance_cli.model.system import System
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Nearer than this share of their size two values of s count as one.
 COINCIDENCE_TOLERANCE = 1e-7
-# Of the largest force that a motion could make, what is rounding.
+"""Relative distance below which two values of s coincide: there a divided difference loses half of its digits."""
 UNOBSERVABLE_SHARE = 1e-10
+"""Forces below this share of the largest that a motion could cause are rounding errors."""
 
 
 @dataclass(frozen=True)
 class TransientModes:
-    """Modes and starts s (m,) [1/s], and what the channels read of each, volts (c, m), at t = 0 and unit amplitude.
+    """Exponents s (m,) [1/s] of modes and high-passes, and the volts (c, m) of each at t = 0 and unit amplitude.
 
-    Derivatives by the parameters: s_slope (p, m, m) of the matrix S, volts_slope (p, c, m).
+    Derivatives by the parameters: `s_derivative` (p, m, m) of the matrix S, `volts_derivative` (p, c, m).
     """
 
     s: ComplexArray
@@ -47,9 +47,9 @@ class TransientModes:
 def transient_modes(
     system: System, spin: float, highest_frequency: float, fastest_decay: float = np.inf, with_derivatives: bool = True
 ) -> TransientModes:
-    """The modes below `highest` [Hz] and the starts of high-passes, at rotor speed `spin` [Hz].
+    """The modes below `highest_frequency` [Hz] and the transients of high-passes, at rotor speed `spin` [Hz].
 
-    Only those that decay by no more than `fastest` [1/s]. Without `slopes` these are empty (p = 0).
+    Only those with a decay rate up to `fastest_decay` [1/s]. Without derivatives those arrays are empty (p = 0).
     """
     return _join(
         _structural_transients(system, spin, highest_frequency, fastest_decay, with_derivatives),
@@ -82,10 +82,10 @@ def _structural_transients(
 
 
 def _observable_modes(system: System, right: ComplexArray) -> NDArray[np.bool_]:
-    """Modes (m,) of vectors (m, n) that a cell feels: one of a part without mass is rounding in all others."""
+    """Whether a cell reads each mode (m,) of vectors (m, n): that of a massless part is rounding in all others."""
     R = system.readings.value
-    felt = np.linalg.norm(right @ R.T, axis=1)
-    return np.asarray(felt > UNOBSERVABLE_SHARE * np.linalg.norm(R) * np.linalg.norm(right, axis=1))
+    force = np.linalg.norm(right @ R.T, axis=1)
+    return np.asarray(force > UNOBSERVABLE_SHARE * np.linalg.norm(R) * np.linalg.norm(right, axis=1))
 
 
 def _high_pass_transients(system: System, fastest_decay: float, with_derivatives: bool) -> TransientModes:
@@ -131,7 +131,7 @@ def _gain(path: ChannelPath, s: ComplexArray) -> ComplexArray:
 
 
 def _gain_derivative(path: ChannelPath, s: ComplexArray) -> ComplexArray:
-    """dg/ds; filters are smooth over a hundred thousandth of s."""
+    """The derivative dg/ds by central differences; filters are smooth over 1e-5 of s."""
     step = 1e-5 * np.abs(s)
     return (_gain(path, s + step) - _gain(path, s - step)) / (2 * step)
 
@@ -150,9 +150,10 @@ def _gain_function_derivatives(
 def _invariant_pair_derivatives(
     system: System, spin: float, matrices: tuple[Array, Array], s: ComplexArray, left: ComplexArray, X: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Slopes dX (p, n, m) and dS (p, m, m), column by column from
+    """Derivatives dX (p, n, m) and dS (p, m, m), column by column.
 
-    P(s_j) dx_j + sum_i (M (s_i + s_j) + D) x_i dS_ij = -dP(s_j) x_j, with W (dX, d(XS)) = 0 for W (X, XS) = I.
+    They solve P(s_j) dx_j + sum_i (M (s_i + s_j) + D) x_i dS_ij = -dP(s_j) x_j, with W (dX, d(XS)) = 0 where
+    W (X, XS) = I.
     """
     M, D = matrices
     n, m = X.shape

@@ -1,4 +1,4 @@
-"""A simulated balance, in the time domain: the truth against which everything else is tested.
+"""A simulated balance in the time domain: the known truth against which all other parts are tested.
 
 It shares no code with the frequency-domain model of the balance.
 """

@@ -1,4 +1,4 @@
-"""From the loads and forces of a run to what is recorded of it, and to its truth."""
+"""The acquisition: from the loads and forces of a run to its record and its truth."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ KINDS_WITH_LOADS = ("sweep", "check")
 
 @dataclass(frozen=True)
 class RecordingSetup:
-    """What records a rig: its noise, and the seed of all random numbers of the campaign."""
+    """The noise of the acquisition, and the seed of all random numbers of the campaign."""
 
     noise: Noise
     seed: int
 
     def random_stream(self, plan: AnyPlan, what: str) -> np.random.Generator:
-        """The random numbers of a run for one use."""
+        """The random stream of a run for one purpose."""
         return random_stream(self.seed, plan.run, what)
 
 
@@ -46,12 +46,12 @@ def _apply_hooks(hooks: Iterable[Callable[[Array], Array]], value: Array) -> Arr
 
 
 def true_loads(rig: TrueRig, commanded_loads: Array, kind: str) -> Array:
-    """True hub loads (n, 6) where `meant` (n, 6) were to act."""
+    """True hub loads (n, 6) under the commanded loads (n, 6)."""
     return _apply_hooks((partial(extension.true_loads, kind=kind) for extension in rig.extensions), commanded_loads)
 
 
 def _recorded_loads(rig: TrueRig, commanded_loads: Array, kind: str) -> Array:
-    """What the exciter's force cell reads; a component that is not applied is declared zero and stays so."""
+    """Readings (n, 6) of the exciters' force cells; a component that is not applied is declared zero and stays zero."""
     recorded = _apply_hooks(
         (partial(extension.recorded_loads, kind=kind) for extension in rig.extensions), commanded_loads
     )
@@ -91,21 +91,21 @@ def _add_digest(run: Run) -> Run:
 def record_static(
     rig: TrueRig, plan: StaticPlan, commanded_loads: Array, forces: Array, acquisition: RecordingSetup
 ) -> tuple[Run, RunTruth]:
-    """The record of a static run: loads `meant` (rows, 6), cell forces and torque (rows, c+1).
+    """The record of a static run from commanded loads (rows, 6), cell forces and torque (rows, c+1).
 
     It holds the channels that measure a constant load; load components that are zero in a row are exactly zero.
     """
     noise, rng = acquisition.noise, acquisition.random_stream(plan, "noise")
-    kept = [i for i, channel in enumerate(rig.geometry.channels) if channel.measures_dc]
-    volts = _channel_volts(rig, forces, None, acquisition.random_stream(plan, "pickup"))[:, kept]
+    dc = [i for i, channel in enumerate(rig.geometry.channels) if channel.measures_dc]
+    volts = _channel_volts(rig, forces, None, acquisition.random_stream(plan, "pickup"))[:, dc]
     noisy = volts + noise.static_channel * rng.standard_normal(volts.shape)
     recorded = _recorded_loads(rig, commanded_loads, plan.kind)
     read = recorded + np.where(
         commanded_loads != 0, noise.static_load * rng.standard_normal(commanded_loads.shape), 0.0
     )
-    clipped = _clip_to_range(noisy, [rig.geometry.channels[i] for i in kept])
+    clipped = _clip_to_range(noisy, [rig.geometry.channels[i] for i in dc])
     run = _make_run(rig, plan, noise.to_file_precision(clipped), noise.to_file_precision(read))
-    names = tuple(rig.geometry.channel_names[i] for i in kept)
+    names = tuple(rig.geometry.channel_names[i] for i in dc)
     rows = np.arange(len(commanded_loads), dtype=float)
     truth = RunTruth(plan.run, plan.kind, rows, true_loads(rig, commanded_loads, plan.kind), recorded, volts)
     return _add_digest(replace(run, channel_names=names, trim=plan.trim)), truth
@@ -114,7 +114,7 @@ def record_static(
 def record_samples(
     rig: TrueRig, plan: SampledPlan, grid: Grid, commanded_loads: Array, forces: Array, acquisition: RecordingSetup
 ) -> tuple[Run, RunTruth]:
-    """The record of a sampled run: loads `meant` (n, 6), cell forces and torque (n, c+1) on the fine grid."""
+    """The record of a sampled run from commanded loads (n, 6), cell forces and torque (n, c+1) on the fine grid."""
     geometry, noise, rng = rig.geometry, acquisition.noise, acquisition.random_stream(plan, "noise")
     through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=grid.oversampling)
     volts = through(_channel_volts(rig, forces, grid.step, acquisition.random_stream(plan, "pickup")))[: grid.samples]
@@ -137,15 +137,15 @@ def record_samples(
 
 
 def _add_plan_metadata(run: Run, truth: RunTruth, plan: SampledPlan) -> tuple[Run, RunTruth]:
-    """Run and truth with what the plan says of the excitation or of the rotor."""
+    """Run and truth with the plan's metadata of excitation or rotor."""
     run = replace(run, sample_rate=plan.sample_rate, rotor_speed=plan.rotor_speed)
     if isinstance(plan, SweepPlan):
         period = plan.period if plan.excitation in ("multisine", "sine-sweep") else None
         run = replace(run, excited=plan.excited, excitation=plan.excitation, level=plan.level, period=period)
     if isinstance(plan, RotorPlan):
-        turned = rotor_kinematics(plan)
-        pulses = turned.pulse_times(plan.duration)
-        truth = replace(truth, azimuth=turned.azimuth(truth.time))
+        rotor = rotor_kinematics(plan)
+        pulses = rotor.pulse_times(plan.duration)
+        truth = replace(truth, azimuth=rotor.azimuth(truth.time))
         cosine, sine = truth.harmonics(pulses[0], pulses[-1])
         return replace(run, pulse_times=pulses), replace(truth, cosine=cosine, sine=sine)
     return run, truth

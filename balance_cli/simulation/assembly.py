@@ -1,4 +1,4 @@
-"""The equations of motion of a true rig: rigid plate, shaft, and its extensions in the order in which they act."""
+"""The equations of motion of a true rig: rigid plate, shaft, and extensions in the order in which they act."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def free_motions(rig: TrueRig) -> list[int]:
 def rigid_plate(rig: TrueRig) -> Mechanics:
     """The rigid plate on its cells and the shaft beside it, without any extension.
 
-    The shaft takes Mz beside the plate; without a torque meter there is no shaft, and Mz loads the plate.
+    With a torque meter Mz acts on the shaft, beside the plate; without one there is no shaft, and Mz loads the plate.
     """
     geometry = rig.geometry
     free = free_motions(rig)
@@ -59,7 +59,7 @@ def rigid_plate(rig: TrueRig) -> Mechanics:
 
 
 def _with_shaft(plate: Mechanics, rig: TrueRig) -> Mechanics:
-    """`J phi'' + d phi' + k phi = Mz`, no reaction on the plate."""
+    """The plate with the shaft `J phi'' + d phi' + k phi = Mz`, which has no reaction on the plate."""
     whole = plate.with_coordinates((TWIST,))
     k, j = rig.torque_stiffness, rig.torque_inertia
     whole.mass[-1, -1] = j
@@ -71,7 +71,7 @@ def _with_shaft(plate: Mechanics, rig: TrueRig) -> Mechanics:
 
 
 def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0) -> Mechanics:
-    """The rig with all its extensions, at `rotor_speed` [Hz]. Raises UserError where it cannot stand still."""
+    """The rig with all its extensions, at `rotor_speed` [Hz]. Raises UserError where it is not restrained."""
     mechanics = rigid_plate(rig)
     for extension in rig.extensions:
         mechanics = extension.mechanics(mechanics, rig.geometry, rotor_speed)

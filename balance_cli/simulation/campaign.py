@@ -1,4 +1,4 @@
-"""Simulated campaigns: runs as they would be recorded, and the truth behind each."""
+"""Simulated campaigns: runs as they would be recorded, and the truth of each."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _simulate_static(rig: TrueRig, plan: StaticPlan, acquisition: RecordingSetup
 
 
 def _group_by_dynamics(rig: TrueRig, plans: Sequence[SampledPlan]) -> Iterator[tuple[RigDynamics, list[SampledPlan]]]:
-    """The sampled runs, those together in which the rig has the same equations of motion and the same sample rate."""
+    """The sampled runs, grouped by equal equations of motion and sample rate."""
     groups: dict[tuple[bytes, float], tuple[RigDynamics, list[SampledPlan]]] = {}
     for plan in plans:
         mechanics = equations_of_motion(rig, plan.rotor_speed)
@@ -49,7 +49,7 @@ def _group_by_dynamics(rig: TrueRig, plans: Sequence[SampledPlan]) -> Iterator[t
 
 
 def _run_loads(rig: TrueRig, plan: SampledPlan, grid: Grid, acquisition: RecordingSetup) -> tuple[Array, Array]:
-    """The loads (n, 6) meant to act in a run, and those that do (made anew each time: cheaper than kept)."""
+    """Commanded and true loads (n, 6) of a run; they are computed when needed, not stored."""
     commanded_loads = planned_loads(plan, grid, acquisition.random_stream(plan, "loads"))
     return commanded_loads, true_loads(rig, commanded_loads, plan.kind)
 
@@ -71,16 +71,16 @@ def _simulate_sampled(
 def iterate_simulated_runs(
     rig: TrueRig, plan: CampaignPlan, noise: Noise | None = None, seed: int = 0
 ) -> Iterator[tuple[Run, RunTruth]]:
-    """All runs of a plan with their truths, one by one, as `simulate_campaign` but in an order of its own."""
+    """All runs of a plan with their truths as in `simulate_campaign`, one by one, but not in the order of the plan."""
     acquisition = RecordingSetup(Noise() if noise is None else noise, seed)
-    for one in plan.runs:
-        if isinstance(one, StaticPlan):
-            yield _simulate_static(rig, one, acquisition)
-    yield from _simulate_sampled(rig, [one for one in plan.runs if not isinstance(one, StaticPlan)], acquisition)
+    for run in plan.runs:
+        if isinstance(run, StaticPlan):
+            yield _simulate_static(rig, run, acquisition)
+    yield from _simulate_sampled(rig, [run for run in plan.runs if not isinstance(run, StaticPlan)], acquisition)
 
 
 def simulate_run(rig: TrueRig, plan: AnyPlan, noise: Noise | None = None, seed: int = 0) -> tuple[Run, RunTruth]:
-    """One run and its truth, as `simulate_campaign`: the same whatever else is simulated."""
+    """One run and its truth, identical to that of `simulate_campaign`."""
     return next(iterate_simulated_runs(rig, CampaignPlan(runs=(plan,)), noise, seed))
 
 
@@ -89,13 +89,13 @@ def simulate_campaign(
 ) -> Campaign:
     """All runs of a plan (or of the campaign `standard` or `short`), with their truths: `runs, truths = ...`.
 
-    The rig stands in equilibrium under the first load before a record begins. Loads, noise and pickup of every run
-    come from independent streams of `seed`: leaving a run out changes no other, nor does the noise change the loads.
-    Raises UserError where the rig cannot stand still.
+    The rig is in equilibrium under the first load before a record begins. Loads, noise and interference of every run
+    come from independent streams of `seed`: leaving out a run changes no other run, and the noise does not change the
+    loads. Raises UserError where the rig is not restrained.
     """
     if isinstance(plan, str):
         rotor = rig.geometry.rotor
         plan = campaign_plan(plan, rotor.speed) if rotor else campaign_plan(plan)
     pairs = {run.name: (run, truth) for run, truth in iterate_simulated_runs(rig, plan, noise, seed)}
-    ordered = [pairs[one.run] for one in plan.runs]
+    ordered = [pairs[run.run] for run in plan.runs]
     return Campaign(tuple(run for run, _ in ordered), tuple(truth for _, truth in ordered))

@@ -1,4 +1,4 @@
-"""Excitations of an exciter on a uniform grid of time; all but the swept sine are exactly band-limited."""
+"""Excitation signals on a uniform time grid; all but the swept sine are exactly band-limited."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def multisine(
 ) -> Array:
     """Random-phase multisine (n,) with equal amplitudes and rms `level`, repeating every `period` s.
 
-    Its lines are the multiples of 1/period within `band` [Hz]; of these every `every`-th, beginning with `shift`
-    (interleaved lines let several components be excited at once).
+    Its lines are the multiples of 1/period within `band` [Hz]; of these every `every`-th, starting with `shift`
+    (with interleaved lines several components can be excited at once).
     """
     numbers = _line_numbers(band, 1 / period)[shift::every]
     phases = np.exp(2j * np.pi * rng.random(len(numbers)))
@@ -65,7 +65,7 @@ def sine_sweep(time: Array, period: float, band: Band, level: float) -> Array:
 
 
 def stepped_sine(time: Array, frequencies: Array, dwell: float, level: float) -> Array:
-    """Sine (n,) of rms `level` that dwells `dwell` s at each of `frequencies` (k,) [Hz]; the phase runs on."""
+    """Sine (n,) of rms `level` that dwells `dwell` s at each of `frequencies` (k,) [Hz]; with continuous phase."""
     place = np.minimum((time / dwell).astype(int), len(frequencies) - 1)
     ended = np.concatenate([[0.0], np.cumsum(frequencies * dwell)])[place]
     wave: Array = level * np.sqrt(2) * np.sin(2 * np.pi * (ended + frequencies[place] * (time - place * dwell)))

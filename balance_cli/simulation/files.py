@@ -1,4 +1,4 @@
-"""Files of a simulation: the plan that the user writes, and the truth that goes with the run files."""
+"""Files of a simulation: the plan that the user writes, and the truth that accompanies the run files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ def read_plan(path: Path) -> CampaignPlan:
     except OSError as error:
         raise UserError(f"cannot be read: {error.strerror}", str(path), remedy="Check the name") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"is not YAML: {' '.join(str(error).split())}", str(path), remedy="Mend the syntax") from error
+        raise UserError(
+            f"is not YAML: {' '.join(str(error).split())}", str(path), remedy="Correct the syntax"
+        ) from error
     try:
         return CampaignPlan.model_validate(declared)
     except ValidationError as error:
@@ -69,7 +71,7 @@ def effect_to_dict(effect: Extension) -> dict[str, Any]:
 
 
 def write_truth_text(path: Path, rig: TrueRig, about: Mapping[str, Any], plan: CampaignPlan) -> None:
-    """The true rig, the plan, and what else there is to know `about` the simulation, as YAML."""
+    """Write the true rig, the plan and further facts `about` the simulation as YAML."""
     content = {
         "format": TRUTH_FORMAT,
         **about,
@@ -80,7 +82,7 @@ def write_truth_text(path: Path, rig: TrueRig, about: Mapping[str, Any], plan: C
 
 
 def write_truth_arrays(path: Path, truths: Sequence[RunTruth]) -> None:
-    """What was true in each run: one group for each, its datasets named as the fields of RunTruth."""
+    """Write the truth of each run as one group, with datasets named as the fields of RunTruth."""
     with h5py.File(path, "w") as file:
         file.attrs["format"] = TRUTH_FORMAT
         for truth in truths:

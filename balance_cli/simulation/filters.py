@@ -32,15 +32,15 @@ def delay_signal(signal: Array, delay: float, step: float) -> Array:
     whole = int(np.floor(-delay / step))
     fraction = -delay / step - whole
     offsets = np.arange(-2, 4)
-    others = [np.delete(offsets, i) for i in range(len(offsets))]
-    weights = [np.prod((fraction - rest) / (o - rest)) for o, rest in zip(offsets, others, strict=True)]
+    nodes = [(offset, np.delete(offsets, i)) for i, offset in enumerate(offsets)]
+    weights = [np.prod((fraction - rest) / (offset - rest)) for offset, rest in nodes]
     places = np.arange(len(signal)) + whole
     shifted = sum(w * signal[np.clip(places + o, 0, len(signal) - 1)] for w, o in zip(weights, offsets, strict=True))
     return np.asarray(shifted)
 
 
 def anti_alias(signals: Array, declared: AnalogFilter | None, step: float, stride: int) -> Array:
-    """Signals (n, s) through the analogue Butterworth filter, at every `stride`-th sample.
+    """Signals (n, s) through the analog Butterworth filter, at every `stride`-th sample.
 
     The filter is solved as the sum of its partial fractions.
     """

@@ -1,9 +1,9 @@
-"""Exact integration of linear systems on a uniform grid; between samples signals are polynomials of fifth degree.
+"""Exact integration of linear systems on a uniform grid; between samples the signals are fifth-degree polynomials.
 
-With `x' = lambda x + v(t)` and v the polynomial through six neighbouring samples, one step of length T is
-`x[k+1] = exp(lambda T) x[k] + sum_j w_j v[k+j]`, j = -2..3, without error of its own: an exponential integrator with a
-high-order hold (phi functions as in Hochbruck and Ostermann, Acta Numerica 19, 2010, section 2). What remains is the
-interpolation, 1e-8 of a sinusoid sampled 40 times a period.
+With `x' = lambda x + v(t)` and v the polynomial through six adjacent samples, one step of length T is
+`x[k+1] = exp(lambda T) x[k] + sum_j w_j v[k+j]`, j = -2..3, exactly: an exponential integrator with a
+high-order hold (phi functions as in Hochbruck and Ostermann, Acta Numerica 19, 2010, section 2). The remaining error is
+that of the interpolation, 1e-8 of a sinusoid sampled 40 times a period.
 """
 
 from __future__ import annotations
@@ -100,7 +100,8 @@ def integrate_first_order(
 class ModalSystem:
     """`z_i' = poles_i z_i + (inputs u)_i`, `y = Re(outputs z) + direct u`: a real linear system in its modes.
 
-    `poles` (m,), `inputs` (m, u), `outputs` (y, m), `direct` (y, u). Of a conjugate pair one mode is kept, doubled.
+    `poles` (m,), `inputs` (m, u), `outputs` (y, m), `direct` (y, u). Of a conjugate pair one
+    mode is stored, with doubled outputs.
     """
 
     poles: ComplexArray
@@ -138,7 +139,7 @@ def modal_system(A: Array, B: Array, C: Array, direct: Array | None = None) -> M
         raise UserError("a critically damped mode has no eigenvectors of its own", place="damping_ratio")
     inputs = np.linalg.solve(vectors, B.astype(complex))
     outputs = C @ vectors
-    kept = poles.imag >= 0
+    upper = poles.imag >= 0
     weight = np.where(poles.imag > 0, 2.0, 1.0)
     none = np.zeros((len(C), B.shape[1]))
-    return ModalSystem(poles[kept], inputs[kept], (outputs * weight)[:, kept], none if direct is None else direct)
+    return ModalSystem(poles[upper], inputs[upper], (outputs * weight)[:, upper], none if direct is None else direct)

@@ -1,4 +1,4 @@
-"""Sampled records of a simulated rig: loads on a fine grid, forces, channels, and what is recorded."""
+"""Loads of sampled runs on a fine grid."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from balance_cli.simulation.statics import load_row
 Array = NDArray[np.float64]
 
 OVERSAMPLING = 8
-"""Steps of the fine grid to a sample; at 800 Hz the holds then are exact to 1e-7 up to 200 Hz."""
+"""Steps of the fine grid per sample; at 800 Hz the interpolation is then exact to 1e-7 up to 200 Hz."""
 
 CONTACT_OVERSAMPLING = 16
-"""As OVERSAMPLING where a contact slips: the kinks of its force cost accuracy with the square of the step."""
+"""The same where a contact slips: the kinks of its force cost accuracy with the square of the step."""
 
 TAIL_SAMPLES = 8
 """Samples computed beyond the end, for channels that run ahead of time (by up to 10 ms at 800 Hz)."""
@@ -58,7 +58,7 @@ def record_grid(plan: SampledPlan, oversampling: int = OVERSAMPLING) -> Grid:
 def _sweep_component(plan: SweepPlan, index: int, time: Array, rng: np.random.Generator) -> Array:
     level, band = plan.level[index], plan.band
     every, shift = (len(plan.excited), index) if plan.interleaved else (1, 0)
-    # several components at once must not move as one
+    # Components that are excited together must not be proportional.
     ahead = index * plan.period / len(plan.excited)
     frequencies = np.roll(np.geomspace(*band, plan.steps), index * plan.steps // len(plan.excited))
     wave: dict[str, Callable[[], Array]] = {
@@ -101,7 +101,7 @@ def rotor_loads(plan: RotorPlan, time: Array, rng: np.random.Generator) -> Array
 
 
 def planned_loads(plan: SampledPlan, grid: Grid, rng: np.random.Generator) -> Array:
-    """Loads (n, 6) of a run on the fine grid, as the exciter's force cell feels them; the same for every grid."""
+    """Loads (n, 6) of a run on the fine grid, as the exciters' force cells measure them; the same on every grid."""
     match plan:
         case SweepPlan():
             return sweep_loads(plan, grid.fine_time, rng)

@@ -1,7 +1,7 @@
-"""Equations of motion of the true rig, in the time domain: `M q'' + D q' + K q = F u` and what the cells feel.
+"""Equations of motion of the true rig, `M q'' + D q' + K q = F u`, and the forces of the cells.
 
-q holds the motions of the plate's centre of gravity that are free, the twist of the shaft, and whatever coordinates
-the extensions add.
+q holds the free motions of the plate's center of gravity, the twist of the shaft, and the coordinates that extensions
+add.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TWIST = "twist"
 class MaxwellBranch:
     """A Maxwell branch: spring `stiffness` [N/m] and dashpot in series, relaxing with `time_constant` [s].
 
-    It acts along `row` (n,), the elongation per coordinate. `cell` is the cell whose channels feel it, or None.
+    It acts along `row` (n,), the elongation per coordinate. `cell` is the cell whose channels read it, or None.
     """
 
     row: Array
@@ -33,7 +33,7 @@ class MaxwellBranch:
 class NonlinearCellForce:
     """A nonlinear force along a cell: `k2 d^2 + k3 d^3` and a slipping contact of `stick_stiffness` up to `limit` [N].
 
-    `felt` says whether the cell's channels read it (it acts inside the cell) or not (beside it).
+    `read_by_channels`: the force acts inside the cell, whose channels read it; otherwise it acts beside the cell.
     """
 
     cell: int
@@ -85,16 +85,16 @@ class Mechanics:
         return rows
 
     def non_metric_displacement(self, position: ArrayLike) -> Array:
-        """Displacement (3, n) per coordinate of the lower body at `position` (3,) in rig axes."""
+        """Displacement (3, n) per coordinate of the non-metric side at `position` (3,) in rig axes."""
         rows: Array = displacement_rows(position) @ self.non_metric_motion
         return rows
 
     def with_springs(self, rows: Array, stiffness: Array) -> Mechanics:
-        """With springs (m,) [N/m] whose elongations are `rows` (m, n)."""
+        """The equations with springs (m,) [N/m] whose elongations are `rows` (m, n)."""
         return replace(self, stiffness=self.stiffness + rows.T @ (stiffness[:, None] * rows))
 
     def with_coordinates(self, names: tuple[str, ...]) -> Mechanics:
-        """The same with further coordinates, to which nothing is attached yet."""
+        """The equations with further coordinates, to which nothing is attached yet."""
         more = len(names)
         square = ((0, more), (0, more))
         wide = ((0, 0), (0, more))
@@ -114,7 +114,7 @@ class Mechanics:
 
 
 def displacement_rows(arm: ArrayLike) -> Array:
-    """Displacement (3, 6) of a point at `arm` (3,) [m] from the centre of gravity, per motion x y z psi theta phi.
+    """Displacement (3, 6) of a point at `arm` (3,) [m] from the center of gravity, per motion x y z psi theta phi.
 
     `(x + theta zeta - psi eta, y + psi xi - phi zeta, z + phi eta - theta xi)` (small rotations).
     """
@@ -134,13 +134,13 @@ ROTATION_ROWS = np.array([[0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 1, 0], [0, 0, 0, 1, 0
 
 
 def body_mass(mass: float, inertia: Array) -> Array:
-    """Mass matrix (6, 6) of a rigid body in the motions x y z psi theta phi of its centre of gravity."""
-    turned = ROTATION_ROWS[:, 3:]
-    return scipy.linalg.block_diag(mass * np.eye(3), turned.T @ inertia @ turned)
+    """Mass matrix (6, 6) of a rigid body in the motions x y z psi theta phi of its center of gravity."""
+    rotation = ROTATION_ROWS[:, 3:]
+    return scipy.linalg.block_diag(mass * np.eye(3), rotation.T @ inertia @ rotation)
 
 
 def modal_damping(mass: Array, stiffness: Array, ratios: Array) -> Array:
-    """`D = M Phi diag(2 zeta omega) Phi' M`, Phi normalised to `Phi' M Phi = 1`, zeta by rising eigenfrequency."""
+    """`D = M Phi diag(2 zeta omega) Phi' M`, Phi normalized to `Phi' M Phi = 1`, zeta by rising eigenfrequency."""
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
     momentum = mass @ shapes
     damping: Array = momentum * (2 * ratios * np.sqrt(np.maximum(squares, 0.0))) @ momentum.T

@@ -1,4 +1,4 @@
-"""Cell forces and torque of sampled runs: linear rigs at once, nonlinear ones stepped through all runs together."""
+"""Cell forces and torque of sampled runs; nonlinear forces are integrated for all runs at once."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RigDynamics:
-    """A rig at one rotor speed: its equations of motion, and the linear system they make with c cells, m forces."""
+    """A rig at one rotor speed: its equations of motion, and their linear system (c cells, m nonlinear forces)."""
 
     mechanics: Mechanics
     system: ModalSystem
 
     @classmethod
     def from_mechanics(cls, mechanics: Mechanics) -> RigDynamics:
-        """The rig of these equations of motion."""
+        """The dynamics of these equations of motion."""
         return cls(mechanics, full_system(mechanics))
 
     @property
@@ -45,18 +45,18 @@ class RigDynamics:
 
 
 def nonlinear_forces(motion: RigDynamics, runs: Iterable[Array], step: float) -> list[Array]:
-    """Nonlinear forces (n, m) of several runs, from their hub loads (n, 6); stepped through all runs at once."""
+    """Nonlinear forces (n, m) of several runs, from their hub loads (n, 6), integrated for all runs at once."""
     forces = NonlinearForces.from_cell_forces(motion.mechanics.forces)
     gain = motion.system.static_gain()[motion.cells :]
     starts, linear = [], []
     for loads in runs:
         starts.append(solve_rest_state(forces, gain, loads[:1]))
         linear.append(motion.elongations(loads, step))
-    longest = max(len(one) for one in linear)
-    padded = np.stack([np.pad(one, ((0, longest - len(one)), (0, 0)), "edge") for one in linear], axis=1)
+    longest = max(map(len, linear))
+    padded = np.stack([np.pad(run, ((0, longest - len(run)), (0, 0)), "edge") for run in linear], axis=1)
     start = RestState(
         *(np.vstack(rows) for rows in zip(*((s.elongation, s.force, s.contact) for s in starts), strict=True))
     )
     driven = motion.system.subsystem(slice(motion.cells, None), slice(6, None))
     result = integrate_nonlinear_forces(forces, driven, start, padded, step)
-    return [result[: len(one), i] for i, one in enumerate(linear)]
+    return [result[: len(run), i] for i, run in enumerate(linear)]

@@ -1,4 +1,4 @@
-"""Noise of the measuring chain, as found in the recorded campaign."""
+"""Noise of the measuring chain, as in the recorded campaign."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ Array = NDArray[np.float64]
 class Noise:
     """Standard deviations of independent white Gaussian noise, added behind the anti-alias filter.
 
-    Defaults are those of the recorded campaign of the rig RTS-6, found from the differences between the last four
+    Defaults are those of the recorded campaign of the rig RTS-6, estimated from the differences between the last four
     periods of its sweeps: strain channels 1.00 mV (0.99 to 1.01), piezo channels 1.50 mV, torque 2.00 mV, excited load
     signals 0.020 N or N m, all white from 5 Hz to the Nyquist frequency (the same density within 3 % in the bands 5 to
     50, 50 to 150, 220 to 300 and 300 to 399 Hz, so it does not pass the 200 Hz filter). Below 2 Hz the piezo channels
-    only seem noisier: there the start transient of their 3 s time constant goes on. Channels are rounded to
+    only appear noisier: there the start transient of their 3 s time constant has not decayed. Channels are rounded to
     `quantum` = 20 V / 2^16, loads are not. Static readings: 0.2 mV and 0.05 N or N m, not rounded. Load signals and
-    static loads that are not applied are exactly zero. The pulses carry no noise. All is stored in single precision.
+    static loads that are not applied are exactly zero. The pulses carry no noise. All data are stored in single
+    precision.
     """
 
     strain: float = 1.0e-3
@@ -35,7 +36,7 @@ class Noise:
     single_precision: bool = True
 
     def scale_by(self, factor: float) -> Noise:
-        """All noise times `factor`; without noise (0) nothing is rounded either."""
+        """The noise multiplied by `factor`; with 0 rounding is left out, too."""
         return replace(
             self,
             strain=self.strain * factor,
@@ -55,11 +56,11 @@ class Noise:
         return self.strain if channel.measures_dc else self.piezo
 
     def quantize(self, volts: Array) -> Array:
-        """Volts as the converter gives them."""
+        """Volts as the converter outputs them."""
         return np.round(volts / self.quantum) * self.quantum if self.quantum else volts
 
     def to_file_precision(self, values: Array) -> Array:
-        """Values as a run file of this precision gives them back."""
+        """Values as a run file of this precision stores them."""
         return values.astype(np.float32).astype(np.float64) if self.single_precision else values
 
 

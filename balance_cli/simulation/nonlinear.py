@@ -1,4 +1,4 @@
-"""Nonlinear cell forces: stepped through time for many records at once, and at rest along a loading sequence.
+"""Nonlinear cell forces, integrated in time for many records at once, and at rest along a load series.
 
 The linear part of the rig is solved exactly; the nonlinear forces enter it as further inputs, held as polynomials of
 third degree through the last three samples and the next, which is found by iteration (an implicit exponential
@@ -20,9 +20,9 @@ from balance_cli.simulation.mechanics import NonlinearCellForce
 Array = NDArray[np.float64]
 
 CORRECTOR_ITERATIONS = 2
-"""Each takes the error of the force down by about k h^2 / (10 m): to a thousandth for cells as stiff as these."""
+"""Each reduces the error of the force by a factor of about k h^2 / (10 m), a thousandth for the cells of RTS-6."""
 LOAD_SUBSTEPS = 8
-"""Steps in which the load is brought from one static point to the next."""
+"""Load steps between static points: the path decides which contacts slip."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,12 @@ class NonlinearForces:
         return np.minimum(np.maximum(moved, -self.limit), self.limit)
 
     def spring(self, d: Array) -> Array:
-        """The part that depends on the elongation alone."""
+        """The part that depends only on the elongation."""
         force: Array = (self.k2 + self.k3 * d) * d * d
         return force
 
     def tangent_stiffness(self, d: Array, before: Array, held: Array) -> Array:
-        """Derivative of the whole force by d."""
+        """Derivative of the total force with respect to d."""
         sticks = np.abs(held + self.stick * (d - before)) < self.limit
         tangent_stiffness: Array = (2 * self.k2 + 3 * self.k3 * d) * d + np.where(sticks, self.stick, 0.0)
         return tangent_stiffness
@@ -67,7 +67,7 @@ class RestState:
 
 
 def _equilibrium(forces: NonlinearForces, flexibility: Array, free: Array, before: Array, held: Array) -> Array:
-    """Elongations d with `d + flexibility f(d) = free` (Newton). UserError where the iteration does not end."""
+    """Elongations d with `d + flexibility f(d) = free` (Newton). Raises UserError without convergence."""
     d = before
     for _ in range(60):
         residual = d + flexibility @ (forces.spring(d) + forces.contact(d, before, held)) - free
@@ -76,11 +76,11 @@ def _equilibrium(forces: NonlinearForces, flexibility: Array, free: Array, befor
         d = d - step
         if np.max(np.abs(step)) <= 1e-12 * max(1e-9, float(np.max(np.abs(d)))):
             return d
-    raise UserError("the rig finds no equilibrium under its load", place="effects", remedy="Weaken the nonlinear force")
+    raise UserError("the rig has no equilibrium under its load", place="effects", remedy="Reduce the nonlinear force")
 
 
 def solve_rest_state(forces: NonlinearForces, gain: Array, loads: Array) -> RestState:
-    """The rig at rest under `loads` (rows, 6), applied one after the other, from the unloaded rig on.
+    """The rig at rest under `loads` (rows, 6), applied one after another to the unloaded rig.
 
     `gain` (m, 6+m): static elongations per hub load and per nonlinear force.
     """
@@ -136,7 +136,7 @@ def integrate_nonlinear_forces(
     """Nonlinear forces (n, runs, m) of several records at once.
 
     `system` takes these forces to elongations; `linear` (n, runs, m) are the elongations under the hub loads alone;
-    `start` is the rest (runs, m) from which the records begin.
+    `start` is the state of rest (runs, m) from which the records begin.
     """
     stepper = _Stepper.from_system(system, step)
     width = 2 * len(system.poles)

@@ -1,4 +1,4 @@
-"""What is to be simulated: the runs of a campaign, and two campaigns ready made."""
+"""Plans of simulated campaigns: the kinds of runs, and two predefined campaigns."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ assert get_args(Component) == COMPONENTS
 
 HARMONICS = 8
 HARMONIC_SHAPE = (1.0, 0.4, 0.5, 2.0, 0.3, 0.15, 0.2, 0.6)
-"""Amplitudes of harmonics 1 to 8 over that of the first, about those of the recorded check runs (four blades)."""
+"""Amplitudes of harmonics 1 to 8 relative to the first, similar to the recorded check runs (four blades)."""
 
 
 class Plan(FrozenModel):
-    """Base of all runs: its name."""
+    """Base of all runs."""
 
     run: str
 
 
 class StaticPlan(Plan):
-    """Each component in turn up to `largest`, down through zero, and back, in `steps` steps, about the `trim_loads`."""
+    """Each component in turn up to `largest`, down through zero and back, in `steps` steps, about the `trim_loads`."""
 
     kind: Literal["static"] = "static"
     trim: str = "bare"
@@ -45,7 +45,7 @@ class RecordPlan(Plan):
 
 
 class ZeroPlan(RecordPlan):
-    """Nothing acts."""
+    """A record without loads."""
 
     kind: Literal["zero"] = "zero"
     duration: Positive = 10.0
@@ -55,7 +55,7 @@ class SweepPlan(RecordPlan):
     """Exciters on one or more components; `level` is the rms of each [N, N m], `band` in Hz.
 
     `periods` periods of `period` s. Several components excited at once by multisines get interleaved lines (each its
-    own) or, without `interleaved`, all lines each. A random excitation has no period; it lasts as long.
+    own) or, without `interleaved`, all lines each. A random excitation has no period, but the same duration.
     """
 
     kind: Literal["sweep"] = "sweep"
@@ -81,7 +81,7 @@ class SweepPlan(RecordPlan):
 
 
 class LoadStep(FrozenModel):
-    """A change of the steady loads (a step of collective) at `time` within `duration` [s]."""
+    """A change of the mean loads (a collective step) at `time`, over `duration` [s]."""
 
     time: Positive
     duration: Positive = 0.8
@@ -92,8 +92,8 @@ class RotorPlan(RecordPlan):
     """A turning rotor: loads known (`check`) or not recorded (`wind`).
 
     `harmonics`: amplitudes [N, N m] of harmonics 1, 2 ... of a component; their phases are random, and the amplitudes
-    vary by `scatter` (relative). `steady` loads; `turbulence`: rms of random loads within `turbulence_band` [Hz];
-    `drift` of the speed (relative); a `step` of the steady loads.
+    vary by `scatter` (relative). `steady`: mean loads; `turbulence`: rms of random loads within `turbulence_band` [Hz];
+    `drift` of the speed (relative); a `step` of the mean loads.
     """
 
     kind: Literal["check", "wind"] = "check"
@@ -121,9 +121,9 @@ class CampaignPlan(FrozenModel):
     @model_validator(mode="after")
     def _check_unique_names(self) -> CampaignPlan:
         names = [plan.run for plan in self.runs]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"run names are not unique: {', '.join(twice)}")
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"run names are not unique: {', '.join(repeated)}")
         return self
 
     def select_runs(self, names: Sequence[str]) -> CampaignPlan:
@@ -144,14 +144,14 @@ WIND_ON_LOADS: dict[Component, float] = {"Fx": 100.0, "Fy": -55.0, "Fz": 2700.0,
 
 
 def blade_loads(*components: Component) -> dict[Component, tuple[float, ...]]:
-    """Amplitudes of harmonics 1 to 8 of the given components, about those of the recorded check runs."""
+    """Amplitudes of harmonics 1 to 8 of the given components, similar to the recorded check runs."""
     return {
         name: tuple(float(x) for x in FIRST_HARMONIC_AMPLITUDES[name] * np.array(HARMONIC_SHAPE)) for name in components
     }
 
 
 def static_plans() -> tuple[StaticPlan, ...]:
-    """The two static runs: unloaded, and about lift and torque with 0.35 of the range."""
+    """The two static runs: about the unloaded rig, and about lift and torque with 0.35 of the range."""
     small = {name: 0.35 * largest for name, largest in STATIC_LOAD_LIMITS.items()}
     return (
         StaticPlan(run="static-bare", largest=STATIC_LOAD_LIMITS),
@@ -172,8 +172,8 @@ def standard_plan(rotor_speed: float = 17.5) -> CampaignPlan:
         (1.0, "Fy", "Mz"),
     )
     checks = tuple(
-        RotorPlan(run=f"check-{i}", rotor_speed=factor * rotor_speed, harmonics=blade_loads(one, other))
-        for i, (factor, one, other) in enumerate(pairs, 1)
+        RotorPlan(run=f"check-{i}", rotor_speed=factor * rotor_speed, harmonics=blade_loads(first, second))
+        for i, (factor, first, second) in enumerate(pairs, 1)
     )
     return CampaignPlan(runs=(*static_plans(), *sweeps, *checks, *_wind_plans(rotor_speed)))
 

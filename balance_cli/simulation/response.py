@@ -1,4 +1,4 @@
-"""What the cells and the shaft feel under given hub loads, as a linear system in its modes."""
+"""Forces of cells and shaft under hub loads, as a linear system in modal form."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _branch_rows(mechanics: Mechanics) -> Array:
 
 
 def input_matrix(mechanics: Mechanics) -> Array:
-    """B (2n+b, 6+m): the hub loads, and the m nonlinear cell forces, which pull the plate back."""
+    """B (2n+b, 6+m): the hub loads, and the m nonlinear cell forces, which act against the elongation."""
     n = mechanics.size
     pulls = -mechanics.cell_rows[[force.cell for force in mechanics.forces]].T
     B = np.zeros((2 * n + len(mechanics.branches), 6 + len(mechanics.forces)))
@@ -65,7 +65,7 @@ def full_system(mechanics: Mechanics) -> ModalSystem:
 
 
 def forces_read_by_channels(mechanics: Mechanics, extra: Array) -> Array:
-    """What of the nonlinear forces (n, m) the cells feel besides their linear force: (n, c+1)."""
+    """The part (n, c+1) of the nonlinear forces (n, m) that the cells' channels read beside their linear force."""
     read_by_channels = np.zeros((len(extra), len(mechanics.cell_rows) + 1))
     for force, column in zip(mechanics.forces, extra.T, strict=True):
         if force.read_by_channels:

@@ -1,4 +1,4 @@
-"""The true rig: the truth of a simulation, as declared, changed on purpose, or drawn from the tolerances."""
+"""The true rig of a simulation: as declared, modified, or sampled from the tolerances."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 class TrueRig:
     """A rig with known properties; everything else (names, places, axes, filters) is that of `geometry`.
 
-    The moving part as a whole: `mass` [kg], `cg` (3,) [m] in rig axes, `inertia` (3, 3) [kg m2], the tensor about the
-    centre of gravity (products enter with a minus sign). `stiffness` (cells,) [N/m]; `damping_ratios` (freedoms,) in
+    The metric side as a whole: `mass` [kg], `cg` (3,) [m] in rig axes, `inertia` (3, 3) [kg m2], the tensor about the
+    center of gravity (products enter with a minus sign). `stiffness` (cells,) [N/m]; `damping_ratios` (freedoms,) in
     order of rising eigenfrequency of the plate; `sensitivities` (channels,) [V/N] or [V/(N m)]; the shaft's
     `torque_stiffness` [N m/rad], `torque_inertia` [kg m2] and `torque_damping_ratio` (unused without a torque meter).
     `extensions` are the effects beyond the rigid plate, in the order in which they act.
@@ -40,14 +40,14 @@ class TrueRig:
     extensions: tuple[Extension, ...] = ()
 
     def with_extensions(self, *extensions: Extension) -> TrueRig:
-        """The same rig with further effects."""
+        """The rig with further effects."""
         return replace(self, extensions=(*self.extensions, *extensions))
 
 
 def metric_side(geometry: Geometry) -> tuple[float, Array, Array]:
-    """Mass [kg], centre of gravity (3,) [m] and inertia tensor (3, 3) [kg m2] about it, of all bodies together.
+    """Mass [kg], center of gravity (3,) [m] and inertia tensor (3, 3) [kg m2] about it, of all bodies together.
 
-    The parallel-axis theorem: `I = sum I_b + m_b (r'r 1 - r r')`, r from the common centre of gravity.
+    The parallel-axis theorem: `I = sum I_b + m_b (r'r 1 - r r')`, r from the common center of gravity.
     """
     masses = np.array([body.mass for body in geometry.bodies])
     positions = np.array([body.position for body in geometry.bodies], float)
@@ -88,15 +88,15 @@ def true_rig(
 
     The geometry's declared effects are not applied here (see `apply_effects`). Raises UserError for a wrong shape.
     """
-    own_mass, own_cg, own_inertia = metric_side(geometry)
+    declared_mass, declared_cg, declared_inertia = metric_side(geometry)
     meter = geometry.torque_meter
     zeta = geometry.damping_ratio
     k, j = (meter.stiffness, meter.inertia) if meter else (1.0, 1.0)
     return TrueRig(
         geometry,
-        mass=own_mass if mass is None else float(mass),
-        cg=_fill(cg, own_cg, "cg"),
-        inertia=own_inertia if inertia is None else _fill(inertia, own_inertia, "inertia"),
+        mass=declared_mass if mass is None else float(mass),
+        cg=_fill(cg, declared_cg, "cg"),
+        inertia=declared_inertia if inertia is None else _fill(inertia, declared_inertia, "inertia"),
         stiffness=_fill(stiffness, np.array([cell.effective_stiffness for cell in geometry.cells]), "stiffness"),
         damping_ratios=_fill(damping_ratios, np.full(len(geometry.freedom), zeta), "damping_ratios"),
         sensitivities=_fill(sensitivities, np.array([c.sensitivity for c in geometry.channels]), "sensitivities"),
@@ -155,11 +155,11 @@ def _draw_once(rig: TrueRig, rng: np.random.Generator) -> TrueRig:
 
 
 def draw_rig(geometry: Geometry, rng: np.random.Generator, attempts: int = 1000) -> TrueRig:
-    """A rig drawn from the declared values and their Gaussian `tolerances`, independently of one another.
+    """A rig sampled from the declared values with their independent Gaussian `tolerances`.
 
-    Mass, centre of gravity and inertia vary as those of the moving part as a whole; products of inertia get
-    `tolerance * sqrt(Iii Ijj)`. What no rig can have (a stiffness or damping not positive, an impossible inertia) is
-    drawn again as a whole. Raises UserError where the tolerances leave hardly any possible rig.
+    Mass, center of gravity and inertia vary as those of the metric side as a whole; products of inertia get
+    `tolerance * sqrt(Iii Ijj)`. A sample that is not physical (a stiffness or damping that is not positive, an
+    impossible inertia) is drawn again. Raises UserError where the tolerances leave hardly any physical rig.
     """
     declared = true_rig(geometry)
     for _ in range(attempts):
@@ -167,7 +167,7 @@ def draw_rig(geometry: Geometry, rng: np.random.Generator, attempts: int = 1000)
         if _is_physical(rig):
             return rig
     raise UserError(
-        f"{attempts} draws gave no possible rig",
+        f"{attempts} draws gave no physical rig",
         place="tolerances",
         remedy="Declare smaller tolerances or other values",
     )
@@ -178,9 +178,9 @@ def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -
 
     Raises UserError for an unknown effect or parameter, and for a place that the rig does not have.
     """
-    found = [
+    extensions = [
         effect if isinstance(effect, Extension) else extension(effect.name, effect.where, **effect.parameters)
         for effect in effects
     ]
     order = list(EXTENSIONS)
-    return rig.with_extensions(*sorted(found, key=lambda each: order.index(each.name)))
+    return rig.with_extensions(*sorted(extensions, key=lambda item: order.index(item.name)))

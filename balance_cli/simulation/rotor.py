@@ -1,4 +1,4 @@
-"""The turning rotor: azimuth, 1/rev pulses, and loads that follow the azimuth."""
+"""The turning rotor: azimuth, 1/rev pulses, and loads as functions of azimuth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class RotorKinematics:
         return rate
 
     def azimuth(self, time: Array) -> Array:
-        """Azimuth [rad] at `time` [s], growing without end."""
+        """Azimuth [rad] at `time` [s], increasing without wrapping."""
         omega = 2 * np.pi / self.drift_period
         swing = (np.cos(self.drift_phase) - np.cos(omega * time + self.drift_phase)) / omega
         azimuth: Array = 2 * np.pi * self.speed * (time + self.drift * swing)
@@ -58,7 +58,7 @@ def harmonic_load(azimuth: Array, cosine: Array, sine: Array) -> Array:
 def harmonics(azimuth: Array, signals: Array, count: int) -> tuple[Array, Array]:
     """Cosine and sine parts (count+1, s) of `signals` (n, s) at harmonics 0 to `count` of the azimuth (n,).
 
-    Least squares over the samples given: exact where the signals hold these harmonics and nothing else.
+    Least squares over the samples given: exact where the signals contain only these harmonics.
     """
     orders = np.arange(1, count + 1)
     turned = azimuth[:, None] * orders

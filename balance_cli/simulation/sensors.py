@@ -1,6 +1,6 @@
 """From forces to recorded volts: sensitivity, each channel's own dynamics, the anti-alias filter.
 
-Every filter starts in equilibrium with its first sample, like a rig that has been standing under its first load.
+Every filter starts in equilibrium with its first sample, as after a long time under the first load.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 def sensor_volts(rig: TrueRig, forces: Array, step: float | None) -> Array:
     """Volts (n, channels) before the acquisition, from cell forces and torque (n, cells+1) sampled every `step` s.
 
-    Without a `step` the rows are readings at rest: a high-pass passes nothing.
+    Without a `step` the rows are readings at rest: the output of a high-pass is zero.
     """
     geometry = rig.geometry
     volts = np.empty((len(forces), len(geometry.channels)))

@@ -1,4 +1,4 @@
-"""Static calibration: loads applied step by step, each held until the rig stands still."""
+"""Static calibration: loads applied step by step, each held until the rig is at rest."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def static_load_points(plan: StaticPlan) -> Array:
     ladder = np.concatenate([up, up[-2::-1], [0], -up, -up[-2::-1], [0]]) / plan.steps
     blocks: list[Array] = [np.outer(ladder, load_row({name: largest})) for name, largest in plan.largest.items()]
     changes: Array = np.vstack([np.zeros((1, len(COMPONENTS))), *blocks])
-    sequence: Array = changes + load_row(plan.trim_loads)
-    return sequence
+    points: Array = changes + load_row(plan.trim_loads)
+    return points
 
 
 def static_forces(mechanics: Mechanics, loads: Array) -> Array:

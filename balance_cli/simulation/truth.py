@@ -1,4 +1,4 @@
-"""The truth behind a simulated run, and the independent streams of random numbers that make it."""
+"""The truth of a simulated run, and the independent random streams that generate it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RunTruth:
-    """What was true in a run of n samples (or static rows), before any noise.
+    """The truth of a run of n samples (or static rows), before any noise.
 
     `time` (n,) [s] (static: row numbers); `loads` (n, 6) the true hub loads at these times, not filtered;
     `recorded_loads` (n, 6) and `channels` (n, c) what the acquisition would have recorded without noise, rounding or
@@ -36,11 +36,11 @@ class RunTruth:
     def harmonics(self, start: float, stop: float) -> tuple[Array, Array]:
         """Cosine and sine parts (9, 6) of the true loads between `start` and `stop` [s]; the rotor must turn."""
         if self.azimuth is None:
-            raise ValueError(f"the rotor stands still in {self.name}")
+            raise ValueError(f"the rotor does not turn in {self.name}")
         inside = (self.time >= start) & (self.time <= stop)
         return harmonics(self.azimuth[inside], self.loads[inside], HARMONICS)
 
 
 def random_stream(seed: int, run: str, what: str) -> np.random.Generator:
-    """An independent stream of random numbers for each run (by name) and use."""
+    """An independent random stream for each run (by name) and purpose."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(f"{run}/{what}".encode())))

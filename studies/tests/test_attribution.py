@@ -89,7 +89,8 @@ def test_no_test_has_more_power_than_chance_at_zero_and_all_of_it_far_off():
 
 def test_tuned_mass_leaves_what_is_at_rest_and_adds_a_mode():
     rig = true_rig(rotor_balance())
-    tuned = rig.with_extensions(TunedMass(mass=1.0, frequency=50.0, position=(0.2, 0.1, 0.3), direction=(0.6, 0.0, 0.8)))
+    mass = TunedMass(mass=1.0, frequency=50.0, position=(0.2, 0.1, 0.3), direction=(0.6, 0.0, 0.8))
+    tuned = rig.with_extensions(mass)
     bare, with_it = equations_of_motion(rig), equations_of_motion(tuned)
     rest = [np.linalg.solve(one.total_stiffness(), one.loads) for one in (bare, with_it)]
     np.testing.assert_allclose(rest[1][: bare.size], rest[0], rtol=1e-12)

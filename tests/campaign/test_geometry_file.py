@@ -197,7 +197,7 @@ def test_all_faults_are_listed_and_the_first_is_raised(tmp_path: Path) -> None:
 
 def test_a_key_that_stands_twice_is_refused(tmp_path: Path) -> None:
     [fault] = faults_of(tmp_path, "format: balance-geometry/1\nname: a\nrig: b\nname: c\n")
-    assert (fault.place, "`name` stands twice" in fault.fault) == ("line 4", True)
+    assert (fault.place, "`name` is given twice" in fault.fault) == ("line 4", True)
 
 
 def test_yaml_is_read_safely(tmp_path: Path) -> None:

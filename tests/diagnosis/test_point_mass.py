@@ -8,10 +8,10 @@ from balance_cli.diagnosis.search import mass_score
 from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, candidates
 from balance_cli.diagnosis.search.mass_score import POINTS
 from balance_cli.diagnosis.search.point_mass import place_mass_candidates, refine_point_mass
-from balance_cli.diagnosis.settings import PointMassSettings
 from balance_cli.diagnosis.search.score_statistics import score_in_two_stages, scores
 from balance_cli.diagnosis.selection.fit import fit_all_lines, start_fit
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
+from balance_cli.diagnosis.settings import PointMassSettings
 from balance_cli.estimation.maximum_likelihood import penalized_chi2
 from balance_cli.model.balance import balance_model
 from balance_cli.model.effects.geometry_scales import position_bound

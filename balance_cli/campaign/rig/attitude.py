@@ -1,4 +1,4 @@
-"""How a rig was tilted, and where gravity points in its axes.
+"""The attitude of a rig, and the direction of gravity in its axes.
 
 The rig stands level at pitch = roll = 0. It is first tilted by the pitch about its y axis, then by the roll about its
 own x axis, which the pitch has tilted with it; both right-handed, so that a positive pitch lowers the +x side and a
@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 ANGLES = ("pitch", "roll")
-# Change of the direction of gravity from row to row that counts as another attitude [rad], some 0.1 deg.
 ATTITUDE_TOLERANCE = 2e-3
+"""Change of the direction of gravity between rows that makes another attitude [rad]: 0.1 deg."""
 
 
 def gravity_directions(attitude: ArrayLike) -> Array:
@@ -25,7 +25,7 @@ def gravity_directions(attitude: ArrayLike) -> Array:
 
 
 def attitude_segments(run: Index, gravity: Array | None) -> Index:
-    """Number (m,) of the stretch of rows of one run (m,) in one attitude, from gravity (m, 3), NaN where not known."""
+    """Number (m,) of each segment of rows of one run (m,) in one attitude, from gravity (m, 3), NaN where unknown."""
     new = np.diff(run, prepend=run[:1]) != 0
     if gravity is not None:
         new[1:] |= np.linalg.norm(np.diff(gravity, axis=0), axis=1) > ATTITUDE_TOLERANCE

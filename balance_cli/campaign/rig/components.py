@@ -1,4 +1,4 @@
-"""Names and units that every part of the toolchain shares (no import of ours)."""
+"""Names and units of components, motions, kinds of run and excitations; a module without imports."""
 
 COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 UNITS = ("N", "N", "N", "N m", "N m", "N m")

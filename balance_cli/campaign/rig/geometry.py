@@ -24,7 +24,7 @@ class FrozenModel(BaseModel):
 
 
 class Inertia(FrozenModel):
-    """Inertia about the body's own centre [kg m2]; products are positive integrals of xy dm."""
+    """Inertia about the body's own center [kg m2]; products are positive integrals of xy dm."""
 
     xx: NonNegative
     yy: NonNegative
@@ -41,7 +41,7 @@ class Inertia(FrozenModel):
 
 
 class Body(FrozenModel):
-    """A lumped mass: mass [kg], position of its centre [m], inertia about that centre."""
+    """A lumped mass: mass [kg], position of its center [m], inertia about that center."""
 
     name: Name
     mass: Positive
@@ -84,7 +84,7 @@ class Cell(FrozenModel):
 
 
 class TorqueMeter(FrozenModel):
-    """The torque meter in the shaft: stiffness [N m/rad], inertia of what it turns [kg m2]."""
+    """The torque meter in the shaft: stiffness [N m/rad], inertia of the parts it turns [kg m2]."""
 
     stiffness: Positive
     inertia: Positive
@@ -130,7 +130,7 @@ class Acquisition(FrozenModel):
 
 
 class Tolerances(FrozenModel):
-    """One standard deviation of what is declared: relative, but `centre_of_gravity` in m; 0 means exact."""
+    """Standard deviations of the declared values: relative, except `centre_of_gravity` in m; 0 means exact."""
 
     stiffness: NonNegative = 0.0
     mass: NonNegative = 0.0

@@ -1,4 +1,4 @@
-"""What must hold between the parts of a geometry: names, references, inertia, and cells that hold the plate."""
+"""Consistency of a geometry: names, references, inertia, and cells that restrain the plate."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.io.errors import UserError
 
 RELATIVE_ROUNDING = 1e-9
-"""Slack for declared values that sit on a limit (a flat disc has Ixx + Iyy = Izz exactly)."""
+"""Tolerance for declared values exactly at a limit (a flat disc has Ixx + Iyy = Izz)."""
 SINGULAR_VALUE_TOLERANCE = 1e-6
-"""Singular values of the elongations below this share of the largest are motions that no cell holds."""
+"""Singular values of the elongations below this share of the largest are motions that no cell restrains."""
 
 
 def geometry_faults(geometry: Geometry) -> Iterator[UserError]:
-    """All faults of a geometry whose parts are each sound by themselves, in the order of the file."""
+    """All faults between the parts of a geometry, in the order of the file; each part is valid by itself."""
     yield from _duplicate_name_faults("bodies", [body.name for body in geometry.bodies])
     for index, body in enumerate(geometry.bodies):
         yield from _inertia_faults(index, body)
@@ -65,7 +65,7 @@ def _channel_reference_faults(geometry: Geometry) -> Iterator[UserError]:
 
 
 def _restraint_faults(geometry: Geometry) -> Iterator[UserError]:
-    """Total inertia positive definite in the freedom, and cells that hold the plate against every motion in it."""
+    """Faults unless the inertia is positive definite in the free motions and the cells restrain all of them."""
     moving = metric_side(geometry)
     moment = dict(zip(("phi", "theta", "psi"), np.eye(3), strict=True))
     turns = np.array([moment[name] for name in geometry.freedom if name in moment]).reshape(-1, 3)
@@ -82,7 +82,7 @@ def _restraint_faults(geometry: Geometry) -> Iterator[UserError]:
 def unrestrained_motion(geometry: Geometry, center: Array) -> str:
     """The motion that elongates no cell, as in `psi + 0.4 y`; empty where every motion elongates some cell.
 
-    `centre` (3,) is the centre of gravity [m]. Rotations are scaled by the spread of the cells, so that the rank does
+    `center` (3,) is the center of gravity [m]. Rotations are scaled by the spread of the cells, so that the rank does
     not depend on the unit of length.
     """
     freedom = list(dict.fromkeys(geometry.freedom))

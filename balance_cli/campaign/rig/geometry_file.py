@@ -1,4 +1,4 @@
-"""Geometry files: YAML <-> Geometry, with every fault named by file, place and remedy; geometries by content."""
+"""Geometry files in YAML: reading with all faults named by file, place and remedy, writing, and digests."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def load_geometry(path: Path) -> Geometry:
 
 
 def read_geometry(path: Path) -> tuple[Geometry | None, tuple[UserError, ...]]:
-    """The geometry in a YAML file as far as it can be read, and all its faults."""
+    """The geometry in a YAML file, if it can be read, and all its faults."""
     try:
         geometry, faults = _parse(_read_yaml(Path(path)))
     except UserError as error:
@@ -64,7 +64,7 @@ def geometry_from_dict(declared: object) -> Geometry:
 
 
 def geometry_digest(geometry: Geometry) -> str:
-    """Hex SHA-256 of the content: the same for two files that declare the same geometry in other words."""
+    """Hex SHA-256 of the content: equal for two files that declare the same geometry in different form."""
     text = json.dumps(geometry_to_dict(geometry), sort_keys=True, ensure_ascii=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -75,8 +75,8 @@ def _parse(declared: object) -> tuple[Geometry | None, tuple[UserError, ...]]:
             "is not a geometry: no keys in it", remedy=f"The first line should be `format: {GEOMETRY_FORMAT}`"
         )
     if declared.get("format", GEOMETRY_FORMAT) != GEOMETRY_FORMAT or not set(declared) & set(Geometry.model_fields):
-        found = f"is `{declared['format']}`" if "format" in declared else "is missing"
-        raise UserError(f"`format` {found}", place="format", remedy=f"It should be `format: {GEOMETRY_FORMAT}`")
+        problem = f"is `{declared['format']}`" if "format" in declared else "is missing"
+        raise UserError(f"`format` {problem}", place="format", remedy=f"It should be `format: {GEOMETRY_FORMAT}`")
     try:
         geometry = Geometry.model_validate(declared)
     except ValidationError as error:
@@ -88,7 +88,7 @@ def _parse(declared: object) -> tuple[Geometry | None, tuple[UserError, ...]]:
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader, with a key that stands twice refused, and 1e-3 read as a number as in YAML 1.2."""
+    """The safe loader, which refuses duplicate keys and reads 1e-3 as a number as in YAML 1.2."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -96,7 +96,7 @@ class _Loader(yaml.SafeLoader):
             key = str(getattr(key_node, "value", key_node))
             if key in seen:
                 line = key_node.start_mark.line + 1
-                raise UserError(f"key `{key}` stands twice", place=f"line {line}", remedy="Remove one of them")
+                raise UserError(f"key `{key}` is given twice", place=f"line {line}", remedy="Remove one of them")
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -119,7 +119,7 @@ def _read_yaml(path: Path) -> object:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise UserError(f"is not YAML: {error.problem}", place=place, remedy="Mend the syntax there") from error
+        raise UserError(f"is not YAML: {error.problem}", place=place, remedy="Correct the syntax there") from error
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise UserError(f"is not YAML: {reason}", remedy="Give the YAML file of the rig") from error
@@ -136,18 +136,21 @@ PLAIN_MESSAGES = {
     "too_short": "has too few entries",
     "too_long": "has too many entries",
 }
-"""Instead of the validator's message, where that speaks of Python."""
+"""Replacements of the validator's messages that use Python terms."""
 
 
 def _validation_faults(details: Sequence[ErrorDetails]) -> tuple[UserError, ...]:
-    """Unknown keys first: a misspelt key explains the one that is missing. A list is not short for a bad entry."""
+    """All faults, unknown keys first, because a misspelt key explains a missing one.
+
+    A list with an invalid entry is not reported as too short.
+    """
     places = [detail["loc"] for detail in details]
-    own = [
+    distinct = [
         detail
         for detail in details
         if detail["type"] != "too_short" or not any(_is_within(place, detail["loc"]) for place in places)
     ]
-    return tuple(_fault(detail) for detail in sorted(own, key=lambda detail: detail["type"] != "extra_forbidden"))
+    return tuple(_fault(detail) for detail in sorted(distinct, key=lambda detail: detail["type"] != "extra_forbidden"))
 
 
 def _is_within(place: Place, outer: Place) -> bool:

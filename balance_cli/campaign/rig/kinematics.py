@@ -27,7 +27,7 @@ def _rotation_displacements(arm: Array) -> Array:
 
 
 MOTION_AT_CENTER = np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
-"""Motion (3, 6) of the centre itself."""
+"""Motion (3, 6) of the center itself."""
 MOTION_PER_ARM = np.concatenate(
     [np.zeros((3, 3, 3)), np.stack([_rotation_displacements(unit) for unit in np.eye(3)])], axis=2
 )
@@ -35,7 +35,7 @@ MOTION_PER_ARM = np.concatenate(
 
 
 def motion_at(arm: Array) -> Array:
-    """Motion (..., 3, 6) of points at `arm` (..., 3) [m] from the centre of gravity, per unit q: d = [I, R] q.
+    """Motion (..., 3, 6) of points at `arm` (..., 3) [m] from the center of gravity, per unit q: d = [I, R] q.
 
     R q = rotation x arm, which gives (theta zeta - psi eta, psi xi - phi zeta, phi eta - theta xi).
     """

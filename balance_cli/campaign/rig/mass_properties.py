@@ -1,4 +1,4 @@
-"""Mass properties of the moving part of a rig."""
+"""Mass properties of the metric side of a rig."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MetricSide:
-    """The moving part as a whole: mass [kg], centre of gravity (3,) [m], inertia tensor about it (3, 3) [kg m2]."""
+    """The metric side as a whole: mass [kg], center of gravity (3,) [m], inertia tensor about it (3, 3) [kg m2]."""
 
     mass: float
     centre_of_gravity: Array
@@ -22,7 +22,7 @@ class MetricSide:
 
 
 def metric_side(geometry: Geometry) -> MetricSide:
-    """Mass, centre of gravity and inertia of all bodies together (parallel axes theorem)."""
+    """Mass, center of gravity and inertia of all bodies together (parallel-axis theorem)."""
     masses = np.array([body.mass for body in geometry.bodies])
     positions = np.array([body.position for body in geometry.bodies])
     center = masses @ positions / masses.sum()

@@ -26,7 +26,7 @@ from balance_cli.model.mechanics.equations import Equations
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     total = sum(body.mass for body in geometry.bodies)
     start = 0.01 * total
-    mass = EffectParameter("mass", "kg", 0.0, start, "The mass; negative where less is there.", start=start)
+    mass = EffectParameter("mass", "kg", 0.0, start, "The mass; negative where mass is missing.", start=start)
     far = position_bound(geometry)
     position = (
         EffectParameter(
@@ -38,7 +38,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 
 def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
-    """Between hub and origin, at the hub, or at one of the cells: what it does depends on where it is."""
+    """Between hub and origin, at the hub, or at one of the cells."""
     points = [
         0.5 * np.array(geometry.hub),
         np.array(geometry.hub),

@@ -27,7 +27,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     toward = ("xyz"[int(np.argmax(np.abs(across)))] for across in transverse_axes(axis))
     return tuple(
         EffectParameter(
-            f"angle_{i}", "rad", 0.0, 0.005, f"Lean of its upper end towards {name}.", lower=-0.5, upper=0.5
+            f"angle_{i}", "rad", 0.0, 0.005, f"Tilt of its upper end towards {name}.", lower=-0.5, upper=0.5
         )
         for i, name in enumerate(toward, 1)
     )
@@ -37,13 +37,13 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     index = geometry.cell_names.index(where[0])
     cell = geometry.cells[index]
     first, second = transverse_axes(cell.direction)
-    one, two = values["angle_1"], values["angle_2"]
-    axis = (cell.direction + one * first + two * second) * (1.0 + one * one + two * two).sqrt().reciprocal()
+    a, b = values["angle_1"], values["angle_2"]
+    axis = (cell.direction + a * first + b * second) * (1.0 + a * a + b * b).sqrt().reciprocal()
     motion = equations.relative_motion(np.array(cell.position))
-    chosen = np.zeros((len(equations.springs), 1))
-    chosen[index] = 1.0
+    tilted = np.zeros((len(equations.springs), 1))
+    tilted[index] = 1.0
     row = axis.insert_axis(0) @ motion
-    return replace(equations, elongation=equations.elongation * (1.0 - chosen) + chosen * row)
+    return replace(equations, elongation=equations.elongation * (1.0 - tilted) + tilted * row)
 
 
 EFFECT = Effect(

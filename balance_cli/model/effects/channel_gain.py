@@ -16,7 +16,7 @@ from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    return (EffectParameter("gain", "1", 1.0, 0.01, "Reading over what the sensitivity promises.", lower=0.0),)
+    return (EffectParameter("gain", "1", 1.0, 0.01, "Ratio of the actual to the declared sensitivity.", lower=0.0),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:

@@ -20,7 +20,7 @@ from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    return (EffectParameter("offset", "V", 0.0, 1e-3, "What the channel reads without load."),)
+    return (EffectParameter("offset", "V", 0.0, 1e-3, "Reading of the channel without load."),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:

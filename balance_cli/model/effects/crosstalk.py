@@ -24,7 +24,7 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    description = f"Share of {where[1]} that {where[0]} takes up."
+    description = f"Fraction of {where[1]} that is added to {where[0]}."
     return (EffectParameter("fraction", "1", 0.0, 0.002, description, lower=-1.0, upper=1.0),)
 
 

@@ -28,16 +28,15 @@ from balance_cli.model.mechanics.equations import CellForce, Equations
 Array = NDArray[np.float64]
 
 LEAST_FORCE_SHARE = 1e-5
+"""Force below which the slip distance is constant, relative to the cell's range: far below any measurable force."""
 RELEVANT_FORCE_SHARE = 1e-3
+"""A force that matters, relative to the cell's range."""
 INACCURACY = (0.01, 0.05)
-"""Shares of its force that the noise of the cell makes uncertain, where periods are averaged and where nothing repeats:
-
-it turns a little early, or late.
-"""
+"""Fractions of its force that noise makes uncertain in periodic and in other records: it reverses early or late."""
 SLIP_DISTANCES = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
-"""Slip distances at which a search scores a contact, shares of the cell's elongation at full range."""
+"""Slip distances at which a search scores a contact, relative to the cell's elongation at full range: half decades."""
 STIFFNESS_BOUNDS = (1e-3, 10.0)
-"""Shares of the cell's stiffness between which a contact that a search begins with lies."""
+"""Bounds of the stiffness from which a search begins, relative to that of the cell."""
 
 
 def _cell(geometry: Geometry, where: Where) -> Cell:
@@ -59,14 +58,14 @@ def _extra_starts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
     return tuple({"stick_stiffness": LEAST_FORCE_SHARE / slip * k} for slip in SLIP_DISTANCES)
 
 
-def _start_from_score(geometry: Geometry, where: Where, start: Start, own: Start) -> Start:
-    """The force that the score found, slipping where it was scored: the stiffness follows."""
+def _start_from_score(geometry: Geometry, where: Where, start: Start, estimate: Start) -> Start:
+    """The force that the score estimates, with the stiffness that gives the slip distance of the score."""
     if "stick_stiffness" not in start:
         return start
     cell = _cell(geometry, where)
     distance = LEAST_FORCE_SHARE * cell.full_range / start["stick_stiffness"]
     lower, upper = (share * cell.effective_stiffness for share in STIFFNESS_BOUNDS)
-    return {"force": own["force"], "stick_stiffness": float(np.clip(own["force"] / distance, lower, upper))}
+    return {"force": estimate["force"], "stick_stiffness": float(np.clip(estimate["force"] / distance, lower, upper))}
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
@@ -77,7 +76,7 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 
 
 def _friction_force(d: Dual, values: Dual, is_periodic: bool, least_force: float) -> Dual:
-    """Force over the slipping force (n,): since the contact last slipped, in a direction, it has been a spring."""
+    """Force over the slipping force (n,): since it last slipped the contact has been a spring."""
     force, kappa = values[0], values[1]
     limit = force if force.value > least_force else Dual(np.array(least_force), np.zeros(force.parameters))
     stiffness = kappa * limit.reciprocal()
@@ -87,10 +86,11 @@ def _friction_force(d: Dual, values: Dual, is_periodic: bool, least_force: float
 
 
 def find_last_slip(d: Array, distance: float, is_periodic: bool) -> tuple[NDArray[np.intp], Array]:
-    """When (n,) the contact last slipped up to each instant, -1 where it never did, and in which direction (+-1, or 0).
+    """The last slip of the contact at each instant (n,), -1 before the first, and its direction (+-1, or 0).
 
     The play operator w_t = min(max(w_{t-1}, d_t - distance), d_t + distance) is a chain of clamps. A chain of clamps is
-    a clamp, so that all of them come from sums by doubling. It begins at w = 0; what recurs goes round twice.
+    a clamp, so that all of them follow by doubling (prefix scan). It begins at w = 0; periodic elongations are run
+    through twice.
     """
     n = len(d)
     path = np.concatenate([d, d]) if is_periodic else d

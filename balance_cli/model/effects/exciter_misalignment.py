@@ -27,14 +27,14 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     unit = {(0, 1): "m", (1, 0): "1/m"}.get((where[0][0] == "M", where[1][0] == "M"), "1")
-    description = f"Spilt {where[1]} over measured {where[0]}."
+    description = f"Applied {where[1]} over measured {where[0]}."
     return (EffectParameter("fraction", unit, 0.0, 0.005, description, lower=-1.0, upper=1.0),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
-    excited, spilt = (COMPONENTS.index(name) for name in where)
+    excited, cross = (COMPONENTS.index(name) for name in where)
     entry = np.zeros((6, 6))
-    entry[spilt, excited] = 1.0
+    entry[cross, excited] = 1.0
     return replace(equations, exciter_cross_axis=equations.exciter_cross_axis + values["fraction"] * entry)
 
 

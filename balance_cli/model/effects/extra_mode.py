@@ -34,8 +34,8 @@ from balance_cli.model.mechanics.dual_numbers import Dual, concatenate, constant
 from balance_cli.model.mechanics.equations import TORQUE, Equations
 
 AXES = ("x", "y", "z")
-# An effective mass that matters, as a share of the moving part.
 SMALL = 0.01
+"""An effective mass that matters, as a share of the mass of the metric side."""
 
 
 def _springs(geometry: Geometry) -> tuple[str, ...]:
@@ -43,12 +43,12 @@ def _springs(geometry: Geometry) -> tuple[str, ...]:
 
 
 def _plate_translations(geometry: Geometry) -> tuple[Where, ...]:
-    """The directions in which the plate moves."""
+    """One place per translation of the plate."""
     return tuple((axis,) for axis in AXES if axis in geometry.freedom)
 
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
-    """One place for each of them, and one for each load component."""
+    """One place per translation of the plate, then one per load component."""
     return _plate_translations(geometry) + tuple((name,) for name in COMPONENTS)
 
 
@@ -63,21 +63,21 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 def _plate_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     scale = SMALL * sum(body.mass for body in geometry.bodies)
-    description = f"Its effective mass along {where[0]}, part of the declared one."
+    description = f"Its effective mass along {where[0]}, part of the declared mass."
     mass = EffectParameter("mass", "kg", 0.0, scale, description, lower=0.0, start=scale)
-    others = (
+    shape = (
         EffectParameter(
             f"shape_{name}",
             "1" if name in AXES else "m",
             0.0,
             0.1,
-            f"How it takes part in the motion {name} of the centre of gravity; in {where[0]} by one.",
+            f"Its shape in the motion {name} of the center of gravity; one in {where[0]}.",
             nuisance=True,
         )
         for name in geometry.freedom
         if name != where[0]
     )
-    return (mass, *others)
+    return (mass, *shape)
 
 
 def _load_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -87,7 +87,7 @@ def _load_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectParam
         return "1" if moment == (spring == TORQUE) else "1/m" if moment else "m"
 
     return tuple(
-        EffectParameter(f"shape_{name}", unit(name), 0.0, 1e-2, f"Share of the load in {name}, times its resonance.")
+        EffectParameter(f"shape_{name}", unit(name), 0.0, 1e-2, f"Fraction of the load in {name}, times the resonance.")
         for name in _springs(geometry)
     )
 
@@ -112,9 +112,9 @@ def _add_plate_mode(equations: Equations, axis: str, values: Mapping[str, Dual],
         compliance=constant(np.ones(1), p),
     )
     plate = stack([*parts, *nothing, constant(0.0, p)])
-    own = np.eye(n + 1)[:, -1:]
-    pulled = values["mass"] * (plate.insert_axis(-1) @ own.T)
-    return replace(wide, mass=wide.mass + pulled + rate * rate * (own @ plate.insert_axis(0)))
+    last = np.eye(n + 1)[:, -1:]
+    reaction = values["mass"] * (plate.insert_axis(-1) @ last.T)
+    return replace(wide, mass=wide.mass + reaction + rate * rate * (last @ plate.insert_axis(0)))
 
 
 def _add_load_mode(

@@ -24,7 +24,7 @@ from balance_cli.model.mechanics.equations import Equations
 
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
-    """The whole rig, where it can tilt about both axes."""
+    """The whole rig, if it can tilt about both axes."""
     return ((),) if {"theta", "phi"} <= set(geometry.freedom) else ()
 
 
@@ -36,7 +36,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
             "kg m2",
             0.0,
             scale,
-            "Moment of inertia about z of what spins; negative where it turns clockwise seen from above.",
+            "Moment of inertia about z of the spinning parts; negative if they turn clockwise seen from above.",
         ),
     )
 

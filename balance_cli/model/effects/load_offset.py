@@ -26,7 +26,7 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     unit = "N" if where[0].startswith("F") else "N m"
-    return (EffectParameter("offset", unit, 0.0, 0.1, "Recorded load without a true one."),)
+    return (EffectParameter("offset", unit, 0.0, 0.1, "Recorded load without an applied load."),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:

@@ -21,7 +21,7 @@ from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    description = "Frequency at which the amplitude is down by half the power."
+    description = "Frequency at which the power is halved."
     return (EffectParameter("cutoff", "Hz", np.inf, 1e-4, description, lower=0.0, reciprocal=True),)
 
 

@@ -29,14 +29,14 @@ from balance_cli.model.mechanics.equations import Equations
 
 AXES = ("x", "y")
 
-# A change of a compliance that matters, and one with which a fit may begin, relative to that of all cells together.
 SMALL = 1e-1
-# Square roots are taken as if mass and compliance were at least this part of their scale.
+"""A compliance that matters, and from which a fit may begin, relative to that of all cells together."""
 FLOOR = 1e-6
+"""Lower bound of mass and compliance in square roots, relative to their scale: zero has no derivative there."""
 
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
-    """The sideways motions that the plate has."""
+    """All subsets of the lateral motions of the plate."""
     return nonempty_subsets(tuple(axis for axis in AXES if axis in geometry.freedom))
 
 
@@ -48,7 +48,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         "kg",
         0.0,
         0.1 * hub.mass,
-        "Mass that goes with the hub; part of the declared mass of the moving part.",
+        "Mass that moves with the hub; part of the declared mass of the metric side.",
         lower=0.0,
         start=0.5 * hub.mass,
         nuisance=True,
@@ -59,7 +59,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
             "m/N",
             0.0,
             SMALL / stiffness[axis],
-            f"Deflection of the hub along {axis} per unit force, against the plate.",
+            f"Deflection of the hub along {axis} relative to the plate, per unit force.",
             lower=0.0,
             start=SMALL / stiffness[axis],
         )
@@ -70,7 +70,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         "1",
         0.0,
         0.01,
-        "Of the hub on the mast, with the plate held.",
+        "Damping ratio of the hub on the mast, with the plate held.",
         lower=0.0,
         upper=1.0,
         start=0.01,

@@ -20,18 +20,26 @@ from balance_cli.model.effects.places import Where, whole_rig
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import Equations
 
-# A share of the cells' stiffness that matters, and one with which a fit may begin.
 SMALL = 1e-2
+"""A stiffness that matters, and from which a fit may begin, relative to that of the cells."""
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     cells = stiffness_by_motion(geometry)
     largest = max(cells[axis] for axis in "xyz")
-    # Half way up to the hub: at the origin itself the moments of the springs would have no slope to begin with.
+    # Half way up to the hub: at the origin itself the derivatives of the springs' moments vanish.
     far = position_bound(geometry)
     point = (
         EffectParameter(
-            axis, "m", 0.0, 0.1, f"The point where it holds the plate, {axis}.", -far, far, 0.5 * at, nuisance=True
+            axis,
+            "m",
+            0.0,
+            0.1,
+            f"Position {axis} of its point of attachment to the plate.",
+            -far,
+            far,
+            0.5 * at,
+            nuisance=True,
         )
         for axis, at in zip("xyz", geometry.hub, strict=True)
     )
@@ -52,7 +60,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         "s",
         0.0,
         1e-4,
-        "Dashpot over spring: the loss factor at angular frequency w is w times this.",
+        "Dashpot over spring: the loss factor at angular frequency w is w times this value.",
         lower=0.0,
         start=1e-4,
         nuisance=True,

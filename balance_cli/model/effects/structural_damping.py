@@ -31,7 +31,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
             "1",
             0.0,
             0.1,
-            "Share of the stiffening with frequency that a causal law has; 0 is a constant stiffness.",
+            "Fraction of the stiffening with frequency of a causal law; 0 is a constant stiffness.",
             lower=0.0,
             upper=1.0,
             start=1.0,
@@ -41,15 +41,15 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
-    chosen = np.zeros(len(equations.springs))
-    chosen[cells_at(geometry, where)] = 1.0
-    loss = values["loss_factor"] * chosen
-    rising = (2.0 / np.pi) * values["causality"] * loss
-    return replace(equations, loss=equations.loss + loss, frequency_stiffness=equations.frequency_stiffness + rising)
+    affected = np.zeros(len(equations.springs))
+    affected[cells_at(geometry, where)] = 1.0
+    loss = values["loss_factor"] * affected
+    increase = (2.0 / np.pi) * values["causality"] * loss
+    return replace(equations, loss=equations.loss + loss, frequency_stiffness=equations.frequency_stiffness + increase)
 
 
 def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
-    """As a spring can be, and as the law is mostly written."""
+    """The causal law, and the law with constant stiffness, in which it is usually written."""
     return ({"causality": 1.0}, {"causality": 0.0})
 
 

@@ -32,18 +32,18 @@ from balance_cli.model.mechanics.equations import Equations, dual_motion_at
 
 TRANSLATIONS = FREEDOMS[:3]
 
-# A change of a compliance that matters, and one with which a fit may begin, relative to that of all cells together.
 SMALL = 1e-2
-# Square roots are taken as if masses and compliances were at least this part of their scale.
+"""A compliance that matters, and from which a fit may begin, relative to that of all cells together."""
 FLOOR = 1e-6
-# Where a search begins: compliances relative to those of the cells, and the depth of the lower body's centre below the
-# lowest cell, relative to the height of the hub over it.
+"""Lower bound of masses and compliances in square roots, relative to their scale: zero has no derivative there."""
 START_COMPLIANCE_SHARE = 0.1
+"""Compliances from which a search begins, relative to those of the cells: a support is stiffer than the cells."""
 START_DEPTH = 0.2
+"""Depth of the center below the lowest cell where a search begins, relative to the height of the hub above it."""
 
 
 def _places(geometry: Geometry) -> tuple[Where, ...]:
-    """Any motions that the cells resist."""
+    """All subsets of the motions that the cells resist."""
     stiffness = stiffness_by_motion(geometry)
     return nonempty_subsets(tuple(name for name in FREEDOMS if stiffness[name] > 0))
 
@@ -56,7 +56,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
             "m/N" if name in TRANSLATIONS else "rad/(N m)",
             0.0,
             SMALL / stiffness[name],
-            f"Motion {name} of the lower body per unit load on it.",
+            f"Motion {name} of the non-metric side per unit load on it.",
             lower=0.0,
             start=SMALL / stiffness[name],
         )
@@ -67,7 +67,7 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         "1",
         0.0,
         0.01,
-        "Of each motion of the lower body alone, with the plate taken off.",
+        "Damping ratio of each motion of the non-metric side alone, with the plate removed.",
         lower=0.0,
         upper=1.0,
         start=0.02,
@@ -77,12 +77,12 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 
 def _center_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    """Position of the centre, as far as the rotations of the lower body show it."""
-    shown = {"psi": "xy", "theta": "xz", "phi": "yz"}
-    axes = sorted({axis for name in where for axis in shown.get(name, "")})
+    """Position of the center, as far as the rotations of the non-metric side make it identifiable."""
+    identifiable = {"psi": "xy", "theta": "xz", "phi": "yz"}
+    axes = sorted({axis for name in where for axis in identifiable.get(name, "")})
     far = position_bound(geometry)
     return tuple(
-        EffectParameter(axis, "m", 0.0, 0.05, f"Position {axis} of its centre.", -far, far, nuisance=True)
+        EffectParameter(axis, "m", 0.0, 0.05, f"Position {axis} of its center.", -far, far, nuisance=True)
         for axis in axes
     )
 
@@ -92,16 +92,16 @@ def _inertia_name(motion: str) -> str:
 
 
 def _inertia_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    """One mass for all translations, one inertia for each rotation; of the size of the moving part's."""
+    """One mass for all translations, one inertia per rotation; they start at those of the metric side."""
     moving = {_inertia_name(name): inertia for name, inertia in inertia_by_motion(geometry).items()}
-    sentences = {"mass": "Mass of the lower body."}
+    sentences = {"mass": "Mass of the non-metric side."}
     return tuple(
         EffectParameter(
             name,
             "kg" if name == "mass" else "kg m2",
             0.0,
             0.1 * moving[name],
-            sentences.get(name, f"Inertia of the lower body against {name[8:]}, about its centre."),
+            sentences.get(name, f"Inertia of the non-metric side in {name[8:]}, about its center."),
             lower=0.0,
             start=moving[name],
             nuisance=True,
@@ -130,44 +130,44 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     cells = (directions[:, None, :] @ motion)[:, 0]
     torque = wide.elongation[len(directions) :]
     relative = concatenate([constant(np.eye(n), p), -_plate_motion_with_non_metric_side(equations, lower)], axis=1)
-    own = block_diagonal(constant(np.zeros((n, n)), p), damping.insert_axis(-1) * np.eye(m))
+    support = block_diagonal(constant(np.zeros((n, n)), p), damping.insert_axis(-1) * np.eye(m))
     return replace(
         wide,
         elongation=concatenate([cells, torque]),
-        damping=relative.T @ equations.damping @ relative + own,
+        damping=relative.T @ equations.damping @ relative + support,
     )
 
 
 def _motion_at_origin(values: Mapping[str, Dual], where: Where, p: int) -> Dual:
-    """Motion (6, m) of the lower body at the rig's origin per motion of its centre."""
+    """Motion (6, m) of the non-metric side at the rig's origin per motion of its center."""
     center = stack([values[axis] if axis in values else constant(0.0, p) for axis in "xyz"])
     whole = concatenate([dual_motion_at(-center), constant(np.eye(6)[3:], p)])
     return whole[:, [FREEDOMS.index(name) for name in where]]
 
 
 def _plate_motion_with_non_metric_side(equations: Equations, lower: Dual) -> Dual:
-    """Motion (n, m) of each coordinate when the plate goes along with the lower body; the shaft does not."""
+    """Motion (n, m) of each coordinate when the plate moves with the non-metric side; the shaft does not."""
     p, others = equations.parameters, len(equations.coordinates) - len(equations.freedom)
     along = concatenate([dual_motion_at(equations.center), constant(np.eye(6)[3:], p)]) @ lower
     return concatenate([along[list(equations.freedom)], constant(np.zeros((others, lower.value.shape[1])), p)])
 
 
 def _search_places(geometry: Geometry) -> tuple[Where, ...]:
-    """All motions at once; those that turn out stiff are taken out afterwards."""
+    """All motions at once; those that prove rigid are removed after the fit."""
     return _places(geometry)[-1:]
 
 
 def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
-    """A lower body as heavy as the moving part, stiffer than the cells; its centre below them, at them, far below."""
+    """A support as heavy as the metric side and stiffer than the cells; center below the cells, at them, far below."""
     stiffness = stiffness_by_motion(geometry)
     lowest = min(cell.position[2] for cell in geometry.cells)
     depth = START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3)
-    softness = {f"compliance_{name}": START_COMPLIANCE_SHARE / stiffness[name] for name in where}
-    return tuple({"z": lowest - times * depth, **softness} for times in (1.0, 0.0, 2.0))
+    compliances = {f"compliance_{name}": START_COMPLIANCE_SHARE / stiffness[name] for name in where}
+    return tuple({"z": lowest - times * depth, **compliances} for times in (1.0, 0.0, 2.0))
 
 
 def _bounded_stiffness_ratios(inertia: Dual, compliance: Dual, geometry: Geometry, where: Where) -> Dual:
-    """Inertia over compliance (m,), both kept off zero, where the square root of either has no derivative."""
+    """Inertia over compliance (m,), both bounded away from zero, where a square root has no derivative."""
     parameters = {item.name: item for item in _parameters(geometry, where)}
     ratios = [
         clip_below(inertia[i], FLOOR * parameters[_inertia_name(name)].scale)

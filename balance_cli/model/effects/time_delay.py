@@ -17,7 +17,7 @@ from balance_cli.model.mechanics.equations import ChannelPath, Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    description = "How late the channel is, negative where it is early."
+    description = "Delay of the channel; negative if it is early."
     return (EffectParameter("delay", "s", 0.0, 1e-4, description, lower=-0.1, upper=0.1),)
 
 

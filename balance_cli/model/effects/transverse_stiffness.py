@@ -21,11 +21,11 @@ from balance_cli.model.mechanics.equations import Equations
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    own = [geometry.cells[i].effective_stiffness for i in cells_at(geometry, where)]
-    description = "Stiffness across the axis, the same in both directions" + (
-        ", of each cell." if len(own) > 1 else "."
+    stiffness = [geometry.cells[i].effective_stiffness for i in cells_at(geometry, where)]
+    description = "Transverse stiffness, the same in both directions" + (
+        ", of each cell." if len(stiffness) > 1 else "."
     )
-    return (EffectParameter("stiffness", "N/m", 0.0, 1e-2 * float(np.mean(own)), description, lower=0.0),)
+    return (EffectParameter("stiffness", "N/m", 0.0, 1e-2 * float(np.mean(stiffness)), description, lower=0.0),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:

@@ -1,4 +1,4 @@
-"""What an effect beyond the rigid plate may do to a simulated rig: one class for each effect."""
+"""The interface of effects of a simulated rig beyond the rigid plate: one class per effect."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ ALL = "all"
 
 @dataclass(frozen=True)
 class Signals:
-    """Volts (n, channels) before the anti-alias filter, sampled every `step` s; `rng` for what no two runs share.
+    """Volts (n, channels) before the anti-alias filter, sampled every `step` s.
 
-    Without a `step` the rows are readings at rest, one for each static load point.
+    Without a `step` the rows are readings at rest, one for each static load point. `rng` is for values that differ
+    between runs.
     """
 
     volts: Array
@@ -41,11 +42,11 @@ class Extension:
         return mechanics
 
     def true_loads(self, loads: Array, kind: str) -> Array:
-        """True hub loads (n, 6) of a run of this kind where the exciter's force cell feels `loads` (n, 6)."""
+        """True hub loads (n, 6) of a run of this kind where the exciters' force cells are loaded by `loads` (n, 6)."""
         return loads
 
     def recorded_loads(self, loads: Array, kind: str) -> Array:
-        """Recorded loads (n, 6) of a run of this kind where the exciter's force cell feels `loads` (n, 6)."""
+        """Recorded loads (n, 6) of a run of this kind where the exciters' force cells are loaded by `loads` (n, 6)."""
         return loads
 
     def volts(self, signals: Signals) -> Array:
@@ -53,7 +54,7 @@ class Extension:
         return signals.volts
 
     def places(self, names: tuple[str, ...]) -> list[int]:
-        """Indices of `where` among `names` (`all`: every one). UserError for a place that is none."""
+        """Indices of `where` among `names` (`all`: every one). Raises UserError for an unknown place."""
         if self.where == (ALL,):
             return list(range(len(names)))
         unknown = [place for place in self.where if place not in names]
@@ -63,8 +64,8 @@ class Extension:
         return [names.index(place) for place in self.where]
 
     def pair(self, names: tuple[str, ...]) -> tuple[int, int]:
-        """Indices of the two places among `names`. UserError where there are not two."""
-        found = self.places(names)
-        if len(found) != 2 or found[0] == found[1]:
+        """Indices of the two places among `names`. Raises UserError where there are not two."""
+        places = self.places(names)
+        if len(places) != 2 or places[0] == places[1]:
             raise UserError(f"`{self.name}` needs two different places", place="effects", remedy="Correct `where`")
-        return found[0], found[1]
+        return places[0], places[1]

@@ -1,4 +1,4 @@
-"""Effects in the cells: springs that are not linear, that slip, relax, stand askew or resist sideways."""
+"""Effects in the cells: nonlinear springs, slipping contacts, relaxation, misalignment and transverse stiffness."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ INSIDE, BESIDE = "inside", "beside"
 
 
 def read_by_channels(side: str) -> bool:
-    """Whether the cell's channels read a force on this `side`. UserError for a side that is none."""
+    """Whether the cell's channels read a force on this `side`. Raises UserError for an unknown side."""
     if side not in (INSIDE, BESIDE):
         raise UserError(f"`side` is `{side}`, not `{INSIDE}` or `{BESIDE}`", place="effects")
     return side == INSIDE
@@ -40,7 +40,7 @@ class CubicStiffness(Extension):
     side: str = INSIDE
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the force at every place."""
+        """The equations with the force at every place."""
         return _with_forces(
             self, mechanics, geometry, NonlinearCellForce(0, k3=self.k3, read_by_channels=read_by_channels(self.side))
         )
@@ -55,7 +55,7 @@ class QuadraticStiffness(Extension):
     side: str = INSIDE
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the force at every place."""
+        """The equations with the force at every place."""
         return _with_forces(
             self, mechanics, geometry, NonlinearCellForce(0, k2=self.k2, read_by_channels=read_by_channels(self.side))
         )
@@ -70,13 +70,13 @@ class DryFriction(Extension):
     stick_stiffness: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the contact at every place."""
+        """The equations with the contact at every place."""
         contact = NonlinearCellForce(0, stick_stiffness=self.stick_stiffness, limit=self.force)
         return _with_forces(self, mechanics, geometry, contact)
 
 
 def transverse_axes(axis: Array) -> tuple[Array, Array]:
-    """Two unit vectors (3,) across a unit `axis`: for a cell along x they are y and z, and so on in cyclic order.
+    """Two unit vectors (3,) perpendicular to a unit `axis`: for a cell along x y and z, and so on in cyclic order.
 
     The first is the rig axis that follows the axis nearest to the cell's, made orthogonal to the cell's.
     """
@@ -88,14 +88,14 @@ def transverse_axes(axis: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class CellMisalignment(Extension):
-    """The cell stands askew: its axis leans by `angle_1` and `angle_2` [rad] towards its two transverse axes."""
+    """The cell is misaligned: its axis tilts by `angle_1` and `angle_2` [rad] towards its two transverse axes."""
 
     name: ClassVar[str] = "cell-misalignment"
     angle_1: float = 0.0
     angle_2: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the cell's force, and what it reads, along the leaning axis."""
+        """The equations with the cell's force and reading along the tilted axis."""
         rows = mechanics.cell_rows.copy()
         for index in self.places(geometry.cell_names):
             cell = geometry.cells[index]
@@ -108,13 +108,13 @@ class CellMisalignment(Extension):
 
 @dataclass(frozen=True)
 class TransverseStiffness(Extension):
-    """The cell resists sideways too: `stiffness` [N/m] across its axis, which no channel reads."""
+    """The cell has a transverse `stiffness` [N/m], whose force no channel reads."""
 
     name: ClassVar[str] = "transverse-stiffness"
     stiffness: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With two springs across each cell."""
+        """The equations with two transverse springs at each cell."""
         for index in self.places(geometry.cell_names):
             cell = geometry.cells[index]
             across = np.array(transverse_axes(cell.direction))
@@ -127,17 +127,17 @@ RELAXATION_FREQUENCIES = np.geomspace(0.1, 3000.0, 10)
 """Relaxation frequencies [Hz] of the Maxwell branches, about two to a decade."""
 
 REFERENCE_FREQUENCY = 20.0
-"""Frequency [Hz] at which the chain leaves the cell's stiffness as it is."""
+"""Frequency [Hz] at which the chain does not change the cell's stiffness."""
 
 
 @dataclass(frozen=True)
 class StructuralDamping(Extension):
     """The cell's force lags its elongation by the `loss_factor` at every frequency from 2 to 300 Hz.
 
-    A chain of Maxwell branches of equal stiffness `(2 / pi) eta k ln(ratio of neighbouring rates)`, the causal
-    realisation of `k (1 + j eta)`. It cannot but stiffen with frequency, by `(2 / pi) eta` for each factor e; at
-    20 Hz the stiffness is the cell's. The channels read the whole force. There is no other way in time: `causality`
-    is taken as 1, whatever is given.
+    A chain of Maxwell branches of equal stiffness `(2 / pi) eta k ln(ratio of adjacent rates)`, the causal
+    realization of `k (1 + j eta)`. It stiffens with frequency, by `(2 / pi) eta` for each factor e; at 20 Hz the
+    stiffness is that of the cell. The channels read the whole force. A time-domain model has no other choice:
+    `causality` is 1, whatever value is given.
     """
 
     name: ClassVar[str] = "structural-damping"
@@ -145,7 +145,7 @@ class StructuralDamping(Extension):
     causality: float = 1.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the branches of each cell."""
+        """The equations with the branches of each cell."""
         share = 2 / np.pi * self.loss_factor * np.log(RELAXATION_FREQUENCIES[1] / RELAXATION_FREQUENCIES[0])
         stored = share * np.sum(1 / (1 + (RELAXATION_FREQUENCIES / REFERENCE_FREQUENCY) ** 2))
         stiffness = mechanics.cell_stiffness.copy()

@@ -1,4 +1,4 @@
-"""Effects of a simulated rig: the list of all, in the order in which they act."""
+"""All effects of a simulated rig, in the order in which they act."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _nearest(name: str, known: Iterable[str]) -> str:
 
 
 def extension(name: str, where: Iterable[str] = (), **parameters: float | str) -> Extension:
-    """The extension of this name, at these places. UserError where no effect or parameter has the name."""
+    """The extension of this name, at these places. Raises UserError for an unknown effect or parameter."""
     if name not in EXTENSIONS:
         raise UserError(f"there is no effect `{name}` to simulate", place="effects", remedy=_nearest(name, EXTENSIONS))
     kind = EXTENSIONS[name]

@@ -1,4 +1,4 @@
-"""Effects in the exciters: what acts besides what their force cells feel, and what these read."""
+"""Effects in the exciters: loads that their force cells do not measure, and errors of their readings."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ KINDS_WITH_EXCITERS = ("static", "sweep", "check")
 
 @dataclass(frozen=True)
 class ExciterMisalignment(Extension):
-    """The exciter of the first component spills a `fraction` of its load into the second, which nobody measures."""
+    """The exciter of the first component also applies a `fraction` of its load in the second, which is not measured."""
 
     name: ClassVar[str] = "exciter-misalignment"
     fraction: float = 0.0
 
     def true_loads(self, loads: Array, kind: str) -> Array:
-        """With the spilt part."""
+        """The loads with the unmeasured part."""
         if kind not in KINDS_WITH_EXCITERS:
             return loads
-        excited, spilt = self.pair(COMPONENTS)
+        excited, cross = self.pair(COMPONENTS)
         loads = loads.copy()
-        loads[:, spilt] += self.fraction * loads[:, excited]
+        loads[:, cross] += self.fraction * loads[:, excited]
         return loads
 
 
 @dataclass(frozen=True)
 class LoadOffset(Extension):
-    """The exciter's force cell reads `offset` [N, N m] too much."""
+    """The exciter's force cell has an `offset` [N, N m]."""
 
     name: ClassVar[str] = "load-offset"
     offset: float = 0.0
 
     def recorded_loads(self, loads: Array, kind: str) -> Array:
-        """Shifted."""
+        """The readings with the offset."""
         shifted = loads.copy()
         shifted[:, self.places(COMPONENTS)] += self.offset
         return shifted

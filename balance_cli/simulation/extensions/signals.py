@@ -1,4 +1,4 @@
-"""Effects in the measuring chain: what becomes of a channel's volts before the anti-alias filter."""
+"""Effects in the measuring chain: changes of the channels' volts before the anti-alias filter."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class TimeDelay(Extension):
     delay: float = 0.0
 
     def volts(self, signals: Signals) -> Array:
-        """Shifted; before the record the rig stood still."""
+        """The volts shifted in time; before the record they are constant."""
         step = signals.step
         return _map_channels(self, signals, lambda v: v if step is None else filters.delay_signal(v, self.delay, step))
 
@@ -44,7 +44,7 @@ class LowPass(Extension):
     cutoff: float = np.inf
 
     def volts(self, signals: Signals) -> Array:
-        """Filtered; a reading at rest passes."""
+        """The filtered volts; static readings are unchanged."""
         step = signals.step
         if step is None or np.isinf(self.cutoff):
             return signals.volts
@@ -59,7 +59,7 @@ class HighPass(Extension):
     cutoff: float = 0.0
 
     def volts(self, signals: Signals) -> Array:
-        """Filtered; nothing of a reading at rest passes."""
+        """The filtered volts; static readings are zero."""
         step = signals.step
         if self.cutoff == 0:
             return signals.volts
@@ -71,25 +71,25 @@ class HighPass(Extension):
 
 @dataclass(frozen=True)
 class ChannelGain(Extension):
-    """The channel gives `gain` times its volts."""
+    """The channel reads `gain` times its volts."""
 
     name: ClassVar[str] = "channel-gain"
     gain: float = 1.0
 
     def volts(self, signals: Signals) -> Array:
-        """Scaled."""
+        """The scaled volts."""
         return _map_channels(self, signals, lambda v: self.gain * v)
 
 
 @dataclass(frozen=True)
 class Crosstalk(Extension):
-    """The first channel takes up a `fraction` of the volts of the second."""
+    """A `fraction` of the volts of the second channel is added to the first."""
 
     name: ClassVar[str] = "crosstalk"
     fraction: float = 0.0
 
     def volts(self, signals: Signals) -> Array:
-        """Mixed."""
+        """The volts with crosstalk."""
         to, source = self.pair(signals.names)
         volts = signals.volts.copy()
         volts[:, to] += self.fraction * volts[:, source]
@@ -98,26 +98,26 @@ class Crosstalk(Extension):
 
 @dataclass(frozen=True)
 class ChannelOffset(Extension):
-    """The channel reads `offset` [V] too much."""
+    """The channel has an `offset` [V]."""
 
     name: ClassVar[str] = "channel-offset"
     offset: float = 0.0
 
     def volts(self, signals: Signals) -> Array:
-        """Shifted."""
+        """The volts with the offset."""
         return _map_channels(self, signals, lambda v: v + self.offset)
 
 
 @dataclass(frozen=True)
 class MainsPickup(Extension):
-    """The channel picks up a sinusoid of `amplitude` [V] and `frequency` [Hz], at a phase that no two runs share."""
+    """Mains interference: a sinusoid of `amplitude` [V] and `frequency` [Hz], with a different phase in each run."""
 
     name: ClassVar[str] = "mains-pickup"
     amplitude: float = 0.0
     frequency: float = 50.0
 
     def volts(self, signals: Signals) -> Array:
-        """Added, at the same phase in every channel; readings at rest are long enough to average it away."""
+        """The volts with the tone, in phase in all channels; static readings are long enough to average it out."""
         if signals.step is None:
             return signals.volts
         time = np.arange(len(signals.volts)) * signals.step

@@ -1,4 +1,4 @@
-"""Effects in the structure: what the rigid plate on rigid ground leaves out."""
+"""Effects in the structure, which the rigid plate on rigid ground neglects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def _attach_to_ground(mechanics: Mechanics, start: int, masses: Array, compliances: Array, ratio: float) -> Mechanics:
-    """New coordinates from `start` on with their own masses on springs, `d = 2 zeta sqrt(k m)` beside each."""
+    """The equations with masses and springs on the coordinates from `start` on; `d = 2 zeta sqrt(k m)` for each."""
     springs = 1 / compliances
     for matrix, diagonal in (
         (mechanics.mass, masses),
@@ -30,19 +30,19 @@ def _attach_to_ground(mechanics: Mechanics, start: int, masses: Array, complianc
 
 
 def _flexible_motions(extension: Extension, known: tuple[str, ...]) -> tuple[str, ...]:
-    """The motions of `where` that have a compliance. UserError for a motion that is none."""
-    chosen = [known[index] for index in extension.places(known)]
-    return tuple(name for name in known if name in chosen and getattr(extension, f"compliance_{name}") > 0)
+    """The motions of `where` that have a compliance. Raises UserError for an unknown motion."""
+    flexible = [known[index] for index in extension.places(known)]
+    return tuple(name for name in known if name in flexible and getattr(extension, f"compliance_{name}") > 0)
 
 
 @dataclass(frozen=True)
 class SupportFlexibility(Extension):
-    """The lower body, to which the cells are fixed, is rigid and stands on springs of its own.
+    """The non-metric side, to which the cells are fixed, is a rigid body on springs.
 
-    `where`: which of its motions x y z psi theta phi (of its centre, at `x`, `y`, `z` [m]) are flexible; for each its
+    `where`: which of its motions x y z psi theta phi (of its center, at `x`, `y`, `z` [m]) are flexible; for each its
     `compliance` [m/N, rad/(N m)], null 0, and its inertia: `mass` [kg] in x y z, `inertia_*` [kg m2] in rotation.
-    `damping_ratio` is that of each of these motions alone, with the plate taken off. The plate's damping acts on its
-    motion relative to the lower body.
+    `damping_ratio` is that of each of these motions alone, with the plate removed. The plate's damping acts on its
+    motion relative to the non-metric side.
     """
 
     name: ClassVar[str] = "support-flexibility"
@@ -62,16 +62,16 @@ class SupportFlexibility(Extension):
     z: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the lower body's motions as further coordinates."""
+        """The equations with the motions of the non-metric side as further coordinates."""
         motions = _flexible_motions(self, FREEDOMS)
         masses = np.array([self.mass if name in "xyz" else getattr(self, f"inertia_{name}") for name in motions])
         if not np.all(masses > 0):
-            raise UserError("the lower body needs a mass or inertia for each motion", place="effects")
+            raise UserError("the non-metric side needs a mass or inertia for each motion", place="effects")
         start = mechanics.size
-        # motion of the lower body at the rig's origin when its centre moves
+        # Motion of the non-metric side at the rig's origin per motion of its center.
         at_origin = np.vstack([displacement_rows((-self.x, -self.y, -self.z)), np.eye(6)[3:]])
         base = at_origin[:, [FREEDOMS.index(name) for name in motions]]
-        # the motion of the plate's centre of gravity when the plate goes along with the lower body
+        # Motion of the plate's center of gravity when the plate moves with the non-metric side.
         along = np.vstack([displacement_rows(mechanics.cg), np.eye(6)[3:]]) @ base
         relative = np.hstack([np.eye(start), -mechanics.plate.T @ along])
         wide = mechanics.with_coordinates(tuple(f"base {name}" for name in motions))
@@ -86,10 +86,10 @@ class SupportFlexibility(Extension):
 
 @dataclass(frozen=True)
 class MastBending(Extension):
-    """The hub, a point `mass` [kg] of the moving part, gives way sideways on the mast.
+    """The hub, a point `mass` [kg] of the metric side, deflects laterally on the mast.
 
     `where`: x, y, or both; `compliance_x`, `compliance_y` [m/N] of the hub relative to the plate, null 0;
-    `damping_ratio` of the hub on the mast alone. The hub forces act on the hub; its tilt is left out.
+    `damping_ratio` of the hub on the mast alone. The hub forces act on the hub; its tilt is neglected.
     """
 
     name: ClassVar[str] = "mast-bending"
@@ -99,7 +99,7 @@ class MastBending(Extension):
     damping_ratio: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the hub's deflections as further coordinates."""
+        """The equations with the hub's deflections as further coordinates."""
         motions = _flexible_motions(self, ("x", "y"))
         if motions and self.mass <= 0:
             raise UserError("the hub on a flexible mast needs a mass", place="effects")
@@ -116,7 +116,7 @@ class MastBending(Extension):
 
 @dataclass(frozen=True)
 class AddedMass(Extension):
-    """A point `mass` [kg] on the plate at x, y, z [m] that the geometry does not know."""
+    """An undeclared point `mass` [kg] on the plate at x, y, z [m]."""
 
     name: ClassVar[str] = "added-mass"
     mass: float = 0.0
@@ -125,16 +125,16 @@ class AddedMass(Extension):
     z: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the mass; the damping matrix stays as it was."""
+        """The equations with the mass; the damping matrix does not change."""
         rows = mechanics.plate_displacement((self.x, self.y, self.z))
         return replace(mechanics, mass=mechanics.mass + self.mass * rows.T @ rows)
 
 
 @dataclass(frozen=True)
 class ParallelStiffness(Extension):
-    """A path from the plate to ground beside the cells (hose, cable): three springs [N/m] at the point x, y, z [m].
+    """A load path from the plate to ground beside the cells (hose, cable): three springs [N/m] at x, y, z [m].
 
-    Beside each lies a dashpot of `damping_time` [s] times its stiffness.
+    Each has a dashpot in parallel of `damping_time` [s] times its stiffness.
     """
 
     name: ClassVar[str] = "parallel-stiffness"
@@ -147,7 +147,7 @@ class ParallelStiffness(Extension):
     damping_time: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the three springs and their dashpots."""
+        """The equations with the three springs and their dashpots."""
         springs = np.array([self.stiffness_x, self.stiffness_y, self.stiffness_z])
         rows = mechanics.plate_displacement((self.x, self.y, self.z))
         dashpots = rows.T @ ((self.damping_time * springs)[:, None] * rows)
@@ -156,7 +156,7 @@ class ParallelStiffness(Extension):
 
 @dataclass(frozen=True)
 class GyroscopicCoupling(Extension):
-    """What spins about z with `polar_inertia` [kg m2] couples the tilts of the plate.
+    """Parts that spin about z with `polar_inertia` [kg m2] couple the tilts of the plate.
 
     Its angular momentum H = I Omega (theta, -phi, 1) turns with the plate: about x acts `I Omega theta'`, about y
     `-I Omega phi'` on the left of the equations of motion.
@@ -166,7 +166,7 @@ class GyroscopicCoupling(Extension):
     polar_inertia: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """With the coupling at this speed of the rotor."""
+        """The equations with the coupling at this rotor speed."""
         momentum = self.polar_inertia * 2 * np.pi * rotor_speed
         coupling = np.zeros((6, 6))
         phi, theta = FREEDOMS.index("phi"), FREEDOMS.index("theta")
