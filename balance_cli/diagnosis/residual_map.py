@@ -39,16 +39,13 @@ def residual_map(
 
 
 def _band_edges(batches: Sequence[Batch], bands: int) -> Array:
-    """Edges (bands + 1,) [Hz] of bands with about equally many different frequencies."""
+    """Edges (bands + 1,) [Hz] of bands with about equally many different frequencies, of lines that include sweeps."""
     frequency = np.unique(np.concatenate([batch.line_frequency for batch in batches]))
     moving = frequency[frequency > 0]
-    edges = np.empty(0)
-    if len(moving):
-        groups = np.array_split(moving, min(bands, len(moving)))
-        inner = [0.5 * (lower[-1] + upper[0]) for lower, upper in pairwise(groups)]
-        edges = np.array([moving[0], *inner, np.nextafter(moving[-1], np.inf)])
-    at_rest = [0.0] if len(edges) else [0.0, np.finfo(float).tiny]
-    return np.concatenate([at_rest, edges]) if frequency[0] == 0.0 else edges
+    groups = np.array_split(moving, min(bands, len(moving)))
+    inner = [0.5 * (lower[-1] + upper[0]) for lower, upper in pairwise(groups)]
+    at_rest = [0.0] if frequency[0] == 0.0 else []
+    return np.array([*at_rest, moving[0], *inner, np.nextafter(moving[-1], np.inf)])
 
 
 def _rms(batches: Sequence[Batch], system: System, edges: Array) -> Array:
@@ -85,8 +82,6 @@ def _whitened_power(batch: Batch, system: System) -> tuple[Array, Array]:
 def describe_residual_location(residual: ResidualMap, settings: ResidualMapSettings) -> str:
     """Return one sentence with the runs, bands and channels that hold most of the residual `after`."""
     power = residual.after**2
-    if not np.isfinite(power).any():
-        return "No lines."
     rms = float(np.sqrt(np.nanmean(power)))
     marginals = [_marginal(power, axis) for axis in range(3)]
     clear = any(_is_clear(power, axis, marginal, settings) for axis, marginal in enumerate(marginals))

@@ -401,7 +401,7 @@ def test_a_simulated_contact_depends_on_level():
 
 
 def test_simulated_mains_are_found():
-    pickup = DeclaredEffect(name="mains-pickup", where=("z4.strain",), parameters={"amplitude": 2e-3})
-    rows = mains_tests(campaign(pickup).lines, SETTINGS.data_tests)
+    interference = DeclaredEffect(name="mains-pickup", where=("z4.strain",), parameters={"amplitude": 2e-3})
+    rows = mains_tests(campaign(interference).lines, SETTINGS.data_tests)
     assert rows[0].p_value < 1e-3 and "z4.strain at 50 Hz" in rows[0].finding
     assert rows[1].finding == "nothing"

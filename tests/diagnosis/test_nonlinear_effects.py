@@ -126,7 +126,7 @@ def test_means_are_not_asked_for_without_need(linear_runs):
     assert all(lines.frequency[-1] == 0 and lines.waveform is not None for lines in needed.lines)
 
 
-PICKUP = ("mains-pickup@y2.strain.amplitude^2", "mains-pickup@y2.strain.frequency")
+MAINS_PARAMETERS = ("mains-pickup@y2.strain.amplitude^2", "mains-pickup@y2.strain.frequency")
 EVERYTHING = (
     declared("cubic-stiffness", ("x",), "inside", {"k3": 3e11}),
     declared("cubic-stiffness", ("x",), "beside", {"k3": -2e11}),
@@ -246,18 +246,26 @@ def test_slopes_of_a_record_that_does_not_repeat(true_rig):
     runs, _ = simulate_campaign(true_rig, CampaignPlan(runs=(plan,)), seed=7)
     spectra = measured_spectra(runs, RIG, means=True)
     batches = stack_runs(spectra.lines, spectra.statics, RIG.channel_names)
-    pickup = declared("mains-pickup", ("y2.strain",), None, {"amplitude": 5e-4, "frequency": 50.03})
-    model = balance_model(with_effects(EVERYTHING[0], EVERYTHING[1], EVERYTHING[-1], pickup)).free_all_parameters()
+    interference = declared("mains-pickup", ("y2.strain",), None, {"amplitude": 5e-4, "frequency": 50.03})
+    model = balance_model(
+        with_effects(EVERYTHING[0], EVERYTHING[1], EVERYTHING[-1], interference)
+    ).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
     gradient = 2.0 * data_curvature(batches, model.system(theta)).gradient
-    for name in ("stiffness.x", "sensitivity.x.piezo", "cubic-stiffness@x,inside.k3", "load-offset@Fx.offset", *PICKUP):
+    for name in (
+        "stiffness.x",
+        "sensitivity.x.piezo",
+        "cubic-stiffness@x,inside.k3",
+        "load-offset@Fx.offset",
+        *MAINS_PARAMETERS,
+    ):
         i = model.parameters.index(name)
         step = 1e-4 * scale[i] * np.eye(len(theta))[i]
         above, below = (data_chi2(batches, model.system(theta + s)) for s in (step, -step))
         assert gradient[i] == pytest.approx((above - below) / (2e-4 * scale[i]), rel=2e-3), name
 
 
-def test_the_score_of_a_pickup_has_no_bias_where_there_is_none(true_rig):
+def test_the_score_of_mains_interference_has_no_bias_where_there_is_none(true_rig):
     """The mean over many phases of noise is zero, though each amplitude that noise makes is positive."""
     names = [f"mains-pickup@{channel}" for channel in RIG.channel_names if channel.endswith("strain")]
     quiet = true_rig_of(RIG)

@@ -97,25 +97,25 @@ def test_no_other_place_gains_more(weighed):
     assert np.max((c @ ten.s) ** 2 / np.sum((c @ ten.V) * c, axis=1)) < best.gain
 
 
-def test_mass_and_place_settle_where_a_fit_from_the_truth_ends(declared):
+def test_mass_and_place_are_refined_to_where_a_fit_from_the_truth_ends(declared):
     """Along mass against arm chi-square is a narrow valley: without this, ten steps end hundreds above."""
     model, theta = declared.begun_at(0)
     truth = declared.fit_from_the_truth()
-    settled = refine_point_mass(model, theta, declared.batches, SETTINGS)
-    assert penalized_chi2(model, settled, declared.batches) < truth.chi2 + 1.0
-    assert fit_all_lines(model, settled, declared.batches, SETTINGS.fit).chi2 < truth.chi2 + 1.0
+    refined = refine_point_mass(model, theta, declared.batches, SETTINGS)
+    assert penalized_chi2(model, refined, declared.batches) < truth.chi2 + 1.0
+    assert fit_all_lines(model, refined, declared.batches, SETTINGS.fit).chi2 < truth.chi2 + 1.0
     assert start_fit(model, theta, declared.batches, SETTINGS.fit).chi2 > truth.chi2 + 200.0
 
 
-def test_a_mass_begun_with_the_wrong_sign_settles_where_it_is(weighed):
+def test_a_mass_begun_with_the_wrong_sign_is_refined_to_where_it_is(weighed):
     model, theta = weighed.begun_at(0)
     truth = weighed.fit_from_the_truth()
-    settled = refine_point_mass(model, theta, weighed.batches, SETTINGS)
-    assert penalized_chi2(model, settled, weighed.batches) < truth.chi2 + 1.0
+    refined = refine_point_mass(model, theta, weighed.batches, SETTINGS)
+    assert penalized_chi2(model, refined, weighed.batches) < truth.chi2 + 1.0
     sigma = np.sqrt(np.diag(np.linalg.inv(truth.minimum.total.information)))
     free = list(np.flatnonzero(model.parameters.free))
     for index, true in zip(mass_and_place(model), (-0.3, *PLACE), strict=True):
-        assert abs(settled[index] - true) < 4.0 * sigma[free.index(index)]
+        assert abs(refined[index] - true) < 4.0 * sigma[free.index(index)]
     assert fit_all_lines(model, theta, weighed.batches, SETTINGS.fit).chi2 > truth.chi2 + 1e4
 
 
@@ -123,9 +123,9 @@ def test_what_follows_a_mass_stays_within_its_bounds():
     """The step of the mass would take a low-pass and a loss factor below zero, where no rig is."""
     it = Campaign(add_effects(DECLARED, ["low-pass@z1.piezo", "structural-damping@z1"]), 2.0, (0.15, -0.1, 0.1), 3)
     model, theta = it.begun_at(0)
-    settled = refine_point_mass(model, theta, it.batches, SETTINGS)
-    assert np.all((settled >= model.parameters.lower) & (settled <= model.parameters.upper))
-    assert penalized_chi2(model, settled, it.batches) < it.fit.chi2 - 1000.0
+    refined = refine_point_mass(model, theta, it.batches, SETTINGS)
+    assert np.all((refined >= model.parameters.lower) & (refined <= model.parameters.upper))
+    assert penalized_chi2(model, refined, it.batches) < it.fit.chi2 - 1000.0
 
 
 def test_without_a_mass_nothing_is_settled(declared):

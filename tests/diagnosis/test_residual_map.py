@@ -31,7 +31,7 @@ def select(**changes: float) -> tuple:
 
 @pytest.fixture(scope="module")
 def spectra():
-    """Two sweeps, from which a third is made without channel b, and a static run."""
+    """Two sweeps, from which a third is map_with without channel b, and a static run."""
     plans = (
         SweepPlan(run="heave", excited=("Fz",), level=(20.0,), **PLAN),
         SweepPlan(run="pitch", excited=("My",), level=(8.0,), **PLAN),
@@ -69,17 +69,17 @@ def static(noise: float = 1e-3) -> StaticPoints:
 
 
 def test_under_the_truth_it_is_one(batches):
-    found = residual_map(batches, select(), select(), SETTINGS.residual_map)
-    assert set(found.runs) == {"heave", "pitch", "deaf", "static"}
-    assert found.channels == RIG.channel_names
-    assert found.after.shape == (4, len(found.edges) - 1, 2) == found.before.shape
-    np.testing.assert_array_equal(found.before, found.after)
+    residual = residual_map(batches, select(), select(), SETTINGS.residual_map)
+    assert set(residual.runs) == {"heave", "pitch", "deaf", "static"}
+    assert residual.channels == RIG.channel_names
+    assert residual.after.shape == (4, len(residual.edges) - 1, 2) == residual.before.shape
+    np.testing.assert_array_equal(residual.before, residual.after)
     for run in ("heave", "pitch"):
-        rms = np.sqrt(np.nanmean(found.after[found.runs.index(run)] ** 2, axis=0))
+        rms = np.sqrt(np.nanmean(residual.after[residual.runs.index(run)] ** 2, axis=0))
         np.testing.assert_allclose(rms, 1.0, atol=0.06)
-    at_rest = found.after[found.runs.index("static"), 0]
+    at_rest = residual.after[residual.runs.index("static"), 0]
     assert np.all((at_rest > 0.05) & (at_rest < 3.0))
-    assert describe_residual_location(found, SETTINGS.residual_map).startswith("Nothing beyond the noise")
+    assert describe_residual_location(residual, SETTINGS.residual_map).startswith("Nothing beyond the noise")
 
 
 def test_its_sum_is_chi_square_where_channels_are_independent(spectra):
@@ -91,39 +91,41 @@ def test_its_sum_is_chi_square_where_channels_are_independent(spectra):
     batches = stack_runs(lines, [], rig.channel_names)
     model = balance_model(rig)
     theta = model.parameters.value * 1.003
-    found = residual_map(batches, (model, theta), (model, theta), SETTINGS.residual_map)
-    counts = np.histogram(lines[0].frequency, np.append(found.edges[:-1], np.inf))[0]
-    total = 2.0 * np.sum(counts * found.after[0, :, 0] ** 2)
+    residual = residual_map(batches, (model, theta), (model, theta), SETTINGS.residual_map)
+    counts = np.histogram(lines[0].frequency, np.append(residual.edges[:-1], np.inf))[0]
+    total = 2.0 * np.sum(counts * residual.after[0, :, 0] ** 2)
     held = sum(2.0 for _ in lines)
     assert total == pytest.approx(data_chi2(batches, model.system(theta)), rel=0.02, abs=held)
 
 
-def test_bands_hold_all_lines_and_say_where_there_are_none(batches):
-    found = residual_map(batches, select(), select(), SETTINGS.residual_map)
-    assert found.edges[0] == 0.0 and found.edges[1] == pytest.approx(2.0)
-    assert len(found.edges) == 32 and np.all(np.diff(found.edges) > 0)
-    assert found.edges[-1] > 120.0 - 1e-9
-    static_run, deaf = found.after[found.runs.index("static")], found.after[found.runs.index("deaf")]
+def test_bands_hold_all_lines_and_are_nan_without_any(batches):
+    residual = residual_map(batches, select(), select(), SETTINGS.residual_map)
+    assert residual.edges[0] == 0.0 and residual.edges[1] == pytest.approx(2.0)
+    assert len(residual.edges) == 32 and np.all(np.diff(residual.edges) > 0)
+    assert residual.edges[-1] > 120.0 - 1e-9
+    static_run, deaf = residual.after[residual.runs.index("static")], residual.after[residual.runs.index("deaf")]
     assert np.isfinite(static_run[0]).all() and np.isnan(static_run[1:]).all()
     assert np.isnan(deaf[:, 1]).all()
-    high = found.edges[:-1] > 60.0
-    assert np.isfinite(deaf[high, 0]).all() and np.isnan(deaf[found.edges[1:] < 60.0, 0]).all()
+    high = residual.edges[:-1] > 60.0
+    assert np.isfinite(deaf[high, 0]).all() and np.isnan(deaf[residual.edges[1:] < 60.0, 0]).all()
     for run in ("heave", "pitch"):
-        assert np.isfinite(found.after[found.runs.index(run), 1:]).all()
+        assert np.isfinite(residual.after[residual.runs.index(run), 1:]).all()
 
 
 def test_a_wrong_stiffness_shows_at_its_mode(batches):
     """Heave resonates at 50.3 Hz, pitch at 75.5 Hz; both cells a little too stiff."""
-    found = residual_map(batches, select(**{"stiffness.a": 1.01, "stiffness.b": 1.01}), select(), SETTINGS.residual_map)
-    heave = found.before[found.runs.index("heave"), :, 0]
+    residual = residual_map(
+        batches, select(**{"stiffness.a": 1.01, "stiffness.b": 1.01}), select(), SETTINGS.residual_map
+    )
+    heave = residual.before[residual.runs.index("heave"), :, 0]
     worst = int(np.nanargmax(heave))
-    assert found.edges[worst] < 51.5 and found.edges[worst + 1] > 49.0
+    assert residual.edges[worst] < 51.5 and residual.edges[worst + 1] > 49.0
     assert heave[worst] > 10 * np.nanmedian(heave)
-    text = describe_residual_location(replace(found, after=found.before), SETTINGS.residual_map)
+    text = describe_residual_location(replace(residual, after=residual.before), SETTINGS.residual_map)
     assert text.startswith("Rms ") and "heave" in text and "all channels" in text and "Hz" in text
 
 
-def made(after: np.ndarray) -> ResidualMap:
+def map_with(after: np.ndarray) -> ResidualMap:
     runs = tuple(f"run-{i}" for i in range(after.shape[0]))
     channels = tuple(f"c{i}" for i in range(after.shape[2]))
     edges = np.append(0.0, 2.0 + 5.0 * np.arange(after.shape[1]))
@@ -133,7 +135,7 @@ def made(after: np.ndarray) -> ResidualMap:
 def test_the_location_names_runs_bands_and_channels():
     after = np.ones((12, 20, 15))
     after[3, 7:9, 4] = 30.0
-    text = describe_residual_location(made(after), SETTINGS.residual_map)
+    text = describe_residual_location(map_with(after), SETTINGS.residual_map)
     assert text == "Rms 1.22 of the noise; most in run-3, 32 to 42 Hz, c4."
 
 
@@ -141,19 +143,18 @@ def test_a_residual_at_rest_is_named():
     after = np.full((5, 6, 8), np.nan)
     after[:4, 1:] = 1.0
     after[4, 0] = 6.0
-    assert "most in run-4, at rest, all channels" in describe_residual_location(made(after), SETTINGS.residual_map)
+    assert "most in run-4, at rest, all channels" in describe_residual_location(map_with(after), SETTINGS.residual_map)
 
 
-def test_what_is_everywhere_is_said_to_be():
-    text = describe_residual_location(made(np.full((12, 20, 15), 4.0)), SETTINGS.residual_map)
+def test_a_residual_everywhere_is_described_so():
+    text = describe_residual_location(map_with(np.full((12, 20, 15), 4.0)), SETTINGS.residual_map)
     assert text == "Rms 4.00 of the noise; most in all runs, all bands, all channels."
 
 
 def test_noise_alone_has_no_location():
     rng = np.random.default_rng(0)
     noise = np.sqrt(rng.chisquare(60, (12, 20, 15)) / 60)
-    assert describe_residual_location(made(noise), SETTINGS.residual_map).startswith("Nothing beyond the noise")
-    assert describe_residual_location(made(np.full((1, 2, 3), np.nan)), SETTINGS.residual_map) == "No lines."
+    assert describe_residual_location(map_with(noise), SETTINGS.residual_map).startswith("Nothing beyond the noise")
 
 
 def test_a_rig_with_all_its_channels():
@@ -164,6 +165,6 @@ def test_a_rig_with_all_its_channels():
     batches = stack_runs(measured_spectra(runs, rig).lines, [], rig.channel_names)
     model = balance_model(rig)
     truth = (model, model.parameters.value)
-    found = residual_map(batches, truth, truth, SETTINGS.residual_map)
-    rms = np.sqrt(np.mean(found.after[0] ** 2, axis=0))
+    residual = residual_map(batches, truth, truth, SETTINGS.residual_map)
+    rms = np.sqrt(np.mean(residual.after[0] ** 2, axis=0))
     np.testing.assert_allclose(rms, 1.0, atol=0.1)

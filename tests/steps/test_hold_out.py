@@ -87,7 +87,7 @@ def test_a_sweep_is_held_to_its_noise_without_what_a_spring_that_hardens_does():
     assert found.after.frf_error < 1.5 * found.noise.frf_error < 3.0 * found.after.frf_error
 
 
-def test_loads_that_an_exciter_spills_act_too(campaign):
+def test_cross_axis_loads_of_an_exciter_act_too(campaign):
     """The applied loads, with which a reduction is compared, include the exciter cross-axis matrix of the model."""
     from balance_cli.simulation import Noise, short_plan, simulate_run, true_rig
     from balance_cli.simulation.extensions.library import extension

@@ -116,8 +116,8 @@ def _excluded_line_power(
     beside = np.abs(offsets) <= 1
     here = near[at]
     windows = WindowedData(Y, U, np.where(beside | here, 0.0, 1.0), r)
-    modelled, followed = _simplest_local_model(windows, settings)
-    away = _remove_response_shapes(Y - modelled, Y * windows.weight[:, :, None], settings.shapes)
+    modeled, followed = _simplest_local_model(windows, settings)
+    away = _remove_response_shapes(Y - modeled, Y * windows.weight[:, :, None], settings.shapes)
     counted = np.where(here[:, settings.half_window, None], here, beside & ~here) & beside
     power = np.sum(np.where(counted[:, :, None], np.abs(away) ** 2, 0.0), axis=1) * variance
     count = np.where(followed, 2.0 * counted.sum(axis=1), 0.0)[:, None] * np.ones(c)
@@ -148,7 +148,7 @@ def _simplest_local_model(
 ) -> tuple[ComplexArray, NDArray[np.bool_]]:
     """What the simplest local model that follows a window says of its lines (w, M, c), and whether (w,) any does."""
     c, u = windows.Y.shape[2], windows.U.shape[2]
-    modelled = np.zeros_like(windows.Y)
+    modeled = np.zeros_like(windows.Y)
     followed = np.zeros(len(windows.Y), bool)
     for denominator in settings.denominator_orders:
         orders = ModelOrders(response=settings.response_order, transient=-1, denominator=denominator)
@@ -159,9 +159,9 @@ def _simplest_local_model(
         fit = fit_windows(some, orders)
         free = some.weight.sum(axis=1) - orders.coefficients(u) - orders.denominator / c
         good = (fit.cost / c < settings.max_window_chi2 * np.maximum(free, 0.0)) & ~_has_hidden_peak(fit, settings)
-        modelled[left[good]] = _predict_windows(some, fit)[good]
+        modeled[left[good]] = _predict_windows(some, fit)[good]
         followed[left[good]] = True
-    return modelled, followed
+    return modeled, followed
 
 
 def _predict_windows(windows: WindowedData, fit: LocalFit) -> ComplexArray:
@@ -223,14 +223,15 @@ class _MainsSums:
     def add(self, departure: _Departures, at: tuple[Index, ...], settings: MainsDetectionSettings) -> None:
         """Take a run in."""
         n, d = departure.count, departure.others
-        told = (d > settings.min_neighbor_count) & (n > 0)
+        informed = (d > settings.min_neighbor_count) & (n > 0)
         ratio = departure.power / departure.neighbor_power
         p_values = np.maximum(variance_ratio_p_values(ratio, n, d), settings.min_run_p_value)
-        self.chi2[at] += np.where(told, ratio * (d - 2.0) / np.maximum(d, 1.0), 0.0)
-        self.count[at] += np.where(told, n, 0.0)
-        self.fisher[at] += np.where(told, -2.0 * np.log(p_values), 0.0)
-        self.runs[at] += told
-        self.excess_power[at] += np.where(told, np.maximum(departure.power - n * departure.neighbor_power, 0.0), 0.0)
+        self.chi2[at] += np.where(informed, ratio * (d - 2.0) / np.maximum(d, 1.0), 0.0)
+        self.count[at] += np.where(informed, n, 0.0)
+        self.fisher[at] += np.where(informed, -2.0 * np.log(p_values), 0.0)
+        self.runs[at] += informed
+        excess = np.maximum(departure.power - n * departure.neighbor_power, 0.0)
+        self.excess_power[at] += np.where(informed, excess, 0.0)
 
     def fisher_p_values(self) -> Array:
         """Probability of each multiple and channel, all runs together."""
