@@ -1,7 +1,7 @@
 """The maximum-likelihood fit of the sample campaign against the same fit with scipy's numerical Jacobian.
 
-Both minimise the same chi-square from the same start, over the same sweeps at both levels. The other one hands scipy
-the whitened residuals (so it gains all that elimination of the loads gains) and lets it difference them.
+Both minimize the same chi-square from the same start, over the same sweeps at both levels. scipy gets the whitened
+residuals with the loads eliminated, and differentiates them numerically.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ROOT = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class TimedFit:
-    """Seconds of one call, chi-square of where it ended, and the estimate."""
+    """Seconds of one fit, chi-square at its end, and the estimate."""
 
     seconds: float
     chi2: float
@@ -42,21 +42,22 @@ class TimedFit:
 
 
 def run() -> str:
-    """Time both fits, and say the ratio."""
+    """Time both fits and return their ratio as text."""
     model, batches = _campaign()
     chi2 = _total(model, batches)
-    ours = min(
-        (_time_fit(lambda: _fit_with_balance_cli(model, batches), chi2) for _ in range(3)), key=lambda one: one.seconds
-    )
+    fits = [_time_fit(lambda: _fit_with_balance_cli(model, batches), chi2) for _ in range(3)]
+    analytic = min(fits, key=lambda fit: fit.seconds)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    theirs = _time_fit(lambda: _with_numerical_jacobian(model, batches), chi2)
-    apart = np.abs(ours.theta - theirs.theta)[model.parameters.free] / model.parameters.scale[model.parameters.free]
+    numerical = _time_fit(lambda: _fit_with_numerical_jacobian(model, batches), chi2)
+    parameters, lines = model.parameters, sum(len(batch.lines.index) for batch in batches)
+    difference = np.abs(analytic.theta - numerical.theta)[parameters.free] / parameters.scale[parameters.free]
     return "\n".join(
         [
-            f"lines {sum(len(batch.lines.index) for batch in batches)}, free parameters {int(model.parameters.free.sum())}",
-            f"analytic slopes    {ours.seconds:8.2f} s   chi2 {ours.chi2:.6e}   peak memory {memory:.0f} MB",
-            f"scipy, differenced {theirs.seconds:8.2f} s   chi2 {theirs.chi2:.6e}",
-            f"ratio {theirs.seconds / ours.seconds:.1f}, largest difference {apart.max():.1e} of a prior sigma",
+            f"lines {lines}, free parameters {int(parameters.free.sum())}",
+            f"analytic derivatives {analytic.seconds:8.2f} s   chi2 {analytic.chi2:.6e}   peak memory {memory:.0f} MB",
+            f"scipy, numerical     {numerical.seconds:8.2f} s   chi2 {numerical.chi2:.6e}",
+            f"ratio {numerical.seconds / analytic.seconds:.1f}",
+            f"largest difference {difference.max():.1e} of a prior sigma",
         ]
     )
 
@@ -82,7 +83,7 @@ def _fit_with_balance_cli(model: BalanceModel, batches: Sequence[Batch]) -> Arra
     return fit_maximum_likelihood(model, batches, model.parameters.value).theta
 
 
-def _with_numerical_jacobian(model: BalanceModel, batches: Sequence[Batch]) -> Array:
+def _fit_with_numerical_jacobian(model: BalanceModel, batches: Sequence[Batch]) -> Array:
     parameters = model.parameters
     free, scale = parameters.free, parameters.scale[parameters.free]
     factors = [
@@ -101,12 +102,12 @@ def _with_numerical_jacobian(model: BalanceModel, batches: Sequence[Batch]) -> A
         prior = (theta - parameters.value)[free] / parameters.sigma[free]
         return np.concatenate([*parts, prior])
 
-    found = least_squares(residuals, np.zeros(int(free.sum())), method="trf", x_scale="jac", ftol=1e-9, xtol=1e-12)
-    return theta_of(found.x)
+    result = least_squares(residuals, np.zeros(int(free.sum())), method="trf", x_scale="jac", ftol=1e-9, xtol=1e-12)
+    return theta_of(result.x)
 
 
 def _fill_zero_precision(precision: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Channels that were left out get a precision of one, so that the factor exists; their residual is zero."""
+    """Set the precision of channels that were left out to one, so that the factor exists; their residual is zero."""
     dead = np.real(np.diagonal(precision, axis1=1, axis2=2)) == 0
     return precision + np.eye(precision.shape[1]) * dead[:, None, :]
 
@@ -114,18 +115,18 @@ def _fill_zero_precision(precision: NDArray[np.complex128]) -> NDArray[np.comple
 def _whiten_residual(batch: Batch, factor: NDArray[np.complex128], system: System) -> Array:
     """sqrt(2) L* (z - M U0), real and imaginary parts, with U0 the weighted least-squares loads.
 
-    The free motion is taken out of z; the rows that bound it follow.
+    The transients are subtracted from z; the rows of their priors follow.
     """
     solution = solve(system, batch.frequency, batch.spin)
-    T, free = exciter_response(system, solution), evaluate_batch(batch, system, solution).transients
+    T, transients = exciter_response(system, solution), evaluate_batch(batch, system, solution).transients
     columns = T[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
     M = np.concatenate([columns, np.broadcast_to(np.eye(columns.shape[2]), (len(columns), *2 * columns.shape[2:]))], 1)
     channels = batch.lines.channels.copy()
-    for one in free:
-        channels[one.lines] -= one.columns @ one.x
+    for transient in transients:
+        channels[transient.lines] -= transient.columns @ transient.x
     z = np.concatenate([channels, batch.lines.loads], axis=1)[:, :, None]
     A, b = factor @ M, factor @ z
     U = np.linalg.solve(A.conj().swapaxes(1, 2) @ A, A.conj().swapaxes(1, 2) @ b)
     r = np.sqrt(2.0) * (b - A @ U).reshape(-1)
-    r = np.concatenate([r, *(one.bound @ one.x for one in free)])
+    r = np.concatenate([r, *(transient.bound @ transient.x for transient in transients)])
     return np.concatenate([r.real, r.imag])

@@ -25,7 +25,7 @@ from balance_cli.steps.hold_out import hold_out_errors
 from balance_cli.steps.identify import identify
 from studies.cases import Case, plan
 from studies.coverage import Z_95
-from studies.recovery import LEAST_DAMPING
+from studies.recovery import MIN_DAMPING_RATIO
 from studies.sizing import HiddenEffect, expected_gains, hidden_effect, parse_candidate, power, simulation_effect
 from studies.unknown import unknown_effect
 
@@ -97,8 +97,8 @@ def _rig(geometry: Geometry, one: Case) -> TrueRig:
     rig = draw_rig(geometry, np.random.default_rng([_noise_seed(one), 1]))
     return replace(
         rig,
-        damping_ratios=np.maximum(rig.damping_ratios, LEAST_DAMPING),
-        torque_damping_ratio=max(rig.torque_damping_ratio, LEAST_DAMPING),
+        damping_ratios=np.maximum(rig.damping_ratios, MIN_DAMPING_RATIO),
+        torque_damping_ratio=max(rig.torque_damping_ratio, MIN_DAMPING_RATIO),
     )
 
 

@@ -1,4 +1,4 @@
-"""Do the 95 % intervals hold the truth in 95 % of all fits? Parameters and noise redrawn each time.
+"""Coverage of the 95 % intervals over fits with new parameters and new noise each.
 
 The response of a rig to noise-free multisines is simulated in time once (and scaled for the lower level, exact for a
 linear rig). Every fit then sees declared values drawn about the truth by the tolerances, and new noise in every period.
@@ -34,13 +34,13 @@ Z_95 = 1.959963984540054
 def noise_free_measurements(rig: TrueRig, seed: int) -> list[RunSpectrum | StaticPoints]:
     """Steady lines of every sweep and rows of every static run of the standard campaign, without noise."""
     assert rig.geometry.rotor is not None
-    found: list[RunSpectrum | StaticPoints] = []
+    data: list[RunSpectrum | StaticPoints] = []
     for plan in campaign_plan("standard", rig.geometry.rotor.speed).runs:
         if isinstance(plan, StaticPlan):
-            found.append(_noise_free_points(rig, plan, seed))
+            data.append(_noise_free_points(rig, plan, seed))
         elif isinstance(plan, SweepPlan):
-            found.append(_steady_lines(rig, plan, seed))
-    return found
+            data.append(_steady_lines(rig, plan, seed))
+    return data
 
 
 def _noise_free_points(rig: TrueRig, plan: StaticPlan, seed: int) -> StaticPoints:
@@ -52,7 +52,7 @@ def _noise_free_points(rig: TrueRig, plan: StaticPlan, seed: int) -> StaticPoint
 
 
 def _steady_lines(rig: TrueRig, plan: SweepPlan, seed: int) -> RunSpectrum:
-    """The last of many periods: the start transient has gone."""
+    """The last of many periods, without transient."""
     run, _ = simulate_run(rig, plan.model_copy(update={"periods": 14}), Noise().scale_by(0.0), seed)
     samples = round(plan.period * plan.sample_rate)
     block = run.read(run.samples - samples, run.samples)
@@ -72,7 +72,7 @@ def _steady_lines(rig: TrueRig, plan: SweepPlan, seed: int) -> RunSpectrum:
 def add_noise(
     noise_free_data: RunSpectrum | StaticPoints, geometry: Geometry, rng: np.random.Generator
 ) -> RunSpectrum | StaticPoints:
-    """The same with noise as recorded: three periods of a sweep, every row of a static run."""
+    """Add noise as recorded: three periods of a sweep, every row of a static run."""
     return (
         _add_noise_to_points(noise_free_data, rng)
         if isinstance(noise_free_data, StaticPoints)
@@ -81,7 +81,7 @@ def add_noise(
 
 
 def _add_noise_to_points(noise_free_data: StaticPoints, rng: np.random.Generator) -> StaticPoints:
-    """Noise on readings and loads; its covariance as the second differences of so many rows tell it."""
+    """Noise on readings and loads; its covariance as estimated from the second differences of the rows."""
     noise = Noise()
     rows, c = noise_free_data.channels.shape
     channels = noise_free_data.channels + noise.static_channel * rng.standard_normal((rows, c))
@@ -100,7 +100,7 @@ def _add_noise_to_points(noise_free_data: StaticPoints, rng: np.random.Generator
 
 
 def _add_noise_to_lines(noise_free_data: RunSpectrum, geometry: Geometry, rng: np.random.Generator) -> RunSpectrum:
-    """Noise of three periods; the covariance of their mean from their scatter, as `periodic_lines` finds it."""
+    """Noise of three periods; the covariance of their mean from their scatter, as `periodic_spectrum` estimates it."""
     noise = Noise()
     samples = 3200
     by_name = {channel.name: channel for channel in geometry.channels}
@@ -125,7 +125,7 @@ def _add_noise_to_lines(noise_free_data: RunSpectrum, geometry: Geometry, rng: n
 
 @dataclass(frozen=True)
 class CoverageTask:
-    """One rig (by its seed) and so many fits of it."""
+    """One rig (by its seed) and the number of its fits."""
 
     seed: int
     fits: int
@@ -149,21 +149,21 @@ def coverage_chunk(geometry: Geometry, task: CoverageTask) -> pd.DataFrame:
         minimum = fit_maximum_likelihood(shifted, stack_runs(lines, points, geometry.channel_names), truth)
         sigma = np.sqrt(np.diag(np.linalg.inv(minimum.total.information)))
         error = (minimum.theta - truth)[parameters.free] / sigma
-        support = parameter_identifiability(parameters, minimum.data.information)
-        rests = [word for word in support.informed_by if word != "exact"]
+        identifiability = parameter_identifiability(parameters, minimum.data.information)
+        sources = [source for source in identifiability.informed_by if source != "exact"]
         names = [name for name, free in zip(parameters.names, parameters.free, strict=True) if free]
         rows += [
-            {"seed": task.seed, "fit": fit, "parameter": name, "rests_on": word, "error": value}
-            for name, word, value in zip(names, rests, error, strict=True)
+            {"seed": task.seed, "fit": fit, "parameter": name, "rests_on": source, "error": value}
+            for name, source, value in zip(names, sources, error, strict=True)
         ]
     return pd.DataFrame(rows)
 
 
 def coverage_table(errors: pd.DataFrame) -> pd.DataFrame:
-    """Share of 95 % intervals that hold the truth, by parameter, with three binomial standard errors."""
-    held = errors.assign(held=errors["error"].abs() < Z_95)
-    table = held.groupby("parameter", sort=False)["held"].agg(["mean", "size"])
-    table.insert(0, "rests_on", held.groupby("parameter")["rests_on"].agg(lambda words: words.mode()[0]))
+    """Fraction of 95 % intervals that contain the truth, by parameter, with three binomial standard errors."""
+    covered = errors.assign(covered=errors["error"].abs() < Z_95)
+    table = covered.groupby("parameter", sort=False)["covered"].agg(["mean", "size"])
+    table.insert(0, "rests_on", covered.groupby("parameter")["rests_on"].agg(lambda words: words.mode()[0]))
     table = table.rename(columns={"mean": "coverage", "size": "fits"}).reset_index()
     table["three_sigma"] = 3 * np.sqrt(0.95 * 0.05 / table["fits"])
     return table.sort_values("rests_on", kind="stable")

@@ -1,4 +1,4 @@
-"""Whole simulated campaigns with nothing hidden: responses and hub loads against the truth.
+"""Simulated campaigns without hidden effects: responses and hub loads against the truth.
 
 Each campaign has a rig drawn from the tolerances, simulated in time, recorded with the noise of the measured campaign,
 and goes through the chain as files would: spectra, maximum likelihood, reduction of its check runs.
@@ -27,22 +27,22 @@ from tests.support.truth_source import TruthSource
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# The lowest damping that the measured campaign shows. With less a mode still rings when the record ends, and its
-# transient, not the noise, decides the error.
-LEAST_DAMPING = 0.005
+# The lowest damping ratio in the measured campaign. With less, a mode still rings at the end of the record, and its
+# transient, not the noise, dominates the error.
+MIN_DAMPING_RATIO = 0.005
 
 
 def recovery_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
-    """Figures of one campaign, one row a component."""
+    """Errors of one simulated campaign, one row per component."""
     rig = draw_rig(geometry, np.random.default_rng([seed, 7]))
-    rig = replace(rig, damping_ratios=np.maximum(rig.damping_ratios, LEAST_DAMPING))
+    rig = replace(rig, damping_ratios=np.maximum(rig.damping_ratios, MIN_DAMPING_RATIO))
     runs, _ = simulate_campaign(rig, "standard", seed=seed)
     model = identify(measured_spectra(runs, geometry), geometry)
     error, predicted = response_errors(rig, model)
     calibration = calibrate(runs, geometry)
     checks = [run for run in runs if run.kind == "check"]
     known = TruthSource(rig, model_source(model).slowest_decay)
-    found = [reduce_run(run, geometry, calibration, model_source(model)) for run in checks]
+    reduced = [reduce_run(run, geometry, calibration, model_source(model)) for run in checks]
     best = [reduce_run(run, geometry, calibration, known) for run in checks]
     return pd.DataFrame(
         {
@@ -51,7 +51,7 @@ def recovery_chunk(geometry: Geometry, seed: int) -> pd.DataFrame:
             "chi2_per_dof": model.quality.chi2_per_dof,
             "frf_error_p95": np.percentile(error, 95, axis=0),
             "cramer_rao_p95": np.percentile(predicted, 95, axis=0),
-            "load_error": _load_error(found),
+            "load_error": _load_error(reduced),
             "load_error_true_response": _load_error(best),
         }
     )
@@ -64,7 +64,7 @@ def _load_error(runs: list[RunLoads]) -> Array:
 
 
 def recovery_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Median and largest over the campaigns, by component, with the ratios that were asked for."""
+    """Median and maximum over the campaigns, by component, with the ratios to the bounds."""
     rows = rows.assign(
         frf_over_bound=rows["frf_error_p95"] / rows["cramer_rao_p95"],
         load_over_best=rows["load_error"] / rows["load_error_true_response"],

@@ -86,9 +86,9 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     R = R + lines.log_frequency_ratio[:, :, None] * system.readings_frequency_stiffness.value
     matrix = np.concatenate([A, R], axis=1) * lines.weight[:, :, None]
     true_loads = lines.loads @ system.equations.exciter_cross_axis.value.T
-    known = np.concatenate([true_loads @ system.inputs.value.T, lines.forces], axis=1) * lines.weight
-    x = batched_least_squares(matrix, known[:, :, None])[:, :, 0]
-    error = known - np.matmul(matrix, x[:, :, None])[:, :, 0]
+    measured = np.concatenate([true_loads @ system.inputs.value.T, lines.forces], axis=1) * lines.weight
+    x = batched_least_squares(matrix, measured[:, :, None])[:, :, 0]
+    error = measured - np.matmul(matrix, x[:, :, None])[:, :, 0]
 
     def derivatives() -> ComplexArray:
         excitation = multiply_derivatives(system.inputs.derivative, true_loads)

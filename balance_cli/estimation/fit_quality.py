@@ -42,10 +42,10 @@ def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
     in_band = (frequency >= FRF_BAND[0]) & (frequency <= FRF_BAND[1])
     # Lines at rest may have no load at all.
     size = np.where(in_band, np.sum(np.abs(batch.lines.loads) ** 2, axis=1), 1.0)
-    live = live_mask(batch)
-    error = np.sum(np.where(live, np.abs(fit.residual) ** 2, 0.0), axis=1) / size
-    noise = np.sum(np.where(live, residual_variance(batch, columns, live), 0.0), axis=1) / size
-    signal = np.sum(np.where(live, np.abs(batch.lines.channels) ** 2, 0.0), axis=1) / size
+    is_live = live_mask(batch)
+    error = np.sum(np.where(is_live, np.abs(fit.residual) ** 2, 0.0), axis=1) / size
+    noise = np.sum(np.where(is_live, residual_variance(batch, columns, is_live), 0.0), axis=1) / size
+    signal = np.sum(np.where(is_live, np.abs(batch.lines.channels) ** 2, 0.0), axis=1) / size
     qualities = {}
     for i, name in enumerate(batch.run_names):
         of_run = batch.lines.run == i
@@ -66,15 +66,15 @@ def live_mask(batch: Batch) -> NDArray[np.bool_]:
     return np.asarray(batch.lines.channel_precision > 0)
 
 
-def residual_variance(batch: Batch, columns: ComplexArray, live: NDArray[np.bool_]) -> Array:
+def residual_variance(batch: Batch, columns: ComplexArray, is_live: NDArray[np.bool_]) -> Array:
     """Variance (K, c) of channels - T loads for the columns T (K, c, u) of the excited loads; arbitrary where not live.
 
     The precision contains the efficiency, and the equal factor that removes the bias of an inverse.
     """
-    K, c = live.shape
+    K, c = is_live.shape
     size = c if batch.has_exact_loads else batch.lines.precision.shape[1]
     is_informed = np.ones((K, size), bool)
-    is_informed[:, :c] = live
+    is_informed[:, :c] = is_live
     precision = batch.lines.precision[:, :size, :size] + np.where(is_informed, 0.0, 1.0)[:, :, None] * np.eye(size)
     covariance = np.linalg.inv(precision) * (batch.lines.efficiency**2)[:, None, None]
     of_channels = np.real(np.diagonal(covariance, axis1=1, axis2=2))[:, :c]

@@ -70,14 +70,14 @@ def minimize(
     problem = _BoundedProblem(parameters, coordinates(parameters, theta), curvature, chi2)
     data = curvature(theta)
     for iteration in range(1, iterations + 1):
-        whole = data + prior_curvature(parameters, theta)
-        total = problem.fix_at_bounds(theta, problem.transform_curvature(theta, whole))
+        with_priors = data + prior_curvature(parameters, theta)
+        total = problem.fix_at_bounds(theta, problem.transform_curvature(theta, with_priors))
         predicted_decrease = _predicted_decrease(total)
         if predicted_decrease < max(tolerance, 1e-9 * total.chi2):
-            return Minimum(theta, data, whole, iteration, True)
+            return Minimum(theta, data, with_priors, iteration, True)
         step = _damped_step(problem, theta, total, damping)
         if step is None:
-            return Minimum(theta, data, whole, iteration, predicted_decrease < 1e-6 * total.chi2)
+            return Minimum(theta, data, with_priors, iteration, predicted_decrease < 1e-6 * total.chi2)
         theta, data, damping = step
     return Minimum(theta, data, data + prior_curvature(parameters, theta), iterations, False)
 
@@ -126,10 +126,10 @@ class _BoundedProblem:
         """
         parameters, free = self.parameters, self.parameters.free
         is_exact = np.isinf(parameters.sigma) & ~self.space.vanishing
-        near = np.where(is_exact, 0.0, BOUND_TOLERANCE * parameters.scale)[free]
+        tolerance = np.where(is_exact, 0.0, BOUND_TOLERANCE * parameters.scale)[free]
         position = theta[free]
-        below = (position - parameters.lower[free] <= near) & (total.gradient > 0)
-        above = (parameters.upper[free] - position <= near) & (total.gradient < 0)
+        below = (position - parameters.lower[free] <= tolerance) & (total.gradient > 0)
+        above = (parameters.upper[free] - position <= tolerance) & (total.gradient < 0)
         at_bound = below | above
         if not at_bound.any():
             return total
@@ -223,9 +223,11 @@ def _step_bounds(parameters: ParameterSet, space: Coordinates, theta: Array) -> 
     A parameter without a prior may not go far in one step: as long as its effect is small, a linearization means
     nothing at a distance. A parameter that may vanish changes by a factor of e at most.
     """
-    far = np.where(np.isfinite(parameters.sigma), np.inf, np.maximum(np.abs(theta), MAX_STEP_SCALES * parameters.scale))
-    min_step = np.maximum(-far, _move_toward_bound(parameters.lower, theta, parameters) - theta)
-    max_step = np.minimum(far, _move_toward_bound(parameters.upper, theta, parameters) - theta)
+    reach = np.where(
+        np.isfinite(parameters.sigma), np.inf, np.maximum(np.abs(theta), MAX_STEP_SCALES * parameters.scale)
+    )
+    min_step = np.maximum(-reach, _move_toward_bound(parameters.lower, theta, parameters) - theta)
+    max_step = np.minimum(reach, _move_toward_bound(parameters.upper, theta, parameters) - theta)
     growth = np.diag(space.jacobian(theta))
     min_step, max_step = min_step / growth, max_step / growth
     # The logarithms of parameters with a prior are limited together, in `apply_step`.

@@ -58,10 +58,10 @@ def _add_batch_error(batch: Batch, relative_errors: Array) -> Batch:
     c = batch.lines.channels.shape[1]
     variance = relative_errors[batch.lines.run, None] ** 2 * local_response_power(batch)
     S = batch.lines.precision
-    live = np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c] > 0
+    is_live = np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c] > 0
     # Where the error is zero its inverse is large compared with the noise's precision, not infinite.
     negligible = 1e-12 / np.maximum(np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c], 1e-300)
-    inverse = np.where(live, 1.0 / np.maximum(variance, np.minimum(negligible, 1e100)), 1.0)
+    inverse = np.where(is_live, 1.0 / np.maximum(variance, np.minimum(negligible, 1e100)), 1.0)
     inner = S[:, :c, :c] + inverse[:, :, None] * np.eye(c)
     removed = S[:, :, :c] @ np.linalg.solve(inner, S[:, :c, :])
     return replace(batch, lines=replace(batch.lines, precision=np.asarray(S - removed, complex)))
@@ -135,8 +135,8 @@ def _chi2_sigma(batches: Sequence[Batch], count: Array) -> Array:
     """Standard deviation of the chi-square of each run, of `count` values, with the noise estimated by channel."""
     noise_dof: list[float] = []
     for batch in batches:
-        live = batch.lines.channel_precision > 0
-        channels = [max(int(np.count_nonzero(live[part].any(axis=0))), 1) for part in batch.parts]
+        is_live = batch.lines.channel_precision > 0
+        channels = [max(int(np.count_nonzero(is_live[part].any(axis=0))), 1) for part in batch.parts]
         noise_dof += [number * run.noise_dof for number, run in zip(channels, batch.runs, strict=True)]
     return np.asarray(np.sqrt(2.0 * count * (1.0 + count / np.array(noise_dof))))
 

@@ -21,11 +21,11 @@ def live_precision(lines: RunSpectrum, has_exact_loads: bool) -> ComplexArray:
 
     Zero where a variance is infinite. It contains the factor `weight_efficiency`.
     """
-    live = len(lines.channel_names)
-    used = slice(0, live) if has_exact_loads else slice(0, live + len(lines.components))
+    count = len(lines.channel_names)
+    used = slice(0, count) if has_exact_loads else slice(0, count + len(lines.components))
     noise = lines.window or lines
     covariance = _replace_infinite_variances(noise.covariance[:, used, used])
-    inverse = _invert_covariance(covariance, noise.dof, live) * weight_efficiency(lines)
+    inverse = _invert_covariance(covariance, noise.dof, count) * weight_efficiency(lines)
     return np.asarray(np.where(has_finite_variance(noise.covariance)[:, used, None], inverse, 0.0))
 
 

@@ -72,14 +72,17 @@ def find_starting_values(
     aligned = _fit_regression(
         weakly_constrained, [alignment_residual(batch, line_stride(batches)) for batch in batches], system, start
     )
-    known = system(aligned)
+    aligned_system = system(aligned)
     effects_fixed = _fit_regression(
-        add_weak_priors(parameters, aligned, FIXED_EFFECT_SCALES), motion_residuals(batches, known), system, aligned
+        add_weak_priors(parameters, aligned, FIXED_EFFECT_SCALES),
+        motion_residuals(batches, aligned_system),
+        system,
+        aligned,
     )
     effects_free = effects_fixed
-    for max_frequency in BAND_EDGES if np.any(known.equations.own_stiffness) else (np.inf,):
+    for max_frequency in BAND_EDGES if np.any(aligned_system.equations.own_stiffness) else (np.inf,):
         effects_free = _fit_regression(
-            weakly_constrained, motion_residuals(batches, known, max_frequency), system, effects_free
+            weakly_constrained, motion_residuals(batches, aligned_system, max_frequency), system, effects_free
         )
     return StartingPoints(effects_fixed, effects_free)
 

@@ -42,11 +42,11 @@ def _mean_phasors(f: float, sampling: BinSampling) -> tuple[ComplexArray, Comple
 
 def _dirichlet_kernel(angle: Array, half: Array, count: NDArray[np.intp]) -> tuple[Array, Array]:
     """sin(count angle / 2) / (count sin(angle / 2)) and its derivative by the angle [rad]; `half` = count angle / 2."""
-    near = np.abs(half) < SMALL_PHASE
-    sine = np.where(near, 1.0, np.sin(0.5 * angle))
-    ratio = np.where(near, 1.0 - half**2 / 6.0, np.sin(half) / (count * sine))
+    is_small = np.abs(half) < SMALL_PHASE
+    sine = np.where(is_small, 1.0, np.sin(0.5 * angle))
+    ratio = np.where(is_small, 1.0 - half**2 / 6.0, np.sin(half) / (count * sine))
     d_ratio = np.where(
-        near,
+        is_small,
         -angle * count**2 / 12.0,
         (0.5 * count * np.cos(half) * sine - 0.5 * np.sin(half) * np.cos(0.5 * angle)) / (count * sine**2),
     )

@@ -139,8 +139,8 @@ def _prior_weight(batch: Batch, lines: slice) -> Array:
     """One over the largest transient (c,) [1/V] that is expected in each live channel."""
     rms = np.sqrt(0.5 * np.sum(np.abs(batch.lines.channels[lines]) ** 2, axis=0))
     c = len(rms)
-    live = np.real(np.diagonal(batch.lines.precision[lines.start]))[:c] > 0
-    return np.where(live, 1.0 / (MAX_AMPLITUDE_RATIO * np.maximum(rms, MIN_SIGNAL_RATIO * rms.max())), 0.0)
+    is_live = np.real(np.diagonal(batch.lines.precision[lines.start]))[:c] > 0
+    return np.where(is_live, 1.0 / (MAX_AMPLITUDE_RATIO * np.maximum(rms, MIN_SIGNAL_RATIO * rms.max())), 0.0)
 
 
 def _solve_scaled(normal: Array, right: Array) -> Array:
@@ -208,8 +208,8 @@ class TransientTerms:
 
     def information(self, rows: Index | slice, columns: Index | slice) -> Array:
         """The part (rows, columns) of what is added to the information."""
-        own = np.real(self.bound[:, rows].conj().T @ self.bound[:, columns])
-        return np.asarray(own - self.cross[:, rows].T @ _solve_scaled(self.normal, self.cross[:, columns]))
+        of_bound = np.real(self.bound[:, rows].conj().T @ self.bound[:, columns])
+        return np.asarray(of_bound - self.cross[:, rows].T @ _solve_scaled(self.normal, self.cross[:, columns]))
 
     def diagonal(self) -> Array:
         """The diagonal (p,) of what is added to the information."""

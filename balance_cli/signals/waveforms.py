@@ -72,10 +72,10 @@ def nonperiodic_spectrum_with_waveform(run: Run, channel_names: Sequence[str], g
     channels, loads = read_samples(run, channel_names)
     mean = hann_mean(np.hstack([channels, loads[:, load_columns(local.spectrum.components)]]))
     bin_index = np.append(local.bin_index, 0)
-    whole = waveform_from_samples(channels, sample_rate(run), local.spectrum, bin_index, geometry, SMOOTHING_LINES)
+    sampled = waveform_from_samples(channels, sample_rate(run), local.spectrum, bin_index, geometry, SMOOTHING_LINES)
     M = local.weight.shape[1]
     waveform = RecordWaveform(
-        **{**vars(whole), "is_periodic": False},
+        **{**vars(sampled), "is_periodic": False},
         first=np.append(local.first, len(bin_index) - M),
         weight=np.vstack([local.weight, np.eye(M)[-1]]),
     )
