@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
+from balance_cli.io.result_view import plural
 from balance_cli.simulation.acquisition import RecordingSetup, record_samples, record_static, true_loads
 from balance_cli.simulation.assembly import equations_of_motion
 from balance_cli.simulation.load_signals import CONTACT_OVERSAMPLING, OVERSAMPLING, Grid, planned_loads, record_grid
@@ -28,6 +29,9 @@ class Campaign(NamedTuple):
 
     runs: tuple[Run, ...]
     truths: tuple[RunTruth, ...]
+
+    def __repr__(self) -> str:
+        return f"Simulated campaign, {plural(len(self.runs), 'run')}: {', '.join(run.name for run in self.runs)}"
 
 
 def _simulate_static(rig: TrueRig, plan: StaticPlan, acquisition: RecordingSetup) -> tuple[Run, RunTruth]:
