@@ -115,10 +115,10 @@ class _Population:
 
 
 def _evaluate_places(masses: MassScore, places: Array) -> _Population:
-    slope, information = masses.at(places)
-    gain = slope**2 / information
+    derivative, information = masses.derivative_and_information(places)
+    gain = derivative**2 / information
     half_width = np.sqrt(np.maximum(CHI2_95 - (gain.max() - gain), 0.0) / information)
-    return _Population(places, gain, slope / information, half_width)
+    return _Population(places, gain, derivative / information, half_width)
 
 
 def _select_survivors(population: _Population, rng: np.random.Generator, settings: MassRegionSettings) -> _Population:

@@ -41,18 +41,18 @@ POINTS = np.vstack([CORNERS, *EDGES])
 class MassScore:
     """Score s (10,) and information V (10, 10) of masses at POINTS, with all f fitted parameters projected out.
 
-    `raw` (10, 10) is V before the projection. Masses d (10,) change the fitted parameters by `rest` - `projection` d,
-    (f,) and (f, 10). `min_remaining_share`: see `PointMassSettings`.
+    `raw` (10, 10) is V before the projection. Masses d (10,) change the fitted parameters by `fitted_step` -
+    `projection` d, (f,) and (f, 10). `min_remaining_share`: see `PointMassSettings`.
     """
 
     s: Array
     V: Array
     raw: Array
-    rest: Array
+    fitted_step: Array
     projection: Array
     min_remaining_share: float
 
-    def at(self, places: Array) -> tuple[Array, Array]:
+    def derivative_and_information(self, places: Array) -> tuple[Array, Array]:
         """Score c's and information c'V c (n,) of a unit mass at places (n, 3)."""
         c = mass_weights(places)
         least = self.min_remaining_share * np.sum((c @ self.raw) * c, axis=1)
@@ -69,12 +69,12 @@ def score_of_masses(
     fitted, masses = slice(0, -len(POINTS)), slice(-len(POINTS), None)
     among, cross, raw = (whole.information[pair] for pair in ((fitted, fitted), (fitted, masses), (masses, masses)))
     inverse = covariance_from_information(among)
-    rest, projection = (_solve_refined(inverse, among, right) for right in (-whole.gradient[fitted], cross))
+    fitted_step, projection = (_solve_refined(inverse, among, right) for right in (-whole.gradient[fitted], cross))
     # Mass, center of gravity and inertia do nearly the same as the ten masses, so that V is a small difference. In this
     # form it has no error of first order in `projection`.
     V = raw - cross.T @ projection - projection.T @ cross + projection.T @ among @ projection
     s = -(whole.gradient[masses] - projection.T @ whole.gradient[fitted])
-    return MassScore(s, 0.5 * (V + V.T), raw, rest, projection, settings.min_remaining_share)
+    return MassScore(s, 0.5 * (V + V.T), raw, fitted_step, projection, settings.min_remaining_share)
 
 
 def _with_ten_masses(model: BalanceModel) -> BalanceModel:

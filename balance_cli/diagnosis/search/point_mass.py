@@ -87,7 +87,7 @@ def _gauss_newton_step(
     best = max(_best_places(masses, position_bound(held.geometry), settings), key=lambda place: place.gain)
     stepped = theta.copy()
     change = equivalent_masses(np.array(best.values)) - equivalent_masses(theta[at])
-    stepped[held.parameters.free] += masses.rest - masses.projection @ change
+    stepped[held.parameters.free] += masses.fitted_step - masses.projection @ change
     stepped = limit_to_bounds(held.parameters, theta, stepped)
     stepped[at] = best.values
     return stepped
@@ -144,7 +144,7 @@ def _best_place(masses: MassScore, sign: float, far: float, grid: int) -> _MassP
     from scipy.optimize import minimize
 
     def gain(places: Array) -> Array:
-        score, information = masses.at(places)
+        score, information = masses.derivative_and_information(places)
         return np.asarray(np.maximum(sign * score, 0.0) ** 2 / information)
 
     def loss(place: Array) -> float:
@@ -154,5 +154,5 @@ def _best_place(masses: MassScore, sign: float, far: float, grid: int) -> _MassP
     places = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     # The gain has a narrow ridge, mass against arm, whose maximum lies between the points of any grid.
     optimum = minimize(loss, places[np.argmax(gain(places))], method="Nelder-Mead", bounds=[(-far, far)] * 3)
-    score, information = masses.at(np.asarray(optimum.x)[None])
+    score, information = masses.derivative_and_information(np.asarray(optimum.x)[None])
     return _MassPlace(np.asarray(optimum.x), -float(optimum.fun), float(score[0] / information[0]))
