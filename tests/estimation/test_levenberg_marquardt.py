@@ -1,4 +1,4 @@
-"""The minimiser on problems whose minima are known: bounds, curved valleys, parameters that vanish."""
+"""The minimizer on problems whose minima are known: bounds, curved valleys, parameters that vanish."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ UNKNOWN = np.inf
 
 
 class Residuals:
-    """r(theta) with its Jacobian as `minimize` takes them; counts how often each was asked for."""
+    """r(theta) with its Jacobian as `minimize` takes them; counts the calls of each."""
 
     def __init__(self, residuals, jacobian):
         self.residuals, self.jacobian, self.curvatures, self.values = residuals, jacobian, 0, 0
@@ -40,7 +40,7 @@ def unknown(*names, unit="1", lower=-np.inf, upper=np.inf, scale=1.0):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_linear_least_squares_within_bounds(seed):
-    """Where a step would leave the bounds the others follow, and the end is that of bounded least squares."""
+    """Where a step would leave the bounds the other parameters adapt; the result is that of bounded least squares."""
     rng = np.random.default_rng(seed)
     A, b = rng.normal(size=(12, 6)) @ np.diag(10.0 ** rng.uniform(-2, 2, 6)), rng.normal(size=12)
     problem = Residuals(lambda x: A @ x - b, lambda x: A)
@@ -54,7 +54,7 @@ def test_linear_least_squares_within_bounds(seed):
 
 
 def test_a_narrow_curved_valley_is_followed_in_long_steps():
-    """Rosenbrock's, a thousand times as steep across as along: damped steps creep (four hundred end half way)."""
+    """Rosenbrock's valley, a thousand times as steep across as along: four hundred damped steps end half way."""
     steep = 1e3
     problem = Residuals(
         lambda x: np.array([steep * (x[1] - x[0] ** 2), 1.0 - x[0]]),
@@ -65,8 +65,8 @@ def test_a_narrow_curved_valley_is_followed_in_long_steps():
     assert found.iterations < 250
 
 
-def test_what_vanishes_does_not_hold_up_the_others():
-    """An inertia that the data would rather have negative goes to zero by its logarithm; the rest is soon fitted."""
+def test_a_vanishing_parameter_does_not_delay_the_others():
+    """An inertia with its minimum at a negative value goes to zero as a logarithm; the rest is fitted soon."""
     inertia = unknown("effect.inertia", unit="kg m2", lower=0.0, scale=1.0)
     problem = Residuals(
         lambda x: np.array([x[0] + 2.0, 100.0 * np.expm1(x[1]) - 600.0, 100.0 * (x[2] - 3.0 * x[1])]),
@@ -78,8 +78,8 @@ def test_what_vanishes_does_not_hold_up_the_others():
     assert found.converged and found.iterations < 25
 
 
-def test_what_has_all_but_vanished_stays_a_number():
-    """Begun at a billionth of a billionth of its scale: a logarithm never meets its bound."""
+def test_a_nearly_vanished_parameter_stays_finite():
+    """From 1e-18 of its scale: a logarithm never reaches its bound."""
     inertia = unknown("effect.inertia", unit="kg m2", lower=0.0, scale=1.0)
     problem = Residuals(
         lambda x: np.array([x[0] + 2.0, x[1] - 1.0]),
@@ -90,8 +90,8 @@ def test_what_has_all_but_vanished_stays_a_number():
     assert found.theta[1] == pytest.approx(1.0)
 
 
-def test_a_first_step_that_serves_asks_for_no_chi2():
-    """Its curvature brings chi-square with it."""
+def test_an_accepted_first_step_evaluates_no_chi2():
+    """Its curvature includes chi-square."""
     problem = Residuals(lambda x: np.array([x[0] - 3.0, 2.0 * x[1]]), lambda x: np.diag([1.0, 2.0]))
     found = problem.minimum(unknown("a", "b"), (1.0, 1.0))
     assert found.theta == pytest.approx([3.0, 0.0], abs=1e-9)

@@ -49,8 +49,8 @@ def test_chi2_is_the_least_over_all_true_loads():
         L = np.linalg.cholesky(lines.covariance[k])
         M = np.linalg.solve(L, np.vstack([T[k], np.eye(2)]))
         z = np.linalg.solve(L, np.concatenate([lines.channels[k], lines.loads[k]]))
-        left = z - M @ np.linalg.lstsq(M, z, rcond=None)[0]
-        total += 2 * np.vdot(left, left).real
+        residual = z - M @ np.linalg.lstsq(M, z, rcond=None)[0]
+        total += 2 * np.vdot(residual, residual).real
     assert data_chi2(batches, system) == pytest.approx(total, rel=1e-9)
 
 
@@ -119,7 +119,7 @@ def test_a_channel_that_a_run_lacks_weighs_nothing():
     rig = rotor_balance()
     lines = noisy_lines(rig, np.random.default_rng(4))
     keep = [i for i, name in enumerate(lines.channel_names) if name != "z2.piezo"]
-    both = [*keep, 15, 16]
+    signals = [*keep, 15, 16]
     less = RunSpectrum(
         "less",
         tuple(lines.channel_names[i] for i in keep),
@@ -127,7 +127,7 @@ def test_a_channel_that_a_run_lacks_weighs_nothing():
         lines.frequency,
         lines.channels[:, keep],
         lines.loads,
-        lines.covariance[:, both][:, :, both],
+        lines.covariance[:, signals][:, :, signals],
         np.inf,
     )
     batches = stack_runs([less], [], rig.channel_names)
@@ -139,7 +139,7 @@ def test_a_channel_that_a_run_lacks_weighs_nothing():
 
 
 def test_static_rows_enter_without_loss():
-    """Chi-square of the rows about C0 = chi-square of the lines + what the best straight line leaves."""
+    """Chi-square of the rows about C0 = chi-square of the lines + that of the rows about their linear regression."""
     rng = np.random.default_rng(5)
     rig = rotor_balance()
     names = tuple(name for name in rig.channel_names if not name.endswith("piezo"))
@@ -162,13 +162,13 @@ def test_static_rows_enter_without_loss():
     assert static_lines(points).components == ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 
-def test_equation_error_vanishes_at_the_truth_and_its_slopes_are_exact():
+def test_equation_error_vanishes_at_the_truth_and_its_derivatives_are_exact():
     rig = rotor_balance()
     lines = noisy_lines(rig, np.random.default_rng(6), noise=1e-12, load_noise=1e-9)
     model = balance_model(rig)
     batch = stack_runs([lines], [], rig.channel_names)[0]
     measured = measured_forces(batch, model.system())
-    error, slopes = equation_error(model.system(), measured)
+    error, derivatives = equation_error(model.system(), measured)
     assert np.abs(error).max() < 1e-5
     parameters = model.parameters
     for place, index in enumerate(np.flatnonzero(parameters.free)):
@@ -176,7 +176,7 @@ def test_equation_error_vanishes_at_the_truth_and_its_slopes_are_exact():
         above = equation_error(model.system(parameters.value + step), measured)[0]
         below = equation_error(model.system(parameters.value - step), measured)[0]
         numerical = (above - below) / (2e-5 * parameters.scale[index])
-        np.testing.assert_allclose(slopes[:, :, place], numerical, atol=1e-6 * np.abs(numerical).max() + 1e-12)
+        np.testing.assert_allclose(derivatives[:, :, place], numerical, atol=1e-6 * np.abs(numerical).max() + 1e-12)
 
 
 def test_least_squares_finds_a_noise_free_rig_from_wrong_declarations():
@@ -190,5 +190,5 @@ def test_least_squares_finds_a_noise_free_rig_from_wrong_declarations():
     )
     model, truth = balance_model(wrong), balance_model(rig)
     found = fit_equation_error(model.parameters, stack_runs(clean, [], rig.channel_names), model.system, (1.0, 150.0))
-    one, other = (response(s, solve(s, FREQUENCY)) for s in (model.system(found.theta), truth.system()))
-    assert np.linalg.norm(one - other) < 0.02 * np.linalg.norm(other)
+    fitted, true = (response(s, solve(s, FREQUENCY)) for s in (model.system(found.theta), truth.system()))
+    assert np.linalg.norm(fitted - true) < 0.02 * np.linalg.norm(true)

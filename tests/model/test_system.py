@@ -30,7 +30,7 @@ def test_response_of_one_degree_of_freedom():
     np.testing.assert_allclose(T, plate * channel, rtol=1e-12, atol=1e-18)
 
 
-def test_torque_goes_through_the_shaft_and_leaves_the_plate_alone():
+def test_torque_acts_on_the_shaft_and_not_on_the_plate():
     system = balance_model(rotor_balance()).system()
     T = response(system, solve(system, FREQUENCY))
     w = angular_frequency(FREQUENCY)
@@ -50,13 +50,13 @@ def test_static_response_is_the_static_calibration_of_the_plate():
 
 
 @pytest.mark.parametrize("rig", [rotor_balance(), two_degrees_of_freedom()], ids=["rotor balance", "heave and pitch"])
-def test_slopes_against_numerical_derivatives(rig):
+def test_jacobian_against_numerical_derivatives(rig):
     model = balance_model(rig).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
     rng = np.random.default_rng(1)
     loads = rng.normal(size=(len(FREQUENCY), 6)) + 1j * rng.normal(size=(len(FREQUENCY), 6))
     system = model.system(theta)
-    slopes = output_jacobian(system, solve(system, FREQUENCY), np.arange(len(FREQUENCY)), loads)
+    jacobian = output_jacobian(system, solve(system, FREQUENCY), np.arange(len(FREQUENCY)), loads)
 
     def outputs(at):
         there = model.system(at)
@@ -66,7 +66,7 @@ def test_slopes_against_numerical_derivatives(rig):
         step = 1e-5 * scale[i] * np.eye(len(theta))[i]
         numerical = (outputs(theta + step) - outputs(theta - step)) / (2e-5 * scale[i])
         size = max(np.abs(numerical).max(), 1e-9 * np.abs(outputs(theta)).max() / scale[i])
-        np.testing.assert_allclose(slopes[:, :, i], numerical, atol=2e-5 * size, err_msg=model.parameters.names[i])
+        np.testing.assert_allclose(jacobian[:, :, i], numerical, atol=2e-5 * size, err_msg=model.parameters.names[i])
 
 
 def test_modes_of_heave_and_pitch():
@@ -76,7 +76,7 @@ def test_modes_of_heave_and_pitch():
     np.testing.assert_allclose(found.damping_ratio, 0.02, rtol=1e-10)
 
 
-def test_mode_slopes_against_numerical_derivatives():
+def test_derivatives_of_modes_against_numerical_derivatives():
     model = balance_model(rotor_balance()).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
     found = modes(model.system())
@@ -89,15 +89,15 @@ def test_mode_slopes_against_numerical_derivatives():
         np.testing.assert_allclose(found.damping_derivative[:, i] * scale[i], damping, rtol=1e-5, atol=1e-8)
 
 
-def test_a_stiffness_and_mass_scaled_together_leave_every_response():
+def test_stiffness_and_mass_scaled_together_do_not_change_any_response():
     model = balance_model(rotor_balance())
     theta = model.parameters.value.copy()
     scaled = theta.copy()
     for i, name in enumerate(model.parameters.names):
         if name.startswith(("stiffness", "mass", "inertia", "torque_meter.stiffness", "torque_meter.inertia")):
             scaled[i] *= 1.07
-    one, other = (response(s, solve(s, FREQUENCY)) for s in (model.system(theta), model.system(scaled)))
-    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-15)
+    original, changed = (response(s, solve(s, FREQUENCY)) for s in (model.system(theta), model.system(scaled)))
+    np.testing.assert_allclose(original, changed, rtol=1e-9, atol=1e-15)
 
 
 def test_modal_damping_gives_each_mode_its_ratio():
@@ -108,8 +108,8 @@ def test_modal_damping_gives_each_mode_its_ratio():
     np.testing.assert_allclose(Phi.T @ D @ Phi, np.diag(2 * zeta * np.sqrt(values)), atol=1e-9)
 
 
-def test_what_has_no_finite_motion_is_no_rig():
-    """A step of a fit may lead there, and takes it for a place that cannot be."""
+def test_parameters_without_finite_motion_raise():
+    """A step of a fit may lead to such parameters, and must be rejected."""
     M, D = np.eye(2), np.zeros((2, 2))
     with pytest.raises(np.linalg.LinAlgError, match="not finite"):
         eigenvalues(M, D, np.diag([1.0, np.inf]).astype(complex))
@@ -134,13 +134,13 @@ def test_equal_eigenvalues_do_not_break_the_derivative_of_the_damping():
         np.testing.assert_allclose(at.derivative[i], numerical, atol=1e-6)
 
 
-# ---- a spring that loses a share of its energy in each cycle ---------------------------------------------------------
+# ---- structural damping ----------------------------------------------------------------------------------------------
 
 LOSS = 0.01
 
 
 def lossy(causality):
-    """One degree of freedom on a cell with structural damping and hardly another."""
+    """One degree of freedom on a cell with structural damping."""
     values = {"loss_factor": LOSS, "causality": causality}
     effect = DeclaredEffect(name="structural-damping", where=("z",), parameters=values)
     return balance_model(one_degree_of_freedom().model_copy(update={"effects": (effect,)}))
@@ -158,7 +158,7 @@ def test_response_with_structural_damping(causality):
     np.testing.assert_allclose(T[1:], expected, rtol=1e-12)
 
 
-def test_modes_and_free_motion_with_structural_damping_to_first_order():
+def test_modes_and_transients_with_structural_damping_to_first_order():
     model = lossy(1.0)
     found, free = modes(model.system()), transient_modes(model.system(), 0.0, 400.0)
     k, m, d = 4e5, 10.0, 2 * 0.02 * np.sqrt(4e6)
@@ -174,7 +174,7 @@ def test_modes_and_free_motion_with_structural_damping_to_first_order():
     assert free.s[0] == pytest.approx(s, rel=LOSS**2)
 
 
-def test_slopes_of_a_lossy_mode_against_numerical_derivatives():
+def test_derivatives_of_a_lossy_mode_against_numerical_derivatives():
     model = lossy(0.7).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
     found = modes(model.system(theta))

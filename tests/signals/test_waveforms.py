@@ -1,4 +1,4 @@
-"""Channels through time, for forces that are no linear function of them: what is left of their noise."""
+"""Waveforms of the channels for nonlinear forces: reduction of their noise."""
 
 import numpy as np
 import pytest
@@ -17,15 +17,15 @@ def noise(rng, bins, channels):
 
 
 def test_noise_alone_leaves_nearly_nothing():
-    """By its neighbours; by its own power an amplitude keeps 2/e - 2/e + E1(1) = 0.219 of it."""
+    """With the mean power of neighbors; with its own power alone an amplitude keeps E1(1) = 0.219 of the noise."""
     z = noise(np.random.default_rng(1), 20000, 2)
-    left = [np.mean(np.abs(z * waveforms._wiener_gain(z, np.ones(2), n)) ** 2) for n in (1, SMOOTHING_LINES)]
-    assert left[0] == pytest.approx(0.219, abs=0.01)
-    assert left[1] < 0.002
+    remaining = [np.mean(np.abs(z * waveforms._wiener_gain(z, np.ones(2), n)) ** 2) for n in (1, SMOOTHING_LINES)]
+    assert remaining[0] == pytest.approx(0.219, abs=0.01)
+    assert remaining[1] < 0.002
 
 
-def test_a_signal_above_the_noise_stays():
-    """Ten times the noise's power in a band: nine tenths of each amplitude are left, and outside nothing."""
+def test_a_signal_above_the_noise_remains():
+    """With ten times the power of the noise in a band, nine tenths of each amplitude remain, and none outside."""
     rng = np.random.default_rng(2)
     band = np.zeros((6000, 1))
     band[2000:4000] = 1.0
@@ -41,15 +41,15 @@ def test_a_channel_without_noise_keeps_everything():
 
 
 def test_a_stepped_record_comes_nearer_the_one_without_noise():
-    """Out of the band that the steps went through all noise is gone, and of all of it a third and more."""
+    """Outside the band of the steps all noise is removed; in total more than 30 % of its power."""
     geometry = rotor_balance()
     rig = true_rig(geometry)
     plan = SweepPlan(run="sweep-Fx", excited=("Fx",), level=(60.0,), excitation="stepped", period=2.0, periods=5)
     noisy, clean = (simulate_run(rig, plan, Noise().scale_by(scale), 5)[0] for scale in (1.0, 1e-6))
     lines = nonperiodic_spectrum_with_waveform(noisy, geometry.channel_names, geometry)
     recorded, expected = (before_filter(run, lines.waveform.frequency, geometry) for run in (noisy, clean))
-    error, left = (np.sum(np.abs(z - expected) ** 2, axis=0) for z in (recorded, lines.waveform.volts))
-    assert np.all(left < 0.7 * error)
+    error, remaining = (np.sum(np.abs(z - expected) ** 2, axis=0) for z in (recorded, lines.waveform.volts))
+    assert np.all(remaining < 0.7 * error)
 
 
 def before_filter(run, frequency, geometry):

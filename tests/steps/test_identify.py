@@ -99,7 +99,7 @@ def test_random_excitation_gives_the_same_rig():
     assert model.quality.chi2_per_dof < 1.6
 
 
-def test_nothing_to_identify_from_is_said():
+def test_identification_without_sweeps_raises():
     with pytest.raises(UserError, match="no sweep"):
         identify(NOTHING, rotor_balance())
 

@@ -1,4 +1,4 @@
-"""The rigid plate written down a second time (kinetic energy, modal superposition), and lines that it would give."""
+"""An independent model of the rigid plate (kinetic energy, modal superposition), and its spectral lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from balance_cli.signals.run_spectrum import RunSpectrum
 
 @dataclass(frozen=True)
 class Plate:
-    """Mass-normalised modes: omega (n,) [rad/s], shapes Phi (n, n), damping ratio; M, K, cell rows B, stiffness, F."""
+    """Mass-normalized modes: omega (n,) [rad/s], shapes Phi (n, n), damping ratio; M, K, cell rows B, stiffness, F."""
 
     geometry: Geometry
     M: np.ndarray
@@ -44,7 +44,7 @@ class Plate:
 
 
 def velocity_rows(arm: np.ndarray) -> np.ndarray:
-    """Velocity (3, 6) at an arm from the centre of gravity: v + omega x r, with omega = (phi', theta', psi')."""
+    """Velocity (3, 6) at an arm from the center of gravity: v + omega x r, with omega = (phi', theta', psi')."""
     rows = np.zeros((3, 6))
     rows[:, :3] = np.eye(3)
     for place, axis in ((5, 0), (4, 1), (3, 2)):
@@ -54,16 +54,16 @@ def velocity_rows(arm: np.ndarray) -> np.ndarray:
 
 def make_plate(geometry: Geometry) -> Plate:
     masses = [body.mass for body in geometry.bodies]
-    centre = np.average([body.position for body in geometry.bodies], axis=0, weights=masses)
+    center = np.average([body.position for body in geometry.bodies], axis=0, weights=masses)
     spin = np.zeros((3, 6))
     spin[0, 5] = spin[1, 4] = spin[2, 3] = 1.0
     M = np.zeros((6, 6))
     for body in geometry.bodies:
-        J = velocity_rows(np.array(body.position) - centre)
+        J = velocity_rows(np.array(body.position) - center)
         M += body.mass * J.T @ J + spin.T @ body.inertia.tensor() @ spin
-    B = np.array([cell.direction @ velocity_rows(np.array(cell.position) - centre) for cell in geometry.cells])
+    B = np.array([cell.direction @ velocity_rows(np.array(cell.position) - center) for cell in geometry.cells])
     c = np.array([cell.effective_stiffness for cell in geometry.cells])
-    F = np.hstack([velocity_rows(np.array(geometry.hub) - centre).T, spin.T])
+    F = np.hstack([velocity_rows(np.array(geometry.hub) - center).T, spin.T])
     if geometry.torque_meter:
         F[:, 5] = 0.0
     free = [FREEDOMS.index(name) for name in geometry.freedom]
@@ -99,20 +99,20 @@ def sweep(
     """
     rng = np.random.default_rng(seed)
     geometry, k = truth.geometry, len(frequency)
-    chosen = channels or tuple(ch.name for ch in geometry.channels if ch.cell)
+    names = channels or tuple(ch.name for ch in geometry.channels if ch.cell)
     columns = [COMPONENTS.index(component) for component in loads]
     phase = np.exp(2j * np.pi * rng.random((k, len(columns))))
     u = phase * np.array(list(loads.values()))
     forces = (truth.cell_forces(frequency)[:, :, columns] @ u[:, :, None])[:, :, 0]
     cell_of = {ch.name: geometry.cell_names.index(str(ch.cell)) for ch in geometry.channels if ch.cell}
-    gains = np.stack([volts_per_newton(geometry, channel, frequency) for channel in chosen], axis=1)
-    volts = forces[:, [cell_of[channel] for channel in chosen]] * gains
+    gains = np.stack([volts_per_newton(geometry, channel, frequency) for channel in names], axis=1)
+    volts = forces[:, [cell_of[channel] for channel in names]] * gains
     sigma = np.concatenate([np.abs(gains) * force_noise, np.full_like(u.real, load_noise)], axis=1)
     noise = sigma * (rng.standard_normal(sigma.shape) + 1j * rng.standard_normal(sigma.shape)) / np.sqrt(2)
-    c = len(chosen)
+    c = len(names)
     return RunSpectrum(
         run=name or "sweep-" + "-".join(loads),
-        channel_names=chosen,
+        channel_names=names,
         components=tuple(loads),
         frequency=frequency,
         channels=volts + noise[:, :c],

@@ -1,4 +1,4 @@
-"""The true rig as the fits should find it: its parameters, and its response from its own equations of motion."""
+"""The true rig for comparison with fits: its parameters, and its response from its own equations of motion."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def response_errors(rig: TrueRig, model: IdentifiedModel) -> tuple[Array, Array]
     truth = true_response(rig, BAND)
     free = model.parameters.declared_sigma > 0
     covariance = model.covariance[np.ix_(free, free)]
-    found = response(system, solution)
+    fitted = response(system, solution)
     size = np.linalg.norm(truth, axis=1)
-    error = np.linalg.norm(found - truth, axis=1) / size
+    error = np.linalg.norm(fitted - truth, axis=1) / size
     predicted = np.empty_like(error)
     for j in range(6):
         loads = np.zeros((len(BAND), 6), complex)

@@ -19,7 +19,7 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class TruthSource:
-    """The true response, as `reduce` would have it if nothing about the balance were unknown."""
+    """The true response, as `reduce` would use it if the balance were known exactly."""
 
     rig: TrueRig
     slowest_decay: float
