@@ -1,12 +1,11 @@
-"""Filters and smoothers at their steady gain against filterpy, sample by sample; and a whole reduction in time.
+"""Speed of filters and smoothers compared with filterpy; time and peak memory of a whole reduction in time.
 
-The balance of the sample campaign with a flexible support and a late channel, six loads. The other one is the loop
-that filterpy's users write, `predict` and `update` of a `KalmanFilter` for each sample, with the same F, H, Q and R; it
-begins with the steady covariance, so that both should agree. Its `rts_smoother` follows, with a pseudo-inverse: hardly
-any noise drives some of the balance's modes, and with the plain inverse of their covariance it overflows.
+The model is the balance of the sample campaign with a flexible support and a delayed channel, and six loads. With
+filterpy it is the usual loop, `predict` and `update` of a `KalmanFilter` for each sample, with the same F, H, Q and R;
+it starts with the steady covariance, so that the results should agree. Its `rts_smoother` follows, with a
+pseudo-inverse: hardly any noise drives some modes of the balance, and the inverse of their covariance overflows.
 
-The record of ten minutes is not held anywhere: its samples are made as they are read, the reduction runs in a process
-of its own, and the peak memory of that is compared with that of a record of two.
+The peak memory of a reduction of ten minutes is compared with that of two.
 """
 
 from __future__ import annotations
@@ -23,10 +22,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.result import Calibration
-from balance_cli.campaign.recording.run import Run, SampleBlock
 from balance_cli.campaign.recording.run_file import open_run
-from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
+from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.model.balance import balance_model
@@ -43,18 +40,16 @@ from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import identify
 from balance_cli.steps.reduce_in_time import reduce_run_in_time
+from benchmarks.filters_memory import RATE, SPEED, ReductionCase
 
 Array = NDArray[np.float64]
 ROOT = Path(__file__).parents[1]
 
-RATE, SPEED = 800.0, 17.5
-"""Samples in a second, and revolutions."""
 SAMPLES, FILTERPY_SAMPLES = 8000, 300
-"""For the filters here, and for filterpy."""
+"""Samples for the filters here, and for filterpy."""
 REPETITIONS = 3
 SHORT, LONG = 120.0, 600.0
 """Lengths [s] of the records whose peak memory is compared."""
-CHUNK = 8192
 SUPPORT = {
     "mass": 300.0,
     "inertia_psi": 30.0,
@@ -74,14 +69,14 @@ SIZES = np.array([50.0, 50.0, 80.0, 10.0, 10.0, 8.0])
 
 
 def run() -> str:
-    """Time all, and say the ratios."""
+    """Time the filters and reductions, and return the text of the results."""
     try:
         import filterpy
     except ImportError:
         return "filterpy is not installed: pip install '.[bench]'"
     text = [f"samples {SAMPLES}, of filterpy {filterpy.__version__} {FILTERPY_SAMPLES}"]
     text += _compare_with_filterpy("random loads", _channel_filter(_time_invariant()))
-    text += _compare_with_filterpy("locked to the azimuth", _constant_speed_engine(_channel_filter(_azimuth_locked())))
+    text += _compare_with_filterpy("locked to the azimuth", _constant_speed_filter(_channel_filter(_azimuth_locked())))
     with tempfile.TemporaryDirectory() as folder:
         case = Path(folder) / "case"
         case.write_bytes(pickle.dumps(_campaign()))
@@ -131,51 +126,53 @@ def _channel_filter(filters: RunFilters) -> ChannelFilter:
     return channel_filter
 
 
-def _constant_speed_engine(channel_filter: ChannelFilter) -> ChannelFilter:
-    """The same with the model of one and the same speed at both ends of its grid: what filterpy is given."""
+def _constant_speed_filter(channel_filter: ChannelFilter) -> ChannelFilter:
+    """Return the filter with a single model at both ends of its speed grid, as filterpy needs it."""
     assert isinstance(channel_filter, AzimuthLockedFilter)
-    own = channel_filter.filters[0]
+    first = channel_filter.filters[0]
     oscillator_states = replace(
         channel_filter.oscillator_states, azimuth=lambda sample: 2 * np.pi * channel_filter.speeds[0] * sample / RATE
     )
-    return replace(channel_filter, filters=(own, own), oscillator_states=oscillator_states)
+    return replace(channel_filter, filters=(first, first), oscillator_states=oscillator_states)
 
 
 def _compare_with_filterpy(name: str, channel_filter: ChannelFilter) -> list[str]:
-    """Seconds for each sample of both, filter and smoother, how far apart they are, and the ratios."""
+    """Compare time per sample and results of filter and smoother."""
     steady = channel_filter.at(0)
     y, start = _draw_channels(steady, SAMPLES), np.zeros(steady.model.order)
     filter_block = channel_filter.forward_pass(0, y, start)
-    channel_filter.backward_pass(filter_block, start)  # whatever is computed once
-    filtering = min(_seconds(lambda: channel_filter.forward_pass(0, y, start)) for _ in range(REPETITIONS)) / SAMPLES
-    smoothing = (
-        min(_seconds(lambda: channel_filter.backward_pass(filter_block, start)) for _ in range(REPETITIONS)) / SAMPLES
-    )
-    theirs = _with_filterpy(steady, y[:FILTERPY_SAMPLES])
-    own = channel_filter.forward_pass(0, y[:FILTERPY_SAMPLES], start)
-    apart = (
-        _largest_difference(theirs.predicted, own.predicted),
-        _largest_difference(theirs.smoothed, channel_filter.backward_pass(own, start)[0].loads),
+    channel_filter.backward_pass(filter_block, start)  # computes what is cached
+    filtering = _seconds_per_sample(lambda: channel_filter.forward_pass(0, y, start))
+    smoothing = _seconds_per_sample(lambda: channel_filter.backward_pass(filter_block, start))
+    reference = _with_filterpy(steady, y[:FILTERPY_SAMPLES])
+    filter_block = channel_filter.forward_pass(0, y[:FILTERPY_SAMPLES], start)
+    smoothed = channel_filter.backward_pass(filter_block, start)[0].loads
+    differences = (
+        _largest_difference(reference.predicted, filter_block.predicted),
+        _largest_difference(reference.smoothed, smoothed),
     )
     return [
         f"{name}, states {steady.model.order}, channels {y.shape[1]}",
-        _ratio_line("filter", filtering, theirs.filtering),
-        _ratio_line("filter and smoother", filtering + smoothing, theirs.filtering + theirs.smoothing),
-        f"  largest difference {apart[0]:.1e} (filter), {apart[1]:.1e} (smoother) of a load's standard deviation",
+        _ratio_line("filter", filtering, reference.filtering),
+        _ratio_line("filter and smoother", filtering + smoothing, reference.filtering + reference.smoothing),
+        f"  largest difference over the standard deviation of a load: {differences[0]:.1e} (filter), "
+        f"{differences[1]:.1e} (smoother)",
     ]
 
 
-def _ratio_line(what: str, ours: float, theirs: float) -> str:
-    rates = f"{1 / ours:8.0f} samples a second, {1 / ours / RATE:.0f} times real time; filterpy {1 / theirs:6.0f}"
-    return f"  {what:20s}{rates}, ratio {theirs / ours:.0f}"
+def _ratio_line(name: str, seconds: float, reference: float) -> str:
+    rates = (
+        f"{1 / seconds:8.0f} samples a second, {1 / seconds / RATE:.0f} times real time; filterpy {1 / reference:6.0f}"
+    )
+    return f"  {name:20s}{rates}, ratio {reference / seconds:.0f}"
 
 
-def _largest_difference(one: Array, other: Array) -> float:
-    return float(np.max(np.abs(one - other).max(axis=0) / other.std(axis=0)))
+def _largest_difference(loads: Array, reference: Array) -> float:
+    return float(np.max(np.abs(loads - reference).max(axis=0) / reference.std(axis=0)))
 
 
 def _draw_channels(steady: SteadyMatrices, samples: int, seed: int = 0) -> Array:
-    """Channels (n, c) of the model itself."""
+    """Draw channels (n, c) from the model."""
     model, rng = steady.model, np.random.default_rng(seed)
     value, vector = np.linalg.eigh(model.Q)
     root = vector * np.sqrt(np.maximum(value, 0.0))
@@ -187,6 +184,10 @@ def _draw_channels(steady: SteadyMatrices, samples: int, seed: int = 0) -> Array
     return y
 
 
+def _seconds_per_sample(call: Callable[[], object]) -> float:
+    return min(_seconds(call) for _ in range(REPETITIONS)) / SAMPLES
+
+
 def _seconds(call: Callable[[], object]) -> float:
     start = time.process_time()
     call()
@@ -195,7 +196,7 @@ def _seconds(call: Callable[[], object]) -> float:
 
 @dataclass(frozen=True)
 class FilterpyResult:
-    """Loads (n, m), and seconds for each sample."""
+    """Loads (n, m), and seconds per sample."""
 
     predicted: Array
     smoothed: Array
@@ -207,19 +208,19 @@ def _with_filterpy(steady: SteadyMatrices, y: Array) -> FilterpyResult:
     from filterpy.kalman import KalmanFilter
 
     model = steady.model
-    other = KalmanFilter(dim_x=model.order, dim_z=len(model.H))
-    other.F, other.H, other.Q, other.R = model.F, model.H, model.Q, np.eye(len(model.H))
-    other.x, other.P = np.zeros(model.order), steady.P
+    kalman = KalmanFilter(dim_x=model.order, dim_z=len(model.H))
+    kalman.F, kalman.H, kalman.Q, kalman.R = model.F, model.H, model.Q, np.eye(len(model.H))
+    kalman.x, kalman.P = np.zeros(model.order), steady.P
     before, states, covariances = [], [], []
     start = time.process_time()
     for now in y:
-        before.append(other.x)
-        other.update(now)
-        states.append(other.x)
-        covariances.append(other.P)
-        other.predict()
+        before.append(kalman.x)
+        kalman.update(now)
+        states.append(kalman.x)
+        covariances.append(kalman.P)
+        kalman.predict()
     filtered = time.process_time()
-    smoothed = other.rts_smoother(np.array(states), np.array(covariances), inv=np.linalg.pinv)[0]
+    smoothed = kalman.rts_smoother(np.array(states), np.array(covariances), inv=np.linalg.pinv)[0]
     end = time.process_time()
     U, n = model.U, len(y)
     return FilterpyResult(np.array(before) @ U.T, smoothed @ U.T, (filtered - start) / n, (end - filtered) / n)
@@ -228,21 +229,12 @@ def _with_filterpy(steady: SteadyMatrices, y: Array) -> FilterpyResult:
 # ---- whole reductions ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class ReductionCase:
-    """What a reduction is made with."""
-
-    geometry: Geometry
-    calibration: Calibration
-    source: ModelSource
-
-
 def _campaign() -> ReductionCase:
     geometry = load_geometry(ROOT / "configs" / "rts-6.yaml")
     sweeps = [open_run(path) for path in sorted((ROOT / "sample_data").glob("s*.h5"))]
     model = identify(measured_spectra(sweeps, geometry), geometry)
     return ReductionCase(
-        geometry, calibrate([one for one in sweeps if one.kind == "static"], geometry), ModelSource(model)
+        geometry, calibrate([item for item in sweeps if item.kind == "static"], geometry), ModelSource(model)
     )
 
 
@@ -265,66 +257,6 @@ def _peak_memory(path: Path) -> list[str]:
 
 
 def _peak_memory_of_process(path: Path, length: float) -> float:
-    """Peak memory [MB] of a process that reduces a record of this length."""
-    command = [sys.executable, "-m", "benchmarks.filters", str(path), str(length)]
+    """Return the peak memory [MB] of a process that reduces a record of this length [s]."""
+    command = [sys.executable, "-m", "benchmarks.filters_memory", str(path), str(length)]
     return float(subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout)
-
-
-@dataclass(frozen=True)
-class GeneratedSource:
-    """Harmonics of the rotor and white noise, the same whenever they are read, and held nowhere."""
-
-    channels: int
-    samples: int
-
-    def read(self, start: int, stop: int) -> SampleBlock:
-        """Samples start to stop."""
-        stop = min(stop, self.samples)
-        chunks = range(start // CHUNK, (stop - 1) // CHUNK + 1)
-        whole = np.concatenate([self._chunk(i) for i in chunks])
-        return SampleBlock(start, whole[start - chunks[0] * CHUNK : stop - chunks[0] * CHUNK], None)
-
-    def _chunk(self, index: int) -> Array:
-        noise = np.random.default_rng(index).standard_normal((CHUNK, self.channels))
-        psi = 2 * np.pi * SPEED / RATE * (index * CHUNK + np.arange(CHUNK))
-        shape = np.random.default_rng(2**32).standard_normal((2, 8, self.channels))
-        angle = np.outer(psi, np.arange(1, 9))
-        return 1e-3 * noise + 0.05 * (np.cos(angle) @ shape[0] + np.sin(angle) @ shape[1])
-
-
-def _generated_run(case: ReductionCase, length: float) -> Run:
-    names = case.geometry.channel_names
-    samples = round(length * RATE)
-    pulses = np.arange(0.02, length - 0.02, 1.0 / SPEED)
-    source = GeneratedSource(len(names), samples)
-    return Run(
-        f"made-{length:.0f}",
-        case.geometry.rig,
-        "wind",
-        names,
-        samples,
-        source,
-        has_loads=False,
-        sample_rate=RATE,
-        rotor_speed=SPEED,
-        pulse_times=pulses,
-    )
-
-
-def _print_peak_memory(path: Path, length: float) -> None:
-    """Standard output gets the peak memory [MB] of this process."""
-    case: ReductionCase = pickle.loads(path.read_bytes())
-    reduce_run_in_time(
-        _generated_run(case, length), case.geometry, case.calibration, case.source, sink=lambda history: None
-    )
-    sys.stdout.write(f"{_own_peak_memory()}\n")
-
-
-def _own_peak_memory() -> float:
-    """Peak memory [MB] of this program, from Linux: `ru_maxrss` takes over what the parent had when it began."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
-
-
-if __name__ == "__main__":
-    _print_peak_memory(Path(sys.argv[1]), float(sys.argv[2]))
