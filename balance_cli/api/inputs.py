@@ -24,8 +24,8 @@ def read_run(path: PathLike) -> Run:
 
     >>> import balance_cli as bal
     >>> run = bal.read_run("sample_data/check-1.h5")
-    >>> run.kind, run.sample_rate, len(run.channel_names)
-    ('check', 800.0, 15)
+    >>> run
+    Check run check-1 of rig RTS-6: 15 channels, 16000 samples at 800 Hz
     >>> run.read(0, 100).channels.shape
     (100, 15)
     """
@@ -39,8 +39,10 @@ def read_geometry(path: PathLike) -> Geometry:
 
     >>> import balance_cli as bal
     >>> geometry = bal.read_geometry("configs/rts-6.yaml")
-    >>> geometry.rig, geometry.cell_names
-    ('RTS-6', ('x', 'y1', 'y2', 'z1', 'z2', 'z3', 'z4'))
+    >>> geometry
+    Geometry rts-1 of rig RTS-6: 7 cells, 15 channels
+    >>> geometry.cell_names
+    ('x', 'y1', 'y2', 'z1', 'z2', 'z3', 'z4')
     """
     return load_geometry(Path(path))
 

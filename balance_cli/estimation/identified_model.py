@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.paper.result import PaperFit
 from balance_cli.io.result_view import ResultView, plural
 from balance_cli.model.balance import balance_model
@@ -114,6 +115,8 @@ class IdentifiedModel(ResultView):
         if self.quality.runs:
             error = 100 * self.quality.frf_error
             yield f"  chi2/dof {self.quality.chi2_per_dof:.4g}, error of all responses {error:.3g} %"
+            if self.quality.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF:
+                yield "  the model does not describe the data to within their noise"
         if not self.converged:
             yield "  not converged"
         if self.geometry.effects:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -61,7 +61,7 @@ class ExcerptSource:
         return SampleBlock(start, block.channels, block.loads)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run:
     """One recorded run: its metadata, and its samples on demand.
 
@@ -75,7 +75,7 @@ class Run:
     kind: str
     channel_names: tuple[str, ...]
     samples: int
-    source: SampleSource = field(repr=False)
+    source: SampleSource
     has_loads: bool = True
     sample_rate: float | None = None
     rotor_speed: float = 0.0
@@ -84,12 +84,18 @@ class Run:
     level: tuple[float, ...] = ()
     period: float | None = None
     trim: str | None = None
-    pulse_times: Array | None = field(default=None, repr=False)
-    attitude: Array | None = field(default=None, repr=False)
+    pulse_times: Array | None = None
+    attitude: Array | None = None
     recorded: str | None = None
     note: str | None = None
     path: Path | None = None
     digest: str = ""
+
+    def __repr__(self) -> str:
+        extent = f"{self.samples} load points" if self.kind == "static" else f"{self.samples} samples"
+        rate = f" at {self.sample_rate:g} Hz" if self.sample_rate else ""
+        kind = self.kind.capitalize()
+        return f"{kind} run {self.name} of rig {self.rig}: {len(self.channel_names)} channels, {extent}{rate}"
 
     def read(self, start: int = 0, stop: int | None = None) -> SampleBlock:
         """Return samples start to stop (default: all) as one block."""

@@ -173,6 +173,9 @@ class Geometry(FrozenModel):
     freedom: Annotated[tuple[Literal["x", "y", "z", "psi", "theta", "phi"], ...], Field(min_length=1)] = FREEDOMS  # type: ignore[assignment]
     effects: tuple[DeclaredEffect, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"Geometry {self.name} of rig {self.rig}: {len(self.cells)} cells, {len(self.channels)} channels"
+
     @property
     def channel_names(self) -> tuple[str, ...]:
         """Names of all channels, in declared order."""
