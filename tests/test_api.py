@@ -161,6 +161,12 @@ def test_every_result_shows_itself(calibration, model, diagnosis, loads, runs, g
         assert html.startswith("<p>") and "<table" in html
 
 
+def test_inputs_show_themselves_in_one_line(runs, geometry):
+    assert repr(geometry) == "Geometry one of rig ONE: 1 cell, 1 channel"
+    assert repr(runs["static"]).startswith("Static run static of rig ONE: 1 channel, ")
+    assert max(len(repr(item)) for item in [geometry, *runs.values()]) <= 120
+
+
 def test_a_model_has_a_row_for_each_parameter_and_two_for_each_mode(model):
     table = model.to_frame()
     assert (table["kind"] == "parameter").sum() == len(model.parameters.names)

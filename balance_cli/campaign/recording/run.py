@@ -12,6 +12,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.io.result_view import plural
+
 Array = NDArray[np.float64]
 
 LARGEST_MAGNITUDE = 1e9
@@ -92,10 +94,10 @@ class Run:
     digest: str = ""
 
     def __repr__(self) -> str:
-        extent = f"{self.samples} load points" if self.kind == "static" else f"{self.samples} samples"
+        channels = plural(len(self.channel_names), "channel")
+        extent = plural(self.samples, "load point" if self.kind == "static" else "sample")
         rate = f" at {self.sample_rate:g} Hz" if self.sample_rate else ""
-        kind = self.kind.capitalize()
-        return f"{kind} run {self.name} of rig {self.rig}: {len(self.channel_names)} channels, {extent}{rate}"
+        return f"{self.kind.capitalize()} run {self.name} of rig {self.rig}: {channels}, {extent}{rate}"
 
     def read(self, start: int = 0, stop: int | None = None) -> SampleBlock:
         """Return samples start to stop (default: all) as one block."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from balance_cli.campaign.rig.components import FREEDOMS
+from balance_cli.io.result_view import plural
 
 Name = Annotated[str, Field(min_length=1)]
 Vector = tuple[float, float, float]
@@ -174,7 +175,8 @@ class Geometry(FrozenModel):
     effects: tuple[DeclaredEffect, ...] = ()
 
     def __repr__(self) -> str:
-        return f"Geometry {self.name} of rig {self.rig}: {len(self.cells)} cells, {len(self.channels)} channels"
+        cells, channels = plural(len(self.cells), "cell"), plural(len(self.channels), "channel")
+        return f"Geometry {self.name} of rig {self.rig}: {cells}, {channels}"
 
     @property
     def channel_names(self) -> tuple[str, ...]:
