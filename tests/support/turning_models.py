@@ -1,4 +1,4 @@
-"""A small balance under a rotor whose speed may change, its exact filter and smoother, and records drawn from it."""
+"""A small balance under a rotor of variable speed, its exact filter and smoother, and records drawn from it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _resonance(frequency: float, damping_ratio: float) -> Array:
 
 
 def small_balance() -> MeasuredSystem:
-    """Two modes, one of them where the second harmonic comes by, three channels, one of them late by 0.4 samples."""
+    """Return two modes, one within the range of the second harmonic, and three channels, one delayed by 0.4 samples."""
     A = np.zeros((4, 4))
     A[:2, :2], A[2:, 2:] = _resonance(20.0, 0.05), _resonance(55.0, 0.03)
     B, D = np.zeros((4, 6)), np.zeros((3, 6))
@@ -43,26 +43,26 @@ SYSTEM = small_balance()
 
 
 def accelerating_azimuth(speed: float, rate: float, duration: float) -> Azimuth:
-    """Of a rotor at `speed` [Hz] at first that gains `rate` [Hz/s]; a little longer than the record at either end."""
+    """Return the azimuth of a rotor that accelerates from `speed` [Hz] by `rate` [Hz/s]."""
     turns = np.arange(int((speed + rate * duration / 2) * duration) + 4.0)
     time = turns / speed if rate == 0.0 else (np.sqrt(speed**2 + 2 * rate * turns) - speed) / rate
     return Azimuth(time - 0.5 / speed, turns.astype(np.int64))
 
 
 def locked_filters(azimuth: Azimuth, samples: int) -> tuple[RunFilters, tuple[Segment, ...]]:
-    """The filters that follow this azimuth, for all channels."""
+    """Return the filters that follow this azimuth, for all channels."""
     segments = (Segment(0, samples, (0, 1, 2)),)
     return azimuth_locked_filters(SYSTEM, LAYERS, OSCILLATORS, HELD, azimuth, segments), segments
 
 
 def time_varying_models(azimuth: Azimuth, samples: int) -> list[SampledModel]:
-    """From each sample to the next the model of the mean speed in between."""
+    """Return the model of the mean speed from each sample to the next."""
     count = azimuth.extrapolated_count(np.arange(samples + 1) * STEP)
     return [sampled_system(SYSTEM, [*LAYERS, OSCILLATORS.at(speed)]) for speed in np.diff(count) / STEP]
 
 
 def prior_covariance(azimuth: Azimuth) -> Array:
-    """What is known before the first sample."""
+    """Return the covariance of the first state."""
     starting = OSCILLATORS.with_stationary_drift().at(float(azimuth.speed(azimuth.first)))
     return initial_covariance(SYSTEM, [*LAYERS, starting], HELD)
 
@@ -70,13 +70,13 @@ def prior_covariance(azimuth: Azimuth) -> Array:
 def draw_records(
     models: Sequence[SampledModel], prior: Array, records: int, seed: int = 0
 ) -> tuple[Array, Array, Array]:
-    """Channels (r, n, c) in units of their noise, loads (r, n, m) and states (r, n, N) of so many records."""
+    """Draw channels (r, n, c) in units of their noise, loads (r, n, m) and states (r, n, N) of so many records."""
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((records, len(prior))) @ _root(prior).T
     states = np.empty((records, len(models), len(prior)))
-    for k, one in enumerate(models):
+    for k, model in enumerate(models):
         states[:, k] = x
-        x = x @ one.F.T + rng.standard_normal(x.shape) @ _root(one.Q).T
+        x = x @ model.F.T + rng.standard_normal(x.shape) @ _root(model.Q).T
     y = states @ models[0].H.T
     return y + rng.standard_normal(y.shape), states @ models[0].U.T, states
 
@@ -88,34 +88,31 @@ def _root(covariance: Array) -> Array:
 
 @dataclass(frozen=True)
 class ExactEstimates:
-    """Loads and their variances (n, m) given each sample and those before it, and given all."""
+    """Loads and their variances (n, m), filtered and smoothed."""
 
-    updated: Array
-    updated_variance: Array
-    smoothed_estimates: Array
+    filtered: Array
+    filtered_variance: Array
+    smoothed: Array
     smoothed_variance: Array
 
 
 def exact_estimates(models: Sequence[SampledModel], prior: Array, y: Array) -> ExactEstimates:
-    """Kalman filter by the recursion of its covariance, then Rauch, Tung and Striebel's smoother, with time-varying
-
-    F and Q: textbook formulas, sample by sample.
-    """
+    """Run the Kalman filter with its covariance recursion and the Rauch-Tung-Striebel smoother, sample by sample."""
     x, P = np.zeros(len(prior)), prior
     before, after = [], []
-    for one, now in zip(models, y, strict=True):
+    for model, sample in zip(models, y, strict=True):
         before.append((x, P))
-        S = one.H @ P @ one.H.T + np.eye(len(one.H))
-        gain = np.linalg.solve(S, one.H @ P).T
-        x, P = x + gain @ (now - one.H @ x), P - gain @ S @ gain.T
+        S = model.H @ P @ model.H.T + np.eye(len(model.H))
+        gain = np.linalg.solve(S, model.H @ P).T
+        x, P = x + gain @ (sample - model.H @ x), P - gain @ S @ gain.T
         after.append((x, P))
-        x, P = one.F @ x, one.F @ P @ one.F.T + one.Q
+        x, P = model.F @ x, model.F @ P @ model.F.T + model.Q
     smooth = [after[-1]]
     for k in range(len(y) - 2, -1, -1):
-        (x, P), (ahead, spread), (later, known) = after[k], before[k + 1], smooth[-1]
-        # A late channel repeats what its own state was: the covariance ahead is singular.
-        back = P @ models[k].F.T @ np.linalg.pinv(spread, rcond=1e-13, hermitian=True)
-        smooth.append((x + back @ (later - ahead), P + back @ (known - spread) @ back.T))
+        (x, P), (predicted, P_predicted), (smoothed, P_smoothed) = after[k], before[k + 1], smooth[-1]
+        # The stored output of a delayed channel equals an earlier state, so that the predicted covariance is singular.
+        gain = P @ models[k].F.T @ np.linalg.pinv(P_predicted, rcond=1e-13, hermitian=True)
+        smooth.append((x + gain @ (smoothed - predicted), P + gain @ (P_smoothed - P_predicted) @ gain.T))
     U = models[0].U
     return ExactEstimates(*_loads(after, U), *_loads(smooth[::-1], U))
 

@@ -116,10 +116,10 @@ def test_filter_is_close_to_the_exact_one_while_the_speed_moves(moving):
     (filters, segments), models, prior, (y, _, _) = moving
     exact = exact_estimates(models, prior, y[0])
     loads, variance = _joined(filtered_estimates(_read(y[0]), segments, filters, BEGINNING))
-    off = ((loads - exact.updated) / np.sqrt(exact.updated_variance))[BEGINNING:]
+    off = ((loads - exact.filtered) / np.sqrt(exact.filtered_variance))[BEGINNING:]
     assert np.sqrt(np.mean(off**2)) < 2e-3
     assert np.abs(off).max() < 1e-2
-    assert np.abs(variance / exact.updated_variance - 1.0)[BEGINNING:].max() < 2e-3
+    assert np.abs(variance / exact.filtered_variance - 1.0)[BEGINNING:].max() < 2e-3
 
 
 @pytest.mark.parametrize("count", [200, SAMPLES])
@@ -140,7 +140,7 @@ def test_smoother_is_close_to_the_exact_one_while_the_speed_moves(moving):
     (filters, segments), models, prior, (y, _, _) = moving
     exact = exact_estimates(models, prior, y[0])
     loads, variance = _joined(smoothed_estimates(_read(y[0]), segments, filters, BEGINNING))
-    off = (loads - exact.smoothed_estimates) / np.sqrt(exact.smoothed_variance)
+    off = (loads - exact.smoothed) / np.sqrt(exact.smoothed_variance)
     assert np.sqrt(np.mean(off**2)) < 2e-3
     assert np.abs(off).max() < 1e-2
     assert np.abs(variance / exact.smoothed_variance - 1.0).max() < 0.1
