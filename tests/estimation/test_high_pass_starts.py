@@ -48,19 +48,19 @@ def test_start_of_a_high_pass_is_the_sum_over_the_samples():
     theta[-1] = 0.5
     window = AnalysisWindow(np.array([2.0, 3.0]), 8.0, 1 / RATE, np.zeros((2, 1, 1), complex), np.inf)
     frequency = np.array([3.0, 17.0])
-    found = transient_columns(transient_modes(model.system(theta), 0.0, RATE / 2, 1.0), window, frequency)
+    columns = transient_columns(transient_modes(model.system(theta), 0.0, RATE / 2, 1.0), window, frequency)
     names = geometry.channel_names
     piezos = [i for i, name in enumerate(names) if name.endswith("piezo")]
     expected = []
     for f, start in zip(frequency, window.start, strict=True):
         t = np.arange(round(start * RATE), round(8 * RATE)) / RATE
         expected.append(2 * np.mean(np.exp(-t / 3.0 - 2j * np.pi * f * t)))
-    m, own = found.shape[2] // 2, piezos.index(names.index("y1.piezo"))
-    column = found[:, :, m - len(piezos) + own]
+    m, own = columns.shape[2] // 2, piezos.index(names.index("y1.piezo"))
+    column = columns[:, :, m - len(piezos) + own]
     np.testing.assert_allclose(column[:, names.index("y1.piezo")], expected, rtol=1e-9)
     np.testing.assert_allclose(column[:, names.index("x.strain")], 0.5 * np.array(expected), rtol=1e-9)
     assert np.count_nonzero(np.abs(column[0])) == 2
-    assert np.abs(found[:, :, 2 * m - len(piezos) :]).max() < 1e-15
+    assert np.abs(columns[:, :, 2 * m - len(piezos) :]).max() < 1e-15
 
 
 def test_gradient_with_the_start_of_high_passes_is_exact():
@@ -117,9 +117,9 @@ def test_after_a_high_pass_the_mean_has_no_information_on_an_offset(leaky):
 def test_mean_after_a_high_pass_needs_no_offset(leaky):
     """Of eight channels that measure a mean, one does not begin at its zero."""
     batches = stack_runs([leaky[1]], [], rotor_balance().channel_names)
-    known = rotor_balance().model_copy(update={"effects": (LEAK,)})
+    leaky_geometry = rotor_balance().model_copy(update={"effects": (LEAK,)})
     assert data_chi2(batches, balance_model(rotor_balance()).system()) > 150.0
-    assert data_chi2(batches, balance_model(known).system()) < 30.0
+    assert data_chi2(batches, balance_model(leaky_geometry).system()) < 30.0
 
 
 def test_gradient_with_the_start_of_a_high_pass_in_the_mean_is_exact(leaky):

@@ -46,11 +46,11 @@ def test_linear_least_squares_within_bounds(seed):
     problem = Residuals(lambda x: A @ x - b, lambda x: A)
     names = tuple(f"effect.{i}" for i in range(6))
     scale = 1e-3 * np.linalg.norm(np.linalg.pinv(A), axis=1).max()
-    found = problem.minimum(unknown(*names, lower=0.0, scale=scale), np.full(6, scale), tolerance=1e-9)
+    result = problem.minimum(unknown(*names, lower=0.0, scale=scale), np.full(6, scale), tolerance=1e-9)
     expected = lsq_linear(A, b, (0.0, np.inf))
-    assert found.converged
-    assert found.total.chi2 == pytest.approx(2.0 * expected.cost, rel=1e-7)
-    assert found.theta == pytest.approx(expected.x, rel=1e-3, abs=1e-2 * scale)
+    assert result.converged
+    assert result.total.chi2 == pytest.approx(2.0 * expected.cost, rel=1e-7)
+    assert result.theta == pytest.approx(expected.x, rel=1e-3, abs=1e-2 * scale)
 
 
 def test_a_narrow_curved_valley_is_followed_in_long_steps():
@@ -60,9 +60,9 @@ def test_a_narrow_curved_valley_is_followed_in_long_steps():
         lambda x: np.array([steep * (x[1] - x[0] ** 2), 1.0 - x[0]]),
         lambda x: np.array([[-2.0 * steep * x[0], steep], [-1.0, 0.0]]),
     )
-    found = problem.minimum(unknown("a", "b", scale=0.1), (-2.0, 4.0), iterations=400, tolerance=1e-10)
-    assert found.theta == pytest.approx([1.0, 1.0], abs=1e-4)
-    assert found.iterations < 250
+    result = problem.minimum(unknown("a", "b", scale=0.1), (-2.0, 4.0), iterations=400, tolerance=1e-10)
+    assert result.theta == pytest.approx([1.0, 1.0], abs=1e-4)
+    assert result.iterations < 250
 
 
 def test_a_vanishing_parameter_does_not_delay_the_others():
@@ -72,10 +72,10 @@ def test_a_vanishing_parameter_does_not_delay_the_others():
         lambda x: np.array([x[0] + 2.0, 100.0 * np.expm1(x[1]) - 600.0, 100.0 * (x[2] - 3.0 * x[1])]),
         lambda x: np.array([[1.0, 0.0, 0.0], [0.0, 100.0 * np.exp(x[1]), 0.0], [0.0, -300.0, 100.0]]),
     )
-    found = problem.minimum(inertia + unknown("a", "b"), (1.0, 0.0, 0.0), tolerance=1e-6)
-    assert found.theta[1:] == pytest.approx([np.log(7.0), 3.0 * np.log(7.0)], rel=1e-4)
-    assert 0.0 <= found.theta[0] < 0.02
-    assert found.converged and found.iterations < 25
+    result = problem.minimum(inertia + unknown("a", "b"), (1.0, 0.0, 0.0), tolerance=1e-6)
+    assert result.theta[1:] == pytest.approx([np.log(7.0), 3.0 * np.log(7.0)], rel=1e-4)
+    assert 0.0 <= result.theta[0] < 0.02
+    assert result.converged and result.iterations < 25
 
 
 def test_a_nearly_vanished_parameter_stays_finite():
@@ -85,14 +85,14 @@ def test_a_nearly_vanished_parameter_stays_finite():
         lambda x: np.array([x[0] + 2.0, x[1] - 1.0]),
         lambda x: np.eye(2),
     )
-    found = problem.minimum(inertia + unknown("a"), (1e-18, 0.0), tolerance=1e-9)
-    assert 0.0 < found.theta[0] < 1e-17
-    assert found.theta[1] == pytest.approx(1.0)
+    result = problem.minimum(inertia + unknown("a"), (1e-18, 0.0), tolerance=1e-9)
+    assert 0.0 < result.theta[0] < 1e-17
+    assert result.theta[1] == pytest.approx(1.0)
 
 
 def test_an_accepted_first_step_evaluates_no_chi2():
     """Its curvature includes chi-square."""
     problem = Residuals(lambda x: np.array([x[0] - 3.0, 2.0 * x[1]]), lambda x: np.diag([1.0, 2.0]))
-    found = problem.minimum(unknown("a", "b"), (1.0, 1.0))
-    assert found.theta == pytest.approx([3.0, 0.0], abs=1e-9)
-    assert (problem.curvatures, problem.values) == (found.iterations, 0)
+    result = problem.minimum(unknown("a", "b"), (1.0, 1.0))
+    assert result.theta == pytest.approx([3.0, 0.0], abs=1e-9)
+    assert (problem.curvatures, problem.values) == (result.iterations, 0)

@@ -189,6 +189,6 @@ def test_least_squares_finds_a_noise_free_rig_from_wrong_declarations():
         update={"cells": tuple(cell.model_copy(update={"stiffness": 1.04 * cell.stiffness}) for cell in rig.cells)}
     )
     model, truth = balance_model(wrong), balance_model(rig)
-    found = fit_equation_error(model.parameters, stack_runs(clean, [], rig.channel_names), model.system, (1.0, 150.0))
-    fitted, true = (response(s, solve(s, FREQUENCY)) for s in (model.system(found.theta), truth.system()))
+    fit = fit_equation_error(model.parameters, stack_runs(clean, [], rig.channel_names), model.system, (1.0, 150.0))
+    fitted, true = (response(s, solve(s, FREQUENCY)) for s in (model.system(fit.theta), truth.system()))
     assert np.linalg.norm(fitted - true) < 0.02 * np.linalg.norm(true)

@@ -22,8 +22,8 @@ LINES = np.arange(5.0, 150.01, 0.5)
 SAMPLE = Path(__file__).parents[2] / "sample_data"
 
 
-def relative(found, true):
-    return np.linalg.norm(found - true) / np.linalg.norm(true)
+def relative(result, true):
+    return np.linalg.norm(result - true) / np.linalg.norm(true)
 
 
 def assert_recovered(fit, truth, tolerance=1e-6):
@@ -57,10 +57,10 @@ def test_two_loads_at_once_and_strain_where_a_piezo_is_missing(balance):
     geometry = balance.geometry
     channels = tuple(name for name in geometry.channel_names if name not in ("torque", "z2.piezo", "y1.strain"))
     together = sweep(balance, {"Fx": 3.0, "My": 2.0}, LINES, channels)
-    other = sweep(balance, {"Fx": 1.0, "My": -2.0, "Mz": 5.0}, LINES, channels, seed=1)
+    second = sweep(balance, {"Fx": 1.0, "My": -2.0, "Mz": 5.0}, LINES, channels, seed=1)
     alone = sweeps(balance, ("Fy", "Fz", "Mx"), LINES, channels=channels)
     alone[0].channels[:, channels.index("x.piezo")] = np.nan
-    fit = identify_paper_form(geometry, [together, other, *alone], PaperOptions("ls", "full", EVERYWHERE))
+    fit = identify_paper_form(geometry, [together, second, *alone], PaperOptions("ls", "full", EVERYWHERE))
     assert fit.inputs == FIVE
     assert_recovered(fit, balance)
 
@@ -98,8 +98,10 @@ def test_sensors_of_the_campaign(balance):
     z3, z4 = balance.geometry.cells[5:]
     p = (5.2e6 * np.array(z3.position) + 4.9e6 * np.array(z4.position)) / 10.1e6
     merged = z3.model_copy(update={"position": tuple(p), "stiffness": 10.1e6})
-    one = make_plate(balance.geometry.model_copy(update={"cells": (*balance.geometry.cells[:5], merged)}))
-    np.testing.assert_allclose((rule.matrix @ (balance.c[:, None] * balance.B))[5], one.c[5] * one.B[5], rtol=1e-12)
+    resultant = make_plate(balance.geometry.model_copy(update={"cells": (*balance.geometry.cells[:5], merged)}))
+    np.testing.assert_allclose(
+        (rule.matrix @ (balance.c[:, None] * balance.B))[5], resultant.c[5] * resultant.B[5], rtol=1e-12
+    )
 
 
 def test_stiffness_from_six_sensors_would_be_wrong(balance):
@@ -120,10 +122,10 @@ def test_stiffness_from_six_sensors_would_be_wrong(balance):
 def test_start_from_geometry_is_the_plate(balance):
     rule = sensor_rule(balance.geometry)
     declared = declared_coefficients(balance.geometry, rule, FIVE)
-    for found, true in zip(
+    for result, true in zip(
         (declared.D, declared.K, declared.B_F), balance.coefficients(rule.matrix, FIVE), strict=True
     ):
-        assert relative(found, true) < 1e-12
+        assert relative(result, true) < 1e-12
 
 
 def test_diagonal_damping_alone_leaves_five_percent(balance):
@@ -156,8 +158,8 @@ def test_a_pair_that_leaves_the_plate_loose_is_passed_over(balance):
 
 
 def without(geometry, *cells):
-    kept = tuple(cell for cell in geometry.cells if cell.name not in cells)
-    return geometry.model_copy(update={"cells": kept})
+    remaining = tuple(cell for cell in geometry.cells if cell.name not in cells)
+    return geometry.model_copy(update={"cells": remaining})
 
 
 @pytest.mark.parametrize(

@@ -133,16 +133,16 @@ def test_sigma_of_modes_against_differences(bar):
 
     slope = derivative(eigen, fit.parameters, 1e-6)
     sigma = np.sqrt(np.einsum("mp,pq,mq->m", slope, fit.covariance, slope))
-    found = [m.sigma_frequency_hz for m in fit.modes] + [m.sigma_damping_ratio for m in fit.modes]
-    np.testing.assert_allclose(found, sigma, rtol=1e-4)
+    result = [m.sigma_frequency_hz for m in fit.modes] + [m.sigma_damping_ratio for m in fit.modes]
+    np.testing.assert_allclose(result, sigma, rtol=1e-4)
 
 
 def test_real_eigenvalues_are_modes_of_their_own():
     # (lambda + 1)(lambda + 4) = lambda^2 + 5 lambda + 4
     model = Coefficients(np.array([[5.0]]), np.array([[4.0]]), np.array([[1.0]]))
-    found = modes_of_coefficients(model, free_coefficients(1, 1, True), np.zeros((3, 3)))
-    np.testing.assert_allclose([m.frequency_hz * 2 * np.pi for m in found], [1.0, 4.0])
-    assert [m.damping_ratio for m in found] == [1.0, 1.0]
+    result = modes_of_coefficients(model, free_coefficients(1, 1, True), np.zeros((3, 3)))
+    np.testing.assert_allclose([m.frequency_hz * 2 * np.pi for m in result], [1.0, 4.0])
+    assert [m.damping_ratio for m in result] == [1.0, 1.0]
 
 
 def test_noise_biases_least_squares_but_not_maximum_likelihood(bar):
@@ -213,9 +213,9 @@ def test_chi_square_counts_the_noise_of_the_loads(bar):
     for name, lines in (("both", runs), ("forces only", blind)):
         spectra = sensor_spectra(bar.geometry, sensor_rule(bar.geometry), lines)
         true = Coefficients(*bar.coefficients(np.eye(2), spectra.inputs))
-        found = compare_with_measurement(spectra, spectra, true, 0)
-        chi2[name] = found.chi2_per_dof
-        dof = found.dof
+        result = compare_with_measurement(spectra, spectra, true, 0)
+        chi2[name] = result.chi2_per_dof
+        dof = result.dof
     assert dof == 2 * 2 * 2 * len(LINES)
     assert chi2["both"] == pytest.approx(1.0, abs=4 * np.sqrt(2 / dof))
     assert chi2["forces only"] > 20.0

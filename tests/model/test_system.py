@@ -59,8 +59,8 @@ def test_jacobian_against_numerical_derivatives(rig):
     jacobian = output_jacobian(system, solve(system, FREQUENCY), np.arange(len(FREQUENCY)), loads)
 
     def outputs(at):
-        there = model.system(at)
-        return np.einsum("kcj,kj->kc", response(there, solve(there, FREQUENCY)), loads)
+        shifted = model.system(at)
+        return np.einsum("kcj,kj->kc", response(shifted, solve(shifted, FREQUENCY)), loads)
 
     for i in range(len(theta)):
         step = 1e-5 * scale[i] * np.eye(len(theta))[i]
@@ -70,23 +70,23 @@ def test_jacobian_against_numerical_derivatives(rig):
 
 
 def test_modes_of_heave_and_pitch():
-    found = modes(balance_model(two_degrees_of_freedom()).system())
+    computed = modes(balance_model(two_degrees_of_freedom()).system())
     expected = np.sqrt([2e6 / 20.0, 2e6 * 0.09 / 0.8]) / (2 * np.pi)
-    np.testing.assert_allclose(found.frequency, expected, rtol=1e-12)
-    np.testing.assert_allclose(found.damping_ratio, 0.02, rtol=1e-10)
+    np.testing.assert_allclose(computed.frequency, expected, rtol=1e-12)
+    np.testing.assert_allclose(computed.damping_ratio, 0.02, rtol=1e-10)
 
 
 def test_derivatives_of_modes_against_numerical_derivatives():
     model = balance_model(rotor_balance()).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
-    found = modes(model.system())
+    computed = modes(model.system())
     for i in range(26):
         step = 1e-4 * scale[i] * np.eye(len(theta))[i]
         above, below = modes(model.system(theta + step)), modes(model.system(theta - step))
         frequency = (above.frequency - below.frequency) / 2e-4
         damping = (above.damping_ratio - below.damping_ratio) / 2e-4
-        np.testing.assert_allclose(found.frequency_derivative[:, i] * scale[i], frequency, rtol=1e-5, atol=1e-7)
-        np.testing.assert_allclose(found.damping_derivative[:, i] * scale[i], damping, rtol=1e-5, atol=1e-8)
+        np.testing.assert_allclose(computed.frequency_derivative[:, i] * scale[i], frequency, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(computed.damping_derivative[:, i] * scale[i], damping, rtol=1e-5, atol=1e-8)
 
 
 def test_stiffness_and_mass_scaled_together_do_not_change_any_response():
@@ -160,7 +160,7 @@ def test_response_with_structural_damping(causality):
 
 def test_modes_and_transients_with_structural_damping_to_first_order():
     model = lossy(1.0)
-    found, free = modes(model.system()), transient_modes(model.system(), 0.0, 400.0)
+    computed, free = modes(model.system()), transient_modes(model.system(), 0.0, 400.0)
     k, m, d = 4e5, 10.0, 2 * 0.02 * np.sqrt(4e6)
 
     def equation(s):
@@ -169,18 +169,18 @@ def test_modes_and_transients_with_structural_damping_to_first_order():
     s = complex(-d / (2 * m), np.sqrt(k / m))
     for _ in range(20):
         s -= equation(s) / (2 * m * s + d + k * 2 / np.pi * LOSS / s)
-    assert found.frequency[0] == pytest.approx(abs(s) / (2 * np.pi), rel=LOSS**2)
-    assert found.damping_ratio[0] == pytest.approx(-s.real / abs(s), rel=5e-3)
+    assert computed.frequency[0] == pytest.approx(abs(s) / (2 * np.pi), rel=LOSS**2)
+    assert computed.damping_ratio[0] == pytest.approx(-s.real / abs(s), rel=5e-3)
     assert free.s[0] == pytest.approx(s, rel=LOSS**2)
 
 
 def test_derivatives_of_a_lossy_mode_against_numerical_derivatives():
     model = lossy(0.7).free_all_parameters()
     theta, scale = model.parameters.value, model.parameters.scale
-    found = modes(model.system(theta))
+    computed = modes(model.system(theta))
     for name in ("structural-damping@z.loss_factor", "structural-damping@z.causality", "stiffness.z"):
         i = model.parameters.index(name)
         step = 1e-4 * scale[i] * np.eye(len(theta))[i]
         above, below = modes(model.system(theta + step)), modes(model.system(theta - step))
         numerical = (above.frequency - below.frequency) / 2e-4
-        np.testing.assert_allclose(found.frequency_derivative[:, i] * scale[i], numerical, rtol=2 * LOSS, atol=1e-9)
+        np.testing.assert_allclose(computed.frequency_derivative[:, i] * scale[i], numerical, rtol=2 * LOSS, atol=1e-9)

@@ -16,7 +16,7 @@ def noise(rng, bins, channels):
     return (z[0] + 1j * z[1]) / np.sqrt(2.0)
 
 
-def test_noise_alone_leaves_nearly_nothing():
+def test_noise_without_signal_is_removed():
     """With the mean power of neighbors; with its own power alone an amplitude keeps E1(1) = 0.219 of the noise."""
     z = noise(np.random.default_rng(1), 20000, 2)
     remaining = [np.mean(np.abs(z * waveforms._wiener_gain(z, np.ones(2), n)) ** 2) for n in (1, SMOOTHING_LINES)]

@@ -49,10 +49,10 @@ def test_what_the_data_leave_open_is_the_scale(identified):
 
 def test_every_method_and_start_comes_to_the_same_maximum(campaign, identified):
     spectra = measured_spectra(campaign.runs_of_kind("sweep", "static"), campaign.geometry)
-    other = identify(spectra, campaign.geometry, IdentifyOptions(method="ml"))
-    assert other.start == "geometry"
-    np.testing.assert_allclose(other.modes.frequency, identified.modes.frequency, rtol=1e-6)
-    assert other.quality.chi2 == pytest.approx(identified.quality.chi2, rel=1e-6)
+    alternative = identify(spectra, campaign.geometry, IdentifyOptions(method="ml"))
+    assert alternative.start == "geometry"
+    np.testing.assert_allclose(alternative.modes.frequency, identified.modes.frequency, rtol=1e-6)
+    assert alternative.quality.chi2 == pytest.approx(identified.quality.chi2, rel=1e-6)
 
 
 def test_least_squares_alone_is_near_and_worse(campaign, identified):
