@@ -4,9 +4,11 @@ The campaigns come from the integration in time, which shares no code with the m
 forgetting the effect costs a chi-square of some thousands, of a few hundred thousand where it has many parameters.
 """
 
+import ast
 import json
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -14,6 +16,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+import balance_cli
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.cli import balance
@@ -68,6 +71,19 @@ def test_slopes_of_the_likelihood_are_the_derivatives(effect, where):
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_it_does_something_away_from_its_null(effect):
     check_change(effect, effect.places(RIG)[0])
+
+
+def test_no_effect_is_named_outside_its_file():
+    """A search, a test of the data or a command that needs an effect finds it by its hints."""
+    package = Path(balance_cli.__file__).parent
+    files = {path.relative_to(package).as_posix(): path for path in package.rglob("*.py")}
+    names = {effect.name for effect in EFFECTS}
+    for name, path in files.items():
+        if name.startswith(("model/effects/", "simulation/extensions/")):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                assert node.value.split("@")[0] not in names, f"{name} names the effect {node.value}"
 
 
 # ---- found in simulated campaigns ------------------------------------------------------------------------------------

@@ -1,8 +1,8 @@
-"""What a channel's own declared high-pass still rings in the lines of a periodic record.
+"""The transient of a channel's declared high-pass in the lines of a periodic record.
 
-The amplifier begins in balance with what it first sees, and not where the steady motion would have its slow state. What
-is missing there decays as exp(-t/T), T the time constant: seconds, and short records are no longer. A line of N samples
-of step h from t_f to t_e holds of it, per volt at t = 0,
+The amplifier starts in equilibrium with its first input, not in the state of the periodic motion. The difference decays
+as exp(-t/T) with the time constant T of seconds, which is the length of short records. A line of N samples of step h
+from t_f to t_e contains, per volt at t = 0,
 
     (2/N) (exp(-t_f/T) - exp(-t_e/T)) / (1 - exp(-(1/T + j w) h)).
 """
@@ -21,7 +21,7 @@ Index = NDArray[np.intp]
 
 
 def high_pass_transient(run: RunSpectrum, path: ChannelPath, at: Index) -> ComplexArray:
-    """Lines `at` (k,) of one volt of it at t = 0; zero where the channel has no high-pass or the record none of it."""
+    """Lines `at` (k,) of a transient of one volt at t = 0; zero without a high-pass or without a window."""
     window = run.window
     if window is None or not path.high_pass:
         return np.zeros(len(at), complex)
@@ -32,7 +32,7 @@ def high_pass_transient(run: RunSpectrum, path: ChannelPath, at: Index) -> Compl
 
 
 def typical_transient_rms(run: RunSpectrum, path: ChannelPath) -> float:
-    """Rms [V] at t = 0: that of the channel, whose motion begins anywhere in its period."""
+    """Rms [V] of the transient at t = 0: that of the channel, because the phase of its motion is arbitrary."""
     if not path.high_pass:
         return 0.0
     volts = run.channels[run.frequency > 0, run.channel_names.index(path.channel)]
@@ -40,10 +40,10 @@ def typical_transient_rms(run: RunSpectrum, path: ChannelPath) -> float:
 
 
 def remove_transients(change: ComplexArray, precision: ComplexArray, columns: tuple[ComplexArray, ...]) -> ComplexArray:
-    """A change (k, c) of responses without what each run's channels still ring, weighed by `precision` (k, c, c).
+    """A change (k, c) of responses without the transients of each run's channels, weighted by `precision` (k, c, c).
 
-    `columns` (k, c): of each run what the ringing of each channel adds to that channel when it is as large as it may
-    be; how large it is, and of which sign, is one number at all lines, with a standard deviation of one.
+    `columns` (k, c): for each run the transient of each channel at its typical size. Its actual size, with sign, is one
+    number for all lines, with a standard deviation of one.
     """
     c = change.shape[1]
     R = np.concatenate(columns, axis=1)

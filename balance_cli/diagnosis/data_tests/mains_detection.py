@@ -1,8 +1,8 @@
-"""Lines at the mains' frequencies and their multiples: do they stand out from what their neighbours say?
+"""Mains interference: do lines at the mains frequency and its multiples stand out from their neighbors?
 
-In a window around a line a local rational model (see `signals.local.fit`) is fitted to all but the lines within one of
-the middle, and what the left-out ones are away from it is counted. The same is done around neighbouring lines, where no
-mains is; the ratio of the two is about one, whatever the local model cannot follow.
+In a window around a line a local rational model (see `signals.local.fit`) is fitted to all lines except those within
+one of the middle, and the departures of the excluded lines from it are measured. The same is done around neighboring
+lines, where there is no mains. The ratio of the two is about one, even where the local model is inaccurate.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ MAINS = (50.0, 60.0)
 
 @dataclass(frozen=True)
 class _Departures:
-    """Of one run: `multiple` (w,) [Hz]; power (w, c) [V2] of what the lines at the mains are away, with real values
+    """Departures of the lines of one run from their local models, at multiples (w,) [Hz] of the mains frequency.
 
-    `count` (w, c); the same of the neighbours (w, c) per real value, with `others` (w, c) real values.
+    `power` (w, c) [V2] of `count` (w, c) real values; `neighbor_power` (w, c) per real value, from `neighbor_count`
+    (w, c) real values.
     """
 
     channels: tuple[str, ...]
@@ -40,11 +41,11 @@ class _Departures:
     power: Array
     count: Array
     neighbor_power: Array
-    others: Array
+    neighbor_count: Array
 
 
 def mains_tests(runs: Sequence[RunSpectrum], settings: DataTestSettings) -> list[ModelFreeTest]:
-    """One row for 50 and one for 60 Hz, where any run has lines there."""
+    """One row for 50 Hz and one for 60 Hz, if any run has lines there."""
     rows = []
     for mains in MAINS:
         by_run = (_departures(run, mains, settings.mains) for run in runs)
@@ -71,24 +72,25 @@ def _departures(run: RunSpectrum, mains: float, settings: MainsDetectionSettings
     middles = [(f, k) for f, k in middles if half_window <= k < len(frequency) - half_window]
     if not middles:
         return None
-    every = np.concatenate([[k, *(k + offsets)] for _, k in middles])
-    every = np.clip(every, half_window, len(frequency) - half_window - 1)
+    all_middles = np.concatenate([[k, *(k + offsets)] for _, k in middles])
+    all_middles = np.clip(all_middles, half_window, len(frequency) - half_window - 1)
     near = np.min(np.abs(frequency[:, None] - multiples), axis=1) <= settings.excluded_bins * bin_width
-    power, count, noise = _excluded_line_power(run, moving, every, near, settings)
+    power, count, noise = _excluded_line_power(run, moving, all_middles, near, settings)
     shape = (len(middles), 1 + len(offsets), -1)
     power, count, noise = power.reshape(shape), count.reshape(shape), noise.reshape(shape)
-    # A neighbour whose window was pushed onto the lines of the mains says nothing.
-    apart = np.abs(every.reshape(shape[:2])[:, 1:] - every.reshape(shape[:2])[:, :1]) > 2
-    others = np.sum(count[:, 1:] * apart[:, :, None], axis=1)
-    neighbor_power = np.sum(power[:, 1:] * apart[:, :, None], axis=1) / np.maximum(others, 1.0)
+    # A neighboring window that was clipped onto the lines of the mains carries no information.
+    centers = all_middles.reshape(shape[:2])
+    apart = np.abs(centers[:, 1:] - centers[:, :1]) > 2
+    neighbor_count = np.sum(count[:, 1:] * apart[:, :, None], axis=1)
+    neighbor_power = np.sum(power[:, 1:] * apart[:, :, None], axis=1) / np.maximum(neighbor_count, 1.0)
     multiple = np.array([f for f, _ in middles])
     return _Departures(
-        run.channel_names, multiple, power[:, 0], count[:, 0], np.maximum(neighbor_power, noise[:, 0]), others
+        run.channel_names, multiple, power[:, 0], count[:, 0], np.maximum(neighbor_power, noise[:, 0]), neighbor_count
     )
 
 
 def _is_rotor_harmonic(run: RunSpectrum, frequency: float, distance: float) -> bool:
-    """Whether a harmonic of a turning rotor lies there, too."""
+    """Whether a harmonic of the turning rotor lies within a distance of a frequency."""
     if run.rotor_speed <= 0:
         return False
     away = abs(frequency - run.rotor_speed * round(frequency / run.rotor_speed))
@@ -98,17 +100,17 @@ def _is_rotor_harmonic(run: RunSpectrum, frequency: float, distance: float) -> b
 def _excluded_line_power(
     run: RunSpectrum, moving: Index, middles: Index, near: NDArray[np.bool_], settings: MainsDetectionSettings
 ) -> tuple[Array, Array, Array]:
-    """Power (w, c) of what the lines beside each middle are away from the others' model, their real values (w, c) and
+    """Power (w, c) of the departures of the excluded lines of each window, their real values (w, c), and noise (w, c).
 
-    the noise's power (w, c) per real value. Lines at the mains are left out of every fit, and counted in none of the
-    neighbours. A window that the local model does not follow has no real values.
+    The noise is the power per real value. Lines at the mains are excluded from every fit and do not count in the
+    neighbors. A window that no local model describes has no real values.
     """
     c, offsets = len(run.channel_names), np.arange(-settings.half_window, settings.half_window + 1)
     at = middles[:, None] + offsets
     lines = moving[at]
     variance = np.median(_noise_variance(run)[lines], axis=1)
     Y = run.channels[lines] / np.sqrt(variance)[:, None, :]
-    # Loads of like size in a window, so that none of them is lost beside another.
+    # Loads of a window are scaled to one, so that a small one is not lost in rounding.
     U = run.loads[lines] / np.maximum(np.abs(run.loads[lines]).max(axis=(1, 2)), np.finfo(float).tiny)[:, None, None]
     frequency = run.frequency[lines]
     ends = frequency[:, :1], frequency[:, -1:]
@@ -125,7 +127,7 @@ def _excluded_line_power(
 
 
 def _noise_variance(run: RunSpectrum) -> Array:
-    """Variance (k, c) of the channels about what the loads as measured make of them."""
+    """Variance (k, c) of the channels about their response to the measured loads."""
     c = len(run.channel_names)
     variance = np.diagonal(run.covariance, axis1=1, axis2=2).real
     power = np.maximum(np.sum(np.abs(run.loads) ** 2, axis=1), np.finfo(float).tiny)
@@ -134,7 +136,7 @@ def _noise_variance(run: RunSpectrum) -> Array:
 
 
 def _has_hidden_peak(fit: LocalFit, settings: MainsDetectionSettings) -> NDArray[np.bool_]:
-    """Whether a window (w,) has a sharp peak about its middle, where it was not looked at."""
+    """Whether a window (w,) has a sharp peak near its middle, hidden by the excluded lines."""
     near = np.zeros(len(fit.denominator), bool)
     for i, a in enumerate(fit.denominator):
         poles = settings.half_window * legendre.legroots(a)
@@ -146,26 +148,26 @@ def _has_hidden_peak(fit: LocalFit, settings: MainsDetectionSettings) -> NDArray
 def _simplest_local_model(
     windows: WindowedData, settings: MainsDetectionSettings
 ) -> tuple[ComplexArray, NDArray[np.bool_]]:
-    """What the simplest local model that follows a window says of its lines (w, M, c), and whether (w,) any does."""
+    """The lines (w, M, c) by the simplest local model that describes a window, and whether (w,) any does."""
     c, u = windows.Y.shape[2], windows.U.shape[2]
     modeled = np.zeros_like(windows.Y)
     followed = np.zeros(len(windows.Y), bool)
     for denominator in settings.denominator_orders:
         orders = ModelOrders(response=settings.response_order, transient=-1, denominator=denominator)
-        left = np.flatnonzero(~followed)
-        if not left.size:
+        remaining = np.flatnonzero(~followed)
+        if not remaining.size:
             break
-        some = windows.subset(left)
-        fit = fit_windows(some, orders)
-        free = some.weight.sum(axis=1) - orders.coefficients(u) - orders.denominator / c
+        subset = windows.subset(remaining)
+        fit = fit_windows(subset, orders)
+        free = subset.weight.sum(axis=1) - orders.coefficients(u) - orders.denominator / c
         good = (fit.cost / c < settings.max_window_chi2 * np.maximum(free, 0.0)) & ~_has_hidden_peak(fit, settings)
-        modeled[left[good]] = _predict_windows(some, fit)[good]
-        followed[left[good]] = True
+        modeled[remaining[good]] = _predict_windows(subset, fit)[good]
+        followed[remaining[good]] = True
     return modeled, followed
 
 
 def _predict_windows(windows: WindowedData, fit: LocalFit) -> ComplexArray:
-    """What the local model says of all lines (w, M, c) of the windows, those without weight too."""
+    """All lines (w, M, c) of the windows by their local models, including those without weight."""
     orders = fit.orders
     P = legendre.legvander(windows.r, max(orders.response, orders.denominator))
     driven = windows.U[:, :, :, None] * P[:, :, None, : orders.response + 1]
@@ -174,9 +176,9 @@ def _predict_windows(windows: WindowedData, fit: LocalFit) -> ComplexArray:
 
 
 def _remove_response_shapes(away: ComplexArray, Y: ComplexArray, max_shapes: int) -> ComplexArray:
-    """What is left of departures (w, M, c) beside the shapes in which the channels Y (w, M, c) move in fitted lines.
+    """The departures (w, M, c) without the response shapes of the channels Y (w, M, c) in the fitted lines.
 
-    A sharp peak that the local model misses is such a shape; what a channel picks up is not.
+    A sharp peak that the local model misses is such a shape; interference in one channel is not.
     """
     shapes = min(max_shapes, max(Y.shape[2] - 2, 0))
     V = np.linalg.svd(Y, full_matrices=False)[2][:, :shapes]
@@ -184,29 +186,31 @@ def _remove_response_shapes(away: ComplexArray, Y: ComplexArray, max_shapes: int
 
 
 def _test(mains: float, departures: Sequence[_Departures], settings: DataTestSettings) -> ModelFreeTest:
-    """Power at the mains over that of the neighbours, by multiple and channel over all runs."""
+    """Power at the mains over that of the neighbors, by multiple and channel, over all runs."""
     channels = tuple(dict.fromkeys(name for departure in departures for name in departure.channels))
     multiples = np.unique(np.concatenate([departure.multiple for departure in departures]))
     sums = _MainsSums.zeros(len(multiples), len(channels))
     for departure in departures:
         places = np.array([channels.index(name) for name in departure.channels])
         sums.add(departure, np.ix_(np.searchsorted(multiples, departure.multiple), places), settings.mains)
-    looks = sums.fisher_p_values()
-    p_value = bonferroni_min_p_value(looks[sums.runs > 0])
+    p_values = sums.fisher_p_values()
+    p_value = bonferroni_min_p_value(p_values[sums.runs > 0])
     finding = "nothing"
     if p_value <= settings.significance_level:
-        clear = [(int(i), int(j)) for i, j in np.argwhere(looks * np.sum(sums.runs > 0) <= settings.significance_level)]
+        clear = [
+            (int(i), int(j)) for i, j in np.argwhere(p_values * np.sum(sums.runs > 0) <= settings.significance_level)
+        ]
         amplitude = np.sqrt(sums.excess_power / np.maximum(sums.runs, 1.0))
-        finding = _finding(sorted(clear, key=lambda at: looks[at]), channels, multiples, amplitude)
+        finding = _finding(sorted(clear, key=lambda at: p_values[at]), channels, multiples, amplitude)
     place = f"{mains:g} Hz and multiples"
     return ModelFreeTest(MAINS_TEST_NAME, place, float(sums.chi2.sum()), float(sums.count.sum()), p_value, finding)
 
 
 @dataclass
 class _MainsSums:
-    """Over the runs, by multiple and channel: chi-square with its dof, Fisher's -2 ln of each run's probability, number
+    """Sums over the runs, by multiple and channel: chi-square with its dof, and power above the neighbors' [V2].
 
-    of runs, and power beyond that of the neighbours [V2].
+    `fisher`: sum of -2 ln of the runs' p-values; `runs`: their number.
     """
 
     chi2: Array
@@ -217,12 +221,12 @@ class _MainsSums:
 
     @classmethod
     def zeros(cls, multiples: int, channels: int) -> _MainsSums:
-        """Nothing yet."""
+        """The sums of no run."""
         return cls(*(np.zeros((multiples, channels)) for _ in range(5)))
 
     def add(self, departure: _Departures, at: tuple[Index, ...], settings: MainsDetectionSettings) -> None:
-        """Take a run in."""
-        n, d = departure.count, departure.others
+        """Add a run."""
+        n, d = departure.count, departure.neighbor_count
         informed = (d > settings.min_neighbor_count) & (n > 0)
         ratio = departure.power / departure.neighbor_power
         p_values = np.maximum(variance_ratio_p_values(ratio, n, d), settings.min_run_p_value)
@@ -234,13 +238,13 @@ class _MainsSums:
         self.excess_power[at] += np.where(informed, excess, 0.0)
 
     def fisher_p_values(self) -> Array:
-        """Probability of each multiple and channel, all runs together."""
+        """P-value of each multiple and channel, all runs combined by Fisher's method."""
         return fisher_p_values(self.fisher, self.runs)
 
 
 def _finding(clear: Sequence[tuple[int, int]], channels: Sequence[str], multiples: Array, amplitude: Array) -> str:
     parts = [
-        f"{channels[j]} at {multiples[i]:g} Hz, about {1e3 * amplitude[i, j]:.2g} mV beyond its neighbours"
+        f"{channels[j]} at {multiples[i]:g} Hz, about {1e3 * amplitude[i, j]:.2g} mV above its neighbors"
         for i, j in clear[:3]
     ]
     more = f", and {len(clear) - 3} more" if len(clear) > 3 else ""

@@ -1,4 +1,4 @@
-"""Tests that need no model of the plate: what the records alone say of channels, levels, rest, spin and mains."""
+"""All tests that need no model of the plate: channels, static runs, levels, rotor speed and mains."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from balance_cli.estimation.measured_spectra import Spectra
 def model_free_tests(
     spectra: Spectra, geometry: Geometry, lowest_mode: float, settings: SearchSettings
 ) -> tuple[ModelFreeTest, ...]:
-    """All of them; `lowest_mode` [Hz], well below which a response is a power series in frequency.
+    """The rows of all tests; well below `lowest_mode` [Hz] a response is a power series in frequency.
 
-    Each row's probability counts the looks that were taken at it, but not the other rows. A test that these runs
-    do not allow has no row.
+    The p-value of each row is corrected for the tests within the row, not for the other rows. A test for which the runs
+    do not suffice has no row.
     """
     runs = spectra.lines
     return (

@@ -1,8 +1,8 @@
-"""Sweeps of the same components against each other: low level against high, rest against a turning rotor.
+"""Sweeps of the same components compared: low level with high level, rotor at rest with rotor turning.
 
-At every line that both runs have, and at which one component alone is driven, the responses H = Y/U are compared with
-the noise of channels and loads. A change that follows f dH/df is one of the frequency (its real part) or of the damping
-(its imaginary part) of the modes there: a pole at f_p (1 + e) in one run and f_p in the other makes dH = -e f dH/df.
+At every line that both runs share, and at which only one component is driven, the responses H = Y/U are compared with
+the noise of channels and loads. A change proportional to f dH/df is a change of frequency (real part) or of damping
+(imaginary part) of the modes there: a pole at f_p (1 + e) in one run and f_p in the other makes dH = -e f dH/df.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ SPIN_TEST_NAME = "rest against spin"
 
 @dataclass(frozen=True)
 class _Responses:
-    """Responses (k, c) of one run at frequency (k,) to the one component (k,) that is driven, their noise (k, c, c);
+    """Responses (k, c) of one run at frequency (k,) to the driven component (k,), and their noise (k, c, c).
 
-    `ringing` (k, c): what the channels' own high-passes may add to them.
+    `high_pass_transient` (k, c): what the transients of the channels' own high-passes may add to them.
     """
 
     frequency: Array
@@ -57,9 +57,10 @@ class _Responses:
 
 @dataclass(frozen=True)
 class _Change:
-    """Change (k, c) from one run to another at frequency (k,), precision (k, c, c) freed of its bias, its noise's dof,
+    """Change (k, c) from one run to another at frequency (k,), with its unbiased precision (k, c, c).
 
-    the mean response and the direction (k, c) in which a change of all frequencies would move it.
+    `dof`: degrees of freedom of its noise; `response` (k, c): the mean response; `shift` (k, c): the direction in which
+    a change of all frequencies moves it.
     """
 
     channels: tuple[str, ...]
@@ -72,7 +73,7 @@ class _Change:
 
 
 def level_tests(runs: Sequence[RunSpectrum], geometry: Geometry, settings: DataTestSettings) -> list[ModelFreeTest]:
-    """One row for each sweep and the one of the highest level among those of its components and rotor speed."""
+    """One row for each sweep and the highest-level sweep of the same components and rotor speed."""
     groups: dict[tuple[tuple[str, ...], float], list[RunSpectrum]] = {}
     for run in runs:
         groups.setdefault((run.components, run.rotor_speed), []).append(run)
@@ -85,12 +86,12 @@ def level_tests(runs: Sequence[RunSpectrum], geometry: Geometry, settings: DataT
 
 
 def spin_tests(runs: Sequence[RunSpectrum], geometry: Geometry, settings: DataTestSettings) -> list[ModelFreeTest]:
-    """One row for each sweep with a turning rotor and the one at rest that is nearest to it in level."""
+    """One row for each sweep with a turning rotor and the sweep at rest that is nearest in level."""
     pairs = []
     for run in runs:
-        resting = [other for other in runs if other.components == run.components and other.rotor_speed == 0.0]
+        resting = [rest for rest in runs if rest.components == run.components and rest.rotor_speed == 0.0]
         if run.rotor_speed > 0 and resting:
-            pairs.append((min(resting, key=lambda other: abs(np.log(_rms_load(other) / _rms_load(run)))), run))
+            pairs.append((min(resting, key=lambda rest: abs(np.log(_rms_load(rest) / _rms_load(run)))), run))
     return _pair_tests(SPIN_TEST_NAME, pairs, geometry, "with the rotor turning", settings)
 
 
@@ -107,16 +108,16 @@ def _pair_tests(
     settings: DataTestSettings,
 ) -> list[ModelFreeTest]:
     paths = {path.channel: path for path in declared_paths(geometry)}
-    found = []
+    rows = []
     for first, second in pairs:
         change = _compare_runs(first, second, paths, settings.run_pairs)
         if change is not None:
-            found.append(_test(name, f"{first.run}, {second.run}", change, finding_suffix, settings))
-    return found
+            rows.append(_test(name, f"{first.run}, {second.run}", change, finding_suffix, settings))
+    return rows
 
 
 def _responses(run: RunSpectrum, paths: Sequence[ChannelPath], settings: RunPairSettings) -> _Responses:
-    """Where one component alone is driven."""
+    """The responses of a run at the lines at which only one component is driven."""
     c = len(run.channel_names)
     amplitude = np.abs(run.loads)
     driven = np.argmax(amplitude, axis=1)
@@ -125,56 +126,56 @@ def _responses(run: RunSpectrum, paths: Sequence[ChannelPath], settings: RunPair
     limit = np.maximum(settings.cross_load_share * largest[:, None], settings.cross_load_sigma * noise)
     others = amplitude > limit
     others[np.arange(len(driven)), driven] = False
-    kept = np.flatnonzero((run.frequency > 0) & (largest > 0) & ~others.any(axis=1))
+    lines = np.flatnonzero((run.frequency > 0) & (largest > 0) & ~others.any(axis=1))
     places = np.array([run.channel_names.index(path.channel) for path in paths], dtype=np.intp)
-    mine = np.concatenate([np.broadcast_to(places, (len(kept), len(places))), c + driven[kept, None]], axis=1)
-    covariance = run.covariance[kept[:, None, None], mine[:, :, None], mine[:, None, :]]
-    U = run.loads[kept, driven[kept]]
-    H = run.channels[kept[:, None], places] / U[:, None]
-    identity = np.broadcast_to(np.eye(len(places)), (len(kept), len(places), len(places)))
+    signals = np.concatenate([np.broadcast_to(places, (len(lines), len(places))), c + driven[lines, None]], axis=1)
+    covariance = run.covariance[lines[:, None, None], signals[:, :, None], signals[:, None, :]]
+    U = run.loads[lines, driven[lines]]
+    H = run.channels[lines[:, None], places] / U[:, None]
+    identity = np.broadcast_to(np.eye(len(places)), (len(lines), len(places), len(places)))
     combine = np.concatenate([identity, -H[:, :, None]], axis=2) / U[:, None, None]
     noise_of_response = combine @ covariance @ combine.conj().swapaxes(1, 2)
-    rung = [
-        settings.transient_factor * typical_transient_rms(run, path) * high_pass_transient(run, path, kept) / U
+    transients = [
+        settings.transient_factor * typical_transient_rms(run, path) * high_pass_transient(run, path, lines) / U
         for path in paths
     ]
-    return _Responses(run.frequency[kept], driven[kept], H, noise_of_response, np.stack(rung, axis=1), run.dof)
+    return _Responses(run.frequency[lines], driven[lines], H, noise_of_response, np.stack(transients, axis=1), run.dof)
 
 
 def _compare_runs(
     first: RunSpectrum, second: RunSpectrum, paths: Mapping[str, ChannelPath], settings: RunPairSettings
 ) -> _Change | None:
-    """What changes from the first run to the second; None where they share next to nothing."""
+    """The change from the first run to the second; None where they share too few lines."""
     names = tuple(name for name in first.channel_names if name in second.channel_names)
     if not names:
         return None
-    one, other = (_responses(run, [paths[name] for name in names], settings) for run in (first, second))
-    i, j = _shared_lines(one, other)
+    before, after = (_responses(run, [paths[name] for name in names], settings) for run in (first, second))
+    i, j = _shared_lines(before, after)
     if len(i) < settings.min_shared_lines:
         return None
-    covariance = one.covariance[i] + other.covariance[j]
-    share = np.trace(np.linalg.solve(covariance, one.covariance[i]), axis1=1, axis2=2).real.mean() / len(names)
-    dof = combined_dof((float(share), 1.0 - float(share)), (one.dof, other.dof))
+    covariance = before.covariance[i] + after.covariance[j]
+    share = np.trace(np.linalg.solve(covariance, before.covariance[i]), axis1=1, axis2=2).real.mean() / len(names)
+    dof = combined_dof((float(share), 1.0 - float(share)), (before.dof, after.dof))
     precision = _precision(covariance, dof)
     change = remove_transients(
-        other.response[j] - one.response[i], precision, (one.high_pass_transient[i], other.high_pass_transient[j])
+        after.response[j] - before.response[i], precision, (before.high_pass_transient[i], after.high_pass_transient[j])
     )
-    response = 0.5 * (one.response[i] + other.response[j])
+    response = 0.5 * (before.response[i] + after.response[j])
     return _Change(
         channels=names,
-        frequency=one.frequency[i],
+        frequency=before.frequency[i],
         change=change,
         precision=precision,
         dof=dof,
         response=response,
-        shift=_shift(one.frequency[i], one.component[i], response),
+        shift=_shift(before.frequency[i], before.component[i], response),
     )
 
 
-def _shared_lines(one: _Responses, other: _Responses) -> tuple[Index, Index]:
-    """Lines of the same frequency and component in both."""
-    first, second = (np.rint(run.frequency * 1e6) * 8 + run.component for run in (one, other))
-    _, i, j = np.intersect1d(first, second, return_indices=True)
+def _shared_lines(first: _Responses, second: _Responses) -> tuple[Index, Index]:
+    """Indices of the lines of the same frequency and component in both runs."""
+    keys, other_keys = (np.rint(run.frequency * 1e6) * 8 + run.component for run in (first, second))
+    _, i, j = np.intersect1d(keys, other_keys, return_indices=True)
     return np.asarray(i), np.asarray(j)
 
 
@@ -189,15 +190,15 @@ def _precision(covariance: ComplexArray, dof: float) -> ComplexArray:
 def _shift(frequency: Array, component: Index, response: ComplexArray) -> ComplexArray:
     """-f dH/df (k, c), component by component; zero where a component has too few lines."""
     shift = np.zeros_like(response)
-    for one in np.unique(component):
-        mine = np.flatnonzero(component == one)
-        if len(mine) > 2:
-            shift[mine] = -frequency[mine, None] * np.gradient(response[mine], frequency[mine], axis=0)
+    for driven in np.unique(component):
+        lines = np.flatnonzero(component == driven)
+        if len(lines) > 2:
+            shift[lines] = -frequency[lines, None] * np.gradient(response[lines], frequency[lines], axis=0)
     return shift
 
 
 def _test(name: str, place: str, change: _Change, finding_suffix: str, settings: DataTestSettings) -> ModelFreeTest:
-    """Chi-square against no change; looked at as a whole, band by band, and for a change of the modes in each band."""
+    """Chi-square against no change: in total, in each band, and for a change of the modes in each band."""
     c = len(change.channels)
     weighted = np.matmul(change.precision, change.change[:, :, None])[:, :, 0]
     chi2 = 2.0 * np.sum(change.change.conj() * weighted, axis=1).real
@@ -206,29 +207,29 @@ def _test(name: str, place: str, change: _Change, finding_suffix: str, settings:
     count = min(limits.bands, max(1, len(chi2) // limits.min_shared_lines))
     bands = np.array_split(np.arange(len(chi2)), count)
     modal, sigma = _modal_changes(change, weighted, bands)
-    looks = [chi2_p_value(float(chi2.sum()), (2.0 * c * len(chi2),), (noise,))]
-    looks += [chi2_p_value(float(chi2[band].sum()), (2.0 * c * len(band),), (noise,)) for band in bands]
-    looks += [
-        chi2_p_value(2.0 * abs(one) ** 2 / s**2, (2.0,), (noise,)) for one, s in zip(modal, sigma, strict=True) if s
+    p_values = [chi2_p_value(float(chi2.sum()), (2.0 * c * len(chi2),), (noise,))]
+    p_values += [chi2_p_value(float(chi2[band].sum()), (2.0 * c * len(band),), (noise,)) for band in bands]
+    p_values += [
+        chi2_p_value(2.0 * abs(value) ** 2 / s**2, (2.0,), (noise,)) for value, s in zip(modal, sigma, strict=True) if s
     ]
-    p_value = bonferroni_min_p_value(looks)
+    p_value = bonferroni_min_p_value(p_values)
     if p_value > settings.significance_level:
         return ModelFreeTest(name, place, float(chi2.sum()), 2.0 * c * len(chi2), p_value, "equal")
     excess = np.array([chi2[band].sum() / (2.0 * c * len(band)) for band in bands])
     gains = 2.0 * np.abs(modal) ** 2 / np.where(sigma > 0, sigma, np.inf) ** 2
     finding = _describe_location(change, bands[int(np.argmax(excess))])
     best = int(np.argmax(gains))
-    # What the change leaves, its derivative being taken at one place, widens sigma (Birge).
-    left = (chi2[bands[best]].sum() - gains[best]) / (2.0 * c * len(bands[best]))
+    # The remaining chi-square widens sigma (Birge ratio), because the derivative is taken at one point only.
+    remaining = (chi2[bands[best]].sum() - gains[best]) / (2.0 * c * len(bands[best]))
     of_modes = _describe_mode_change(
-        change.frequency[bands[best]], modal[best], sigma[best] * np.sqrt(max(left, 1.0)), finding_suffix, limits
+        change.frequency[bands[best]], modal[best], sigma[best] * np.sqrt(max(remaining, 1.0)), finding_suffix, limits
     )
     finding = "; ".join(part for part in (finding, of_modes) if part)
     return ModelFreeTest(name, place, float(chi2.sum()), 2.0 * c * len(chi2), p_value, finding)
 
 
 def _modal_changes(change: _Change, weighted: ComplexArray, bands: Sequence[Index]) -> tuple[ComplexArray, Array]:
-    """Relative change of frequency + j damping in each band, and the sigma of the complex number; zero for none."""
+    """Relative change of frequency + j damping in each band and its complex standard deviation; zero without modes."""
     along = np.sum(change.shift.conj() * weighted, axis=1)
     through = np.matmul(change.precision, change.shift[:, :, None])[:, :, 0]
     size = np.sum(change.shift.conj() * through, axis=1).real
@@ -239,7 +240,7 @@ def _modal_changes(change: _Change, weighted: ComplexArray, bands: Sequence[Inde
 
 
 def _describe_location(change: _Change, band: Index) -> str:
-    """How much the response changes, noise taken off, and where most."""
+    """The size of the change, and the channel and band in which it is largest."""
     per_channel = 2.0 * np.abs(change.change[band]) ** 2 * np.diagonal(change.precision[band], axis1=1, axis2=2).real
     channel = change.channels[int(np.argmax(per_channel.sum(axis=0)))]
     size = np.linalg.norm(change.change[band]) / np.linalg.norm(change.response[band])
@@ -250,7 +251,7 @@ def _describe_location(change: _Change, band: Index) -> str:
 def _describe_mode_change(
     frequency: Array, change: complex, sigma: float, finding_suffix: str, settings: RunPairSettings
 ) -> str:
-    """In words what happens to frequency and damping; from slopes between lines, so in round figures."""
+    """Changes of frequency and damping in words; rounded, because derivatives are taken between lines."""
     half = settings.clear_sigma * sigma / np.sqrt(2.0)
     parts = []
     if abs(change.real) > max(half, settings.minor_share * abs(change.imag)):

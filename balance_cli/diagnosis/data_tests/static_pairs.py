@@ -1,11 +1,11 @@
-"""Static calibration against the sweeps at low frequency: the same response, or something creeps, slips or bends.
+"""Static calibration compared with sweeps at low frequency; they differ where something creeps, slips or bends.
 
 Below the lowest mode a response is a power series: its real part in w^2, its imaginary part w times one,
 
     y / g = sum_j u_j sum_n (a_jn + j (f/f1) b_jn) (f/f1)^2n.
 
-The first terms are free. The higher ones, of which few lines say anything, are held to within the size of the response
-itself (each mode at f_m adds its share times (f1/f_m)^2n), so that what they may do is part of sigma.
+The first terms are free. The higher ones, which few lines determine, are limited to the size of the response itself
+(each mode at f_m contributes its share times (f1/f_m)^2n), so that their effect is part of the uncertainty.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def static_tests(
     lowest_mode: float,
     settings: DataTestSettings,
 ) -> list[ModelFreeTest]:
-    """One row for each static run and component that both it and a sweep have."""
+    """One row for each static run and component that a sweep has, too."""
     dynamic = _extrapolate_responses(runs, geometry, lowest_mode, settings.static_pairs)
     rows = []
     for points in statics:
@@ -60,7 +60,7 @@ def static_tests(
 
 
 def _static_responses(points: StaticPoints, geometry: Geometry, max_condition: float) -> dict[str, _StaticResponse]:
-    """The straight part of a static run."""
+    """The linear response of a static run to each component that varies in it."""
     varied = np.flatnonzero(np.ptp(points.loads, axis=0) > 0)
     gain = {channel.name: channel.sensitivity for channel in geometry.channels}
     gains = np.array([gain[name] for name in points.channel_names])
@@ -68,10 +68,12 @@ def _static_responses(points: StaticPoints, geometry: Geometry, max_condition: f
     if not len(varied) or np.linalg.cond(R) > max_condition:
         return {}
     inverse = np.linalg.inv(R)
-    slopes = inverse @ (Q.T @ (points.channels / gains))
+    coefficients = inverse @ (Q.T @ (points.channels / gains))
     noise = points.covariance / np.outer(gains, gains)
     return {
-        COMPONENTS[j]: _StaticResponse(points.channel_names, slopes[i], inverse[i] @ inverse[i] * noise, points.dof)
+        COMPONENTS[j]: _StaticResponse(
+            points.channel_names, coefficients[i], inverse[i] @ inverse[i] * noise, points.dof
+        )
         for i, j in enumerate(varied)
     }
 
@@ -79,14 +81,14 @@ def _static_responses(points: StaticPoints, geometry: Geometry, max_condition: f
 def _extrapolate_responses(
     runs: Sequence[RunSpectrum], geometry: Geometry, lowest_mode: float, settings: StaticPairSettings
 ) -> dict[str, _StaticResponse]:
-    """Responses at frequency zero to each component that was swept; of several runs their weighted mean."""
-    found: dict[str, list[_StaticResponse]] = {}
+    """Responses at frequency zero to each swept component; the weighted mean of several runs."""
+    by_component: dict[str, list[_StaticResponse]] = {}
     dc = [path for path in declared_paths(geometry) if not path.high_pass]
     for run in runs:
-        similar_runs = sum(other.components == run.components for other in runs)
+        similar_runs = sum(candidate.components == run.components for candidate in runs)
         for component, response in _extrapolate_run(run, dc, lowest_mode, similar_runs, settings).items():
-            found.setdefault(component, []).append(response)
-    return {component: _mean(responses) for component, responses in found.items()}
+            by_component.setdefault(component, []).append(response)
+    return {component: _mean(responses) for component, responses in by_component.items()}
 
 
 def _extrapolate_run(
@@ -96,7 +98,7 @@ def _extrapolate_run(
     similar_runs: int,
     settings: StaticPairSettings,
 ) -> dict[str, _StaticResponse]:
-    """What higher terms may do is the same in all `alike` runs: no mean makes it less."""
+    """Responses of one run at frequency zero; the error of higher terms is the same in all similar runs."""
     low = np.flatnonzero((run.frequency > 0) & (run.frequency <= settings.max_frequency_share * lowest_mode))
     dc = [path for path in dc if path.channel in run.channel_names]
     u = len(run.components)
@@ -120,23 +122,25 @@ def _fit_power_series(
 ) -> tuple[Array, Array]:
     """Terms of order zero (u, c) and their covariance (u, c, c) from forces and loads z (K, c+u) at x = f/f1 (K,).
 
-    Noise of the loads counts by the response that a first fit gives.
+    The noise of the loads is transformed by the response of a first fit.
     """
     c = z.shape[1] - u
     forces, loads = z[:, :c], z[:, c:]
     terms = settings.terms
     columns = _columns(x, loads, terms)
-    own = noise[:, :c, :c]
+    force_noise = noise[:, :c, :c]
     size = np.sqrt(np.mean(np.abs(forces) ** 2) / np.mean(np.sum(np.abs(loads) ** 2, axis=1)))
     for _ in range(2):
-        _, _, value = _solve_series(columns, forces, own, size, u, settings)
+        _, _, value = _solve_series(columns, forces, force_noise, size, u, settings)
         response = np.einsum("kn,ujnc->kcu", x[:, None] ** (2 * np.arange(terms)), value.reshape(u, 2, terms, c)[:, :1])
         combine = np.concatenate([np.broadcast_to(np.eye(c), (len(x), c, c)), -response], axis=2)
-        own = combine @ noise @ combine.swapaxes(1, 2)
+        force_noise = combine @ noise @ combine.swapaxes(1, 2)
         size = max(float(np.abs(value.reshape(u, 2, terms, c)[:, 0, 0]).max()), np.finfo(float).tiny)
-    kernel, prior, value = _solve_series(columns, forces, own, size, u, settings)
+    kernel, prior, value = _solve_series(columns, forces, force_noise, size, u, settings)
     rest = [2 * terms * j for j in range(u)]
-    covariance = 0.5 * np.einsum("cjk,kcd,djk->jcd", kernel[:, rest].conj(), own, kernel[:, rest], optimize=True).real
+    covariance = (
+        0.5 * np.einsum("cjk,kcd,djk->jcd", kernel[:, rest].conj(), force_noise, kernel[:, rest], optimize=True).real
+    )
     covariance += similar_runs * np.stack([np.diag(prior[:, place]) for place in rest])
     return value[rest], covariance
 
@@ -156,9 +160,9 @@ def _solve_series(
     u: int,
     settings: StaticPairSettings,
 ) -> tuple[ComplexArray, Array, Array]:
-    """Coefficients (q, c) as Re sum_k kernel* force, kernel (c, q, K), and the share (c, q) of their variance that the
+    """Kernel (c, q, K), prior variance (c, q) and coefficients (q, c) = Re sum_k kernel* force.
 
-    bound on the higher terms leaves.
+    The prior variance is the part of the variance due to the limit on the higher terms.
     """
     variance = np.diagonal(noise, axis1=1, axis2=2).real
     held = np.tile(np.arange(settings.terms) >= settings.free_terms, 2 * u)
@@ -174,19 +178,19 @@ def _solve_series(
 
 
 def _mean(responses: Sequence[_StaticResponse]) -> _StaticResponse:
-    """The mean, weighted by noise, of responses with the same channels (the first ones') ."""
-    same = [one for one in responses if one.channels == responses[0].channels]
-    precision = [np.linalg.inv(one.covariance) for one in same]
+    """The mean, weighted by noise, of the responses with the channels of the first one."""
+    same = [response for response in responses if response.channels == responses[0].channels]
+    precision = [np.linalg.inv(response.covariance) for response in same]
     covariance = np.linalg.inv(sum(precision))
-    value = covariance @ sum(P @ one.value for P, one in zip(precision, same, strict=True))
-    return _StaticResponse(same[0].channels, value, covariance, sum(one.dof for one in same))
+    value = covariance @ sum(P @ response.value for P, response in zip(precision, same, strict=True))
+    return _StaticResponse(same[0].channels, value, covariance, sum(response.dof for response in same))
 
 
 def _test(place: str, static: _StaticResponse, dynamic: _StaticResponse, settings: DataTestSettings) -> ModelFreeTest:
     """Hotelling's test of the difference, over the channels that both have."""
     names = [name for name in static.channels if name in dynamic.channels]
     c = len(names)
-    parts = [_extract_channels(one, names) for one in (static, dynamic)]
+    parts = [_extract_channels(response, names) for response in (static, dynamic)]
     covariance = parts[0][1] + parts[1][1]
     difference = parts[0][0] - parts[1][0]
     share = float(np.trace(np.linalg.solve(covariance, parts[0][1]))) / c
@@ -197,13 +201,13 @@ def _test(place: str, static: _StaticResponse, dynamic: _StaticResponse, setting
     return ModelFreeTest(STATIC_TEST_NAME, place, squared * max(dof - c - 1.0, 1.0) / dof, float(c), p_value, finding)
 
 
-def _extract_channels(one: _StaticResponse, names: Sequence[str]) -> tuple[Array, Array]:
-    places = [one.channels.index(name) for name in names]
-    return one.value[places], one.covariance[np.ix_(places, places)]
+def _extract_channels(response: _StaticResponse, names: Sequence[str]) -> tuple[Array, Array]:
+    places = [response.channels.index(name) for name in names]
+    return response.value[places], response.covariance[np.ix_(places, places)]
 
 
 def _finding(names: Sequence[str], parts: Sequence[tuple[Array, Array]], covariance: Array) -> str:
-    """The channel that differs most, beside the whole."""
+    """The total difference, and the channel that differs most."""
     static, dynamic = parts[0][0], parts[1][0]
     sigma = np.sqrt(np.diag(covariance))
     worst = int(np.argmax(np.abs(static - dynamic) / sigma))

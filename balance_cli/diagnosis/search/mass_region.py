@@ -33,7 +33,7 @@ CHI2_95 = 3.841458820694124
 
 @dataclass(frozen=True)
 class MassRegion:
-    """The ends (4, 2, 4) of each parameter (mass, x, y, z), lower and upper: mass and place there, in kg and m."""
+    """The ends (4, 2, 4) of each parameter (mass, x, y, z), lower and upper: mass [kg] and position [m] there."""
 
     ends: Array
 
@@ -46,7 +46,7 @@ class MassRegion:
 def mass_region(
     model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: SearchSettings
 ) -> MassRegion | None:
-    """The region of 95 % about a fit `theta` (p,) of a model with a point mass; None for one without."""
+    """The 95 % region about a fit `theta` (p,) of a model with a point mass; None without one."""
     at = mass_parameter_indices(model)
     if at is None:
         return None
@@ -57,7 +57,7 @@ def mass_region(
 def mass_intervals(
     model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: SearchSettings
 ) -> dict[str, tuple[float, float]]:
-    """Intervals of 95 % of a point mass and its place, by the full names of the parameters; none without one."""
+    """95 % intervals of a point mass and its position, by full parameter names; empty without a point mass."""
     region, at = mass_region(model, theta, batches, settings), mass_parameter_indices(model)
     if region is None or at is None:
         return {}
@@ -66,7 +66,7 @@ def mass_intervals(
 
 
 def search_mass_region(masses: MassScore, place: Array, far: float, settings: MassRegionSettings) -> MassRegion:
-    """The region about the best `place` (3,), no coordinate further than `far` from the origin."""
+    """The region about the best position `place` (3,), with no coordinate beyond `far` from the origin."""
     rng, count = np.random.default_rng(settings.seed), settings.children
     population = _evaluate_places(masses, np.vstack([place, rng.uniform(-far, far, (count, 3))]))
     for _ in range(settings.rounds):
@@ -89,7 +89,7 @@ def _move_places(parents: Array, far: float, rng: np.random.Generator, settings:
 
 @dataclass(frozen=True)
 class _Population:
-    """Places (n, 3), what a mass there gains at most (n,), that mass [kg] and the least and most that is allowed."""
+    """Positions (n, 3), the largest gain (n,) of a mass there, that mass [kg], and half the width of its interval."""
 
     places: Array
     gain: Array
@@ -98,16 +98,16 @@ class _Population:
 
     @property
     def gain_deficit(self) -> Array:
-        """How much less a place gains than the best one (n,)."""
+        """The gain of the best position less that of each one (n,)."""
         return np.asarray(self.gain.max() - self.gain)
 
     def bounds(self) -> tuple[Array, Array]:
-        """Mass and place at the lower and at the upper end of the mass (n, 4)."""
+        """Mass and position (n, 4) at the lower and at the upper end of the mass."""
         low, high = (np.column_stack([self.mass + side * self.half_width, self.places]) for side in (-1.0, 1.0))
         return low, high
 
     def ends(self) -> Array:
-        """Mass and place (4, 2, 4) at the least and the most of each parameter within the region."""
+        """Mass and position (4, 2, 4) at the smallest and the largest value of each parameter in the region."""
         inside = self.gain_deficit <= CHI2_95
         low, high = (part[inside] for part in self.bounds())
         pairs = [(low, high)] + 3 * [(np.column_stack([self.mass, self.places])[inside],) * 2]
@@ -122,15 +122,15 @@ def _evaluate_places(masses: MassScore, places: Array) -> _Population:
 
 
 def _select_survivors(population: _Population, rng: np.random.Generator, settings: MassRegionSettings) -> _Population:
-    """Some of the places near the region, and those at its ends."""
+    """A random choice of the positions near the region, the best ones, and those at its ends."""
     near = np.flatnonzero(population.gain_deficit <= settings.max_gain_deficit)
-    some = rng.permutation(near)[: settings.survivors]
+    sample = rng.permutation(near)[: settings.survivors]
     best = np.argsort(population.gain_deficit)[: settings.survivors // 10]
     inside = np.flatnonzero(population.gain_deficit <= CHI2_95)
     low, high = (part[inside] for part in population.bounds())
     lower_ends = inside[np.argsort(low, axis=0)[: settings.end_places].ravel()]
     upper_ends = inside[np.argsort(-high, axis=0)[: settings.end_places].ravel()]
-    index = np.unique(np.concatenate([some, best, lower_ends, upper_ends]))
+    index = np.unique(np.concatenate([sample, best, lower_ends, upper_ends]))
     return _Population(
         population.places[index], population.gain[index], population.mass[index], population.half_width[index]
     )

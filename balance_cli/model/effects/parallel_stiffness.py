@@ -10,7 +10,7 @@ Their other end is on the ground, not on the non-metric side of the balance.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
@@ -27,22 +27,6 @@ SMALL = 1e-2
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     cells = stiffness_by_motion(geometry)
     largest = max(cells[axis] for axis in "xyz")
-    # Half way up to the hub: at the origin itself the derivatives of the springs' moments vanish.
-    far = position_bound(geometry)
-    point = (
-        EffectParameter(
-            axis,
-            "m",
-            0.0,
-            0.1,
-            f"Position {axis} of its point of attachment to the plate.",
-            -far,
-            far,
-            0.5 * at,
-            nuisance=True,
-        )
-        for axis, at in zip("xyz", geometry.hub, strict=True)
-    )
     springs = (
         EffectParameter(
             f"stiffness_{axis}",
@@ -65,7 +49,15 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         start=1e-4,
         nuisance=True,
     )
-    return (*point, *springs, damping)
+    return (*_position_parameters(geometry), *springs, damping)
+
+
+def _position_parameters(geometry: Geometry) -> Iterator[EffectParameter]:
+    """Position of the springs, from half way up to the hub: at the origin their moments have no derivative."""
+    far = position_bound(geometry)
+    for axis, hub in zip("xyz", geometry.hub, strict=True):
+        description = f"Position {axis} of its point of attachment to the plate."
+        yield EffectParameter(axis, "m", 0.0, 0.1, description, -far, far, 0.5 * hub, nuisance=True)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
