@@ -96,6 +96,8 @@ def _effect_faults(geometry: Geometry, path: Path) -> tuple[UserError, ...]:
 
 
 def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
+    from balance_cli.signals.rotor.pulse_consistency import pulse_faults
+
     run, faults = read_run(path)
     if run is None:
         return FileFinding("run", "run file", faults=faults)
@@ -104,6 +106,7 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
     else:
         channels = live_channels(run, geometry).left_out
         faults += tuple(geometry_mismatches(run, geometry))
+    faults += tuple(pulse_faults(run))
     remedy = "Commands leave it out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
     return FileFinding("run", _describe_run(run), run.name, run.rig, run.digest, faults, run.kind)

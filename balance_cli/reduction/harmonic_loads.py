@@ -20,6 +20,7 @@ from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
 from balance_cli.signals.rotor.harmonics import FEWEST_REVOLUTIONS, Harmonics, estimate_harmonics
+from balance_cli.signals.rotor.pulse_consistency import pulse_faults
 from balance_cli.signals.transient_end import transient_end
 
 Array = NDArray[np.float64]
@@ -63,6 +64,8 @@ def rotor_record(run: Run, geometry: Geometry, source: ResponseSource, max_harmo
     health = live_channels(run, geometry)
     if not health.live:
         raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
+    for contradiction in pulse_faults(run):
+        raise contradiction
     azimuth = _azimuth(run)
     if azimuth.turns < FEWEST_REVOLUTIONS:
         fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
