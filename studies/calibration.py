@@ -1,8 +1,8 @@
-"""Does a static calibration find the terms that a balance has, and do its intervals hold loads that checked it?
+"""Study of the static calibration: whether it selects the true terms, and how often its intervals contain check loads.
 
-Balances of 8 channels (the last one hears the torque) and 6 loads, each channel with up to four curved terms of any of
-the families. Loading as at a calibration stand: each load by itself up and down to both sides, then every load up and
-down while another one hangs. Every loading sequence has a zero of its own. The check run applies all loads at once.
+Balances of 8 channels (the last one responds to the torque) and 6 loads, each channel with up to four nonlinear terms
+of any family. Loading as at a calibration stand: each load alone, up and down in both directions, then each load up and
+down beside another constant load. Each load series has its own zero. The check run applies all loads at once.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ CHANNELS = ("g1", "g2", "g3", "g4", "g5", "g6", "g7", "torque")
 FULL_RANGE = np.array([800.0, 800.0, 3500.0, 400.0, 400.0, 450.0])
 TERMS = all_terms(len(COMPONENTS))
 LOADS = len(COMPONENTS)
-# Shares of a channel's range: noise of a reading, size of a curved term, shift of the zero from sequence to sequence.
+# Shares of a channel's range: noise of a reading, size of a nonlinear term, shift of the zero between load series.
 NOISE = (3e-4, 5e-4)
 SIZE = (4e-3, 2e-2)
 SHIFT = 1e-2
 MAX_NONLINEAR_TERMS = 4
-# What a torque channel hears of the other loads; the largest condition that balances are built with.
+# Response of a torque channel to the other loads; the largest condition that balances are built with.
 CROSSTALK = 0.02
 CONDITION = 10.0
 CONSTANT_LOAD = 0.6
@@ -42,25 +42,25 @@ CHECKS = 200
 
 @dataclass(frozen=True)
 class TrueBalance:
-    """Coefficients (96, 8) of the terms of loads over full range, range (8,) of the channels and noise (8,) [V]."""
+    """Coefficients (96, 8) [V] of the terms, loads over their range; range (8,) of the channels and noise (8,) [V]."""
 
     coefficients: Array
     range: Array
     noise: Array
 
     def readings(self, x: Array, zero: Array, rng: np.random.Generator) -> Array:
-        """What is read (m, 8) at loads x (m, 6) over full range with zeros (m, 8)."""
+        """Readings (m, 8) [V] at loads x (m, 6) in units of the calibrated range, with zeros (m, 8)."""
         return (
             term_values(TERMS, x) @ self.coefficients + zero + self.noise * rng.standard_normal((len(x), len(CHANNELS)))
         )
 
     def curved(self, channel: int) -> set[Term]:
-        """The curved terms that a channel has."""
+        """The nonlinear terms of a channel."""
         return {TERMS[i] for i in np.flatnonzero(self.coefficients[:, channel]) if not TERMS[i].linear}
 
 
 def stand_schedule() -> tuple[Array, NDArray[np.intp]]:
-    """Loads (m, 6) over full range and the loading sequence (m,) of each row."""
+    """Loads (m, 6) in units of the calibrated range, and the load series (m,) of each row."""
     steps = np.arange(1, 6) / 5
     ramp = np.r_[steps, steps[-2::-1], 0.0]
     parts = [np.outer(np.r_[ramp, -ramp], np.eye(LOADS)[i]) for i in range(LOADS)]

@@ -99,8 +99,8 @@ def _exclude_suspect_series(
     suspect_series: list[SuspectLoadSeries] = []
     included, fit, worst = points, *_fit_and_find_worst(points, search)
     while worst is not None and len({suspect.load_series for suspect in suspect_series}) < MAX_SUSPECT_SERIES:
-        rows, suspects = worst
-        suspect_series += suspects
+        rows, suspect_channels = worst
+        suspect_series += suspect_channels
         included = included.exclude_rows(rows)
         fit, worst = _fit_and_find_worst(included, search)
     notes = () if worst is None else (f"{MAX_SUSPECT_SERIES} load series were excluded, and more disagree",)
@@ -144,8 +144,12 @@ def _worst_series(
     unexplained = _find_suspect_series(points, fit)
     if not unexplained:
         return None
-    linear_suspects = _find_suspect_series(points, linear_fit)
-    candidates = {name: suspects for name, suspects in linear_suspects.items() if name in unexplained and suspects}
+    by_linear_fit = _find_suspect_series(points, linear_fit)
+    candidates = {
+        name: suspect_channels
+        for name, suspect_channels in by_linear_fit.items()
+        if name in unexplained and suspect_channels
+    }
     if not candidates:
         return None
     misfit = {name: _cross_validation_misfit(points, (load_series == name) & used) for name in candidates}
@@ -159,14 +163,14 @@ def _worst_series(
 def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) -> dict[int, list[SuspectLoadSeries]]:
     """Suspect channels by load series; an empty list where the other series do not predict a load series."""
     load_series, used = points.load_series, points.weight > 0
-    suspects = {}
+    by_series = {}
     for name, description in _series_names(np.unique(load_series[used]), fit):
         rows = (load_series == name) & used
         known = bool(np.isfinite(fit.cross_validation_errors[rows]).all())
         channels = _suspect_channels(points, fit, rows, description) if known else []
         if channels or not known:
-            suspects[name] = channels
-    return suspects
+            by_series[name] = channels
+    return by_series
 
 
 def _series_names(names: Index, fit: CalibrationModelFit) -> list[tuple[int, str]]:
@@ -193,11 +197,11 @@ def _suspect_channels(
     errors = fit.cross_validation_errors[rows]
     predicted = change - (errors - errors.mean(axis=0))
     noise = _robust_sigma(fit.cross_validation_errors)
-    suspects = (
+    suspect_channels = (
         _check_channel_gain(c, change, predicted, noise, points.channel_names, description)
         for c in range(change.shape[1])
     )
-    return [suspect for suspect in suspects if suspect is not None]
+    return [suspect for suspect in suspect_channels if suspect is not None]
 
 
 def _check_channel_gain(

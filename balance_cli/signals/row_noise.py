@@ -1,13 +1,13 @@
-"""Noise of each row of a static run: that of a load's reading is there only where the load was applied.
+"""Noise of each row of a static run, with the noise of a load reading only where that load was applied.
 
-Differences d (t, c) along the loading are freed of what is linear in the loads, and with it of the loads themselves;
-what is left of the reading of load j is its noise n_j seen through the column c_j of C0. With B (t, m) the operator and
-h_ij the sum of B_ir^2 over rows r in which j was applied,
+Differences d (t, c) along the loading contain no functions that are linear in the loads, and so not the loads
+themselves. Of the reading of load j they contain its noise n_j multiplied by the column c_j of C0. With the
+operator B (t, m), and h_ij the sum of B_ir^2 over the rows r in which j was applied,
 
     cov d_i = (sum_r B_ir^2) Sigma + sum_j h_ij sigma_j^2 c_j c_j' .
 
-Sigma and the six sigma_j are found together as variance components by expectation-maximisation (Searle, Casella and
-McCulloch, Variance Components, 1992, chapter 8). A load that was applied in all rows has its noise in Sigma.
+Sigma and the six sigma_j are estimated together as variance components by expectation-maximization (Searle, Casella and
+McCulloch, Variance Components, 1992, chapter 8). The noise of a load that was applied in all rows is part of Sigma.
 """
 
 from __future__ import annotations
@@ -20,9 +20,13 @@ from balance_cli.signals.run_spectrum import NoisePart
 Array = NDArray[np.float64]
 
 EM_ITERATIONS = 60
-# Share of the rows beyond which a load counts as always applied.
+"""Expectation-maximization converges linearly; the change is then below the standard errors of the components."""
 ALWAYS_APPLIED_SHARE = 0.9
+"""Share of the rows from which a load counts as always applied: fewer rows without it do not determine its noise."""
 UNKNOWN_VARIANCE_FACTOR = 1e3
+"""Standard error of an undetermined variance, in units of one that would be visible beside the channel noise."""
+INITIAL_LOAD_SHARE = 0.1
+"""Share of the scatter of a row that the noise of a load reading has at the start of the iteration."""
 
 
 def row_noise(
@@ -30,24 +34,23 @@ def row_noise(
 ) -> tuple[NoisePart, ...]:
     """Parts of the covariance of each of the m rows of `channels - C0 loads`.
 
-    channels (m, c), loads (m, 6); B (t, m) takes rows to differences that hold nothing linear in the loads, each to
-    count by its weight (t,); `start` (c, c): the covariance if all rows were alike, known with `dof`.
+    channels (m, c), loads (m, 6); B (t, m) maps rows to differences without linear functions of the loads, with
+    weights (t,); `start` (c, c): covariance if all rows were equally noisy, known with `dof` degrees of freedom.
     """
     applied = (loads != 0.0).astype(float)
     sometimes = np.flatnonzero((applied.mean(axis=0) > 0.0) & (applied.mean(axis=0) < ALWAYS_APPLIED_SHARE))
     columns = _linear_sensitivities(channels, loads)[:, sometimes]
     power = B**2
-    H, whole = power @ applied[:, sometimes], power.sum(axis=1)
+    H, row_power = power @ applied[:, sometimes], power.sum(axis=1)
     d = B @ channels
-    # A tenth of what a row scatters by may be the load's reading, to begin with.
-    variance = 0.1 / np.maximum(np.sum(columns * np.linalg.solve(start, columns), axis=0), 1e-300)
+    variance = INITIAL_LOAD_SHARE / np.maximum(np.sum(columns * np.linalg.solve(start, columns), axis=0), 1e-300)
     sigma = start
     for _ in range(EM_ITERATIONS):
-        sigma, variance = _em_step(sigma, variance, d, columns, H, whole, weights)
-    of_channels = NoisePart(sigma, np.ones(len(channels)), 1.0, float(np.sqrt(2.0 / dof)))
-    errors = _variance_errors(sigma, variance, columns, H, whole, weights, B, applied[:, sometimes])
+        sigma, variance = _em_step(sigma, variance, d, columns, H, row_power, weights)
+    channel_part = NoisePart(sigma, np.ones(len(channels)), 1.0, float(np.sqrt(2.0 / dof)))
+    errors = _variance_errors(sigma, variance, columns, H, row_power, weights, B, applied[:, sometimes])
     return (
-        of_channels,
+        channel_part,
         *(
             NoisePart(np.outer(column, column), applied[:, j], float(size), float(error))
             for j, column, size, error in zip(sometimes, columns.T, variance, errors, strict=True)
@@ -64,36 +67,39 @@ def _linear_sensitivities(channels: Array, loads: Array) -> Array:
 
 
 def _em_step(
-    sigma: Array, variance: Array, d: Array, columns: Array, H: Array, whole: Array, weights: Array
+    sigma: Array, variance: Array, d: Array, columns: Array, H: Array, row_power: Array, weights: Array
 ) -> tuple[Array, Array]:
-    """One step: what each difference says of the loads' noise in it, and the components that fit to that."""
-    own = H * variance
-    covariance = whole[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", own, columns, columns)
-    gain = own[:, :, None] * np.linalg.solve(covariance, np.broadcast_to(columns, (len(d), *columns.shape))).swapaxes(
-        1, 2
-    )
+    """One step: expected noise of the loads in each difference, and the variance components that follow from it."""
+    load_variance = H * variance
+    covariance = row_power[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", load_variance, columns, columns)
+    gain = load_variance[:, :, None] * np.linalg.solve(
+        covariance, np.broadcast_to(columns, (len(d), *columns.shape))
+    ).swapaxes(1, 2)
     mean = np.matmul(gain, d[:, :, None])[:, :, 0]
-    spread = np.einsum("tj,jk->tjk", own, np.eye(len(variance))) - np.matmul(gain, columns) * own[:, None, :]
+    spread = (
+        np.einsum("tj,jk->tjk", load_variance, np.eye(len(variance)))
+        - np.matmul(gain, columns) * load_variance[:, None, :]
+    )
     second = mean**2 + np.diagonal(spread, axis1=1, axis2=2)
-    # Differences of another load say nothing of this one's reading.
+    # Differences without a load contain no noise of its reading.
     share = np.where(H > 0.0, weights[:, None] * H, 0.0)
-    each = np.where(H > 0.0, second / np.where(H > 0.0, H, 1.0), 0.0)
-    variance = np.sum(share * each, axis=0) / np.maximum(share.sum(axis=0), 1e-300)
+    variance_in_differences = np.where(H > 0.0, second / np.where(H > 0.0, H, 1.0), 0.0)
+    variance = np.sum(share * variance_in_differences, axis=0) / np.maximum(share.sum(axis=0), 1e-300)
     left = d - mean @ columns.T
     scatter = (left.T * weights) @ left + np.einsum("t,cj,tjk,dk->cd", weights, columns, spread, columns)
-    return scatter / float(weights @ whole), variance
+    return scatter / float(weights @ row_power), variance
 
 
 def _variance_errors(
-    sigma: Array, variance: Array, columns: Array, H: Array, whole: Array, weights: Array, B: Array, applied: Array
+    sigma: Array, variance: Array, columns: Array, H: Array, row_power: Array, weights: Array, B: Array, applied: Array
 ) -> Array:
     """Standard errors (j,) of the loads' variances, by their information.
 
-    Neighbouring differences share rows: so many of them are worth what `_effective_dof` says. Of a load that no
-    difference tells of, the variance is any up to `UNKNOWN_VARIANCE_FACTOR` times what would show beside the channels'
-    noise.
+    Neighboring differences share rows, which reduces their information to `_effective_dof`. The variance of a load that
+    is in no difference has an error of UNKNOWN_VARIANCE_FACTOR times the variance that would be visible beside the
+    noise of the channels.
     """
-    covariance = whole[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", H * variance, columns, columns)
+    covariance = row_power[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", H * variance, columns, columns)
     seen = np.einsum(
         "cj,tcj->tj", columns, np.linalg.solve(covariance, np.broadcast_to(columns, (len(H), *columns.shape)))
     )
@@ -109,8 +115,8 @@ def _variance_errors(
 
 
 def _effective_dof(weights: Array, B: Array) -> float:
-    """Degrees of freedom of the weighted squares of differences B (t, m), for each; zero where there are none."""
-    own = weights * np.sum(B**2, axis=1)
+    """Effective degrees of freedom per weighted squared difference B (t, m); zero where there are none."""
+    squares = weights * np.sum(B**2, axis=1)
     root = np.sqrt(weights)[:, None] * B
-    together = float(np.sum((root @ root.T) ** 2))
-    return float(np.sum(own**2)) / together if together > 0.0 else 0.0
+    products = float(np.sum((root @ root.T) ** 2))
+    return float(np.sum(squares**2)) / products if products > 0.0 else 0.0

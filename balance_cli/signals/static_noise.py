@@ -1,8 +1,8 @@
-"""Load points of a static run, and the noise of a row from differences along the load series.
+"""Load points of a static run, and the noise of a row from differences along the ramps of the loading.
 
-Gasser, Sroka and Jennen-Steinmetz, Biometrika 73 (1986) 625-633: a straight line through the two neighbours of a
-point predicts it but for noise, whatever smooth misfit the model has (hysteresis, drift, curvature). Nothing is asked
-of the calibration's own residual, which would hide a wrong model in a large noise.
+Gasser, Sroka and Jennen-Steinmetz, Biometrika 73 (1986) 625-633: a straight line through the two neighbors of a point
+predicts it up to noise, whatever smooth misfit the model has (hysteresis, drift, nonlinearity). The residual of the
+calibration is not used, because it would attribute a wrong model to a large noise.
 """
 
 from __future__ import annotations
@@ -20,15 +20,28 @@ from balance_cli.signals.run_spectrum import NoisePart, StaticPoints
 Array = NDArray[np.float64]
 
 MIN_DIRECTION_COSINE = 0.95
+"""Cosine between consecutive load steps (18 deg) from which they count as one direction of loading."""
+MIN_STEP = 1e-3
+"""Length of a load step, over the range of the loads, below which the load counts as constant."""
 OUTLIER_PROBABILITY = 1e-3
+"""Probability of a larger Mahalanobis distance from which the weight of a difference is reduced."""
 VARIANCE_FLOOR_SHARE = 1e-9
+"""Floor of the noise over the range of a channel, so that the covariance of computed readings can be inverted."""
+REWEIGHTING_ITERATIONS = 6
+"""Iterations of covariance and robust weights; the changes are then far below the uncertainty of the covariance."""
+ROBUST_LIMIT = 6.0
+"""Robust standard deviations beyond which the initial weight of a difference is reduced."""
+COLLINEARITY_RATIO = 1e-6
+"""Singular values of the regressors, over the largest, that count as zero."""
 
 
 def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     """Rows of a static run in the order of loading, with the noise covariance of `channels - C0 loads`.
 
-    The rows are first freed of what is linear in the loads, then differenced along the ramps of the load series,
-    then freed of the differences that a quadratic or cubic misfit leaves. UserError: no loads, too few rows in order.
+    First the linear dependence on the loads is eliminated, then the rows are differenced along the ramps of the
+    loading, then the differences of a quadratic or cubic misfit are eliminated.
+
+    Raises UserError where there are no loads, or too few rows within a ramp.
     """
     channels, loads = read_samples(run, channel_names)
     differences = second_differences(loads)
@@ -44,16 +57,16 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
 
 
 def second_differences(loads: Array) -> Array:
-    """Operator (t, m) that takes from each row within a ramp what its two neighbours predict by a straight line.
+    """Operator (t, m) that subtracts from each row within a ramp its linear interpolation between the two neighbors.
 
-    loads (m, 6). Each difference is scaled to the variance of one row. A triple counts where the load moves on in one
-    direction and did so before it: the first row after a reversal may lie across a jump of the hysteresis.
+    `loads` (m, 6). Each difference is scaled to the variance of one row. Three rows are used where the load changes in
+    one direction and did so before: the first row after a reversal may lie beyond a jump of the hysteresis.
     """
     size = np.ptp(loads, axis=0)
     steps = np.diff(loads / np.where(size > 0, size, 1.0), axis=0)
     length = np.linalg.norm(steps, axis=1)
     along = np.sum(steps[:-1] * steps[1:], axis=1) > MIN_DIRECTION_COSINE * length[:-1] * length[1:]
-    moving = (length[:-1] > 1e-3) & (length[1:] > 1e-3) & along
+    moving = (length[:-1] > MIN_STEP) & (length[1:] > MIN_STEP) & along
     same_direction_before = np.concatenate([[False], moving[:-1]])
     middle = np.flatnonzero(moving & same_direction_before) + 1
     share = length[middle - 1] / (length[middle - 1] + length[middle])
@@ -68,7 +81,7 @@ def second_differences(loads: Array) -> Array:
 def _noise_parts(
     channels: Array, loads: Array, operator: Array, covariance: Array, dof: float
 ) -> tuple[NoisePart, ...]:
-    """What the noise covariance of each row is made up of."""
+    """Parts of the noise covariance of each row."""
     B = _difference_operator(loads, operator)
     variance = np.sum(B**2, axis=1)
     weights = _robust_weights(B @ channels, covariance, variance, dof, channels.shape[1])
@@ -76,7 +89,7 @@ def _noise_parts(
 
 
 def _difference_operator(loads: Array, operator: Array) -> Array:
-    """B (t, m): differences of what is not linear in the loads, less what their squares and cubes explain."""
+    """B (t, m): differences of rows, with linear, quadratic and cubic functions of the loads eliminated."""
     linear, nonlinear_columns = _regressors(loads)
     return _subtract_projection(operator @ nonlinear_columns, _subtract_projection(linear, operator.T).T)
 
@@ -84,10 +97,9 @@ def _difference_operator(loads: Array, operator: Array) -> Array:
 def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[Array, float]:
     """Noise covariance (c, c) of rows (m, c) from differences of their regression residuals, and its dof.
 
-    The differences are d = B y, B = M2 D M1: M1 projects on what is not linear in the loads, D is the operator, M2
-    projects on what differences of squares and cubes of the loads do not explain. Their weighted squares have the
-    expectation tr(A) Sigma and tr(A)^2 / tr(A^2) degrees of freedom, A = B' W B. The weights W take the force out of
-    rows that jump.
+    The differences are d = B y with B = M2 D M1, where D is the operator, M1 eliminates functions that are linear in
+    the loads, and M2 the differences of squares and cubes of the loads. Their weighted squares have the expectation
+    tr(A) Sigma and tr(A)^2 / tr(A^2) degrees of freedom, A = B' W B. The weights W reduce the influence of jumps.
     """
     differenced = _difference_operator(loads, operator)
     d = differenced @ rows
@@ -95,7 +107,7 @@ def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[A
     weights = _initial_weights(d)
     floor = np.diag((VARIANCE_FLOOR_SHARE * np.maximum(np.ptp(rows, axis=0), 1e-300)) ** 2)
     gram = differenced @ differenced.T
-    for _ in range(6):
+    for _ in range(REWEIGHTING_ITERATIONS):
         weighted = weights[:, None] * gram
         trace = np.trace(weighted)
         covariance = (d.T * weights) @ d / trace + floor
@@ -105,7 +117,7 @@ def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[A
 
 
 def _regressors(loads: Array) -> tuple[Array, Array]:
-    """Columns (m, 7) of 1 and each load, and (m, 12) of their squares and cubes, about the mean load."""
+    """Columns (m, 7) of 1 and each load, and (m, 12) of squares and cubes of the loads, about the mean load."""
     size = np.ptp(loads, axis=0)
     x = (loads - loads.mean(axis=0)) / np.where(size > 0, size, 1.0)
     return np.hstack([np.ones((len(x), 1)), x]), np.hstack([x**2, x**3])
@@ -114,19 +126,19 @@ def _regressors(loads: Array) -> tuple[Array, Array]:
 def _subtract_projection(columns: Array, values: Array) -> Array:
     """Values (m, ...) less their projection on the columns (m, q)."""
     U, s, _ = np.linalg.svd(columns, full_matrices=False)
-    Q = U[:, s > 1e-6 * s[0]]
+    Q = U[:, s > COLLINEARITY_RATIO * s[0]]
     return np.asarray(values - Q @ (Q.T @ values))
 
 
 def _initial_weights(differences: Array) -> Array:
-    """Weights from each channel's median: a difference beyond 6 robust standard deviations is reined in."""
+    """Weights from the median of each channel: reduced for differences beyond ROBUST_LIMIT."""
     scale = 1.4826 * np.median(np.abs(differences), axis=0)
     largest = np.max(np.abs(differences) / np.maximum(scale, 1e-300), axis=1)
-    return np.asarray(np.minimum(1.0, (6.0 / np.maximum(largest, 1e-300)) ** 2), float)
+    return np.asarray(np.minimum(1.0, (ROBUST_LIMIT / np.maximum(largest, 1e-300)) ** 2), float)
 
 
 def _robust_weights(differences: Array, covariance: Array, variance: Array, dof: float, c: int) -> Array:
-    """Weights by Mahalanobis distance against Hotelling's distribution; the farther off, the less a difference adds."""
+    """Weights from Mahalanobis distances: reduced beyond the OUTLIER_PROBABILITY point of Hotelling's distribution."""
     from scipy.stats import f
 
     distance = np.sum(differences * np.linalg.solve(covariance, differences.T).T, axis=1) / np.maximum(variance, 1e-12)

@@ -74,10 +74,10 @@ def test_the_layout_is_that_of_balance_practice():
     assert names[:6] == list(COMPONENTS)
     starts = ("|Fx|", "Fx^2", "Fx|Fx|", "Fx Fy", "|Fx Fy|", "Fx |Fy|", "|Fx| Fy", "Fx^3", "|Fx^3|")
     assert [names.index(name) for name in starts] == [6, 12, 18, 24, 39, 54, 69, 84, 90]
-    told = {row[0]: row for row in rows}
+    rows_by_name = {row[0]: row for row in rows}
     z1 = 2 + NAMES.index("z1.strain")
-    assert float(told["Fz^2"][z1]) == pytest.approx(0.008 / 3500**2, rel=0.05)
-    assert float(told["Fy^2"][z1]) == 0.0 and float(told["Fz|Fz|"][z1]) == 0.0
+    assert float(rows_by_name["Fz^2"][z1]) == pytest.approx(0.008 / 3500**2, rel=0.05)
+    assert float(rows_by_name["Fy^2"][z1]) == 0.0 and float(rows_by_name["Fz|Fz|"][z1]) == 0.0
 
 
 def test_units_of_coefficients():
@@ -170,7 +170,7 @@ BAD = {
     "unit where none is expected": (changed("full range", cell(1, "N")), "has the unit `N`, where none was expected"),
     "unit of a term": (changed("Fz^2", cell(1, "V/N")), "`Fz^2`: has the unit `V/N`, where `V/N^2` was expected"),
     "missing channel": (changed("term", lambda c: c[:-1]), "`term`: channel `torque` is missing"),
-    "channels exchanged": (changed("term", lambda c: [*c[:2], c[3], c[2], *c[4:]]), "in another order than `channel`"),
+    "channels swapped": (changed("term", lambda c: [*c[:2], c[3], c[2], *c[4:]]), "in another order than `channel`"),
     "channel twice": (changed("channel", cell(3, "x.strain")), "`channel`: `x.strain` is there twice"),
     "too few channels": (changed("channel", lambda c: c[:7]), "5 channels cannot determine 6 loads"),
     "a value missing": (changed("My^3", lambda c: c[:-1]), "`My^3`: has 7 values, where 8 are expected, `torque` is"),
@@ -194,7 +194,7 @@ BAD = {
     "correlation of none": (changed("correlation with x.strain", cell(0, "correlation with q")), "`q` is not among"),
     "correlation missing": (changed("correlation with x.strain", lambda _: None), "there is no line `correlation with"),
     "incredible": (changed("Fz^2", cell(5, "3")), "`Fz^2`, z1.strain: 3 contributes more than 1e+06 V"),
-    "not told apart": (changed("Mz", lambda c: [*c[:2], *["0"] * 8]), "do not determine the loads"),
+    "linear part without Mz": (changed("Mz", lambda c: [*c[:2], *["0"] * 8]), "do not determine the loads"),
     "quotes": (CSV.replace("Fz^2,", '"Fz^2,', 1), "is not a line of a CSV file"),
 }
 

@@ -75,7 +75,7 @@ def test_a_wrong_gain_in_one_sequence():
     assert terms_found(found.fit) == CURVED_NAMES
 
 
-def test_two_channels_exchanged_in_one_sequence():
+def test_two_channels_swapped_in_one_load_series():
     def change(channels, sequence):
         rows = sequence == 4
         channels[np.ix_(rows, [2, 5])] = channels[np.ix_(rows, [5, 2])]
@@ -86,7 +86,7 @@ def test_two_channels_exchanged_in_one_sequence():
     assert terms_found(found.fit) == CURVED_NAMES
 
 
-def test_two_channels_exchanged_throughout():
+def test_two_channels_swapped_in_all_runs():
     points = stand_points()
     expected = fit_calibration_model(points, search=False).model.coefficients[:6].T
     assert find_swapped_channels(points, expected) == ()

@@ -164,7 +164,7 @@ def test_a_term_that_does_not_help_sequences_left_out_goes():
     assert kept == (*range(6), true)
 
 
-def test_gage_fit_finds_the_terms_of_every_channel():
+def test_fit_finds_the_terms_of_every_channel():
     model = fit_calibration_model(stand_points()).model
     for channel in CHANNELS:
         found = {name for name in model.channel_coefficients(channel) if name not in COMPONENTS}
@@ -175,8 +175,8 @@ def test_gage_fit_finds_the_terms_of_every_channel():
     assert fit_calibration_model(stand_points(), search=False).model.terms == COMPONENTS
 
 
-def test_loads_exchanged_at_once_are_one_sequence():
-    """Zeros for stretches in which one load only replaces another would say what the loads say."""
+def test_loads_that_change_at_once_are_one_load_series():
+    """Zeros of segments in which one load only replaces another would be collinear with the loads."""
     x = np.repeat(np.vstack([np.eye(6), -np.eye(6)]), 2, axis=0)
     assert not find_load_series(x, np.zeros(24, int)).any()
     # With each load by itself between, it is not so.

@@ -59,7 +59,7 @@ def quiet_first(points):
 
 
 def off(tares):
-    """Everything that is told less the truth, over sigma."""
+    """All estimates less the truth, over sigma."""
     w = (tares.w - TRUE_W) / np.sqrt(np.diag(tares.w_covariance))
     center_of_gravity = (tares.center_of_gravity - R) / tares.center_of_gravity_sigma
     return np.r_[w, center_of_gravity, (tares.natural_zeros - NATURAL) / tares.natural_zeros_sigma]
@@ -81,7 +81,7 @@ def test_loads_of_a_weight():
     np.testing.assert_allclose(weight_loads(g, ("Fz", "My")), weight_loads(g)[:, [2, 4]])
 
 
-def test_an_attitude_begins_a_stretch_and_a_sequence():
+def test_an_attitude_begins_a_segment_and_a_load_series():
     run = np.array([0, 0, 0, 0, 1, 1])
     gravity = gravity_directions([[0, 0], [0, 0.01], [0, 5], [0, 5], [0, 5], [9, 0]])
     assert attitude_segments(run, None).tolist() == [0, 0, 0, 0, 1, 1]
@@ -94,7 +94,7 @@ def test_an_attitude_begins_a_stretch_and_a_sequence():
     assert np.array_equal(split.load_series[5:], points.load_series[5:] + 1)
 
 
-# ---- what is told ----------------------------------------------------------------------------------------------------
+# ---- estimates -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("curved", [False, True])
@@ -138,10 +138,12 @@ def test_a_check_in_another_attitude_is_found_less_its_weight():
     many = np.r_[np.zeros(200, int), np.arange(len(check.loads))]
     made = ("check", check.channels[many], check.loads[many])
     made[1][:200] += NOISE * np.random.default_rng(1).normal(size=(200, 8)) - (made[1][0] - quiet_first(check))
-    told = calibrate_all_trims(points, [made], check_gravity={"check": check.gravity[many]}).checks[0]
-    untold = calibrate_all_trims(points, [made]).checks[0]
-    assert np.all(told.interval_coverage > 0.91)
-    assert np.all(told.error < 1.01 * untold.error) and np.any(told.error < 0.9 * untold.error)
+    with_weight = calibrate_all_trims(points, [made], check_gravity={"check": check.gravity[many]}).checks[0]
+    without_weight = calibrate_all_trims(points, [made]).checks[0]
+    assert np.all(with_weight.interval_coverage > 0.91)
+    assert np.all(with_weight.error < 1.01 * without_weight.error) and np.any(
+        with_weight.error < 0.9 * without_weight.error
+    )
 
 
 @pytest.mark.parametrize(

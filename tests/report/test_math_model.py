@@ -313,7 +313,7 @@ def test_lines_appear_where_the_loads_alone_do_not_do():
         axes.get_title(loc="left"): [line.get_color() for line in axes.get_lines() if len(line.get_xdata()) == 60]
         for axes in figure.axes
     }
-    assert {name for name, colours in shown.items() if colours} == {"x.strain", "z1.strain"}
+    assert {name for name, colors in shown.items() if colors} == {"x.strain", "z1.strain"}
     assert len(shown["x.strain"]) == len(shown["z1.strain"]) == 1
 
 

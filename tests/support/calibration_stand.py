@@ -1,4 +1,4 @@
-"""A calibration stand for tests: a known balance of 8 channels and 6 loads with few curved terms, loaded as studied."""
+"""A calibration stand for tests: a known balance of 8 channels and 6 loads with few nonlinear terms."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ NOISE = 4e-4
 
 
 def stand_loads():
-    """Loads (m, 6) over full range and their sequences (m,): single ramps, then every load with another one hanging."""
+    """Loads (m, 6) over the calibrated range and their load series (m,): single ramps, then beside another load."""
     up = np.r_[np.arange(1, 6), np.arange(4, -1, -1)] / 5.0
     eye = np.eye(6)
     parts = [np.outer(np.r_[up, -up], eye[i]) for i in range(6)]
@@ -46,7 +46,7 @@ def true_model():
 
 
 def stand_points(seed=0, noise=NOISE):
-    """A calibration of the balance, with a zero for each sequence."""
+    """A calibration of the balance, with a zero for each load series."""
     rng = np.random.default_rng(seed)
     x, sequence = stand_loads()
     terms, b = true_model()

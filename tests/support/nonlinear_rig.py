@@ -12,7 +12,7 @@ from balance_cli.steps.calibrate import calibrate
 from tests.support.static_runs import AMPLITUDE, C0, RIG, loading
 
 NAMES = tuple(channel.name for channel in RIG.channels if channel.measures_dc)
-# What a channel has besides its straight part [V at full range]: half a per cent, or so.
+# Nonlinear part of a channel [V at the calibrated range]: about half a per cent.
 NONLINEAR_PARTS = {
     ("Fz^2", "z1.strain"): 0.008,
     ("Fz^2", "z2.strain"): 0.008,
