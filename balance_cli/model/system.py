@@ -20,7 +20,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 REFERENCE_FREQUENCY = 20.0
-"""Frequency [Hz] at which a frequency-dependent spring has its declared stiffness: low in the band of rotor balances."""
+"""Frequency [Hz] at which a frequency-dependent spring has its declared stiffness: low in the band of the modes."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Pencil:
 class System:
     """A balance with derivatives, ready to be solved; n coordinates, e springs.
 
-    `equations` are those it was assembled from. In `pencil`, `inputs` (n, 6) and `reactions` (n, e) the rows of flexible
-    parts are multiplied by their compliance. `readings` R (e, n) are the forces of the springs per unit motion,
-    `readings_loss` (e, n) the part in quadrature, `readings_frequency_stiffness` (e, n) the part that grows with the
-    logarithm of frequency; `reactions` (n, e) act on the balance per unit force along each spring.
+    `equations` are those it was assembled from. In `pencil`, `inputs` (n, 6) and `reactions` (n, e) the rows of
+    flexible parts are multiplied by their compliance. `readings` R (e, n) are the forces of the springs per unit
+    motion, `readings_loss` (e, n) the part in quadrature, `readings_frequency_stiffness` (e, n) the part that grows
+    with the logarithm of frequency; `reactions` (n, e) act on the balance per unit force along each spring.
     """
 
     equations: Equations
