@@ -1,4 +1,4 @@
-"""The pages of the effects, docs/effects.md and docs/effects/NAME.md, from the effects themselves (`make docs`)."""
+"""The pages of the effects, docs/effects.md and docs/effects/NAME.md, generated from the effects (`make docs`)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ order of this table, whatever the order in which they are named.
 LEGEND = """The effect is absent where its parameters have their null values; a nuisance parameter, which only shapes
 the action of the others, has none. The size is that of a change that matters."""
 INDEX_FOOT = """
-How to add one: [a new effect](new-effect.md). What a simulated rig may have is in the
+How to add an effect: [a new effect](new-effect.md). The effects of a simulated rig are in the
 [command reference](commands.md#effects-of-simulate).
 """
 
@@ -116,7 +116,7 @@ def _number(value: float) -> str:
 
 
 def main() -> None:
-    """Write the pages, and remove those of effects that are no more."""
+    """Write the pages, and remove those of effects that no longer exist."""
     FOLDER.mkdir(exist_ok=True)
     written = pages()
     for path in FOLDER.glob("*.md"):
