@@ -59,9 +59,10 @@ docs: install
 	$(BIN)/python tools/cli_reference.py
 	$(BIN)/python tools/effect_pages.py
 
-# The models beside the loads: they tell which effects a response has.
+# Methods of the picture. Their models and responses are given, too: the labels come from these.
 COMPARED := static transfer paper-full rigid closed
 figures: run
+	$(if $(filter sample_data,$(CAMPAIGN)),,$(error the pictures show the sample campaign: leave CAMPAIGN out))
 	$(BALANCE) report $(COMPARED:%=$(RESULTS)/loads-%.h5) $(wildcard $(RESULTS)/model-*.h5) $(RESULTS)/transfer.h5 \
 		-o $(RESULTS)/figures.html --picture docs/pictures/before-after.png
 	$(BIN)/python tools/error_table.py $(RESULTS)
