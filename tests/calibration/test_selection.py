@@ -1,4 +1,4 @@
-"""Loading sequences, what they support, and which terms a channel has."""
+"""Load series, what they support, and which terms a channel has."""
 
 import numpy as np
 import pytest
