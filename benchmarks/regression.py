@@ -1,6 +1,6 @@
 """The regression of a calibration with all its tests against the same numbers from statsmodels, as its users get them.
 
-96 terms, 8 channels, 2000 points in 40 loading sequences, each with a zero of its own. Both give, for every channel,
+96 terms, 8 channels, 2000 points in 40 load series, each with its own zero. Both give, for every channel,
 coefficients, standard errors and the error of every row predicted by all others, and the variance inflation of every
 term. The other one fits OLS channel by channel, takes `get_influence().resid_press` of each, and calls
 `variance_inflation_factor` term by term, which regresses each term on all others: there is no call that serves all

@@ -159,9 +159,9 @@ def test_bad_input_is_one_message_and_nothing_written(folder, bad, name, geometr
 def test_skip_bad_goes_on_and_lists_what_it_skipped(folder, results, bad):
     words = ("--model", results / "model.h5", folder / "check-1.h5", bad / "truncated.h5", "-o", bad / "loads.h5")
     call("reduce", "--calibration", results / "cal.h5", *words, "--skip-bad", "--json", bad / "loads.json")
-    told = json.loads((bad / "loads.json").read_text())
-    assert list(told["runs"]) == ["check-1"]
-    assert any("truncated.h5" in path for path in told["skipped"])
+    written = json.loads((bad / "loads.json").read_text())
+    assert list(written["runs"]) == ["check-1"]
+    assert any("truncated.h5" in path for path in written["skipped"])
 
 
 def test_exactly_one_response_is_asked_for(folder, results, tmp_path):

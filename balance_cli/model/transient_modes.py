@@ -1,7 +1,7 @@
-"""Transient modes: the free motion of a balance as its channels read it.
+"""Transient modes: the decaying motion of a balance as its channels read it.
 
 The modes s of the upper half plane form an invariant pair, M X S^2 + D X S + (K + jH) X = 0 with S = diag(s), and the
-free motion is q(t) = Re X exp(S t) a with one complex amplitude a per mode. A channel reads Re Phi exp(S t) a with
+transient motion is q(t) = Re X exp(S t) a with one complex amplitude a per mode. A channel reads Re Phi exp(S t) a with
 Phi = c (r_c X) g_c(S): a filter responds to exp(s t) with its gain at s, once its own transient has decayed. That of
 a high-pass with a rate r lasts long: it is a motion exp(-r t) of one channel, with a real amplitude.
 

@@ -22,7 +22,7 @@ BLACK, GRAY, ORANGE, SKY, GREEN = "#222222", "#8a8a8a", "#e69f00", "#56b4e9", "#
 YELLOW, BLUE, VERMILION, PURPLE = "#d6c61a", "#0072b2", "#d55e00", "#cc79a7"
 EXTRA_COLORS = ("#882255", "#999933", "#44aa99", "#332288", "#aa4499")
 SCREEN_PIXELS = 192
-"""Resolution of rasterised curves [1/inch]: about twice that of a screen."""
+"""Resolution of rasterized curves [1/inch]: about twice that of a screen."""
 
 PICTURE_PIXELS = 180
 """Resolution of a picture in its own file [1/inch]: fits the width of a page at screen size."""

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def free_motions(rig: TrueRig) -> list[int]:
-    """Indices of the free motions among x y z psi theta phi."""
+    """Indices of the degrees of freedom among x y z psi theta phi."""
     return [FREEDOMS.index(name) for name in FREEDOMS if name in rig.geometry.freedom]
 
 
@@ -77,6 +77,6 @@ def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0) -> Mechanics:
         mechanics = extension.mechanics(mechanics, rig.geometry, rotor_speed)
     if not np.all(np.linalg.eigvalsh(mechanics.total_stiffness()) > 0):
         raise UserError(
-            "the cells do not hold every free motion", place="cells", remedy="Add cells or reduce `freedom`"
+            "the cells do not hold every degree of freedom", place="cells", remedy="Add cells or reduce `freedom`"
         )
     return mechanics

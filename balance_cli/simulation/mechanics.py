@@ -1,7 +1,7 @@
 """Equations of motion of the true rig, `M q'' + D q' + K q = F u`, and the forces of the cells.
 
-q holds the free motions of the plate's center of gravity, the twist of the shaft, and the coordinates that extensions
-add.
+q holds the degrees of freedom of the plate's center of gravity, the twist of the shaft, and the coordinates that
+extensions add.
 """
 
 from __future__ import annotations

@@ -221,7 +221,7 @@ def test_what_is_no_geometry_is_said(tmp_path: Path, name: str, words: str) -> N
         load_geometry(tmp_path / name)
 
 
-def test_a_plate_that_its_cells_do_not_hold_is_refused_with_the_free_motion(tmp_path: Path) -> None:
+def test_a_plate_that_its_cells_do_not_hold_is_refused_with_the_degree_of_freedom(tmp_path: Path) -> None:
     """Without the cell along x the plate slides; with both y cells in one line it turns about that line."""
     sliding = rts()
     del sliding["cells"][0], sliding["channels"][7], sliding["channels"][0]

@@ -27,8 +27,8 @@ def test_page_summary_and_picture(files, tmp_path):
     page, summary, picture = (tmp_path / name for name in ("r.html", "s.json", "p.png"))
     result = call(*files, "-o", page, "--json", summary, "--picture", picture)
     assert result.exit_code == 0, result.output
-    told = json.loads(summary.read_text())
-    assert list(told["sections"]) == [
+    written = json.loads(summary.read_text())
+    assert list(written["sections"]) == [
         "summary",
         "check-runs",
         "wind-on",
@@ -36,8 +36,8 @@ def test_page_summary_and_picture(files, tmp_path):
         "parameters",
         "provenance",
     ]
-    assert "check-runs" in told["figures"]
-    assert told["artefacts"] == {"model.h5": "identified rigid (LS+ML)", "loads.h5": "static matrix"}
+    assert "check-runs" in written["figures"]
+    assert written["artefacts"] == {"model.h5": "identified rigid (LS+ML)", "loads.h5": "static matrix"}
     assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert picture.read_bytes().startswith(b"\x89PNG")
 

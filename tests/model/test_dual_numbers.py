@@ -1,4 +1,4 @@
-"""Jets against numerical derivatives."""
+"""Dual numbers against numerical derivatives."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_inverse_undoes_the_matrix(x):
     np.testing.assert_allclose(product.derivative, 0.0, atol=1e-12)
 
 
-def test_numpy_leaves_the_operators_to_the_jet():
+def test_numpy_leaves_the_operators_to_the_dual_number():
     theta = variables([1.0, 2.0])
     assert isinstance(np.eye(2) @ theta, Dual)
     assert isinstance(np.array([2.0, 3.0]) * theta, Dual)

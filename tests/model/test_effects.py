@@ -127,7 +127,7 @@ TRUTHS = {
     "mast-bending": truth(
         "mast-bending", ("x", "y"), mass=10.0, compliance_x=4e-9, compliance_y=6e-9, damping_ratio=0.02
     ),
-    # With tolerances on the moving part a mass more is only another moving part: hardly any direction is left to it.
+    # With tolerances on the metric side an added mass is only another metric side: hardly any direction is left to it.
     "added-mass": truth("added-mass", mass=0.4, x=0.4, y=-0.3, z=0.6, geometry=KNOWN_MASS_RIG),
     "gyroscopic-coupling": truth("gyroscopic-coupling", polar_inertia=0.01, spin=SPIN),
     "parallel-stiffness": truth(

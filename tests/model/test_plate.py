@@ -17,7 +17,7 @@ def test_motion_of_a_point_is_the_papers():
     np.testing.assert_allclose(motion_at(np.array([xi, eta, zeta])) @ q, expected, rtol=1e-14)
 
 
-def test_moving_part_of_two_point_masses():
+def test_metric_side_of_two_point_masses():
     rig = one_degree_of_freedom(
         bodies=[
             {"name": "a", "mass": 1.0, "position": [0.0, 0.0, 0.0], "inertia": {"xx": 0, "yy": 0, "zz": 0}},

@@ -99,7 +99,7 @@ def poles(space):
 
 
 def assert_same(space, system, spin=0.0, limit=1e-9):
-    """Responses agree from 0.1 to 400 Hz and at rest, and all free motion dies away."""
+    """Responses agree from 0.1 to 400 Hz and at rest, and all transients decay."""
     assert error(space.response(FREQUENCY), expected(system, spin)) < limit
     assert poles(space).real.max() < 0.0
 

@@ -1,4 +1,4 @@
-"""Forces of cells from channels, measured and modelled, and the errors that the page quotes."""
+"""Forces of cells from channels, measured and modeled, and the errors that the page quotes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -72,8 +72,8 @@ def test_the_true_model_is_off_by_nothing_and_a_scaled_one_by_its_scale():
 
 def test_channels_of_a_model_are_told_beside_its_forces():
     response = measured("Fx", 20.0)
-    told = model_response(model(), FREQUENCY, 0.0, sensors(RIG, [response], []), RIG)
-    np.testing.assert_allclose(told.channels["x.piezo"][:, 0], response.response[:, 7, 0], rtol=1e-9)
+    predicted = model_response(model(), FREQUENCY, 0.0, sensors(RIG, [response], []), RIG)
+    np.testing.assert_allclose(predicted.channels["x.piezo"][:, 0], response.response[:, 7, 0], rtol=1e-9)
 
 
 def test_two_channels_of_a_cell_differ_by_their_dynamics():

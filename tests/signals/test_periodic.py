@@ -127,7 +127,7 @@ def test_a_measured_component_that_holds_only_noise_is_no_input():
     assert lines.covariance.shape[1:] == (6, 6)
 
 
-def test_spill_that_was_measured_is_an_input():
+def test_a_cross_axis_load_that_was_measured_is_an_input():
     two = SweptRig(components=("Fx", "My"))
     declared = replace(two.multisine(periods=4), excited=("Fx",), level=(40.0,))
     assert periodic_spectrum(declared, two.names).components == ("Fx", "My")
@@ -160,7 +160,7 @@ def test_one_bad_line_does_not_spoil_its_neighbors():
     assert np.trace(clean, axis1=1, axis2=2).real.mean() == pytest.approx(6.0, rel=0.03)
 
 
-def test_covariance_follows_the_colour_of_the_noise():
+def test_covariance_follows_the_color_of_the_noise():
     rng = np.random.default_rng(3)
     scatter, counts = _scatter(rng, 1000, 4, 3)
     color = np.linspace(1.0, 10.0, 1000)

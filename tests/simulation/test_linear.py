@@ -110,7 +110,7 @@ def test_start_from_equilibrium_matches_general_integrator():
     assert np.max(np.abs(got - expected)) < 1e-6 * np.max(np.abs(expected))
 
 
-def test_moving_part_and_damping_of_each_mode():
+def test_metric_side_and_damping_of_each_mode():
     M, K, *_ = expected_matrices(GEOMETRY)
     ratios = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
     m = equations_of_motion(true_rig(GEOMETRY, damping_ratios=ratios, torque_damping_ratio=0.07))
@@ -210,7 +210,7 @@ def test_drawn_rigs_scatter_as_declared_and_stay_possible():
 def test_rig_that_cannot_stand_is_refused():
     cells = GEOMETRY.cells[:3]
     channels = [{"name": "c", "cell": "x", "sensitivity": 1.0}]
-    with pytest.raises(UserError, match="do not hold every free motion"):
+    with pytest.raises(UserError, match="do not hold every degree of freedom"):
         equations_of_motion(true_rig(rig_geometry(cells=cells, channels=channels)))
 
 

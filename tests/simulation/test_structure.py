@@ -42,7 +42,7 @@ def test_plate_on_flexible_support():
     effect = extension("support-flexibility", ("z",), mass=mass, compliance_z=compliance, damping_ratio=ratio)
     k, d = LIFT_STIFFNESS, 2 * 0.02 * np.sqrt(LIFT_STIFFNESS * MASS)
     ground = 9e6 + 2 * ratio * np.sqrt(9e6 * mass) * S
-    # plate and lower body in series: the elongation between them for a force on the plate
+    # plate and non-metric body in series: the elongation between them for a force on the plate
     low = mass * S**2 + ground
     elongation = low / (MASS * S**2 * (low + d * S + k) + (d * S + k) * low)
     np.testing.assert_allclose(lift_response(effect), 5.1e6 * elongation, rtol=1e-5)

@@ -51,7 +51,7 @@ RIG = _rig()
 KNOWN_MASS_RIG = RIG.model_copy(
     update={"tolerances": RIG.tolerances.model_copy(update={"mass": 0.0, "centre_of_gravity": 0.0, "inertia": 0.0})}
 )
-"""The same with a moving part of which mass, centre of gravity and inertia are known."""
+"""The same with a metric side of which mass, center of gravity and inertia are known."""
 SPIN = 17.5
 FREQUENCY = np.linspace(3.0, 149.0, 37)
 

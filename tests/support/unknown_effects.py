@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TunedMass(Extension):
-    """A `mass` [kg] of the moving part that swings along `direction` on a spring at `position` [m] of the plate.
+    """A `mass` [kg] of the metric side that swings along `direction` on a spring at `position` [m] of the plate.
 
     `frequency` [Hz] and `damping_ratio` are those of the mass on its spring alone (Den Hartog, Mechanical Vibrations,
     1956, chapter 3). At rest it hangs along: the static response stays as it is.

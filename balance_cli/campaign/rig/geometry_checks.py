@@ -65,13 +65,13 @@ def _channel_reference_faults(geometry: Geometry) -> Iterator[UserError]:
 
 
 def _restraint_faults(geometry: Geometry) -> Iterator[UserError]:
-    """Faults unless the inertia is positive definite in the free motions and the cells restrain all of them."""
+    """Faults unless the inertia is positive definite in the degrees of freedom and the cells restrain them all."""
     moving = metric_side(geometry)
     moment = dict(zip(("phi", "theta", "psi"), np.eye(3), strict=True))
     turns = np.array([moment[name] for name in geometry.freedom if name in moment]).reshape(-1, 3)
     least = RELATIVE_ROUNDING * float(np.trace(moving.inertia))
     if len(turns) and np.linalg.eigvalsh(turns @ moving.inertia @ turns.T)[0] <= least:
-        fault = "the moving part has no inertia against one of its rotations"
+        fault = "the metric side has no inertia against one of its rotations"
         yield UserError(fault, place="bodies", remedy="Declare the inertia, or leave the rotation out of `freedom`")
     motion = unrestrained_motion(geometry, moving.centre_of_gravity)
     if motion:

@@ -27,8 +27,8 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     channel = equations.channel_names.index(where[0])
-    pickup = InterferenceTone(channel, values["amplitude^2"], values["frequency"])
-    return replace(equations, interference_tones=(*equations.interference_tones, pickup))
+    tone = InterferenceTone(channel, values["amplitude^2"], values["frequency"])
+    return replace(equations, interference_tones=(*equations.interference_tones, tone))
 
 
 EFFECT = Effect(

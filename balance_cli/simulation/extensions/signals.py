@@ -121,5 +121,5 @@ class MainsPickup(Extension):
         if signals.step is None:
             return signals.volts
         time = np.arange(len(signals.volts)) * signals.step
-        pickup = self.amplitude * np.cos(2 * np.pi * (self.frequency * time + signals.rng.random()))
-        return _map_channels(self, signals, lambda v: v + pickup)
+        tone = self.amplitude * np.cos(2 * np.pi * (self.frequency * time + signals.rng.random()))
+        return _map_channels(self, signals, lambda v: v + tone)
