@@ -34,6 +34,15 @@ class Departure:
     found: float
     sigmas: float
 
+    @property
+    def description(self) -> str:
+        """The departure in words."""
+        unit = f" {self.unit}" if self.unit else ""
+        return (
+            f"{self.name} is {self.found:.4g}{unit}, declared as {self.declared:.4g}{unit}: "
+            f"{abs(self.sigmas):.1f} standard deviations of its tolerance"
+        )
+
 
 @dataclass(frozen=True)
 class DeclaredAgreement:

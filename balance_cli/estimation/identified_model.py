@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.paper.result import PaperFit
+from balance_cli.estimation.response_error import ResponseError
 from balance_cli.io.result_view import ResultView, plural
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import System
@@ -99,6 +100,7 @@ class IdentifiedModel(ResultView):
     iterations: int
     converged: bool
     paper: PaperFit | None = None
+    response_error: ResponseError | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def misfit_scale(self) -> float:

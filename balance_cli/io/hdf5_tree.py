@@ -39,6 +39,11 @@ def stored_field_name(item: dataclasses.Field[Any]) -> str:
     return str(item.metadata.get("stored_as", item.name))
 
 
+def _is_omitted(item: dataclasses.Field[Any], value: Any) -> bool:
+    """Whether a field that came later is left out, so that results without it keep their digest."""
+    return value is None and bool(item.metadata.get("omit_if_none"))
+
+
 def to_tree(value: Any) -> Any:
     """The value as a tree. Raises TypeError for a type that cannot be stored in an artefact."""
     if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
@@ -56,7 +61,8 @@ def _container_to_tree(value: Any) -> Any:
     if isinstance(value, pd.DataFrame):
         return {str(name): _column(value[name]) for name in value.columns}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {stored_field_name(item): to_tree(getattr(value, item.name)) for item in dataclasses.fields(value)}
+        pairs = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
+        return {stored_field_name(item): to_tree(part) for item, part in pairs if not _is_omitted(item, part)}
     if isinstance(value, Mapping):
         return {str(key): to_tree(item) for key, item in value.items()}
     if isinstance(value, tuple | list):

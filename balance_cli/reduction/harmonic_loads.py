@@ -106,10 +106,16 @@ def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSour
     row_count = source.at(frequency[:1], record.spin).shape[1]
     real_rows = np.array([*channel_combination.rows, *(row + row_count for row in channel_combination.rows)])
 
-    def response_covariance(loads: Array) -> Array:
+    def as_components(loads: Array) -> ComplexArray:
         all_loads = np.zeros((len(loads), 6), complex)
         all_loads[:, columns] = loads[:, : len(columns)] + 1j * loads[:, len(columns) :]
-        return source.covariance(frequency, record.spin, all_loads)[:, real_rows[:, None], real_rows]
+        return all_loads
+
+    def response_covariance(loads: Array) -> Array:
+        return source.covariance(frequency, record.spin, as_components(loads))[:, real_rows[:, None], real_rows]
+
+    def known_error(loads: Array) -> Array:
+        return circular_real(_known_error(record, source, channel_combination.combination, as_components(loads)))
 
     scale = np.tile(load_scale(geometry.hub)[columns], 2)
     stacked = np.concatenate([y.real, y.imag], axis=1)
@@ -123,7 +129,21 @@ def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSour
         response_covariance,
         1.0 / scale,
         weighting_covariance,
+        known_error if source.response_error is not None else None,
     )
+
+
+def _known_error(
+    record: RotorRecord, source: ResponseSource, combination: ComplexArray, loads: ComplexArray
+) -> ComplexArray:
+    """Return the covariance (h, r, r) of what the response is known to miss of the rows, for loads (h, 6)."""
+    error = source.response_error
+    assert error is not None
+    live = record.health.live
+    known = [i for i, name in enumerate(live) if name in error.channel_names]
+    columns = np.array([error.channel_names.index(live[i]) for i in known])
+    channels = error.covariance(record.spectra.frequency_hz[1:], loads)[:, columns[:, None], columns]
+    return np.asarray(combination[:, :, known] @ channels @ combination[:, :, known].conj().swapaxes(1, 2))
 
 
 def _channel_noise(record: RotorRecord, geometry: Geometry) -> Array:

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
 from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.fit import response_jacobian
 from balance_cli.estimation.paper.result import PaperFit
 from balance_cli.estimation.paper.spectra import channel_response
+from balance_cli.estimation.response_error import ResponseError
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.response_jacobian import output_jacobian
@@ -44,6 +46,16 @@ class ModelSource:
         return response_text(
             ResponseDescription(ResponseKind.PHYSICAL_MODEL, method=self.model.method, effects=effects)
         )
+
+    @property
+    def response_error(self) -> ResponseError | None:
+        """What the model misses of the responses that it was identified from."""
+        return self.model.response_error
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the model does not fit its data and nobody recorded by how much, as in artefacts of version 0.1."""
+        return self.model.response_error is None and self.model.quality.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
 
     @property
     def system(self) -> System | None:
@@ -94,6 +106,16 @@ class PaperSource:
         return response_text(
             ResponseDescription(ResponseKind.PAPER_FORM, method=self.model.method, damping=self.fit.options.damping)
         )
+
+    @property
+    def response_error(self) -> ResponseError | None:
+        """None: the misfit of the paper's form is known in its sensors, not in the channels."""
+        return None
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the form does not fit its data."""
+        return self.fit.misfit.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
 
     @property
     def system(self) -> System | None:

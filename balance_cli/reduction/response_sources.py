@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.estimation.response_error import ResponseError
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import moment_reference_length
 from balance_cli.model.system import System
@@ -59,6 +60,16 @@ class ResponseSource(Protocol):
     @property
     def slowest_decay(self) -> float:
         """Time constant [s] of the slowest decay of the balance, as far as the source knows it."""
+        ...
+
+    @property
+    def response_error(self) -> ResponseError | None:
+        """What the response is known to miss of measured ones; None where it misses nothing or that is not known."""
+        ...
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the data that the response was made from contradict it, and its error is not known."""
         ...
 
     def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
@@ -119,6 +130,16 @@ class TransferSource:
     slowest_decay: float = ASSUMED_DECAY
 
     @property
+    def response_error(self) -> ResponseError | None:
+        """None: what was measured contains the error that it has."""
+        return None
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Never: what was measured contains the error that it has."""
+        return False
+
+    @property
     def system(self) -> System | None:
         """None: a measured response has no equations of motion."""
         return None
@@ -169,6 +190,16 @@ class StaticSource:
     channel_names: tuple[str, ...]
     C0: Array
     slowest_decay: float = ASSUMED_DECAY
+
+    @property
+    def response_error(self) -> ResponseError | None:
+        """None: no dynamic measurement is compared with it."""
+        return None
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Always: it leaves out the dynamics that every balance has at the harmonics."""
+        return True
 
     @property
     def system(self) -> System | None:

@@ -32,13 +32,15 @@ REDUNDANCY_CONFIDENCE = 0.999
 class SolvedLoads:
     """Complex loads (h, m) of m components at h harmonics.
 
-    covariance (h, 2m, 2m) of [Re, Im], not inflated; noise_covariance the same from the noise of the record alone, as
-    if the response were exact; redundancy_chi2 (h,) chi-square per degree of freedom of the residual test; degrees (h,)
-    of freedom; limit (h,) its 99.9 % point; condition (h,).
+    covariance (h, 2m, 2m) of [Re, Im], not inflated; model_covariance the same from what the response is known to
+    miss; noise_covariance the same from the noise of the record alone, as if the response were exact; redundancy_chi2
+    (h,) chi-square per degree of freedom of the residual test; degrees (h,) of freedom; limit (h,) its 99.9 % point;
+    condition (h,).
     """
 
     loads: ComplexArray
     covariance: Array
+    model_covariance: Array
     noise_covariance: Array
     redundancy_chi2: Array
     degrees: Array
@@ -52,9 +54,15 @@ class SolvedLoads:
 
     @property
     def inflated_covariance(self) -> Array:
-        """The covariance, times the chi-square of the residual test where that rejects the response."""
-        factor = np.where(self.misfit, self.redundancy_chi2, 1.0)
-        return np.asarray(self.covariance * factor[:, None, None])
+        """The covariance with the known error of the response.
+
+        Where the residual test rejects the response, the covariance is multiplied by its chi-square as far as the
+        known error does not explain that already.
+        """
+        factor = np.where(self.misfit, self.redundancy_chi2, 1.0)[:, None, None]
+        inflated = self.covariance * factor
+        explained = np.trace(self.model_covariance, axis1=1, axis2=2) > np.trace(inflated, axis1=1, axis2=2)
+        return np.asarray(np.where(explained[:, None, None], self.covariance, inflated) + self.model_covariance)
 
 
 def solve_loads(
@@ -65,13 +73,15 @@ def solve_loads(
     response_covariance: Callable[[Array], Array],
     scale: Array,
     weighting_covariance: Array | None = None,
+    known_error: Callable[[Array], Array] | None = None,
 ) -> SolvedLoads:
     """Solve h systems at once in real form (`response_sources.stacked_real`).
 
     T (h, a, b), y (h, a), noise (h, a, a) estimated with `dof` (h,) complex degrees of freedom; `response_covariance`
     returns the covariance (h, a, a) of T f for loads (h, b); `scale` (b,) makes the columns comparable for the
     condition. `weighting_covariance` (h, a, a) gives the weights, up to a factor, where the noise of the channels is
-    known by itself; by default the weights come from `noise`.
+    known by itself; by default the weights come from `noise`. `known_error` returns the covariance (h, a, a) of what
+    the response is known to miss of T f; it enters the errors of the loads, not the residual test, which is to find it.
     """
     a, b = T.shape[1:]
     G, noise_covariance = _weighted_inverse(T, noise if weighting_covariance is None else weighting_covariance)
@@ -92,6 +102,7 @@ def solve_loads(
     return SolvedLoads(
         loads=loads[:, : b // 2] + 1j * loads[:, b // 2 :],
         covariance=covariance,
+        model_covariance=_propagate(G, known_error(loads)) if known_error else np.zeros_like(covariance),
         noise_covariance=noise_covariance,
         redundancy_chi2=per_degree,
         degrees=degrees,
@@ -105,6 +116,11 @@ def _weighted_inverse(T: Array, covariance: Array) -> tuple[Array, Array]:
     weighted = np.linalg.solve(covariance, T)
     inverse = np.linalg.inv(np.swapaxes(T, 1, 2) @ weighted)
     return np.asarray(inverse @ np.swapaxes(weighted, 1, 2)), np.asarray(inverse)
+
+
+def _propagate(G: Array, covariance: Array) -> Array:
+    """Return the covariance (h, b, b) of the loads from that of the channels (h, a, a)."""
+    return np.asarray(G @ covariance @ np.swapaxes(G, 1, 2))
 
 
 def _residual_chi2(T: Array, y: Array, total: Array) -> Array:

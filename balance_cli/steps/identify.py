@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.batch import Batch
-from balance_cli.estimation.choices import Damping, Form, Method
+from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF, Damping, Form, Method
 from balance_cli.estimation.equation_error import fit_equation_error
 from balance_cli.estimation.fit_quality import fit_quality
 from balance_cli.estimation.identifiability import (
@@ -18,19 +18,22 @@ from balance_cli.estimation.identifiability import (
     parameter_identifiability,
     unidentifiable_directions,
 )
-from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable, ParameterTable
+from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel, ModeTable, ParameterTable
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
 from balance_cli.estimation.maximum_likelihood import fit_best_start, fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
+from balance_cli.estimation.response_error import ResponseError
+from balance_cli.estimation.response_error_estimate import estimate_response_error
 from balance_cli.estimation.starting_values import find_starting_values, start_from_equations_of_motion
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.fitted_effects import FittedEffect, declare_fitted_effects, fitted_effects
 from balance_cli.model.modes import modes
 from balance_cli.model.placed_effects import without_effects
+from balance_cli.model.system import System
 from balance_cli.signals.run_spectrum import RunSpectrum
 from balance_cli.steps.identify_paper_form import identify_in_paper_form
 
@@ -163,6 +166,8 @@ def build_identified_model(
     """The model at a minimum with its covariance, modes and quality; `start` and `method` name how it was found."""
     covariance = covariance_from_information(minimum.total.information)
     identifiability = parameter_identifiability(model.parameters, minimum.data.information)
+    system = model.system(minimum.theta)
+    quality = fit_quality(batches, system, identifiability.effective_parameters)
     return IdentifiedModel(
         form="physical",
         method=method,
@@ -171,14 +176,24 @@ def build_identified_model(
         parameters=_parameter_table(model, minimum.theta, covariance, identifiability.informed_by),
         covariance=_expand_covariance(model, covariance),
         modes=mode_table(model, minimum.theta, covariance),
-        quality=fit_quality(batches, model.system(minimum.theta), identifiability.effective_parameters),
+        quality=quality,
         unidentifiable=()
         if method == "computed"
         else unidentifiable_directions(model.parameters, minimum.data.information),
         channels_left_out=left_out,
         iterations=minimum.iterations,
         converged=minimum.converged,
+        response_error=_error_of_misfit(batches, system, quality, model.geometry),
     )
+
+
+def _error_of_misfit(
+    batches: Sequence[Batch], system: System, quality: FitQuality, geometry: Geometry
+) -> ResponseError | None:
+    """What the system misses of the measured responses; None where it describes them to within their noise."""
+    if not quality.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF:
+        return None
+    return estimate_response_error(batches, system, geometry.channel_names)
 
 
 def identified_effects(model: IdentifiedModel) -> tuple[FittedEffect, ...]:

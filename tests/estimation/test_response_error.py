@@ -4,7 +4,8 @@ import pytest
 from balance_cli.estimation.identified_model import identified_system
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
-from balance_cli.estimation.response_error import ResponseError, response_error
+from balance_cli.estimation.response_error import ResponseError
+from balance_cli.estimation.response_error_estimate import estimate_response_error
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import response, solve
 from tests.support.truth import true_response
@@ -17,7 +18,7 @@ def batches(campaign):
 
 
 def test_a_model_that_fits_has_hardly_any(campaign, identified, batches):
-    found = response_error(batches, identified_system(identified), campaign.geometry.channel_names)
+    found = estimate_response_error(batches, identified_system(identified), campaign.geometry.channel_names)
     if found is not None:
         assert np.mean(np.any(found.factor, axis=(2, 3))) < 0.05
 
@@ -29,7 +30,7 @@ def test_the_error_of_a_wrong_model_is_the_one_there_is(campaign, batches):
     """
     system = balance_model(campaign.geometry).system()
     names = campaign.geometry.channel_names
-    found = response_error(batches, system, names)
+    found = estimate_response_error(batches, system, names)
     frequency = found.frequency[(found.frequency > 15) & (found.frequency < 150)]
     true_error = true_response(campaign.rig, frequency) - response(system, solve(system, frequency))
     for j in range(6):

@@ -34,6 +34,14 @@ class TruthSource:
         return true_response(self.rig, frequency)
 
     @property
+    def response_error(self):
+        return None
+
+    @property
+    def is_contradicted(self):
+        return False
+
+    @property
     def system(self) -> System | None:
         """None: the truth is known at frequencies only."""
         return None

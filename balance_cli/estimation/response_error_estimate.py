@@ -1,0 +1,128 @@
+"""What a model misses of the measured responses: its error by frequency, component and channel, beyond the noise.
+
+A model that does not fit its data has no claim on uncertainties that come from noise alone. The residual of each sweep
+line, divided by the load that drove it, is the error of the model's response there, seen through the noise of the line:
+
+    R_j(f) = (y - T u) / u_j
+
+Around each frequency the mean of R_j R_j* over the lines less that of the noise estimates the covariance E_j(f) of the
+error. In hub loads the errors of all channels act together, so the leading directions of E_j are kept, not a standard
+deviation for each channel. Where a model describes its data to within their noise, E is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.fit_quality import live_mask, residual_variance
+from balance_cli.estimation.likelihood import evaluate_batch, exciter_response
+from balance_cli.estimation.response_error import ResponseError
+from balance_cli.model.system import System
+from balance_cli.model.system_response import solve
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+BAND_RATIO = 1.06
+"""Ratio of the centers of neighboring bands: a mode of 1 to 3 % damping is resolved, and a band holds several lines."""
+FEWEST_LINES = 4
+"""Lines of a band below which it takes in those of its neighbors."""
+RANK = 3
+"""Directions of E that are kept: one for a wrong mode, and two for what else is wrong near it."""
+NOISE_MARGIN = 1.5
+"""Factor on the largest eigenvalue that noise alone gives, from which a direction counts as model error."""
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """Residual responses (k, c) of lines at (k,) [Hz] and their noise variance (k, c).
+
+    The variance is zero where a channel is not live.
+    """
+
+    frequency: Array
+    response: ComplexArray
+    variance: Array
+
+
+def estimate_response_error(
+    batches: Sequence[Batch], system: System, channel_names: tuple[str, ...]
+) -> ResponseError | None:
+    """Return the error of the system's response to each load in the lines of the batches; None where there is none."""
+    parts = [part for batch in batches for part in _residuals_by_component(batch, system)]
+    applied = sorted({component for component, _ in parts})
+    if not applied:
+        return None
+    residuals = {j: _join([part for component, part in parts if component == j]) for j in applied}
+    low = min(float(part.frequency.min()) for part in residuals.values())
+    high = max(float(part.frequency.max()) for part in residuals.values())
+    centers = low * BAND_RATIO ** np.arange(max(1, int(np.ceil(np.log(high / low) / np.log(BAND_RATIO))) + 1))
+    factor = np.zeros((len(centers), 6, len(channel_names), RANK), complex)
+    for j, part in residuals.items():
+        for i, center in enumerate(centers):
+            factor[i, j] = _band_factor(part, center)
+    return ResponseError(channel_names, np.asarray(centers), factor) if np.any(factor) else None
+
+
+def _residuals_by_component(batch: Batch, system: System) -> list[tuple[int, _Residuals]]:
+    """Return component and residual responses for each excited load of a batch.
+
+    Where several loads act at once, the residual is divided among them in proportion to what each contributes.
+    """
+    solution = solve(system, batch.frequency, batch.spin)
+    residual = evaluate_batch(batch, system, solution).residual
+    columns = exciter_response(system, solution)[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
+    live = live_mask(batch)
+    variance = np.where(live, residual_variance(batch, columns, live), 0.0)
+    power = np.abs(batch.lines.loads) ** 2
+    share = power * np.sum(np.abs(columns) ** 2, axis=1)
+    share = np.sqrt(share / np.maximum(share.sum(axis=1, keepdims=True), np.finfo(float).tiny))
+    parts = []
+    for column in range(batch.lines.components.shape[1]):
+        for j in np.unique(batch.lines.components[:, column]):
+            mine = (batch.lines.components[:, column] == j) & (batch.line_frequency > 0) & (power[:, column] > 0)
+            if not mine.any():
+                continue
+            scale = (share[mine, column] / np.sqrt(power[mine, column]))[:, None]
+            response = np.where(live[mine], residual[mine], 0.0) * scale
+            parts.append((int(j), _Residuals(batch.line_frequency[mine], response, variance[mine] * scale**2)))
+    return parts
+
+
+def _join(parts: Sequence[_Residuals]) -> _Residuals:
+    return _Residuals(
+        np.concatenate([part.frequency for part in parts]),
+        np.concatenate([part.response for part in parts]),
+        np.concatenate([part.variance for part in parts]),
+    )
+
+
+def _band_factor(part: _Residuals, center: float) -> ComplexArray:
+    """Return the leading directions (c, r) of the error in the band about a frequency; zero where it is all noise."""
+    distance = np.abs(np.log(part.frequency / center))
+    inside = distance <= max(0.5 * np.log(BAND_RATIO), float(np.sort(distance)[min(FEWEST_LINES, len(distance)) - 1]))
+    response, variance = part.response[inside], part.variance[inside]
+    lines = np.maximum((variance > 0).sum(axis=0), 1)
+    sigma = np.sqrt(variance.sum(axis=0) / lines)
+    directions = _significant_directions(response / np.where(sigma > 0, sigma, np.inf), lines)
+    return np.asarray(directions * sigma[:, None])
+
+
+def _significant_directions(whitened: ComplexArray, lines: Array) -> ComplexArray:
+    """Return the directions (c, r) in which lines (k, c) in units of their noise exceed it, and by how much.
+
+    The eigenvalues of the covariance of noise alone reach (1 + sqrt(c / k))^2 (Marchenko and Pastur, 1967). Those
+    above, less the one of the noise itself, are kept.
+    """
+    values, vectors = np.linalg.eigh(whitened.T @ whitened.conj() / np.sqrt(np.outer(lines, lines)))
+    channels = int(np.any(whitened, axis=0).sum())
+    limit = NOISE_MARGIN * (1.0 + np.sqrt(channels / len(whitened))) ** 2
+    size = np.sqrt(np.where(values > limit, values - 1.0, 0.0))[::-1][:RANK]
+    directions = np.zeros((whitened.shape[1], RANK), complex)
+    directions[:, : len(size)] = vectors[:, ::-1][:, :RANK] * size
+    return directions
