@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.cli.model_summary import effect_summary, modes_summary, parameters_summary
+from balance_cli.cli.model_summary import declared_summary, effect_summary, modes_summary, parameters_summary
 from balance_cli.diagnosis.result import VERDICT_MEANING, Diagnosis
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 
@@ -33,6 +33,7 @@ def diagnosis_summary(diagnosis: Diagnosis, updated_model: IdentifiedModel) -> d
         "chi2_per_dof": {"before": diagnosis.chi2_per_dof_before, "after": diagnosis.chi2_per_dof_after},
         "frf_error": {"before": diagnosis.frf_error_before, "after": diagnosis.frf_error_after},
         "parameters": parameters_summary(updated_model.parameters),
+        "declared": declared_summary(updated_model),
         "modes": {"before": modes_summary(diagnosis.modes_before), "after": modes_summary(diagnosis.modes_after)},
         "candidates": diagnosis.candidate_count,
         "trials": [_trial_summary(trial) for trial in diagnosis.trials],

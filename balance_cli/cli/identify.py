@@ -15,7 +15,7 @@ from balance_cli.cli.common import (
     output_option,
     skip_bad_option,
 )
-from balance_cli.cli.model_summary import effect_summary, modes_summary, parameters_summary
+from balance_cli.cli.model_summary import declared_summary, effect_summary, modes_summary, parameters_summary
 from balance_cli.cli.options import InputFile
 from balance_cli.estimation.choices import DAMPING_FORMS, FORMS, METHODS, Damping, Form, Method
 from balance_cli.io.formats import MODEL_FORMAT
@@ -116,6 +116,7 @@ def model_summary(model: IdentifiedModel) -> dict[str, Any]:
         "frf_error": quality.frf_error,
         "runs": {name: _run_fit_summary(run) for name, run in quality.runs.items()},
         "parameters": parameters_summary(model.parameters),
+        "declared": declared_summary(model),
         "effects": [effect_summary(effect) for effect in identified_effects(model)],
         "undetermined": model.unidentifiable,
         "channels_left_out": model.channels_left_out,
@@ -129,6 +130,7 @@ def _run_fit_summary(run: RunFit) -> dict[str, float]:
 
 def model_text(model: IdentifiedModel) -> Iterator[str]:
     """Yield the lines of the console summary: modes, quality of the fit, effects, unidentifiable directions."""
+    from balance_cli.estimation.declared_departures import declared_agreement
     from balance_cli.steps.identify import identified_effects
 
     quality, modes = model.quality, model.modes
@@ -140,6 +142,8 @@ def model_text(model: IdentifiedModel) -> Iterator[str]:
         yield f"error of all responses {100 * quality.frf_error:.3g} %"
     if model.misfit_scale > MIN_MISFIT_SCALE:
         yield "The model does not describe these data: the uncertainties below are underestimated"
+    for departure in declared_agreement(model).departures:
+        yield f"NOT AS DECLARED: {departure.description}"
     yield "   Hz         sigma      damping    sigma"
     for row in zip(modes.frequency, modes.sigma_frequency, modes.damping_ratio, modes.sigma_damping_ratio, strict=True):
         yield "{:9.4f} {:9.2g} {:9.5f} {:9.2g}".format(*row)

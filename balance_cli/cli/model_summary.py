@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from balance_cli.diagnosis.result import FoundEffect
-    from balance_cli.estimation.identified_model import ModeTable, ParameterTable
+    from balance_cli.estimation.identified_model import IdentifiedModel, ModeTable, ParameterTable
     from balance_cli.model.fitted_effects import FittedEffect
 
 
@@ -21,6 +21,16 @@ def parameters_summary(table: ParameterTable) -> dict[str, dict[str, Any]]:
     """Return the parameters by name."""
     rows = zip(table.names, table.value, table.sigma, table.units, table.informed_by, strict=True)
     return {name: dict(zip(("value", "sigma", "unit", "rests_on"), entry, strict=True)) for name, *entry in rows}
+
+
+def declared_summary(model: IdentifiedModel) -> list[dict[str, Any]]:
+    """Return the parameters that depart from their declared tolerances, largest departure first."""
+    from balance_cli.estimation.declared_departures import declared_agreement
+
+    return [
+        {"name": item.name, "declared": item.declared, "found": item.found, "sigmas": item.sigmas, "unit": item.unit}
+        for item in declared_agreement(model).departures
+    ]
 
 
 def effect_summary(effect: FittedEffect | FoundEffect) -> dict[str, Any]:

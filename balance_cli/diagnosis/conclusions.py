@@ -18,20 +18,22 @@ from balance_cli.diagnosis.result import (
 from balance_cli.diagnosis.selection.fit import Fit
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
-from balance_cli.estimation.identified_model import FitQuality
+from balance_cli.estimation.declared_departures import declared_agreement
+from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.model.fitted_effects import FittedEffect
 from balance_cli.model.placed_effects import PlacedEffect
 
 
 def decide_verdict(
-    effects: Sequence[FoundEffect], update: UpdateResult, quality: FitQuality, settings: SearchSettings
+    effects: Sequence[FoundEffect], update: UpdateResult, updated: IdentifiedModel, settings: SearchSettings
 ) -> str:
     """Return the verdict, as docs/json.md defines it.
 
-    Without a good fit it is never `nothing missing`; with an empirical effect it is never `explained`.
+    Without a good fit it is never `nothing missing`; with an empirical effect it is never `explained`. A parameter that
+    departs from its declared tolerance is a misfit too: the declaration is a measurement that the model contradicts.
     """
-    good = is_good_fit(update.confirmation, quality, settings)
+    good = is_good_fit(update.confirmation, updated.quality, settings) and not declared_agreement(updated).departures
     if not effects:
         return NOTHING_MISSING if good else UNEXPLAINED
     empirical = any(effect.evidence.empirical for effect in effects)
@@ -95,11 +97,11 @@ def _added(trial: Trial, label: str) -> bool:
     return trial.decision == "accepted" and same
 
 
-def diagnosis_notes(spectra: Spectra, fit: Fit, quality: FitQuality, settings: SearchSettings) -> tuple[str, ...]:
+def diagnosis_notes(spectra: Spectra, fit: Fit, updated: IdentifiedModel, settings: SearchSettings) -> tuple[str, ...]:
     """Return notes on what the runs leave untested, and on a chi-square that is too small."""
-    notes = []
+    notes = [departure.description for departure in declared_agreement(updated).departures]
     bin_sums = any(run.waveform is not None and run.waveform.lines_are_bin_sums for run in spectra.lines)
-    too_good = quality.chi2_per_dof < settings.selection.too_good_chi2_per_dof
+    too_good = updated.quality.chi2_per_dof < settings.selection.too_good_chi2_per_dof
     if fit.model.system(fit.theta).equations.forces and bin_sums and too_good:
         notes.append(
             "chi2/dof is below one because the noise of records that do not repeat was measured with the nonlinear "

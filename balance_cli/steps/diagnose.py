@@ -68,7 +68,7 @@ def _build_diagnosis(
     settings: SearchSettings,
 ) -> Diagnosis:
     """The diagnosis of `model`, which describes the data with `quality`, from its update."""
-    verdict = decide_verdict(effects, update, updated.quality, settings)
+    verdict = decide_verdict(effects, update, updated, settings)
     explained = verdict in (NOTHING_MISSING, EXPLAINED)
     scores, updated_geometry = update.confirmation.scores, update.fit.model.geometry
     return Diagnosis(
@@ -87,7 +87,7 @@ def _build_diagnosis(
         residual=residual,
         candidate_count=len(scores),
         location="" if explained else describe_residual_location(residual, settings.residual_map),
-        notes=diagnosis_notes(spectra, update.fit, updated.quality, settings),
+        notes=diagnosis_notes(spectra, update.fit, updated, settings),
         settings=settings,
     )
 
