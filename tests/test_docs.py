@@ -170,7 +170,7 @@ NAMES = {
     **dict.fromkeys(("unsupported_terms", "residual", "press", "cross_validation", "reach", "drift_per_series"), 1),
     **dict.fromkeys(("terms_refused", "left_out_sequences", "drift_per_sequence", "calibrated_range"), 1),
     **dict.fromkeys(("scatter_chi2_per_dof", "checks", "error_percent_fs", "within_interval"), 1),
-    **dict.fromkeys(("channels", "noise_v"), 1),
+    **dict.fromkeys(("channels", "noise_v", "flags"), 1),
     **dict.fromkeys(("terms", "linear", "C0", "T0", "channel_hysteresis", "channels_left_out"), 2),
 }
 

@@ -28,6 +28,7 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
         "channels_left_out": run.left_out,
         "interval_s": run.interval,
         "trim": run.trim,
+        "flags": run.flag_counts,
         "notes": run.notes,
     }
     if run.check is not None:

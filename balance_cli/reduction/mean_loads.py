@@ -16,6 +16,7 @@ from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
 from balance_cli.signals.rotor.harmonics import Harmonics
 
@@ -23,9 +24,6 @@ Array = NDArray[np.float64]
 
 ZERO_SEGMENTS = 16
 """Segments of a zero record. The scatter of their means gives the error of the whole mean, known to 18 % by so many."""
-NO_ZERO = "no zero"
-REDUNDANCY = "redundancy"
-EXTRAPOLATED = "extrapolated"
 LARGEST_CONDITION = 1e8
 """Condition of C0, loads in units of the calibrated range, from which it does not determine them: half the digits."""
 
@@ -100,7 +98,7 @@ def linear_mean_loads(
 def flag_extrapolated(loads: MeanLoads, extrapolated_names: Sequence[str]) -> MeanLoads:
     """Flag the named components as EXTRAPOLATED."""
     flags = (
-        "; ".join(filter(None, (flag, EXTRAPOLATED if name in extrapolated_names else "")))
+        join_flags((flag, EXTRAPOLATED if name in extrapolated_names else ""))
         for name, flag in zip(loads.components, loads.flags, strict=True)
     )
     return replace(loads, flags=tuple(flags))
@@ -122,7 +120,7 @@ def _loads_by_trim(
     is_complete = len(reading.rows) == len(trim.channel_names)
     T0 = trim.T0 if is_complete else np.linalg.inv(C0.T @ W @ C0) @ C0.T @ W
     change = T0 @ reading.change
-    covariance = reading.covariance + _model_covariance(trim, reading.rows, change)
+    covariance = reading.covariance + _model_covariance(trim, reading.rows, change, zero is not None)
     redundancy, limit = mean_load_redundancy(reading.change - C0 @ change, C0, covariance)
     variance = np.diag(T0 @ covariance @ T0.T) * (redundancy if redundancy > limit else 1.0)
     return MeanLoads(
@@ -130,23 +128,31 @@ def _loads_by_trim(
         loads=trim.mean_load + change,
         sigma=np.sqrt(variance),
         trim=trim.trim,
-        flags=run_flags(trim.components, zero, redundancy > limit),
+        flags=run_flags(trim.components, zero, redundancy > limit, len(reading.rows) > len(trim.components)),
         redundancy=redundancy,
         redundancy_limit=limit,
         condition=trim.condition,
     )
 
 
-def run_flags(components: Sequence[str], zero: ZeroRecord | None, misfit: bool) -> tuple[str, ...]:
+def run_flags(components: Sequence[str], zero: ZeroRecord | None, misfit: bool, tested: bool) -> tuple[str, ...]:
     """Flags (m,) that all components of a run have in common."""
-    words = ([NO_ZERO] if zero is None else []) + ([REDUNDANCY] if misfit else [])
-    return tuple(["; ".join(words)] * len(components))
+    words = (NO_ZERO if zero is None else "", REDUNDANCY if misfit else "", "" if tested else UNTESTED)
+    return (join_flags(words),) * len(components)
 
 
-def _model_covariance(trim: TrimCalibration, rows: list[int], change: Array) -> Array:
-    """Covariance (c, c) of the readings by the errors of C0 at a load change (m,), and by the misfit of the line."""
-    spread = np.einsum("ijkl,j,l->ik", trim.C0_covariance, change, change)
-    return np.asarray((spread + trim.misfit_share * trim.residual_covariance)[np.ix_(rows, rows)])
+def _model_covariance(trim: TrimCalibration, rows: list[int], change: Array, counts_from_zero: bool) -> Array:
+    """Covariance (c, c) of the readings by the errors of the straight line at a load change (m,), and by its misfit.
+
+    Counted from the center of the rows of the calibration, the reading there has the error of a mean of `trim.rows`
+    rows (none where a matrix was given). Counted from a zero record, the change spans the whole load, and the errors
+    of C0 act on all of it.
+    """
+    load = change + trim.mean_load if counts_from_zero else change
+    spread = np.einsum("ijkl,j,l->ik", trim.C0_covariance, load, load)
+    center = 0.0 if counts_from_zero or not trim.rows else 1.0 / trim.rows
+    covariance = spread + (trim.misfit_share + center) * trim.residual_covariance
+    return np.asarray(covariance[np.ix_(rows, rows)])
 
 
 def mean_reading(

@@ -91,7 +91,7 @@ def nonlinear_mean_loads(
             loads=loads[0] - level,
             sigma=np.sqrt(variance),
             trim=ALL_TRIMS,
-            flags=run_flags(model.components, zero, redundancy > limit),
+            flags=run_flags(model.components, zero, redundancy > limit, len(rows) > len(model.components)),
             redundancy=redundancy,
             redundancy_limit=limit,
             condition=_jacobian_condition(J, model.residual_covariance[np.ix_(rows, rows)]),

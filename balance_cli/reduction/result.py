@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.result_view import ResultView, plural
+from balance_cli.reduction.flags import FLAGS, SEPARATOR
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.kalman.load_history import LoadTrack
 
@@ -100,6 +101,12 @@ class RunLoads(ResultView):
     check: CheckErrors | None = None
     in_time: TimeDomainResult | None = None
 
+    @property
+    def flag_counts(self) -> dict[str, int]:
+        """Number of rows with each flag, in the order of `flags.FLAGS`."""
+        counts = Counter(word for row in self.flags for words in row for word in words.split(SEPARATOR) if word)
+        return {flag: counts[flag] for flag in FLAGS if counts[flag]}
+
     def summary_lines(self) -> Iterator[str]:
         """Run, harmonics, error of a check run, flags."""
         last = len(self.frequency_hz) - 1
@@ -144,7 +151,7 @@ class HubLoads(ResultView):
 
 def _flag_counts(runs: Iterable[RunLoads]) -> str:
     """How many rows have each flag, in words."""
-    counts = Counter(word for run in runs for row in run.flags for flags in row for word in flags.split("; ") if word)
+    counts = sum((Counter(run.flag_counts) for run in runs), Counter[str]())
     return "flags: " + ", ".join(f"{word} ({count} rows)" for word, count in counts.items()) if counts else "no flags"
 
 

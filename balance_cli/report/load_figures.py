@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.reduction.flags import REDUNDANCY
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.report.figure_style import (
     BLACK,
@@ -29,7 +30,6 @@ Array = NDArray[np.float64]
 
 RUN_COLORS = (BLUE, ORANGE, GREEN, VERMILION, *EXTRA_COLORS)
 RUN_MARKERS = "osD^vPX*"
-REDUNDANCY_FLAG = "redundancy"
 
 
 def wind_runs(loads: HubLoads) -> dict[str, RunLoads]:
@@ -126,7 +126,7 @@ def _draw_amplitudes(axes: Axes, run: RunLoads, name: str, i: int, shift: float)
     m = run.components.index(name)
     amplitude = np.abs(run.amplitude[1:, m])
     sigma = amplitude_sigma(run)[1:, m]
-    flagged = np.array([REDUNDANCY_FLAG in flags[m] for flags in run.flags[1:]])
+    flagged = np.array([REDUNDANCY in flags[m] for flags in run.flags[1:]])
     place = np.arange(1, len(run.frequency_hz)) + shift
     low = np.minimum(sigma, 0.9 * amplitude)
     axes.vlines(place, amplitude - low, amplitude + sigma, colors=_run_color(i), linewidth=1.0)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.reduction.flags import REDUNDANCY
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.report.blocks import (
     BulletList,
@@ -24,7 +25,6 @@ from balance_cli.report.blocks import (
 )
 from balance_cli.report.figure_style import svg
 from balance_cli.report.load_figures import (
-    REDUNDANCY_FLAG,
     amplitude_sigma,
     harmonics_figure,
     redundancy_figure,
@@ -154,7 +154,7 @@ def _mean_load_row(run: RunLoads, names: Sequence[str]) -> Row:
 
 
 def _harmonic_row(run: RunLoads, n: int, names: Sequence[str]) -> Row:
-    flagged = any(REDUNDANCY_FLAG in flag for flag in run.flags[n])
+    flagged = any(REDUNDANCY in flag for flag in run.flags[n])
     cells = [TableCell(f"{n}", f"{run.frequency_hz[n]:.2f} Hz", "name bad" if flagged else "name")]
     sigmas = amplitude_sigma(run)[n]
     for name in names:

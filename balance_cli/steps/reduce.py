@@ -16,6 +16,7 @@ from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.trust import assess_trust, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 
 Array = NDArray[np.float64]
@@ -67,7 +68,11 @@ def reduce_record(
     if amplitudes is not None:
         harmonic_solution = replace(harmonic_solution, loads=amplitudes)
     notes = record.azimuth.notes if calibration.errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
-    loads = replace(_combine_loads(record, mean_solution, harmonic_solution, source), notes=notes)
+    loads = _combine_loads(record, mean_solution, harmonic_solution, source)
+    sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
+    trust = assess_trust(record, geometry, source, nearest_trim(calibration, loads), harmonic_solution, sigma)
+    lines = tuple(line.description for line in trust.lines)
+    loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines))
     if not record.run.has_loads or record.run.kind != "check":
         return loads
     return replace(loads, check=check_errors(record.spectra, harmonic_solution, loads.components, geometry))
@@ -86,7 +91,6 @@ def _combine_loads(
     """Return the loads with harmonic 0 from the mean loads and the others from the harmonic loads."""
     spectra, m = record.spectra, len(mean_solution.components)
     variance = np.diagonal(harmonic_solution.inflated_covariance, axis1=1, axis2=2)
-    residual_test_flags = np.where(harmonic_solution.misfit, "redundancy", "")
     return RunLoads(
         run=record.run.name,
         kind=record.run.kind,
@@ -97,7 +101,7 @@ def _combine_loads(
         amplitude=np.concatenate([mean_solution.loads[None, :].astype(complex), harmonic_solution.loads]),
         sigma_cosine=np.concatenate([mean_solution.sigma[None, :], np.sqrt(variance[:, :m])]),
         sigma_sine=np.concatenate([np.zeros((1, m)), np.sqrt(variance[:, m:])]),
-        flags=(mean_solution.flags, *(tuple([str(flag)] * m) for flag in residual_test_flags)),
+        flags=(mean_solution.flags, *(("",) * m for _ in harmonic_solution.loads)),
         redundancy=np.concatenate([[mean_solution.redundancy], harmonic_solution.redundancy_chi2]),
         redundancy_limit=np.concatenate([[mean_solution.redundancy_limit], harmonic_solution.limit]),
         condition=np.concatenate([[mean_solution.condition], harmonic_solution.condition]),

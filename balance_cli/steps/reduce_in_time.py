@@ -39,6 +39,7 @@ from balance_cli.reduction.kalman.smoothing import smoothed_estimates
 from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.response_sources import ResponseSource, no_state_space_error
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.trust import flag_filter
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.steps.reduce import reduce_record
@@ -152,10 +153,11 @@ def reduce_run_in_time(
             sums.add(estimates.innovations)
     loads = reduce_record(setup.record, geometry, calibration, source, zero, recorder.mean_amplitudes()[1:])
     notes = (*setup.azimuth.notes, *setup.data_quality.notes, *loads.notes[len(setup.record.azimuth.notes) :])
+    innovations = sums.tests(setup.data_quality.names)
     return TimeReduction(
-        loads=replace(loads, interval=setup.interval, notes=notes),
+        loads=flag_filter(replace(loads, interval=setup.interval, notes=notes), innovations),
         track=recorder.track(),
-        innovations=sums.tests(setup.data_quality.names),
+        innovations=innovations,
         noise=dict(zip(setup.data_quality.names, np.sqrt(setup.system.noise).tolist(), strict=True)),
         gap_notes=setup.data_quality.notes,
     )

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.io.errors import UserError
+from balance_cli.signals.rotor.spectral_floor import spectral_floor
 
 Array = NDArray[np.float64]
 
@@ -143,7 +144,7 @@ def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array,
         return np.zeros(0), np.zeros(0), 1.0
     values = np.nan_to_num(read_channels(run, run.channel_names, first, last))
     spectrum = np.abs(np.fft.rfft((values - values.mean(axis=0)) * np.hanning(samples)[:, None], axis=0)) ** 2
-    floor = median_filter(spectrum, size=(max(33, samples // 128) | 1, 1), mode="nearest")
+    floor = spectral_floor(spectrum)
     relative = np.max(spectrum / np.maximum(floor, np.finfo(float).tiny), axis=1)
     relative[:3] = 0.0
     peak = (relative == maximum_filter1d(relative, 7)) & (relative > LINE_TO_FLOOR)

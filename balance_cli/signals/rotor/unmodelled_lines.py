@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.signals.rotor.azimuth import Azimuth
+from balance_cli.signals.rotor.spectral_floor import spectral_floor
 
 Array = NDArray[np.float64]
 
@@ -121,7 +122,7 @@ def _largest_harmonic(order: Array, amplitude: Array, n: int) -> Array:
 def _peaks(frequency: Array, amplitude: Array, largest: Array) -> list[tuple[float, int, float]]:
     """Return frequency, channel and amplitude of the lines that stand out of their surroundings and matter."""
     power = amplitude**2
-    floor = median_filter(power, size=(max(65, len(power) // 64) | 1, 1), mode="nearest")
+    floor = spectral_floor(power)
     clear = power > LINE_TO_FLOOR * np.maximum(floor, np.finfo(float).tiny)
     share = np.where(clear, amplitude / np.maximum(largest, np.finfo(float).tiny), 0.0)
     strongest = share.max(axis=1)

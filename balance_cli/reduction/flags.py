@@ -1,0 +1,43 @@
+"""Flags of loads: why a row of a load table is not to be taken as it is. Imports nothing heavy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+NO_ZERO = "no zero"
+"""The mean counts from the reading of the unloaded rig during the calibration: no wind-off record was given."""
+NOT_MEASURED = "not measured"
+"""No channel that measures a mean is there."""
+UNTESTED = "untested"
+"""No more independent sensors than loads: nothing can contradict the load."""
+REDUNDANCY = "redundancy"
+"""The redundant channels contradict the load."""
+EXTRAPOLATED = "extrapolated"
+"""The mean load lies outside the calibrated range."""
+NOT_STEADY = "not steady"
+"""The load steps or drifts within the interval over which it was averaged."""
+UNMODELLED_LINE = "unmodelled line"
+"""The channels have a line beside the reduced harmonics."""
+FILTER_CONTRADICTED = "filter contradicted"
+"""The innovations of the filter are not of the size that it states, or not white."""
+MODEL_CONTRADICTED = "model contradicted"
+"""The response misses its own measured data by a share of the load that matters."""
+
+FLAGS = (
+    NO_ZERO,
+    NOT_MEASURED,
+    UNTESTED,
+    REDUNDANCY,
+    EXTRAPOLATED,
+    NOT_STEADY,
+    UNMODELLED_LINE,
+    FILTER_CONTRADICTED,
+    MODEL_CONTRADICTED,
+)
+SEPARATOR = "; "
+
+
+def join_flags(words: Iterable[str]) -> str:
+    """Return the flags as one text in their fixed order, each once; empty words are left out."""
+    given = {word for text in words for word in text.split(SEPARATOR) if word}
+    return SEPARATOR.join(flag for flag in FLAGS if flag in given)

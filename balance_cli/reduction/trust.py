@@ -1,0 +1,132 @@
+"""Which loads of a record are not to be taken as they are, and why: the flags of a reduction by harmonics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.result import Calibration, TrimCalibration
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.reduction.flags import (
+    FILTER_CONTRADICTED,
+    MODEL_CONTRADICTED,
+    NOT_STEADY,
+    REDUNDANCY,
+    UNMODELLED_LINE,
+    UNTESTED,
+    join_flags,
+)
+from balance_cli.reduction.harmonic_loads import RotorRecord
+from balance_cli.reduction.kalman.innovations import InnovationTests
+from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.steadiness import unsteady_loads
+from balance_cli.reduction.weighted_least_squares import SolvedLoads
+from balance_cli.signals.rotor.unmodelled_lines import UnmodelledLine, unmodelled_lines
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MODEL_ERROR_SHARE = 0.1
+"""Standard deviation of a load by the known error of the response, as a share of the load, that flags it.
+
+A hub load known to 10 % does not serve for a comparison of rotors; below, sigma tells enough.
+"""
+SMALLEST_NIS, LARGEST_NIS = 0.8, 1.25
+"""Normalized innovation squared of a filter whose sigma is right to within 12 %."""
+LARGEST_AUTOCORRELATION = 0.03
+"""Root-mean-square autocorrelation of the innovations of a filter that follows its record.
+
+On measured records that the filter follows it is 0.018, on one with a step 0.046. Unlike the whiteness statistic it
+does not grow with the length of the record.
+"""
+
+
+@dataclass(frozen=True)
+class Trust:
+    """Findings about the loads (n+1, m) of a record: which are untested, unsteady, or contradicted by the model."""
+
+    untested: Mask
+    unsteady: Mask
+    contradicted: Mask
+    rejected: Mask
+    lines: tuple[UnmodelledLine, ...]
+
+    def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
+        """Return the flags (n+1, m) of the findings added to those given."""
+        return tuple(
+            tuple(join_flags((word, *self._words(h, j))) for j, word in enumerate(row)) for h, row in enumerate(given)
+        )
+
+    def _words(self, h: int, j: int) -> tuple[str, ...]:
+        return (
+            UNTESTED if self.untested[h, j] else "",
+            REDUNDANCY if self.rejected[h, j] else "",
+            NOT_STEADY if self.unsteady[h, j] else "",
+            UNMODELLED_LINE if self.lines and h else "",
+            MODEL_CONTRADICTED if self.contradicted[h, j] else "",
+        )
+
+
+def assess_trust(
+    record: RotorRecord,
+    geometry: Geometry,
+    source: ResponseSource,
+    static: TrimCalibration,
+    solution: SolvedLoads,
+    sigma: Array,
+) -> Trust:
+    """Examine the loads of a record; `sigma` (n+1, m) are the standard deviations stated for them."""
+    shape, m = sigma.shape, sigma.shape[1]
+    untested, contradicted, rejected = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape, bool)
+    untested[1:] = (solution.degrees <= 0)[:, None] | (sensor_count(geometry, record.health.live) <= m)
+    rejected[1:] = solution.misfit[:, None]
+    contradicted[1:] = source.is_contradicted | _model_error_matters(solution)
+    n = shape[0] - 1
+    lines = unmodelled_lines(record.run, record.azimuth, record.health.live, n, record.spectra.interval)
+    return Trust(untested, unsteady_loads(record, geometry, source, static, sigma), contradicted, rejected, lines)
+
+
+def sensor_count(geometry: Geometry, live: tuple[str, ...]) -> int:
+    """Return how many cells and torque meters the channels measure.
+
+    Two channels of one cell test each other, not the mechanics of the balance: they count once.
+    """
+    channels = [channel for channel in geometry.channels if channel.name in live]
+    return len({channel.cell for channel in channels})
+
+
+def _model_error_matters(solution: SolvedLoads) -> Mask:
+    """Return where (n, m) the known error of the response exceeds a share of the load and the noise."""
+    m = solution.loads.shape[1]
+    known, noise = (
+        np.diagonal(covariance, axis1=1, axis2=2)[:, :m] + np.diagonal(covariance, axis1=1, axis2=2)[:, m:]
+        for covariance in (solution.model_covariance, solution.noise_covariance)
+    )
+    return np.asarray((known > (MODEL_ERROR_SHARE * np.abs(solution.loads)) ** 2) & (known > noise))
+
+
+def nearest_trim(calibration: Calibration, loads: RunLoads) -> TrimCalibration:
+    """Return the trim whose static matrix belongs to the mean loads of a run."""
+    if loads.trim in calibration.trims:
+        return calibration.trims[loads.trim]
+    return calibration.nearest_trim(dict(zip(loads.components, loads.amplitude[0].real.tolist(), strict=True)))
+
+
+def filter_is_contradicted(tests: InnovationTests | None) -> bool:
+    """Return whether the innovations of a filter are not of the size that it states, or not white."""
+    if tests is None:
+        return False
+    autocorrelation = np.sqrt(tests.whiteness / tests.samples)
+    return not SMALLEST_NIS <= tests.nis <= LARGEST_NIS or bool(autocorrelation > LARGEST_AUTOCORRELATION)
+
+
+def flag_filter(loads: RunLoads, tests: InnovationTests | None) -> RunLoads:
+    """Return the loads, all flagged where the innovations contradict the filter that estimated them."""
+    if not filter_is_contradicted(tests):
+        return loads
+    return replace(
+        loads, flags=tuple(tuple(join_flags((word, FILTER_CONTRADICTED)) for word in row) for row in loads.flags)
+    )

@@ -1,0 +1,132 @@
+"""Loads say when they are not to be trusted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.reduction.flags import FLAGS, join_flags
+from balance_cli.reduction.kalman.innovations import InnovationTests
+from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.trust import filter_is_contradicted, flag_filter, sensor_count
+from balance_cli.steps.identify import IdentifyOptions, identify
+from balance_cli.steps.reduce import ReduceOptions, reduce_run
+from tests.support.channels import with_channel
+
+
+@pytest.fixture(scope="module")
+def check(campaign):
+    return campaign.runs_of_kind("check")[0]
+
+
+def reduced_words(run):
+    return {word for row in run.flags for flag in row for word in flag.split("; ") if word}
+
+
+def test_flags_have_one_order_and_each_stands_once():
+    assert join_flags(["redundancy", "", "no zero; redundancy", "untested"]) == "no zero; untested; redundancy"
+    assert join_flags([]) == ""
+    assert join_flags(FLAGS) == "; ".join(FLAGS)
+
+
+def test_a_good_record_has_no_flag_but_the_missing_zero(campaign, calibration, identified, check):
+    assert reduced_words(reduce_run(check, campaign.geometry, calibration, model_source(identified))) == {"no zero"}
+
+
+def test_two_channels_of_a_cell_are_one_sensor(campaign):
+    names = campaign.geometry.channel_names
+    cells = {channel.cell for channel in campaign.geometry.channels}
+    assert sensor_count(campaign.geometry, names) == len(cells)
+    assert sensor_count(campaign.geometry, tuple(name for name in names if "piezo" not in name)) == len(cells)
+
+
+def test_six_sensors_for_six_loads_are_untested_although_each_cell_has_two_channels(
+    campaign, calibration, identified, check
+):
+    broken = check
+    for name in [name for name in campaign.geometry.channel_names if name.startswith(("z4", "y2"))]:
+        broken = with_channel(broken, name, np.zeros_like)
+    found = reduce_run(broken, campaign.geometry, calibration, model_source(identified))
+    assert all("untested" in flag for row in found.flags for flag in row)
+
+
+def test_a_step_of_the_mean_load_is_not_steady(campaign, calibration, identified):
+    wind = campaign.runs_of_kind("wind")[0]
+    steady = reduce_run(wind, campaign.geometry, calibration, model_source(identified))
+    assert "not steady" not in reduced_words(steady)
+
+    def step(volts):
+        return volts + np.where(np.arange(len(volts)) > 0.6 * len(volts), 0.3 * abs(np.mean(volts)), 0.0)
+
+    stepped = wind
+    for name in [name for name in campaign.geometry.channel_names if name.startswith("z") and "strain" in name]:
+        stepped = with_channel(stepped, name, step)
+    found = reduce_run(stepped, campaign.geometry, calibration, model_source(identified))
+    lift = found.components.index("Fz")
+    assert "not steady" in found.flags[0][lift]
+
+
+def test_a_line_above_the_reduced_harmonics_flags_the_run(campaign, calibration, identified, check):
+    found = reduce_run(check, campaign.geometry, calibration, model_source(identified), options=ReduceOptions(3))
+    assert all("unmodelled line" in flag for row in found.flags[1:] for flag in row)
+    assert any("4/rev" in note for note in found.notes)
+
+
+def test_a_model_that_its_own_data_contradict_states_errors_that_cover(campaign, calibration, check):
+    """The declared rig instead of the drawn one: intervals of 95 % hold the loads, and what is far off is flagged."""
+    spectra = measured_spectra(campaign.runs, campaign.geometry)
+    computed = identify(spectra, campaign.geometry, IdentifyOptions(method="computed"))
+    assert computed.quality.chi2_per_dof > 100
+    found = reduce_run(check, campaign.geometry, calibration, model_source(computed))
+    cosine, sine = campaign.truths[check.name].harmonics(*found.interval)
+    error = np.stack([found.amplitude.real - cosine, -found.amplitude.imag - sine])[:, 1:]
+    sigma = np.stack([found.sigma_cosine, found.sigma_sine])[:, 1:]
+    assert np.mean(np.abs(error) < 1.96 * sigma) > 0.9
+    far = np.abs(error[0] + 1j * error[1]) > 0.3 * np.hypot(cosine, sine)[1:]
+    flagged = np.array([["contradicted" in flag for flag in row] for row in found.flags[1:]])
+    assert far.any()
+    assert np.mean(flagged[far]) > 0.9
+
+
+def test_the_error_of_a_misfit_does_not_need_redundancy(campaign, calibration, check):
+    """With six sensors nothing tests the loads: the misfit seen in identification alone must widen the intervals."""
+    spectra = measured_spectra(campaign.runs, campaign.geometry)
+    computed = identify(spectra, campaign.geometry, IdentifyOptions(method="computed"))
+    broken = check
+    for name in [name for name in campaign.geometry.channel_names if name.startswith(("z4", "y2"))]:
+        broken = with_channel(broken, name, np.zeros_like)
+    found = reduce_run(broken, campaign.geometry, calibration, model_source(computed))
+    cosine, sine = campaign.truths[check.name].harmonics(*found.interval)
+    error = np.stack([found.amplitude.real - cosine, -found.amplitude.imag - sine])[:, 1:]
+    sigma = np.stack([found.sigma_cosine, found.sigma_sine])[:, 1:]
+    assert np.mean(np.abs(error) < 1.96 * sigma) > 0.9
+
+
+def test_an_old_model_without_its_error_is_contradicted_as_a_whole(campaign, calibration, check):
+    spectra = measured_spectra(campaign.runs, campaign.geometry)
+    computed = identify(spectra, campaign.geometry, IdentifyOptions(method="computed"))
+    old = replace(computed, response_error=None)
+    found = reduce_run(check, campaign.geometry, calibration, model_source(old))
+    assert all("model contradicted" in flag for row in found.flags[1:] for flag in row)
+
+
+@pytest.mark.parametrize(
+    ("nis", "whiteness", "samples", "contradicted"),
+    [
+        (0.96, 1.0, 20000, False),
+        (0.97, 7.4, 24000, False),
+        (251.0, 1.0, 20000, True),
+        (0.5, 1.0, 20000, True),
+        (0.98, 51.0, 24000, True),
+    ],
+)
+def test_innovations_contradict_a_filter(
+    campaign, calibration, identified, check, nis, whiteness, samples, contradicted
+):
+    tests = InnovationTests(nis, 0.002, whiteness, 0.08, {}, samples)
+    assert filter_is_contradicted(tests) == contradicted
+    loads = reduce_run(check, campaign.geometry, calibration, model_source(identified))
+    words = reduced_words(flag_filter(loads, tests))
+    assert ("filter contradicted" in words) == contradicted
+    assert not filter_is_contradicted(None)
