@@ -13,6 +13,8 @@ import yaml
 from pydantic import ValidationError
 
 from balance_cli.io.errors import UserError
+from balance_cli.io.sniff import require_file
+from balance_cli.io.yaml_file import read_yaml
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.plans import CampaignPlan
 from balance_cli.simulation.rig import TrueRig
@@ -27,19 +29,18 @@ def read_plan(path: Path) -> CampaignPlan:
     Raises UserError where the file cannot be read or holds no plan.
     """
     try:
-        declared = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UserError(f"cannot be read: {error.strerror}", str(path), remedy="Check the name") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise UserError(
-            f"is not YAML: {' '.join(str(error).split())}", str(path), remedy="Correct the syntax"
-        ) from error
+        require_file(path)
+        declared = read_yaml(path, "a plan")
+    except UserError as error:
+        raise error.with_location(file=str(path)) from error
     try:
         return CampaignPlan.model_validate(declared)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
         message = first["msg"].removeprefix("Value error, ")
+        if isinstance(first["input"], str | int | float):
+            message = f"{message.removeprefix('Input ')} (found {first['input']!r:.60})"
         raise UserError(message, str(path), place, "Correct this entry of the plan") from error
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal, get_args
 
@@ -21,10 +22,22 @@ HARMONIC_SHAPE = (1.0, 0.4, 0.5, 2.0, 0.3, 0.15, 0.2, 0.6)
 """Amplitudes of harmonics 1 to 8 relative to the first, similar to the recorded check runs (four blades)."""
 
 
-class Plan(FrozenModel):
-    """Base of all runs."""
+MOST_SAMPLES = 2_000_000
+"""Of a simulated record: forty minutes at 800 Hz. Each sample needs some kilobytes of memory."""
+MOST_STEPS = 10_000
+"""Of a static run, of each component."""
 
-    run: str
+
+class Plan(FrozenModel):
+    """Base of all runs; the name is also that of a file in the output folder."""
+
+    run: Annotated[str, Field(min_length=1, max_length=200)]
+
+    @model_validator(mode="after")
+    def _check_name(self) -> Plan:
+        if "/" in self.run or not self.run.isprintable() or not self.run.strip(" .") or len(self.run.encode()) > 200:
+            raise ValueError(f"the run name {self.run!r} is not the name of a file")
+        return self
 
 
 class StaticPlan(Plan):
@@ -34,7 +47,7 @@ class StaticPlan(Plan):
     trim: str = "bare"
     trim_loads: LoadValues = Field(default_factory=dict)
     largest: Mapping[Component, Positive]
-    steps: Annotated[int, Field(ge=1)] = 5
+    steps: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 5
 
 
 class RecordPlan(Plan):
@@ -44,11 +57,32 @@ class RecordPlan(Plan):
     rotor_speed: NonNegative = 0.0
 
 
+def _check_record(plan: ZeroPlan | SweepPlan | RotorPlan) -> None:
+    """Raise ValueError where the record of a plan has too few or too many samples, or too few for its rotor."""
+    samples = plan.duration * plan.sample_rate
+    if not 2.0 <= samples <= MOST_SAMPLES:
+        raise ValueError(f"its duration times `sample_rate` is {samples:.3g} samples, not 2 to {MOST_SAMPLES}")
+    if plan.rotor_speed >= plan.sample_rate / 2.0:
+        raise ValueError(f"`rotor_speed` {plan.rotor_speed:g} Hz is not below half of `sample_rate`")
+
+
+def _check_band(key: str, band: tuple[float, float], sample_rate: float) -> None:
+    """Raise ValueError unless a band [Hz] rises and ends below half the sample rate."""
+    if not band[0] < band[1] < sample_rate / 2.0:
+        shown = f"`{key}` {band[0]:g} to {band[1]:g} Hz"
+        raise ValueError(f"{shown} should rise and end below half of `sample_rate` {sample_rate:g} Hz")
+
+
 class ZeroPlan(RecordPlan):
     """A record without loads."""
 
     kind: Literal["zero"] = "zero"
     duration: Positive = 10.0
+
+    @model_validator(mode="after")
+    def _check(self) -> ZeroPlan:
+        _check_record(self)
+        return self
 
 
 class SweepPlan(RecordPlan):
@@ -69,10 +103,24 @@ class SweepPlan(RecordPlan):
     interleaved: bool = True
 
     @model_validator(mode="after")
-    def _check_levels(self) -> SweepPlan:
+    def _check(self) -> SweepPlan:
+        if len(set(self.excited)) < len(self.excited):
+            raise ValueError("`excited` names a component twice")
         if len(self.level) != len(self.excited):
             raise ValueError("give one `level` for each of `excited`")
+        _check_record(self)
+        _check_band("band", self.band, self.sample_rate)
+        if self.period * self.sample_rate < 2.0:
+            raise ValueError(f"`period` {self.period:g} s is shorter than two samples")
+        if self.excitation == "multisine" and self._lines < len(self.excited):
+            raise ValueError(f"`band` holds {self._lines} multiples of 1/`period`, fewer than components `excited`")
         return self
+
+    @property
+    def _lines(self) -> int:
+        """Multiples of 1/period within the band."""
+        first, last = (edge * self.period for edge in self.band)
+        return math.floor(last + 1e-9) - max(math.ceil(first - 1e-9), 1) + 1
 
     @property
     def duration(self) -> float:
@@ -104,9 +152,21 @@ class RotorPlan(RecordPlan):
     steady: LoadValues = Field(default_factory=dict)
     turbulence: Mapping[Component, NonNegative] = Field(default_factory=dict)
     turbulence_band: tuple[Positive, Positive] = (0.5, 100.0)
-    drift: NonNegative = 0.0
+    drift: Annotated[float, Field(ge=0, lt=1)] = 0.0
     drift_period: Positive = 23.0
     step: LoadStep | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> RotorPlan:
+        _check_record(self)
+        revolutions = self.duration * self.rotor_speed * (1.0 - self.drift)
+        if revolutions <= 2.0:
+            raise ValueError(
+                f"`duration` {self.duration:g} s is {revolutions:.3g} revolutions, two pulses need more than 2"
+            )
+        if self.turbulence:
+            _check_band("turbulence_band", self.turbulence_band, self.sample_rate)
+        return self
 
 
 SampledPlan = ZeroPlan | SweepPlan | RotorPlan
@@ -116,7 +176,7 @@ AnyPlan = StaticPlan | SampledPlan
 class CampaignPlan(FrozenModel):
     """The runs of a campaign, in their order; run names are unique."""
 
-    runs: tuple[Annotated[AnyPlan, Field(discriminator="kind")], ...]
+    runs: Annotated[tuple[Annotated[AnyPlan, Field(discriminator="kind")], ...], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _check_unique_names(self) -> CampaignPlan:

@@ -11,10 +11,16 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.io.result_view import plural
 
-Name = Annotated[str, Field(min_length=1)]
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+LARGEST_VALUE = 1e15
+"""Of any number of a geometry or a plan, in SI units: far beyond any rig, and its fourth power is still finite."""
+MOST_PARTS = 500
+"""Bodies, cells or channels; no rig has so many, and the equations of so many are still solved in seconds."""
+
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+Number = Annotated[float, Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)]
+Vector = tuple[Number, Number, Number]
+Positive = Annotated[float, Field(gt=0, le=LARGEST_VALUE)]
+NonNegative = Annotated[float, Field(ge=0, le=LARGEST_VALUE)]
 Array = NDArray[np.float64]
 
 
@@ -30,9 +36,9 @@ class Inertia(FrozenModel):
     xx: NonNegative
     yy: NonNegative
     zz: NonNegative
-    xy: float = 0.0
-    xz: float = 0.0
-    yz: float = 0.0
+    xy: Number = 0.0
+    xz: Number = 0.0
+    yz: Number = 0.0
 
     def tensor(self) -> Array:
         """The inertia tensor (3, 3) [kg m2]: products enter with a minus sign."""
@@ -97,7 +103,7 @@ class Channel(FrozenModel):
     name: Name
     cell: str | None = None
     torque_meter: bool = False
-    sensitivity: float
+    sensitivity: Number
     lowpass: Positive | None = None
     time_constant: Positive | None = None
     range: Positive | None = None
@@ -153,7 +159,7 @@ class DeclaredEffect(FrozenModel):
 
     name: Name
     where: tuple[str, ...] = ()
-    parameters: dict[str, float | str] = {}
+    parameters: dict[str, Number | str] = {}
 
 
 class Geometry(FrozenModel):
@@ -163,10 +169,10 @@ class Geometry(FrozenModel):
     name: Name
     rig: Name
     hub: Vector
-    bodies: Annotated[tuple[Body, ...], Field(min_length=1)]
-    cells: Annotated[tuple[Cell, ...], Field(min_length=1)]
+    bodies: Annotated[tuple[Body, ...], Field(min_length=1, max_length=MOST_PARTS)]
+    cells: Annotated[tuple[Cell, ...], Field(min_length=1, max_length=MOST_PARTS)]
     torque_meter: TorqueMeter | None = None
-    channels: Annotated[tuple[Channel, ...], Field(min_length=1)]
+    channels: Annotated[tuple[Channel, ...], Field(min_length=1, max_length=MOST_PARTS)]
     acquisition: Acquisition = Acquisition()
     damping_ratio: NonNegative
     tolerances: Tolerances = Tolerances()

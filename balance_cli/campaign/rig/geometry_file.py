@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
-import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import UnionType
@@ -21,6 +20,7 @@ from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import GEOMETRY_FORMAT
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file
+from balance_cli.io.yaml_file import read_yaml
 
 Place = tuple[int | str, ...]
 
@@ -84,47 +84,13 @@ def _parse(declared: object) -> tuple[Geometry | None, tuple[UserError, ...]]:
     return geometry, tuple(geometry_faults(geometry))
 
 
-# ---- YAML ------------------------------------------------------------------------------------------------------------
-
-
-class _Loader(yaml.SafeLoader):
-    """The safe loader, which refuses duplicate keys and reads 1e-3 as a number as in YAML 1.2."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key_node, _ in node.value:
-            key = str(getattr(key_node, "value", key_node))
-            if key in seen:
-                line = key_node.start_mark.line + 1
-                raise UserError(f"key `{key}` is given twice", place=f"line {line}", remedy="Remove one of them")
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
-
-
 def _read_yaml(path: Path) -> object:
     require_file(path)
     if not path.is_file() or is_hdf5(path):
         raise UserError(
             f"is {describe_file(path)}, where a geometry was expected", remedy="Give the YAML file of the rig"
         )
-    try:
-        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        place = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise UserError(f"is not YAML: {error.problem}", place=place, remedy="Correct the syntax there") from error
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise UserError(f"is not YAML: {reason}", remedy="Give the YAML file of the rig") from error
-    except OSError as error:
-        raise UserError(f"cannot be read: {error.strerror}", remedy="Check its permissions") from error
+    return read_yaml(path, "a geometry")
 
 
 # ---- faults that pydantic finds --------------------------------------------------------------------------------------
