@@ -2,20 +2,82 @@
 
 import os
 import sys
+from contextlib import suppress
+from types import FrameType
 
 # With many small matrices BLAS threads cost more than they gain: up to ten times the run time on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from balance_cli.cli import balance
-
 # [s]. With the default of 5 ms, threads that alternate short numpy calls wait for each other: 10 % of `diagnose`.
 SWITCH_INTERVAL = 5e-4
+
+SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminal closed"}
+"""Signals that end the program, and the message of each. Not every system has SIGHUP."""
+HELP_OPTIONS = {"-h", "--help", "--version"}
+EXIT_INTERRUPTED = 130
 
 
 def main() -> None:
     """Run the program with the arguments of the command line."""
-    sys.setswitchinterval(SWITCH_INTERVAL)
-    balance(prog_name="balance")
+    # Help writes no file, and is fastest without the module `signal`: there Ctrl-C is an ordinary exception.
+    handle = not HELP_OPTIONS & set(sys.argv[1:])
+    try:
+        if handle:
+            _handle_signals()
+        from balance_cli.cli import balance
+
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        balance(prog_name="balance")
+    except KeyboardInterrupt:
+        _write_line("interrupted, nothing written")
+        sys.exit(EXIT_INTERRUPTED)
+    finally:
+        if handle:
+            _ignore_signals()  # the exit status is fixed
+
+
+def _handle_signals() -> None:
+    """Let the signals end the program in order, except those that the caller ignores (as `nohup` does)."""
+    import signal
+
+    for name in SIGNALS:
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _exit_on_signal)
+
+
+def _ignore_signals() -> None:
+    import signal
+
+    for name in SIGNALS:
+        number = getattr(signal, name, None)
+        if number is not None:
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
+    """Remove the staged files, print one line and end the process with status 128 + number.
+
+    An exception would not do: extension modules that are being imported replace it by their own or drop it, and a pool
+    of threads waits for its work.
+    """
+    import signal
+
+    # No file is staged before this module is imported; it may be half imported now.
+    abandon = getattr(sys.modules.get("balance_cli.io.atomic"), "abandon_outputs", None)
+    outcome = abandon(lambda: _exit_on_signal(number, None)) if abandon else "nothing written"
+    if outcome is None:
+        return
+    _ignore_signals()
+    _write_line(f"{SIGNALS[signal.Signals(number).name]}, {outcome}")
+    os._exit(128 + number)
+
+
+def _write_line(message: str) -> None:
+    """Print the message on stderr; on a terminal it begins below a progress bar or an echoed ^C."""
+    start = "\n" if os.isatty(2) else ""
+    with suppress(OSError):  # the terminal may be gone
+        os.write(2, f"{start}balance: error: {message}\n".encode())
 
 
 if __name__ == "__main__":

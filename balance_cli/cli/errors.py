@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import click
@@ -15,6 +19,13 @@ EXIT_USER_ERROR = 2
 EXIT_INTERNAL_ERROR = 1
 EXIT_INTERRUPTED = 130
 """Exit statuses; shells report 130 for a process that was interrupted from the keyboard."""
+
+SYSTEM_ERRORS = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENAMETOOLONG}
+SYSTEM_ERRORS |= {errno.EIO, errno.ENODEV, errno.ESTALE, errno.EMFILE, errno.ENFILE}
+"""Errors of the operating system that no program can avoid: disk full, read-only, limits, a device that fails."""
+MEMORY_ERRORS = {errno.ENOMEM, errno.EAGAIN}
+MEMORY_WORDS = ("cannot allocate memory", "memory allocation failed", "failed to map segment", "can't start new thread")
+"""Parts of the messages by which the loader of extension modules, HDF5 and threads report a lack of memory."""
 
 
 class _ErrorReportingCommand(click.Command):
@@ -35,7 +46,9 @@ class _ErrorReportingCommand(click.Command):
         try:
             status = super().main(words, prog_name, complete_var, standalone_mode=False, **extra)
         except BaseException as error:
-            sys.exit(report_error(error, verbose=bool({"-v", "--verbose"} & set(words))))
+            status = report_error(error, verbose=bool({"-v", "--verbose"} & set(words)))
+            _drop_unwritable_output()
+            sys.exit(status)
         sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -56,7 +69,40 @@ def report_error(error: BaseException, verbose: bool) -> int:
     if isinstance(error, click.Abort | KeyboardInterrupt):
         _echo_error("interrupted, nothing written")
         return EXIT_INTERRUPTED
+    fault = _system_fault(error)
+    if fault is not None:
+        _echo_error(fault)
+        return EXIT_USER_ERROR
     return _report_internal_error(error, verbose)
+
+
+def _system_fault(error: BaseException) -> str | None:
+    """The message for an error that the computer causes, not the program: no memory, disk full, read-only folder."""
+    text = str(error).lower()
+    number = error.errno if isinstance(error, OSError) else None
+    if (
+        isinstance(error, MemoryError)
+        or number in MEMORY_ERRORS
+        or (isinstance(error, ImportError | OSError | RuntimeError) and any(words in text for words in MEMORY_WORDS))
+    ):
+        return "not enough memory. Raise the memory limit (`ulimit -v`), or give fewer or shorter runs"
+    if not isinstance(error, OSError | RuntimeError):
+        return None
+    from balance_cli.io.atomic import system_error_number, unwritable_file
+
+    if system_error_number(error) not in SYSTEM_ERRORS:
+        return None
+    name = getattr(error, "filename", None)
+    return str(unwritable_file(error, Path(os.fsdecode(name)) if isinstance(name, str | bytes) else None))
+
+
+def _drop_unwritable_output() -> None:
+    """Discard what standard output does not take (disk full), so that the interpreter does not try again at its end."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _usage_message(error: click.ClickException) -> str:

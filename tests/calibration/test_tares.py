@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from balance_cli.__main__ import balance
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.outliers import screen_outliers
@@ -18,6 +17,7 @@ from balance_cli.calibration.terms import term_values
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.recording.run_file import open_run, read_run, write_run
 from balance_cli.campaign.rig.attitude import attitude_segments, gravity_directions
+from balance_cli.cli import balance
 from balance_cli.io.errors import UserError
 from balance_cli.report.calibration import section
 from balance_cli.report.sources import group_sources
