@@ -12,7 +12,8 @@ from balance_cli.calibration.result import Calibration
 from balance_cli.estimation.choices import Damping, Form, Method
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
-from balance_cli.model.placed_effects import add_effects, check_effects
+from balance_cli.model.balance import check_effects
+from balance_cli.model.placed_effects import add_effects
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.steps import calibrate as calibrate_step
 from balance_cli.steps import identify as identify_step

@@ -27,7 +27,7 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     listed, channels that are dead or clipped among them. Exit status 2 where any file has a fault.
     """
     from balance_cli.cli.file_check import check_file
-    from balance_cli.model.placed_effects import check_effects
+    from balance_cli.model.balance import check_effects
 
     rig = None if geometry is None else session.geometry(geometry)
     if rig is not None:

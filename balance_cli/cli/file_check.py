@@ -86,7 +86,7 @@ def _check_geometry_file(path: Path, expected: Geometry | None) -> FileFinding:
 
 
 def _effect_faults(geometry: Geometry, path: Path) -> tuple[UserError, ...]:
-    from balance_cli.model.placed_effects import check_effects
+    from balance_cli.model.balance import check_effects
 
     try:
         check_effects(geometry, str(path))

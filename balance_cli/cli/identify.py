@@ -84,7 +84,8 @@ def command(
     Runs of other kinds are left out and named. With --method computed no run is needed: the model is the geometry.
     """
     from balance_cli.estimation.measured_spectra import measured_spectra
-    from balance_cli.model.placed_effects import add_effects, check_effects
+    from balance_cli.model.balance import check_effects
+    from balance_cli.model.placed_effects import add_effects
     from balance_cli.steps.identify import IdentifyOptions, identify
 
     rig = session.geometry(geometry)

@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 @geometry_option
 def command(session: Session, geometry: Path) -> None:
     """Computed eigenfrequencies, shapes, their sensitivity to each stiffness."""
+    from balance_cli.model.balance import check_effects
     from balance_cli.steps.modes import computed_modes
 
     rig = session.geometry(geometry)
+    check_effects(rig, str(geometry))
     computed = computed_modes(rig)
     session.finish(_summary(computed), _text(computed))
 

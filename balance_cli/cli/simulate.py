@@ -83,12 +83,17 @@ def command(
         raise UserError("is not empty", str(output), remedy="Give a new or an empty folder")
     declared = session.geometry(geometry)
     runs = _load_plan(plan, only, declared)
-    rig = apply_effects(_make_true_rig(declared, draw, seed), (*declared.effects, *_parse_effects(effects, parameters)))
-    level = replace(Noise(), single_precision=not double).scale_by(noise)
-    pairs = session.progress(iterate_simulated_runs(rig, runs, level, seed), "runs", total=len(runs.runs))
-    summary = _write_campaign(
-        session, output, rig, runs, pairs, {"geometry": declared.name, "seed": seed, "noise": noise}
+    extra_effects, about = (
+        _parse_effects(effects, parameters),
+        {"geometry": declared.name, "seed": seed, "noise": noise},
     )
+    level = replace(Noise(), single_precision=not double).scale_by(noise)
+    try:
+        rig = apply_effects(_make_true_rig(declared, draw, seed), (*declared.effects, *extra_effects))
+        pairs = session.progress(iterate_simulated_runs(rig, runs, level, seed), "runs", total=len(runs.runs))
+        summary = _write_campaign(session, output, rig, runs, pairs, about)
+    except UserError as error:
+        raise error.with_location(str(geometry)) from error
     session.finish(summary, [f"{len(runs.runs)} runs of {declared.rig}, their truth in truth.yaml and truth.hdf5"])
 
 
@@ -141,9 +146,10 @@ def _parse_effects(effects: tuple[str, ...], parameters: tuple[str, ...]) -> lis
     chosen = []
     for effect, given in values.items():
         name, _, places = effect.partition("@")
-        chosen.append(extension(name, tuple(places.split(",")) if places else (), **given))
-        if not given:
-            raise UserError(f"`{effect}` has no parameter", "--effect", remedy="Give it one with `--parameter`")
+        try:
+            chosen.append(extension(name, tuple(places.split(",")) if places else (), **given))
+        except UserError as error:
+            raise error.with_location("--effect") from error
     return chosen
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.parameters import ParameterSet, declared_parameters
 from balance_cli.model.placed_effects import PlacedEffect, apply_placed_effects, declared_effects, effect_parameters
@@ -15,6 +16,9 @@ from balance_cli.model.rigid import rigid_equations
 from balance_cli.model.system import System, assemble_system
 
 Array = NDArray[np.float64]
+
+NEGATIVE_INERTIA = 1e-9
+"""Of the largest inertia; rounding alone leaves less."""
 
 
 @dataclass(frozen=True)
@@ -55,3 +59,16 @@ def balance_model(geometry: Geometry) -> BalanceModel:
     """The model of a declared rig."""
     effects = declared_effects(geometry)
     return BalanceModel(geometry, declared_parameters(geometry) + effect_parameters(effects), effects)
+
+
+def check_effects(geometry: Geometry, file: str) -> None:
+    """Raise UserError, with the file named, where an effect is unknown, has no such place, or is not physical."""
+    try:
+        mass = balance_model(geometry).system().equations.mass.value if geometry.effects else np.eye(1)
+        least, largest = np.linalg.eigvalsh(mass)[[0, -1]]
+        if not np.isfinite(mass).all() or least < -NEGATIVE_INERTIA * abs(largest):
+            names = ", ".join(f"`{effect.name}`" for effect in geometry.effects)
+            fault = f"these parameters are not physical: the inertia with {names} is not positive"
+            raise UserError(fault, place="effects", remedy="Check the masses of the effects")
+    except UserError as error:
+        raise error.with_location(file) from error

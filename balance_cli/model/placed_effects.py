@@ -105,14 +105,6 @@ def _nearest_of_many(effect: Effect, where: Where, known: Sequence[str]) -> str:
     return f"{guess}Its place: {effect.place}"
 
 
-def check_effects(geometry: Geometry, file: str) -> None:
-    """Raises UserError, with the file named, for an effect of a geometry that is unknown or cannot be there."""
-    try:
-        declared_effects(geometry)
-    except UserError as error:
-        raise error.with_location(file) from error
-
-
 def declared_effects(geometry: Geometry) -> tuple[PlacedEffect, ...]:
     """The effects of a geometry, in the order in which they act.
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
 from balance_cli.campaign.rig.geometry import Channel
+from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Signals
 from balance_cli.simulation.filters import anti_alias
 from balance_cli.simulation.load_signals import Grid, rotor_kinematics
@@ -97,6 +98,9 @@ def record_static(
     """
     noise, rng = acquisition.noise, acquisition.random_stream(plan, "noise")
     dc = [i for i, channel in enumerate(rig.geometry.channels) if channel.measures_dc]
+    if not dc:
+        fault = f"no channel measures the constant loads of the static run `{plan.run}`"
+        raise UserError(fault, place="channels", remedy="Simulate other runs, with `--only` or a plan without this one")
     volts = _channel_volts(rig, forces, None, acquisition.random_stream(plan, "pickup"))[:, dc]
     noisy = volts + noise.static_channel * rng.standard_normal(volts.shape)
     recorded = _recorded_loads(rig, commanded_loads, plan.kind)

@@ -71,10 +71,17 @@ def _with_shaft(plate: Mechanics, rig: TrueRig) -> Mechanics:
 
 
 def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0) -> Mechanics:
-    """The rig with all its extensions, at `rotor_speed` [Hz]. Raises UserError where it is not restrained."""
+    """The rig with all its extensions, at `rotor_speed` [Hz].
+
+    Raises UserError where it is not restrained, or its inertia is not positive.
+    """
     mechanics = rigid_plate(rig)
     for extension in rig.extensions:
         mechanics = extension.mechanics(mechanics, rig.geometry, rotor_speed)
+    if np.linalg.eigvalsh(mechanics.mass)[0] <= 0:
+        names = ", ".join(f"`{extension.name}`" for extension in rig.extensions) or "the bodies"
+        fault = f"these parameters are not physical: the inertia with {names} is not positive"
+        raise UserError(fault, place="effects", remedy="Check the masses of the effects")
     if not np.all(np.linalg.eigvalsh(mechanics.total_stiffness()) > 0):
         raise UserError(
             "the cells do not hold every degree of freedom", place="cells", remedy="Add cells or reduce `freedom`"

@@ -176,11 +176,15 @@ def draw_rig(geometry: Geometry, rng: np.random.Generator, attempts: int = 1000)
 def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -> TrueRig:
     """The rig with these effects (declared ones or extensions), sorted into the order in which they act.
 
-    Raises UserError for an unknown effect or parameter, and for a place that the rig does not have.
+    Raises UserError for an unknown effect or parameter, and for an effect that is given twice at one place.
     """
     extensions = [
         effect if isinstance(effect, Extension) else extension(effect.name, effect.where, **effect.parameters)
         for effect in effects
     ]
+    for index, item in enumerate(extensions):
+        if (type(item), item.where) in [(type(before), before.where) for before in extensions[:index]]:
+            label = f"{item.name}@{','.join(item.where)}" if item.where else item.name
+            raise UserError(f"`{label}` is given twice", place="effects", remedy="Remove one of them")
     order = list(EXTENSIONS)
     return rig.with_extensions(*sorted(extensions, key=lambda item: order.index(item.name)))

@@ -95,6 +95,8 @@ def test_declared_effects_are_simulated(folder):
         (("--effect", "low-pass@torque", "--parameter", "cutoff"), "has no `=`"),
         (("--effect", "low-pass@torqe", "--parameter", "cutoff=1"), "not at torqe"),
         (("--parameter", "cutoff=1"), "no effect"),
+        (("--effect", "low-pass@torque", "--parameter", "cutoff=nan"), "`cutoff` of `low-pass` is `nan`"),
+        (("--effect", "low-pass@torque", "--parameter", "cutoff=inf"), "`cutoff` of `low-pass` is `inf`"),
     ],
 )
 def test_faults_of_the_call(folder, words, message):
@@ -103,6 +105,32 @@ def test_faults_of_the_call(folder, words, message):
     assert message in result.output
     assert result.output.count("error") == 1
     assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ([{"name": "added-mass", "parameters": {}}], "`added-mass` has no parameter"),
+        ([{"name": "added-mass", "parameters": {"mass": -500.0}}], "inertia with `added-mass` is not positive"),
+        ([{"name": "channel-gain", "where": ["torque"], "parameters": {"gain": 2.0}}] * 2, "given twice"),
+    ],
+)
+def test_declared_effects_that_cannot_be_simulated_are_refused_with_the_file(folder, effects, message):
+    (folder / "geometry.yaml").write_text(yaml.safe_dump({**yaml.safe_load(RIG), "effects": effects}))
+    result = call(folder, "--only", "s")
+    assert result.exit_code == 2
+    assert message in result.output
+    assert "geometry.yaml" in result.output
+    assert not (folder / "out").exists()
+
+
+def test_a_static_run_needs_a_channel_for_constant_loads(folder):
+    declared = yaml.safe_load(RIG)
+    declared["channels"] = [channel | {"time_constant": 1.0} for channel in declared["channels"]]
+    (folder / "geometry.yaml").write_text(yaml.safe_dump(declared))
+    result = call(folder)
+    assert result.exit_code == 2
+    assert "no channel measures the constant loads of the static run `s`" in result.output
 
 
 @pytest.mark.parametrize(

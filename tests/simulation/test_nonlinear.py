@@ -131,7 +131,8 @@ def test_faults_name_the_nearest():
     with pytest.raises(UserError, match="Did you mean `k3`"):
         apply_effects(rig, [DeclaredEffect(name="cubic-stiffness", where=("z1",), parameters={"k33": 1.0})])
     with pytest.raises(UserError, match="not at z9"):
-        equations_of_motion(apply_effects(rig, [DeclaredEffect(name="cubic-stiffness", where=("z9",))]))
+        declared = DeclaredEffect(name="cubic-stiffness", where=("z9",), parameters={"k3": 1.0})
+        equations_of_motion(apply_effects(rig, [declared]))
     with pytest.raises(UserError, match="`sideways`"):
         equations_of_motion(rig.with_extensions(extension("cubic-stiffness", ("z1",), k3=1.0, side="sideways")))
     with pytest.raises(UserError, match="not a number"):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.io.result_view import plural
@@ -16,11 +16,22 @@ LARGEST_VALUE = 1e15
 MOST_PARTS = 500
 """Bodies, cells or channels; no rig has so many, and the equations of so many are still solved in seconds."""
 
+SMALLEST_VALUE = 1e-15
+"""Of a number that must be positive; the fourth power of its reciprocal is still finite."""
+
+
+def _refuse_bool(value: object) -> object:
+    """Refuse what Python, but no engineer, takes for a number."""
+    if isinstance(value, bool):
+        raise ValueError("should be a number, not true or false")
+    return value
+
+
 Name = Annotated[str, Field(min_length=1, max_length=200)]
-Number = Annotated[float, Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)]
+Number = Annotated[float, BeforeValidator(_refuse_bool), Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)]
 Vector = tuple[Number, Number, Number]
-Positive = Annotated[float, Field(gt=0, le=LARGEST_VALUE)]
-NonNegative = Annotated[float, Field(ge=0, le=LARGEST_VALUE)]
+Positive = Annotated[float, BeforeValidator(_refuse_bool), Field(gt=SMALLEST_VALUE, le=LARGEST_VALUE)]
+NonNegative = Annotated[float, BeforeValidator(_refuse_bool), Field(ge=0, le=LARGEST_VALUE)]
 Array = NDArray[np.float64]
 
 
@@ -63,7 +74,7 @@ class Cell(FrozenModel):
     position: Vector
     axis: Vector
     stiffness: Positive | None = None
-    series: tuple[Positive, ...] | None = None
+    series: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     full_range: Positive
 
     @model_validator(mode="after")

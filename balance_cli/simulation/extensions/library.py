@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any, get_type_hints
 
+from balance_cli.campaign.rig.geometry import LARGEST_VALUE
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.cells import (
@@ -81,6 +83,9 @@ def extension(name: str, where: Iterable[str] = (), **parameters: float | str) -
         if parameter not in known:
             fault = f"`{name}` has no parameter `{parameter}`"
             raise UserError(fault, place="effects", remedy=_nearest(parameter, known))
+    if known and not parameters:
+        fault, remedy = f"`{name}` has no parameter", f"Give it one of {', '.join(known)}"
+        raise UserError(fault, place="effects", remedy=remedy)
     values: dict[str, Any] = {key: _value(kind, key, value) for key, value in parameters.items()}
     return kind(where=tuple(where), **values)
 
@@ -89,7 +94,10 @@ def _value(kind: type[Extension], parameter: str, value: float | str) -> float |
     if get_type_hints(kind)[parameter] is str:
         return str(value)
     try:
-        return float(value)
+        number = float(value)
     except ValueError:
-        fault = f"`{parameter}` of `{kind.name}` is `{value}`, not a number"
-        raise UserError(fault, place="effects", remedy="Give a number in SI units") from None
+        number = math.nan
+    if not abs(number) <= LARGEST_VALUE:
+        fault = f"`{parameter}` of `{kind.name}` is `{value}`, not a number of at most {LARGEST_VALUE:g}"
+        raise UserError(fault, place="effects", remedy="Give a number in SI units")
+    return number
