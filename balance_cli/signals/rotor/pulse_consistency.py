@@ -89,7 +89,9 @@ def coverage_fault(run: Run) -> str:
     assert run.sample_rate is not None
     duration = run.samples / run.sample_rate
     first, last = float(run.pulse_times[0]), float(run.pulse_times[-1])
-    if first <= UNCOVERED_SHARE * duration and duration - last <= UNCOVERED_SHARE * duration:
+    longest_interval = float(np.diff(run.pulse_times).max())
+    covered = first <= UNCOVERED_SHARE * duration and duration - last <= UNCOVERED_SHARE * duration
+    if covered and last - duration <= longest_interval:
         return ""
     return f"the pulses cover {first:.4g} to {last:.4g} s of a record of {duration:.4g} s at {run.sample_rate:g} Hz"
 

@@ -53,6 +53,7 @@ def test_a_sound_record_has_no_fault(sound):
         ({"stated_speed": 60 * SPEED}, "1/min was given as Hz"),
         ({"stated_speed": 1.5 * SPEED}, "`rotor_speed` is 16.5 Hz"),
         ({"last": DURATION / 2}, "the pulses cover 0 to"),
+        ({"stated_rate": 2 * RATE}, "of a record of 20 s"),
         ({"stated_rate": 1.01 * RATE}, "the channels have their lines at multiples of 11.1"),
         ({"stated_rate": 0.9 * RATE, "wobble": 0.1}, "the channels have their lines at multiples of "),
         ({"stated_rate": 1.1 * RATE}, "the channels have their lines at multiples of 12."),
