@@ -53,10 +53,6 @@ def pulse_faults(run: Run) -> Iterator[UserError]:
     if fault:
         yield UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Correct the pulses or `rotor_speed`")
         return
-    fault = coverage_fault(run)
-    if fault:
-        yield UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Check `sample_rate`, or cut the record")
-        return
     contradiction = line_spacing(run)
     if contradiction is not None:
         rate, spacing = contradiction
@@ -66,6 +62,10 @@ def pulse_faults(run: Run) -> Iterator[UserError]:
             "rotor/pulse_times",
             "Check `sample_rate`, and whether there is one pulse in each revolution",
         )
+        return
+    fault = coverage_fault(run)
+    if fault:
+        yield UserError(fault, str(run.path or run.name), "rotor/pulse_times", "Check `sample_rate`, or cut the record")
 
 
 def speed_fault(rate: float, speed: float) -> str:
