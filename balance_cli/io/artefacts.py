@@ -27,6 +27,7 @@ from balance_cli.io.formats import ARTEFACT_FORMATS
 from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file, sniff_format
 
+ROOT_ATTRIBUTES = ("format", "digest", "command", "options", "inputs", "versions", "created")
 PACKAGES = ("numpy", "scipy", "h5py", "pandas", "pydantic")
 
 
@@ -143,19 +144,28 @@ def read_stored(path: Path) -> StoredArtefact:
     """
     with _damage_as_user_error(path), h5py.File(path, "r") as file:
         attributes = {name: str(value) for name, value in file.attrs.items()}
-        provenance = Provenance(
-            attributes["command"],
-            json.loads(attributes["options"]),
-            tuple(Input(**item) for item in json.loads(attributes["inputs"])),
-            json.loads(attributes["versions"]),
-            attributes["created"],
-        )
+        provenance = _read_provenance(attributes)
         stored = StoredArtefact(attributes["format"], read_tree(file["content"]), provenance, attributes["digest"])
         computed = _artefact_digest(stored.format, stored.tree, provenance)
     if computed != stored.digest:
         fault = "its content does not match its digest: it was changed after it was written"
         raise UserError(fault, str(path), "digest", f"Create it again with `balance {provenance.command}`")
     return stored
+
+
+def _read_provenance(attributes: Mapping[str, str]) -> Provenance:
+    """The provenance in the root attributes. Raises LookupError, ValueError or TypeError where it is damaged."""
+    missing = [name for name in ROOT_ATTRIBUTES if name not in attributes]
+    if missing:
+        raise ValueError(f"`{attributes.get('format')}` needs the attribute `{missing[0]}`, which is missing")
+    options, inputs, versions = (json.loads(attributes[name]) for name in ("options", "inputs", "versions"))
+    if not (isinstance(options, dict) and isinstance(versions, dict) and isinstance(inputs, list)):
+        raise ValueError("the attributes `options` and `versions` are not tables, or `inputs` is not a list")
+    entries = tuple(Input(**item) for item in inputs)
+    texts = [*versions.values(), *(text for entry in entries for text in (entry.name, entry.role, entry.digest))]
+    if not all(isinstance(text, str) for text in texts):
+        raise ValueError("an entry of the attributes `inputs` and `versions` is not text")
+    return Provenance(attributes["command"], options, entries, versions, attributes["created"])
 
 
 @contextmanager

@@ -29,6 +29,10 @@ Tree = dict[str, Any]
 SCALARS = (bool, int, float, complex, str)
 COMPRESSION_THRESHOLD = 4096
 """Bytes from which a dataset is compressed; below, the overhead of chunks exceeds the gain."""
+LARGEST_DEFLATION = 1100.0
+"""Ratio of declared to stored bytes; deflate reaches 1032 at most."""
+MOST_TREE_BYTES = 2**30
+"""Of all datasets of a tree together; the largest results have some hundred megabytes."""
 
 
 # ---- dataclass -> tree -----------------------------------------------------------------------------------------------
@@ -204,12 +208,36 @@ def write_tree(group: h5py.Group, tree: Tree) -> None:
 
 
 def read_tree(group: h5py.Group) -> Tree:
-    """The inverse of `write_tree`; the whole tree is read into memory."""
-    return {_key_of_link(name): _read(item) for name, item in group.items()}
+    """The inverse of `write_tree`; the whole tree is read into memory.
+
+    Raises ValueError, before anything large is read, where the tree is too large or is not one.
+    """
+    return _read_group(group, {group.id: group.name}, [0])
 
 
-def _read(item: h5py.Group | h5py.Dataset) -> Any:
-    return read_tree(item) if isinstance(item, h5py.Group) else _value(item)
+def _read_group(group: h5py.Group, seen: dict[Any, str], size: list[int]) -> Tree:
+    """The tree of a group; `seen` are the groups that contain it, `size` the bytes so far."""
+    tree: Tree = {}
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise ValueError(f"{group.name}/{name} is a link to elsewhere")
+        item = group[name]
+        if isinstance(item, h5py.Group):
+            if item.id in seen:
+                raise ValueError(f"{group.name}/{name} is a link to the group {seen[item.id]}")
+            tree[_key_of_link(name)] = _read_group(item, {**seen, item.id: item.name}, size)
+        else:
+            _check_size(item, size)
+            tree[_key_of_link(name)] = _value(item)
+    return tree
+
+
+def _check_size(dataset: h5py.Dataset, size: list[int]) -> None:
+    """Raise ValueError where a dataset is larger than what is stored of it can be, or all together are too large."""
+    declared, stored = dataset.nbytes if dataset.shape is not None else 0, dataset.id.get_storage_size()
+    size[0] += declared
+    if declared > LARGEST_DEFLATION * (stored + COMPRESSION_THRESHOLD) or size[0] > MOST_TREE_BYTES:
+        raise ValueError(f"{dataset.name} declares {declared} bytes, of which {stored} are stored")
 
 
 def _value(dataset: h5py.Dataset) -> Any:

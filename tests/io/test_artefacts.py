@@ -256,6 +256,14 @@ def test_an_artefact_edited_by_hand_is_refused(tmp_path: Path) -> None:
     assert "does not match" in edit(lambda file: file.attrs.__delitem__("inputs"))
     assert "does not match" in edit(lambda file: file.attrs.__setitem__("inputs", "no JSON"))
     assert "does not match" in edit(lambda file: file.__delitem__("content"))
+    assert "are not tables" in edit(lambda file: file.attrs.__setitem__("versions", '"x"'))
+    assert "is not text" in edit(lambda file: file.attrs.__setitem__("versions", '{"python": 3}'))
+    assert "needs the attribute `command`" in edit(lambda file: file.attrs.__delitem__("command"))
+    assert "a link to the group" in edit(lambda file: file["content"].__setitem__("again", file["content"]))
+    elsewhere = h5py.ExternalLink("/etc/other.h5", "/")
+    assert "a link to elsewhere" in edit(lambda file: file["content"].__setitem__("again", elsewhere))
+    unwritten = {"shape": (10**11,), "dtype": "f8", "chunks": (10**6,)}
+    assert "of which 0 are stored" in edit(lambda file: file["content"].create_dataset("z", **unwritten))
 
 
 @pytest.mark.parametrize("seed", range(6))
