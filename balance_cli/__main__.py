@@ -28,12 +28,29 @@ def main() -> None:
 
         sys.setswitchinterval(SWITCH_INTERVAL)
         balance(prog_name="balance")
+    except SystemExit as end:
+        if handle and isinstance(end.code, int) and end.code:
+            _end_process(end.code)
+        raise
     except KeyboardInterrupt:
         _write_line("interrupted, nothing written")
         sys.exit(EXIT_INTERRUPTED)
     finally:
         if handle:
             _ignore_signals()  # the exit status is fixed
+
+
+def _end_process(status: int) -> None:
+    """End a process that failed, without the clean-up of extension modules.
+
+    At the end of the interpreter HDF5 once more closes the files that it could not write, and crashes.
+    """
+    _ignore_signals()
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+    with suppress(OSError, ValueError):
+        sys.stderr.flush()
+    os._exit(status)
 
 
 def _handle_signals() -> None:
