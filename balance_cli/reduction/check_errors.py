@@ -18,6 +18,10 @@ ComplexArray = NDArray[np.complex128]
 
 HARMONICS_COMPARED = 8
 """Harmonics 1 to 8, as `load_error` is defined in the file contract."""
+SAME_PATTERN = 0.98
+"""Correlation of the reduced with the applied harmonics from which they differ by a factor only."""
+SMALLEST_FACTOR, LARGEST_FACTOR = 0.5, 2.0
+"""Range of factors between reduced and applied loads that a response may be wrong by; units and signs lie outside."""
 
 
 def check_errors(
@@ -93,3 +97,21 @@ def _largest_force(applied: ComplexArray, components: tuple[str, ...], geometry:
 
 def _by_component(components: tuple[str, ...], values: Array, selected: NDArray[np.bool_]) -> dict[str, float]:
     return {name: float(value) for name, value, select in zip(components, values, selected, strict=True) if select}
+
+
+def scale_contradiction(check: CheckErrors, loads: ComplexArray, components: tuple[str, ...]) -> str:
+    """Return in words that reduced loads (n+1, m) and applied loads differ by a sign or a unit; empty where they agree.
+
+    Only a component counts whose reduced harmonics have the pattern of the applied ones, so that a wrong response,
+    which changes the pattern, is not taken for a wrong unit.
+    """
+    found = {}
+    for name in check.load_error:
+        applied, reduced = (values[1:, components.index(name)] for values in (check.applied, loads))
+        product, power = np.vdot(applied, reduced), float(np.vdot(applied, applied).real)
+        pattern = abs(product) / np.sqrt(power * max(float(np.vdot(reduced, reduced).real), np.finfo(float).tiny))
+        factor = float(product.real) / power
+        if pattern > SAME_PATTERN and not SMALLEST_FACTOR < factor < LARGEST_FACTOR:
+            found[name] = factor
+    text = ", ".join(f"{name} {factor:.4g}" for name, factor in found.items())
+    return f"reduced loads over applied ones: {text}; check units and signs of `loads` and `channels`" if found else ""

@@ -125,8 +125,9 @@ def filter_is_contradicted(tests: InnovationTests | None) -> bool:
 
 def flag_filter(loads: RunLoads, tests: InnovationTests | None) -> RunLoads:
     """Return the loads, all flagged where the innovations contradict the filter that estimated them."""
-    if not filter_is_contradicted(tests):
-        return loads
-    return replace(
-        loads, flags=tuple(tuple(join_flags((word, FILTER_CONTRADICTED)) for word in row) for row in loads.flags)
-    )
+    return flag_all(loads, FILTER_CONTRADICTED) if filter_is_contradicted(tests) else loads
+
+
+def flag_all(loads: RunLoads, flag: str) -> RunLoads:
+    """Return the loads with a flag at every row."""
+    return replace(loads, flags=tuple(tuple(join_flags((word, flag)) for word in row) for row in loads.flags))

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.reduction.check_errors import check_errors
+from balance_cli.reduction.check_errors import check_errors, scale_contradiction
+from balance_cli.reduction.flags import MODEL_CONTRADICTED
 from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, rotor_record
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
-from balance_cli.reduction.trust import assess_trust, nearest_trim
+from balance_cli.reduction.trust import assess_trust, flag_all, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 
 Array = NDArray[np.float64]
@@ -75,7 +76,11 @@ def reduce_record(
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines))
     if not record.run.has_loads or record.run.kind != "check":
         return loads
-    return replace(loads, check=check_errors(record.spectra, harmonic_solution, loads.components, geometry))
+    check = check_errors(record.spectra, harmonic_solution, loads.components, geometry)
+    contradiction = scale_contradiction(check, loads.amplitude, loads.components)
+    if contradiction:
+        loads = replace(flag_all(loads, MODEL_CONTRADICTED), notes=(*loads.notes, contradiction))
+    return replace(loads, check=check)
 
 
 def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> MeanLoads:

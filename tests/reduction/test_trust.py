@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.reduction.flags import FLAGS, join_flags
 from balance_cli.reduction.kalman.innovations import InnovationTests
@@ -130,3 +131,15 @@ def test_innovations_contradict_a_filter(
     words = reduced_words(flag_filter(loads, tests))
     assert ("filter contradicted" in words) == contradicted
     assert not filter_is_contradicted(None)
+
+
+@pytest.mark.parametrize(("factor", "text"), [(1e-3, " 1000"), (-1.0, " -1"), (1.0, "")])
+def test_check_loads_in_another_unit_or_reversed_are_named(campaign, calibration, identified, check, factor, text):
+    block = check.read()
+    source = MemorySource(block.channels, block.loads * factor)
+    found = reduce_run(replace(check, source=source), campaign.geometry, calibration, model_source(identified))
+    notes = [note for note in found.notes if "reduced loads over applied ones" in note]
+    assert len(notes) == (1 if text else 0)
+    if text:
+        assert text in notes[0]
+        assert all("model contradicted" in flag for row in found.flags for flag in row)
