@@ -46,6 +46,7 @@ from balance_cli.cli.options import (
     json_option,
     non_default_options,
     output_option,
+    paths_of_type,
     runs_argument,
     skip_bad_option,
     verbose_option,
@@ -168,7 +169,12 @@ class Session:
             part.write_text(text, encoding="utf-8", newline="\n")
 
     def stage(self, path: Path) -> Path:
-        """The temporary path to write to; the file is moved to `path` when the command has succeeded."""
+        """The temporary path to write to; the file is moved to `path` when the command has succeeded.
+
+        Raises UserError where `path` is also an input.
+        """
+        if path.resolve() in {item.resolve() for item in paths_of_type(self._context, InputFile)}:
+            raise UserError("is also an input of this command", str(path), remedy="Give the output another place")
         part = self._staged.stage_file(path)
         self._outputs.append(path)
         return part

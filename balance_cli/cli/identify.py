@@ -16,7 +16,7 @@ from balance_cli.cli.common import (
     skip_bad_option,
 )
 from balance_cli.cli.model_summary import declared_summary, effect_summary, modes_summary, parameters_summary
-from balance_cli.cli.options import InputFile
+from balance_cli.cli.options import InputFile, check_band
 from balance_cli.estimation.choices import DAMPING_FORMS, FORMS, METHODS, Damping, Form, Method
 from balance_cli.io.formats import MODEL_FORMAT
 
@@ -88,6 +88,8 @@ def command(
     from balance_cli.model.placed_effects import add_effects
     from balance_cli.steps.identify import IdentifyOptions, identify
 
+    if band is not None:
+        check_band("--band", *band)
     rig = session.geometry(geometry)
     check_effects(rig, str(geometry))
     rig = add_effects(rig, effects)

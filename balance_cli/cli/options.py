@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -107,6 +108,13 @@ def paths_of_type(context: click.Context, *types: type[click.Path]) -> Iterator[
             continue
         values = value if isinstance(value, tuple) else (value,)
         yield from (path for path in values if isinstance(path, Path) and str(path) != "-")
+
+
+def check_band(option: str, lowest: float, highest: float) -> None:
+    """Raise UserError, with the option named, unless a band [Hz] begins at a finite frequency and does not fall."""
+    if not (math.isfinite(lowest) and lowest <= highest):
+        fault = f"no line lies between {lowest:g} and {highest:g} Hz"
+        raise UserError(fault, option, remedy="Give the lowest frequency first, then the highest")
 
 
 STORED_OPTION_NAMES = {"load_model": "loads-as"}

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from balance_cli.steps.reduce_in_time import TimeOptions
 
 
+LONGEST_NAME = 200
+"""Bytes of a run name that is also the name of a file, of 255 that file systems allow, with a margin for suffixes."""
+
+
 @dataclass(frozen=True)
 class MethodOptions:
     """The method and its options as given.
@@ -104,6 +108,7 @@ class Reduction:
         from balance_cli.steps.reduction_inputs import loads_with_filter_tests
 
         options = self.method.options()
+        _check_lag(run, self.method.lag)
         time_reduction = reduce_run_in_time(
             run, self.calibration.geometry, self.calibration, self.source, self.zero, options, history.sink
         )
@@ -112,11 +117,19 @@ class Reduction:
         return loads_with_filter_tests(time_reduction, options)
 
 
+def _check_lag(run: Run, lag: float | None) -> None:
+    assert run.sample_rate is not None
+    duration = run.samples / run.sample_rate
+    if lag is not None and lag > duration:
+        fault = f"lag {lag:g} s is longer than the record `{run.name}` of {duration:g} s"
+        raise UserError(fault, "--lag", remedy="Give a shorter lag, or use --method smoother")
+
+
 def _check_name(run: Run, folder: Path | None) -> None:
-    if folder is not None and Path(run.name).name != run.name:
-        raise UserError(
-            f"run name `{run.name}` cannot be a file name", str(run.path), "attribute `run`", "Rename the run"
-        )
+    is_long = len(run.name.encode("utf-8", "replace")) > LONGEST_NAME
+    if folder is not None and (Path(run.name).name != run.name or is_long):
+        fault = f"run name `{run.name[:LONGEST_NAME]}` cannot be a file name"
+        raise UserError(fault, str(run.path), "attribute `run`", "Rename the run")
 
 
 class _HistoryWriter:

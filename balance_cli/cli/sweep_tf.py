@@ -16,6 +16,7 @@ from balance_cli.cli.common import (
     runs_argument,
     skip_bad_option,
 )
+from balance_cli.cli.options import check_band
 from balance_cli.io.formats import TRANSFER_FORMAT
 from balance_cli.signals.response.choices import ESTIMATORS
 
@@ -51,9 +52,10 @@ def command(
     """Estimate the frequency responses of the sweeps, with covariance."""
     from balance_cli.steps.sweep_tf import estimate_responses
 
+    band = (lowest or 0.0, float("inf") if highest is None else highest)
+    check_band("--from, --to", *band)
     rig = session.geometry(geometry)
     opened = session.runs(runs, rig, skip_bad)
-    band = (lowest or 0.0, float("inf") if highest is None else highest)
     transfer = estimate_responses(session.progress(opened, "runs"), rig, estimator, band)
     for name, reason in transfer.unused_runs.items():
         session.report_left_out(name, reason)
