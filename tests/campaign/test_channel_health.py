@@ -111,6 +111,11 @@ def test_a_channel_of_absurd_values_is_not_plausible(value: float) -> None:
     assert fault(np.full(1000, value)) == f"not plausible: reaches {value:.6g} V"
 
 
+def test_a_channel_of_vanishing_values_is_not_plausible() -> None:
+    assert fault(1e-300 * noise()).startswith("not plausible: never exceeds")
+    assert fault(1e-20 * noise()) == ""
+
+
 @pytest.mark.parametrize("limits", [(-10.0, 10.0), (-99.0, 10.0), (-10.0, 99.0)])
 def test_a_sample_at_the_declared_range_is_clipped(limits: tuple[float, float]) -> None:
     channel = noise(sigma=2.0)

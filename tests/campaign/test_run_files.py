@@ -141,6 +141,14 @@ def replaced(name: str, change: Any) -> Any:
     return apply
 
 
+def linked(name: str, link: Any) -> Any:
+    def apply(file: h5py.File) -> None:
+        del file[name]
+        file[name] = link
+
+    return apply
+
+
 @pytest.mark.parametrize(
     ("kind", "change", "place", "words"),
     [
@@ -173,6 +181,9 @@ def replaced(name: str, change: Any) -> Any:
         ("check", replaced("loads", lambda data: data[:60]), "loads", "60 rows, but 100"),
         ("check", replaced("channels", lambda data: data[:, 0]), "channels", "shape (100,)"),
         ("check", replaced("channels", lambda data: data.astype("S8")), "channels", "real numbers"),
+        ("check", replaced("channels", lambda data: data[:, :0]), "channels", "no columns"),
+        ("check", linked("channels", h5py.SoftLink("/channels")), "channels", "cannot be read"),
+        ("check", linked("loads", h5py.ExternalLink("/tmp/other.h5", "/loads")), "loads", "in another file"),
         ("wind", replaced("channels", lambda data: data[:1]), "channels", "holds 1 samples"),
         ("check", replaced("rotor/pulse_times", lambda data: data[:1]), "rotor/pulse_times", "holds 1 pulses"),
         ("check", replaced("rotor/pulse_times", lambda data: data[::-1]), "rotor/pulse_times", "not later"),

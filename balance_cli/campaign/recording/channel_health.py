@@ -50,6 +50,8 @@ The limit is about three times that, and LEAST_PLATEAU more, because a few coars
 """
 LEAST_PLATEAU = 3
 """A channel that repeats no other value (load points, say) is clipped where its extreme occurs so often."""
+SMALLEST_PEAK = 1e-60
+"""Volts below which no channel stays throughout; the fourth power is still a number, and rounding leaves far more."""
 AT_RANGE = 1.0 - 1e-6
 """Share of the declared range from which a sample is clipped; the margin is that of rounding to float32."""
 
@@ -217,6 +219,8 @@ def _nonfinite_fault(record: _ChannelStatistics) -> str:
 def _magnitude_fault(record: _ChannelStatistics) -> str:
     extremes = [float(values[0]) for values, _ in (record.lowest, record.highest) if len(values)]
     peak = max(extremes, key=abs, default=0.0)
+    if 0.0 < abs(peak) < SMALLEST_PEAK:
+        return f"not plausible: never exceeds {abs(peak):.6g} V"
     return f"not plausible: reaches {peak:.6g} V" if abs(peak) > LARGEST_MAGNITUDE else ""
 
 

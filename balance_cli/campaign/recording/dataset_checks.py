@@ -114,6 +114,8 @@ def _table_faults(place: str, layout: DatasetLayout | None) -> Iterator[UserErro
         fault = f"has the shape {layout.shape}" if layout.is_real else "does not hold real numbers"
         yield UserError(fault, place=place, remedy="It should be numbers, samples by columns")
         return
+    if layout.shape[1] == 0:
+        yield UserError("has no columns", place=place, remedy="Give one column for each name")
     if not layout.is_complete:
         yield UserError("not all samples were written", place=place, remedy="The record broke off; record it again")
     if len(layout.names) != layout.shape[1]:

@@ -75,7 +75,13 @@ def _read_values(file: h5py.File, name: str, layout: DatasetLayout | None, most_
 
 def _read_layout(file: h5py.File, name: str, units: str) -> DatasetLayout | None:
     """Read the layout of a dataset; `units` names the attribute that holds its unit or units."""
-    dataset = file.get(name)
+    try:
+        if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
+            raise UserError("is in another file", place=name, remedy="Write it into this file")
+        dataset = file.get(name)
+    except (OSError, RuntimeError, LookupError) as error:
+        fault = f"cannot be read: {' '.join(str(error).split())}"
+        raise UserError(fault, place=name, remedy="Write it as a dataset, not as a link") from error
     if dataset is None:
         return None
     if not isinstance(dataset, h5py.Dataset):
