@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,7 +17,21 @@ from balance_cli.io.errors import UserError
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class InputFile(click.Path):
+class _UsablePath(click.Path):
+    """A path that the file system can look up."""
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
+        """Convert the word to a path. Raises UserError where its name is too long or its links go in a circle."""
+        path = super().convert(value, parameter, context)
+        try:
+            Path(os.fsdecode(path)).stat()
+        except OSError as error:
+            if error.errno in (errno.ELOOP, errno.ENAMETOOLONG):
+                raise UserError(f"cannot be used: {error.strerror}", str(path), remedy="Give another path") from error
+        return path
+
+
+class InputFile(_UsablePath):
     """A file that a command reads; its reader checks that it exists and has the right format."""
 
     name = "file"
@@ -24,7 +40,7 @@ class InputFile(click.Path):
         super().__init__(path_type=Path)
 
 
-class OutputFile(click.Path):
+class OutputFile(_UsablePath):
     """A file that a command writes, checked before anything is computed; with `allow_dash`, `-` is stdout."""
 
     name = "file"
@@ -33,7 +49,7 @@ class OutputFile(click.Path):
         super().__init__(path_type=Path, allow_dash=allow_dash)
 
 
-class OutputFolder(click.Path):
+class OutputFolder(_UsablePath):
     """A folder that a command writes files to, created if necessary and checked before anything is computed."""
 
     name = "folder"

@@ -11,8 +11,9 @@ from typing import Any
 
 
 def json_text(summary: Mapping[str, Any]) -> str:
-    """The summary as one JSON object, keys in their given order."""
-    return json.dumps(to_json_value(summary), indent=2, ensure_ascii=False, allow_nan=False)
+    """The summary as one JSON object, keys in their given order; bytes of paths that are not UTF-8 are escaped."""
+    text = json.dumps(to_json_value(summary), indent=2, ensure_ascii=False, allow_nan=False)
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def to_json_value(value: Any) -> Any:

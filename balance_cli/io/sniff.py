@@ -21,7 +21,9 @@ def sniff_format(path: Path) -> str | None:
 
 
 def is_hdf5(path: Path) -> bool:
-    """Whether the file begins with the HDF5 signature."""
+    """Whether the file begins with the HDF5 signature; what is not an ordinary file is not opened."""
+    if not path.is_file():
+        return False
     try:
         with path.open("rb") as file:
             return file.read(len(HDF5_SIGNATURE)) == HDF5_SIGNATURE

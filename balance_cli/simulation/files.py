@@ -13,7 +13,7 @@ import yaml
 from pydantic import ValidationError
 
 from balance_cli.io.errors import UserError
-from balance_cli.io.sniff import require_file
+from balance_cli.io.sniff import describe_file, require_file
 from balance_cli.io.yaml_file import read_yaml
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.plans import CampaignPlan
@@ -30,6 +30,8 @@ def read_plan(path: Path) -> CampaignPlan:
     """
     try:
         require_file(path)
+        if not path.is_file():
+            raise UserError(f"is {describe_file(path)}, where a plan was expected", remedy="Give a YAML file")
         declared = read_yaml(path, "a plan")
     except UserError as error:
         raise error.with_location(file=str(path)) from error

@@ -1,6 +1,8 @@
 """Options out of range, and outputs that are also inputs, are refused with the option or the file."""
 
+import json
 import math
+import os
 from pathlib import Path
 
 import click
@@ -12,7 +14,10 @@ from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.cli.common import OutputFolder, balance_command, runs_argument
 from balance_cli.cli.options import check_band
 from balance_cli.cli.reduce_runs import _check_lag, _check_name
+from balance_cli.cli.summary import json_text
 from balance_cli.io.errors import UserError
+from balance_cli.io.sniff import is_hdf5
+from balance_cli.simulation.files import read_plan
 
 
 def a_run(name="r"):
@@ -59,3 +64,24 @@ def test_a_file_of_an_output_folder_does_not_replace_an_input(tmp_path):
     assert result.exit_code == 2
     assert "a.h5: is also an input" in result.output
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.h5", "old")]
+
+
+def test_paths_that_cannot_be_looked_up_are_refused(tmp_path):
+    loop = tmp_path / "loop.h5"
+    loop.symlink_to(loop)
+    for path in (loop, tmp_path / ("n" * 300)):
+        result = CliRunner().invoke(copy, [str(path), "--history", str(tmp_path)])
+        assert result.exit_code == 2
+        assert f"{path}: cannot be used" in result.output
+
+
+def test_paths_that_are_not_utf8_are_escaped_in_json():
+    name = os.fsdecode(b"a\xff.h5")
+    assert json.loads(json_text({"outputs": [name]}).encode()) == {"outputs": [name]}
+
+
+def test_what_is_not_an_ordinary_file_is_not_opened(tmp_path):
+    os.mkfifo(tmp_path / "fifo.h5")
+    assert not is_hdf5(tmp_path / "fifo.h5")
+    with pytest.raises(UserError, match="not an ordinary file"):
+        read_plan(tmp_path / "fifo.h5")

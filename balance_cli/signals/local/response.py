@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
+from balance_cli.io.errors import UserError
 from balance_cli.signals.local.models import LocalModels, decimate_lines, fit_local_models
 from balance_cli.signals.local.scaled_spectrum import local_power, record_spectrum
 from balance_cli.signals.local.window import design_pseudoinverse, pole_uncertainty, response_rows
@@ -71,13 +72,24 @@ def _response_covariance(models: LocalModels, kept: NDArray[np.intp]) -> tuple[C
         noise = models.noise.equation_error_covariance(models.response, slice(start, start + len(fit.r)))
         weights = response_rows(fit, r) @ design_pseudoinverse(fit)
         loads[assigned] = weights @ weights.conj().swapaxes(1, 2)
-        precision = np.linalg.inv(loads[assigned])
+        precision = _load_precision(models, loads[assigned])
         share = np.einsum("kum,kuv,kvm->km", weights.conj(), precision, weights, optimize=True).real / u
         channels[assigned] = np.tensordot(share, noise, axes=1)
         if fit.orders.denominator:
             shift = pole_uncertainty(fit, r, noise)
             channels[assigned] += np.einsum("kcua,kuv,kdva->kcd", shift, precision, shift.conj(), optimize=True) / u
     return channels, loads
+
+
+def _load_precision(models: LocalModels, covariance: ComplexArray) -> ComplexArray:
+    """The inverse (k, u, u). Raises UserError where the loads are proportional to each other."""
+    try:
+        return np.asarray(np.linalg.inv(covariance))
+    except np.linalg.LinAlgError as error:
+        run = models.spectrum.run
+        fault = f"the loads {', '.join(models.spectrum.components)} are proportional to each other"
+        remedy = "Leave the run out, or excite one component at a time"
+        raise UserError(fault, str(run.path or run.name), "loads", remedy) from error
 
 
 def coherences(response: ComplexArray, noise: ComplexArray, power: ComplexArray) -> tuple[Array, Array]:
