@@ -251,7 +251,9 @@ def _select_lines(
         raise run_error(run, fault, "Check `period`", "attribute `period`")
     selected &= (frequency >= band[0]) & (frequency <= band[1])
     if not np.any(selected):
-        raise run_error(run, f"no line was excited from {band[0]:g} to {band[1]:g} Hz", "Select another band")
+        raise run_error(
+            run, f"no line was excited from {band[0]:g} to {band[1]:g} Hz", "Select another band with --from and --to"
+        )
     return np.asarray(selected)
 
 

@@ -61,8 +61,8 @@ def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | No
     """Fit the balance to the lines of all sweeps and to the static points at once.
 
     The effects that the geometry declares are fitted too, from their declared values; the geometry of the model has
-    their fitted values. Raises UserError where there is no sweep, and where effects are declared for a method or form
-    that has none.
+    their fitted values. Raises UserError where there is no sweep or no line in the band, and where effects are declared
+    for a method or form that has none.
     """
     options = options or IdentifyOptions()
     if options.method != "computed" and not spectra.lines:
@@ -72,6 +72,9 @@ def identify(spectra: Spectra, geometry: Geometry, options: IdentifyOptions | No
         return identify_in_paper_form(spectra, geometry, _paper_options(options))
     band = options.band or FULL_BAND
     lines = tuple(item for item in (_restrict_to_band(run, band) for run in spectra.lines) if len(item.frequency))
+    if options.method != "computed" and not lines:
+        fault = f"no line of the sweeps lies between {band[0]:g} and {band[1]:g} Hz"
+        raise UserError(fault, "--band", remedy="Give a band that the sweeps excite")
     return _identify_physical_form(replace(spectra, lines=lines), geometry, options)
 
 

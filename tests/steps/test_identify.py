@@ -104,6 +104,12 @@ def test_identification_without_sweeps_raises():
         identify(NOTHING, rotor_balance())
 
 
+def test_a_band_without_lines_is_refused(campaign):
+    spectra = measured_spectra(campaign.runs_of_kind("sweep")[:1], campaign.geometry)
+    with pytest.raises(UserError, match="--band: no line of the sweeps lies between 1000 and 2000 Hz"):
+        identify(spectra, campaign.geometry, IdentifyOptions(band=(1000.0, 2000.0)))
+
+
 def test_the_papers_form_finds_the_same_modes(campaign, identified):
     spectra = measured_spectra(campaign.runs_of_kind("sweep"), campaign.geometry)
     model = identify(spectra, campaign.geometry, IdentifyOptions(form="paper", damping="full"))
