@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import errno
 import functools
-import hashlib
 import itertools
 import os
 import platform
 import re
 import time
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -195,7 +195,7 @@ def _system_key() -> str:
     with suppress(OSError):
         text += Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
         text += str(Path("/proc/self/ns/pid").readlink())
-    return hashlib.sha256(text.encode()).hexdigest()[:8]
+    return f"{zlib.crc32(text.encode()):08x}"
 
 
 def _is_running(pid: int, start: int) -> bool:
