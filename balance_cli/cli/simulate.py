@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from balance_cli.simulation import CampaignPlan, TrueRig
     from balance_cli.simulation.extensions.base import Extension
 
+LARGEST_NOISE = 1e6
+"""Factor on the noise of the recorded campaign; with it every signal is buried."""
+
 
 @balance_command("simulate")
 @geometry_option
@@ -82,6 +85,8 @@ def command(
     if output.exists() and any(output.iterdir()):
         raise UserError("is not empty", str(output), remedy="Give a new or an empty folder")
     declared = session.geometry(geometry)
+    if not noise <= LARGEST_NOISE:
+        raise UserError(f"`{noise:g}` is not a factor up to {LARGEST_NOISE:g}", "--noise", remedy="Give 1 or so")
     runs = _load_plan(plan, only, declared)
     extra_effects, about = (
         _parse_effects(effects, parameters),

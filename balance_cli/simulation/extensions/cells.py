@@ -70,7 +70,10 @@ class DryFriction(Extension):
     stick_stiffness: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """The equations with the contact at every place."""
+        """The equations with the contact at every place. Raises UserError where the contact has no spring."""
+        if self.stick_stiffness <= 0.0 or self.force < 0.0:
+            fault = f"`{self.name}` needs `force` of at least 0 and `stick_stiffness` above 0"
+            raise UserError(fault, place="effects", remedy="Give both, in N and N/m")
         contact = NonlinearCellForce(0, stick_stiffness=self.stick_stiffness, limit=self.force)
         return _with_forces(self, mechanics, geometry, contact)
 
