@@ -17,6 +17,7 @@ from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.suspect_channels import describe_suspect_channels
 from balance_cli.reduction.trust import assess_trust, flag_all, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
 
@@ -73,7 +74,8 @@ def reduce_record(
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
     trust = assess_trust(record, geometry, source, nearest_trim(calibration, loads), harmonic_solution, sigma)
     lines = tuple(line.description for line in trust.lines)
-    loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines))
+    suspects = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
+    loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *filter(None, [suspects])))
     if not record.run.has_loads or record.run.kind != "check":
         return loads
     check = check_errors(record.spectra, harmonic_solution, loads.components, geometry)

@@ -143,3 +143,26 @@ def test_check_loads_in_another_unit_or_reversed_are_named(campaign, calibration
     if text:
         assert text in notes[0]
         assert all("model contradicted" in flag for row in found.flags for flag in row)
+
+
+def exchanged(run, first, second):
+    block = run.read()
+    channels = block.channels.copy()
+    i, j = run.channel_names.index(first), run.channel_names.index(second)
+    channels[:, [i, j]] = channels[:, [j, i]]
+    return replace(run, source=MemorySource(channels, block.loads))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda run: with_channel(run, "z1.piezo", np.negative), "z1.piezo is reversed"),
+        (lambda run: with_channel(run, "y1.piezo", lambda x: 2.0 * x), "y1.piezo reads 2"),
+        (lambda run: exchanged(run, "z1.piezo", "z2.piezo"), "z1.piezo and z2.piezo are exchanged"),
+        (lambda run: run, ""),
+    ],
+)
+def test_a_channel_that_contradicts_the_others_is_named(campaign, calibration, identified, check, change, text):
+    found = reduce_run(change(check), campaign.geometry, calibration, model_source(identified))
+    notes = [note for note in found.notes if "residual test is passed" in note]
+    assert [text in note for note in notes] == ([True] if text else [])
