@@ -8,6 +8,7 @@ Root attributes: `format`, `digest`, `command`, `options` (JSON), `inputs` (JSON
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import platform
 from collections.abc import Iterator, Mapping
@@ -100,10 +101,13 @@ def save_artefact(path: Path, format: str, content: Any, provenance: Provenance)
         raise ValueError(f"unknown format {format}")
     tree = to_tree(content)
     digest = _artefact_digest(format, tree, provenance)
-    with atomic_write(Path(path)) as part, h5py.File(part, "w") as file:
+    buffer = io.BytesIO()  # HDF5 crashes where it cannot write to a disk
+    with h5py.File(buffer, "w") as file:
         for name, text in _root_attributes(format, digest, provenance).items():
             file.attrs[name] = text
         write_tree(file.create_group("content", track_order=True), tree)
+    with atomic_write(Path(path)) as part:
+        part.write_bytes(buffer.getbuffer())
     return digest
 
 
