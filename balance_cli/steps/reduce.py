@@ -74,8 +74,8 @@ def reduce_record(
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
     trust = assess_trust(record, geometry, source, nearest_trim(calibration, loads), harmonic_solution, sigma)
     lines = tuple(line.description for line in trust.lines)
-    suspects = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
-    loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *filter(None, [suspects])))
+    suspect_note = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
+    loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *filter(None, [suspect_note])))
     if not record.run.has_loads or record.run.kind != "check":
         return loads
     check = check_errors(record.spectra, harmonic_solution, loads.components, geometry)

@@ -145,7 +145,7 @@ def test_check_loads_in_another_unit_or_reversed_are_named(campaign, calibration
         assert all("model contradicted" in flag for row in found.flags for flag in row)
 
 
-def exchanged(run, first, second):
+def swap_channels(run, first, second):
     block = run.read()
     channels = block.channels.copy()
     i, j = run.channel_names.index(first), run.channel_names.index(second)
@@ -158,7 +158,7 @@ def exchanged(run, first, second):
     [
         (lambda run: with_channel(run, "z1.piezo", np.negative), "z1.piezo is reversed"),
         (lambda run: with_channel(run, "y1.piezo", lambda x: 2.0 * x), "y1.piezo reads 2"),
-        (lambda run: exchanged(run, "z1.piezo", "z2.piezo"), "z1.piezo and z2.piezo are exchanged"),
+        (lambda run: swap_channels(run, "z1.piezo", "z2.piezo"), "z1.piezo and z2.piezo are exchanged"),
         (lambda run: run, ""),
     ],
 )
