@@ -1,0 +1,228 @@
+"""Units in the tables and matrices of other laboratories: spellings, dimensions, and conversion to SI.
+
+Factors are those of NIST SP 811 (2008), appendix B; exact ones are given to all digits. A unit that is a product of
+force and length is understood in either order and with any separator (`N m`, `N.m`, `Nm`, `in-lbf`, `ft lbf`).
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from balance_cli.io.errors import UserError
+
+Array = NDArray[np.float64]
+
+FORCE, MOMENT, VOLTAGE, RATIO, CHARGE = "N", "N m", "V", "V/V", "C"
+ACCELERATION, ANGLE, FREQUENCY, TIME, LENGTH = "m/s2", "rad", "Hz", "s", "m"
+TEMPERATURE, MASS, NUMBER = "degC", "kg", "1"
+
+POUND_FORCE = 4.4482216152605
+STANDARD_GRAVITY = 9.80665
+INCH, FOOT = 0.0254, 0.3048
+
+_FORCES = {
+    "N": 1.0,
+    "mN": 1e-3,
+    "daN": 10.0,
+    "kN": 1e3,
+    "MN": 1e6,
+    "lbf": POUND_FORCE,
+    "ozf": POUND_FORCE / 16,
+    "kip": 1e3 * POUND_FORCE,
+    "gf": 1e-3 * STANDARD_GRAVITY,
+    "kgf": STANDARD_GRAVITY,
+}
+_LENGTHS = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": INCH, "ft": FOOT}
+_OTHERS: dict[str, dict[str, float]] = {
+    VOLTAGE: {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
+    RATIO: {"V/V": 1.0, "mV/V": 1e-3, "uV/V": 1e-6},
+    CHARGE: {"C": 1.0, "nC": 1e-9, "pC": 1e-12},
+    ACCELERATION: {"m/s2": 1.0, "mm/s2": 1e-3, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY},
+    ANGLE: {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi},
+    FREQUENCY: {"Hz": 1.0, "kHz": 1e3, "rpm": 1 / 60, "rad/s": 0.5 / math.pi, "deg/s": 1 / 360},
+    TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
+    MASS: {"kg": 1.0, "g": 1e-3, "lb": 0.45359237},
+    NUMBER: {"1": 1.0, "%": 1e-2, "um/m": 1e-6},
+}
+_SPELLINGS: dict[str, tuple[str, ...]] = {
+    "lbf": ("lb", "lbs", "lb f", "pound", "pounds"),
+    "kgf": ("kp", "kg f"),
+    "ozf": ("oz", "oz f"),
+    "kip": ("klbf",),
+    "N": ("newton", "newtons"),
+    "in": ("inch", "inches", '"'),
+    "ft": ("foot", "feet"),
+    "um": ("micron",),
+    "V": ("volt", "volts"),
+    "m/s2": ("m s-2", "m/s/s"),
+    "g": ("gn", "g_n", "g0"),
+    "deg": ("degree", "degrees"),
+    "rev": ("revs", "revolution", "revolutions"),
+    "rpm": ("1/min", "min-1", "U/min", "rev/min"),
+    "Hz": ("1/s", "s-1", "rev/s"),
+    "s": ("sec", "seconds"),
+    "h": ("hr",),
+    "1": ("-", "count", "counts", "cts", "bit", "bits", "none"),
+    "%": ("percent",),
+    "um/m": ("ue", "ustrain", "microstrain", "uepsilon"),
+}
+_TEMPERATURES = {
+    "degC": (("C", "celsius", "oC"), 1.0, 0.0),
+    "degF": (("F", "fahrenheit"), 5 / 9, -160 / 9),
+    "K": (("kelvin",), 1.0, -273.15),
+}
+_SIGNS = str.maketrans({"µ": "u", "μ": "u", "·": " ", "⋅": " ", "×": " ", "*": " ", "²": "2", "°": "deg", "^": None})
+_HEADERS = (
+    re.compile(r"^(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*$"),
+    re.compile(r"^(?P<name>.*?)\s*\((?P<unit>.*)\)\s*$"),
+)
+"""`Fx [N]` and `Fx (N)`; the second is greedy because units can have brackets themselves."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of measurement: its value in the base unit is `factor * value + offset`.
+
+    `dimension` is the base unit: that of SI, but `degC` for temperatures and `Hz` for speeds of rotation, as in run
+    files.
+    """
+
+    symbol: str
+    dimension: str
+    factor: float
+    offset: float = 0.0
+
+    def to_base(self, values: ArrayLike) -> Array:
+        """Convert values from this unit to the base unit."""
+        return np.asarray(np.asarray(values, float) * self.factor + self.offset)
+
+    def from_base(self, values: ArrayLike) -> Array:
+        """Convert values from the base unit to this unit."""
+        return np.asarray((np.asarray(values, float) - self.offset) / self.factor)
+
+
+def parse_unit(text: str, *dimensions: str) -> Unit:
+    """Find the unit that a text names, among those of some dimensions (base units; all where none is given).
+
+    Upper and lower case count where they make a difference (`mN`, `MN`). Raises UserError, without file and place, for
+    an unknown unit, one of another dimension, or one with two meanings.
+    """
+    spelling = _normalize(text)
+    units = _units_by_spelling().get(spelling) or _ignore_case(spelling)
+    fitting = [unit for unit in units if not dimensions or unit.dimension in dimensions]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        meanings = " or ".join(f"a unit of {unit.dimension}" for unit in fitting)
+        raise UserError(
+            f"the unit `{text.strip()}` can be {meanings}", remedy=f"Write {_suggest(spelling, dimensions)}"
+        )
+    if units:
+        fault = f"`{text.strip()}` is a unit of {units[0].dimension}, where one of {' or '.join(dimensions)} is needed"
+        raise UserError(fault, remedy=_remedy_for_mass(units, dimensions) or f"Write {_suggest(spelling, dimensions)}")
+    raise UserError(f"unknown unit `{text.strip()}`", remedy=f"Write {_suggest(spelling, dimensions)}")
+
+
+def split_unit(header: str) -> tuple[str, str | None]:
+    """Split the head of a column into name and unit: `Fx [N]`, `Fx (N)`; the unit is None where there is none."""
+    for pattern in _HEADERS:
+        match = pattern.match(header.strip())
+        if match and match["name"]:
+            return match["name"].strip(), match["unit"].strip()
+    return header.strip(), None
+
+
+def unit_symbols(*dimensions: str) -> tuple[str, ...]:
+    """Symbols of all units of some dimensions, in the order of the table."""
+    units = dict.fromkeys(unit for _, unit in _all_units() if unit.dimension in dimensions)
+    return tuple(unit.symbol for unit in units)
+
+
+def _normalize(text: str) -> str:
+    """Reduce separators to single spaces and special signs to letters."""
+    plain = text.strip().translate(_SIGNS)
+    plain = re.sub(r"deg\s*(?=[CFK]$)", "deg", plain)
+    if len(plain) > 1:
+        plain = re.sub(r"(?<=[A-Za-z])[.\-_](?=[A-Za-z])", " ", plain)
+    return re.sub(r"\s+", " ", re.sub(r"\s*/\s*", "/", plain)).strip()
+
+
+def _all_units() -> Iterator[tuple[str, Unit]]:
+    """Every spelling with its unit; the first spelling of each unit is its symbol."""
+    for symbol, factor in _FORCES.items():
+        yield from _spell(Unit(symbol, FORCE, factor))
+    for symbol, factor in _LENGTHS.items():
+        yield from _spell(Unit(symbol, LENGTH, factor))
+    yield from _moments()
+    for dimension, factors in _OTHERS.items():
+        for symbol, factor in factors.items():
+            yield from _spell(Unit(symbol, dimension, factor))
+    for symbol, (spellings, factor, offset) in _TEMPERATURES.items():
+        for spelling in (symbol, *spellings):
+            yield spelling, Unit(symbol, TEMPERATURE, factor, offset)
+
+
+def _spell(unit: Unit) -> Iterator[tuple[str, Unit]]:
+    """The symbol and its other spellings; those of `g` are of the acceleration, not of the mass."""
+    others = () if unit.dimension == MASS else _SPELLINGS.get(unit.symbol, ())
+    yield from ((spelling, unit) for spelling in (unit.symbol, *others))
+
+
+def _moments() -> Iterator[tuple[str, Unit]]:
+    """Products of force and length in either order; joined without a space only where no other unit reads so."""
+    taken = set(_FORCES) | {symbol for factors in _OTHERS.values() for symbol in factors}
+    for force, force_factor in _FORCES.items():
+        for length, length_factor in _LENGTHS.items():
+            unit = Unit(f"{force} {length}", MOMENT, force_factor * length_factor)
+            for first in (force, *_SPELLINGS.get(force, ())):
+                for second in (length, *_SPELLINGS.get(length, ())):
+                    yield f"{first} {second}", unit
+                    yield f"{second} {first}", unit
+                    yield from ((joined, unit) for joined in (first + second,) if joined not in taken)
+            if length in ("in", "ft"):
+                yield length + force, unit
+
+
+@cache
+def _units_by_spelling() -> dict[str, tuple[Unit, ...]]:
+    table: dict[str, dict[Unit, None]] = {}
+    for spelling, unit in _all_units():
+        table.setdefault(spelling, {})[unit] = None
+    return {spelling: tuple(units) for spelling, units in table.items()}
+
+
+def _ignore_case(spelling: str) -> tuple[Unit, ...]:
+    """Units whose spelling differs in upper and lower case only; none where two sizes of one dimension do."""
+    matches = [
+        unit for known, units in _units_by_spelling().items() if known.lower() == spelling.lower() for unit in units
+    ]
+    distinct = tuple(dict.fromkeys(matches))
+    return distinct if len({unit.dimension for unit in distinct}) == len(distinct) else ()
+
+
+def _remedy_for_mass(units: tuple[Unit, ...], dimensions: tuple[str, ...]) -> str:
+    """A load stated as a mass needs the word of the user that standard gravity is meant."""
+    if FORCE in dimensions and any(unit.dimension == MASS for unit in units):
+        return "A mass is no load: write kgf or lbf for its weight under standard gravity"
+    return ""
+
+
+def _suggest(spelling: str, dimensions: tuple[str, ...]) -> str:
+    """The nearest spelling, then the usual units of the dimensions."""
+    fitting = {
+        known: unit
+        for known, units in _units_by_spelling().items()
+        for unit in units
+        if not dimensions or unit.dimension in dimensions
+    }
+    near = difflib.get_close_matches(spelling, fitting, n=1, cutoff=0.6)
+    usual = ", ".join(unit_symbols(*dimensions)[:8]) if dimensions else "one of the units in docs/files.md"
+    return f"{fitting[near[0]].symbol} (did you mean that?), or {usual}" if near else usual
