@@ -102,7 +102,7 @@ def test_masses_are_no_loads() -> None:
 def test_wrong_dimension_and_typing_errors_are_named() -> None:
     with pytest.raises(UserError, match="`mm` is a unit of m, where one of N or N m is needed"):
         parse_unit("mm", FORCE, MOMENT)
-    with pytest.raises(UserError, match="unknown unit `Newtn`.*did you mean"):
+    with pytest.raises(UserError, match=r"unknown unit `Newtn`.*did you mean"):
         parse_unit("Newtn", FORCE)
     with pytest.raises(UserError, match="unknown unit ``"):
         parse_unit("", FORCE)
