@@ -12,7 +12,7 @@ from balance_cli.diagnosis.result import ResidualMap
 from balance_cli.diagnosis.settings import ResidualMapSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.fit_quality import residual_variance
-from balance_cli.estimation.likelihood import evaluate_batch, exciter_response
+from balance_cli.estimation.likelihood import evaluate_batch, recorded_load_columns
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
@@ -71,7 +71,7 @@ def _whitened_power(batch: Batch, system: System) -> tuple[Array, Array]:
     solution = solve(system, batch.frequency, batch.spin)
     fit = evaluate_batch(batch, system, solution)
     informed = np.real(np.diagonal(batch.lines.precision, axis1=1, axis2=2)[:, : batch.lines.channels.shape[1]]) > 0
-    columns = exciter_response(system, solution)[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
+    columns = recorded_load_columns(batch, system, solution)
     variance = residual_variance(batch, columns, informed)
     # A mean is real: the variance of a complex line is twice that of its real part.
     real = np.where(batch.line_frequency == 0.0, 2.0, 1.0)[:, None]

@@ -90,13 +90,14 @@ class BatchRun:
 class Batch:
     """Lines of one rotor speed `spin` [Hz], all with the same number of excited components and the same kind of weight.
 
-    `frequency` (f,) [Hz] are the distinct ones. `has_exact_loads`: the loads carry no noise of their own. The lines of
-    a run are consecutive.
+    `frequency` (f,) [Hz] are the distinct ones. `has_exact_loads`: the loads carry no noise of their own. `is_static`:
+    the lines are those of static runs, whose loads no exciter applied. The lines of a run are consecutive.
     """
 
     spin: float
     frequency: Array
     has_exact_loads: bool
+    is_static: bool
     lines: BatchLines
     runs: tuple[BatchRun, ...]
 

@@ -29,9 +29,13 @@ MIN_LOAD_RATIO = 0.05
 
 @dataclass(frozen=True)
 class _MotionLines:
-    """Lines of one rotor speed: frequency (K,) [Hz], spring forces (K, e), loads (K, 6), weights (K, n + e)."""
+    """Lines of one rotor speed: frequency (K,) [Hz], spring forces (K, e), loads (K, 6), weights (K, n + e).
+
+    `is_static`: no exciter applied the loads.
+    """
 
     spin: float
+    is_static: bool
     frequency: Array
     forces: ComplexArray
     loads: ComplexArray
@@ -69,7 +73,7 @@ def _build_motion_residual(
     measured = measured_forces(batch, start)
     frequency, loads = measured.frequency[selection], measured.loads[selection]
     weight = _motion_row_weight(start, frequency, loads)
-    lines = _MotionLines(measured.spin, frequency, measured.forces[selection], loads, weight)
+    lines = _MotionLines(measured.spin, batch.is_static, frequency, measured.forces[selection], loads, weight)
     return lambda system: _motion_residual(system, lines)
 
 
@@ -85,7 +89,8 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     R = system.readings.value + lines.quadrature[:, :, None] * system.readings_loss.value
     R = R + lines.log_frequency_ratio[:, :, None] * system.readings_frequency_stiffness.value
     matrix = np.concatenate([A, R], axis=1) * lines.weight[:, :, None]
-    true_loads = lines.loads @ system.equations.exciter_cross_axis.value.T
+    cross_axis = system.equations.cross_axis(lines.is_static)
+    true_loads = lines.loads @ cross_axis.value.T
     measured = np.concatenate([true_loads @ system.inputs.value.T, lines.forces], axis=1) * lines.weight
     x = batched_least_squares(matrix, measured[:, :, None])[:, :, 0]
     error = measured - np.matmul(matrix, x[:, :, None])[:, :, 0]
@@ -93,7 +98,7 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     def derivatives() -> ComplexArray:
         excitation = multiply_derivatives(system.inputs.derivative, true_loads)
         excitation = excitation + np.matmul(
-            system.inputs.value, multiply_derivatives(system.equations.exciter_cross_axis.derivative, lines.loads)
+            system.inputs.value, multiply_derivatives(cross_axis.derivative, lines.loads)
         )
         readings = multiply_derivatives(system.readings.derivative, x) + multiply_derivatives(
             system.readings_loss.derivative, lines.quadrature * x

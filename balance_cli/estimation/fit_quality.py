@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identified_model import FitQuality, RunFit
-from balance_cli.estimation.likelihood import evaluate_batch, exciter_response
+from balance_cli.estimation.likelihood import evaluate_batch, recorded_load_columns
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
 
@@ -37,7 +37,7 @@ def fit_quality(batches: Sequence[Batch], system: System, effective_parameters: 
 def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
     solution = solve(system, batch.frequency, batch.spin)
     fit = evaluate_batch(batch, system, solution)
-    columns = exciter_response(system, solution)[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
+    columns = recorded_load_columns(batch, system, solution)
     frequency = batch.line_frequency
     in_band = (frequency >= FRF_BAND[0]) & (frequency <= FRF_BAND[1])
     # Lines at rest may have no load at all.

@@ -81,13 +81,18 @@ def exciter_response(system: System, solution: Solution) -> ComplexArray:
     return np.asarray(response(system, solution) @ system.equations.exciter_cross_axis.value)
 
 
+def recorded_load_columns(batch: Batch, system: System, solution: Solution) -> ComplexArray:
+    """T (K, c, u) of each line per unit of its recorded loads, the cross-axis matrix of the batch included."""
+    T = response(system, solution) @ system.equations.cross_axis(batch.is_static).value
+    return np.asarray(T[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2))
+
+
 def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives: bool = False) -> BatchEvaluation:
     """Eliminate the true loads of every line and the transient of every run, and weight the residual.
 
     With `derivatives` the nonlinear forces and the transients come with theirs.
     """
-    T = exciter_response(system, solution)
-    columns = T[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
+    columns = recorded_load_columns(batch, system, solution)
     forces = cell_forces(batch, system, solution, derivatives)
     loads = _subtract_load_offset(batch, system)
     residual = batch.lines.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
@@ -161,11 +166,11 @@ def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: B
     The cross-axis matrix, offsets and nonlinear forces are included.
     """
     loads = fit.loads
-    true_loads = loads @ system.equations.exciter_cross_axis.value.T
-    derivatives = output_jacobian(system, solution, batch.lines.index, true_loads)
-    if np.any(system.equations.exciter_cross_axis.derivative):
-        cross_axis = np.einsum("pij,kj->kip", system.equations.exciter_cross_axis.derivative, loads)
-        derivatives = derivatives + np.matmul(response(system, solution)[batch.lines.index], cross_axis)
+    matrix = system.equations.cross_axis(batch.is_static)
+    derivatives = output_jacobian(system, solution, batch.lines.index, loads @ matrix.value.T)
+    if np.any(matrix.derivative):
+        true_load_change = np.einsum("pij,kj->kip", matrix.derivative, loads)
+        derivatives = derivatives + np.matmul(response(system, solution)[batch.lines.index], true_load_change)
     for run in fit.forces:
         run.add_derivatives(system, derivatives[run.lines])
     _add_offset_derivatives(derivatives, batch, system, solution)
@@ -182,7 +187,7 @@ def _add_offset_derivatives(derivatives: ComplexArray, batch: Batch, system: Sys
     if np.any(system.equations.load_offset.derivative):
         lines = np.flatnonzero(np.any(batch.lines.constant_loads, axis=1))
         components = batch.lines.components[lines]
-        columns = exciter_response(system, solution)[batch.lines.index[lines, None], :, components].swapaxes(1, 2)
+        columns = recorded_load_columns(batch, system, solution)[lines]
         offset = system.equations.load_offset.derivative.T[components] * batch.lines.constant_loads[lines, :, None]
         derivatives[lines] -= np.matmul(columns, offset)
 

@@ -27,6 +27,7 @@ class _BatchKind:
     spin: float
     components: int
     has_exact_loads: bool
+    is_static: bool
 
 
 def stack_runs(
@@ -37,8 +38,9 @@ def stack_runs(
     A static run contributes the linear part of its rows, or all of them where the points come with `share`.
     """
     groups: dict[_BatchKind, list[RunSpectrum]] = {}
-    for run in [*lines, *(static_lines(points) for points in statics)]:
-        kind = _BatchKind(run.rotor_speed, len(run.components), _has_exact_loads(run))
+    spectra = [(run, False) for run in lines] + [(static_lines(points), True) for points in statics]
+    for run, is_static in spectra:
+        kind = _BatchKind(run.rotor_speed, len(run.components), _has_exact_loads(run), is_static)
         groups.setdefault(kind, []).append(run)
     parts = [(kind, part) for kind, group in groups.items() for part in _split_among_workers(group)]
     return tuple(_build_batch(part, kind, channel_names) for kind, part in parts)
@@ -76,7 +78,7 @@ def _build_batch(group: Sequence[RunSpectrum], kind: _BatchKind, channel_names: 
         _build_run(run, slice(int(end) - length, int(end)), channel_names)
         for run, length, end in zip(group, lengths, ends, strict=True)
     )
-    return Batch(kind.spin, frequency, kind.has_exact_loads, lines, runs)
+    return Batch(kind.spin, frequency, kind.has_exact_loads, kind.is_static, lines, runs)
 
 
 def _build_run(spectrum: RunSpectrum, lines: slice, channel_names: tuple[str, ...]) -> BatchRun:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.fit_quality import live_mask, residual_variance
-from balance_cli.estimation.likelihood import evaluate_batch, exciter_response
+from balance_cli.estimation.likelihood import evaluate_batch, recorded_load_columns
 from balance_cli.estimation.response_error import ResponseError
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
@@ -76,7 +76,7 @@ def _residuals_by_component(batch: Batch, system: System) -> list[tuple[int, _Re
     """
     solution = solve(system, batch.frequency, batch.spin)
     residual = evaluate_batch(batch, system, solution).residual
-    columns = exciter_response(system, solution)[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2)
+    columns = recorded_load_columns(batch, system, solution)
     live = live_mask(batch)
     variance = np.where(live, residual_variance(batch, columns, live), 0.0)
     power = np.abs(batch.lines.loads) ** 2

@@ -47,6 +47,7 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         inputs=F,
         paths=tuple(_channel_path(channel, springs, value, p) for channel in geometry.channels),
         exciter_cross_axis=constant(np.eye(6), p),
+        weight_cross_axis=constant(np.eye(6), p),
         mixing=constant(np.eye(len(geometry.channels)), p),
         center=stack([value[f"centre_of_gravity.{axis}"] for axis in "xyz"]),
         freedom=tuple(free_index(geometry)),

@@ -247,6 +247,17 @@ def test_two_effects_at_once_are_found_and_the_model_is_closed():
     assert again.verdict == NOTHING_MISSING
 
 
+def test_a_misaligned_exciter_is_found_though_weights_hang_straight():
+    spectra = simulated_spectra(
+        DeclaredEffect(name="exciter-misalignment", where=("Fz", "Fx"), parameters={"fraction": 0.05})
+    )
+    found, _ = diagnose(identify(spectra, RIG), spectra)
+    assert found.verdict == EXPLAINED
+    assert [effect.label for effect in found.effects] == ["exciter-misalignment@Fz,Fx"]
+    (fraction,) = found.effects[0].parameters
+    assert abs(fraction.value - 0.05) < 4 * fraction.sigma < 0.001
+
+
 def test_a_strain_channel_that_forgets_is_found_though_it_reads_nothing_at_rest():
     leak = DeclaredEffect(name="high-pass", where=("z1.strain",), parameters={"cutoff": 0.04})
     spectra = simulated_spectra(leak)

@@ -155,6 +155,7 @@ TRUTHS = {
     "time-delay": truth("time-delay", ("z1.piezo",), delay=1e-6),
     "crosstalk": truth("crosstalk", ("x.strain", "z1.strain"), fraction=1e-3),
     "exciter-misalignment": truth("exciter-misalignment", ("Fz", "Fx"), fraction=2e-4),
+    "weight-misalignment": truth("weight-misalignment", ("Fz", "Fx"), fraction=2e-3),
     "load-offset": truth("load-offset", ("Fz",), offset=-1.5),
     "mains-pickup": truth("mains-pickup", ("x.strain",), amplitude=5e-4, frequency=50.0),
     "channel-offset": truth("channel-offset", ("z2.strain",), offset=0.004),

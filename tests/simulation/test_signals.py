@@ -67,6 +67,8 @@ def test_misaligned_exciter_acts_but_is_not_measured():
     rig = true_rig(GEOMETRY).with_extensions(extension("exciter-misalignment", ("Fz", "Fx"), fraction=0.02))
     wind = RotorPlan(run="w", kind="wind", rotor_speed=17.0, duration=1.0, harmonics={"Fz": (10.0,)})
     assert np.all(simulate_run(rig, wind)[1].loads[:, 0] == 0)
+    assert np.all(simulate_run(rig, STATIC, NO_NOISE)[1].loads[9:, 0] == 0)
+    rig = true_rig(GEOMETRY).with_extensions(extension("weight-misalignment", ("Fz", "Fx"), fraction=0.02))
     at_rest = simulate_run(rig, STATIC, NO_NOISE)
     np.testing.assert_allclose(at_rest[1].loads[9:, 0], 0.02 * at_rest[1].loads[9:, 2])
     assert np.all(at_rest[0].read().loads[9:, 0] == 0)

@@ -25,6 +25,7 @@ from balance_cli.model.effects import (
     support_flexibility,
     time_delay,
     transverse_stiffness,
+    weight_misalignment,
 )
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Choice, Where
@@ -48,6 +49,7 @@ EFFECTS: tuple[Effect, ...] = (
     time_delay.EFFECT,
     crosstalk.EFFECT,
     exciter_misalignment.EFFECT,
+    weight_misalignment.EFFECT,
     load_offset.EFFECT,
     mains_pickup.EFFECT,
     channel_offset.EFFECT,

@@ -81,8 +81,8 @@ class Equations:
     - `elongation` (e, n) and `stiffness` (e,) of the springs, their loss factor `loss` (e,), and `frequency_stiffness`
       (e,): the relative increase of stiffness for each factor e of frequency.
     - `extra_readings` (e, n): forces that the channels of a spring read in addition to its own.
-    - `exciter_cross_axis` (6, 6) transforms measured exciter loads to true ones; `mixing` (c, c) acts on the channels'
-      volts.
+    - `exciter_cross_axis` (6, 6) transforms the loads that exciters apply, as measured, to true ones, and
+      `weight_cross_axis` (6, 6) those of static runs; `mixing` (c, c) acts on the channels' volts.
     - `center` (3,) [m]: center of gravity of the metric side; `freedom`: the motions of it that the first coordinates
       are; `non_metric_motion` (6, n): motion x y z psi theta phi of the non-metric side at the rig's origin.
     - `row_factor` and `own_stiffness` (n,): one and zero except for flexible parts.
@@ -104,6 +104,7 @@ class Equations:
     inputs: Dual
     paths: tuple[ChannelPath, ...]
     exciter_cross_axis: Dual
+    weight_cross_axis: Dual
     mixing: Dual
     center: Dual
     freedom: tuple[int, ...]
@@ -124,6 +125,10 @@ class Equations:
     def channel_names(self) -> tuple[str, ...]:
         """Names of the channels in order."""
         return tuple(path.channel for path in self.paths)
+
+    def cross_axis(self, is_static: bool) -> Dual:
+        """The matrix (6, 6) from recorded loads to true ones, of static runs or of those with exciters."""
+        return self.weight_cross_axis if is_static else self.exciter_cross_axis
 
     def motion(self, point: Dual | Array) -> Dual:
         """Motion (..., 3, n) of points (..., 3) [m] of the metric side, in rig axes, per unit of each coordinate."""

@@ -19,7 +19,7 @@ from balance_cli.simulation.extensions.cells import (
     StructuralDamping,
     TransverseStiffness,
 )
-from balance_cli.simulation.extensions.loads import ExciterMisalignment, LoadOffset
+from balance_cli.simulation.extensions.loads import ExciterMisalignment, LoadOffset, WeightMisalignment
 from balance_cli.simulation.extensions.signals import (
     ChannelGain,
     ChannelOffset,
@@ -50,6 +50,7 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     QuadraticStiffness,
     DryFriction,
     ExciterMisalignment,
+    WeightMisalignment,
     LoadOffset,
     ChannelGain,
     LowPass,

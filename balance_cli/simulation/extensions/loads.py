@@ -13,7 +13,7 @@ from balance_cli.simulation.extensions.base import Extension
 
 Array = NDArray[np.float64]
 
-KINDS_WITH_EXCITERS = ("static", "sweep", "check")
+KINDS_WITH_EXCITERS = ("sweep", "check")
 """Kinds of run in which exciters apply the loads."""
 
 
@@ -26,12 +26,27 @@ class ExciterMisalignment(Extension):
 
     def true_loads(self, loads: Array, kind: str) -> Array:
         """The loads with the unmeasured part."""
-        if kind not in KINDS_WITH_EXCITERS:
-            return loads
-        excited, cross = self.pair(COMPONENTS)
-        loads = loads.copy()
-        loads[:, cross] += self.fraction * loads[:, excited]
-        return loads
+        return _add_cross_axis(self, loads, self.fraction) if kind in KINDS_WITH_EXCITERS else loads
+
+
+@dataclass(frozen=True)
+class WeightMisalignment(Extension):
+    """In static runs a `fraction` of the first component's load also acts in the second, where none is recorded."""
+
+    name: ClassVar[str] = "weight-misalignment"
+    fraction: float = 0.0
+
+    def true_loads(self, loads: Array, kind: str) -> Array:
+        """The loads with the part that is not recorded."""
+        return _add_cross_axis(self, loads, self.fraction) if kind == "static" else loads
+
+
+def _add_cross_axis(extension: Extension, loads: Array, fraction: float) -> Array:
+    """Loads (n, 6) with a fraction of the first component of the place in the second."""
+    applied, cross = extension.pair(COMPONENTS)
+    loads = loads.copy()
+    loads[:, cross] += fraction * loads[:, applied]
+    return loads
 
 
 @dataclass(frozen=True)
