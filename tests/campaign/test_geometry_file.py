@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import unrestrained_motion
 from balance_cli.campaign.rig.geometry_file import (
-    dotted_place,
     geometry_digest,
     geometry_from_dict,
     geometry_to_dict,
@@ -24,6 +23,7 @@ from balance_cli.campaign.rig.geometry_file import (
 )
 from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.io.errors import UserError
+from balance_cli.io.validation import dotted_place
 from tests.support.geometries import declarations
 
 ROOT = Path(__file__).parents[2]
