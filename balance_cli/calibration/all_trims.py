@@ -18,7 +18,7 @@ from balance_cli.calibration.outliers import Outlier, SuspectLoadSeries, find_sw
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import gravity_directions
-from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.load_components import LoadComponents
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -217,8 +217,8 @@ def evaluate_check_loads(
     return CheckLoads(run, loads, computed - weight_loads_in_rows, interval, is_valid)
 
 
-def read_load_points(run: Run, channel_names: Sequence[str], components: Sequence[str]) -> tuple[Array, Array]:
+def read_load_points(run: Run, channel_names: Sequence[str], components: LoadComponents) -> tuple[Array, Array]:
     """Read the readings (m, c) [V] and loads (m, k) [N, N m] of a static run."""
     loads = run.read().loads
     assert loads is not None
-    return read_channels(run, channel_names), loads[:, [COMPONENTS.index(name) for name in components]]
+    return read_channels(run, channel_names), components.carried(loads)

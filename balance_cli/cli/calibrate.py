@@ -80,7 +80,7 @@ def command(
     from balance_cli.cli.calibration_text import calibration_text, math_model_warnings
 
     _check_options(runs, terms, direct, matrix, from_matrix)
-    rig = session.geometry(geometry)
+    rig = session.geometry(geometry, mechanics=False)
     if from_matrix is None:
         result = _calibrate_from_runs(session, rig, runs, hold_out, (terms, direct), skip_bad)
     else:

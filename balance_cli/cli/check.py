@@ -29,7 +29,7 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     from balance_cli.cli.file_check import check_file
     from balance_cli.model.balance import check_effects
 
-    rig = None if geometry is None else session.geometry(geometry)
+    rig = None if geometry is None else session.geometry(geometry, mechanics=False)
     if rig is not None:
         check_effects(rig, str(geometry))
     findings = {path: check_file(path, rig) for path in session.progress(files, "files")}

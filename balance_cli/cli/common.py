@@ -91,11 +91,14 @@ class Session:
         self._summary: Mapping[str, Any] = {}
         self._text: tuple[str, ...] = ()
 
-    def geometry(self, path: Path) -> Geometry:
-        """Read a geometry and record it as an input."""
+    def geometry(self, path: Path, mechanics: bool = True) -> Geometry:
+        """Read a geometry and record it as an input; without `mechanics` it need not have masses and stiffness."""
+        from balance_cli.campaign.rig.geometry_checks import require_mechanics
         from balance_cli.campaign.rig.geometry_file import geometry_digest, load_geometry
 
         geometry = load_geometry(path)
+        if mechanics:
+            require_mechanics(geometry, str(path))
         self._inputs.append((geometry.name, "geometry", geometry_digest(geometry)))
         return geometry
 

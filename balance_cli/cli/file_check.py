@@ -10,6 +10,7 @@ from balance_cli.campaign.recording.channel_health import channel_faults, live_c
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.campaign.rig.geometry_file import geometry_digest, read_geometry
 from balance_cli.io.artefacts import StoredArtefact, read_stored
 from balance_cli.io.errors import UserError
@@ -75,9 +76,11 @@ def _check_geometry_file(path: Path, expected: Geometry | None) -> FileFinding:
     geometry, faults = read_geometry(path)
     if geometry is None:
         return FileFinding("geometry", "geometry", faults=faults)
-    faults += _effect_faults(geometry, path)
+    faults += () if missing_mechanics(geometry) else _effect_faults(geometry, path)
     about = f"geometry `{geometry.name}` of rig `{geometry.rig}`: {len(geometry.cells)} cells, "
-    about += f"{len(geometry.channels)} channels, free in {' '.join(geometry.freedom)}"
+    about += f"{len(geometry.channels)} channels, "
+    only_calibrated = bool(missing_mechanics(geometry))
+    about += "for calibration only" if only_calibrated else f"free in {' '.join(geometry.freedom)}"
     digest = geometry_digest(geometry)
     if expected is not None and digest != geometry_digest(expected):
         fault = f"differs from the geometry `{expected.name}` given with -g"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_checks import require_mechanics
 from balance_cli.io.errors import UserError
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.parameters import ParameterSet, declared_parameters
@@ -56,7 +57,8 @@ class BalanceModel:
 
 
 def balance_model(geometry: Geometry) -> BalanceModel:
-    """The model of a declared rig."""
+    """The model of a declared rig; raises UserError where masses, stiffness or damping are not declared."""
+    require_mechanics(geometry)
     effects = declared_effects(geometry)
     return BalanceModel(geometry, declared_parameters(geometry) + effect_parameters(effects), effects)
 

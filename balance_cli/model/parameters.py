@@ -109,7 +109,7 @@ def _inertia_rows(geometry: Geometry) -> list[_ParameterRow]:
 
 
 def _damping_rows(geometry: Geometry) -> list[_ParameterRow]:
-    zeta = geometry.damping_ratio
+    zeta = geometry.modal_damping_ratio
     sigma = geometry.tolerances.damping_ratio * zeta
     rows = [_ParameterRow(f"damping_ratio.{i + 1}", "1", zeta, sigma, 0.0) for i in range(len(free_index(geometry)))]
     if geometry.torque_meter:

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
+from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix, motion_at
+from balance_cli.campaign.rig.load_components import components_by_freedom
 from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import constant
@@ -77,7 +78,7 @@ def plate_matrices(geometry: Geometry) -> PlateMatrices:
     C = cell_stiffness(geometry)
     F = load_matrix(geometry, part.centre_of_gravity)[free]
     K = B.T @ (C[:, None] * B)
-    zeta = constant(np.full(len(free), geometry.damping_ratio), 0)
+    zeta = constant(np.full(len(free), geometry.modal_damping_ratio), 0)
     D = modal_damping(constant(M, 0), constant(K, 0), zeta).value
     return PlateMatrices(geometry.freedom, M, D, K, B, C, F)
 
@@ -88,15 +89,6 @@ def moment_reference_length(hub: Sequence[float]) -> float:
     return height if height > 0 else 1.0
 
 
-COMPONENT_OF_FREEDOM = {"x": "Fx", "y": "Fy", "z": "Fz", "psi": "Mz", "theta": "My", "phi": "Mx"}
-"""The load component that drives each motion by itself."""
-
-
 def carried_components(geometry: Geometry) -> tuple[str, ...]:
     """The hub load components that this balance can measure: one per motion of plate and shaft."""
-    carried = {COMPONENT_OF_FREEDOM[name] for name in geometry.freedom}
-    if geometry.torque_meter:
-        carried.add("Mz")
-    elif "psi" not in geometry.freedom:
-        carried.discard("Mz")
-    return tuple(name for name in COMPONENTS if name in carried)
+    return components_by_freedom(geometry)

@@ -90,7 +90,7 @@ def true_rig(
     """
     declared_mass, declared_cg, declared_inertia = metric_side(geometry)
     meter = geometry.torque_meter
-    zeta = geometry.damping_ratio
+    zeta = geometry.modal_damping_ratio
     k, j = (meter.stiffness, meter.inertia) if meter else (1.0, 1.0)
     return TrueRig(
         geometry,
@@ -120,7 +120,7 @@ def _is_physical(rig: TrueRig) -> bool:
         min(positive) > 0
         and bool(np.all(rig.stiffness > 0))
         and bool(np.all(damped >= 0))
-        and (rig.geometry.damping_ratio == 0 or bool(np.all(damped > 0)))
+        and (rig.geometry.modal_damping_ratio == 0 or bool(np.all(damped > 0)))
         and bool(np.all(rig.sensitivities * [c.sensitivity for c in rig.geometry.channels] > 0))
         and is_physical_inertia(rig.inertia)
     )

@@ -24,10 +24,9 @@ from balance_cli.calibration.static_matrices import (
 from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import attitude_segments
-from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import LoadComponents, load_components
 from balance_cli.io.errors import UserError
-from balance_cli.model.plate import carried_components
 from balance_cli.signals.static_noise import static_points
 from balance_cli.steps.calibrate_all_trims import fit_all_trims, gravity_of_runs
 
@@ -99,16 +98,25 @@ def calibrate(
     for run in static:
         if not run.has_loads:
             raise UserError("a static run without loads", _place(run), "loads", "Record the applied loads")
-    components = carried_components(geometry)
-    loads_range = np.max([np.max(np.abs(_loads_of_run(run)), axis=0) for run in static], axis=0)
-    calibrated_range = loads_range[[COMPONENTS.index(name) for name in components]]
+    components = load_components(geometry)
+    _check_attitudes(static, components)
+    loads = [components.carried(_loads_of_run(run)) for run in static]
+    calibrated_range = np.max([np.max(np.abs(run_loads), axis=0) for run_loads in loads], axis=0)
     trims = {}
     for label in dict.fromkeys(run.trim or "" for run in static):
         members = tuple(run for run in static if (run.trim or "") == label)
         names, excluded = _usable_channels(members, geometry)
-        task = _TrimTask(label, members, geometry, names, excluded, components, calibrated_range)
+        task = _TrimTask(label, members, geometry, names, excluded, components.names, calibrated_range)
         trims[label] = _calibrate_trim(task)
     return Calibration(geometry, trims, fit_all_trims(static, geometry, trims, hold_out, search, non_iterative))
+
+
+def _check_attitudes(runs: Sequence[Run], components: LoadComponents) -> None:
+    """Raise UserError for attitudes with components of the user's own: the weight is computed for hub loads only."""
+    for run in runs:
+        if run.attitude is not None and not components.are_hub_loads:
+            fault = f"states attitudes, but the components are {', '.join(components.names)}"
+            raise UserError(fault, _place(run), "attitude", "Declare Fx to Mz as `components` of the geometry")
 
 
 def _calibrate_trim(task: _TrimTask) -> TrimCalibration:
@@ -170,11 +178,11 @@ def _stack_rows(task: _TrimTask, noise: _RowNoise) -> TrimRows:
     loads = [_loads_of_run(run) for run in task.runs]
     run = np.repeat(np.arange(len(loads)), [len(run_loads) for run_loads in loads])
     all_loads = np.vstack(loads)
-    carried = [COMPONENTS.index(name) for name in task.components]
-    uncarried = [j for j in range(len(COMPONENTS)) if j not in carried and np.ptp(all_loads[:, j]) > 0]
+    components = load_components(task.geometry)
+    carried, uncarried = components.carried(all_loads), components.uncarried(all_loads)
     channels = np.vstack([read_channels(run, task.channel_names) for run in task.runs])
     offset = attitude_segments(run, gravity_of_runs(task.runs))
-    return TrimRows(channels, all_loads[:, carried], all_loads[:, uncarried], offset, 1.0 / noise.relative[run])
+    return TrimRows(channels, carried, uncarried, offset, 1.0 / noise.relative[run])
 
 
 def _check_loaded(task: _TrimTask, rows: TrimRows) -> None:
@@ -219,7 +227,7 @@ def _trim_calibration(task: _TrimTask, rows: TrimRows, regression: TrimRegressio
         lack_of_fit=lack_of_fit(residual_covariance, noise_covariance, noise.dof),
         calibrated_range=task.calibrated_range,
         channel_rated_range=channel_full_range(
-            task.geometry, task.channel_names, task.components, task.calibrated_range
+            task.geometry, task.channel_names, regression.C0 * task.calibrated_range
         ),
         residual=_standard_deviation(regression.residuals @ T0.T, rows.weight, regression.dof),
         channel_residual=_standard_deviation(regression.residuals, rows.weight, regression.dof),
@@ -262,14 +270,19 @@ def _condition(task: _TrimTask, regression: TrimRegression, noise_covariance: Ar
     return condition
 
 
-def channel_full_range(
-    geometry: Geometry, channel_names: Sequence[str], components: Sequence[str], full_range: Array
-) -> Array:
-    """Rated range (c,) [V] of each channel: that of its cell; for a torque meter the torque that was applied."""
-    torque = dict(zip(components, full_range.tolist(), strict=True)).get("Mz", 1.0)
+def channel_full_range(geometry: Geometry, channel_names: Sequence[str], C: Array) -> Array:
+    """Rated range (c,) [V] of each channel: that of its cell; otherwise the largest reading at calibrated range.
+
+    C (c, k) [V]: response to each component at its calibrated range.
+    """
     cells = {cell.name: cell.full_range for cell in geometry.cells}
-    declared = {
-        channel.name: abs(channel.sensitivity) * (torque if channel.cell is None else cells[channel.cell])
-        for channel in geometry.channels
-    }
-    return np.array([declared[name] for name in channel_names])
+    channels = {channel.name: channel for channel in geometry.channels}
+    calibrated = dict(zip(channel_names, np.max(np.abs(C), axis=1).tolist(), strict=True))
+    return np.array(
+        [
+            calibrated[name]
+            if channels[name].cell is None
+            else abs(channels[name].sensitivity) * cells[str(channels[name].cell)]
+            for name in channel_names
+        ]
+    )

@@ -13,8 +13,9 @@ from balance_cli.calibration.least_squares import CollinearError
 from balance_cli.calibration.result import TrimCalibration
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.attitude import gravity_directions
-from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_checks import missing_mechanics
+from balance_cli.campaign.rig.load_components import LoadComponents, load_components
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import response, solve
@@ -40,9 +41,10 @@ def fit_all_trims(
     """
     first = next(iter(trims.values()))
     names = tuple(name for name in first.channel_names if all(name in trim.channel_names for trim in trims.values()))
-    if len(names) < len(first.components) or any(_has_uncarried_loads(run, first.components) for run in runs):
+    components = load_components(geometry)
+    if len(names) < len(first.components) or any(_has_uncarried_loads(run, components) for run in runs):
         return None
-    rows = [read_load_points(run, names, first.components) for run in runs]
+    rows = [read_load_points(run, names, components) for run in runs]
     lengths = [len(loads) for _, loads in rows]
     points = CalibrationPoints(
         channel_names=names,
@@ -57,7 +59,7 @@ def fit_all_trims(
     )
     for run in hold_out:
         _check_hold_out_channels(run, names)
-    checks = [(run.name, *read_load_points(run, names, first.components)) for run in hold_out]
+    checks = [(run.name, *read_load_points(run, names, components)) for run in hold_out]
     try:
         declared, by_run = _declared_response(geometry, points), _gravity_by_run(hold_out)
         return calibrate_all_trims(points, checks, search, declared, non_iterative, by_run)
@@ -75,12 +77,14 @@ def _gravity_by_run(runs: Sequence[Run]) -> dict[str, Array]:
     return {run.name: gravity_directions(run.attitude) for run in runs if run.attitude is not None}
 
 
-def _declared_response(geometry: Geometry, points: CalibrationPoints) -> Array:
-    """Static response (c, k) [V/N, V/(N m)] of the declared rig."""
+def _declared_response(geometry: Geometry, points: CalibrationPoints) -> Array | None:
+    """Static response (c, k) [V/N, V/(N m)] of the declared rig; None where its mechanics are not declared."""
+    if missing_mechanics(geometry):
+        return None
     system = balance_model(geometry).system()
     T = response(system, solve(system, np.zeros(1)))[0].real
     rows = [geometry.channel_names.index(name) for name in points.channel_names]
-    return np.asarray(T[np.ix_(rows, [COMPONENTS.index(name) for name in points.components])])
+    return np.asarray(T[rows] @ load_components(geometry).to_hub.T)
 
 
 def _check_hold_out_channels(run: Run, names: tuple[str, ...]) -> None:
@@ -93,12 +97,11 @@ def _check_hold_out_channels(run: Run, names: tuple[str, ...]) -> None:
         )
 
 
-def _has_uncarried_loads(run: Run, components: tuple[str, ...]) -> bool:
+def _has_uncarried_loads(run: Run, components: LoadComponents) -> bool:
     """Whether a load was applied that the balance does not carry."""
     loads = run.read().loads
     assert loads is not None
-    uncarried = [j for j, name in enumerate(COMPONENTS) if name not in components]
-    return bool(np.any(np.ptp(loads[:, uncarried], axis=0) > 0))
+    return bool(components.uncarried(loads).shape[1])
 
 
 def _relative_noise(run: Run, names: tuple[str, ...], trim: TrimCalibration) -> float:

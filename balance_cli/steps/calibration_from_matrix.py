@@ -18,8 +18,8 @@ from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibrat
 from balance_cli.calibration.static_matrices import inverse_matrix
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import LoadComponents, load_components
 from balance_cli.io.errors import UserError
-from balance_cli.model.plate import carried_components
 from balance_cli.steps.calibrate import channel_full_range
 
 Array = NDArray[np.float64]
@@ -43,7 +43,11 @@ def calibration_from_matrix(
     _check_components(parsed_matrix, geometry)
     _check_channels(parsed_matrix, geometry)
     model = model_from_matrix(parsed_matrix.matrix)
-    return Calibration(geometry, {MATRIX_TRIM: _linear_trim(model, geometry)}, _model_without_rows(model, hold_out))
+    return Calibration(
+        geometry,
+        {MATRIX_TRIM: _linear_trim(model, geometry)},
+        _model_without_rows(model, load_components(geometry), hold_out),
+    )
 
 
 def _check_rig(parsed_matrix: ParsedMatrix, geometry: Geometry) -> None:
@@ -54,7 +58,7 @@ def _check_rig(parsed_matrix: ParsedMatrix, geometry: Geometry) -> None:
 
 
 def _check_components(parsed_matrix: ParsedMatrix, geometry: Geometry) -> None:
-    carried = carried_components(geometry)
+    carried = load_components(geometry).names
     if parsed_matrix.matrix.components != carried:
         fault = f"has {', '.join(parsed_matrix.matrix.components)}, but the rig carries {', '.join(carried)}"
         raise _row_error(parsed_matrix, COMPONENT, fault, "Write the matrix for these, in this order")
@@ -102,7 +106,7 @@ def _linear_trim(model: CalibrationModel, geometry: Geometry) -> TrimCalibration
         noise_covariance=S,
         lack_of_fit=float("nan"),
         calibrated_range=model.calibrated_range,
-        channel_rated_range=channel_full_range(geometry, model.channel_names, model.components, model.calibrated_range),
+        channel_rated_range=channel_full_range(geometry, model.channel_names, C0 * model.calibrated_range),
         residual=np.sqrt(np.diagonal(T0 @ S @ T0.T)),
         channel_residual=np.sqrt(np.diagonal(S)),
         hysteresis=Hysteresis(*(np.full(shape, np.nan) for shape in ((c, k), (c, k), (k,), (k,)))),
@@ -111,11 +115,13 @@ def _linear_trim(model: CalibrationModel, geometry: Geometry) -> TrimCalibration
     )
 
 
-def _model_without_rows(model: CalibrationModel, hold_out: Sequence[Run]) -> AllTrimsCalibration:
+def _model_without_rows(
+    model: CalibrationModel, components: LoadComponents, hold_out: Sequence[Run]
+) -> AllTrimsCalibration:
     """Calibration of all trims without rows; the noise of load readings is not known and taken as zero."""
     k, c = len(model.components), len(model.channel_names)
     noise = CalibrationNoise(model.residual_covariance, np.zeros(k))
-    names = (model.channel_names, model.components)
+    checks = [(run.name, *read_load_points(run, model.channel_names, components)) for run in hold_out]
     return AllTrimsCalibration(
         model=model,
         runs=(),
@@ -127,5 +133,5 @@ def _model_without_rows(model: CalibrationModel, hold_out: Sequence[Run]) -> All
         noise=noise,
         outliers=(),
         suspect_series=(),
-        checks=tuple(evaluate_check_loads(model, noise, run.name, *read_load_points(run, *names)) for run in hold_out),
+        checks=tuple(evaluate_check_loads(model, noise, *check) for check in checks),
     )

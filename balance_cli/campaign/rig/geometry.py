@@ -6,15 +6,20 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
-from balance_cli.campaign.rig.components import FREEDOMS
+from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
+from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
+from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, parse_unit
 
 LARGEST_VALUE = 1e15
 """Of any number of a geometry or a plan, in SI units: far beyond any rig, and its fourth power is still finite."""
 MOST_PARTS = 500
 """Bodies, cells or channels; no rig has so many, and the equations of so many are still solved in seconds."""
+
+COMPONENT_PATTERN = r"^[A-Za-z][A-Za-z0-9_.]*$"
+"""Of the name of a component: a word, because the names of terms join it with others (`N1 |Y2|`, `A^2`)."""
 
 SMALLEST_VALUE = 1e-15
 """Of a number that must be positive; the fourth power of its reciprocal is still finite."""
@@ -68,7 +73,10 @@ class Body(FrozenModel):
 
 
 class Cell(FrozenModel):
-    """A load cell: acts along `axis` at `position` [m]; stiffness [N/m], or cell and beam in series."""
+    """A load cell: acts along `axis` at `position` [m]; stiffness [N/m], or cell and beam in series.
+
+    Without either the geometry can be calibrated, but has no mechanics.
+    """
 
     name: Name
     position: Vector
@@ -79,8 +87,8 @@ class Cell(FrozenModel):
 
     @model_validator(mode="after")
     def _check_one_stiffness(self) -> Cell:
-        if (self.stiffness is None) == (self.series is None):
-            raise ValueError("give either `stiffness` or `series`, not both and not neither")
+        if self.stiffness is not None and self.series is not None:
+            raise ValueError("give either `stiffness` or `series`, not both")
         if float(np.linalg.norm(self.axis)) == 0.0:
             raise ValueError("`axis` has no length")
         return self
@@ -90,7 +98,8 @@ class Cell(FrozenModel):
         """Stiffness along the axis [N/m]; springs in series add their compliances (paper, section 3)."""
         if self.stiffness is not None:
             return self.stiffness
-        assert self.series is not None
+        if self.series is None:
+            raise UserError(f"cell `{self.name}` has no stiffness", place="cells", remedy="Add `stiffness` or `series`")
         return 1.0 / sum(1.0 / k for k in self.series)
 
     @property
@@ -109,23 +118,48 @@ class TorqueMeter(FrozenModel):
 
 
 class Channel(FrozenModel):
-    """A recorded channel: what it measures, sensitivity [V/N or V/(N m)] and its own first-order dynamics."""
+    """A recorded channel: what it measures, sensitivity [V/N or V/(N m)] and its own first-order dynamics.
+
+    A channel without `cell` and `torque_meter`, such as a bridge of an internal balance, can be calibrated only.
+    `unit` is that of its readings: V (the default), a ratio to the excitation (mV/V), or a number (counts).
+    """
 
     name: Name
     cell: str | None = None
     torque_meter: bool = False
-    sensitivity: Number
+    sensitivity: Number = 1.0
+    unit: str | None = None
     lowpass: Positive | None = None
     time_constant: Positive | None = None
     range: Positive | None = None
 
     @model_validator(mode="after")
     def _check_one_source(self) -> Channel:
-        if (self.cell is None) != self.torque_meter:
-            raise ValueError("give either `cell: NAME` or `torque_meter: true`")
+        if self.cell is not None and self.torque_meter:
+            raise ValueError("give either `cell: NAME` or `torque_meter: true`, not both")
         if self.sensitivity == 0.0:
             raise ValueError("`sensitivity` is zero")
+        if self.measures_mechanics and "sensitivity" not in self.model_fields_set:
+            raise ValueError("`sensitivity` is missing")
         return self
+
+    @field_validator("unit")
+    @classmethod
+    def _check_unit(cls, text: str | None) -> str | None:
+        try:
+            return None if text is None else parse_unit(text, VOLTAGE, RATIO, NUMBER).dimension
+        except UserError as error:
+            raise ValueError(f"{error.fault} ({error.remedy})") from None
+
+    @property
+    def reading_unit(self) -> str:
+        """Base unit of the readings: `V`, `V/V` or `1`."""
+        return self.unit or VOLTAGE
+
+    @property
+    def measures_mechanics(self) -> bool:
+        """Whether the channel measures a declared part of the rig: a cell or the torque meter."""
+        return self.cell is not None or self.torque_meter
 
     @property
     def measures_dc(self) -> bool:
@@ -173,23 +207,61 @@ class DeclaredEffect(FrozenModel):
     parameters: dict[str, Number | str] = {}
 
 
+class LoadComponent(FrozenModel):
+    """A load component of the user's own: a force along `direction`, or a moment about the axis `moment`.
+
+    `position` [m]: of a force, a point on its line of action (force balance format: forces at stations); of a moment,
+    the point about which it is taken (moment balance format). By default both refer to the hub.
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=40, pattern=COMPONENT_PATTERN)]
+    direction: Vector | None = None
+    moment: Vector | None = None
+    position: Vector | None = None
+
+    @model_validator(mode="after")
+    def _check_one_axis(self) -> LoadComponent:
+        if self.name in COMPONENTS:
+            if (self.direction, self.moment, self.position) != (None, None, None):
+                raise ValueError(f"`{self.name}` is a hub load, whose axis and point are fixed: give the name alone")
+            return self
+        axis = self.direction or self.moment
+        if axis is None or (self.direction is not None and self.moment is not None):
+            raise ValueError("give `direction: [x, y, z]` of a force or `moment: [x, y, z]`, the axis of a moment")
+        if float(np.linalg.norm(axis)) == 0.0:
+            raise ValueError("`direction` or `moment` has no length")
+        return self
+
+
+def _named_component(value: object) -> object:
+    return {"name": value} if isinstance(value, str) else value
+
+
 class Geometry(FrozenModel):
-    """A rotor balance as declared. Compared by content."""
+    """A rotor balance as declared. Compared by content.
+
+    `bodies`, stiffness of the cells and `damping_ratio` may be absent where the balance is only calibrated, and so may
+    the cells themselves: `name`, `rig` and `channels` are enough.
+    """
 
     format: Literal["balance-geometry/1"]
     name: Name
     rig: Name
-    hub: Vector
-    bodies: Annotated[tuple[Body, ...], Field(min_length=1, max_length=MOST_PARTS)]
-    cells: Annotated[tuple[Cell, ...], Field(min_length=1, max_length=MOST_PARTS)]
+    hub: Vector = (0.0, 0.0, 0.0)
+    bodies: Annotated[tuple[Body, ...], Field(min_length=1, max_length=MOST_PARTS)] = ()
+    cells: Annotated[tuple[Cell, ...], Field(min_length=1, max_length=MOST_PARTS)] = ()
     torque_meter: TorqueMeter | None = None
     channels: Annotated[tuple[Channel, ...], Field(min_length=1, max_length=MOST_PARTS)]
     acquisition: Acquisition = Acquisition()
-    damping_ratio: NonNegative
+    damping_ratio: NonNegative | None = None
     tolerances: Tolerances = Tolerances()
     rotor: Rotor | None = None
     freedom: Annotated[tuple[Literal["x", "y", "z", "psi", "theta", "phi"], ...], Field(min_length=1)] = FREEDOMS  # type: ignore[assignment]
     effects: tuple[DeclaredEffect, ...] = ()
+    components: (
+        Annotated[tuple[Annotated[LoadComponent, BeforeValidator(_named_component)], ...], Field(min_length=1)] | None
+    ) = None
+    rated_loads: dict[Name, Positive] | None = None
 
     def __repr__(self) -> str:
         cells, channels = plural(len(self.cells), "cell"), plural(len(self.channels), "channel")
@@ -199,6 +271,13 @@ class Geometry(FrozenModel):
     def channel_names(self) -> tuple[str, ...]:
         """Names of all channels, in declared order."""
         return tuple(channel.name for channel in self.channels)
+
+    @property
+    def modal_damping_ratio(self) -> float:
+        """The damping ratio of every mode; raises UserError where it is not declared."""
+        if self.damping_ratio is None:
+            raise UserError("`damping_ratio` is missing", place="damping_ratio", remedy="Add it to the geometry")
+        return self.damping_ratio
 
     @property
     def cell_names(self) -> tuple[str, ...]:

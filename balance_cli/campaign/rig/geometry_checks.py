@@ -9,6 +9,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Array, Body, Geometry
 from balance_cli.campaign.rig.kinematics import elongation_matrix
+from balance_cli.campaign.rig.load_components import component_faults
 from balance_cli.campaign.rig.mass_properties import metric_side
 from balance_cli.io.errors import UserError
 
@@ -27,7 +28,32 @@ def geometry_faults(geometry: Geometry) -> Iterator[UserError]:
     yield from _duplicate_name_faults("channels", geometry.channel_names)
     yield from _channel_reference_faults(geometry)
     yield from _duplicate_name_faults("freedom", geometry.freedom)
-    yield from _restraint_faults(geometry)
+    yield from component_faults(geometry)
+    if not missing_mechanics(geometry):
+        yield from _restraint_faults(geometry)
+
+
+def missing_mechanics(geometry: Geometry) -> tuple[str, ...]:
+    """Keys that are absent from a geometry which is only calibrated, and that equations of motion need."""
+    missing = [key for key in ("bodies", "cells") if not getattr(geometry, key)]
+    missing += [
+        f"cells[{index}].stiffness"
+        for index, cell in enumerate(geometry.cells)
+        if cell.stiffness is None and cell.series is None
+    ]
+    missing += [
+        f"channels[{index}].cell" for index, channel in enumerate(geometry.channels) if not channel.measures_mechanics
+    ]
+    return (*missing, *(["damping_ratio"] if geometry.damping_ratio is None else []))
+
+
+def require_mechanics(geometry: Geometry, file: str = "") -> None:
+    """Raise UserError for a geometry without what equations of motion need."""
+    missing = missing_mechanics(geometry)
+    if missing:
+        names = ", ".join(f"`{key}`" for key in missing[:4]) + (" and others" if len(missing) > 4 else "")
+        fault = f"{names} {'is' if len(missing) == 1 else 'are'} missing"
+        raise UserError(fault, file, remedy="Add what is missing; only `calibrate` and `apply` do without it")
 
 
 def _duplicate_name_faults(key: str, names: Sequence[str]) -> Iterator[UserError]:
