@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from functools import partial
 
 from balance_cli.api.inputs import RunLike, require_disjoint, to_runs
+from balance_cli.diagnosis.conclusions import judge_hold_out
 from balance_cli.diagnosis.result import Diagnosis
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.steps.diagnose import diagnose as run_diagnosis
-from balance_cli.steps.hold_out import hold_out_errors, require_known_loads
+from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation
+from balance_cli.steps.hold_out import choose_hold_out, hold_out_errors, require_known_loads
 
 
 def diagnose(
@@ -25,7 +27,8 @@ def diagnose(
     """Find the effects that a model lacks, as `balance diagnose` does; returns the diagnosis and the updated model.
 
     Give the sweeps and static runs of the model. Check runs and sweeps of `hold_out` are read after the last decision
-    and compared before and after the update. `settings` holds the thresholds of the search; `progress` is called with a
+    and compared before and after the update; without any, check runs or one of the sweeps are kept aside for it and
+    named in `notes`. `settings` holds the thresholds of the search; `progress` is called with a
     description and the completed fraction. Raises UserError for a model in the paper's form, and where no run is a
     sweep.
 
@@ -44,7 +47,10 @@ def diagnose(
     require_disjoint(fitted, checks)
     for run in checks:
         require_known_loads(run)
+    kept_aside = () if checks else choose_hold_out(fitted)
+    fitted = tuple(run for run in fitted if run not in kept_aside)
     spectra = measured_spectra(fitted, model.geometry, means=True)
-    diagnosis, updated = run_diagnosis(model, spectra, progress, settings)
-    errors = {run.name: hold_out_errors(run, model, updated) for run in checks}
-    return replace(diagnosis, hold_out=errors), updated
+    task = SimulationTask(model, spectra, fitted, (*checks, *kept_aside))
+    diagnosis, updated = diagnose_with_free_simulation(task, partial(run_diagnosis, progress=progress), settings)
+    errors = {run.name: hold_out_errors(run, model, updated) for run in task.hold_out}
+    return judge_hold_out(diagnosis, errors, [run.name for run in kept_aside]), updated

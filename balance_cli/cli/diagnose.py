@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,24 +54,29 @@ def command(
     """Find the effects that a model lacks, add them, and report the errors before and after (model updating).
 
     Sweeps and static runs among RUN... are fitted; runs of other kinds are left out and named. The runs of --hold-out
-    are used once, after the last decision. MODEL is a physical model: computed, identified, or updated before. So is
+    are used once, after the last decision; without any, the check runs among RUN... or one of the sweeps are kept aside
+    for it. MODEL is a physical model: computed, identified, or updated before. So is
     the updated model.
     """
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text
+    from balance_cli.diagnosis.conclusions import judge_hold_out
     from balance_cli.diagnosis.result import NOTHING_MISSING
     from balance_cli.estimation.measured_spectra import measured_spectra
+    from balance_cli.steps.hold_out import choose_hold_out
 
     before = _load_start_model(session, model)
     records = session.runs(runs, before.geometry, skip_bad)
     hold_out_runs = session.runs(hold_out, before.geometry, skip_bad, role="hold-out", disjoint_from=records)
     hold_out_runs = _select_usable_hold_out(session, hold_out_runs, skip_bad)
+    kept_aside = () if hold_out else choose_hold_out(records)
+    records = tuple(run for run in records if run not in kept_aside)
     spectra = measured_spectra(session.progress(records, "spectra", len(records)), before.geometry, means=True)
     _check_spectra(session, spectra)
-    _warn_about_hold_out(session, before, hold_out_runs)
-    diagnosis, updated_model = _run_diagnosis(before, spectra)
-    diagnosis = replace(
-        diagnosis, hold_out=_hold_out_run_errors(session, hold_out_runs, before, updated_model, skip_bad)
-    )
+    hold_out_runs = (*hold_out_runs, *kept_aside)
+    _warn_about_hold_out(session, before, hold_out_runs, kept_aside)
+    diagnosis, updated_model = _run_diagnosis(before, spectra, records, hold_out_runs)
+    errors = _hold_out_run_errors(session, hold_out_runs, before, updated_model, skip_bad)
+    diagnosis = judge_hold_out(diagnosis, errors, [run.name for run in kept_aside])
     session.save(output, DIAGNOSIS_FORMAT, diagnosis)
     session.save(model_out, MODEL_FORMAT, updated_model)
     if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING:
@@ -112,20 +117,28 @@ def _check_spectra(session: Session, spectra: Spectra) -> None:
         raise UserError("no sweep run among the runs", "RUN...", remedy="Give at least one sweep run")
 
 
-def _warn_about_hold_out(session: Session, before: IdentifiedModel, hold_out_runs: tuple[Run, ...]) -> None:
+def _warn_about_hold_out(
+    session: Session, before: IdentifiedModel, hold_out_runs: tuple[Run, ...], kept_aside: tuple[Run, ...]
+) -> None:
     if not hold_out_runs:
         session.warn("no hold-out run: the updated model is not tested on new data; keep check runs for --hold-out")
+    if kept_aside:
+        session.warn(f"no --hold-out: {', '.join(run.name for run in kept_aside)} kept aside to test the updated model")
     for run in hold_out_runs:
         if before.method != "computed" and run.name in before.quality.runs:
             session.warn(f"{run.name} is held out here, but the model was fitted to it: its error before is no test")
 
 
-def _run_diagnosis(before: IdentifiedModel, spectra: Spectra) -> tuple[Diagnosis, IdentifiedModel]:
+def _run_diagnosis(
+    before: IdentifiedModel, spectra: Spectra, records: tuple[Run, ...], hold_out_runs: tuple[Run, ...]
+) -> tuple[Diagnosis, IdentifiedModel]:
     from balance_cli.cli.progress import progress_bar
     from balance_cli.steps.diagnose import diagnose
+    from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation
 
+    task = SimulationTask(before, spectra, records, hold_out_runs)
     with progress_bar() as progress:
-        return diagnose(before, spectra, progress)
+        return diagnose_with_free_simulation(task, partial(diagnose, progress=progress))
 
 
 def _hold_out_run_errors(

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from balance_cli.diagnosis.model_update import UpdateResult, is_good_fit
 from balance_cli.diagnosis.result import (
+    CONTRADICTED,
     EXPLAINED,
     NOTHING_MISSING,
     PARTLY_EXPLAINED,
     UNEXPLAINED,
+    Diagnosis,
     Evidence,
     FoundEffect,
+    HoldOut,
     Trial,
 )
 from balance_cli.diagnosis.selection.fit import Fit
-from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.declared_departures import declared_agreement
 from balance_cli.estimation.identified_model import IdentifiedModel
@@ -38,6 +41,38 @@ def decide_verdict(
         return NOTHING_MISSING if good else UNEXPLAINED
     empirical = any(effect.evidence.empirical for effect in effects)
     return EXPLAINED if good and not empirical else PARTLY_EXPLAINED
+
+
+def judge_hold_out(diagnosis: Diagnosis, hold_out: Mapping[str, HoldOut], kept_aside: Sequence[str] = ()) -> Diagnosis:
+    """Return the diagnosis with the errors of its hold-out runs, which may contradict what was found.
+
+    `kept_aside`: names of those runs that were not given as hold-out runs.
+    """
+    notes = diagnosis.notes
+    if kept_aside:
+        notes = (*notes, f"no hold-out run was given: {', '.join(kept_aside)} kept aside, which no fit has used")
+    worse = [name for name, errors in hold_out.items() if is_worse(errors, diagnosis.settings or DEFAULT_SETTINGS)]
+    if not worse or not diagnosis.effects:
+        return replace(diagnosis, hold_out=dict(hold_out), notes=notes)
+    notes = (*notes, f"the update makes {', '.join(worse)} worse: do not use the updated model")
+    return replace(diagnosis, hold_out=dict(hold_out), notes=notes, verdict=CONTRADICTED)
+
+
+def is_worse(errors: HoldOut, settings: SearchSettings) -> bool:
+    """Return whether a run has a worse response or worse hub loads after the update than noise alone can make them."""
+    parts = (errors.before, errors.after, errors.noise)
+    load_errors = [_rms(part.load_error.values()) for part in parts]
+    limits = settings.hold_out
+    return any(
+        after > limits.max_error_ratio * before and after > limits.min_noise_ratio * noise
+        for before, after, noise in ([part.frf_error for part in parts], load_errors)
+    )
+
+
+def _rms(values: Iterable[float]) -> float:
+    """Rms of the values; NaN where there are none."""
+    squares = [value**2 for value in values]
+    return float(sum(squares) / len(squares)) ** 0.5 if squares else float("nan")
 
 
 def describe_added_effects(

@@ -24,12 +24,14 @@ NOTHING_MISSING = "nothing missing"
 EXPLAINED = "explained"
 PARTLY_EXPLAINED = "partly explained"
 UNEXPLAINED = "unexplained"
+CONTRADICTED = "contradicted by hold-out"
 
 VERDICT_MEANING = {
     NOTHING_MISSING: "no candidate is significant",
     EXPLAINED: "with the effects found the model describes the data within their noise",
     PARTLY_EXPLAINED: "the effects found are significant, and a residual remains, or an effect only describes it",
     UNEXPLAINED: "something is missing that no effect of the library describes",
+    CONTRADICTED: "with the effects found the model describes runs that no fit has seen worse than before",
 }
 
 

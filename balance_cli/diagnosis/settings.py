@@ -226,6 +226,30 @@ class ResidualMapSettings:
 
 
 @dataclass(frozen=True)
+class FreeSimulationSettings:
+    """Simulations by the loads alone, which test nonlinear effects."""
+
+    max_samples: int = 8192
+    """Samples of a run that are simulated: some seconds of computing, and tens of periods of the slowest mode."""
+    max_hold_out: int = 2
+    """Hold-out runs that are simulated."""
+    max_sweeps: int = 3
+    """Fitted sweeps that are simulated: the effect may not show in what the hold-out runs excite."""
+    max_error_ratio: float = 1.02
+    """Error with the effects over that without, above which they are rejected: noise changes it by less."""
+
+
+@dataclass(frozen=True)
+class HoldOutSettings:
+    """Comparison of a model with its update on runs that no fit has seen."""
+
+    max_error_ratio: float = 1.05
+    """Error after over error before, above which a run contradicts the update: a right one leaves what it was."""
+    min_noise_ratio: float = 1.5
+    """Error after over that of the noise alone, below which the run cannot contradict: it is described."""
+
+
+@dataclass(frozen=True)
 class SearchSettings:
     """All tuning constants of a diagnosis."""
 
@@ -240,12 +264,16 @@ class SearchSettings:
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     data_tests: DataTestSettings = field(default_factory=DataTestSettings)
     residual_map: ResidualMapSettings = field(default_factory=ResidualMapSettings)
+    hold_out: HoldOutSettings = field(default_factory=HoldOutSettings)
+    free_simulation: FreeSimulationSettings = field(default_factory=FreeSimulationSettings)
     parameter_cost: float = 6.0
     """What a parameter costs in chi-square: AIC asks 2, BIC ln n = 5.7 for the 300 lines of the search."""
     indistinguishable_chi2: float = 6.0
     """Difference of chi-square within which two explanations are equally good: a log-likelihood ratio of 3."""
     alternative_gap: float = 30.0
     """Difference of chi-square on which an explanation is not yet rejected: the plate, or all lines, may reverse it."""
+    excluded: tuple[str, ...] = ()
+    """Effects (NAME or NAME@PLACE) that are no candidates: those that a free simulation has contradicted."""
 
 
 DEFAULT_SETTINGS = SearchSettings()

@@ -33,6 +33,9 @@ Index = NDArray[np.intp]
 MAX_NEWTON_ITERATIONS = 50
 # Last step relative to the largest elongation: a thousand times the rounding of doubles.
 NEWTON_TOLERANCE = 1e-12
+# Rms of the nonlinear forces inside a cell over that of its reading. They are computed from the reading: at a share of
+# one the reading would explain itself, whatever it is, and a load cell that is half nonlinear is none.
+MAX_INTERNAL_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ class RunCellForces:
 def cell_forces(batch: Batch, system: System, solution: Solution, derivatives: bool) -> tuple[RunCellForces, ...]:
     """Compute the nonlinear forces in every run of a batch, at the bins of its waveform.
 
-    Raises LinAlgError where the stiffness of a cell would become negative.
+    Raises LinAlgError where the stiffness of a cell would become negative, or its reading explain itself.
     """
     runs = []
     for run in batch.runs:
@@ -185,6 +188,8 @@ def _elongation(waveform: Waveform, system: System, spring: int, forces: Sequenc
     if not internal_forces:
         return force * k.reciprocal()
     value = _solve_elongation(force.value, float(k.value), internal_forces, waveform.is_periodic)
+    if np.linalg.norm(force.value - float(k.value) * value) > MAX_INTERNAL_SHARE * np.linalg.norm(force.value):
+        raise np.linalg.LinAlgError("nonlinear forces inside a cell are most of its reading")
     at = constant(value, len(columns))
     error = k * at - force
     for internal in internal_forces:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,6 +38,23 @@ def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -
     errors = _check_run_errors if run.kind == "check" else _sweep_run_errors
     (old, _), (new, noise) = errors(run, before), errors(run, after)
     return HoldOut(old, new, noise)
+
+
+def choose_hold_out(runs: Sequence[Run]) -> tuple[Run, ...]:
+    """Return the runs to keep aside where none is given: all check runs; without any, a sweep that another one repeats.
+
+    Of sweeps that excite the same components at the same rotor speed the one of the least level is kept aside; of
+    several such groups, of the largest one. Empty where every run is needed.
+    """
+    checks = tuple(run for run in runs if run.kind == "check" and run.has_loads)
+    if checks:
+        return checks
+    groups: dict[tuple[tuple[str, ...], float], list[Run]] = {}
+    for run in runs:
+        if run.kind == "sweep":
+            groups.setdefault((run.excited, run.rotor_speed or 0.0), []).append(run)
+    largest = max(groups.values(), key=len, default=[])
+    return (min(largest, key=lambda run: tuple(run.level)),) if len(largest) > 1 else ()
 
 
 def require_known_loads(run: Run) -> None:

@@ -12,7 +12,14 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry_file import save_geometry
 from balance_cli.cli import balance
 from balance_cli.cli.diagnosis_text import diagnosis_text
-from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED, Diagnosis
+from balance_cli.diagnosis.result import (
+    CONTRADICTED,
+    EXPLAINED,
+    NOTHING_MISSING,
+    PARTLY_EXPLAINED,
+    UNEXPLAINED,
+    Diagnosis,
+)
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import load_artefact
 from tests.support.diagnosis_content import FakeDiagnose, diagnosis, fake_diagnose_module, hold_out
@@ -114,7 +121,9 @@ def test_the_report_takes_what_was_written(diagnose, tmp_path):
 def test_other_kinds_among_the_runs_are_left_out_and_never_fitted(diagnose, engine, folder):
     others = [folder / f"{name}.h5" for name in ("wind-1", "check-1")]
     result, output = diagnose(runs=[*fitted(folder), *others], held=())
-    assert set(output["left_out"]) == {"wind-1", "check-1"}
+    assert set(output["left_out"]) == {"wind-1"}
+    assert set(output["hold_out"]) == {"check-1"}
+    assert "check-1 kept aside" in result.stderr
     assert "wind-1 left out" in result.stderr
     seen = {item.run for item in (*engine.spectra.lines, *engine.spectra.statics)}
     assert seen == {path.stem for path in fitted(folder)}
@@ -134,7 +143,8 @@ def test_a_hold_out_run_that_the_model_was_fitted_to_is_named(diagnose, folder):
 
 
 @pytest.mark.parametrize(
-    ("verdict", "status"), [(NOTHING_MISSING, 0), (EXPLAINED, 3), (PARTLY_EXPLAINED, 3), (UNEXPLAINED, 3)]
+    ("verdict", "status"),
+    [(NOTHING_MISSING, 0), (EXPLAINED, 3), (PARTLY_EXPLAINED, 3), (UNEXPLAINED, 3), (CONTRADICTED, 3)],
 )
 def test_exit_status_by_verdict(diagnose, engine, tmp_path, verdict, status):
     engine.verdict = verdict

@@ -20,6 +20,7 @@ from balance_cli.diagnosis.result import (
     Trial,
     UntestableEffect,
 )
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.model.fitted_effects import FittedParameter
@@ -188,7 +189,7 @@ class FakeDiagnose:
         self.verdict = verdict
         self.spectra: Spectra | None = None
 
-    def __call__(self, before, spectra, progress=None) -> tuple[Diagnosis, IdentifiedModel]:
+    def __call__(self, before, spectra, settings=DEFAULT_SETTINGS, progress=None) -> tuple[Diagnosis, IdentifiedModel]:
         self.spectra = spectra
         if progress is not None:
             progress("residual", 0.2)

@@ -15,6 +15,8 @@ from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, parse_unit
 
 LARGEST_VALUE = 1e15
 """Of any number of a geometry or a plan, in SI units: far beyond any rig, and its fourth power is still finite."""
+LARGEST_EFFECT_PARAMETER = 1e30
+"""The cubic stiffness of a cell whose elongations are nanometers is 1e24 N/m3 where a tenth of 1e6 N is cubic."""
 MOST_PARTS = 500
 """Bodies, cells or channels; no rig has so many, and the equations of so many are still solved in seconds."""
 
@@ -35,6 +37,9 @@ def _refuse_bool(value: object) -> object:
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Number = Annotated[float, BeforeValidator(_refuse_bool), Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)]
 Vector = tuple[Number, Number, Number]
+EffectNumber = Annotated[
+    float, BeforeValidator(_refuse_bool), Field(ge=-LARGEST_EFFECT_PARAMETER, le=LARGEST_EFFECT_PARAMETER)
+]
 Positive = Annotated[float, BeforeValidator(_refuse_bool), Field(gt=SMALLEST_VALUE, le=LARGEST_VALUE)]
 NonNegative = Annotated[float, BeforeValidator(_refuse_bool), Field(ge=0, le=LARGEST_VALUE)]
 Array = NDArray[np.float64]
@@ -204,7 +209,7 @@ class DeclaredEffect(FrozenModel):
 
     name: Name
     where: tuple[str, ...] = ()
-    parameters: dict[str, Number | str] = {}
+    parameters: dict[str, EffectNumber | str] = {}
 
 
 class LoadComponent(FrozenModel):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.model import effects
 from balance_cli.model.effects import Effect, EffectParameter, Where
-from balance_cli.model.placed_effects import PlacedEffect, declare_effect, declared_effects, place_effect
+from balance_cli.model.placed_effects import PlacedEffect, declare_effect, declared_effects, effect_label, place_effect
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,11 @@ def parameters_of_interest(parameters: tuple[EffectParameter, ...]) -> tuple[Eff
     return tuple(item for item in parameters if not item.nuisance)
 
 
-def candidates(geometry: Geometry, empirical: bool = False) -> tuple[Candidate, ...]:
-    """All candidates that the effects of the geometry leave; empirical ones only if asked for."""
+def candidates(geometry: Geometry, empirical: bool = False, excluded: Collection[str] = ()) -> tuple[Candidate, ...]:
+    """All candidates that the effects of the geometry leave; empirical ones only if asked for.
+
+    `excluded`: names of effects, or names with the first part of a place (`NAME@CELL`), that are none.
+    """
     present = {(item.effect.name, item.where) for item in declared_effects(geometry)}
     names = {item.name for item in geometry.effects}
     pool = []
@@ -82,8 +85,17 @@ def candidates(geometry: Geometry, empirical: bool = False) -> tuple[Candidate, 
         if (effect.empirical and not empirical) or (effect.search.at_most_once and effect.name in names):
             continue
         places = (effect.search.places or effect.places)(geometry)
-        pool += [candidate_at(effect.name, where, geometry) for where in places if (effect.name, where) not in present]
+        pool += [
+            candidate_at(effect.name, where, geometry)
+            for where in places
+            if (effect.name, where) not in present and not is_excluded(effect.name, where, excluded)
+        ]
     return tuple(pool)
+
+
+def is_excluded(name: str, where: Where, excluded: Collection[str]) -> bool:
+    """Whether one of the words is the name of the effect, or its name with the first part of the place."""
+    return any(effect_label(name, where[:count]) in excluded for count in range(len(where) + 1))
 
 
 def candidate_at(name: str, where: Where, geometry: Geometry) -> Candidate:

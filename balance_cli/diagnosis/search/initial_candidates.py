@@ -15,7 +15,7 @@ from balance_cli.diagnosis.data_tests.channel_pairs import (
     find_channel_differences,
 )
 from balance_cli.diagnosis.data_tests.channel_ratio import DifferenceKind
-from balance_cli.diagnosis.search.candidates import Candidate, candidate_at
+from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, is_excluded
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.io.errors import UserError
 from balance_cli.signals.run_spectrum import RunSpectrum
@@ -37,7 +37,12 @@ def initial_candidates(
     for pair in find_channel_differences(runs, geometry, settings):
         both = (False, True)
         proposed = [_candidate(pair, *kind, in_first, geometry) for kind in pair.kinds for in_first in both]
-        possible = tuple(candidate for candidate in proposed if candidate is not None)
+        possible = tuple(
+            candidate
+            for candidate in proposed
+            if candidate is not None
+            and not is_excluded(candidate.effect.name, candidate.placed_effect.where, settings.excluded)
+        )
         if possible and pair.gain > settings.data_tests.channel_pairs.min_kind_gain:
             groups.append(InitialCandidates(possible, pair.gain))
     return tuple(sorted(groups, key=lambda group: -group.gain))

@@ -61,7 +61,7 @@ def search(
         if state.error < limits.small_error:
             break
         announce(f"search, round {number}: model error {100 * state.error:.2g} %")
-        added = search_round(state, lines, number, candidates(state.geometry), settings)
+        added = search_round(state, lines, number, candidates(state.geometry, excluded=settings.excluded), settings)
         result = result.add(added.state or state, added.trials, added.alternatives)
         if not stuck and _is_slow(state, added.state, settings):
             restarted = restart_if_better(result.state, lines, settings)

@@ -6,7 +6,7 @@ unknown way; the cause has to be looked for at the identified frequencies.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -83,7 +83,7 @@ def _add_modes(
     for number in range(first_round, first_round + settings.modes.max_modes):
         if state.error < settings.rounds.small_error:
             break
-        pool = unmodelled_mode_candidates(state, lines.fitted, settings.modes)
+        pool = unmodelled_mode_candidates(state, lines.fitted, settings.modes, settings.excluded)
         added = search_round(state, lines, number, pool, settings)
         trials += added.trials
         if added.state is None:
@@ -93,13 +93,13 @@ def _add_modes(
 
 
 def unmodelled_mode_candidates(
-    state: SearchState, batches: Sequence[Batch], settings: UnmodelledModeSettings
+    state: SearchState, batches: Sequence[Batch], settings: UnmodelledModeSettings, excluded: Collection[str] = ()
 ) -> tuple[Candidate, ...]:
     """The empirical candidates, started at the frequencies of the largest model errors."""
     system = state.model.system(state.theta)
     peaks = _error_peaks(add_model_error(batches, state.shares), system, settings)
     found = []
-    for candidate in candidates(state.geometry, empirical=True):
+    for candidate in candidates(state.geometry, empirical=True, excluded=excluded):
         start_at_frequency = candidate.effect.search.start_at_frequency
         if candidate.effect.empirical and start_at_frequency is not None and peaks:
             found.append(replace(candidate, starts=tuple(start_at_frequency(peak) for peak in peaks)))

@@ -153,7 +153,8 @@ def _near_alternatives(
 ) -> list[Score]:
     """Candidates that score about as much as the `loss` of chi-square without the effect, the best first."""
     limits, model = settings.selection, reduced.model
-    scored = score_in_two_stages(model, reduced.theta, batches, candidates(model.geometry), settings)
+    pool = candidates(model.geometry, excluded=settings.excluded)
+    scored = score_in_two_stages(model, reduced.theta, batches, pool, settings)
     lowest = loss - limits.alternative_score_deficit - limits.score_inaccuracy * loss
     near = [score for score in scored if score.candidate.label != effect.label and score.gain > lowest]
     return sorted(near, key=lambda score: -score.gain)[: limits.max_alternatives]

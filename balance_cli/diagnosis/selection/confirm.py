@@ -87,7 +87,8 @@ def confirm(
     for number in range(first_round, first_round + settings.selection.max_rounds):
         announce(f"all lines, round {number}")
         fit = result.fit
-        scores = score_in_two_stages(fit.model, fit.theta, batches, candidates(fit.model.geometry), settings)
+        pool = candidates(fit.model.geometry, excluded=settings.excluded)
+        scores = score_in_two_stages(fit.model, fit.theta, batches, pool, settings)
         unexplained = unexplained_chi2(fit, batches, noise_alone, settings.fit)
         threshold = settings.selection.min_effect_share * unexplained
         smallest_p_value, step = _confirm_round(

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any, get_type_hints
 
-from balance_cli.campaign.rig.geometry import LARGEST_VALUE
+from balance_cli.campaign.rig.geometry import LARGEST_EFFECT_PARAMETER
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.cells import (
@@ -98,7 +98,7 @@ def _value(kind: type[Extension], parameter: str, value: float | str) -> float |
         number = float(value)
     except ValueError:
         number = math.nan
-    if not abs(number) <= LARGEST_VALUE:
-        fault = f"`{parameter}` of `{kind.name}` is `{value}`, not a number of at most {LARGEST_VALUE:g}"
+    if not abs(number) <= LARGEST_EFFECT_PARAMETER:
+        fault = f"`{parameter}` of `{kind.name}` is `{value}`, not a number of at most {LARGEST_EFFECT_PARAMETER:g}"
         raise UserError(fault, place="effects", remedy="Give a number in SI units")
     return number

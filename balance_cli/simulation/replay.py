@@ -1,0 +1,49 @@
+"""Channels of a rig under recorded loads: a free simulation, which uses nothing of what the channels measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.signal
+from numpy.typing import NDArray
+
+from balance_cli.simulation.acquisition import true_loads
+from balance_cli.simulation.assembly import equations_of_motion
+from balance_cli.simulation.extensions.base import Signals
+from balance_cli.simulation.load_signals import CONTACT_OVERSAMPLING, OVERSAMPLING
+from balance_cli.simulation.motion import RigDynamics, nonlinear_forces
+from balance_cli.simulation.rig import TrueRig
+from balance_cli.simulation.sensors import sensor_volts
+
+Array = NDArray[np.float64]
+
+
+def replay_loads(rig: TrueRig, loads: Array, kind: str, sample_rate: float, rotor_speed: float = 0.0) -> Array:
+    """Volts (n, channels) of a rig under the recorded `loads` (n, 6) of a run of this kind, from rest under the first.
+
+    Loads are band-limited between samples. They were recorded behind the anti-alias filter, which is the same for
+    channels and loads, so the channels need no further filter. An effect with a random phase has another one here.
+    Raises LinAlgError where the motion grows without bound.
+    """
+    mechanics = equations_of_motion(rig, rotor_speed)
+    oversampling = CONTACT_OVERSAMPLING if any(force.limit for force in mechanics.forces) else OVERSAMPLING
+    step = 1.0 / (oversampling * sample_rate)
+    fine = scipy.signal.resample_poly(true_loads(rig, loads, kind), oversampling, 1, axis=0, padtype="line")
+    # What interpolation leaves in a component without load would be a load.
+    fine = np.where(np.any(loads, axis=0) | np.any(np.abs(fine) > 0.0, axis=0), fine, 0.0)
+    motion = RigDynamics.from_mechanics(mechanics)
+    with np.errstate(over="ignore", invalid="ignore"):
+        forces = nonlinear_forces(motion, [fine], step)[0] if mechanics.forces else np.zeros((len(fine), 0))
+        if not np.isfinite(forces).all():
+            raise np.linalg.LinAlgError("the motion grows without bound")
+        read = motion.forces(fine, forces, step)
+    volts = sensor_volts(rig, read, step)
+    for extension in rig.extensions:
+        volts = extension.volts(Signals(volts, rig.geometry.channel_names, step, np.random.default_rng(0)))
+    return np.asarray(volts[::oversampling])
+
+
+def without_extensions(rig: TrueRig, names: tuple[str, ...]) -> TrueRig:
+    """The rig without its extensions of these names."""
+    return replace(rig, extensions=tuple(item for item in rig.extensions if item.name not in names))
