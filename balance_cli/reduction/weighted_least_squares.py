@@ -26,6 +26,13 @@ ComplexArray = NDArray[np.complex128]
 
 REDUNDANCY_CONFIDENCE = 0.999
 """Confidence of the residual test, fixed by the file contract: noise alone exceeds the limit once in a thousand."""
+DOF_PER_REDUNDANT_EQUATION = 2.0
+"""Degrees of freedom of the noise for each redundant equation, below which only its variances are used.
+
+The inverse of a covariance that is estimated with fewer is dominated by its smallest eigenvalues, and does not exist
+below one (Ledoit and Wolf, J. Multivariate Analysis 88, 2004, 365). The variances contain fluctuating loads, which
+the covariance would tell from noise: the test then finds less.
+"""
 
 
 @dataclass(frozen=True)
@@ -91,12 +98,14 @@ def solve_loads(
         noise_covariance = G @ noise @ np.swapaxes(G, 1, 2)
     loads = np.einsum("hba,ha->hb", G, y)
     response_error = response_covariance(loads)
-    total = noise + response_error
+    few = dof < DOF_PER_REDUNDANT_EQUATION * (a - b) / 2
+    tested_noise = np.where(few[:, None, None], noise * np.eye(a), noise)
+    total = tested_noise + response_error
     covariance = noise_covariance + G @ response_error @ np.swapaxes(G, 1, 2)
     chi2 = _residual_chi2(T, y, total)
-    share = np.trace(np.linalg.solve(total, noise), axis1=1, axis2=2) / a
+    share = np.trace(np.linalg.solve(total, tested_noise), axis1=1, axis2=2) / a
     degrees = np.full(len(T), float(a - b))
-    bias, limit = _residual_test_limit(share, dof, a - b)
+    bias, limit = _residual_test_limit(share, dof, a - b, few)
     per_degree = np.where(degrees > 0, chi2 * bias / np.maximum(degrees, 1.0), np.nan)
     singular = np.linalg.svd(_normalize(T, noise, scale), compute_uv=False)
     return SolvedLoads(
@@ -140,17 +149,20 @@ def _estimated_weights_factor(dof: Array, degrees: int) -> Array:
     return np.asarray(1.0 / share**2)
 
 
-def _residual_test_limit(share: Array, dof: Array, degrees: int) -> tuple[Array, Array]:
+def _residual_test_limit(
+    share: Array, dof: Array, degrees: int, variances_only: NDArray[np.bool_]
+) -> tuple[Array, Array]:
     """Return the factor that removes the bias of the residual chi-square, and its 99.9 % point per degree of freedom.
 
     With noise alone, estimated with dof complex degrees of freedom, q redundant complex equations follow Hotelling's
     distribution: chi2 (dof - q + 1) / (2 q dof) is F with 2 q and 2 (dof - q + 1) degrees of freedom. Both corrections
-    apply in proportion to the `share` of the noise in the covariance.
+    apply in proportion to the `share` of the noise in the covariance. With `variances_only` (h,) each variance is
+    estimated by itself, as if there were one equation; F with 2 dof is then on the safe side.
     """
     if degrees <= 0:
         return np.ones_like(share), np.full_like(share, np.inf)
-    q = degrees // 2
-    unbiased = np.array([inverse_bias_factor(float(d), q) for d in dof])
+    q = np.where(variances_only, 1, degrees // 2)
+    unbiased = np.array([inverse_bias_factor(float(d), int(n)) for d, n in zip(dof, q, strict=True)])
     # The bounds keep the quotient finite where the covariance holds no noise.
     second = np.minimum(2.0 * (dof - q + 1.0) / np.maximum(share, 1e-9), 1e9)
     limit = stats.f.ppf(REDUNDANCY_CONFIDENCE, degrees, second)

@@ -57,6 +57,32 @@ def test_noise_that_was_estimated_does_not_raise_false_alarms():
     assert np.std(error) == pytest.approx(1.0, abs=0.05)
 
 
+def test_noise_of_fewer_degrees_of_freedom_than_redundant_equations_is_tested_by_its_variances():
+    rng = np.random.default_rng(7)
+    h, dof, sigma = 1000, 17, rng.uniform(0.5, 2.0, 25)
+
+    def noise(*shape):
+        parts = rng.standard_normal((2, *shape, 25)) / np.sqrt(2) * sigma
+        return parts[0] + 1j * parts[1]
+
+    T = rng.standard_normal((h, 25, 6)) + 1j * rng.standard_normal((h, 25, 6))
+    samples = noise(h, dof)
+    estimated = circular_real(np.einsum("hdi,hdj->hij", samples, samples.conj()) / dof)
+    y = T.sum(axis=2) + noise(h)
+    y = np.concatenate([y.real, y.imag], axis=1)
+
+    def solve(y):
+        weights = np.broadcast_to(np.diag(np.tile(sigma**2, 2)), (h, 50, 50))
+        dofs = np.full(h, float(dof))
+        return solve_loads(stacked_real(T), y, estimated, dofs, lambda loads: 0.0 * estimated, np.ones(12), weights)
+
+    found = solve(y)
+    assert np.mean(found.redundancy_chi2) == pytest.approx(1.0, abs=0.05)
+    assert np.mean(found.misfit) < 0.003
+    found = solve(y + 10.0 * np.tile(sigma, 2) * (np.arange(50) % 25 == 3))
+    assert np.mean(found.misfit) > 0.95
+
+
 def test_a_wrong_response_is_found_out_and_widens_sigma():
     rng = np.random.default_rng(2)
     T, root, f = problem(rng, harmonics=50)
