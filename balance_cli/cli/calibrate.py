@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,7 @@ from balance_cli.cli.common import (
     skip_bad_option,
 )
 from balance_cli.cli.options import InputFile, OutputFile, deprecated_option, hold_out_option
+from balance_cli.cli.static_runs import moment_center_option, open_static_runs, table_reading, units_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import CALIBRATION_FORMAT
 
@@ -55,6 +58,8 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Take the calibration from this matrix (.csv) instead of from runs.",
 )
+@units_option
+@moment_center_option
 @skip_bad_option
 @output_option("CAL")
 def command(
@@ -66,6 +71,8 @@ def command(
     hold_out: tuple[Path, ...],
     matrix: Path | None,
     from_matrix: Path | None,
+    units: str | None,
+    moment_center: tuple[float, float, float] | None,
     skip_bad: bool,
     output: Path,
 ) -> None:
@@ -74,6 +81,10 @@ def command(
     The model has the terms of AIAA R-091: for each channel those that are significant and that reduce the
     cross-validation error of the load series. Outliers and suspect load series are listed and excluded.
 
+    RUN is a run file, or a point table as CSV with units in its head: a column for each load and each channel, and
+    optionally `series`, `point`, `run` and `trim`. Calibration alone needs no masses, stiffness or damping in the
+    geometry.
+
     With --from-matrix the model is read from a matrix made elsewhere, and no run is needed.
     """
     from balance_cli.cli.calibration_summary import calibration_summary
@@ -81,10 +92,13 @@ def command(
 
     _check_options(runs, terms, direct, matrix, from_matrix)
     rig = session.geometry(geometry, mechanics=False)
+    reading = table_reading(units, moment_center)
+    held_out = functools.partial(open_static_runs, session, hold_out, rig, reading, skip_bad, "hold-out")
     if from_matrix is None:
-        result = _calibrate_from_runs(session, rig, runs, hold_out, (terms, direct), skip_bad)
+        calibration_runs = open_static_runs(session, runs, rig, reading, skip_bad)
+        result = _calibrate_from_runs(session, rig, calibration_runs, held_out(calibration_runs), (terms, direct))
     else:
-        result = _read_matrix_calibration(session, rig, from_matrix, hold_out, skip_bad)
+        result = _read_matrix_calibration(session, rig, from_matrix, held_out)
     for trim in result.trims.values():
         for name, reason in trim.excluded_channels.items():
             session.warn(f"trim {trim.trim}: channel {name} left out: {reason}")
@@ -115,36 +129,26 @@ def _check_options(
 
 
 def _calibrate_from_runs(
-    session: Session,
-    rig: Geometry,
-    runs: tuple[Path, ...],
-    hold_out: tuple[Path, ...],
-    model: tuple[str, bool],
-    skip_bad: bool,
+    session: Session, rig: Geometry, runs: Sequence[Run], hold_out: Sequence[Run], model: tuple[str, bool]
 ) -> Calibration:
     """Calibrate from runs; `model`: how terms are selected, and whether the non-iterative model is fitted too."""
     from balance_cli.steps.calibrate import calibrate
 
-    calibration_runs = session.runs(runs, rig, skip_bad)
-    hold_out_runs = session.runs(hold_out, rig, skip_bad, role="hold-out", disjoint_from=calibration_runs)
-    for run in calibration_runs:
+    for run in runs:
         if run.kind != "static":
             session.report_left_out(run.name, f"a {run.kind} run; only static runs are used")
     terms, non_iterative = model
-    return calibrate(
-        calibration_runs, rig, terms == "search", _select_static_hold_out(session, hold_out_runs), non_iterative
-    )
+    return calibrate(runs, rig, terms == "search", _select_static_hold_out(session, hold_out), non_iterative)
 
 
 def _read_matrix_calibration(
-    session: Session, rig: Geometry, path: Path, hold_out: tuple[Path, ...], skip_bad: bool
+    session: Session, rig: Geometry, path: Path, open_hold_out: Callable[[], tuple[Run, ...]]
 ) -> Calibration:
     from balance_cli.steps.calibration_from_matrix import calibration_from_matrix
 
     parsed_matrix = session.matrix(path)
-    hold_out_runs = session.runs(hold_out, rig, skip_bad, role="hold-out")
     try:
-        result = calibration_from_matrix(parsed_matrix, rig, _select_static_hold_out(session, hold_out_runs))
+        result = calibration_from_matrix(parsed_matrix, rig, _select_static_hold_out(session, open_hold_out()))
     except UserError as error:
         raise error.with_location(file=str(path)) from error
     session.warn("the matrix states no errors of its coefficients: sigma of mean loads will not include them")
@@ -163,7 +167,7 @@ def _matrix_file_text(result: Calibration, path: Path) -> str:
     return matrix_csv(matrix) if path.suffix == ".csv" else matrix_text(matrix)
 
 
-def _select_static_hold_out(session: Session, hold_out_runs: tuple[Run, ...]) -> list[Run]:
+def _select_static_hold_out(session: Session, hold_out_runs: Sequence[Run]) -> list[Run]:
     """Select the hold-out runs that can check a calibration, and report the others."""
     for run in hold_out_runs:
         if run.kind != "static" or not run.has_loads:

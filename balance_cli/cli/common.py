@@ -127,6 +127,10 @@ class Session:
             self._inputs.append((run.name, role, run.digest))
         return runs
 
+    def record_input(self, name: str, role: str, digest: str) -> None:
+        """Record an input that was read elsewhere."""
+        self._inputs.append((name, role, digest))
+
     def artefact(self, path: Path, types: Mapping[str, type[Any]], role: str = "artefact") -> Artefact:
         """Read an artefact of one of the formats in `types` and record it as an input."""
         from balance_cli.io.artefacts import load_artefact

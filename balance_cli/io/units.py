@@ -131,6 +131,12 @@ def parse_unit(text: str, *dimensions: str) -> Unit:
     raise UserError(f"unknown unit `{text.strip()}`", remedy=f"Write {_suggest(spelling, dimensions)}")
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text names a unit, of one dimension or several."""
+    spelling = _normalize(text)
+    return bool(spelling) and bool(_units_by_spelling().get(spelling) or _ignore_case(spelling))
+
+
 def split_unit(header: str) -> tuple[str, str | None]:
     """Split the head of a column into name and unit: `Fx [N]`, `Fx (N)`; the unit is None where there is none."""
     for pattern in _HEADERS:

@@ -1,0 +1,316 @@
+"""Point tables (CSV) of a static calibration or of loads to be computed, as static runs.
+
+Columns are found by their names: components of the geometry (or hub loads), its channels, and optionally `series`,
+`point` (kind of point), `run`, `trim` and `excitation`. Units stand in the head (`Fx [N]`, `Fx (lbf)`, `Fx / N`) or in
+a row below it.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
+from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import load_components
+from balance_cli.io.errors import UserError
+from balance_cli.io.table_text import TextTable, read_table
+from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit, is_unit, parse_unit, split_unit
+
+Array = NDArray[np.float64]
+
+LABELS = {
+    "series": ("series", "loadseries", "loadingsequence", "sequence"),
+    "point": ("point", "kind", "pointkind", "type"),
+    "run": ("run", "runname"),
+    "trim": ("trim",),
+    "excitation": ("excitation", "bridgeexcitation", "supply", "supplyvoltage"),
+}
+"""Columns other than loads and channels, with the names under which they are understood."""
+POINT_WORDS = {"zero": "tare", "unloaded": "tare", "calibration": "load", "repeated": "repeat", "checkload": "check"}
+"""Other words for the kinds of points."""
+TABLE_TRIM = "table"
+"""Label of the trim of a table that names none."""
+POINT_KINDS = ("tare", "load", "repeat", "check")
+
+
+@dataclass(frozen=True)
+class TableReading:
+    """How a table is read beside its head: `units` of columns without one, and the point of its moments.
+
+    `moment_center` [m] in rig axes: the point about which the hub loads of the table act; None is the hub.
+    """
+
+    units: tuple[Unit, ...] = ()
+    moment_center: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class LoadTable:
+    """A point table in SI units: `channels` (n, c), `hub_loads` (n, 6) or None, and the labels (n,) of its rows.
+
+    `lines` (n,): line of each row in the file; `load_units`: unit in which the table has each component;
+    `unused`: columns that are nothing known.
+    """
+
+    path: Path
+    lines: tuple[int, ...]
+    channel_names: tuple[str, ...]
+    channels: Array
+    hub_loads: Array | None
+    labels: Mapping[str, tuple[str, ...]]
+    load_units: Mapping[str, Unit]
+    unused: tuple[str, ...]
+    digest: str
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of the table that is something known: its index, its name in the geometry, and its unit as text."""
+
+    index: int
+    name: str
+    unit: str | None
+
+
+def read_load_table(path: Path, geometry: Geometry, reading: TableReading | None = None) -> LoadTable:
+    """Read a point table of a rig.
+
+    Raises UserError, with file, line and column, where a cell or unit is wrong, a component has no column although
+    others have, or no channel has one.
+    """
+    return _TableReader(read_table(Path(path)), geometry, reading or TableReading()).read()
+
+
+def is_point_table(path: Path) -> bool:
+    """Whether a file is to be read as a table: not HDF5, and not YAML by its name."""
+    from balance_cli.io.sniff import is_hdf5
+
+    return path.is_file() and not is_hdf5(path) and path.suffix.lower() not in (".yaml", ".yml", ".h5", ".hdf5")
+
+
+def runs_of_table(table: LoadTable, geometry: Geometry) -> tuple[Run, ...]:
+    """The static runs of a table, one for each label of the columns `run` and `trim`, in the order of their rows."""
+    n = len(table.lines)
+    run_labels = table.labels.get("run", (table.path.stem,) * n)
+    trim_labels = table.labels.get("trim", (TABLE_TRIM,) * n)
+    keys = list(zip(run_labels, trim_labels, strict=True))
+    several = len({trim for _, trim in keys}) > 1
+    runs = []
+    for run, trim in dict.fromkeys(keys):
+        rows = np.array([key == (run, trim) for key in keys])
+        name = f"{run}-{trim}" if several and len({t for r, t in keys if r == run}) > 1 else run
+        runs.append(_run_of_rows(table, geometry, name, trim, rows))
+    return tuple(runs)
+
+
+def _run_of_rows(table: LoadTable, geometry: Geometry, name: str, trim: str, rows: NDArray[np.bool_]) -> Run:
+    loads = None if table.hub_loads is None else table.hub_loads[rows]
+    run = Run(
+        name=name,
+        rig=geometry.rig,
+        kind="static",
+        channel_names=table.channel_names,
+        samples=int(np.count_nonzero(rows)),
+        source=MemorySource(table.channels[rows], loads),
+        has_loads=loads is not None,
+        trim=trim,
+        path=table.path,
+    )
+    return replace(run, digest=run_digest(run))
+
+
+class _TableReader:
+    """Assignment of the columns of one table to components, channels and labels, and their conversion."""
+
+    def __init__(self, table: TextTable, geometry: Geometry, reading: TableReading) -> None:
+        self.table, self.geometry, self.reading = table, geometry, reading
+        self.components = load_components(geometry)
+        names = (*self.components.names, *COMPONENTS, *geometry.channel_names, *LABELS)
+        columns = [self._identify(index, tuple(dict.fromkeys(names))) for index in range(len(table.header))]
+        self.columns: dict[str, _Column] = {}
+        for column in columns:
+            if column is not None and self.columns.setdefault(column.name, column) is not column:
+                fault = f"`{table.header[self.columns[column.name].index]}` is `{column.name}` too"
+                raise table.error(0, table.header[column.index], fault, "Rename one of the two columns")
+        self.unused = tuple(head for head, column in zip(table.header, columns, strict=True) if head and column is None)
+
+    def read(self) -> LoadTable:
+        """The whole table."""
+        names = tuple(name for name in self.geometry.channel_names if name in self.columns)
+        if not names:
+            heads = ", ".join(self.table.header[:20])
+            fault = f"has no column of a channel: its columns are {heads}"
+            remedy = f"The channels are {', '.join(self.geometry.channel_names)}"
+            raise UserError(fault, str(self.table.path), "head", remedy)
+        load_units = dict(self._load_units())
+        return LoadTable(
+            path=self.table.path,
+            lines=tuple(line for line, _ in self.table.rows),
+            channel_names=names,
+            channels=np.column_stack([self._channel(name) for name in names]),
+            hub_loads=self._hub_loads(load_units) if load_units else None,
+            labels=dict(self._labels()),
+            load_units=load_units,
+            unused=self.unused,
+            digest=self.table.digest,
+        )
+
+    def _identify(self, index: int, names: Sequence[str]) -> _Column | None:
+        """The known column with this head; None for any other."""
+        head = self.table.header[index]
+        row_unit = self.table.units[index] if index < len(self.table.units) else ""
+        for name, unit in _readings_of_head(head):
+            known = _match_name(name, names)
+            if known is not None:
+                return _Column(index, known, unit if unit is not None else (row_unit or None))
+        return None
+
+    # ---- loads ---------------------------------------------------------------------------------------------------
+
+    def _load_units(self) -> Iterator[tuple[str, Unit]]:
+        """Each component of the table with its unit; raises UserError where a component has no column."""
+        own = [name for name in self.components.names if name in self.columns]
+        hub = [name for name in COMPONENTS if name in self.columns]
+        present = hub if len(hub) > len(own) else own
+        expected = self.components.names if present == own else COMPONENTS
+        missing = [name for name in self.components.names if present == own and name not in self.columns]
+        if not present:
+            return
+        if missing:
+            heads = {split_unit(head)[0]: head for head in self.unused}
+            near = difflib.get_close_matches(missing[0], heads, n=1, cutoff=0.5)
+            remedy = (
+                f"Is it `{heads[near[0]]}`? Rename it" if near else "Add it, with zeros where there is no such load"
+            )
+            remedy += f", or declare the `components` of the balance (now {', '.join(self.components.names)})"
+            raise UserError(f"has no column of `{missing[0]}`", str(self.table.path), "head", remedy)
+        units = {**UNIT_OF, **dict(zip(self.components.names, self.components.units, strict=True))}
+        for name in expected:
+            if name in self.columns:
+                yield name, self._unit(self.columns[name], units[name])
+
+    def _hub_loads(self, load_units: Mapping[str, Unit]) -> Array:
+        values = {name: unit.to_base(self.table.numbers(self.columns[name].index)) for name, unit in load_units.items()}
+        if set(values) <= set(COMPONENTS):
+            zero = np.zeros(len(self.table.rows))
+            return self._about_hub(np.column_stack([values.get(name, zero) for name in COMPONENTS]))
+        if self.reading.moment_center is not None:
+            fault = "a moment center is given, but the components have their own lines of action"
+            raise UserError(fault, "--moment-center", remedy="Leave it out")
+        return np.asarray(np.column_stack([values[name] for name in self.components.names]) @ self.components.to_hub)
+
+    def _about_hub(self, loads: Array) -> Array:
+        """Loads (n, 6) about the hub, from loads about the moment center of the table."""
+        if self.reading.moment_center is None:
+            return loads
+        return transfer_moments(loads, self.reading.moment_center, self.geometry.hub)
+
+    # ---- channels and labels -------------------------------------------------------------------------------------
+
+    def _channel(self, name: str) -> Array:
+        """Readings (n,) of a channel, in the base unit that the geometry declares."""
+        column = self.columns[name]
+        expected = next(channel.reading_unit for channel in self.geometry.channels if channel.name == name)
+        unit = self._unit(column, VOLTAGE, RATIO, NUMBER)
+        values = unit.to_base(self.table.numbers(column.index))
+        if unit.dimension == expected:
+            return values
+        if unit.dimension == VOLTAGE and expected == RATIO and "excitation" in self.columns:
+            return np.asarray(values / self._excitation())
+        head = self.table.header[column.index]
+        remedy = f"Declare `unit: {unit.symbol}` for the channel in the geometry, or convert the column"
+        fault = f"is in {unit.symbol}, but the geometry declares channel `{name}` in {expected}"
+        raise self.table.error(0, head, fault, remedy)
+
+    def _excitation(self) -> Array:
+        column = self.columns["excitation"]
+        volts = self._unit(column, VOLTAGE).to_base(self.table.numbers(column.index))
+        for (line, _), value in zip(self.table.rows, volts, strict=True):
+            if value <= 0:
+                fault = f"an excitation of {value:g} V"
+                raise self.table.error(line, self.table.header[column.index], fault, "It must be positive")
+        return volts
+
+    def _labels(self) -> Iterator[tuple[str, tuple[str, ...]]]:
+        for name in ("series", "run", "trim"):
+            if name in self.columns:
+                yield name, self._filled(self.columns[name])
+        if "point" in self.columns:
+            kinds = self._point_kinds(self.columns["point"])
+            if kinds is not None:
+                yield "point", kinds
+
+    def _filled(self, column: _Column) -> tuple[str, ...]:
+        texts = self.table.texts(column.index)
+        for (line, _), text in zip(self.table.rows, texts, strict=True):
+            if not text:
+                raise self.table.error(line, self.table.header[column.index], "the label is empty", "Write one")
+        return texts
+
+    def _point_kinds(self, column: _Column) -> tuple[str, ...] | None:
+        """Kinds of the points; None for a column of numbers, which counts the points."""
+        texts = self._filled(column)
+        if all(text.isdigit() for text in texts):
+            return None
+        kinds = []
+        for (line, _), text in zip(self.table.rows, texts, strict=True):
+            word = _plain(text)
+            kind = POINT_WORDS.get(word, word)
+            if kind not in POINT_KINDS:
+                remedy = f"It should be one of {', '.join(POINT_KINDS)}, or a number"
+                raise self.table.error(line, self.table.header[column.index], f"`{text[:40]}` is no kind", remedy)
+            kinds.append(kind)
+        return tuple(kinds)
+
+    def _unit(self, column: _Column, *dimensions: str) -> Unit:
+        head = self.table.header[column.index]
+        if column.unit is None:
+            default = next((unit for unit in self.reading.units if unit.dimension in dimensions), None)
+            if default is not None:
+                return default
+            remedy = f"Write `{column.name} [{dimensions[0]}]` in the head, or give `--units`"
+            raise self.table.error(0, head, "has no unit", remedy)
+        try:
+            return parse_unit(column.unit, *dimensions)
+        except UserError as error:
+            raise self.table.error(0, head, error.fault, error.remedy) from None
+
+
+def transfer_moments(loads: Array, about: Sequence[float], to: Sequence[float]) -> Array:
+    """Loads (n, 6) about the point `to` [m], from loads about the point `about`: M' = M + (about - to) x F."""
+    arm = np.asarray(about, float) - np.asarray(to, float)
+    return np.concatenate([loads[:, :3], loads[:, 3:] + np.cross(arm, loads[:, :3])], axis=1)
+
+
+def _readings_of_head(head: str) -> Iterator[tuple[str, str | None]]:
+    """Name and unit of a head in the ways in which they are written: whole, `Fx [N]`, `Fx / N`, `Fx, N`, `Fx_N`."""
+    yield head, None
+    name, unit = split_unit(head)
+    if unit is not None:
+        yield name, unit
+    for sign in (" / ", "/", ",", " in ", "_", " "):
+        name, found, unit = head.partition(sign)
+        if found and is_unit(unit):
+            yield name.strip(), unit.strip()
+
+
+def _match_name(name: str, names: Sequence[str]) -> str | None:
+    """The known name: the same, else the only one with the same letters and digits in any case."""
+    if name in names:
+        return name
+    plain = _plain(name)
+    labels = [label for label, words in LABELS.items() if label in names and plain in words]
+    same = [known for known in names if _plain(known) == plain and known not in LABELS] or labels
+    return same[0] if plain and len(same) == 1 else None
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", text.lower())

@@ -1,0 +1,225 @@
+"""Text tables as laboratories write them: separators, decimal commas, comments, title lines, units in the head.
+
+The separator is a tab, `;`, `|`, a comma or white space, whichever splits the lines into the same number of columns.
+Lines that begin with `#`, `%` or `//` are comments. The head is the line above the first line of numbers; a line of
+units may stand between them. Lines above the head are titles.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.io.errors import UserError
+from balance_cli.io.sniff import describe_file, is_hdf5, require_file
+from balance_cli.io.units import is_unit
+
+Array = NDArray[np.float64]
+
+MAX_BYTES = 100_000_000
+"""Size from which a file is refused unread: a million load points of twenty columns have less."""
+SEPARATORS = "\t;|,"
+"""Tried in this order: a comma last, because it may be the decimal sign."""
+COMMENTS = ("#", "%", "//")
+MIN_NUMBER_SHARE = 0.5
+"""Share of the cells of a line of data that are numbers at least: labels of runs and series are fewer."""
+MIN_EVEN_SHARE = 0.8
+"""Share of the lines with the same number of columns from which a separator is credible; titles are few."""
+DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(e[+-]?\d+)?$", re.IGNORECASE)
+THOUSANDS = re.compile(r"^[+-]?\d{1,3}(,\d{3})+\.\d*$|^[+-]?\d{1,3}(\.\d{3})+,\d*$")
+WORKBOOK_SIGNATURE = b"PK\x03\x04"
+
+Row = tuple[int, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table as text: `header` names the columns, `units` are those of a units row (empty where there is none).
+
+    `rows`: line number in the file and cells of each row; `decimal_comma`: whether numbers have one; `digest` is the
+    hex SHA-256 of the file.
+    """
+
+    path: Path
+    header: tuple[str, ...]
+    units: tuple[str, ...]
+    rows: tuple[Row, ...]
+    decimal_comma: bool
+    digest: str
+
+    def error(self, line: int, column: str, fault: str, remedy: str) -> UserError:
+        """The error to raise for a fault in one cell, or with line 0 in a whole column."""
+        place = ", ".join(part for part in (f"line {line}" if line else "", f"column `{column}`") if part)
+        return UserError(fault, str(self.path), place, remedy)
+
+    def texts(self, column: int) -> tuple[str, ...]:
+        """The cells (n,) of a column."""
+        return tuple(cells[column] for _, cells in self.rows)
+
+    def numbers(self, column: int) -> Array:
+        """The numbers (n,) of a column; raises UserError, with line and column, for a cell that is none."""
+        return np.array([self._number(line, cells[column], self.header[column]) for line, cells in self.rows])
+
+    def _number(self, line: int, cell: str, column: str) -> float:
+        if not cell:
+            raise self.error(line, column, "the cell is empty", "Write the number, 0 for no load, or delete the row")
+        if THOUSANDS.match(cell):
+            raise self.error(line, column, f"`{cell}` has separators of thousands", "Write it without them")
+        value = parse_number(cell, self.decimal_comma)
+        if value is None:
+            other = parse_number(cell, not self.decimal_comma)
+            remedy = "Use either decimal points or decimal commas in a table" if other is not None else "Correct it"
+            raise self.error(line, column, f"`{cell[:40]}` is not a number", remedy)
+        if not math.isfinite(value):
+            raise self.error(line, column, f"`{cell[:40]}` is not finite", "Correct it, or delete the row")
+        return value
+
+
+def parse_number(cell: str, decimal_comma: bool = False) -> float | None:
+    """The number that a cell holds (`1.5`, `-2,5`, `1.0D-03`), or None."""
+    text = cell.replace("\N{MINUS SIGN}", "-").replace("\N{NO-BREAK SPACE}", "")
+    if decimal_comma:
+        text = text.replace(",", ".") if "." not in text else "x"
+    if "_" in text:
+        return None
+    try:
+        return float(re.sub(r"(?<=[\d.])[dD](?=[+-]?\d)", "e", text))
+    except ValueError:
+        return None
+
+
+def read_table(path: Path) -> TextTable:
+    """Read a table; raises UserError where the file is something else, or its lines have unequal columns."""
+    content = _read_bytes(path)
+    lines = [
+        (number, line)
+        for number, line in enumerate(_decode(path, content).splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith(COMMENTS)
+    ]
+    rows = _split_lines(path, lines)
+    first = _first_data_row(path, rows)
+    header_at, units = _find_header(path, rows, first)
+    header = _unique_header(path, rows[header_at])
+    data = [(line, cells) for line, cells in rows[first:] if any(cells)]
+    for line, cells in data:
+        if (len(cells) > len(header) and any(cells[len(header) :])) or len(cells) < len(header):
+            fault = f"has {len(cells)} columns, the head (line {rows[header_at][0]}) has {len(header)}"
+            raise UserError(fault, str(path), f"line {line}", "Give every row one cell for each column")
+    trimmed = tuple((line, cells[: len(header)]) for line, cells in data)
+    return TextTable(path, header, units, trimmed, _has_decimal_comma(trimmed), hashlib.sha256(content).hexdigest())
+
+
+def _read_bytes(path: Path) -> bytes:
+    require_file(path)
+    if not path.is_file() or is_hdf5(path):
+        raise UserError(f"is {describe_file(path)}, where a table was expected", str(path), remedy="Give a CSV file")
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise UserError("is too large for a table of load points", str(path), remedy="Split it")
+        content = path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise UserError(f"cannot be read: {reason}", str(path), remedy="Check its permissions") from error
+    if content.startswith(WORKBOOK_SIGNATURE):
+        raise UserError("is a workbook (or another zip file)", str(path), remedy="Save the sheet as CSV")
+    return content
+
+
+def _decode(path: Path, content: bytes) -> str:
+    """The text in UTF-8 or UTF-16 with a mark, else in the code page of Western Europe."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16", "replace")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("cp1252", "replace")
+    if "\0" in text:
+        raise UserError("is not a text file", str(path), remedy="Give a table as CSV")
+    return text
+
+
+def _split_lines(path: Path, lines: Sequence[tuple[int, str]]) -> list[Row]:
+    """Split all lines by the first separator that gives most of them the same number of columns, with numbers."""
+    if not lines:
+        raise UserError("has no rows", str(path), remedy="Give a table with a head and rows of numbers")
+    for separator in SEPARATORS:
+        rows = [(number, _cells(path, number, line, separator)) for number, line in lines]
+        width, count = Counter(len(cells) for _, cells in rows).most_common(1)[0]
+        if width > 1 and count >= MIN_EVEN_SHARE * len(rows) and any(_is_data(cells) for _, cells in rows):
+            return rows
+    rows = [(number, _cells(path, number, line, "")) for number, line in lines]
+    if any(len(cells) > 1 and _is_data(cells) for _, cells in rows):
+        return rows
+    remedy = "Separate the columns by commas, semicolons, tabs or spaces, in every line equally many"
+    raise UserError("has no rows of numbers in columns", str(path), f"line {lines[0][0]}", remedy)
+
+
+def _cells(path: Path, number: int, line: str, separator: str) -> tuple[str, ...]:
+    if not separator:
+        return tuple(line.split())
+    try:
+        return tuple(cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True)))
+    except csv.Error as error:
+        fault = f"is not a line of a table: {error}"
+        raise UserError(fault, str(path), f"line {number}", "Save it as CSV, quotes in pairs") from error
+
+
+def _is_data(cells: Sequence[str]) -> bool:
+    """Whether most cells are numbers, with a point or a comma."""
+    filled = [cell for cell in cells if cell]
+    numbers = [cell for cell in filled if parse_number(cell) is not None or DECIMAL_COMMA.match(cell)]
+    return bool(filled) and len(numbers) >= MIN_NUMBER_SHARE * len(filled)
+
+
+def _first_data_row(path: Path, rows: Sequence[Row]) -> int:
+    first = next(index for index, (_, cells) in enumerate(rows) if len(cells) > 1 and _is_data(cells))
+    if first == 0:
+        fault = "begins with numbers: there is no head that names the columns"
+        raise UserError(fault, str(path), f"line {rows[0][0]}", "Write a head such as `Fx [N],Fy [N],B1 [mV/V]`")
+    return first
+
+
+def _find_header(path: Path, rows: Sequence[Row], first: int) -> tuple[int, tuple[str, ...]]:
+    """Index of the head, and the units of a line between it and the numbers (empty where there is none)."""
+    above = rows[first - 1][1]
+    if first >= 2 and len(rows[first - 2][1]) == len(above) and _are_units(above):
+        return first - 2, tuple(cell.strip("[]() ") for cell in above)
+    if len(above) < 2:
+        fault = "is the line above the numbers, and does not name the columns"
+        raise UserError(fault, str(path), f"line {rows[first - 1][0]}", "Write a name and a unit above each column")
+    return first - 1, ()
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Whether every cell that is filled is a unit."""
+    filled = [cell.strip("[]() ") for cell in cells if cell.strip("[]() ")]
+    return bool(filled) and all(is_unit(cell) for cell in filled)
+
+
+def _unique_header(path: Path, row: Row) -> tuple[str, ...]:
+    """The names of the columns, without the empty ones that spreadsheets append."""
+    line, cells = row
+    header = list(cells)
+    while header and not header[-1]:
+        header.pop()
+    for name, count in Counter(header).items():
+        if count > 1 and name:
+            raise UserError(f"names two columns `{name}`", str(path), f"line {line}", "Give each column its own name")
+    return tuple(header)
+
+
+def _has_decimal_comma(rows: Sequence[Row]) -> bool:
+    """Whether numbers have a decimal comma: some cells do, and fewer have a decimal point."""
+    cells = [cell for _, row in rows for cell in row]
+    with_comma = sum(1 for cell in cells if DECIMAL_COMMA.match(cell))
+    with_point = sum(1 for cell in cells if "." in cell and parse_number(cell) is not None)
+    return with_comma > with_point

@@ -1,0 +1,112 @@
+"""Point tables of static loads: columns, units, labels, moment centers, and faults with their place."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.load_table import TableReading, read_load_table, runs_of_table, transfer_moments
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict
+from balance_cli.io.errors import UserError
+from balance_cli.io.units import parse_unit
+
+CHANNELS = [{"name": "B1", "unit": "mV/V"}, {"name": "B2", "unit": "mV/V"}]
+
+
+def geometry(**keys):
+    base = {"format": "balance-geometry/1", "name": "g", "rig": "r", "channels": CHANNELS, "components": ["Fx", "My"]}
+    return geometry_from_dict({**base, **keys})
+
+
+def read(tmp_path: Path, text: str, reading: TableReading | None = None, **keys):
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    return read_load_table(path, geometry(**keys), reading)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Fx [lbf],My [in-lbf],B1 [mV/V],B2 [mV/V]",
+        "fx (lbf),my (in-lbf),b1 (mV/V),b2 (mV/V)",
+        "FX / lbf,MY / in-lbf,B1/mV/V,B-2 (mV/V)",
+        "Fx_lbf,My lbf.in,B1 in mV/V,B2_mV/V",
+        "Fx,My,B1,B2\nlbf,in-lbf,mV/V,mV/V",
+    ],
+)
+def test_units_are_converted(tmp_path: Path, head: str) -> None:
+    table = read(tmp_path, f"{head}\n0,0,0.5,0.25\n10,-100,1.5,-0.25\n")
+    assert table.hub_loads[1] == pytest.approx([44.482216, 0, 0, 0, -11.298483, 0])
+    assert table.channels == pytest.approx(np.array([[5e-4, 2.5e-4], [1.5e-3, -2.5e-4]]))
+    assert table.unused == ()
+
+
+def test_default_units_and_labels(tmp_path: Path) -> None:
+    reading = TableReading(tuple(map(parse_unit, ("kN", "N m", "mV/V"))))
+    text = "No,run,trim,series,point,Fx,My,B1,B2,weather\n1,a,t1,s1,tare,0,0,1,1,3\n2,b,t2,s2,Load,1,0,2,1,4\n"
+    table = read(tmp_path, text, reading)
+    assert table.hub_loads[1, 0] == 1000.0
+    assert table.labels["point"] == ("tare", "load")
+    assert table.unused == ("No", "weather")
+    runs = runs_of_table(table, geometry())
+    assert [(run.name, run.trim, run.samples) for run in runs] == [("a", "t1", 1), ("b", "t2", 1)]
+
+
+def test_numbered_points_are_no_kinds(tmp_path: Path) -> None:
+    table = read(tmp_path, "Point,Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n1,0,0,1,1\n2,1,0,2,1\n")
+    assert "point" not in table.labels
+
+
+def test_readings_without_loads(tmp_path: Path) -> None:
+    table = read(tmp_path, "B1 [mV/V],B2 [mV/V]\n1,2\n")
+    assert table.hub_loads is None
+
+
+def test_excitation_makes_a_ratio(tmp_path: Path) -> None:
+    table = read(tmp_path, "B1 [mV],B2 [mV],Excitation [V]\n10,20,5\n10,20,10\n")
+    assert table.channels == pytest.approx(np.array([[2e-3, 4e-3], [1e-3, 2e-3]]))
+
+
+def test_moment_center_is_transferred(tmp_path: Path) -> None:
+    """A force Fz = 10 N at x = 0.5 m has My = -5 N m about the origin and none about its own point."""
+    assert transfer_moments(np.array([[0, 0, 10.0, 0, 0, 0]]), (0.5, 0, 0), (0, 0, 0))[0, 4] == pytest.approx(-5.0)
+    text = "Fz [N],My [N m],B1 [mV/V],B2 [mV/V]\n10,0,1,1\n"
+    table = read(tmp_path, text, TableReading(moment_center=(0.5, 0, 0)), components=["Fz", "My"])
+    assert table.hub_loads[0] == pytest.approx([0, 0, 10, 0, -5, 0])
+
+
+def test_components_at_stations(tmp_path: Path) -> None:
+    components = [{"name": f"N{i}", "direction": [0, 0, -1], "position": [x, 0, 0]} for i, x in ((1, 0.1), (2, -0.1))]
+    text = "N1 [N],N2 [N],B1 [mV/V],B2 [mV/V]\n10,0,1,1\n0,10,1,1\n"
+    table = read(tmp_path, text, components=components)
+    assert table.hub_loads == pytest.approx(np.array([[0, 0, -10, 0, 1, 0], [0, 0, -10, 0, -1, 0]]))
+    hub = read(tmp_path, "Fz [N],My [N m],B1 [mV/V],B2 [mV/V],Fx [N]\n-10,1,1,1,0\n", components=components)
+    assert hub.hub_loads[0] == pytest.approx([0, 0, -10, 0, 1, 0])
+
+
+HEAD = "Fx [N],My [N m],B1 [mV/V],B2 [mV/V]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("Fx,My [N m],B1 [mV/V],B2 [mV/V]\n1,2,3,4\n", r"points.csv, column `Fx`: has no unit. Write `Fx \[N\]`"),
+        ("Fx [mm],My [N m],B1 [mV/V],B2 [mV/V]\n1,2,3,4\n", r"column `Fx \[mm\]`: `mm` is a unit of m"),
+        ("Fx [Nn],My [N m],B1 [mV/V],B2 [mV/V]\n1,2,3,4\n", r"column `Fx \[Nn\]`: unknown unit `Nn`"),
+        ("Fx [N],Mj [N m],B1 [mV/V],B2 [mV/V]\n1,2,3,4\n", r"has no column of `My`. Is it `Mj \[N m\]`"),
+        ("Fx [N],My [N m],C1 [V],C2 [V]\n1,2,3,4\n", "has no column of a channel"),
+        ("Fx [N],My [N m],B1 [mV],B2 [mV]\n1,2,3,4\n", "is in mV, but the geometry declares channel `B1` in V/V"),
+        ("Fx [N],fx [kN],My [N m],B1 [mV/V]\n1,1,2,3\n", r"`Fx \[N\]` is `Fx` too"),
+        (HEAD + "1,2,3,4\n1,x,3,4\n", r"line 3, column `My \[N m\]`: `x` is not a number"),
+        ("point," + HEAD + "tara,1,2,3,4\n", "line 2, column `point`: `tara` is no kind"),
+        ("series," + HEAD + "a,1,2,3,4\n,1,2,3,4\n", "line 3, column `series`: the label is empty"),
+    ],
+)
+def test_faults_name_line_and_column(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        read(tmp_path, text)
+
+
+def test_excitation_must_be_positive(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"line 3, column `excitation \[V\]`: an excitation of 0 V"):
+        read(tmp_path, "B1 [mV],B2 [mV],excitation [V]\n1,2,5\n1,2,0\n")

@@ -1,0 +1,99 @@
+"""Tables as laboratories write them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from balance_cli.io.errors import UserError
+from balance_cli.io.table_text import TextTable, parse_number, read_table
+
+EXPECTED = [[0.0, 0.5], [10.0, -1.25], [-20.0, 2e-3]]
+
+
+def table(tmp_path: Path, text: str, encoding: str = "utf-8") -> TextTable:
+    path = tmp_path / "t.csv"
+    path.write_bytes(text.encode(encoding))
+    return read_table(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Fx,B1\n0,0.5\n10,-1.25\n-20,2e-3\n",
+        "Fx;B1\r\n0;0,5\r\n10;-1,25\r\n-20;2e-3\r\n",
+        "Fx\tB1\n0\t0,5\n10\t-1,25\n-20\t0,002\n",
+        'Fx,B1\n0,"0,5"\n10,"-1,25"\n-20,"0,002"\n',
+        "# made in 2019\nFx   B1\n  0   0.5\n 10 -1.25\n\n-20 2.0D-03\n",
+        "Calibration 7;\nby hand;\nFx;B1\n0;0,5\n% spoilt\n10;-1,25\n-20;0,002\n",
+        "Fx,B1,,\n0,0.5,,\n10,-1.25,,\n-20,2e-3,,\n",
+        "Fx | B1\n0 | 0.5\n10 | -1.25\n-20 | 0.002\n",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_dialects(tmp_path: Path, text: str, encoding: str) -> None:
+    read = table(tmp_path, text, encoding)
+    assert read.header == ("Fx", "B1")
+    assert read.units == ()
+    assert np.column_stack([read.numbers(0), read.numbers(1)]) == pytest.approx(np.array(EXPECTED))
+
+
+@pytest.mark.parametrize("units", ["N,mV/V", "[N],[mV/V]", "(N),"])
+def test_units_row(tmp_path: Path, units: str) -> None:
+    read = table(tmp_path, f"Fx,B1\n{units}\n0,0.5\n10,-1.25\n")
+    assert read.header == ("Fx", "B1")
+    assert read.units[0] == "N"
+
+
+def test_labels_are_no_numbers(tmp_path: Path) -> None:
+    read = table(tmp_path, "run,Fx,B1,B2\na,1,2,3\nb,4,5,6\n")
+    assert read.texts(0) == ("a", "b")
+    with pytest.raises(UserError, match="line 2, column `run`: `a` is not a number"):
+        read.numbers(0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("Fx,B1\n1,2\n3\n4,5\n5,6\n6,7\n", r"line 3: has 1 columns, the head \(line 1\) has 2"),
+        ("1,2\n3,4\n", "begins with numbers"),
+        ("", "has no rows"),
+        ("hello\nworld\n", "no rows of numbers"),
+        ("Fx,Fx\n1,2\n", "names two columns `Fx`"),
+        ('Fx,B1\n"1,2\n', "not a line of a table|no rows of numbers"),
+    ],
+)
+def test_bad_tables(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        table(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("cell", "words"),
+    [("", "empty"), ("nan", "not finite"), ("1_0", "not a number"), ('"1,234.5"', "thousands"), ("x", "not a number")],
+)
+def test_bad_cells(tmp_path: Path, cell: str, words: str) -> None:
+    read = table(tmp_path, f"Fx,B1,B2\n1,2,3\n4,{cell},5\n")
+    with pytest.raises(UserError, match=f"line 3, column `B1`: .*{words}"):
+        read.numbers(1)
+
+
+def test_mixed_decimal_signs_are_refused(tmp_path: Path) -> None:
+    read = table(tmp_path, "Fx;B1\n1,5;2,5\n3,5;4.5\n")
+    with pytest.raises(UserError, match="either decimal points or decimal commas"):
+        read.numbers(1)
+
+
+def test_other_files_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "t.xlsx"
+    path.write_bytes(b"PK\x03\x04rest")
+    with pytest.raises(UserError, match="workbook"):
+        read_table(path)
+    with pytest.raises(UserError, match="no such file"):
+        read_table(tmp_path / "none.csv")
+
+
+def test_numbers() -> None:
+    assert parse_number("\N{MINUS SIGN}1.5") == -1.5
+    assert parse_number("1,5", decimal_comma=True) == 1.5
+    assert parse_number("1.000,5", decimal_comma=True) is None
