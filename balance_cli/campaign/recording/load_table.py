@@ -8,7 +8,6 @@ a row below it.
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,26 +15,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.load_table_columns import LABELS, POINT_WORDS, Column, identify_columns, plain_name
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable, read_table
-from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit, is_unit, parse_unit, split_unit
+from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit, parse_unit, split_unit
 
 Array = NDArray[np.float64]
 
-LABELS = {
-    "series": ("series", "loadseries", "loadingsequence", "sequence"),
-    "point": ("point", "kind", "pointkind", "type"),
-    "run": ("run", "runname"),
-    "trim": ("trim",),
-    "excitation": ("excitation", "bridgeexcitation", "supply", "supplyvoltage"),
-}
-"""Columns other than loads and channels, with the names under which they are understood."""
-POINT_WORDS = {"zero": "tare", "unloaded": "tare", "calibration": "load", "repeated": "repeat", "checkload": "check"}
-"""Other words for the kinds of points."""
 TABLE_TRIM = "table"
 """Label of the trim of a table that names none."""
 POINT_KINDS = ("tare", "load", "repeat", "check")
@@ -69,15 +59,6 @@ class LoadTable:
     load_units: Mapping[str, Unit]
     unused: tuple[str, ...]
     digest: str
-
-
-@dataclass(frozen=True)
-class _Column:
-    """A column of the table that is something known: its index, its name in the geometry, and its unit as text."""
-
-    index: int
-    name: str
-    unit: str | None
 
 
 def read_load_table(path: Path, geometry: Geometry, reading: TableReading | None = None) -> LoadTable:
@@ -134,8 +115,8 @@ class _TableReader:
         self.table, self.geometry, self.reading = table, geometry, reading
         self.components = load_components(geometry)
         names = (*self.components.names, *COMPONENTS, *geometry.channel_names, *LABELS)
-        columns = [self._identify(index, tuple(dict.fromkeys(names))) for index in range(len(table.header))]
-        self.columns: dict[str, _Column] = {}
+        columns = identify_columns(table, tuple(dict.fromkeys(names)))
+        self.columns: dict[str, Column] = {}
         for column in columns:
             if column is not None and self.columns.setdefault(column.name, column) is not column:
                 fault = f"`{table.header[self.columns[column.name].index]}` is `{column.name}` too"
@@ -162,16 +143,6 @@ class _TableReader:
             unused=self.unused,
             digest=self.table.digest,
         )
-
-    def _identify(self, index: int, names: Sequence[str]) -> _Column | None:
-        """The known column with this head; None for any other."""
-        head = self.table.header[index]
-        row_unit = self.table.units[index] if index < len(self.table.units) else ""
-        for name, unit in _readings_of_head(head):
-            known = _match_name(name, names)
-            if known is not None:
-                return _Column(index, known, unit if unit is not None else (row_unit or None))
-        return None
 
     # ---- loads ---------------------------------------------------------------------------------------------------
 
@@ -248,21 +219,21 @@ class _TableReader:
             if kinds is not None:
                 yield "point", kinds
 
-    def _filled(self, column: _Column) -> tuple[str, ...]:
+    def _filled(self, column: Column) -> tuple[str, ...]:
         texts = self.table.texts(column.index)
         for (line, _), text in zip(self.table.rows, texts, strict=True):
             if not text:
                 raise self.table.error(line, self.table.header[column.index], "the label is empty", "Write one")
         return texts
 
-    def _point_kinds(self, column: _Column) -> tuple[str, ...] | None:
+    def _point_kinds(self, column: Column) -> tuple[str, ...] | None:
         """Kinds of the points; None for a column of numbers, which counts the points."""
         texts = self._filled(column)
         if all(text.isdigit() for text in texts):
             return None
         kinds = []
         for (line, _), text in zip(self.table.rows, texts, strict=True):
-            word = _plain(text)
+            word = plain_name(text)
             kind = POINT_WORDS.get(word, word)
             if kind not in POINT_KINDS:
                 remedy = f"It should be one of {', '.join(POINT_KINDS)}, or a number"
@@ -270,7 +241,7 @@ class _TableReader:
             kinds.append(kind)
         return tuple(kinds)
 
-    def _unit(self, column: _Column, *dimensions: str) -> Unit:
+    def _unit(self, column: Column, *dimensions: str) -> Unit:
         head = self.table.header[column.index]
         if column.unit is None:
             default = next((unit for unit in self.reading.units if unit.dimension in dimensions), None)
@@ -288,29 +259,3 @@ def transfer_moments(loads: Array, about: Sequence[float], to: Sequence[float]) 
     """Loads (n, 6) about the point `to` [m], from loads about the point `about`: M' = M + (about - to) x F."""
     arm = np.asarray(about, float) - np.asarray(to, float)
     return np.concatenate([loads[:, :3], loads[:, 3:] + np.cross(arm, loads[:, :3])], axis=1)
-
-
-def _readings_of_head(head: str) -> Iterator[tuple[str, str | None]]:
-    """Name and unit of a head in the ways in which they are written: whole, `Fx [N]`, `Fx / N`, `Fx, N`, `Fx_N`."""
-    yield head, None
-    name, unit = split_unit(head)
-    if unit is not None:
-        yield name, unit
-    for sign in (" / ", "/", ",", " in ", "_", " "):
-        name, found, unit = head.partition(sign)
-        if found and is_unit(unit):
-            yield name.strip(), unit.strip()
-
-
-def _match_name(name: str, names: Sequence[str]) -> str | None:
-    """The known name: the same, else the only one with the same letters and digits in any case."""
-    if name in names:
-        return name
-    plain = _plain(name)
-    labels = [label for label, words in LABELS.items() if label in names and plain in words]
-    same = [known for known in names if _plain(known) == plain and known not in LABELS] or labels
-    return same[0] if plain and len(same) == 1 else None
-
-
-def _plain(text: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", text.lower())

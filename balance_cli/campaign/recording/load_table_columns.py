@@ -1,0 +1,71 @@
+"""Columns of a point table: which head means which load, channel or label, and the unit beside the name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from balance_cli.io.table_text import TextTable
+from balance_cli.io.units import is_unit, split_unit
+
+LABELS = {
+    "series": ("series", "loadseries", "loadingsequence", "sequence"),
+    "point": ("point", "kind", "pointkind", "type"),
+    "run": ("run", "runname"),
+    "trim": ("trim",),
+    "excitation": ("excitation", "bridgeexcitation", "supply", "supplyvoltage"),
+}
+"""Columns other than loads and channels, with the names under which they are understood."""
+POINT_WORDS = {"zero": "tare", "unloaded": "tare", "calibration": "load", "repeated": "repeat", "checkload": "check"}
+"""Other words for the kinds of points."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the table that is something known: its index, its name in the geometry, and its unit as text."""
+
+    index: int
+    name: str
+    unit: str | None
+
+
+def identify_columns(table: TextTable, names: Sequence[str]) -> list[Column | None]:
+    """Each column of the table as one of the known names; None for any other."""
+    return [_identify(table, index, names) for index in range(len(table.header))]
+
+
+def _identify(table: TextTable, index: int, names: Sequence[str]) -> Column | None:
+    row_unit = table.units[index] if index < len(table.units) else ""
+    for name, unit in _readings_of_head(table.header[index]):
+        known = _match_name(name, names)
+        if known is not None:
+            return Column(index, known, unit if unit is not None else (row_unit or None))
+    return None
+
+
+def _readings_of_head(head: str) -> Iterator[tuple[str, str | None]]:
+    """Name and unit of a head in the ways in which they are written: whole, `Fx [N]`, `Fx / N`, `Fx, N`, `Fx_N`."""
+    yield head, None
+    name, unit = split_unit(head)
+    if unit is not None:
+        yield name, unit
+    for sign in (" / ", "/", ",", " in ", "_", " "):
+        name, found, unit = head.partition(sign)
+        if found and is_unit(unit):
+            yield name.strip(), unit.strip()
+
+
+def _match_name(name: str, names: Sequence[str]) -> str | None:
+    """The known name: the same, else the only one with the same letters and digits in any case."""
+    if name in names:
+        return name
+    plain = plain_name(name)
+    labels = [label for label, words in LABELS.items() if label in names and plain in words]
+    same = [known for known in names if plain_name(known) == plain and known not in LABELS] or labels
+    return same[0] if plain and len(same) == 1 else None
+
+
+def plain_name(text: str) -> str:
+    """The letters and digits of a name, in lower case."""
+    return re.sub(r"[^a-z0-9]", "", text.lower())
