@@ -7,6 +7,7 @@
 # make figures  pictures and the table of errors of the README, from the results of the sample campaign; import graph
 #
 # Your own campaign: make run CAMPAIGN=path/to/folder (its *.h5 run files, and its geometry.yaml beside them).
+# `make run` calls `balance run`, which needs no clone of this repository.
 
 PYTHON ?= python3
 VENV := .venv
@@ -15,18 +16,20 @@ INSTALLED := $(VENV)/.installed
 BALANCE := $(BIN)/balance
 
 CAMPAIGN ?= sample_data
-GEOMETRY ?= $(firstword $(wildcard $(CAMPAIGN)/geometry.yaml) configs/rts-6.yaml)
+# Of another campaign, `balance run` finds the geometry in its folder.
+GEOMETRY ?= $(if $(filter sample_data,$(CAMPAIGN)),configs/rts-6.yaml)
+JOBS ?= 1
 RESULTS ?= results
 
 # Many small matrices: threads in BLAS cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: run install test lint format bench study docs figures clean
+.PHONY: run chain install test lint format bench study docs figures clean
 .DELETE_ON_ERROR:
 
-run: install
-	$(MAKE) --no-print-directory -f pipeline.mk BALANCE=$(BALANCE) PYTHON=$(BIN)/python \
-		CAMPAIGN=$(CAMPAIGN) GEOMETRY=$(GEOMETRY) RESULTS=$(RESULTS)
+include pipeline.mk
+run: install chain
+chain: | install
 
 install: $(INSTALLED)
 

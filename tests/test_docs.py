@@ -170,7 +170,7 @@ NAMES = {
     **dict.fromkeys(("unsupported_terms", "residual", "press", "cross_validation", "reach", "drift_per_series"), 1),
     **dict.fromkeys(("terms_refused", "left_out_sequences", "drift_per_sequence", "calibrated_range"), 1),
     **dict.fromkeys(("scatter_chi2_per_dof", "checks", "error_percent_fs", "within_interval"), 1),
-    **dict.fromkeys(("channels", "noise_v", "flags"), 1),
+    **dict.fromkeys(("channels", "noise_v", "flags", "campaign_runs", "steps", "steps_left_out", "trust"), 1),
     **dict.fromkeys(("terms", "linear", "C0", "T0", "channel_hysteresis", "channels_left_out"), 2),
 }
 
@@ -207,6 +207,8 @@ def summaries(tmp_path_factory):
         "simulate": [*g, "--plan", str(folder / "plan.yaml"), "-o", str(folder / "campaign")],
         "check": [static, str(ROOT / "pyproject.toml"), *g],
         "report": [cal, "-o", str(folder / "report.html")],
+        "run": [str(data), *g, "-o", str(folder / "results"), "--dry-run"],
+        "export": [out, "-o", str(folder / "loads.csv")],
     }
     found = {}
     for name, words in calls.items():

@@ -10,7 +10,19 @@ import click
 from balance_cli import __version__
 from balance_cli.cli.errors import BalanceCommand
 
-COMMANDS = ("calibrate", "sweep-tf", "identify", "diagnose", "reduce", "modes", "simulate", "check", "report")
+COMMANDS = (
+    "calibrate",
+    "sweep-tf",
+    "identify",
+    "diagnose",
+    "reduce",
+    "modes",
+    "simulate",
+    "check",
+    "report",
+    "run",
+    "export",
+)
 
 
 def _module_name(name: str) -> str:

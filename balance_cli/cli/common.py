@@ -190,6 +190,10 @@ class Session:
         """As `stage`, for the file `name` in an output folder, which is created if necessary."""
         return self.stage(self._staged.stage_folder(folder) / name)
 
+    def echo(self, line: str) -> None:
+        """Print a line now: on stdout, or on stderr where the JSON goes to stdout."""
+        click.echo(line, err=self._json_to_stdout)
+
     def warn(self, text: str) -> None:
         """Print a warning on stderr and add it to the summary."""
         self._warnings.append(text)

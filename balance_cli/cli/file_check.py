@@ -30,7 +30,7 @@ class FileFinding:
     """A file that was checked.
 
     `kind` is `geometry`, `run`, `loads`, `unknown` or a format; `about` describes the content in a line of text.
-    `run_kind` is the kind of a run (`static`, `sweep`, ...).
+    `run_kind` is the kind of a run (`static`, `sweep`, ...), `has_pulses` whether it has 1/rev pulses.
     """
 
     kind: str
@@ -40,6 +40,7 @@ class FileFinding:
     digest: str = ""
     faults: tuple[UserError, ...] = ()
     run_kind: str = ""
+    has_pulses: bool = False
 
 
 def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
@@ -112,7 +113,9 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
     faults += tuple(pulse_faults(run))
     remedy = "Commands leave it out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
-    return FileFinding("run", _describe_run(run), run.name, run.rig, run.digest, faults, run.kind)
+    return FileFinding(
+        "run", _describe_run(run), run.name, run.rig, run.digest, faults, run.kind, run.pulse_times is not None
+    )
 
 
 def _describe_run(run: Run) -> str:

@@ -40,6 +40,15 @@ class InputFile(_UsablePath):
         super().__init__(path_type=Path)
 
 
+class InputFolder(_UsablePath):
+    """A folder that a command reads; it checks that the folder exists and what it holds."""
+
+    name = "folder"
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+
 class OutputFile(_UsablePath):
     """A file that a command writes, checked before anything is computed; with `allow_dash`, `-` is stdout."""
 

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from balance_cli.cli.load_text import load_lines, trust_line
+
 if TYPE_CHECKING:
     from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
 
@@ -57,7 +59,7 @@ def _in_time_summary(filter_result: TimeDomainResult) -> dict[str, Any]:
 
 
 def reduction_text(loads: HubLoads) -> Iterator[str]:
-    """Yield one line per run, and below it tests of the filter, errors of check runs and notes."""
+    """Yield one line per run; below it tests of the filter, errors of check runs, notes, and its loads."""
     yield f"{len(loads.runs)} runs reduced, {loads.response}"
     for name, run in loads.runs.items():
         yield f"{name}, {run.interval[0]:.2f} to {run.interval[1]:.2f} s: {_residual_test_text(run)}"
@@ -68,6 +70,8 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
             yield f"   interaction in the other loads: {_percent(run.check.interaction)}"
         for note in run.notes:
             yield f"   {note}"
+        yield from load_lines(run, loads.geometry)
+        yield trust_line(run)
 
 
 def _residual_test_text(run: RunLoads) -> str:

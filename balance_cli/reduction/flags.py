@@ -41,3 +41,26 @@ def join_flags(words: Iterable[str]) -> str:
     """Return the flags as one text in their fixed order, each once; empty words are left out."""
     given = {word for text in words for word in text.split(SEPARATOR) if word}
     return SEPARATOR.join(flag for flag in FLAGS if flag in given)
+
+
+TRUST_WORDS = (
+    ("contradicted", (REDUNDANCY, FILTER_CONTRADICTED, MODEL_CONTRADICTED)),
+    ("doubtful", (EXTRAPOLATED, NOT_STEADY, UNMODELLED_LINE)),
+    ("not measured", (NOT_MEASURED,)),
+    ("untested", (UNTESTED,)),
+    ("no zero", (NO_ZERO,)),
+)
+"""Words of trust, the worst first, each with the flags that lead to it."""
+TRUSTED = "good"
+
+
+def trust_word(flags: str) -> str:
+    """Return one word for the flags of one row or of several: the worst of TRUST_WORDS, or `good` without a flag.
+
+    A flag that no word names counts as `doubtful`.
+    """
+    given = {word for word in flags.split(SEPARATOR) if word}
+    for word, members in TRUST_WORDS:
+        if given & set(members):
+            return word
+    return "doubtful" if given else TRUSTED

@@ -1,0 +1,54 @@
+"""The results folder of a chain: one process at a time works in it, and it lists its inputs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from balance_cli.campaign.rig.components import RUN_KINDS
+from balance_cli.cli.pipeline.inventory import Inventory
+from balance_cli.io.atomic import atomic_write, os_errors_as_user_error
+from balance_cli.io.errors import UserError
+
+INPUT_LIST = "inputs.txt"
+LOGS = "logs"
+"""Folder of the messages of each step."""
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Create the folder if necessary and hold it. Raises UserError where another process works in it.
+
+    The lock is on the subfolder of the logs: the steps themselves lock the folder when they move their outputs into
+    it. It ends with the process. Where the file system has no locks, none is held.
+    """
+    with os_errors_as_user_error(folder):
+        (folder / LOGS).mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder / LOGS, os.O_RDONLY)
+    try:
+        with suppress(ImportError):
+            _lock(descriptor, folder)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, folder: Path) -> None:
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        fault = "another `balance run` works in this folder"
+        raise UserError(fault, str(folder), remedy="Wait for its end, or give another folder") from error
+    except OSError:
+        pass  # no locks on this file system
+
+
+def write_input_list(folder: Path, inventory: Inventory) -> None:
+    """Write the names of geometry and runs, one a line."""
+    paths = [inventory.geometry_path, *(run.path for run in inventory.of_kind(*RUN_KINDS))]
+    with atomic_write(folder / INPUT_LIST) as part:
+        part.write_text("".join(f"{path}\n" for path in paths), encoding="utf-8")

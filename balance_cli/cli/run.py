@@ -1,0 +1,105 @@
+"""`balance run`: the whole chain on one campaign."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from balance_cli.cli.common import InputFile, OutputFolder, Session, balance_command
+from balance_cli.cli.errors import EXIT_USER_ERROR
+from balance_cli.cli.options import InputFolder
+from balance_cli.io.errors import UserError
+
+if TYPE_CHECKING:
+    from balance_cli.cli.pipeline.execution import Execution, Outcome
+    from balance_cli.cli.pipeline.inventory import Inventory
+
+EXIT_RUNS_SKIPPED = 4
+
+
+@balance_command("run")
+@click.argument("campaign", type=InputFolder(), metavar="CAMPAIGN")
+@click.option("-g", "--geometry", type=InputFile(), metavar="GEOMETRY", help="Geometry, if it is not in CAMPAIGN.")
+@click.option("-j", "--jobs", type=click.IntRange(1, 64), default=1, show_default=True, help="Steps done at a time.")
+@click.option("-n", "--dry-run", is_flag=True, help="Only list the steps and their commands; nothing is written.")
+@click.option("-o", "--output", type=OutputFolder(), required=True, metavar="RESULTS", help="Folder of the results.")
+def command(session: Session, campaign: Path, geometry: Path | None, jobs: int, dry_run: bool, output: Path) -> None:
+    """Do the whole chain on a campaign: from its run files to hub loads and a report.
+
+    CAMPAIGN is a folder with run files (*.h5) and a geometry (geometry.yaml or geometry.yml). Steps that the rig or the
+    runs do not allow are left out and named. A step is done again only if the content of its inputs changed; after an
+    interruption the same call goes on where it stopped. The messages of a step are in RESULTS/logs.
+
+    At the end stand the loads of each run by the best response, and whether to trust them.
+    """
+    from balance_cli.cli.pipeline.execution import Execution
+    from balance_cli.cli.pipeline.folder import locked_folder, write_input_list
+    from balance_cli.cli.pipeline.inventory import take_inventory
+    from balance_cli.cli.pipeline.state import load_state
+    from balance_cli.cli.pipeline.steps import plan_steps
+
+    if output.resolve() == campaign.resolve():
+        raise UserError("is the campaign itself", str(output), remedy="Give another folder, for example one in it")
+    state = load_state(output)
+    inventory = take_inventory(campaign, geometry, state)
+    for path, reason in inventory.left_out.items():
+        session.report_left_out(str(path), reason)
+    plan = plan_steps(inventory, output)
+    show = _ProgressLines(session, len(plan.steps))
+    execution = Execution(plan, output, state, inventory.digests, jobs, show.outcome)
+    for name, reason in plan.left_out.items():
+        session.echo(f"left out: {name}: {reason}")
+    if dry_run:
+        execution.preview()
+        session.finish({"dry_run": True, **_summary(execution, inventory)})
+        return
+    with locked_folder(output):
+        write_input_list(output, inventory)
+        execution.run()
+    _finish(session, execution, inventory)
+
+
+class _ProgressLines:
+    """Prints a line for each step."""
+
+    def __init__(self, session: Session, total: int) -> None:
+        self._session, self._total, self._done = session, total, 0
+
+    def outcome(self, outcome: Outcome) -> None:
+        """Print what became of a step."""
+        self._done += 1
+        line = f"[{self._done:>2}/{self._total}] {outcome.step:20} {outcome.result}"
+        if outcome.seconds and not outcome.detail:
+            line += f" in {outcome.seconds:.1f} s"
+        if outcome.detail:
+            line += f": {outcome.detail}"
+        if outcome.warnings:
+            line += f" ({outcome.warnings} warnings, see logs/{outcome.step}.txt)"
+        self._session.echo(line)
+
+
+def _finish(session: Session, execution: Execution, inventory: Inventory) -> None:
+    """Set summary, text and exit status: that of the worst step, or 4 where only files were left out."""
+    from balance_cli.cli.pipeline.loads import best_loads, loads_summary, loads_text
+
+    loads = best_loads(execution.results, execution.made)
+    summary = {**_summary(execution, inventory), **loads_summary(loads)}
+    statuses = [outcome.status for outcome in execution.outcomes.values() if outcome.result == "failed"]
+    if statuses:
+        session.status = EXIT_USER_ERROR if set(statuses) == {EXIT_USER_ERROR} else 1
+    elif inventory.left_out:
+        session.status = EXIT_RUNS_SKIPPED
+    session.finish(summary, loads_text(loads))
+
+
+def _summary(execution: Execution, inventory: Inventory) -> dict[str, Any]:
+    from balance_cli.cli.pipeline.execution import summary
+
+    return {
+        "geometry": inventory.geometry_path,
+        "campaign_runs": {kind: [run.name for run in runs] for kind, runs in inventory.runs.items()},
+        "steps": summary(execution.outcomes),
+        "steps_left_out": execution.plan.left_out,
+    }
