@@ -192,7 +192,7 @@ class _Builder:
         self, name: str, command: str, runs: tuple[Path, ...], *options: str, optional: bool = False
     ) -> None:
         output = self._path(f"{name}.h5")
-        words = (command, "-g", self._campaign.geometry_path, *runs, *options, "-o", output)
+        words: tuple[str | Path, ...] = (command, "-g", self._campaign.geometry_path, *runs, *options, "-o", output)
         self.add(name, *words, writes=(output,), json=True, optional=optional)
 
     def _is_planned(self, name: str) -> bool:
