@@ -170,7 +170,7 @@ NAMES = {
     **dict.fromkeys(("unsupported_terms", "residual", "press", "cross_validation", "reach", "drift_per_series"), 1),
     **dict.fromkeys(("terms_refused", "left_out_sequences", "drift_per_sequence", "calibrated_range"), 1),
     **dict.fromkeys(("scatter_chi2_per_dof", "checks", "error_percent_fs", "within_interval"), 1),
-    **dict.fromkeys(("channels", "noise_v", "flags", "campaign_runs", "steps", "steps_left_out", "trust"), 1),
+    **dict.fromkeys(("channels", "noise_v", "flags", "campaign_runs", "steps", "steps_left_out", "trust", "error"), 1),
     **dict.fromkeys(("terms", "linear", "C0", "T0", "channel_hysteresis", "channels_left_out"), 2),
 }
 
@@ -199,6 +199,7 @@ def summaries(tmp_path_factory):
     cal, out, model = (str(folder / name) for name in ("cal.h5", "out.h5", "model.h5"))
     calls = {
         "calibrate": [*g, static, "-o", cal],
+        "apply": [cal, static, "--zero", "first", "-o", str(folder / "points.csv")],
         "sweep-tf": [*g, sweep, "--to", "20", "-o", out],
         "identify": [*g, sweep, static, "--method", "computed", "-o", model],
         "diagnose": [model, sweep, "--hold-out", check, "-o", out, "--model-out", str(folder / "closed.h5")],

@@ -12,6 +12,7 @@ from balance_cli.cli.errors import BalanceCommand
 
 COMMANDS = (
     "calibrate",
+    "apply",
     "sweep-tf",
     "identify",
     "diagnose",

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.geometry import FrozenModel, NonNegative, Positive
+from balance_cli.campaign.rig.declared_values import FrozenModel, NonNegative, Positive
 
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 Excitation = Literal["multisine", "random", "sine-sweep", "stepped"]

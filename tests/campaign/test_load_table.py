@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from balance_cli.campaign.recording.load_table import TableReading, read_load_table, runs_of_table, transfer_moments
+from balance_cli.campaign.recording.load_table import TableReading, read_load_table, runs_of_table
 from balance_cli.campaign.rig.geometry_file import geometry_from_dict
+from balance_cli.campaign.rig.load_components import moment_transfer
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import parse_unit
 
@@ -69,7 +70,7 @@ def test_excitation_makes_a_ratio(tmp_path: Path) -> None:
 
 def test_moment_center_is_transferred(tmp_path: Path) -> None:
     """A force Fz = 10 N at x = 0.5 m has My = -5 N m about the origin and none about its own point."""
-    assert transfer_moments(np.array([[0, 0, 10.0, 0, 0, 0]]), (0.5, 0, 0), (0, 0, 0))[0, 4] == pytest.approx(-5.0)
+    assert (moment_transfer((0.5, 0, 0), (0, 0, 0)) @ [0, 0, 10.0, 0, 0, 0])[4] == pytest.approx(-5.0)
     text = "Fz [N],My [N m],B1 [mV/V],B2 [mV/V]\n10,0,1,1\n"
     table = read(tmp_path, text, TableReading(moment_center=(0.5, 0, 0)), components=["Fz", "My"])
     assert table.hub_loads[0] == pytest.approx([0, 0, 10, 0, -5, 0])

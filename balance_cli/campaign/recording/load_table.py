@@ -8,7 +8,7 @@ a row below it.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from balance_cli.campaign.recording.load_table_columns import LABELS, POINT_WORD
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.campaign.rig.load_components import load_components
+from balance_cli.campaign.rig.load_components import load_components, moment_transfer
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable, read_table
 from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit, parse_unit, split_unit
@@ -182,7 +182,7 @@ class _TableReader:
         """Loads (n, 6) about the hub, from loads about the moment center of the table."""
         if self.reading.moment_center is None:
             return loads
-        return transfer_moments(loads, self.reading.moment_center, self.geometry.hub)
+        return np.asarray(loads @ moment_transfer(self.reading.moment_center, self.geometry.hub).T)
 
     # ---- channels and labels -------------------------------------------------------------------------------------
 
@@ -253,9 +253,3 @@ class _TableReader:
             return parse_unit(column.unit, *dimensions)
         except UserError as error:
             raise self.table.error(0, head, error.fault, error.remedy) from None
-
-
-def transfer_moments(loads: Array, about: Sequence[float], to: Sequence[float]) -> Array:
-    """Loads (n, 6) about the point `to` [m], from loads about the point `about`: M' = M + (about - to) x F."""
-    arm = np.asarray(about, float) - np.asarray(to, float)
-    return np.concatenate([loads[:, :3], loads[:, 3:] + np.cross(arm, loads[:, :3])], axis=1)

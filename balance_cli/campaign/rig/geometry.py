@@ -2,53 +2,34 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
-from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
+from balance_cli.campaign.rig.components import FREEDOMS
+from balance_cli.campaign.rig.declared_values import (
+    MOST_PARTS,
+    Array,
+    EffectNumber,
+    FrozenModel,
+    Name,
+    NonNegative,
+    Number,
+    Positive,
+    Vector,
+)
+from balance_cli.campaign.rig.load_component import LoadComponent, name_component
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
 from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, parse_unit
-
-LARGEST_VALUE = 1e15
-"""Of any number of a geometry or a plan, in SI units: far beyond any rig, and its fourth power is still finite."""
-LARGEST_EFFECT_PARAMETER = 1e30
-"""The cubic stiffness of a cell whose elongations are nanometers is 1e24 N/m3 where a tenth of 1e6 N is cubic."""
-MOST_PARTS = 500
-"""Bodies, cells or channels; no rig has so many, and the equations of so many are still solved in seconds."""
-
-COMPONENT_PATTERN = r"^[A-Za-z][A-Za-z0-9_.]*$"
-"""Of the name of a component: a word, because the names of terms join it with others (`N1 |Y2|`, `A^2`)."""
-
-SMALLEST_VALUE = 1e-15
-"""Of a number that must be positive; the fourth power of its reciprocal is still finite."""
-
-
-def _refuse_bool(value: object) -> object:
-    """Refuse what Python, but no engineer, takes for a number."""
-    if isinstance(value, bool):
-        raise ValueError("should be a number, not true or false")
-    return value
-
-
-Name = Annotated[str, Field(min_length=1, max_length=200)]
-Number = Annotated[float, BeforeValidator(_refuse_bool), Field(ge=-LARGEST_VALUE, le=LARGEST_VALUE)]
-Vector = tuple[Number, Number, Number]
-EffectNumber = Annotated[
-    float, BeforeValidator(_refuse_bool), Field(ge=-LARGEST_EFFECT_PARAMETER, le=LARGEST_EFFECT_PARAMETER)
-]
-Positive = Annotated[float, BeforeValidator(_refuse_bool), Field(gt=SMALLEST_VALUE, le=LARGEST_VALUE)]
-NonNegative = Annotated[float, BeforeValidator(_refuse_bool), Field(ge=0, le=LARGEST_VALUE)]
-Array = NDArray[np.float64]
-
-
-class FrozenModel(BaseModel):
-    """Base of all parts: frozen, unknown keys refused, no infinities."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Inertia(FrozenModel):
@@ -209,37 +190,7 @@ class DeclaredEffect(FrozenModel):
 
     name: Name
     where: tuple[str, ...] = ()
-    parameters: dict[str, EffectNumber | str] = {}
-
-
-class LoadComponent(FrozenModel):
-    """A load component of the user's own: a force along `direction`, or a moment about the axis `moment`.
-
-    `position` [m]: of a force, a point on its line of action (force balance format: forces at stations); of a moment,
-    the point about which it is taken (moment balance format). By default both refer to the hub.
-    """
-
-    name: Annotated[str, Field(min_length=1, max_length=40, pattern=COMPONENT_PATTERN)]
-    direction: Vector | None = None
-    moment: Vector | None = None
-    position: Vector | None = None
-
-    @model_validator(mode="after")
-    def _check_one_axis(self) -> LoadComponent:
-        if self.name in COMPONENTS:
-            if (self.direction, self.moment, self.position) != (None, None, None):
-                raise ValueError(f"`{self.name}` is a hub load, whose axis and point are fixed: give the name alone")
-            return self
-        axis = self.direction or self.moment
-        if axis is None or (self.direction is not None and self.moment is not None):
-            raise ValueError("give `direction: [x, y, z]` of a force or `moment: [x, y, z]`, the axis of a moment")
-        if float(np.linalg.norm(axis)) == 0.0:
-            raise ValueError("`direction` or `moment` has no length")
-        return self
-
-
-def _named_component(value: object) -> object:
-    return {"name": value} if isinstance(value, str) else value
+    parameters: dict[str, EffectNumber | str] = Field(default_factory=dict)
 
 
 class Geometry(FrozenModel):
@@ -264,9 +215,15 @@ class Geometry(FrozenModel):
     freedom: Annotated[tuple[Literal["x", "y", "z", "psi", "theta", "phi"], ...], Field(min_length=1)] = FREEDOMS  # type: ignore[assignment]
     effects: tuple[DeclaredEffect, ...] = ()
     components: (
-        Annotated[tuple[Annotated[LoadComponent, BeforeValidator(_named_component)], ...], Field(min_length=1)] | None
+        Annotated[tuple[Annotated[LoadComponent, BeforeValidator(name_component)], ...], Field(min_length=1)] | None
     ) = None
     rated_loads: dict[Name, Positive] | None = None
+
+    @model_serializer(mode="wrap")
+    def _leave_out_absent_parts(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without the lists that a geometry for calibration alone does not have: they must not be empty in a file."""
+        plain: dict[str, Any] = serialize(self)
+        return {key: value for key, value in plain.items() if value or key not in ("bodies", "cells")}
 
     def __repr__(self) -> str:
         cells, channels = plural(len(self.cells), "cell"), plural(len(self.channels), "channel")

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from balance_cli.campaign.rig.components import FREEDOMS
-from balance_cli.campaign.rig.geometry import Array, Body, Geometry
+from balance_cli.campaign.rig.declared_values import Array
+from balance_cli.campaign.rig.geometry import Body, Geometry
 from balance_cli.campaign.rig.kinematics import elongation_matrix
 from balance_cli.campaign.rig.load_components import component_faults
 from balance_cli.campaign.rig.mass_properties import metric_side

@@ -47,7 +47,7 @@ def save_geometry(path: Path, geometry: Geometry) -> None:
 def geometry_to_dict(geometry: Geometry) -> dict[str, Any]:
     """The geometry as plain dicts, lists, numbers and strings; keys that are not set are left out."""
     plain: dict[str, Any] = geometry.model_dump(mode="json", exclude_none=True)
-    return {key: value for key, value in plain.items() if value != [] or key not in ("bodies", "cells")}
+    return plain
 
 
 def geometry_from_dict(declared: object) -> Geometry:

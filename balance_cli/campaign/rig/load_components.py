@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
-from balance_cli.campaign.rig.geometry import Geometry, LoadComponent
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_component import LoadComponent
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import FORCE, MOMENT
 
@@ -64,6 +65,14 @@ def load_components(geometry: Geometry) -> LoadComponents:
     names = tuple(name for name in COMPONENTS if name in names)
     to_hub = np.eye(6)[[COMPONENTS.index(name) for name in names]]
     return LoadComponents(names, tuple(UNIT_OF[name] for name in names), to_hub.T, to_hub)
+
+
+def moment_transfer(about: Sequence[float], to: Sequence[float]) -> Array:
+    """Matrix (6, 6) from hub loads about one point [m] to those about another: M' = M + (about - to) x F."""
+    x, y, z = np.asarray(about, float) - np.asarray(to, float)
+    matrix = np.eye(6)
+    matrix[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    return matrix
 
 
 def component_units(geometry: Geometry) -> dict[str, str]:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any, get_type_hints
 
-from balance_cli.campaign.rig.geometry import LARGEST_EFFECT_PARAMETER
+from balance_cli.campaign.rig.declared_values import LARGEST_EFFECT_PARAMETER
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.cells import (

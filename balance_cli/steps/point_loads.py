@@ -1,0 +1,285 @@
+"""The step `apply`: static loads of point tables and static runs from their readings, by a calibration.
+
+No rotor, no pulses and no record in time: each row is one reading. The calibration model of all trims gives the loads
+where there is one, otherwise the matrix of the nearest trim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
+from balance_cli.calibration.result import Calibration
+from balance_cli.calibration.trim_model import model_of_trim
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import load_components, moment_transfer
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, SEPARATOR, UNTESTED
+from balance_cli.reduction.mean_loads import determines_loads, mean_load_redundancy
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+CALIBRATION_ZERO = "mean of the calibration"
+EXTRAPOLATION_SIGMAS = 2.0
+"""Standard deviations of a load by which it must exceed the applied loads: the largest itself is read with noise."""
+NOT_CONVERGED = "not converged"
+"""Flag of a row whose loads the iteration did not find; its loads are empty."""
+CONVERGENCE_SHARE = 1e-6
+"""Of the calibrated range, within which the model must reproduce the readings: far below any noise."""
+
+
+@dataclass(frozen=True)
+class PointReadings:
+    """Rows of one run to be reduced: `channels` (n, c) of `channel_names`, in the base units of the geometry.
+
+    `zero_group` (n,): number of the group of rows that share a zero; `is_zero` (n,): rows of the unloaded balance.
+    `applied` (n, k): loads that are known, of the components of the calibration; None where the table has none.
+    """
+
+    run: str
+    channel_names: tuple[str, ...]
+    channels: Array
+    zero_group: Index
+    is_zero: NDArray[np.bool_]
+    applied: Array | None = None
+
+
+@dataclass(frozen=True)
+class ZeroReading:
+    """Reading (c,) of the unloaded balance, the mean of `rows` rows."""
+
+    channel_names: tuple[str, ...]
+    mean: Array
+    rows: int
+
+
+@dataclass(frozen=True)
+class PointLoads:
+    """Loads (n, k) [N, N m] of one run, with `covariance` (n, k, k), half the prediction `interval` (n, k), flags (n,).
+
+    `zero`: which zero was subtracted, in words. `redundancy` (n,): chi-square per degree of freedom of the residual
+    test, NaN without redundant channels; `method`: which model gave the loads. `applied` as in the readings.
+    """
+
+    run: str
+    components: tuple[str, ...]
+    loads: Array
+    covariance: Array
+    interval: Array
+    flags: tuple[str, ...]
+    redundancy: Array
+    zero: str
+    method: str
+    left_out: tuple[str, ...]
+    applied: Array | None
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviation (n, k) of the loads."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
+
+
+@dataclass(frozen=True)
+class _Model:
+    """The model of a calibration with the channels (rows) that a run has, and the noise of a reading (c, c)."""
+
+    model: CalibrationModel
+    rows: Index
+    noise: Array
+    level: Array
+    calibration: Calibration
+
+
+def point_loads(
+    readings: PointReadings, calibration: Calibration, zero: ZeroReading | None = None, non_iterative: bool = False
+) -> PointLoads:
+    """Compute the loads of each row, relative to the unloaded balance.
+
+    The zero is that of the rows marked as such, of their own group or of all groups; without any it is `zero`, and
+    without that the mean zero of the calibration (flag `no zero`). Rows outside the calibrated loads are flagged.
+
+    Raises UserError where the channels of the readings do not determine the loads.
+    """
+    model = _usable_model(readings, calibration)
+    change, zero_share, zero_text = _change_from_zero(readings, model, zero)
+    loads, converged, method = _solve(model, change, non_iterative)
+    safe = np.where(converged[:, None], loads, 0.0)
+    covariance = np.stack([_covariance(model, row, share) for row, share in zip(safe, zero_share, strict=True)])
+    redundancy, limit = _redundancy(model, change, safe, zero_share)
+    covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
+    quantile = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, float(model.model.dof.min()))
+    unknown = ~converged
+    loads[unknown], covariance[unknown] = np.nan, np.nan
+    return PointLoads(
+        run=readings.run,
+        components=model.model.components,
+        loads=loads - model.level,
+        covariance=covariance,
+        interval=np.asarray(quantile * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))),
+        flags=_flags(model, loads, covariance, (redundancy > limit, zero_text == CALIBRATION_ZERO)),
+        redundancy=redundancy,
+        zero=zero_text,
+        method=method,
+        left_out=tuple(name for name in model.model.channel_names if name not in readings.channel_names),
+        applied=readings.applied,
+    )
+
+
+def _usable_model(readings: PointReadings, calibration: Calibration) -> _Model:
+    all_trims = calibration.all_trims
+    if all_trims is None:
+        if len(calibration.trims) > 1:
+            fault = "has several trims and no calibration model of all trims"
+            raise UserError(fault, "calibration", remedy="Calibrate with the runs of one trim")
+        model, level = model_of_trim(next(iter(calibration.trims.values()))), np.zeros(())
+        noise = model.residual_covariance
+    else:
+        model, level, noise = all_trims.model, all_trims.level_weight_loads, all_trims.noise.reading_covariance
+    rows = np.array([i for i, name in enumerate(model.channel_names) if name in readings.channel_names], np.intp)
+    k = len(model.components)
+    if not determines_loads(model.coefficients[:k, rows].T):
+        lost = [name for name in model.channel_names if name not in readings.channel_names]
+        fault = f"its channels do not determine the loads (absent: {', '.join(lost) or 'none'})"
+        raise UserError(fault, readings.run, "channels", f"Give columns of {', '.join(model.channel_names)}")
+    return _Model(model, rows, noise[np.ix_(rows, rows)], level, calibration)
+
+
+def move_moment_center(loads: PointLoads, geometry: Geometry, center: Sequence[float]) -> PointLoads:
+    """The same loads with moments about the point `center` [m] instead of the hub.
+
+    Raises UserError where the components are not hub loads.
+    """
+    if not load_components(geometry).are_hub_loads:
+        fault = f"the components {', '.join(loads.components)} have their own lines of action"
+        raise UserError(fault, "--moment-center", remedy="Leave it out")
+    at = [COMPONENTS.index(name) for name in loads.components]
+    move = moment_transfer(geometry.hub, center)[np.ix_(at, at)]
+    covariance = move @ loads.covariance @ move.T
+    quantile = loads.interval / loads.sigma
+    return replace(
+        loads,
+        loads=loads.loads @ move.T,
+        covariance=covariance,
+        interval=quantile * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)),
+        applied=None if loads.applied is None else loads.applied @ move.T,
+    )
+
+
+# ---- zeros -----------------------------------------------------------------------------------------------------------
+
+
+def _change_from_zero(readings: PointReadings, usable: _Model, zero: ZeroReading | None) -> tuple[Array, Array, str]:
+    """Readings (n, c) less the zero, variance (n,) of the zero in units of a reading's, and the zero in words."""
+    names = [usable.model.channel_names[i] for i in usable.rows]
+    values = readings.channels[:, [readings.channel_names.index(name) for name in names]]
+    if readings.is_zero.any():
+        unloaded = values - _tare_loads_reading(readings, usable)
+        zeros, counts = _zeros_by_group(unloaded, readings.zero_group, readings.is_zero)
+        return values - zeros, 1.0 / counts, "rows of the unloaded balance"
+    if zero is not None:
+        missing = [name for name in names if name not in zero.channel_names]
+        if missing:
+            fault = f"the zero has no channel {', '.join(missing)}"
+            raise UserError(fault, "--zero", remedy="Give a zero with all channels of the table")
+        mean = zero.mean[[zero.channel_names.index(name) for name in names]]
+        return values - mean, np.full(len(values), 1.0 / zero.rows), "zero record"
+    return values - usable.model.zeros.mean(axis=0)[usable.rows], np.zeros(len(values)), CALIBRATION_ZERO
+
+
+def _tare_loads_reading(readings: PointReadings, usable: _Model) -> Array:
+    """Readings (n, c) that known loads and the weight of the metric part cause."""
+    known = np.zeros((len(readings.channels), len(usable.model.components)))
+    known = known if readings.applied is None else readings.applied
+    return usable.model.readings(known + usable.level)[:, usable.rows]
+
+
+def _zeros_by_group(unloaded: Array, group: Index, is_zero: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Zero (n, c) of each row, the mean over its group or, where that has none, over all; and number of rows (n,)."""
+    zeros = np.tile(unloaded[is_zero].mean(axis=0), (len(unloaded), 1))
+    counts = np.full(len(unloaded), float(np.count_nonzero(is_zero)))
+    for number in np.unique(group[is_zero]):
+        members = group == number
+        zeros[members] = unloaded[members & is_zero].mean(axis=0)
+        counts[members] = np.count_nonzero(members & is_zero)
+    return zeros, counts
+
+
+def _zero_scatter(model: CalibrationModel) -> Array:
+    """Covariance (c, c) of the zeros of the load series about their mean: what an unknown zero may differ by."""
+    c = len(model.channel_names)
+    return np.atleast_2d(np.cov(model.zeros.T)) if len(model.zeros) > 1 else np.zeros((c, c))
+
+
+# ---- loads -----------------------------------------------------------------------------------------------------------
+
+
+def _solve(usable: _Model, change: Array, non_iterative: bool) -> tuple[Array, NDArray[np.bool_], str]:
+    """Loads (n, k), which of them the method found, and the method in words."""
+    model, rows, all_trims = usable.model, usable.rows, usable.calibration.all_trims
+    if non_iterative:
+        direct = None if all_trims is None else all_trims.non_iterative
+        if direct is None or len(rows) < len(model.channel_names):
+            fault = "the calibration has no non-iterative model" if direct is None else "a channel is absent"
+            raise UserError(fault, "--method", remedy="Calibrate with --non-iterative, or use the iteration")
+        loads = direct.loads(change)
+        return loads, np.asarray(np.isfinite(loads).all(axis=1)), "non-iterative"
+    loads, _ = model.loads(change, rows)
+    with np.errstate(all="ignore"):
+        left = (change - model.readings(loads)[:, rows]) @ model.inverse(rows).T
+    converged = np.asarray(np.all(np.abs(left) < CONVERGENCE_SHARE, axis=1))
+    return loads, converged, "iterative" if model.is_nonlinear else "linear"
+
+
+def _reading_covariance(usable: _Model, zero_share: float) -> Array:
+    """Covariance (c, c) of a reading less its zero."""
+    noise = usable.noise * (1.0 + zero_share)
+    if zero_share == 0.0:
+        noise = noise + _zero_scatter(usable.model)[np.ix_(usable.rows, usable.rows)]
+    return np.asarray(noise)
+
+
+def _covariance(usable: _Model, loads: Array, zero_share: float) -> Array:
+    return np.asarray(usable.model.load_covariance(loads, _reading_covariance(usable, zero_share), usable.rows)[0])
+
+
+def _redundancy(usable: _Model, change: Array, loads: Array, zero_share: Array) -> tuple[Array, Array]:
+    """Chi-square per degree of freedom (n,) of the redundant channels of each row, and its 99.9 % point (n,)."""
+    model, rows = usable.model, usable.rows
+    tests = []
+    for row, reading, share in zip(loads, change, zero_share, strict=True):
+        covariance = _reading_covariance(usable, share) + model.model_covariance(row, rows)[0]
+        J = model.jacobian(row, rows)[0]
+        tests.append(mean_load_redundancy(reading - model.readings(row[None])[0, rows], J, covariance))
+    redundancy, limit = np.array(tests).T
+    return redundancy, limit
+
+
+def _extrapolated(model: CalibrationModel, loads: Array, covariance: Array) -> tuple[str, ...]:
+    """Components whose load (k,) is outside the applied loads by more than its own uncertainty."""
+    margin = EXTRAPOLATION_SIGMAS * np.sqrt(np.diagonal(covariance))
+    outside = (loads > model.largest_load + margin) | (loads < model.smallest_load - margin)
+    return tuple(name for name, is_outside in zip(model.components, outside, strict=True) if is_outside)
+
+
+def _flags(usable: _Model, loads: Array, covariance: Array, tests: tuple[NDArray[np.bool_], bool]) -> tuple[str, ...]:
+    """Flags (n,); `tests`: rows whose redundant channels contradict, and whether the zero is the calibration's."""
+    untested = len(usable.rows) <= len(usable.model.components)
+    flags = []
+    for row, S, misfits in zip(loads, covariance, tests[0], strict=True):
+        outside = _extrapolated(usable.model, row, S) if np.isfinite(row).all() else ()
+        words = (
+            NO_ZERO if tests[1] else "",
+            UNTESTED if untested else "",
+            REDUNDANCY if misfits else "",
+            f"{EXTRAPOLATED} {' '.join(outside)}" if outside else "",
+            "" if np.isfinite(row).all() else NOT_CONVERGED,
+        )
+        flags.append(SEPARATOR.join(word for word in words if word))
+    return tuple(flags)

@@ -1,0 +1,78 @@
+"""Rows of a point table or static run as readings for `apply`: which rows share a zero, and which are one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.load_table import LoadTable
+from balance_cli.campaign.recording.run import Run, pick_channels
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import load_components
+from balance_cli.io.errors import UserError
+from balance_cli.steps.point_loads import PointReadings, ZeroReading
+
+TARE = "tare"
+
+
+def point_readings(table: LoadTable, calibration: Calibration, first_is_zero: bool = False) -> PointReadings:
+    """The rows of a table; those of one run and load series share a zero.
+
+    With `first_is_zero` the first row of each run is that of the unloaded balance, otherwise the rows of kind `tare`.
+    """
+    n = len(table.lines)
+    runs, series = row_runs(table), table.labels.get("series", ("",) * n)
+    keys = list(zip(runs, ("",) * n if first_is_zero else series, strict=True))
+    numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}
+    group = np.array([numbers[key] for key in keys], np.intp)
+    if first_is_zero:
+        is_zero = np.isin(np.arange(n), np.unique(group, return_index=True)[1])
+    else:
+        is_zero = np.array([kind == TARE for kind in table.labels.get("point", ("",) * n)])
+    loads = table.hub_loads
+    return PointReadings(
+        run=table.path.stem,
+        channel_names=table.channel_names,
+        channels=table.channels,
+        zero_group=group,
+        is_zero=is_zero,
+        applied=None if loads is None else load_components(calibration.geometry).carried(loads),
+    )
+
+
+def row_runs(table: LoadTable) -> tuple[str, ...]:
+    """Name (n,) of the run of each row."""
+    return table.labels.get("run", (table.path.stem,) * len(table.lines))
+
+
+def zero_reading(table: LoadTable) -> ZeroReading:
+    """Mean reading of a table of the unloaded balance: of its rows of kind `tare`, of all rows where it names none.
+
+    Raises UserError for loads in these rows.
+    """
+    kinds = table.labels.get("point", (TARE,) * len(table.lines))
+    rows = np.array([kind == TARE for kind in kinds])
+    rows = rows if rows.any() else np.ones_like(rows)
+    if table.hub_loads is not None and np.any(table.hub_loads[rows]):
+        fault = "has loads: it is no reading of the unloaded balance"
+        raise UserError(fault, str(table.path), remedy="Give a table of unloaded rows, or mark them as `tare`")
+    return ZeroReading(table.channel_names, table.channels[rows].mean(axis=0), int(np.count_nonzero(rows)))
+
+
+def table_of_run(run: Run, geometry: Geometry) -> LoadTable:
+    """A static run (or the samples of a zero record) as a table; its lines are the rows, counted from 1."""
+    block = run.read()
+    names = tuple(name for name in geometry.channel_names if name in run.channel_names)
+    return LoadTable(
+        path=run.path or Path(run.name),
+        lines=tuple(range(1, run.samples + 1)),
+        channel_names=names,
+        channels=pick_channels(block.channels, run.channel_names, names),
+        hub_loads=block.loads,
+        labels={"run": (run.name,) * run.samples},
+        load_units={},
+        unused=(),
+        digest=run.digest,
+    )
