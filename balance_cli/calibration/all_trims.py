@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN
 from balance_cli.calibration.fit import CalibrationPoints
@@ -19,6 +18,7 @@ from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.load_components import LoadComponents
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

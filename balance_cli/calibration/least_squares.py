@@ -82,7 +82,7 @@ class LeastSquares:
     @property
     def p_value(self) -> Array:
         """Two-sided p-value (p, c) of the hypothesis that the coefficient is zero."""
-        from scipy import stats
+        from balance_cli.signals import distributions as stats
 
         return np.asarray(2.0 * stats.t.sf(np.abs(self.t), self.dof))
 

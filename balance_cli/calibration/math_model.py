@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 from balance_cli.calibration.convergence import Contraction, contraction, iterate_loads
 from balance_cli.calibration.terms import Term, term_derivatives, term_from_name, term_values
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 CONFIDENCE = 0.95

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -215,7 +215,7 @@ def _check_channel_gain(
     # The misfit of a linear model follows the load: it does not average out over the rows.
     sigma = float(noise[c] / np.sqrt(power / len(change)))
     is_significant = abs(gain - 1.0) > max(
-        stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / len(channels)) * sigma, MIN_GAIN_ERROR
+        float(stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / len(channels))) * sigma, MIN_GAIN_ERROR
     )
     # A channel with hardly any signal in this load series does not determine its gain.
     if not is_significant or sigma > MAX_NOISE_TO_SIGNAL:

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.calibration.least_squares import solve_least_squares, subtract_block_means
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

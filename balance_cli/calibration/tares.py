@@ -19,12 +19,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints
 from balance_cli.calibration.outliers import ScreenedFit, screen_outliers
 from balance_cli.campaign.rig.attitude import ATTITUDE_TOLERANCE
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

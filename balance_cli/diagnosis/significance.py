@@ -30,7 +30,7 @@ def gain_p_value(gain: float, parameters: int, noise_dof: float = np.inf) -> flo
 
     With a noise known to `noise_dof` degrees of freedom, gain / parameters has an F distribution.
     """
-    from scipy.stats import chi2, f
+    from balance_cli.signals.distributions import chi2, f
 
     if not parameters:
         return 1.0
@@ -55,7 +55,7 @@ def chi2_p_value(chi2: float, counts: Sequence[float], noise_dof: Sequence[float
     of a run are assumed to share one estimate of the noise. In fact there are more, since the estimate follows the
     noise spectrum, so that the p-value is on the safe side.
     """
-    from scipy.stats import chi2 as distribution
+    from balance_cli.signals.distributions import chi2 as distribution
 
     n = np.asarray(counts, float)
     d = np.maximum(np.asarray(noise_dof, float), MIN_F_DOF)
@@ -70,7 +70,7 @@ def chi2_p_value(chi2: float, counts: Sequence[float], noise_dof: Sequence[float
 
 def hotelling_p_value(t2: float, count: int, dof: float) -> float:
     """Return the p-value of Hotelling's T^2 of `count` values whose covariance has `dof` degrees of freedom."""
-    from scipy.stats import f
+    from balance_cli.signals.distributions import f
 
     free = max(dof - count + 1.0, 1.0)
     return float(f.sf(t2 * free / (dof * count), count, free))
@@ -78,7 +78,7 @@ def hotelling_p_value(t2: float, count: int, dof: float) -> float:
 
 def variance_ratio_p_values(ratio: Array, count: Array, noise_count: Array) -> Array:
     """Return the p-values of sums of `count` squares over the mean of `noise_count` others (F distribution)."""
-    from scipy.stats import f
+    from balance_cli.signals.distributions import f
 
     n = np.maximum(count, 1.0)
     return np.asarray(f.sf(ratio / n, n, np.maximum(noise_count, 1.0)))
@@ -86,7 +86,7 @@ def variance_ratio_p_values(ratio: Array, count: Array, noise_count: Array) -> A
 
 def fisher_p_values(statistic: Array, count: Array) -> Array:
     """Return the p-values of sums of -2 ln p over `count` tests (Fisher's method); 1 where there is none."""
-    from scipy.stats import chi2
+    from balance_cli.signals.distributions import chi2
 
     return np.asarray(np.where(count > 0, chi2.sf(statistic, np.maximum(2.0 * count, 1.0)), 1.0))
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 

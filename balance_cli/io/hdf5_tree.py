@@ -6,7 +6,6 @@ A tree is a dict whose values are trees, numpy arrays, strings, numbers, bools o
 - `tuple[X, ...]` of scalars: a one-dimensional array; of any other type: a tree with keys 0, 1, ...;
 - `dict[str, X]` (or with int keys): a tree with those keys, their order kept;
 - a dataclass: a tree of its fields; a field that is missing in the tree takes its default;
-- `pandas.DataFrame`: a tree of its columns (its index is not kept);
 - a pydantic model such as `Geometry`: its JSON text.
 """
 
@@ -22,7 +21,6 @@ from urllib.parse import unquote
 
 import h5py
 import numpy as np
-import pandas as pd
 from pydantic import BaseModel
 
 Tree = dict[str, Any]
@@ -62,8 +60,6 @@ def to_tree(value: Any) -> Any:
 def _container_to_tree(value: Any) -> Any:
     if isinstance(value, BaseModel):
         return value.model_dump_json(exclude_none=True)
-    if isinstance(value, pd.DataFrame):
-        return {str(name): _column(value[name]) for name in value.columns}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         pairs = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
         return {stored_field_name(item): to_tree(part) for item, part in pairs if not _is_omitted(item, part)}
@@ -87,11 +83,6 @@ def _require_storable_array(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]
     if array.dtype.kind in "OU" and all(isinstance(item, str) for item in array.flat):
         return array.astype(object)
     raise TypeError(f"an array of {array.dtype} cannot be stored in an artefact")
-
-
-def _column(column: pd.Series[Any]) -> np.ndarray[Any, Any]:
-    values = column.to_numpy()
-    return _require_storable_array(values if values.dtype.kind in "biufc" else values.astype(object))
 
 
 # ---- tree -> dataclass -----------------------------------------------------------------------------------------------
@@ -137,7 +128,7 @@ def _fits_outer_form(option: Any, tree: Any) -> bool:
             if dataclasses.is_dataclass(option)
             else None
         )
-        return fields == set(tree) if fields is not None else origin in (dict, Mapping, tuple, pd.DataFrame)
+        return fields == set(tree) if fields is not None else origin in (dict, Mapping, tuple)
     return (origin in (np.ndarray, tuple)) if isinstance(tree, np.ndarray) else origin in SCALARS
 
 
@@ -151,8 +142,6 @@ def _to_tuple(tree: Any, hints: tuple[Any, ...]) -> tuple[Any, ...]:
 def _from_class(tree: Any, kind: Any) -> Any:
     if kind is np.ndarray:
         return np.asarray(tree) if isinstance(tree, SCALARS) else _require_type(tree, np.ndarray)
-    if kind is pd.DataFrame:
-        return pd.DataFrame({name: _text_column(column) for name, column in _as_tree(tree).items()})
     if kind in SCALARS:
         return _scalar(tree, kind)
     if dataclasses.is_dataclass(kind):
@@ -163,10 +152,6 @@ def _from_class(tree: Any, kind: Any) -> Any:
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return kind.model_validate_json(_require_type(tree, str))
     raise TypeError(f"{kind} cannot be stored in an artefact")
-
-
-def _text_column(column: Any) -> Any:
-    return list(column) if column.dtype == object else column
 
 
 def _scalar(tree: Any, kind: Any) -> Any:

@@ -15,7 +15,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import nnls
 
 from balance_cli.model.system import REFERENCE_FREQUENCY
 
@@ -67,6 +66,8 @@ def relaxation_chain() -> RelaxationChain:
     terms = _relaxation_terms(frequency, rates)
     at_reference = _relaxation_terms(np.array([REFERENCE_FREQUENCY]), rates)[0].real
     centered, law = terms - at_reference, hysteretic_law(frequency)
+    from scipy.optimize import nnls
+
     strengths, _ = nnls(np.concatenate([centered.real, centered.imag]), np.concatenate([law.real, law.imag]))
     used = strengths > 0
     return RelaxationChain(rates[used], strengths[used], float(at_reference @ strengths))

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
@@ -18,6 +17,7 @@ from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
+from balance_cli.signals import distributions as stats
 from balance_cli.signals.rotor.harmonics import Harmonics
 
 Array = NDArray[np.float64]

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from balance_cli.signals import distributions as stats
 from balance_cli.signals.covariance_pooling import inverse_bias_factor
 
 Array = NDArray[np.float64]

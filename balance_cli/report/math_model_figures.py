@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE
 from balance_cli.report.figure_style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, PlotStyle, new_figure
 from balance_cli.report.load_series_rows import LoadSeriesRows, channel_outliers, channel_residual_sigma
 from balance_cli.report.number_format import format_percent, format_significant
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 

@@ -105,7 +105,7 @@ def _band_statistics(spectra: ComplexArray) -> tuple[_BandStatistic, _BandStatis
 
 def _average_over_band(power: Array, lines: int, signals: int, dof: float, largest_bias: float) -> _BandStatistic:
     """Average power (P-1, K, v) over that of noise with `dof` over bands of `lines`; the ratio is F distributed."""
-    from scipy.stats import f
+    from balance_cli.signals.distributions import f
 
     width = min(lines, power.shape[1])
     banded = window_sums(power.swapaxes(0, 1), width).swapaxes(0, 1) / width

@@ -139,7 +139,7 @@ def _initial_weights(differences: Array) -> Array:
 
 def _robust_weights(differences: Array, covariance: Array, variance: Array, dof: float, c: int) -> Array:
     """Weights from Mahalanobis distances: reduced beyond the OUTLIER_PROBABILITY point of Hotelling's distribution."""
-    from scipy.stats import f
+    from balance_cli.signals.distributions import f
 
     distance = np.sum(differences * np.linalg.solve(covariance, differences.T).T, axis=1) / np.maximum(variance, 1e-12)
     free = max(dof - c + 1.0, 1.0)

@@ -113,7 +113,8 @@ def _wiener_gain(amplitudes: ComplexArray, variance: Array, smoothing_lines: int
     N. Wiener, Extrapolation, Interpolation, and Smoothing of Stationary Time Series, 1949.
     """
     from scipy.ndimage import uniform_filter1d
-    from scipy.stats import chi2
+
+    from balance_cli.signals.distributions import chi2
 
     power, dof = np.abs(amplitudes) ** 2, 2 * smoothing_lines
     if smoothing_lines == 1:
@@ -235,7 +236,7 @@ def _drift_factor(means: Array, lines: RunSpectrum, periods: float, geometry: Ge
     """
     if len(means) < 2:
         return 1.0
-    from scipy.stats import chi2
+    from balance_cli.signals.distributions import chi2
 
     ac_coupled = _ac_coupled_channels(lines, geometry)
     c, free = len(ac_coupled), len(means) - 1

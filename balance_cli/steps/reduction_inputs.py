@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.channel_health import live_channels
@@ -13,7 +14,9 @@ from balance_cli.campaign.rig.geometry_file import geometry_digest
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import ZeroRecord, zero_record
 from balance_cli.reduction.result import RunLoads, TimeDomainResult
-from balance_cli.steps.reduce_in_time import TimeOptions, TimeReduction
+
+if TYPE_CHECKING:
+    from balance_cli.steps.reduce_in_time import TimeOptions, TimeReduction
 
 
 def require_same_geometry(geometry: Geometry, calibration: Calibration, file: str = "") -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -61,7 +60,6 @@ class Result:
     harmonics: Mapping[int, dict[str, float]]
     response: NDArray[np.complex128]
     label: str | float
-    table: pd.DataFrame
     later: tuple[float, ...] = field(default=(1.0,))
 
 
@@ -83,7 +81,6 @@ def _array(shape: tuple[int, ...], seed: int, kind: type) -> NDArray[Any]:
 
 
 def results() -> st.SearchStrategy[Result]:
-    table = pd.DataFrame({"run": ["a", "b"], "harmonic": [0, 1], "cosine": [0.5, np.nan], "flag": ["", "no zero"]})
     return st.builds(
         Result,
         geometry=st.just(load_geometry(ROOT / "configs" / "rts-6.yaml")),
@@ -102,7 +99,6 @@ def results() -> st.SearchStrategy[Result]:
         harmonics=st.dictionaries(st.integers(0, 8), st.dictionaries(NAMES, FLOATS, max_size=2), max_size=12),
         response=arrays(complex),
         label=NAMES | FLOATS,
-        table=st.just(table),
         later=st.just((2.0, 3.0)),
     )
 
@@ -114,11 +110,10 @@ def a_provenance(**changes: Any) -> Provenance:
 
 def a_result() -> Result:
     parameter = Parameter(1.0, None)
-    table = pd.DataFrame({"run": ["a"], "cosine": [0.5]})
     rig = load_geometry(ROOT / "configs" / "rts-6.yaml")
     scalars = ("n", 1, 0.5, 1j, True, None, ("a", "b"), (1.0, 2.0), ("a", 1))
     spectra = (np.ones(3) * 1j,)
-    return Result(rig, *scalars, (parameter,), spectra, {"k": parameter}, {1: {"Fx": 2.0}}, np.eye(3) * 1j, "l", table)
+    return Result(rig, *scalars, (parameter,), spectra, {"k": parameter}, {1: {"Fx": 2.0}}, np.eye(3) * 1j, "l")
 
 
 def saved(path: Path, content: object = None, provenance: Provenance | None = None) -> str:
@@ -140,7 +135,6 @@ def test_a_result_survives_saving_and_loading(tmp_path: Path, result: Result) ->
     assert read.response.dtype == result.response.dtype
     assert list(read.parameters) == list(result.parameters)
     assert list(read.harmonics) == list(result.harmonics)
-    pd.testing.assert_frame_equal(read.table, result.table)
     assert repr(read) == repr(result)
 
 
