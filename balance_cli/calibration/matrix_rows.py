@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import csv
 import difflib
-from collections.abc import Sequence
+import io
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.matrix_text import FORMAT, READABLE_FORMAT
+from balance_cli.calibration.matrix_text import CORRELATION, FORMAT, READABLE_FORMAT
 from balance_cli.io.errors import UserError
+from balance_cli.io.spreadsheet import name_of_cell
 
 Array = NDArray[np.float64]
 
@@ -37,30 +39,48 @@ class MatrixRow:
 
 def matrix_rows(text: str) -> list[MatrixRow]:
     """Split the text into rows, without blank lines and comments; the first line must name the format."""
-    numbered = enumerate(text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1)
-    cells = [(number, _parse_cells(number, line)) for number, line in numbered]
-    rows = [(number, row) for number, row in cells if any(row) and not row[0].startswith("#")]
+    text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    rows = [(number, row) for number, row in _parse_rows(text) if any(row) and not row[0].startswith("#")]
     if not rows:
         raise UserError("is empty", place="line 1", remedy=f"Its first line must be `{FORMAT}`")
     _check_format(*rows[0])
     if len(rows) > 1 and len(rows[1][1]) == 1 and ";" in rows[1][1][0]:
         raise UserError("is separated by semicolons", place=f"line {rows[1][0]}", remedy=SEMICOLON_REMEDY)
-    return [MatrixRow(number, " ".join(row[0].split()), (*row, "")[1], tuple(row[2:])) for number, row in rows[1:]]
+    return [MatrixRow(number, _row_name(row[0]), (*row, "")[1], tuple(row[2:])) for number, row in rows[1:]]
 
 
-def _parse_cells(number: int, line: str) -> list[str]:
-    """Cells of a line, without the empty ones that spreadsheets append."""
-    try:
-        cells = [cell.strip() for cell in next(csv.reader([line], strict=True), [])]
-    except csv.Error as error:
-        fault = f"is not a line of a CSV file: {error}"
-        raise UserError(fault, place=f"line {number}", remedy="Save it as CSV, quotes in pairs") from error
+def _parse_rows(text: str) -> Iterator[tuple[int, list[str]]]:
+    """Number of the line and cells of each row; a name in quotes may go on in the next line."""
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    number = 1
+    while True:
+        try:
+            cells = next(reader)
+        except StopIteration:
+            return
+        except csv.Error as error:
+            fault = f"is not a line of a CSV file: {error}"
+            raise UserError(fault, place=f"line {number}", remedy="Save it as CSV, quotes in pairs") from error
+        yield number, _trim_cells(number, cells)
+        number = reader.line_num + 1
+
+
+def _trim_cells(number: int, row: Sequence[str]) -> list[str]:
+    """Cells of a row, without the empty ones that spreadsheets append."""
+    cells = [name_of_cell(cell.strip()) for cell in row]
     while cells and not cells[-1]:
         cells.pop()
     if len(cells) > MAX_CELLS:
         fault = f"has {len(cells)} cells, where at most {MAX_CELLS} are credible"
         raise UserError(fault, place=f"line {number}", remedy="Give each line of the matrix a line of the file")
     return cells
+
+
+def _row_name(cell: str) -> str:
+    """The name of a row, whose words may stand apart by any space; that of a channel at its end is left as it is."""
+    if cell.startswith(CORRELATION):
+        return cell
+    return " ".join(cell.split())
 
 
 def _check_format(number: int, cells: Sequence[str]) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from balance_cli.calibration.matrix import CalibrationMatrix, term_unit
 from balance_cli.calibration.terms import all_terms
 from balance_cli.campaign.rig.components import UNIT_OF
+from balance_cli.io.spreadsheet import text_cell
 
 FORMAT = "balance-matrix/1"
 READABLE_FORMAT = f"{FORMAT} for reading"
@@ -39,7 +40,9 @@ def matrix_csv(matrix: CalibrationMatrix) -> str:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([FORMAT])
     for name, unit, values in _named_values(matrix):
-        writer.writerow([name, unit, *(value if isinstance(value, str) else repr(value) for value in values)])
+        writer.writerow(
+            [name, unit, *(text_cell(value) if isinstance(value, str) else repr(value) for value in values)]
+        )
     return out.getvalue()
 
 
@@ -47,7 +50,7 @@ def matrix_text(matrix: CalibrationMatrix) -> str:
     """Format the matrix in aligned columns, with seven digits."""
     lines = list(_named_values(matrix))
     notes = [values[0] for name, _, values in lines if name == NOTE]
-    cells = [[name, unit, *map(_format_value, values)] for name, unit, values in lines if name != NOTE]
+    cells = [[_printable(name), unit, *map(_format_value, values)] for name, unit, values in lines if name != NOTE]
     width = [max(len(line[i]) for line in cells if i < len(line)) for i in range(max(map(len, cells)))]
     left = [width[0], width[1]]
     aligned = ("  ".join([*map(str.ljust, line, left), *map(str.rjust, line[2:], width[2:])]) for line in cells)
@@ -55,7 +58,12 @@ def matrix_text(matrix: CalibrationMatrix) -> str:
 
 
 def _format_value(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:.7g}"
+    return _printable(value) if isinstance(value, str) else f"{value:.7g}"
+
+
+def _printable(name: str) -> str:
+    """The name with line breaks and other control characters written as escapes, so that columns stay aligned."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in name)
 
 
 def _named_values(matrix: CalibrationMatrix) -> Iterator[NamedValues]:

@@ -11,6 +11,7 @@ import click
 
 from balance_cli.cli.common import InputFile, Session, balance_command
 from balance_cli.cli.errors import EXIT_USER_ERROR
+from balance_cli.cli.options import ListedFile
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @balance_command("check")
-@click.argument("files", type=InputFile(), nargs=-1, required=True, metavar="FILE...")
+@click.argument("files", type=ListedFile(), nargs=-1, required=True, metavar="FILE...")
 @click.option("-g", "--geometry", type=InputFile(), metavar="GEOMETRY", help="Geometry that the files should match.")
 def command(session: Session, files: tuple[Path, ...], geometry: Path | None) -> None:
     """Say what each file is and what is wrong with it.

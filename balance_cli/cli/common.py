@@ -27,6 +27,7 @@ OutputFile and OutputFolder of `balance_cli.cli.options`: their paths are then c
 from __future__ import annotations
 
 import functools
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -53,6 +54,7 @@ from balance_cli.cli.options import (
 )
 from balance_cli.io.atomic import StagedOutputs, os_errors_as_user_error
 from balance_cli.io.errors import UserError
+from balance_cli.io.reader_process import reader_process
 
 if TYPE_CHECKING:
     from balance_cli.calibration.matrix_reader import ParsedMatrix
@@ -114,16 +116,14 @@ class Session:
 
         Raises UserError for a run that is also in `disjoint_from` and, unless `skip_bad`, for an unusable file.
         """
-        from balance_cli.campaign.recording.run_file import open_runs
+        from balance_cli.campaign.recording.run_file import open_runs, require_disjoint
 
         runs, skipped = open_runs(tuple(paths), geometry, skip_bad)
         for path, reason in skipped.items():
             self._skipped[str(path)] = reason
             self._echo_warning(f"skipped: {reason}")
-        used_names = {run.name for run in disjoint_from}
+        require_disjoint(runs, disjoint_from)
         for run in runs:
-            if run.name in used_names:
-                raise UserError(f"run `{run.name}` is in both lists", str(run.path), remedy="Give it in one list only")
             self._inputs.append((run.name, role, run.digest))
         return runs
 
@@ -153,6 +153,7 @@ class Session:
             return items
         from tqdm import tqdm
 
+        tqdm.monitor_interval = 0  # no thread, which would make the fork of the process that reads files unsafe
         bar: Iterable[T] = tqdm(items, desc=description, total=total, file=sys.stderr, leave=False)
         return bar
 
@@ -180,7 +181,7 @@ class Session:
 
         Raises UserError where `path` is also an input.
         """
-        if path.resolve() in {item.resolve() for item in paths_of_type(self._context, InputFile)}:
+        if path.resolve() in {Path(os.path.realpath(item)) for item in paths_of_type(self._context, InputFile)}:
             raise UserError("is also an input of this command", str(path), remedy="Give the output another place")
         part = self._staged.stage_file(path)
         self._outputs.append(path)
@@ -211,13 +212,14 @@ class Session:
         try:
             yield
         except UserError as error:
+            named = error.with_file_of(run.name, str(run.path or run.name))
             if not skip_bad:
-                raise error.with_location(str(run.path or run.name)) from error
+                raise named from error
             for path in self._outputs[before:]:
                 self._staged.unstage(path)
             del self._outputs[before:]
-            self._skipped[str(run.path or run.name)] = str(error)
-            self._echo_warning(f"skipped: {error}")
+            self._skipped[str(run.path or run.name)] = str(named)
+            self._echo_warning(f"skipped: {named}")
 
     def finish(self, summary: Mapping[str, Any], text: Iterable[str] = ()) -> None:
         """Set the summary (one JSON object) and the text for the user, printed once all outputs are in place."""
@@ -280,7 +282,7 @@ def balance_command(name: str, **attributes: Any) -> Callable[[Callable[..., Non
             context = click.get_current_context()
             check_outputs(context)
             session, failed = Session(context, json_path), True
-            with log_to_stderr(verbose):
+            with log_to_stderr(verbose), reader_process():
                 try:
                     function(session, **parameters)
                     failed = False

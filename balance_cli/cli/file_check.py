@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
+from balance_cli.campaign.recording.channel_range import full_range_faults
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
 from balance_cli.campaign.rig.geometry import Geometry
@@ -109,7 +110,7 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
         channels = channel_faults(run, dict.fromkeys(run.channel_names))
     else:
         channels = live_channels(run, geometry).left_out
-        faults += tuple(geometry_mismatches(run, geometry))
+        faults += (*geometry_mismatches(run, geometry), *full_range_faults(run, geometry))
     faults += tuple(pulse_faults(run))
     remedy = "Commands leave it out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())

@@ -20,13 +20,15 @@ F = TypeVar("F", bound=Callable[..., Any])
 class _UsablePath(click.Path):
     """A path that the file system can look up."""
 
+    refused: tuple[int, ...] = (errno.ELOOP, errno.ENAMETOOLONG)
+
     def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> Any:
         """Convert the word to a path. Raises UserError where its name is too long or its links go in a circle."""
         path = super().convert(value, parameter, context)
         try:
             Path(os.fsdecode(path)).stat()
         except OSError as error:
-            if error.errno in (errno.ELOOP, errno.ENAMETOOLONG):
+            if error.errno in self.refused:
                 raise UserError(f"cannot be used: {error.strerror}", str(path), remedy="Give another path") from error
         return path
 
@@ -36,8 +38,14 @@ class InputFile(_UsablePath):
 
     name = "file"
 
-    def __init__(self) -> None:
-        super().__init__(path_type=Path)
+    def __init__(self, readable: bool = True) -> None:
+        super().__init__(path_type=Path, readable=readable)
+
+
+class ListedFile(InputFile):
+    """A file of a list in which a command reports the faults of each."""
+
+    refused = (errno.ENAMETOOLONG,)
 
 
 class InputFolder(_UsablePath):
@@ -70,7 +78,9 @@ class OutputFolder(_UsablePath):
 geometry_option: Callable[[F], F] = click.option(
     "-g", "--geometry", "geometry", type=InputFile(), required=True, metavar="GEOMETRY", help="Geometry of the rig."
 )
-runs_argument: Callable[[F], F] = click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN...")
+runs_argument: Callable[[F], F] = click.argument(
+    "runs", type=InputFile(readable=False), nargs=-1, required=True, metavar="RUN..."
+)
 skip_bad_option: Callable[[F], F] = click.option(
     "--skip-bad", is_flag=True, help="Skip the runs that cannot be used, and list them."
 )
@@ -164,7 +174,7 @@ def check_outputs(context: click.Context) -> None:
 
     Raises UserError where an output cannot be written, or would overwrite an input or another output.
     """
-    inputs = {path.resolve() for path in paths_of_type(context, InputFile)}
+    inputs = {Path(os.path.realpath(path)) for path in paths_of_type(context, InputFile)}
     outputs: set[Path] = set()
     for path in paths_of_type(context, OutputFile):
         check_output(path)

@@ -12,6 +12,7 @@ from balance_cli.cli.options import InputFile, OutputFolder, deprecated_option
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import LOADS_FORMAT
+from balance_cli.io.spreadsheet import text_cell
 from balance_cli.reduction.choices import INTERPOLATIONS, LOAD_MODELS, METHODS, TABLE_SUFFIXES
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ if TYPE_CHECKING:
 @click.option("--harmonics", type=click.IntRange(1, 64), default=8, show_default=True, help="Highest rotor harmonic.")
 @click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record, the zero of the mean loads.")
 @click.option("--history", type=OutputFolder(), metavar="DIR", help="Also write load histories RUN.h5 to this folder.")
-@click.argument("runs", type=InputFile(), nargs=-1, required=True, metavar="RUN...")
+@click.argument("runs", type=InputFile(readable=False), nargs=-1, required=True, metavar="RUN...")
 @skip_bad_option
 @output_option("LOADS", "Table of loads, .csv or .h5.")
 def command(
@@ -189,4 +190,6 @@ def _write_load_table(session: Session, output: Path, loads: HubLoads) -> None:
         return
     from balance_cli.reduction.result import load_table
 
-    load_table(loads).to_csv(session.stage(output), index=False)
+    table = load_table(loads)
+    table["run"] = table["run"].map(text_cell)
+    session.write_text(output, table.to_csv(index=False, lineterminator="\n"))

@@ -26,6 +26,7 @@ from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import ARTEFACT_FORMATS
 from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
+from balance_cli.io.reader_process import read_in_child
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file, sniff_format
 
 ROOT_ATTRIBUTES = ("format", "digest", "command", "options", "inputs", "versions", "created")
@@ -141,6 +142,7 @@ def load_artefact(path: Path, types: Mapping[str, type[Any]]) -> Artefact:
     return Artefact(stored.format, content, stored.provenance, stored.digest)
 
 
+@read_in_child
 def read_stored(path: Path) -> StoredArtefact:
     """Read an artefact without knowing its type, and check its digest.
 

@@ -21,6 +21,14 @@ class UserError(Exception):
         message = f"{where}: {self.fault}" if where else self.fault
         return f"{message}. {self.remedy}" if self.remedy else message
 
+    def __reduce__(self) -> tuple[type["UserError"], tuple[str, ...]]:
+        """For `pickle`: a dataclass does not pass its fields to the exception."""
+        return type(self), (self.fault, self.file, self.place, self.remedy)
+
     def with_location(self, file: str = "", place: str = "") -> "UserError":
         """The same error with `file` and `place` filled in where they are empty."""
         return UserError(self.fault, self.file or file, self.place or place, self.remedy)
+
+    def with_file_of(self, name: str, file: str) -> "UserError":
+        """The same error with `file` where it names nothing, or a run by its `name`."""
+        return UserError(self.fault, file if self.file in ("", name) else self.file, self.place, self.remedy)

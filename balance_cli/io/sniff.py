@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 from balance_cli.io.errors import UserError
+from balance_cli.io.reader_process import read_in_child
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 SNIFF_BYTES = 65536
@@ -46,12 +49,31 @@ def describe_file(path: Path) -> str:
 
 
 def require_file(path: Path) -> None:
-    """Raise UserError where nothing is at `path`."""
-    if not path.exists():
-        raise UserError("there is no such file", str(path), remedy="Check the name")
+    """Raise UserError where nothing is at `path`, or it cannot be read."""
+    try:
+        path.stat()
+    except FileNotFoundError as error:
+        raise UserError("there is no such file", str(path), remedy="Check the name") from error
+    except (OSError, ValueError) as error:
+        raise _unreadable_error(path, error) from error
+    if not os.access(path, os.R_OK):
+        raise _unreadable_error(path, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+
+
+def _unreadable_error(path: Path, error: OSError | ValueError) -> UserError:
+    reason = getattr(error, "strerror", None) or str(error)
+    return UserError(f"cannot be read: {reason}", str(path), remedy="Check its name and permissions")
 
 
 def _hdf5_format(path: Path) -> str | None:
+    try:
+        return _read_hdf5_format(path)
+    except UserError:
+        return None
+
+
+@read_in_child
+def _read_hdf5_format(path: Path) -> str | None:
     import h5py
 
     try:

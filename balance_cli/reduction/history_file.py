@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS, UNITS
-from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.formats import HISTORY_FORMAT
 from balance_cli.reduction.kalman.load_history import LoadHistory, LoadTrack
 from balance_cli.reduction.result import RunLoads
@@ -61,18 +60,17 @@ class HistoryFile:
     """
 
     def __init__(self, path: Path, run: str) -> None:
-        import h5py
+        from balance_cli.io.hdf5_output import Hdf5Output
 
-        self._path, self._buffer = path, _WriteBuffer()
-        with os_errors_as_user_error(path):
-            self._file: Any = h5py.File(path, "w")
-            self._file.attrs["format"] = HISTORY_FORMAT
-            self._file.attrs["run"] = run
-            self._create_appendable("time", ()).attrs["unit"] = "s"
-            for name in ("loads", "sigma"):
-                table = self._create_appendable(name, (len(COMPONENTS),))
-                table.attrs["names"] = COMPONENTS
-                table.attrs["units"] = UNITS
+        self._output, self._buffer = Hdf5Output(path), _WriteBuffer()
+        self._file = self._output.file
+        self._file.attrs["format"] = HISTORY_FORMAT
+        self._file.attrs["run"] = run
+        self._create_appendable("time", ()).attrs["unit"] = "s"
+        for name in ("loads", "sigma"):
+            table = self._create_appendable(name, (len(COMPONENTS),))
+            table.attrs["names"] = COMPONENTS
+            table.attrs["units"] = UNITS
 
     def _create_appendable(self, name: str, row: tuple[int, ...]) -> Any:
         """Create an empty dataset to which rows can be appended."""
@@ -86,17 +84,18 @@ class HistoryFile:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with os_errors_as_user_error(self._path):
+        try:
             if error is None:
                 self._append(self._buffer.drain())
-            self._file.close()
+        finally:
+            self._output.close(report=error is None)
 
     def add(self, block: LoadHistory) -> None:
         """Append a block; short blocks are collected before they are written."""
         self._buffer.add(block)
         if self._buffer.rows >= HISTORY_CHUNK_ROWS:
-            with os_errors_as_user_error(self._path):
-                self._append(self._buffer.drain())
+            self._append(self._buffer.drain())
+            self._output.check()
 
     def _append(self, rows: dict[str, Array]) -> None:
         for name, values in rows.items():
@@ -109,15 +108,15 @@ class HistoryFile:
         """Write the group `harmonics`: `time` (r,), `cosine`, `sine`, `sigma` (r, n+1, 6), NaN if not carried."""
         columns = [COMPONENTS.index(name) for name in components]
         parts = {"cosine": track.amplitude.real, "sine": -track.amplitude.imag, "sigma": track.sigma}
-        with os_errors_as_user_error(self._path):
-            group = self._file.create_group("harmonics")
-            group.create_dataset("time", data=track.time).attrs["unit"] = "s"
-            for name, values in parts.items():
-                table = np.full((*values.shape[:2], len(COMPONENTS)), np.nan)
-                table[:, :, columns] = values
-                dataset = group.create_dataset(name, data=table, compression="gzip")
-                dataset.attrs["names"] = COMPONENTS
-                dataset.attrs["units"] = UNITS
+        group = self._file.create_group("harmonics")
+        group.create_dataset("time", data=track.time).attrs["unit"] = "s"
+        for name, values in parts.items():
+            table = np.full((*values.shape[:2], len(COMPONENTS)), np.nan)
+            table[:, :, columns] = values
+            dataset = group.create_dataset(name, data=table, compression="gzip")
+            dataset.attrs["names"] = COMPONENTS
+            dataset.attrs["units"] = UNITS
+        self._output.check()
 
 
 class _WriteBuffer:

@@ -63,6 +63,7 @@ RC_PARAMS: dict[Any, Any] = {
     "hatch.linewidth": 0.6,
     "svg.fonttype": "none",
     "axes.unicode_minus": True,
+    "text.parse_math": False,  # names of channels and runs may contain `$`
 }
 
 

@@ -7,12 +7,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import yaml
 from pydantic import ValidationError
 
+from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
+from balance_cli.io.hdf5_output import Hdf5Output
 from balance_cli.io.sniff import describe_file, require_file
 from balance_cli.io.yaml_file import read_yaml
 from balance_cli.simulation.extensions.base import Extension
@@ -81,15 +82,17 @@ def write_truth_text(path: Path, rig: TrueRig, about: Mapping[str, Any], plan: C
         "rig": rig_to_dict(rig),
         "runs": [run.model_dump(mode="json", exclude_none=True) for run in plan.runs],
     }
-    path.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+    with os_errors_as_user_error(path):
+        path.write_text(text, encoding="utf-8")
 
 
 def write_truth_arrays(path: Path, truths: Sequence[RunTruth]) -> None:
     """Write the truth of each run as one group, with datasets named as the fields of RunTruth."""
-    with h5py.File(path, "w") as file:
-        file.attrs["format"] = TRUTH_FORMAT
+    with Hdf5Output(path) as output:
+        output.file.attrs["format"] = TRUTH_FORMAT
         for truth in truths:
-            group = file.create_group(truth.name)
+            group = output.file.create_group(truth.name)
             group.attrs["kind"] = truth.kind
             for name, value in asdict(truth).items():
                 if isinstance(value, np.ndarray):

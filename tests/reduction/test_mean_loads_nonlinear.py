@@ -151,7 +151,7 @@ def test_skip_bad_leaves_out_the_run_that_cannot_be_solved(tmp_path):
     words = ["reduce", "--calibration", str(cal), "--static", *(str(tmp_path / f"w{i}.h5") for i in (1, 2))]
     refused = CliRunner().invoke(balance, [*words, "-o", str(out)])
     assert refused.exit_code == 2 and not out.exists()
-    assert "w2, mean of Fz" in refused.stderr
+    assert "w2.h5, mean of Fz" in refused.stderr
     done = CliRunner().invoke(balance, [*words, "-o", str(out), "--skip-bad"])
     assert done.exit_code == 0, done.output
     assert "w1" in out.read_text() and "w2" not in out.read_text()

@@ -133,6 +133,20 @@ def pick_channels(channels: Array, present: Sequence[str], names: Sequence[str])
     return picked
 
 
+def have_same_samples(first: Run, second: Run) -> bool:
+    """Whether two runs are one recording, whatever their names; noise makes any two recordings differ at once."""
+    if (first.samples, first.sample_rate, first.kind) != (second.samples, second.sample_rate, second.kind):
+        return False
+    common = [name for name in first.channel_names if name in second.channel_names]
+    if not common:
+        return False
+    for a, b in zip(first.blocks(), second.blocks(), strict=True):
+        samples = pick_channels(a.channels, first.channel_names, common)
+        if not np.array_equal(samples, pick_channels(b.channels, second.channel_names, common), equal_nan=True):
+            return False
+    return True
+
+
 _DIGESTED_FIELDS = {item.name for item in fields(Run)} - {"source", "path", "digest", "pulse_times", "attitude"}
 
 

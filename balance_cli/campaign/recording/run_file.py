@@ -10,7 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from balance_cli.campaign.recording.run import Array, Run, SampleBlock, run_digest
+from balance_cli.campaign.recording.run import Array, Run, SampleBlock, have_same_samples, run_digest
 from balance_cli.campaign.recording.run_checks import load_sample_faults, run_file_faults
 from balance_cli.campaign.recording.run_contents import read_contents, report_damage
 from balance_cli.campaign.recording.run_schema import run_from_contents
@@ -20,6 +20,8 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import RUN_FORMAT
+from balance_cli.io.hdf5_output import Hdf5Output
+from balance_cli.io.reader_process import read_in_child
 
 CHUNK_ROWS = 4096
 """Samples in a chunk of a dataset: 5 s at 800 Hz, so that a short excerpt needs few chunks."""
@@ -56,16 +58,21 @@ def read_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
     """Return the run in a file, None where it cannot be read, and all faults of the file."""
     path = Path(path)
     try:
-        contents = read_contents(path)
-        faults = tuple(run_file_faults(contents))
-        if faults:
-            return None, tuple(fault.with_location(file=str(path)) for fault in faults)
-        order = None if contents.loads is None else tuple(contents.loads.names.index(name) for name in COMPONENTS)
-        run = run_from_contents(contents, Hdf5Source(path, order), path)
-        faults = tuple(load_sample_faults(run))
-        return replace(run, digest=run_digest(run)), tuple(fault.with_location(file=str(path)) for fault in faults)
+        run, faults = _read_whole_run(path)
     except UserError as error:
-        return None, (error.with_location(file=str(path)),)
+        run, faults = None, (error,)
+    return run, tuple(fault.with_location(file=str(path)) for fault in faults)
+
+
+@read_in_child
+def _read_whole_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
+    contents = read_contents(path)
+    faults = tuple(run_file_faults(contents))
+    if faults:
+        return None, faults
+    order = None if contents.loads is None else tuple(contents.loads.names.index(name) for name in COMPONENTS)
+    run = run_from_contents(contents, Hdf5Source(path, order), path)
+    return replace(run, digest=run_digest(run)), tuple(load_sample_faults(run))
 
 
 def open_runs(
@@ -123,6 +130,18 @@ def _duplicate_run_error(run: Run, first: Run) -> UserError:
     return UserError(f"has the same run name as {first.path}", str(run.path), "run", remedy)
 
 
+def require_disjoint(runs: Iterable[Run], used: Iterable[Run]) -> None:
+    """Raise UserError for a run that is also in the list `used`, under its own name or another."""
+    used = tuple(used)
+    for run in runs:
+        for other in used:
+            if run.name == other.name:
+                raise UserError(f"run `{run.name}` is in both lists", str(run.path), remedy="Give it in one list only")
+            if have_same_samples(run, other):
+                fault = f"has the samples of run `{other.name}` ({other.path}), which is in the other list"
+                raise UserError(fault, str(run.path), "channels", "Give the recording in one list only")
+
+
 # ---- writing ---------------------------------------------------------------------------------------------------------
 
 
@@ -131,7 +150,8 @@ def write_run(path: Path, run: Run) -> None:
 
     Samples are stored as float32 where that loses nothing, else as float64.
     """
-    with atomic_write(Path(path)) as part, h5py.File(part, "w") as file:
+    with atomic_write(Path(path)) as part, Hdf5Output(part) as output:
+        file = output.file
         for name, value in _attributes(run).items():
             file.attrs[name] = value
         exact = all(_fits_float32(block.channels) and _fits_float32(block.loads) for block in run.blocks())
@@ -145,6 +165,7 @@ def write_run(path: Path, run: Run) -> None:
             channels[block.start : block.start + len(block.channels)] = block.channels
             if loads is not None:
                 loads[block.start : block.start + len(block.channels)] = block.loads
+            output.check()
         if run.pulse_times is not None:
             file["rotor/pulse_times"] = run.pulse_times
         if run.attitude is not None:
