@@ -197,7 +197,17 @@ def summaries(tmp_path_factory):
     (folder / "plan.yaml").write_text(yaml.safe_dump(plan))
     static, sweep, check = (str(data / f"{name}.h5") for name in ("static-bare", "sweep-Fz-high", "check-1"))
     cal, out, model = (str(folder / name) for name in ("cal.h5", "out.h5", "model.h5"))
+    (folder / "table.csv").write_text("a [V],Fz [N],t [s]\n" + "".join(f"{k % 7},{k % 5},{k / 8}\n" for k in range(99)))
+    import_map = {
+        "format": "balance-import/1",
+        "rig": "r",
+        "time": "t",
+        "channels": {"a": "z1"},
+        "runs": [{"file": "*", "kind": "zero"}],
+    }
+    (folder / "map.yaml").write_text(yaml.safe_dump(import_map))
     calls = {
+        "import": [str(folder / "map.yaml"), str(folder / "table.csv"), "-o", str(folder / "imported")],
         "calibrate": [*g, static, "-o", cal],
         "apply": [cal, static, "--zero", "first", "-o", str(folder / "points.csv")],
         "sweep-tf": [*g, sweep, "--to", "20", "-o", out],

@@ -11,6 +11,7 @@ from balance_cli import __version__
 from balance_cli.cli.errors import BalanceCommand
 
 COMMANDS = (
+    "import",
     "calibrate",
     "apply",
     "sweep-tf",
@@ -24,10 +25,12 @@ COMMANDS = (
     "run",
     "export",
 )
+MODULES = {"import": "import_runs"}
+"""Modules of commands whose name is a word of Python."""
 
 
 def _module_name(name: str) -> str:
-    return f"{__name__}.{name.replace('-', '_')}"
+    return f"{__name__}.{MODULES.get(name, name.replace('-', '_'))}"
 
 
 class LazyGroup(BalanceCommand, click.Group):

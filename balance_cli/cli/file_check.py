@@ -8,6 +8,7 @@ from pathlib import Path
 
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
 from balance_cli.campaign.recording.channel_range import full_range_faults
+from balance_cli.campaign.recording.import_map_file import read_import_map
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
 from balance_cli.campaign.rig.geometry import Geometry
@@ -15,7 +16,7 @@ from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.campaign.rig.geometry_file import geometry_digest, read_geometry
 from balance_cli.io.artefacts import StoredArtefact, read_stored
 from balance_cli.io.errors import UserError
-from balance_cli.io.formats import ARTEFACT_FORMATS, GEOMETRY_FORMAT, MATRIX_FORMAT, RUN_FORMAT
+from balance_cli.io.formats import ARTEFACT_FORMATS, GEOMETRY_FORMAT, IMPORT_FORMAT, MATRIX_FORMAT, RUN_FORMAT
 from balance_cli.io.sniff import describe_file, require_file, sniff_format
 
 LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
@@ -51,6 +52,7 @@ def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
         GEOMETRY_FORMAT: _check_geometry_file,
         RUN_FORMAT: _check_run_file,
         **dict.fromkeys(ARTEFACT_FORMATS, _check_artefact_file),
+        IMPORT_FORMAT: _check_import_map,
     }
     if declared in readers:
         return readers[declared](path, geometry)
@@ -150,6 +152,22 @@ def _check_artefact_file(path: Path, geometry: Geometry | None) -> FileFinding:
 def _stored_geometry(stored: StoredArtefact) -> Geometry | None:
     text = stored.tree.get("geometry")
     return Geometry.model_validate_json(text) if isinstance(text, str) else None
+
+
+def _check_import_map(path: Path, geometry: Geometry | None) -> FileFinding:
+    try:
+        mapping = read_import_map(path)
+    except UserError as error:
+        return FileFinding(IMPORT_FORMAT, "map of an import", faults=(error,))
+    about = f"map of an import for rig `{mapping.rig}`: {len(mapping.channels)} channels, {len(mapping.runs)} entries"
+    known = set(geometry.channel_names) if geometry is not None else set()
+    names = [channel.name for channel in mapping.channels.values()]
+    faults = [
+        UserError(f"the geometry has no channel `{name}`", str(path), "channels", "Correct the name")
+        for name in names
+        if geometry is not None and name not in known
+    ]
+    return FileFinding(IMPORT_FORMAT, about, rig=mapping.rig, faults=tuple(faults))
 
 
 def _check_matrix_file(path: Path, geometry: Geometry | None) -> FileFinding:

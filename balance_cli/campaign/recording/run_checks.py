@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from balance_cli.campaign.recording.attribute_checks import kind_faults, name_faults
 from balance_cli.campaign.recording.dataset_checks import attitude_faults, channel_faults, load_faults, pulse_faults
-from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Run
+from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Run, SampleBlock
 from balance_cli.campaign.recording.run_schema import RunFileContents
 from balance_cli.campaign.rig.components import COMPONENTS, RUN_KINDS
 from balance_cli.io.errors import UserError
@@ -34,17 +34,43 @@ def load_sample_faults(run: Run) -> Iterator[UserError]:
     """
     if not run.has_loads:
         return
-    bad, largest = np.zeros(len(COMPONENTS), int), np.zeros(len(COMPONENTS))
+    check = LoadCheck(run)
     for block in run.blocks():
-        assert block.loads is not None
-        sound = np.abs(block.loads) <= LARGEST_MAGNITUDE
-        bad += (~sound).sum(axis=0)
-        largest = np.maximum(largest, np.abs(np.where(sound, block.loads, 0.0)).max(axis=0, initial=0.0))
-    for name, count, peak in zip(COMPONENTS, bad, largest, strict=True):
-        place = f"loads, column {name}"
-        if count:
-            fault = f"{count} of {run.samples} samples of the load are not finite, or beyond {LARGEST_MAGNITUDE:g}"
-            yield UserError(fault, place=place, remedy="Repeat the run, or cut it before these samples")
-        elif name in run.excited and peak == 0.0:
-            fault = "all samples are zero, which declares the load as not measured, but `excited` names it"
-            yield UserError(fault, place=place, remedy="Correct `excited`, or record this load")
+        check.see(block)
+    yield from check.faults()
+
+
+class LoadCheck:
+    """The check of the samples of the loads of a run, while they pass block by block."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._bad, self._largest = np.zeros(len(COMPONENTS), int), np.zeros(len(COMPONENTS))
+
+    def watch(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
+        """The same blocks, seen."""
+        for block in blocks:
+            self.see(block)
+            yield block
+
+    def see(self, block: SampleBlock) -> None:
+        """Take note of the loads of a block."""
+        if block.loads is not None:
+            sound = np.abs(block.loads) <= LARGEST_MAGNITUDE
+            self._bad += (~sound).sum(axis=0)
+            largest = np.abs(np.where(sound, block.loads, 0.0)).max(axis=0, initial=0.0)
+            self._largest = np.maximum(self._largest, largest)
+
+    def faults(self) -> Iterator[UserError]:
+        """Yield the faults of what was seen."""
+        if not self._run.has_loads:
+            return
+        for name, count, peak in zip(COMPONENTS, self._bad, self._largest, strict=True):
+            place = f"loads, column {name}"
+            if count:
+                samples = f"{count} of {self._run.samples} samples"
+                fault = f"{samples} of the load are not finite, or beyond {LARGEST_MAGNITUDE:g}"
+                yield UserError(fault, place=place, remedy="Repeat the run, or cut it before these samples")
+            elif name in self._run.excited and peak == 0.0:
+                fault = "all samples are zero, which declares the load as not measured, but `excited` names it"
+                yield UserError(fault, place=place, remedy="Correct `excited`, or record this load")

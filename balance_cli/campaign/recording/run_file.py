@@ -13,7 +13,7 @@ import numpy as np
 from balance_cli.campaign.recording.run import Array, Run, SampleBlock, have_same_samples, run_digest
 from balance_cli.campaign.recording.run_checks import load_sample_faults, run_file_faults
 from balance_cli.campaign.recording.run_contents import read_contents, report_damage
-from balance_cli.campaign.recording.run_schema import run_from_contents
+from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileContents, run_from_contents
 from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS, UNITS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -145,23 +145,26 @@ def require_disjoint(runs: Iterable[Run], used: Iterable[Run]) -> None:
 # ---- writing ---------------------------------------------------------------------------------------------------------
 
 
-def write_run(path: Path, run: Run) -> None:
+def write_run(path: Path, run: Run, blocks: Iterable[SampleBlock] | None = None) -> None:
     """Write a run file, whole or not at all.
 
-    Samples are stored as float32 where that loses nothing, else as float64.
+    Samples are stored as float32 where that loses nothing, else as float64. Where their `blocks` are given, they are
+    read only once, from there, and stored as float64.
     """
     with atomic_write(Path(path)) as part, Hdf5Output(part) as output:
         file = output.file
         for name, value in _attributes(run).items():
             file.attrs[name] = value
-        exact = all(_fits_float32(block.channels) and _fits_float32(block.loads) for block in run.blocks())
+        exact = blocks is None and all(
+            _fits_float32(block.channels) and _fits_float32(block.loads) for block in run.blocks()
+        )
         kind = np.float32 if exact else np.float64
         channels = _create_dataset(file, "channels", run.samples, run.channel_names, kind)
         channels.attrs["unit"] = "V"
         loads = _create_dataset(file, "loads", run.samples, COMPONENTS, kind) if run.has_loads else None
         if loads is not None:
             loads.attrs.create("units", UNITS, dtype=h5py.string_dtype())
-        for block in run.blocks():
+        for block in run.blocks() if blocks is None else blocks:
             channels[block.start : block.start + len(block.channels)] = block.channels
             if loads is not None:
                 loads[block.start : block.start + len(block.channels)] = block.loads
@@ -172,6 +175,23 @@ def write_run(path: Path, run: Run) -> None:
             angles = _create_dataset(file, "attitude", run.samples, ANGLES, np.float64)
             angles.attrs["unit"] = "deg"
             angles[:] = run.attitude
+
+
+def contents_of_run(run: Run) -> RunFileContents:
+    """What the file of a run holds beside its samples, for the checks of run files."""
+    attributes = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in _attributes(run).items()
+    }
+    pulses, angles = run.pulse_times, run.attitude
+    return RunFileContents(
+        attributes,
+        channels=DatasetLayout((run.samples, len(run.channel_names)), "f", run.channel_names, ("V",)),
+        loads=DatasetLayout((run.samples, len(COMPONENTS)), "f", COMPONENTS, UNITS) if run.has_loads else None,
+        pulses=None if pulses is None else DatasetLayout(pulses.shape, "f", (), ()),
+        pulse_times=pulses,
+        attitude=None if angles is None else DatasetLayout(angles.shape, "f", ANGLES, ("deg",)),
+        angles=angles,
+    )
 
 
 def _attributes(run: Run) -> dict[str, Any]:

@@ -1,0 +1,45 @@
+"""Readers of the files of other programs: one module for each format, found by content.
+
+A format is a module with NAME, `sniff` and `open_file` as in `balance_cli.importers.base.Format`, and one line in
+FORMATS. Nothing else names it.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+from balance_cli.importers.base import SNIFFED_BYTES, ForeignFile, Format, TextLayout, distinct_names
+from balance_cli.io.errors import UserError
+from balance_cli.io.sniff import describe_file, require_file
+
+FORMATS = ("tdms", "mdf", "mat", "hdf5", "wav", "parquet", "uff", "text")
+"""Modules in the order in which they are asked. A file of MATLAB 7.3 is also one of HDF5, and any other file may be
+text."""
+
+
+def open_foreign(path: Path, layout: TextLayout | None = None) -> ForeignFile:
+    """Open a file of another program by its content. Raises UserError where no format fits, or it is damaged."""
+    try:
+        require_file(path)
+        if not path.is_file() or not path.stat().st_size:
+            raise UserError(f"is {describe_file(path)}, where a recording was expected", remedy="Give a data file")
+        with path.open("rb") as file:
+            head = file.read(SNIFFED_BYTES)
+        opened = _format_of(path, head).open_file(path, layout or TextLayout())
+    except UserError as error:
+        raise error.with_location(file=str(path)) from error
+    except OSError as error:
+        raise UserError(f"cannot be read: {error.strerror or error}", str(path), remedy="Check the file") from error
+    return replace(opened, groups=distinct_names(opened.groups))
+
+
+def _format_of(path: Path, head: bytes) -> Format:
+    for name in FORMATS:
+        module = cast(Format, importlib.import_module(f"{__name__}.{name}"))
+        if module.sniff(path, head):
+            return module
+    known = "CSV or other text, UFF 58, TDMS, MDF4, MAT, HDF5, WAV and Parquet"
+    raise UserError("is of no format that can be imported", remedy=f"Export it as one of {known}")

@@ -1,0 +1,116 @@
+"""What every format gives: the channels of a file, in groups that were sampled together, read in blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.io.errors import UserError
+
+Array = NDArray[np.float64]
+ReadBlock = Callable[[Sequence[int], int, int], Array]
+"""`read(columns, start, stop)` returns samples start to stop (stop - start, len(columns)) as float64."""
+
+SNIFFED_BYTES = 65536
+"""Bytes at the start of a file by which its format is recognized."""
+
+
+@dataclass(frozen=True)
+class ForeignChannel:
+    """A channel as its file names it; `unit` is empty where the file states none."""
+
+    name: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class ChannelGroup:
+    """Channels that were sampled together.
+
+    `rate` [Hz] is None where the file states none (a time column may). `start` [s] is the time of the first sample on
+    the clock of the file. `unusable` says why the group is no record of samples in time (a spectrum, text), else empty.
+    """
+
+    channels: tuple[ForeignChannel, ...]
+    samples: int
+    read: ReadBlock = field(repr=False)
+    rate: float | None = None
+    start: float = 0.0
+    unusable: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels."""
+        return tuple(channel.name for channel in self.channels)
+
+
+@dataclass(frozen=True)
+class ForeignFile:
+    """An opened file of another program: its groups of channels, and `notes` on what was assumed in reading it.
+
+    `scalars` are single numbers that stand beside the channels, such as a sample rate.
+    """
+
+    path: Path
+    format: str
+    groups: tuple[ChannelGroup, ...]
+    notes: tuple[str, ...] = ()
+    recorded: str | None = None
+    scalars: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TextLayout:
+    """How a text file is to be read, where it is not to be found out; rows count from 1."""
+
+    separator: str | None = None
+    decimal: str | None = None
+    name_row: int | None = None
+    unit_row: int | None = None
+    first_row: int | None = None
+    encoding: str | None = None
+
+
+class Format(Protocol):
+    """A file format: a module of this package."""
+
+    NAME: str
+
+    def sniff(self, path: Path, head: bytes) -> bool:
+        """Whether a file that begins with `head` is of this format."""
+        ...
+
+    def open_file(self, path: Path, layout: TextLayout) -> ForeignFile:
+        """Open it. Raises UserError, without the file's name, where it is damaged."""
+        ...
+
+
+def distinct_names(groups: Sequence[ChannelGroup]) -> tuple[ChannelGroup, ...]:
+    """The groups with repeated channel names told apart by `#2`, `#3` and so on, and empty ones numbered."""
+    seen: dict[str, int] = {}
+    renamed = []
+    for group in groups:
+        channels = []
+        for channel in group.channels:
+            name = " ".join(channel.name.split()) or "channel"
+            seen[name] = seen.get(name, 0) + 1
+            channels.append(replace(channel, name=name if seen[name] == 1 else f"{name} #{seen[name]}"))
+        renamed.append(replace(group, channels=tuple(channels)))
+    return tuple(renamed)
+
+
+def missing_package(format_name: str, package: str) -> UserError:
+    """The error where the package that reads a format is not installed."""
+    remedy = f"Install it: pip install {package}"
+    return UserError(f"is {format_name}, and the package `{package}` that reads it is not installed", remedy=remedy)
+
+
+def damaged(reason: object) -> UserError:
+    """The error of a file whose content ends early or contradicts itself."""
+    text = " ".join(str(reason).split())[:200]
+    return UserError(f"cannot be read, it is truncated or damaged ({text})", remedy="Copy or export it again")

@@ -1,0 +1,110 @@
+"""MAT files of MATLAB versions 4 to 7 (7.3 is HDF5: see hdf5)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout, damaged
+from balance_cli.importers.matrices import matrix_group, scalar_of
+from balance_cli.io.errors import UserError
+
+NAME = "MAT"
+VERSION_5 = b"MATLAB 5.0 MAT-file"
+KEPT_VARIABLES = 4
+"""Variables kept in memory: a compressed variable can only be read whole, and is read block by block from there."""
+DEEPEST = 4
+"""Levels of nested structures."""
+NUMERIC_CLASSES = {"double", "single", "logical"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+LARGEST_HEADER_NUMBER = 4052
+"""Of the first number of a version 4 header, which is 1000 M + 100 O + 10 P + T with M <= 4, P <= 5 and T <= 2."""
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """Whether the header is that of version 5, or of a version 4 matrix in either byte order."""
+    if head.startswith(b"MATLAB") and head[124:128] not in (b"", b"\0\2MI", b"\0\2IM"):
+        return head[126:128] in (b"MI", b"IM") and head[124:126] in (b"\x00\x01", b"\x01\x00")
+    return any(_is_version_4(np.frombuffer(head[:20], f"{order}i4")) for order in "<>") if len(head) >= 20 else False
+
+
+def _is_version_4(header: Any) -> bool:
+    """Type, rows, columns, imaginary flag and length of the name of a version 4 matrix."""
+    kind, rows, columns, imaginary, length = (int(value) for value in header)
+    digits = (kind // 100 % 10, kind // 10 % 10, kind % 10)
+    sound = 0 <= kind <= LARGEST_HEADER_NUMBER and digits[0] == 0 and digits[1] <= 5 and digits[2] <= 2
+    return sound and rows >= 0 and columns >= 0 and imaginary in (0, 1) and 1 < length < 256
+
+
+def open_file(path: Path, layout: TextLayout) -> ForeignFile:
+    """List the variables; a matrix is read when its samples are."""
+    from scipy.io import whosmat
+
+    try:
+        listed = whosmat(str(path))
+    except Exception as error:  # scipy raises whatever damaged bytes lead to
+        raise damaged(error) from error
+    load = lru_cache(KEPT_VARIABLES)(lambda name: _load(path, name))
+    groups: list[ChannelGroup] = []
+    scalars: dict[str, float] = {}
+    for name, shape, kind in listed:
+        if kind in NUMERIC_CLASSES and len(shape) == 2:
+            if max(shape) > 1 and min(shape) > 0:
+                groups.append(_lazy_group(name, shape, load))
+            elif shape == (1, 1) and (value := scalar_of(load(name))) is not None:
+                scalars[name] = value
+        elif kind == "struct":
+            for member, values in _members(name, load(name)):
+                if (value := scalar_of(values)) is not None:
+                    scalars[member] = value
+                elif (group := matrix_group(member, values)) is not None:
+                    groups.append(group)
+    if not groups:
+        raise UserError("has no matrix of numbers with samples", remedy="Save the records as matrices or vectors")
+    return ForeignFile(path, NAME, tuple(groups), scalars=scalars)
+
+
+def _load(path: Path, name: str) -> Any:
+    from scipy.io import loadmat
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            value = loadmat(str(path), variable_names=[name], struct_as_record=True)[name]
+    except Exception as error:
+        raise damaged(f"variable {name}: {error}").with_location(file=str(path)) from error
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iufbV":
+        raise UserError("is sparse or complex", str(path), f"variable {name}", "Leave it out of the map")
+    return value
+
+
+def _lazy_group(name: str, shape: tuple[int, ...], load: Any) -> ChannelGroup:
+    """The columns of a matrix as channels, its longer side as time."""
+    by_columns = shape[0] >= shape[1]
+    count = min(shape)
+    names = (name,) if count == 1 else tuple(f"{name}[{k + 1}]" for k in range(count))
+
+    def read(columns: Sequence[int], start: int, stop: int) -> Array:
+        matrix = load(name)
+        part = matrix[start:stop, list(columns)] if by_columns else matrix[list(columns), start:stop].T
+        return np.asarray(part, np.float64)
+
+    return ChannelGroup(tuple(ForeignChannel(channel) for channel in names), max(shape), read)
+
+
+def _members(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """The numeric members of a structure with their dotted names; of an array of structures only single ones."""
+    fields = getattr(getattr(value, "dtype", None), "names", None)
+    if fields is None:
+        yield name, value
+        return
+    if getattr(value, "size", 1) == 1 and depth < DEEPEST:
+        record = value.reshape(-1)[0] if isinstance(value, np.ndarray) else value
+        for item in fields:
+            yield from _members(f"{name}.{item}", record[item], depth + 1)

@@ -1,0 +1,36 @@
+"""Matrices in memory as groups of channels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel
+
+FEWEST_SAMPLES = 2
+
+
+def scalar_of(values: Any) -> float | None:
+    """The single real number in an array, else None."""
+    array = np.asarray(values)
+    if array.size != 1 or array.dtype.kind not in "iufb":
+        return None
+    return float(array.reshape(-1)[0])
+
+
+def matrix_group(name: str, values: Any) -> ChannelGroup | None:
+    """The columns of a real matrix as channels, its longer side as time; None for anything else."""
+    array = np.squeeze(np.asarray(values))
+    if array.dtype.kind not in "iufb" or array.ndim not in (1, 2) or array.size < FEWEST_SAMPLES:
+        return None
+    table = array[:, None] if array.ndim == 1 else array
+    table = table if table.shape[0] >= table.shape[1] else table.T
+    count = table.shape[1]
+
+    def read(columns: Sequence[int], start: int, stop: int) -> Array:
+        return np.asarray(table[start:stop, list(columns)], np.float64)
+
+    names = (name,) if count == 1 else tuple(f"{name}[{k + 1}]" for k in range(count))
+    return ChannelGroup(tuple(ForeignChannel(channel) for channel in names), len(table), read)

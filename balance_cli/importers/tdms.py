@@ -1,0 +1,93 @@
+"""TDMS files of National Instruments, read by npTDMS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from balance_cli.importers.base import (
+    Array,
+    ChannelGroup,
+    ForeignChannel,
+    ForeignFile,
+    TextLayout,
+    damaged,
+    missing_package,
+)
+from balance_cli.importers.written_numbers import whole_rate
+from balance_cli.io.errors import UserError
+
+NAME = "TDMS"
+
+
+def sniff(path: Path, head: bytes) -> bool:
+    """Whether it begins with the tag of a segment."""
+    return head[:4] == b"TDSm"
+
+
+def open_file(path: Path, layout: TextLayout) -> ForeignFile:
+    """List the channels; start times count from the earliest channel."""
+    try:
+        from nptdms import TdmsFile
+    except ImportError as error:
+        raise missing_package(NAME, "npTDMS") from error
+    try:
+        with TdmsFile.open(path) as file:
+            found = [
+                (group.name, channel.name, _facts(channel)) for group in file.groups() for channel in group.channels()
+            ]
+    except UserError:
+        raise
+    except Exception as error:  # npTDMS raises whatever damaged bytes lead to
+        raise damaged(error) from error
+    if not found:
+        raise UserError("has no channels", remedy="Give a file with channels")
+    begins = [facts["begin"] for _, _, facts in found if facts["begin"] is not None]
+    origin = min(begins, default=None)
+    several = len({group for group, _, _ in found}) > 1
+    groups = tuple(_group(path, group, name, facts, origin, several) for group, name, facts in found)
+    return ForeignFile(path, NAME, groups, recorded=None if origin is None else str(origin)[:19])
+
+
+def _facts(channel: Any) -> dict[str, Any]:
+    """Length, unit, step, start and type of a channel."""
+    properties = channel.properties
+    begin = properties.get("wf_start_time")
+    step = properties.get("wf_increment")
+    return {
+        "samples": len(channel),
+        "unit": str(properties.get("unit_string", "") or ""),
+        "rate": whole_rate(1.0 / float(step)) if step and float(step) > 0 else None,
+        "begin": begin if isinstance(begin, np.datetime64) and _is_set(begin) else None,
+        "offset": float(properties.get("wf_start_offset", 0.0) or 0.0),
+        "kind": np.dtype(channel.dtype).kind if channel.dtype is not None else "",
+    }
+
+
+def _is_set(time: np.datetime64) -> bool:
+    """Whether a start time is one; LabVIEW writes 1904 where there is none."""
+    return bool(time > np.datetime64("1904-01-02"))
+
+
+def _group(path: Path, group: str, name: str, facts: dict[str, Any], origin: Any, several: bool) -> ChannelGroup:
+    def read(columns: Sequence[int], start: int, stop: int) -> Array:
+        from nptdms import TdmsFile
+
+        try:
+            with TdmsFile.open(path) as file:
+                values = file[group][name].read_data(start, stop - start)
+        except Exception as error:
+            raise damaged(error).with_location(file=str(path), place=name) from error
+        return np.repeat(np.asarray(values, np.float64)[:, None], len(columns), axis=1)
+
+    start = facts["offset"]
+    if facts["begin"] is not None:
+        start += float((facts["begin"] - origin) / np.timedelta64(1, "us")) * 1e-6
+    unusable = "" if facts["kind"] in ("i", "u", "f", "b") else "text, times or complex numbers"
+    if facts["samples"] < 2:
+        unusable = "without samples"
+    channel = ForeignChannel(f"{group}/{name}" if several else name, facts["unit"])
+    return ChannelGroup((channel,), facts["samples"], read, facts["rate"], start, unusable)

@@ -1,0 +1,223 @@
+"""The rotor reference of a sampled tachometer: 1/rev pulse times, with the error of the azimuth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import scipy.signal
+from numpy.typing import NDArray
+
+from balance_cli.io.errors import UserError
+from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
+from balance_cli.signals.rotor.counts import revolution_crossings
+from balance_cli.signals.rotor.edges import (
+    Edges,
+    Levels,
+    ReadSamples,
+    find_edges,
+    find_levels,
+)
+from balance_cli.signals.rotor.pulse_smoothing import smooth_pulses
+
+Array = NDArray[np.float64]
+
+GAP_RATIO = 1.5
+"""Interval over the median of its neighbors from which a tooth is missing, and width over the median width of a wide
+pulse: halfway between one and two."""
+NEIGHBORS = 9
+"""Intervals of the running median."""
+INDEX_REMEDY = "Correct `pulses_per_revolution` and `index`, or give another tachometer channel"
+
+
+@dataclass(frozen=True)
+class AnalogLowPass:
+    """A Butterworth low-pass that the tachometer passed before it was sampled: order and cutoff [Hz]."""
+
+    order: int
+    cutoff: float
+
+
+@dataclass(frozen=True)
+class TachometerSettings:
+    """How a tachometer signal is read.
+
+    `kind`: `pulses`, `counts` (of an encoder; also an angle) or `times` (of the pulses themselves, [s]). `index` tells
+    which of several pulses a revolution is the first: `none` (any), `gap` (the one behind a missing pulse) or `wide`
+    (the one of another width). `offset_deg` is the azimuth of the rotor at the pulse, `delay` [s] what the pulses come
+    too late. Levels are in the unit of the channel, by default from its swing.
+    """
+
+    kind: Literal["pulses", "counts", "times"] = "pulses"
+    level: float | None = None
+    hysteresis: float | None = None
+    slope: Literal["auto", "rising", "falling"] = "auto"
+    pulses_per_revolution: int = 1
+    index: Literal["none", "gap", "wide"] = "none"
+    counts_per_revolution: float | None = None
+    offset_deg: float = 0.0
+    delay: float = 0.0
+    low_pass: AnalogLowPass | None = None
+    smooth: bool = True
+
+
+@dataclass(frozen=True)
+class RotorReference:
+    """1/rev pulse times (p,) [s] from the first sample, and what is known of their error.
+
+    `azimuth_error_deg` is one standard deviation of the azimuth at a pulse, `scatter_deg` that of a pulse before
+    smoothing over `window` revolutions. A constant error (of the mark on the shaft, of the level) is in neither.
+    """
+
+    pulse_times: Array = field(repr=False)
+    mean_rate: float
+    azimuth_error_deg: float
+    scatter_deg: float
+    window: float
+    notes: tuple[str, ...]
+
+
+def read_rotor_reference(read: ReadSamples, samples: int, rate: float, settings: TachometerSettings) -> RotorReference:
+    """Find the 1/rev pulses of a tachometer channel. Raises UserError where they cannot be found or repaired."""
+    if settings.kind == "times":
+        stated = np.asarray(read(0, samples), float)
+        times, notes = stated[np.isfinite(stated)], list[str]()
+    elif settings.kind == "counts":
+        times, notes = revolution_crossings(read, samples, rate, settings.counts_per_revolution or 360.0)
+    else:
+        times, notes = _pulse_times(read, samples, rate, settings)
+    try:
+        azimuth = azimuth_from_pulses(times)
+    except UserError as error:
+        raise _tachometer_error(error) from error
+    return _reference(azimuth, notes, settings)
+
+
+def _tachometer_error(error: UserError) -> UserError:
+    """The error of pulse times, as that of the tachometer that they were found in."""
+    return UserError(error.fault, place="tachometer", remedy="Correct `level`, `slope` or `pulses_per_revolution`")
+
+
+def _reference(azimuth: Azimuth, notes: list[str], settings: TachometerSettings) -> RotorReference:
+    smoothed = smooth_pulses(azimuth.pulse_times, azimuth.revolutions)
+    rate = azimuth.mean_rate
+    scatter = 360.0 * rate * smoothed.scatter
+    notes = [*notes, *(note for note in azimuth.notes if not note.startswith("pulses scatter"))]
+    if settings.smooth and smoothed.window > 1.0:
+        times, error, window = smoothed.times, 360.0 * rate * smoothed.sigma, smoothed.window
+        notes.append(
+            f"pulses scatter by {scatter:.3g} deg of azimuth (one sigma); smoothed over {window:.3g} revolutions, "
+            f"for a speed that changes slowly: azimuth to {error:.2g} deg"
+        )
+    else:
+        times, error, window = azimuth.pulse_times, scatter, 1.0
+    times = _apply_offset(times, azimuth, settings) - settings.delay
+    return RotorReference(times, rate, error, scatter, window, tuple(notes))
+
+
+def _apply_offset(times: Array, azimuth: Azimuth, settings: TachometerSettings) -> Array:
+    """The times at which the azimuth is zero, where it is `offset_deg` at the pulses."""
+    if settings.offset_deg == 0.0:
+        return times
+    return times - settings.offset_deg / 360.0 / np.interp(
+        times, azimuth.pulse_times, azimuth.speed(azimuth.pulse_times)
+    )
+
+
+# ---- pulses ----------------------------------------------------------------------------------------------------------
+
+
+def _pulse_times(read: ReadSamples, samples: int, rate: float, settings: TachometerSettings) -> tuple[Array, list[str]]:
+    levels = find_levels(read, samples, settings.level, settings.hysteresis)
+    _check_levels(levels, settings)
+    edges = find_edges(read, samples, rate, levels)
+    rising = settings.slope == "rising" or (settings.slope == "auto" and _is_high_shorter(edges))
+    leading, trailing = (edges.rising, edges.falling) if rising else (edges.falling, edges.rising)
+    if len(leading) < 3:
+        fault = f"crosses the level {levels.level:.4g} only {len(leading)} times"
+        raise UserError(fault, place="tachometer", remedy="Correct `level` and `hysteresis`, or give another channel")
+    notes = [f"pulses are the {'rising' if rising else 'falling'} edges at {levels.level:.4g}"]
+    times, more = _once_per_revolution(leading, trailing, settings)
+    if settings.low_pass is not None:
+        share = levels.share if rising else 1.0 - levels.share
+        lag = _low_pass_lag(settings.low_pass, share)
+        times = times - lag
+        more.append(f"the low-pass of the tachometer delays its edges by {1e3 * lag:.4g} ms, which was taken out")
+    return times, notes + more
+
+
+def _check_levels(levels: Levels, settings: TachometerSettings) -> None:
+    if levels.high <= levels.low:
+        raise UserError("is constant", place="tachometer", remedy="Give the channel of the tachometer")
+    if not levels.low < levels.level < levels.high:
+        fault = f"the level {levels.level:.4g} is not between its states {levels.low:.4g} and {levels.high:.4g}"
+        raise UserError(fault, place="tachometer", remedy="Correct `level`, or leave it out")
+
+
+def _is_high_shorter(edges: Edges) -> bool:
+    """Whether the signal is high for less than half the time: then a pulse begins with a rising edge."""
+    if not len(edges.rising) or not len(edges.falling):
+        return True
+    after = np.searchsorted(edges.falling, edges.rising)
+    sound = after < len(edges.falling)
+    widths = edges.falling[after[sound]] - edges.rising[sound]
+    intervals = np.diff(edges.rising)
+    return not len(widths) or not len(intervals) or float(np.median(widths)) <= 0.5 * float(np.median(intervals))
+
+
+def _once_per_revolution(leading: Array, trailing: Array, settings: TachometerSettings) -> tuple[Array, list[str]]:
+    """The pulses at which the azimuth is zero."""
+    count = settings.pulses_per_revolution
+    if settings.index == "gap":
+        return _behind_gaps(leading, count)
+    if settings.index == "wide":
+        return _wide_pulses(leading, trailing)
+    if count == 1:
+        return leading, []
+    try:
+        teeth = azimuth_from_pulses(leading)
+    except UserError as error:
+        raise _tachometer_error(error) from error
+    notes = [f"azimuth 0 is at the first of {count} pulses a revolution: no index tells which one it is"]
+    notes += [note for note in teeth.notes if not note.startswith("pulses scatter")]
+    return teeth.time_of(np.arange(0, teeth.turns + 1, count)), notes
+
+
+def _behind_gaps(leading: Array, count: int) -> tuple[Array, list[str]]:
+    intervals = np.diff(leading)
+    half = NEIGHBORS // 2
+    padded = np.pad(intervals, half, mode="reflect" if len(intervals) > half else "edge")
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEIGHBORS), axis=1)
+    gaps = np.flatnonzero(intervals > GAP_RATIO * usual)
+    if len(gaps) < 3:
+        raise UserError(f"has only {len(gaps)} gaps", place="tachometer", remedy=INDEX_REMEDY)
+    between = np.diff(gaps)
+    wrong = int(np.sum(between % (count - 1) != 0)) if count > 1 else 0
+    if wrong > len(between) // 2:
+        fault = f"{int(np.median(between))} pulses from gap to gap, where {count - 1} were expected"
+        raise UserError(fault, place="tachometer", remedy=INDEX_REMEDY)
+    notes = [f"{wrong} revolutions do not have {count - 1} pulses and a gap"] if wrong else []
+    return leading[gaps + 1], notes
+
+
+def _wide_pulses(leading: Array, trailing: Array) -> tuple[Array, list[str]]:
+    after = np.searchsorted(trailing, leading)
+    sound = after < len(trailing)
+    starts, widths = leading[sound], trailing[after[sound]] - leading[sound]
+    usual = float(np.median(widths))
+    index = (widths > GAP_RATIO * usual) | (widths < usual / GAP_RATIO)
+    if index.sum() < 3:
+        raise UserError(f"has only {int(index.sum())} pulses of another width", place="tachometer", remedy=INDEX_REMEDY)
+    return starts[index], []
+
+
+def _low_pass_lag(low_pass: AnalogLowPass, share: float) -> float:
+    """Time [s] after a step at which the filtered step has passed `share` of it."""
+    _, poles, gain = scipy.signal.butter(low_pass.order, 2.0 * np.pi * low_pass.cutoff, analog=True, output="zpk")
+    residues = np.array([gain / np.prod(pole - np.delete(poles, i)) for i, pole in enumerate(poles)])
+    time = np.linspace(0.0, (2.0 + low_pass.order) / low_pass.cutoff, 20001)
+    response = 1.0 + (np.exp(time[:, None] * poles) @ (residues / poles)).real
+    k = int(np.argmax(response >= share))
+    below, above = response[k - 1], response[k]
+    return float(time[k - 1] + (share - below) / (above - below) * (time[k] - time[k - 1]))

@@ -1,0 +1,171 @@
+"""From foreign files and a map to a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.import_map import ImportMap
+from balance_cli.campaign.recording.import_map_file import DeclaredRun
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.attitude import ANGLES
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.importers.base import ForeignFile
+from balance_cli.io.errors import UserError
+from balance_cli.signals.rotor.pulse_consistency import speed_fault
+from balance_cli.signals.rotor.tachometer import RotorReference
+from balance_cli.steps.import_rotor import rotor_reference
+from balance_cli.steps.import_signals import ANGLE_UNIT, ChannelFinder, Signal, mapped_signals, other_signal
+from balance_cli.steps.import_source import ImportedSource, SignalMatrix, signal_matrix
+from balance_cli.steps.import_timeline import Timeline, common_timeline, timeline_notes
+
+Array = NDArray[np.float64]
+
+KINDS_WITH_LOADS = ("static", "sweep", "check")
+KINDS_WITH_ROTOR = ("check", "wind")
+BLOCK = 65536
+LEVEL_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class ImportedRun:
+    """A run whose samples are still in the foreign files, its rotor reference, and notes on what was done.
+
+    `start` [s] is the time of its first sample on the clock of the files; None in a static run.
+    """
+
+    run: Run
+    reference: RotorReference | None
+    notes: tuple[str, ...]
+    start: float | None
+
+
+def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[ForeignFile]) -> ImportedRun:
+    """Make the run that these files and the map declare.
+
+    Raises UserError where a channel of the map is absent or unusable, a unit is missing or of the wrong dimension, time
+    or rotor reference cannot be determined, or the settings of the run do not fit its kind.
+    """
+    entry, finder = declared.entry, ChannelFinder(files, mapping)
+    channels = mapped_signals(finder, mapping.channels)
+    has_loads = entry.kind in KINDS_WITH_LOADS
+    loads = mapped_signals(finder, mapping.loads) if has_loads else []
+    signals = [*channels, *loads]
+    timeline, notes = _timeline(finder, signals, mapping) if entry.kind != "static" else (None, [])
+    matrix = _matrix(finder, signals, timeline)
+    load_columns = tuple(COMPONENTS.index(signal.target) for signal in loads) if loads else None
+    run = Run(
+        name=entry.run,
+        rig=mapping.rig,
+        kind=entry.kind,
+        channel_names=tuple(signal.target for signal in channels),
+        samples=matrix.samples,
+        source=ImportedSource(matrix, len(channels), load_columns),
+        has_loads=load_columns is not None,
+        sample_rate=None if timeline is None else timeline.rate,
+        rotor_speed=entry.rotor_speed or 0.0,
+        excited=entry.excited,
+        excitation=entry.excitation,
+        level=entry.level,
+        period=entry.period,
+        trim=entry.trim,
+        attitude=_attitude(finder, mapping, matrix.samples) if entry.kind == "static" else None,
+        recorded=entry.recorded or next((file.recorded for file in files if file.recorded), None),
+        note=entry.note,
+        path=files[0].path,
+    )
+    notes = [*(note for file in files for note in file.notes), *finder.clock_notes, *notes]
+    notes += [signal.note for signal in signals if signal.note]
+    if mapping.loads and not has_loads:
+        notes.append(f"a `{entry.kind}` run has no loads: {', '.join(mapping.loads)} left out")
+    return _complete(run, finder, mapping, timeline, notes, entry.rotor_speed)
+
+
+def _timeline(finder: ChannelFinder, signals: Sequence[Signal], mapping: ImportMap) -> tuple[Timeline, list[str]]:
+    names: dict[int, list[str]] = {}
+    for signal in signals:
+        names.setdefault(id(signal.source.group), []).append(signal.source.name)
+    clocks = {id(signal.source.group): finder.clock(signal.source) for signal in signals}
+    timeline = common_timeline(list(clocks.values()), mapping.resample)
+    notes = timeline_notes(timeline, [(names[key], clock) for key, clock in clocks.items()])
+    if len(finder.files) > 1:
+        notes.append(f"the clocks of {len(finder.files)} files are taken as one")
+    return timeline, notes
+
+
+def _matrix(finder: ChannelFinder, signals: Sequence[Signal], timeline: Timeline | None) -> SignalMatrix:
+    if timeline is not None:
+        clocks = [finder.clock(signal.source) for signal in signals]
+        return signal_matrix(signals, clocks, timeline, timeline.samples)
+    first = signals[0].source
+    for signal in signals:
+        if signal.source.group.samples != first.group.samples:
+            fault = f"has {signal.source.group.samples} rows, but `{first.name}` has {first.group.samples}"
+            place = f"channel `{signal.source.name}`"
+            raise UserError(fault, str(signal.source.file.path), place, "A static run needs a row for each load point")
+    return signal_matrix(signals, [None] * len(signals), None, first.group.samples)
+
+
+def _attitude(finder: ChannelFinder, mapping: ImportMap, samples: int) -> Array | None:
+    """Pitch and roll (n, 2) [deg] of a static run."""
+    if not mapping.attitude:
+        return None
+    signals = [
+        other_signal(finder.find(name), mapped.angle, mapped, *ANGLE_UNIT) for name, mapped in mapping.attitude.items()
+    ]
+    matrix = signal_matrix(signals, [None] * len(signals), None, samples)
+    values = matrix.read(0, samples)
+    return values[:, [matrix.targets.index(name) for name in ANGLES]]
+
+
+def _complete(
+    run: Run,
+    finder: ChannelFinder,
+    mapping: ImportMap,
+    timeline: Timeline | None,
+    notes: list[str],
+    stated_speed: float | None,
+) -> ImportedRun:
+    """The run with its pulses, its speed and, of a sweep, the rms of its excitation."""
+    reference = None
+    if mapping.rotor is not None and timeline is not None:
+        try:
+            reference = rotor_reference(finder, mapping.rotor, timeline, "rotor")
+        except UserError as error:
+            if run.kind in KINDS_WITH_ROTOR and stated_speed != 0.0:
+                raise
+            notes.append(f"no rotor pulses: {error.fault}")
+    if reference is not None:
+        notes += reference.notes
+        run = _with_pulses(run, reference, stated_speed, notes)
+    if run.kind == "sweep" and run.excited and not run.level and run.has_loads:
+        run = replace(run, level=_rms_levels(run))
+        notes.append(f"level of the excitation, rms over the record: {', '.join(f'{x:.4g}' for x in run.level)}")
+    start = None if timeline is None else timeline.start
+    return ImportedRun(run, reference, tuple(dict.fromkeys(notes)), start)
+
+
+def _with_pulses(run: Run, reference: RotorReference, stated: float | None, notes: list[str]) -> Run:
+    if stated is None:
+        speed = float(f"{reference.mean_rate:.6g}")
+        notes.append(f"rotor speed {speed:g} Hz, the mean rate of the pulses")
+        return replace(run, pulse_times=reference.pulse_times, rotor_speed=speed)
+    fault = speed_fault(reference.mean_rate, stated) if stated else ""
+    if fault:
+        remedy = "Correct `rotor_speed`, or `pulses_per_revolution` and `level` of `rotor`"
+        raise UserError(fault, str(run.path or run.name), "rotor", remedy)
+    return replace(run, pulse_times=reference.pulse_times)
+
+
+def _rms_levels(run: Run) -> tuple[float, ...]:
+    """Root mean square [N, N m] of the excited loads about their means."""
+    sums, squares = np.zeros(len(COMPONENTS)), np.zeros(len(COMPONENTS))
+    for block in run.blocks(BLOCK):
+        assert block.loads is not None
+        sums += block.loads.sum(axis=0)
+        squares += (block.loads**2).sum(axis=0)
+    rms = np.sqrt(np.maximum(squares / run.samples - (sums / run.samples) ** 2, 0.0))
+    return tuple(float(f"{rms[COMPONENTS.index(name)]:.{LEVEL_DIGITS}g}") for name in run.excited)

@@ -1,0 +1,191 @@
+"""Channels of foreign files as signals of ours: found by name, with unit, sign and scale."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from balance_cli.campaign.recording.import_map import ImportMap, MappedChannel, MappedLoad
+from balance_cli.campaign.rig.components import UNIT_OF
+from balance_cli.importers.base import ChannelGroup, ForeignFile
+from balance_cli.importers.time_axis import read_time_axis
+from balance_cli.io.errors import UserError
+from balance_cli.io.units import ANGLE, FORCE, TEMPERATURE, VOLTAGE, Unit, parse_unit
+from balance_cli.steps.import_timeline import Clock
+
+CONTRADICTION = 1e-3
+"""Relative difference from which the sample rate of the map contradicts that of the file."""
+
+
+@dataclass(frozen=True)
+class FoundChannel:
+    """A channel of a file: its group and column."""
+
+    name: str
+    file: ForeignFile
+    group: ChannelGroup
+    column: int
+
+    @property
+    def unit(self) -> str:
+        """The unit that the file states, empty where it states none."""
+        return self.group.channels[self.column].unit
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A channel in our units: factor times the file's value, plus offset. `target` is the column that it fills."""
+
+    source: FoundChannel
+    target: str
+    factor: float
+    offset: float
+    note: str = ""
+
+
+class ChannelFinder:
+    """The channels of the files of one run, by name."""
+
+    def __init__(self, files: Sequence[ForeignFile], declared: ImportMap) -> None:
+        self.files, self._map = files, declared
+        self._channels: dict[str, FoundChannel] = {}
+        self._clocks: dict[int, tuple[Clock, str]] = {}
+        for file in files:
+            for group in file.groups:
+                for column, channel in enumerate(group.channels):
+                    self._add(FoundChannel(channel.name, file, group, column))
+
+    def _add(self, channel: FoundChannel) -> None:
+        first = self._channels.setdefault(channel.name, channel)
+        if first is not channel and channel.name in self._used_names():
+            fault = f"has the channel `{channel.name}`, which {first.file.path} has, too"
+            remedy = "Give these files different run names, or rename the channel"
+            raise UserError(fault, str(channel.file.path), remedy=remedy)
+
+    def _used_names(self) -> set[str]:
+        declared = self._map
+        mapped = {*declared.channels, *declared.loads, *declared.attitude, *declared.temperature}
+        return mapped | {point.channel for point in declared.load_points}
+
+    def find(self, name: str) -> FoundChannel:
+        """The channel of this name. Raises UserError, with the nearest one, where there is none or it is unusable."""
+        key = " ".join(name.split())
+        channel = self._channels.get(key)
+        file = str(self.files[0].path)
+        if channel is None:
+            near = difflib.get_close_matches(key, self._channels, n=1, cutoff=0.0)
+            count = len(self._channels)
+            remedy = f"The nearest of its {count} channels is `{near[0]}`" if near else "It has no channels"
+            raise UserError(f"has no channel `{name}`, which the map names", file, remedy=remedy)
+        if channel.group.unusable:
+            fault = f"is {channel.group.unusable}"
+            raise UserError(fault, str(channel.file.path), f"channel `{name}`", "Leave it out of the map")
+        return channel
+
+    def clock(self, channel: FoundChannel) -> Clock:
+        """Rate and start of a channel's group: from the file, from its time column, or from the map."""
+        key = id(channel.group)
+        if key not in self._clocks:
+            self._clocks[key] = self._read_clock(channel)
+        return self._clocks[key][0]
+
+    @property
+    def clock_notes(self) -> list[str]:
+        """What is to be told of the time columns that were read."""
+        return list(dict.fromkeys(note for _, note in self._clocks.values() if note))
+
+    def _read_clock(self, channel: FoundChannel) -> tuple[Clock, str]:
+        group, stated = channel.group, self._map.sample_rate
+        file, place = str(channel.file.path), f"channel `{channel.name}`"
+        if group.rate is not None:
+            if stated is not None and abs(stated / group.rate - 1.0) > CONTRADICTION:
+                fault = f"was sampled at {group.rate:.10g} Hz, but the map says `sample_rate: {stated:.10g}`"
+                raise UserError(fault, file, place, "Correct or remove `sample_rate` (`resample` changes the rate)")
+            return Clock(group.rate, group.start, group.samples), ""
+        if stated is not None:
+            return Clock(stated, group.start, group.samples), ""
+        if self._map.time is None:
+            raise UserError("has no sample rate", file, place, "Add `time: CHANNEL` or `sample_rate: HZ` to the map")
+        return self._clock_by_time(group, self.find(self._map.time))
+
+    def _clock_by_time(self, group: ChannelGroup, time: FoundChannel) -> tuple[Clock, str]:
+        if time.group.samples != group.samples:
+            fault = f"the time `{time.name}` has {time.group.samples} samples, channels have {group.samples}"
+            raise UserError(fault, str(time.file.path), remedy="Give the time of these channels, or `sample_rate`")
+        unit = parse_unit(self._map.time_unit or time.unit or "s", "s")
+        try:
+            axis = read_time_axis(
+                lambda columns, a, b: time.group.read([time.column], a, b), group.samples, unit.factor
+            )
+        except UserError as error:
+            place = f"time `{time.name}`" + (f", {error.place}" if error.place else "")
+            raise UserError(error.fault, str(time.file.path), place, error.remedy) from error
+        return Clock(axis.rate, axis.start, group.samples), axis.note
+
+
+def channel_signal(found: FoundChannel, mapped: MappedChannel) -> Signal:
+    """A channel in volts; of another unit than that of a voltage `scale` says how many volts it makes."""
+    unit, note = _unit(found, mapped.unit)
+    if unit.dimension != VOLTAGE and "scale" not in mapped.model_fields_set:
+        fault = f"is in {unit.symbol}, not in volts"
+        remedy = f"Add `scale` to its entry: volts for one {unit.dimension} (for V/V the excitation voltage)"
+        raise UserError(fault, str(found.file.path), f"channel `{found.name}`", remedy)
+    return _signal(found, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
+
+
+def load_signal(found: FoundChannel, mapped: MappedLoad) -> Signal:
+    """A hub load in N or N m."""
+    unit, note = _unit(found, mapped.unit, UNIT_OF[mapped.component])
+    return _signal(found, mapped.component, unit, mapped.sign, mapped.scale, mapped.offset, note)
+
+
+def other_signal(found: FoundChannel, target: str, mapped: object, dimension: str, default: str) -> Signal:
+    """An angle in deg, a temperature in degC, or a force in N."""
+    stated = getattr(mapped, "unit", None) or found.unit or default
+    unit, note = _unit(found, stated, dimension)
+    if dimension == ANGLE:
+        unit = Unit(unit.symbol, ANGLE, unit.factor / parse_unit("deg", ANGLE).factor)
+    sign, scale, offset = (getattr(mapped, name) for name in ("sign", "scale", "offset"))
+    return _signal(found, target, unit, sign, scale, offset, note)
+
+
+def _signal(found: FoundChannel, target: str, unit: Unit, sign: int, scale: float, offset: float, note: str) -> Signal:
+    factor = sign * scale * unit.factor
+    return Signal(found, target, factor, sign * scale * unit.offset - factor * offset, note)
+
+
+def _unit(found: FoundChannel, stated: str | None, *dimensions: str) -> tuple[Unit, str]:
+    """The unit of the map, else that of the file; a note where they contradict each other."""
+    place = f"channel `{found.name}`"
+    text = stated or found.unit
+    if not text:
+        raise UserError("has no unit", str(found.file.path), place, "Add `unit` to its entry in the map")
+    try:
+        unit = parse_unit(text, *dimensions)
+    except UserError as error:
+        raise error.with_location(str(found.file.path), place) from error
+    if not stated or not found.unit:
+        return unit, ""
+    try:
+        same = parse_unit(found.unit, *dimensions) == unit
+    except UserError:
+        same = found.unit.strip() == text.strip()
+    return unit, "" if same else f"{found.name}: the file says `{found.unit}`, the map `{text}`, which was taken"
+
+
+TEMPERATURE_UNIT, FORCE_UNIT, ANGLE_UNIT = (TEMPERATURE, "degC"), (FORCE, "N"), (ANGLE, "deg")
+"""Dimension and default unit of temperatures, forces at points and angles."""
+
+
+def mapped_signals(
+    finder: ChannelFinder, entries: Mapping[str, MappedChannel] | Mapping[str, MappedLoad]
+) -> list[Signal]:
+    """The signals of the channels or loads of a map."""
+    signals = []
+    for name, mapped in entries.items():
+        found = finder.find(name)
+        signals.append(
+            channel_signal(found, mapped) if isinstance(mapped, MappedChannel) else load_signal(found, mapped)
+        )
+    return signals

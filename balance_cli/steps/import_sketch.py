@@ -1,0 +1,173 @@
+"""A map to be completed, guessed from the files and a geometry."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.importers.base import ForeignChannel, ForeignFile
+from balance_cli.io.errors import UserError
+from balance_cli.io.formats import IMPORT_FORMAT
+from balance_cli.io.units import FORCE, MOMENT, TIME, Unit, parse_unit
+
+TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
+TACHOMETER = re.compile(r"tach|rpm|puls|1/?rev|key ?phas|encoder|trigger|drehz|azimu|speed", re.IGNORECASE)
+SIMILARITY = 0.6
+"""Share of equal characters (difflib) from which two names are taken as one."""
+KIND_NAMES = {
+    "static": ("static", "calib", "cal_", "cal-", "weights"),
+    "zero": ("zero", "tare", "windoff", "wind-off", "nullm"),
+    "sweep": ("sweep", "shake", "frf", "chirp", "random", "hammer", "impact"),
+    "check": ("check", "known"),
+    "wind": ("wind", "run", "hover", "test"),
+}
+"""Words in file names that tell the kind of a run, in the order in which they are looked for."""
+RATE_NAMES = ("sample_rate", "fs", "samplerate", "sampling_rate", "rate", "sr")
+
+
+def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
+    """YAML of a map of these files: what could not be guessed has a comment with TODO."""
+    first = files[0]
+    channels = [channel for group in first.groups if not group.unusable for channel in group.channels]
+    time = next((channel for channel in channels if channel.name.lower() in TIME_NAMES), None)
+    rest = [channel for channel in channels if channel is not time]
+    tachometer = next((channel for channel in rest if TACHOMETER.search(channel.name)), None)
+    rest = [channel for channel in rest if channel is not tachometer]
+    loads, rest = _guess_loads(rest)
+    lines = [f"format: {IMPORT_FORMAT}", f"rig: {_rig(geometry)}", *_about(files)]
+    if any(_kind(file.path) != "static" for file in files):
+        lines += _rate_lines(first, time)
+    lines += ["channels:", *_channel_lines(rest, geometry)]
+    lines += (
+        ["loads:", *_load_lines(loads)]
+        if loads
+        else ["# loads:", "#   FILE CHANNEL: {component: Fz, unit: N, sign: 1}"]
+    )
+    lines += _rotor_lines(tachometer, geometry)
+    return "\n".join([*lines, "runs:", *_run_lines(files, geometry)]) + "\n"
+
+
+def _rig(geometry: Geometry | None) -> str:
+    return _quoted(geometry.rig) if geometry is not None else "TODO  # as in the geometry"
+
+
+def _quoted(text: str) -> str:
+    """A text as a YAML scalar: plain where that is safe, else in quotes."""
+    return text if re.fullmatch(r"[A-Za-z][\w./+-]*( [\w./+-]+)*", text) else json.dumps(text, ensure_ascii=False)
+
+
+def _about(files: Sequence[ForeignFile]) -> Iterator[str]:
+    for file in files:
+        count = sum(len(group.channels) for group in file.groups)
+        yield f"# {file.path.name}: {file.format}, {count} channels"
+        yield from (f"#   {note}" for note in file.notes)
+        for group in file.groups:
+            if group.unusable:
+                yield f"#   not usable: {', '.join(group.names[:5])}: {group.unusable}"
+
+
+def _rate_lines(file: ForeignFile, time: ForeignChannel | None) -> Iterator[str]:
+    rates = sorted({group.rate for group in file.groups if group.rate is not None and not group.unusable})
+    if rates:
+        yield f"# sampled at {', '.join(f'{rate:.10g} Hz' for rate in rates)}"
+        return
+    if time is not None:
+        yield f"time: {_quoted(time.name)}"
+        if not _unit_of(time.unit, TIME):
+            yield "time_unit: s  # TODO: the file states none"
+        return
+    stated = {name.rpartition(".")[2].lower(): value for name, value in file.scalars.items()}
+    rate = next((stated[name] for name in RATE_NAMES if name in stated), None)
+    yield "sample_rate: TODO  # Hz" if rate is None else f"sample_rate: {rate:.10g}  # Hz, as the file says"
+
+
+def _channel_lines(channels: Sequence[ForeignChannel], geometry: Geometry | None) -> Iterator[str]:
+    free = list(geometry.channel_names) if geometry is not None else []
+    for channel in channels:
+        match = _nearest(channel.name, free)
+        if match:
+            free.remove(match)
+        unit = channel.unit or "V"
+        is_voltage = bool(_unit_of(unit, "V"))
+        entry = [f"name: {_quoted(match or ('TODO' if geometry is not None else channel.name))}"]
+        entry += [f"unit: {_quoted(unit)}"] + ([] if is_voltage else ["scale: TODO"])
+        comment = "" if channel.unit else "  # TODO: the file states no unit"
+        comment = comment if is_voltage else "  # TODO: volts for one unit, or remove it"
+        yield f"  {_quoted(channel.name)}: {{{', '.join(entry)}}}{comment}"
+    if free:
+        yield f"  # channels of the geometry that were not found: {', '.join(free)}"
+
+
+def _nearest(name: str, names: Sequence[str]) -> str | None:
+    plain = {re.sub(r"\W|_", "", known.lower()): known for known in names}
+    match = difflib.get_close_matches(re.sub(r"\W|_", "", name.lower()), plain, n=1, cutoff=SIMILARITY)
+    return plain[match[0]] if match else None
+
+
+def _guess_loads(channels: Sequence[ForeignChannel]) -> tuple[list[tuple[ForeignChannel, str]], list[ForeignChannel]]:
+    """Channels whose name contains a component and whose unit is not another; and the others."""
+    loads: list[tuple[ForeignChannel, str]] = []
+    rest = []
+    for channel in channels:
+        words = re.split(r"[^A-Za-z]+", channel.name)
+        component = next((name for name in COMPONENTS if name.lower() in [word.lower() for word in words]), None)
+        unit = _unit_of(channel.unit, FORCE, MOMENT)
+        if component and (unit or not channel.unit) and component not in [name for _, name in loads]:
+            loads.append((channel, component))
+        else:
+            rest.append(channel)
+    return loads, rest
+
+
+def _load_lines(loads: Sequence[tuple[ForeignChannel, str]]) -> Iterator[str]:
+    for channel, component in loads:
+        unit = channel.unit or ("N" if component.startswith("F") else "N m")
+        comment = "  # TODO: check the sign" if channel.unit else "  # TODO: check unit and sign"
+        yield f"  {_quoted(channel.name)}: {{component: {component}, unit: {_quoted(unit)}, sign: 1}}{comment}"
+
+
+def _rotor_lines(tachometer: ForeignChannel | None, geometry: Geometry | None) -> Iterator[str]:
+    mark = "" if tachometer is not None else "# "
+    name = _quoted(tachometer.name) if tachometer is not None else "TACHOMETER"
+    yield f"{mark}rotor:"
+    yield f"{mark}  channel: {name}"
+    yield f"{mark}  pulses_per_revolution: 1"
+    declared = geometry.acquisition.filter if geometry is not None else None
+    if declared is not None:
+        text = f"filter: {{order: {declared.order}, cutoff: {declared.cutoff:g}}}"
+        yield f"{mark}  # {text}  # TODO: where the tachometer passes the anti-alias filter, too"
+
+
+def _run_lines(files: Sequence[ForeignFile], geometry: Geometry | None) -> Iterator[str]:
+    for file in files:
+        kind = _kind(file.path)
+        yield f"  - file: {_quoted(file.path.name)}"
+        yield '    run: "{stem}"'
+        yield f"    kind: {kind or 'TODO  # static, zero, sweep, check or wind'}"
+        if kind == "static":
+            yield "    trim: TODO  # label of the trim condition"
+        elif kind == "sweep":
+            words = re.split(r"[^a-z]+", file.path.stem.lower())
+            excited = next((name for name in COMPONENTS if name.lower() in words), "TODO")
+            yield f"    excited: {excited}"
+            yield "    excitation: TODO  # multisine, random, sine-sweep, stepped or impact"
+            yield "    # period: seconds of a multisine; level: rms in N or N m, by default that of the record"
+        elif kind in ("check", "wind") and geometry is not None and geometry.rotor is not None:
+            yield f"    rotor_speed: {geometry.rotor.speed:g}  # Hz, nominal"
+
+
+def _kind(path: Path) -> str | None:
+    stem = path.stem.lower()
+    return next((kind for kind, words in KIND_NAMES.items() if any(word in stem for word in words)), None)
+
+
+def _unit_of(text: str, *dimensions: str) -> Unit | None:
+    try:
+        return parse_unit(text, *dimensions) if text else None
+    except UserError:
+        return None

@@ -1,0 +1,104 @@
+"""The time base of an imported run: channel groups of different rates and starts, aligned in their common part."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from balance_cli.importers.base import ChannelGroup
+from balance_cli.io.errors import UserError
+from balance_cli.signals.resampling import PASSBAND, Resampler, kernel_half_length
+
+EQUAL_PLACE = 1e-3
+"""Samples by which two grids may differ and still be one: 0.2 deg of phase at half the rate, nothing below."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Rate [Hz], time of the first sample [s] and number of samples of a channel group."""
+
+    rate: float
+    start: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Common samples of all groups: rate [Hz], time of the first [s] and their number."""
+
+    rate: float
+    start: float
+    samples: int
+
+    def is_direct(self, clock: Clock) -> bool:
+        """Whether the samples of a group are those of the timeline, from some sample on."""
+        return same_rate(clock, self.rate) and _is_whole((self.start - clock.start) * self.rate)
+
+    def first_sample(self, clock: Clock) -> int:
+        """The sample of a direct group at which the timeline begins."""
+        return round((self.start - clock.start) * self.rate)
+
+    def resampler(self, group: ChannelGroup, clock: Clock, columns: Sequence[int]) -> Resampler:
+        """A reader of a group at the rate of the timeline."""
+
+        def read(start: int, stop: int) -> object:
+            return group.read(columns, start, min(stop, clock.samples))
+
+        start = self.start - clock.start
+        return Resampler(read, clock.rate, self.rate, start, self.samples)  # type: ignore[arg-type]
+
+
+def same_rate(clock: Clock, rate: float) -> bool:
+    """Whether a rate is that of the group to within rounding over its length."""
+    return abs(clock.rate - rate) / rate * clock.samples < EQUAL_PLACE
+
+
+def common_timeline(clocks: Sequence[Clock], rate: float | None) -> Timeline:
+    """The time base in which all groups have samples: at `rate`, or the lowest rate of all.
+
+    The lowest rate is that at which no channel lacks the upper part of its band. Raises UserError where the groups have
+    no common part.
+    """
+    lowest = min(clocks, key=lambda clock: clock.rate)
+    target = lowest.rate if rate is None else rate
+    anchor = next((clock for clock in clocks if same_rate(clock, target)), None)
+    origin = clocks[0].start if anchor is None else anchor.start
+
+    def on_grid(clock: Clock) -> bool:
+        return same_rate(clock, target) and _is_whole((clock.start - origin) * target)
+
+    margins = [0.0 if on_grid(clock) else kernel_half_length(clock.rate, target) for clock in clocks]
+    begin = max(clock.start + margin for clock, margin in zip(clocks, margins, strict=True))
+    end = min(
+        clock.start + (clock.samples - 1) / clock.rate - margin for clock, margin in zip(clocks, margins, strict=True)
+    )
+    first = math.ceil((begin - origin) * target - EQUAL_PLACE)
+    samples = math.floor((end - origin) * target + EQUAL_PLACE) - first + 1
+    if samples < 2:
+        remedy = "Give files of the same record, of some hundred samples at least"
+        raise UserError("the channels have no common part in time", place="time", remedy=remedy)
+    return Timeline(target, origin + first / target, samples)
+
+
+def timeline_notes(timeline: Timeline, groups: Sequence[tuple[Sequence[str], Clock]]) -> list[str]:
+    """What the alignment did: channels that were resampled, and what was cut."""
+    notes = []
+    for names, clock in groups:
+        if timeline.is_direct(clock):
+            continue
+        band = 0.5 * PASSBAND * min(clock.rate, timeline.rate)
+        what = "shifted" if same_rate(clock, timeline.rate) else f"resampled from {clock.rate:.10g} Hz"
+        shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+        notes.append(
+            f"{shown}: {what} to {timeline.rate:.10g} Hz, band-limited, sound up to {band:.4g} Hz, no phase shift"
+        )
+    longest = max(clock.samples / clock.rate for _, clock in groups)
+    kept = timeline.samples / timeline.rate
+    if kept < longest - 1.5 / timeline.rate:
+        notes.append(f"the common part of the channels is kept: {kept:.6g} s of {longest:.6g} s")
+    return notes
+
+
+def _is_whole(value: float) -> bool:
+    return abs(value - round(value)) < EQUAL_PLACE

@@ -1,0 +1,211 @@
+"""`balance import`: run files from foreign files, against the run files that these were made from."""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+import yaml
+from click.testing import CliRunner
+
+from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.cli import balance
+from balance_cli.simulation.rotor import RotorKinematics
+
+ROOT = Path(__file__).parents[2]
+COMPONENTS = ["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
+UNITS = ["N", "N", "N", "N m", "N m", "N m"]
+
+
+def invoke(*words):
+    return CliRunner().invoke(balance, [str(word) for word in words])
+
+
+def run_import(folder, mapping, *files, status=0):
+    (folder / "map.yaml").write_text(yaml.safe_dump(mapping, sort_keys=False), encoding="utf-8")
+    result = invoke("import", folder / "map.yaml", *files, "-o", folder / "runs", "--json", folder / "summary.json")
+    assert result.exit_code == status, result.output
+    if status:
+        assert not (folder / "runs").exists() and result.stderr.count("\n") == 1
+    return result
+
+
+def base_map(**keys):
+    return {"format": "balance-import/1", "rig": "RTS-6", **keys}
+
+
+@pytest.fixture(scope="module")
+def static():
+    return open_run(ROOT / "sample_data" / "static-bare.h5")
+
+
+@pytest.fixture(scope="module")
+def sweep():
+    return open_run(ROOT / "sample_data" / "sweep-Fz-high.h5")
+
+
+def write_static_csv(path, run):
+    block = run.read()
+    table = np.hstack([1e3 * block.channels, block.loads[:, :3] / 4.4482216152605, -block.loads[:, 3:]])
+    names = [*run.channel_names, *COMPONENTS]
+    units = ["mV"] * len(run.channel_names) + ["lbf"] * 3 + ["N m"] * 3
+    lines = ["Bilanz;;;", ";".join(names), ";".join(units)]
+    lines += [";".join(repr(value).replace(".", ",") for value in row) for row in table.tolist()]
+    path.write_text("\n".join(lines), encoding="utf-16")
+
+
+def test_static_run_of_a_spreadsheet(tmp_path, static):
+    write_static_csv(tmp_path / "static-bare.csv", static)
+    mapping = base_map(
+        channels={name: name for name in static.channel_names},
+        loads={name: {"component": name, "sign": 1 if name.startswith("F") else -1} for name in COMPONENTS},
+        runs=[{"file": "static-{trim}.csv", "kind": "static", "trim": "{trim}"}],
+    )
+    run_import(tmp_path, mapping, tmp_path / "static-bare.csv")
+    run = open_run(tmp_path / "runs" / "static-bare.h5")
+    assert (run.kind, run.trim, run.channel_names) == ("static", "bare", static.channel_names)
+    assert np.allclose(run.read().channels, static.read().channels, rtol=1e-12, atol=1e-18)
+    assert np.allclose(run.read().loads, static.read().loads, rtol=1e-12, atol=1e-12)
+
+
+def sweep_map(sweep, **keys):
+    return base_map(
+        channels={f"V[{k + 1}]": {"name": name, "unit": "V"} for k, name in enumerate(sweep.channel_names)},
+        loads={f"F[{k + 1}]": {"component": name, "unit": UNITS[k]} for k, name in enumerate(COMPONENTS)},
+        runs=[
+            {"file": "sweep-{what}-*", "kind": "sweep", "excited": "{what}", "excitation": "multisine", "period": 4.0}
+        ],
+        **keys,
+    )
+
+
+def write_sweep_mat(path, sweep, samples=8000):
+    block = sweep.read(0, samples)
+    time = np.arange(samples)[:, None] / sweep.sample_rate
+    scipy.io.savemat(path, {"V": block.channels, "F": block.loads, "t": time}, appendmat=False)
+
+
+def test_sweep_of_a_mat_file(tmp_path, sweep):
+    write_sweep_mat(tmp_path / "sweep-Fz-1.mat", sweep)
+    result = run_import(tmp_path, sweep_map(sweep, time="t"), tmp_path / "sweep-Fz-1.mat")
+    run, expected = open_run(tmp_path / "runs" / "sweep-Fz-1.h5"), sweep.read(0, 8000)
+    assert (run.sample_rate, run.excited, run.period) == (sweep.sample_rate, ("Fz",), 4.0)
+    assert np.array_equal(run.read().channels, expected.channels) and np.array_equal(run.read().loads, expected.loads)
+    assert run.level[0] == pytest.approx(np.std(expected.loads[:, 2]), rel=1e-5)
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert summary["runs"]["sweep-Fz-1"]["samples"] == 8000 and "level of the excitation" in result.output
+
+
+def write_wind_hdf5(path, rate=4000.0, tachometer_rate=20000.0, duration=6.0):
+    rotor = RotorKinematics(17.5, drift=0.01)
+    slow, fast = np.arange(duration * rate) / rate, np.arange(duration * tachometer_rate) / tachometer_rate
+    with h5py.File(path, "w") as file:
+        for k in range(7):
+            file[f"a{k}"] = np.cos((k + 1) * rotor.azimuth(slow))
+            file[f"a{k}"].attrs["unit"], file[f"a{k}"].attrs["sample_rate"] = "V", rate
+        file["tacho"] = 5.0 * ((rotor.azimuth(fast) / (2 * np.pi)) % 1.0 < 0.05)
+        file["tacho"].attrs["sample_rate"] = tachometer_rate
+    return rotor
+
+
+def wind_map(**keys):
+    channels = {f"a{k}": f"c{k}" for k in range(7)}
+    run = {"file": "*", "run": "wind-1", "kind": "wind"}
+    return base_map(channels=channels, rotor={"channel": "tacho"}, runs=[run], **keys)
+
+
+def test_wind_run_with_a_tachometer_and_another_rate(tmp_path):
+    rotor = write_wind_hdf5(tmp_path / "record")
+    result = run_import(tmp_path, wind_map(resample=1000), tmp_path / "record")
+    run = open_run(tmp_path / "runs" / "wind-1.h5")
+    assert run.sample_rate == 1000.0 and run.rotor_speed == pytest.approx(17.5, rel=0.01)
+    assert "resampled from 4000 Hz to 1000 Hz" in result.output and "common part" in result.output
+    # Resampling needs half a kernel before its first sample: the record begins later, and so do its pulses.
+    channels = run.read().channels
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["runs"]["wind-1"]
+    begin = summary["start"]
+    time = begin + np.arange(run.samples) / 1000.0
+    expected = np.cos(np.arange(1, 8) * rotor.azimuth(time)[:, None])
+    assert np.abs(channels - expected).max() < 1e-4
+    azimuth = (np.degrees(rotor.azimuth(run.pulse_times + begin)) + 180) % 360 - 180
+    assert np.abs(azimuth).max() < 0.3
+    assert begin == pytest.approx(0.033) and summary["rotor"]["azimuth_error_deg"] < 0.1
+
+
+def test_a_sketch_becomes_a_map(tmp_path, static):
+    write_static_csv(tmp_path / "static-bare.csv", static)
+    geometry = ROOT / "configs" / "rts-6.yaml"
+    result = invoke("import", "--sketch", "-g", geometry, tmp_path / "static-bare.csv")
+    assert result.exit_code == 0, result.output
+    text = result.stdout
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    refused = invoke("import", tmp_path / "map.yaml", tmp_path / "static-bare.csv", "-o", tmp_path / "runs")
+    assert refused.exit_code == 2 and "`TODO` is left of the sketch" in refused.stderr
+    (tmp_path / "map.yaml").write_text(text.replace("trim: TODO", "trim: bare"), encoding="utf-8")
+    done = invoke("import", tmp_path / "map.yaml", tmp_path / "static-bare.csv", "-o", tmp_path / "runs")
+    assert done.exit_code == 0, done.output
+    assert np.allclose(open_run(tmp_path / "runs" / "static-bare.h5").read().channels, static.read().channels)
+    assert invoke("check", tmp_path / "map.yaml", "-g", geometry).exit_code == 0
+
+
+def change(mapping, *path, value):
+    target = mapping
+    for key in path[:-1]:
+        target = target[key]
+    target[path[-1]] = value
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "place", "words"),
+    [
+        (("chanels",), {}, "chanels", "nearest known key is `channels`"),
+        (("channels", "V[1]", "unti"), "V", "channels.V[1].unti", "nearest known key is `unit`"),
+        (("channels", "V[1]", "unit"), "parsec", "channel `V[1]`", "unknown unit"),
+        (("channels", "V[1]", "unit"), "N", "channel `V[1]`", "Add `scale`"),
+        (("channels", "V[1]", "scale"), 0.0, "channels.V[1]", "`scale` is zero"),
+        (("channels", "V[1]", "name"), "x.piezo", "", "`x.piezo`"),
+        (("channels", "V[99]"), {"name": "new", "unit": "V"}, "", "nearest of its"),
+        (("loads", "F[1]", "unit"), "N m", "channel `F[1]`", "is a unit of N m"),
+        (("runs", 0, "kind"), "sweeep", "runs[0].kind", "sweep"),
+        (("runs", 0, "file"), "*.csv", "runs", "no entry fits"),
+        (("runs", 0, "excited"), "{who}", "runs[0]", "`{who}` is not in the pattern"),
+        (("runs", 0, "excited"), "Fq", "runs[0]", "`Fq` is no component"),
+        (("runs", 0, "excitation"), "noise", "attribute excitation", "multisine"),
+        (("runs", 0, "period"), None, "attribute period", "period"),
+        (("rig",), None, "rig", "rig"),
+        (("time",), "V[1]", "time `V[1]`", "time"),
+        (("sample_rate",), 800.0, "", "either `time` or `sample_rate`"),
+        (("format",), "balance-geometry/1", "format", "--sketch"),
+    ],
+)
+def test_bad_maps_are_one_message_and_nothing_written(tmp_path, sweep, path, value, place, words):
+    write_sweep_mat(tmp_path / "sweep-Fz-1.mat", sweep, 2000)
+    mapping = sweep_map(sweep, time="t")
+    change(mapping, *path, value=value)
+    result = run_import(tmp_path, mapping, tmp_path / "sweep-Fz-1.mat", status=2)
+    assert words in result.stderr and place in result.stderr
+
+
+def test_a_bad_file_among_good_ones_leaves_nothing(tmp_path, sweep):
+    write_sweep_mat(tmp_path / "sweep-Fz-1.mat", sweep, 2000)
+    content = (tmp_path / "sweep-Fz-1.mat").read_bytes()
+    (tmp_path / "sweep-Fz-2.mat").write_bytes(content[: len(content) // 2])
+    files = [tmp_path / "sweep-Fz-1.mat", tmp_path / "sweep-Fz-2.mat"]
+    result = run_import(tmp_path, sweep_map(sweep, time="t"), *files, status=2)
+    assert "sweep-Fz-2.mat" in result.stderr
+
+
+def test_files_without_time_need_a_rate(tmp_path, sweep):
+    write_sweep_mat(tmp_path / "sweep-Fz-1.mat", sweep, 2000)
+    result = run_import(tmp_path, sweep_map(sweep), tmp_path / "sweep-Fz-1.mat", status=2)
+    assert "no sample rate" in result.stderr and "sample_rate: HZ" in result.stderr
+
+
+def test_a_wind_run_whose_tachometer_stands_still_is_refused(tmp_path):
+    write_wind_hdf5(tmp_path / "record", duration=1.0)
+    with h5py.File(tmp_path / "record", "r+") as file:
+        file["tacho"][:] = 0.0
+    result = run_import(tmp_path, wind_map(), tmp_path / "record", status=2)
+    assert "channel `tacho` (rotor of the map): is constant" in result.stderr

@@ -1,0 +1,145 @@
+"""Pulses of a sampled tachometer against the azimuth that made it, seen through an analog low-pass with noise."""
+
+import numpy as np
+import pytest
+import scipy.signal
+from scipy.ndimage import uniform_filter1d
+
+from balance_cli.io.errors import UserError
+from balance_cli.signals.rotor.pulse_smoothing import smooth_pulses
+from balance_cli.signals.rotor.tachometer import AnalogLowPass, TachometerSettings, read_rotor_reference
+from balance_cli.simulation.rotor import RotorKinematics
+
+ROTOR = RotorKinematics(17.5, drift=0.01)
+SWING = 5.0
+
+
+def signal(rate, shape, noise=0.05, duration=8.0, filtered=True, rotor=ROTOR):
+    """A tachometer signal and its low-pass; `shape` is its level from 0 to 1 over the azimuth in revolutions.
+
+    The true signal has 200 000 samples a second, 8 of them averaged over an edge.
+    """
+    fine = int(np.ceil(2e5 / rate))
+    time = np.arange(int(duration * rate * fine)) / (rate * fine)
+    level = uniform_filter1d(np.asarray(shape(rotor.azimuth(time) / (2 * np.pi)), float), 8)
+    cutoff = 0.4 * rate
+    if filtered:
+        level = scipy.signal.sosfilt(scipy.signal.butter(6, cutoff, fs=rate * fine, output="sos"), level)
+    sampled = level[::fine]
+    return SWING * (sampled + noise * np.random.default_rng(5).standard_normal(len(sampled))), AnalogLowPass(6, cutoff)
+
+
+def pulse(width=0.06, per_revolution=1):
+    return lambda psi: (psi * per_revolution) % 1.0 < width
+
+
+def reference(samples, rate, **settings):
+    return read_rotor_reference(lambda a, b: samples[a:b], len(samples), rate, TachometerSettings(**settings))
+
+
+def azimuth_errors(times):
+    """Azimuth [deg] at the pulses, those of a whole number of revolutions subtracted."""
+    return (np.degrees(ROTOR.azimuth(times)) + 180.0) % 360.0 - 180.0
+
+
+@pytest.mark.parametrize(("rate", "largest"), [(20000.0, 0.05), (1000.0, 0.3)])
+def test_azimuth_of_noisy_pulses(rate, largest):
+    samples, low_pass = signal(rate, pulse())
+    found = reference(samples, rate, low_pass=low_pass)
+    errors = azimuth_errors(found.pulse_times)
+    inner = errors[10:-10]
+    assert np.sqrt(np.mean(inner**2)) < largest
+    assert 0.4 < np.std(errors) / found.azimuth_error_deg < 2.0
+    assert found.scatter_deg > 2.0 * found.azimuth_error_deg and found.window > 5
+
+
+def test_the_low_pass_would_shift_the_azimuth():
+    samples, _ = signal(1000.0, pulse(0.3))
+    assert np.mean(azimuth_errors(reference(samples, 1000.0).pulse_times)) > 8.0
+
+
+def test_pulses_without_noise_are_found_between_the_samples():
+    samples, low_pass = signal(20000.0, pulse(), noise=0.0)
+    assert np.abs(azimuth_errors(reference(samples, 20000.0, low_pass=low_pass).pulse_times)).max() < 0.02
+
+
+def test_a_keyway_is_a_pulse_downward():
+    samples, low_pass = signal(20000.0, lambda psi: psi % 1.0 > 0.04)
+    found = reference(-8.0 + samples, 20000.0, low_pass=low_pass)
+    assert "falling" in found.notes[0] and np.abs(azimuth_errors(found.pulse_times)).mean() < 0.05
+
+
+def test_missing_and_double_pulses_are_repaired_and_said():
+    samples, low_pass = signal(
+        20000.0, lambda psi: (psi % 1.0 < 0.06) & (np.floor(psi) != 40) | (abs(psi - 90.4) < 0.01)
+    )
+    found = reference(samples, 20000.0, low_pass=low_pass)
+    assert any("missing" in note for note in found.notes) and any("stray" in note for note in found.notes)
+    assert np.abs(azimuth_errors(found.pulse_times)).max() < 0.2
+    assert np.allclose(np.diff(found.pulse_times), 1 / 17.5, rtol=0.03)
+
+
+def test_several_pulses_a_revolution_without_index():
+    samples, low_pass = signal(20000.0, pulse(0.4, 12))
+    found = reference(samples, 20000.0, pulses_per_revolution=12, low_pass=low_pass)
+    tooth = np.degrees(ROTOR.azimuth(found.pulse_times)) % 360.0
+    assert np.ptp((tooth - tooth[5] + 180) % 360) < 0.3 and any("no index" in note for note in found.notes)
+
+
+def test_a_missing_tooth_is_the_index():
+    shape = lambda psi: ((psi * 12) % 1.0 < 0.4) & (np.floor((psi % 1.0) * 12) != 11)  # noqa: E731
+    samples, low_pass = signal(20000.0, shape)
+    found = reference(samples, 20000.0, pulses_per_revolution=12, index="gap", low_pass=low_pass)
+    assert np.abs(azimuth_errors(found.pulse_times)).max() < 0.2
+
+
+def test_a_wide_pulse_is_the_index():
+    shape = lambda psi: (psi * 4) % 1.0 < np.where(psi % 1.0 < 0.25, 0.5, 0.2)  # noqa: E731
+    samples, low_pass = signal(20000.0, shape)
+    found = reference(samples, 20000.0, pulses_per_revolution=4, index="wide", low_pass=low_pass)
+    assert np.abs(azimuth_errors(found.pulse_times)).max() < 0.2
+
+
+@pytest.mark.parametrize("counts", [360.0, 4096.0])
+@pytest.mark.parametrize("wraps", [True, False])
+def test_counts_of_an_encoder(counts, wraps):
+    time = np.arange(20000) / 2000.0
+    turns = ROTOR.azimuth(time) / (2 * np.pi)
+    samples = np.floor(counts * (turns % 1.0 if wraps else turns))
+    found = reference(samples, 2000.0, kind="counts", counts_per_revolution=counts)
+    errors = azimuth_errors(found.pulse_times)
+    assert len(errors) in (174, 175, 176) and np.std(errors) < 360.0 / counts / 3 and abs(np.mean(errors)) < 0.1
+
+
+def test_an_offset_is_the_azimuth_at_the_pulse():
+    samples, low_pass = signal(20000.0, lambda psi: (psi - 0.25) % 1.0 < 0.06)
+    found = reference(samples, 20000.0, low_pass=low_pass, offset_deg=90.0)
+    assert np.abs(azimuth_errors(found.pulse_times)).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("samples", "settings", "words"),
+    [
+        (np.zeros(5000), {}, "is constant"),
+        (np.sin(np.arange(5000) / 20), {"level": 3.0}, "not between its states"),
+        (np.arange(5000.0), {}, "crosses the level"),
+        (np.random.default_rng(0).standard_normal(5000), {}, "tachometer"),
+        (np.ones(50), {"kind": "counts", "counts_per_revolution": 360.0}, "does not count"),
+    ],
+)
+def test_what_is_no_tachometer_is_refused(samples, settings, words):
+    with pytest.raises(UserError) as caught:
+        reference(samples, 1000.0, **settings)
+    assert words in str(caught.value) and caught.value.remedy
+
+
+def test_the_smoother_keeps_a_change_of_speed():
+    revolutions = np.delete(np.arange(800), [100, 101, 400])
+    speed_up = RotorKinematics(20.0, drift=0.05, drift_period=11.0)
+    exact = np.concatenate([[0.0], speed_up.pulse_times(45.0)])[:800]
+    jitter = 2e-5 * np.random.default_rng(2).standard_normal(800)
+    smoothed = smooth_pulses((exact + jitter)[revolutions], revolutions)
+    assert len(smoothed.times) == 800
+    assert np.std(smoothed.times - exact) == pytest.approx(smoothed.sigma, rel=0.35)
+    assert smoothed.scatter == pytest.approx(2e-5, rel=0.1)
+    assert smooth_pulses(exact, np.arange(800)).sigma < 1e-7
