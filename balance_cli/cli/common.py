@@ -90,6 +90,7 @@ class Session:
         self._warnings: list[str] = []
         self._skipped: dict[str, str] = {}
         self._left_out: dict[str, str] = {}
+        self._gaps: dict[str, dict[str, dict[str, int]]] = {}
         self._summary: Mapping[str, Any] = {}
         self._text: tuple[str, ...] = ()
 
@@ -116,6 +117,7 @@ class Session:
 
         Raises UserError for a run that is also in `disjoint_from` and, unless `skip_bad`, for an unusable file.
         """
+        from balance_cli.campaign.recording.gaps import report_gaps
         from balance_cli.campaign.recording.run_file import open_runs, require_disjoint
 
         runs, skipped = open_runs(tuple(paths), geometry, skip_bad)
@@ -123,8 +125,8 @@ class Session:
             self._skipped[str(path)] = reason
             self._echo_warning(f"skipped: {reason}")
         require_disjoint(runs, disjoint_from)
-        for run in runs:
-            self._inputs.append((run.name, role, run.digest))
+        self._inputs += [(run.name, role, run.digest) for run in runs]
+        self._gaps |= report_gaps(runs, self.warn)
         return runs
 
     def record_input(self, name: str, role: str, digest: str) -> None:
@@ -242,6 +244,7 @@ class Session:
             "warnings": self._warnings,
             "skipped": self._skipped,
             "left_out": self._left_out,
+            "gaps": self._gaps,
             **self._summary,
         }
 

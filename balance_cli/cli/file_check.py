@@ -8,6 +8,7 @@ from pathlib import Path
 
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
 from balance_cli.campaign.recording.channel_range import full_range_faults
+from balance_cli.campaign.recording.gaps import describe_gaps
 from balance_cli.campaign.recording.import_map_file import read_import_map
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
@@ -129,7 +130,7 @@ def _describe_run(run: Run) -> str:
     if run.excited:
         levels = ", ".join(f"{name} {level:g} rms" for name, level in zip(run.excited, run.level, strict=True))
         about += f", {run.excitation} of {levels}"
-    return about
+    return f"{about}, {describe_gaps(run)}" if run.bridged else about
 
 
 def _check_artefact_file(path: Path, geometry: Geometry | None) -> FileFinding:

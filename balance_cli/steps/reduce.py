@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.gaps import describe_gaps
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
@@ -73,7 +74,7 @@ def reduce_record(
     loads = _combine_loads(record, mean_solution, harmonic_solution, source)
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
     trust = assess_trust(record, geometry, source, nearest_trim(calibration, loads), harmonic_solution, sigma)
-    lines = tuple(line.description for line in trust.lines)
+    lines = (*filter(None, [describe_gaps(record.run)]), *(line.description for line in trust.lines))
     suspect_note = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *filter(None, [suspect_note])))
     if not record.run.has_loads or record.run.kind != "check":

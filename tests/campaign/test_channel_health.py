@@ -100,7 +100,7 @@ def test_a_channel_that_dies_for_part_of_the_record_is_found(start: int, stop: i
 def test_samples_that_are_not_finite_are_counted() -> None:
     channel = noise()
     channel[[7, 9000]] = np.nan, np.inf
-    assert fault(channel) == "not finite: 2 of 20000 samples, the first is sample 7"
+    assert fault(channel) == "not finite: 2 of 20000 samples, the first is sample 7, more than can be bridged"
 
 
 @pytest.mark.parametrize("value", [1e300, -1e10])

@@ -88,6 +88,7 @@ def test_a_call_that_succeeds_says_so_and_writes_its_result(tmp_path: Path) -> N
         "warnings": [],
         "skipped": {},
         "left_out": {"static-bare": "static"},
+        "gaps": {},
         "count": 2,
         "mean": None,
     }

@@ -213,7 +213,7 @@ def _nonfinite_fault(record: _ChannelStatistics) -> str:
     if not record.nonfinite_count:
         return ""
     share = f"{record.nonfinite_count} of {record.samples} samples"
-    return f"not finite: {share}, the first is sample {record.first_nonfinite}"
+    return f"not finite: {share}, the first is sample {record.first_nonfinite}, more than can be bridged"
 
 
 def _magnitude_fault(record: _ChannelStatistics) -> str:

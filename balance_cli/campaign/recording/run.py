@@ -63,13 +63,44 @@ class ExcerptSource:
         return SampleBlock(start, block.channels, block.loads)
 
 
+@dataclass(frozen=True)
+class BridgedSamples:
+    """Samples of one signal (channel or load) that were missing and are interpolated.
+
+    `index` (m,), ascending, `values` (m,), and `errors` (k, m) of the same interpolation at k places beside them, where
+    the samples are known.
+    """
+
+    name: str
+    index: NDArray[np.int64]
+    values: Array
+    errors: Array
+
+    @property
+    def count(self) -> int:
+        """Number of missing samples."""
+        return len(self.index)
+
+    @property
+    def gaps(self) -> tuple[tuple[int, int], ...]:
+        """First sample and end of each gap."""
+        parts = np.split(self.index, np.flatnonzero(np.diff(self.index) > 1) + 1)
+        return tuple((int(part[0]), int(part[-1]) + 1) for part in parts)
+
+    def excerpt(self, start: int, stop: int) -> BridgedSamples:
+        """Return those of samples start to stop, counted from `start`."""
+        low, high = np.searchsorted(self.index, (start, stop))
+        return BridgedSamples(self.name, self.index[low:high] - start, self.values[low:high], self.errors[:, low:high])
+
+
 @dataclass(frozen=True, repr=False)
 class Run:
     """One recorded run: its metadata, and its samples on demand.
 
     `excited` and `level` (rms in N or N m) are parallel tuples; `period` [s] where the excitation is periodic;
     `pulse_times` (n_rev,) [s from the first sample]; `attitude` (n, 2) of a static run: pitch and roll [deg] as in
-    balance_cli.campaign.rig.attitude; `digest` is the hex SHA-256 of the content.
+    balance_cli.campaign.rig.attitude; `digest` is the hex SHA-256 of the content; `bridged`: signals with short gaps,
+    which `source` fills.
     """
 
     name: str
@@ -92,6 +123,7 @@ class Run:
     note: str | None = None
     path: Path | None = None
     digest: str = ""
+    bridged: tuple[BridgedSamples, ...] = ()
 
     def __repr__(self) -> str:
         channels = plural(len(self.channel_names), "channel")
@@ -116,7 +148,9 @@ def excerpt_run(run: Run, start: int, stop: int) -> Run:
     if pulses is not None:
         pulses = pulses - start / run.sample_rate
         pulses = pulses[(pulses >= 0.0) & (pulses <= (stop - 1 - start) / run.sample_rate)]
-    return replace(run, samples=stop - start, source=ExcerptSource(run.source, start), pulse_times=pulses)
+    bridged = tuple(item for item in (signal.excerpt(start, stop) for signal in run.bridged) if item.count)
+    source = ExcerptSource(run.source, start)
+    return replace(run, samples=stop - start, source=source, pulse_times=pulses, bridged=bridged)
 
 
 def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | None = None) -> Array:
@@ -147,7 +181,9 @@ def have_same_samples(first: Run, second: Run) -> bool:
     return True
 
 
-_DIGESTED_FIELDS = {item.name for item in fields(Run)} - {"source", "path", "digest", "pulse_times", "attitude"}
+_DIGESTED_FIELDS = {item.name for item in fields(Run)} - {
+    *("source", "path", "digest", "pulse_times", "attitude", "bridged")
+}
 
 
 def run_digest(run: Run) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from balance_cli.campaign.recording.gaps import bridge_gaps
 from balance_cli.campaign.recording.run import Array, Run, SampleBlock, have_same_samples, run_digest
 from balance_cli.campaign.recording.run_checks import load_sample_faults, run_file_faults
 from balance_cli.campaign.recording.run_contents import read_contents, report_damage
@@ -59,6 +60,9 @@ def read_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
     path = Path(path)
     try:
         run, faults = _read_whole_run(path)
+        if run is not None:
+            run = bridge_gaps(run)
+            faults = tuple(load_sample_faults(run))
     except UserError as error:
         run, faults = None, (error,)
     return run, tuple(fault.with_location(file=str(path)) for fault in faults)
@@ -72,7 +76,7 @@ def _read_whole_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
         return None, faults
     order = None if contents.loads is None else tuple(contents.loads.names.index(name) for name in COMPONENTS)
     run = run_from_contents(contents, Hdf5Source(path, order), path)
-    return replace(run, digest=run_digest(run)), tuple(load_sample_faults(run))
+    return replace(run, digest=run_digest(run)), ()
 
 
 def open_runs(

@@ -1,7 +1,7 @@
 """Usable samples of a record: gaps, and channels that are bad for a part of the record only.
 
-A sample is bad if it is not finite or at the declared range of its channel. A channel that is bad in a few short
-intervals is left out only there. Where all channels are bad at once the record has a gap.
+A sample is bad if it is missing (interpolated or not) or at the declared range of its channel. A channel that is bad in
+a few short intervals is left out only there. Where all channels are bad at once the record has a gap.
 """
 
 from __future__ import annotations
@@ -61,9 +61,13 @@ def assess_data_quality(run: Run, geometry: Geometry, health: ChannelHealth, sta
     assert run.sample_rate is not None
     declared = {channel.name: channel for channel in geometry.channels}
     present = [name for name in declared if name in run.channel_names]
-    doubtful = [name for name in present if name in health.left_out]
+    bridged = {item.name: item.index for item in run.bridged}
+    doubtful = [name for name in present if name in health.left_out or name in bridged]
     limits = np.array([declared[name].range or np.inf for name in doubtful])
     bad = _bad_samples(run, doubtful, limits, start, stop)
+    for column, name in enumerate(doubtful):
+        index = bridged.get(name, np.empty(0, np.int64))
+        bad[index[(index >= start) & (index < stop)] - start, column] = True
     bad_intervals = [_bad_intervals(column, run.sample_rate) for column in bad.T]
     partly_bad = {
         name: intervals

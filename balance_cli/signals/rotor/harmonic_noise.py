@@ -31,6 +31,19 @@ FEWEST_NOISE_LINES = 8
 """Lines below which none is dropped; fewer do not determine a covariance."""
 MEDIAN_OF_EXPONENTIAL = float(np.log(2.0))
 """Median over mean of the power of a line of noise, which is exponentially distributed."""
+SLOPE_SIGNIFICANCE = 2.0
+"""Standard errors by which the spectrum must fall with frequency before it is extrapolated to the mean."""
+STEEPEST_EXPONENT = -1.5
+"""Exponent of the power law below which there is no extrapolation.
+
+Noise is at most of the kind 1/f. In a steeper spectrum the load itself varies, by a step or a maneuver.
+"""
+MEAN_LINE_OFFSET = 0.5
+"""Line that stands for the mean in the power law: it is the mean over frequencies from zero to the first line."""
+MEAN_NOISE_LINES = 24
+"""Lines from which the noise of the mean is estimated; half of those of a harmonic, because it must be near zero."""
+LINE_CORRELATION_SUM = 2.27
+"""Lines under Blackman's taper that are worth one: the sum of |rho|^2 over all pairs of lines 3 to 24, over 22."""
 
 
 def blackman_taper(fraction: Array) -> Array:
@@ -105,3 +118,29 @@ def _outlier_lines(power: Array) -> Flags:
     before[: COMPARISON_LINES // 2] = np.inf
     outliers = np.any(power > limit * np.minimum(beyond, before), axis=1)
     return np.asarray(np.convolve(outliers, np.ones(5), mode="same") > 0, bool)
+
+
+def mean_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:
+    """Return the noise of harmonic 0, which is real: from the lines of one side, because the other is its mirror image.
+
+    X_0 is half of the value that the formula for k >= 1 gives. Where the spectrum of a signal falls significantly with
+    frequency, as that of a drift does, its power law is extrapolated to the mean.
+    """
+    above = (offsets > 0) & (offsets <= MEAN_NOISE_LINES)
+    pooled = pooled_noise(lines[above] / 2.0, offsets[above])
+    ratio = np.sqrt(_power_law_factor(np.abs(lines[above]) ** 2, offsets[above]))
+    covariance = pooled.covariance.real * np.outer(ratio, ratio)
+    return PooledNoise(covariance.astype(complex), pooled.dof)
+
+
+def _power_law_factor(power: Array, lines: Array) -> Array:
+    """Factor (c,) by which the power at the mean exceeds the mean power of the lines, from a fitted power law."""
+    nonzero = np.any(power > 0, axis=0)
+    x = np.log(lines) - np.mean(np.log(lines))
+    exponent = x @ np.log(np.where(nonzero, power, 1.0) + np.finfo(float).tiny) / (x @ x)
+    # The logarithm of an exponential variable has the standard deviation pi/sqrt(6).
+    error = np.pi / np.sqrt(6.0) * np.sqrt(LINE_CORRELATION_SUM / (x @ x))
+    significant = nonzero & (exponent < -SLOPE_SIGNIFICANCE * error) & (exponent > STEEPEST_EXPONENT)
+    exponent = np.where(significant, exponent, 0.0)
+    law = (lines[:, None] / MEAN_LINE_OFFSET) ** exponent
+    return np.asarray(1.0 / np.mean(law, axis=0))

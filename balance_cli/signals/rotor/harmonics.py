@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth
-from balance_cli.signals.rotor.harmonic_noise import PooledNoise, blackman_taper, line_offsets, pooled_noise
+from balance_cli.signals.rotor.bridging_error import bridging_covariance
+from balance_cli.signals.rotor.harmonic_noise import blackman_taper, line_offsets, mean_noise, pooled_noise
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -42,19 +43,6 @@ EDGE_POLYNOMIAL = np.linalg.solve(
     ),
     np.array([1.0, 0.0, 0.0, 1.0, 0.5]),
 )
-SLOPE_SIGNIFICANCE = 2.0
-"""Standard errors by which the spectrum must fall with frequency before it is extrapolated to the mean."""
-STEEPEST_EXPONENT = -1.5
-"""Exponent of the power law below which there is no extrapolation.
-
-Noise is at most of the kind 1/f. In a steeper spectrum the load itself varies, by a step or a maneuver.
-"""
-MEAN_LINE_OFFSET = 0.5
-"""Line that stands for the mean in the power law: it is the mean over frequencies from zero to the first line."""
-MEAN_NOISE_LINES = 24
-"""Lines from which the noise of the mean is estimated; half of those of a harmonic, because it must be near zero."""
-LINE_CORRELATION_SUM = 2.27
-"""Lines under Blackman's taper that are worth one: the sum of |rho|^2 over all pairs of lines 3 to 24, over 22."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +121,7 @@ def estimate_harmonics(
     end, so that the amplitudes are means over the whole interval. For a signal that is periodic in azimuth the result
     is exact.
 
-    The noise is that of the neighboring lines k + m/R of the same record, R revolutions.
+    The noise is that of the neighboring lines k + m/R of the same record, R revolutions, and the error of bridged gaps.
 
     Raises UserError where the interval is too short, a harmonic is beyond half the sample rate, or a signal is not
     finite.
@@ -150,6 +138,16 @@ def estimate_harmonics(
         _accumulate_block(sums, samples, n, fitted_count, offsets / (last - first_revolution))
     amplitude = _solve_amplitudes(sums, n, fitted_count)
     covariance, dof = _amplitude_covariance(sums, n, offsets)
+
+    def error_amplitudes(index: NDArray[np.int64], errors: Array) -> ComplexArray:
+        assert run.sample_rate is not None
+        psi = azimuth.psi(np.clip(index / run.sample_rate, azimuth.first, azimuth.last))
+        weight = edge_weight(psi / (2 * np.pi), *revolutions)
+        moment = (_trigonometric_basis(psi, fitted_count) * weight[:, None]).T @ errors.T
+        return _solve_amplitudes(replace(sums, moment=moment), n, fitted_count).T
+
+    span = _sample_span(run, start, end)
+    covariance = covariance + bridging_covariance(run, names, span, error_amplitudes)
     frequency = np.arange(n + 1) * (last - first_revolution) / (end - start)
     return Harmonics(run.name, names, frequency, amplitude, covariance, dof, (start, end), revolutions, sums.samples)
 
@@ -188,15 +186,21 @@ def _weighted_blocks(
     assert run.sample_rate is not None
     first, last = revolutions
     start, end = azimuth.time_of(np.array(revolutions))
-    begin, stop = int(np.ceil(start * run.sample_rate)), int(np.floor(end * run.sample_rate)) + 1
-    for low in range(begin, min(stop, run.samples), block):
-        high = min(low + block, stop, run.samples)
+    begin, stop = _sample_span(run, start, end)
+    for low in range(begin, stop, block):
+        high = min(low + block, stop)
         signals = _read_signals(run, names, low, high)
         time = np.clip(np.arange(low, high) / run.sample_rate, azimuth.first, azimuth.last)
         psi = azimuth.psi(time)
         revolution = psi / (2 * np.pi)
         fraction = np.clip((revolution - first) / (last - first), 0.0, 1.0)
         yield _AzimuthBlock(psi, azimuth.speed(time), fraction, edge_weight(revolution, first, last), signals)
+
+
+def _sample_span(run: Run, start: float, end: float) -> tuple[int, int]:
+    """Return the first sample and the end of an interval [s]."""
+    assert run.sample_rate is not None
+    return int(np.ceil(start * run.sample_rate)), min(int(np.floor(end * run.sample_rate)) + 1, run.samples)
 
 
 def _read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Array:
@@ -256,33 +260,7 @@ def _amplitude_covariance(sums: _NormalEquations, n: int, offsets: Array) -> tup
     # A tapered sum over noise of density S has variance S sum q^2; so has the regression with w in place of q.
     variance_ratio = (w2 / w**2) / (q2 / q**2)
     lines = sums.lines * (2.0 / q)
-    pooled = [_mean_noise(lines[0], offsets)]
+    pooled = [mean_noise(lines[0], offsets)]
     pooled += [pooled_noise(lines[k], offsets) for k in range(1, n + 1)]
     covariance = variance_ratio * np.array([noise.covariance for noise in pooled])
     return covariance, np.array([noise.dof for noise in pooled])
-
-
-def _mean_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:
-    """Noise of harmonic 0, which is real: from the lines of one side, because the other is its mirror image.
-
-    X_0 is half of the value that the formula for k >= 1 gives. Where the spectrum of a signal falls significantly with
-    frequency, as that of a drift does, its power law is extrapolated to the mean.
-    """
-    above = (offsets > 0) & (offsets <= MEAN_NOISE_LINES)
-    pooled = pooled_noise(lines[above] / 2.0, offsets[above])
-    ratio = np.sqrt(_power_law_factor(np.abs(lines[above]) ** 2, offsets[above]))
-    covariance = pooled.covariance.real * np.outer(ratio, ratio)
-    return PooledNoise(covariance.astype(complex), pooled.dof)
-
-
-def _power_law_factor(power: Array, lines: Array) -> Array:
-    """Factor (c,) by which the power at the mean exceeds the mean power of the lines, from a fitted power law."""
-    nonzero = np.any(power > 0, axis=0)
-    x = np.log(lines) - np.mean(np.log(lines))
-    exponent = x @ np.log(np.where(nonzero, power, 1.0) + np.finfo(float).tiny) / (x @ x)
-    # The logarithm of an exponential variable has the standard deviation pi/sqrt(6).
-    error = np.pi / np.sqrt(6.0) * np.sqrt(LINE_CORRELATION_SUM / (x @ x))
-    significant = nonzero & (exponent < -SLOPE_SIGNIFICANCE * error) & (exponent > STEEPEST_EXPONENT)
-    exponent = np.where(significant, exponent, 0.0)
-    law = (lines[:, None] / MEAN_LINE_OFFSET) ** exponent
-    return np.asarray(1.0 / np.mean(law, axis=0))

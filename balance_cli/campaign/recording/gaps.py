@@ -1,0 +1,164 @@
+"""Short gaps of a record, samples that are not finite, are bridged where the record is read.
+
+A gap is bridged by interpolation (`gap_interpolation`). Longer or more frequent gaps stay, and the channel is left out.
+Static runs have no time between their rows and are not bridged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.recording.gap_interpolation import REACH, interpolate_missing
+from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, BridgedSamples, Run, SampleBlock, SampleSource
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.io.result_view import plural
+
+Integers = NDArray[np.int64]
+
+LONGEST_GAP = 32
+"""Samples of the longest gap that is bridged.
+
+In broadband records the error of the interpolation grows from that of the noise (5 samples) to a tenth of the signal
+(32 samples): beyond, the model of the signal, not the record, decides what stands there.
+"""
+LARGEST_SHARE = 0.01
+"""Share of missing samples up to which gaps are bridged.
+
+Even where nothing of the missing samples can be predicted, amplitudes then change by no more than the square root of
+it, a tenth of their noise; a channel that loses more is faulty.
+"""
+CONTEXT = 1024
+"""Samples on either side of a gap that the model is fitted to: ten for each of its coefficients."""
+TILE = 2048
+"""Samples whose gaps are filled at once."""
+
+
+@dataclass(frozen=True)
+class BridgedSource:
+    """Samples of another source with gaps filled: `fills` {column of channels and loads: (indices, values)}."""
+
+    measured: SampleSource
+    fills: Mapping[int, tuple[Integers, Array]]
+
+    def read(self, start: int, stop: int) -> SampleBlock:
+        """Return samples start to stop, filled."""
+        block = self.measured.read(start, stop)
+        channels, loads = block.channels, block.loads
+        for column, (index, values) in self.fills.items():
+            low, high = np.searchsorted(index, (start, stop))
+            if low == high:
+                continue
+            if column < channels.shape[1]:
+                channels = channels.copy() if channels is block.channels else channels
+                channels[index[low:high] - start, column] = values[low:high]
+            elif loads is not None:
+                loads = loads.copy() if loads is block.loads else loads
+                loads[index[low:high] - start, column - channels.shape[1]] = values[low:high]
+        return replace(block, channels=channels, loads=loads)
+
+
+def bridge_gaps(run: Run) -> Run:
+    """Return the run with its short gaps filled and listed; itself where it has none, or is static."""
+    if run.kind == "static":
+        return run
+    names = run.channel_names + (COMPONENTS if run.has_loads else ())
+    bridged = {}
+    for column, missing in _missing_samples(run, len(names)).items():
+        samples = _bridge(run, names[column], column, missing)
+        if samples is not None:
+            bridged[column] = samples
+    if not bridged:
+        return run
+    fills = {column: (samples.index, samples.values) for column, samples in bridged.items()}
+    return replace(run, source=BridgedSource(run.source, fills), bridged=tuple(bridged.values()))
+
+
+def gap_summary(run: Run) -> dict[str, dict[str, int]]:
+    """Return how many samples of each signal were bridged, in how many gaps, and the samples of the longest one."""
+    return {
+        item.name: {"samples": item.count, "gaps": len(item.gaps), "longest": longest_gap(item.index)}
+        for item in run.bridged
+    }
+
+
+def describe_gaps(run: Run) -> str:
+    """Return the bridged gaps in words; empty without any."""
+    texts = (
+        f"{name} ({about['samples']} in {plural(about['gaps'], 'gap')}, longest {about['longest']})"
+        for name, about in gap_summary(run).items()
+    )
+    return f"missing samples interpolated: {', '.join(texts)}" if run.bridged else ""
+
+
+def report_gaps(runs: Iterable[Run], report: Callable[[str], None]) -> dict[str, dict[str, dict[str, int]]]:
+    """Report the gaps of each run that has any in one sentence, and return their summaries by run."""
+    with_gaps = [run for run in runs if run.bridged]
+    for run in with_gaps:
+        report(f"{run.name}: {describe_gaps(run)}")
+    return {run.name: gap_summary(run) for run in with_gaps}
+
+
+def longest_gap(index: Integers) -> int:
+    """Return the length of the longest segment of consecutive samples among ascending indices."""
+    return max(len(part) for part in _segments(index))
+
+
+def _segments(index: Integers) -> list[Integers]:
+    return np.split(index, np.flatnonzero(np.diff(index) > 1) + 1)
+
+
+def _signals(block: SampleBlock) -> Array:
+    return block.channels if block.loads is None else np.hstack([block.channels, block.loads])
+
+
+def _missing_samples(run: Run, columns: int) -> dict[int, Integers]:
+    """Return the indices of the missing samples of each column that has any, and not too many."""
+    most = int(LARGEST_SHARE * run.samples)
+    found: list[list[Integers]] = [[] for _ in range(columns)]
+    count = np.zeros(columns, int)
+    for block in run.blocks():
+        parts = (block.channels,) if block.loads is None else (block.channels, block.loads)
+        if all(bool(np.isfinite(part).all()) for part in parts):
+            continue
+        bad = ~np.isfinite(_signals(block))
+        count += bad.sum(axis=0)
+        for column in np.flatnonzero(bad.any(axis=0) & (count <= most)):
+            found[column].append(block.start + np.flatnonzero(bad[:, column]))
+    return {column: np.concatenate(parts) for column, parts in enumerate(found) if parts and count[column] <= most}
+
+
+def _bridge(run: Run, name: str, column: int, missing: Integers) -> BridgedSamples | None:
+    """Fill the missing samples of one column; None where a gap is too long or nothing is known around it."""
+    if longest_gap(missing) > LONGEST_GAP:
+        return None
+    values, errors = [], []
+    for first, stop in _tiles(missing):
+        low, high = max(0, first - CONTEXT), min(run.samples, stop + CONTEXT + REACH)
+        signal = _signals(run.read(low, high))[:, column]
+        is_missing = ~np.isfinite(signal)
+        if np.any(np.abs(signal[~is_missing]) > LARGEST_MAGNITUDE):
+            return None
+        # Displaced gaps lie on the side where the record goes on.
+        ends = high == run.samples and low + high < first + stop
+        result = interpolate_missing(signal, is_missing, first - low, stop - low, ends)
+        if result is None:
+            return None
+        values.append(result.values)
+        errors.append(result.errors)
+    return BridgedSamples(name, missing, np.concatenate(values), np.concatenate(errors, axis=1))
+
+
+def _tiles(missing: Integers) -> Iterator[tuple[int, int]]:
+    """Yield segments (first, stop) of at most TILE samples that hold all missing ones; no gap is divided."""
+    gaps = [(int(part[0]), int(part[-1]) + 1) for part in _segments(missing)]
+    first, stop = gaps[0]
+    for begin, end in gaps[1:]:
+        if end - first > TILE:
+            yield first, stop
+            first = begin
+        stop = end
+    yield first, stop

@@ -1,0 +1,162 @@
+"""Short gaps are interpolated where a record is read, and the error that they leave is stated."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from scipy import signal
+
+from balance_cli.campaign.recording.channel_health import channel_faults
+from balance_cli.campaign.recording.gaps import LONGEST_GAP, bridge_gaps, describe_gaps, gap_summary
+from balance_cli.campaign.recording.run import MemorySource, Run, excerpt_run, run_digest
+from balance_cli.campaign.recording.run_file import open_run, write_run
+from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
+from balance_cli.signals.rotor.harmonics import estimate_harmonics
+
+RATE, SPEED, SECONDS = 800.0, 17.3, 12.0
+
+
+def rotor_run(seed: int, noise: float = 0.01, resonance: float = 0.3, hiss: float = 0.0) -> Run:
+    """Three channels of rotor harmonics, random motion of a light resonance, and noise; amplitudes are 1.
+
+    `hiss`: noise above 150 Hz, which nothing predicts.
+    """
+    rng = np.random.default_rng(seed)
+    n = int(SECONDS * RATE)
+    time = np.arange(n) / RATE
+    psi = 2 * np.pi * SPEED * time
+    periodic = sum(np.cos(k * psi + k) for k in range(1, 5))
+    r = np.exp(-0.02 * 2 * np.pi * 41.0 / RATE)
+    shaken = signal.lfilter([1.0], [1, -2 * r * np.cos(2 * np.pi * 41.0 / RATE), r * r], rng.standard_normal(n + 500))
+    high = signal.sosfilt(signal.butter(8, 150.0, "high", fs=RATE, output="sos"), rng.standard_normal(n + 500))
+    shaken = resonance * shaken[500:] / shaken.std() + hiss * high[500:]
+    channels = np.stack([g * (periodic + shaken) for g in (1.0, 0.5, -0.7)], 1) + noise * rng.standard_normal((n, 3))
+    pulses = np.arange(0, SECONDS, 1 / SPEED)
+    return Run("gaps", "rig", "wind", ("a", "b", "c"), n, MemorySource(channels, None), has_loads=False,
+               sample_rate=RATE, rotor_speed=SPEED, pulse_times=pulses)  # fmt: skip
+
+
+def with_gaps(run: Run, *spans: tuple[int, int], columns: object = 0) -> Run:
+    channels = run.read().channels.copy()
+    for start, stop in spans:
+        channels[start:stop, columns] = np.nan
+    return replace(run, source=MemorySource(channels, None))
+
+
+def bridged(run: Run, *spans: tuple[int, int], columns: object = 0) -> Run:
+    return bridge_gaps(with_gaps(run, *spans, columns=columns))
+
+
+@pytest.mark.parametrize("spans", [[(4000, 4001)], [(4000, 4032)], [(0, 4)], [(9596, 9600)], [(7, 8), (4000, 4010)]])
+def test_a_gap_is_filled_with_the_error_that_is_stated(spans):
+    errors, stated = [], []
+    for seed in range(6):
+        run = rotor_run(seed)
+        filled = bridged(run, *spans)
+        (samples,) = filled.bridged
+        assert samples.count == sum(stop - start for start, stop in spans)
+        errors.append(filled.read().channels[samples.index, 0] - run.read().channels[samples.index, 0])
+        stated.append(samples.errors)
+    ratio = np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(stated)))
+    assert 0.6 < ratio < 1.7
+    assert np.sqrt(np.mean(np.square(errors))) < 0.2
+
+
+WORST = {
+    "one": [(3000, 3001)],
+    "longest": [(3000, 3032)],
+    "several": [(k, k + 13) for k in range(1000, 8000, 1000)],
+    "at one azimuth": [(int(RATE / SPEED * k) + 5, int(RATE / SPEED * k) + 6) for k in range(2, 200, 3)],
+    "ends": [(0, 32), (9568, 9600)],
+    "all channels": [(3000, 3032), (6000, 6032)],
+}
+
+
+@pytest.mark.parametrize("case", WORST)
+def test_harmonics_with_gaps_differ_from_those_without_by_the_error_that_is_stated(case):
+    columns = slice(None) if case == "all channels" else 0
+    difference, stated, z = [], [], []
+    for seed in range(3):
+        run = rotor_run(seed, noise=0.002, resonance=0.5, hiss=0.5)
+        filled, azimuth = bridged(run, *WORST[case], columns=columns), azimuth_from_pulses(run.pulse_times)
+        whole, found, without = (
+            estimate_harmonics(item, azimuth, 6) for item in (run, filled, replace(filled, bridged=()))
+        )
+        difference.append(np.abs((found.amplitude - whole.amplitude)[1:, 0]) ** 2)
+        stated.append((found.covariance - without.covariance)[1:, 0, 0].real)
+        error = (found.amplitude[:, 0] - [0.0, *np.exp(1j * np.arange(1, 5)), 0.0, 0.0])[1:]
+        z.append(np.abs(error) ** 2 / found.covariance[1:, 0, 0].real)
+    assert 0.4 < np.sqrt(np.mean(difference) / np.mean(stated)) < 2.0
+    assert 0.7 < np.sqrt(np.mean(z)) < 1.3
+
+
+def test_the_error_of_gaps_in_noise_that_nothing_predicts_is_that_of_the_missing_samples():
+    run = rotor_run(3)
+    noise = np.random.default_rng(1).standard_normal((9600, 3))
+    filled = bridged(replace(run, source=MemorySource(noise, None)), (4000, 4030), (4045, 4075), (7000, 7030))
+    azimuth = azimuth_from_pulses(run.pulse_times)
+    ignored, stated = (
+        estimate_harmonics(item, azimuth, 4).covariance for item in (replace(filled, bridged=()), filled)
+    )
+    added = np.mean((stated - ignored)[1:, 0, 0].real)
+    assert added / (90 * (2 / 9600) ** 2) == pytest.approx(1.0, abs=0.5)
+    np.testing.assert_array_equal(stated[:, 1, 1], ignored[:, 1, 1])
+
+
+@pytest.mark.parametrize(
+    "spans",
+    [[(100, 101 + LONGEST_GAP)], [(k, k + 1) for k in range(10, 9600, 90)], [(0, 9600)]],
+    ids=["long", "many", "all"],
+)
+def test_a_channel_with_too_many_missing_samples_stays_as_it_is_and_is_left_out(spans):
+    run = with_gaps(rotor_run(0), *spans)
+    assert bridge_gaps(run) is run
+    assert "more than can be bridged" in channel_faults(run, {"a": None})["a"]
+
+
+def test_blocks_and_excerpts_hold_the_same_values():
+    filled = bridged(rotor_run(0), (500, 510), (1000, 1001), (8190, 8195))
+    whole = filled.read().channels
+    np.testing.assert_array_equal(np.concatenate([block.channels for block in filled.blocks(97)]), whole)
+    assert np.isfinite(whole).all()
+    part = excerpt_run(filled, 505, 2000)
+    np.testing.assert_array_equal(part.read().channels, whole[505:2000])
+    assert part.bridged[0].gaps == ((0, 5), (495, 496))
+
+
+def test_a_short_record_and_a_constant_channel_are_bridged_on_the_safe_side():
+    run = rotor_run(0)
+    short = replace(run, samples=120, source=MemorySource(run.read(0, 120).channels, None))
+    (samples,) = bridged(short, (60, 61)).bridged
+    assert np.sqrt(np.mean(samples.errors**2)) > 0.5 * short.read().channels[:, 0].std()
+    constant = replace(run, source=MemorySource(np.full((9600, 3), 2.5), None))
+    filled = bridged(constant, (150, 152))
+    assert np.all(filled.read().channels == 2.5) and not filled.bridged[0].errors.any()
+
+
+def test_a_file_is_bridged_when_it_is_read_and_keeps_its_digest(tmp_path):
+    run = with_gaps(rotor_run(0), (500, 503), (900, 901))
+    write_run(tmp_path / "run.h5", run)
+    filled = open_run(tmp_path / "run.h5")
+    assert gap_summary(filled) == {"a": {"samples": 4, "gaps": 2, "longest": 3}}
+    assert describe_gaps(filled) == "missing samples interpolated: a (4 in 2 gaps, longest 3)"
+    assert filled.digest == run_digest(replace(filled, source=filled.source.measured))
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert np.isnan(file["channels"][500, 0])
+
+
+def test_a_gap_in_a_measured_load_is_bridged_too():
+    run = rotor_run(0)
+    loads = np.zeros((9600, 6))
+    loads[:, 2] = run.read().channels[:, 1]
+    broken = loads.copy()
+    broken[700:704, 2] = np.nan
+    filled = bridge_gaps(replace(run, has_loads=True, source=MemorySource(run.read().channels, broken)))
+    assert filled.bridged[0].name == "Fz"
+    assert np.abs(filled.read().loads - loads).max() < 0.1
+
+
+def test_static_runs_are_not_bridged():
+    run = with_gaps(rotor_run(0), (500, 501))
+    assert bridge_gaps(replace(run, kind="static")).bridged == ()
