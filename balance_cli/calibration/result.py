@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,7 +46,7 @@ class TrimCalibration:
     applied over all trims; `channel_rated_range` (c,) [V]: rated range of the channel. `residual` (k,) and
     `channel_residual` (c,): standard deviation about the applied loads and the readings. `condition` of C0, loads in
     units of the calibrated range, channels in units of their noise. `excluded_channels`: unusable channels, with the
-    reason.
+    reason. `rated_load` (k,) [N, N m]: as declared, NaN where a component has none; None where none has.
     """
 
     trim: str
@@ -73,6 +73,14 @@ class TrimCalibration:
     hysteresis: Hysteresis
     condition: float
     excluded_channels: dict[str, str] = field(default_factory=dict, metadata={"stored_as": "left_out"})
+    rated_load: Array | None = field(default=None, metadata={"omit_if_none": True})
+
+    @property
+    def full_scale(self) -> Array:
+        """The load (k,) [N, N m] that percentages refer to: rated, or the calibrated range where none is declared."""
+        if self.rated_load is None:
+            return self.calibrated_range
+        return np.where(np.isfinite(self.rated_load), self.rated_load, self.calibrated_range)
 
     @property
     def misfit_share(self) -> float:
@@ -84,8 +92,8 @@ class TrimCalibration:
 
     @property
     def residual_percent_fs(self) -> dict[str, float]:
-        """Standard deviation of back-calculated less applied loads, percent of the calibrated range, by component."""
-        return dict(zip(self.components, (100.0 * self.residual / self.calibrated_range).tolist(), strict=True))
+        """Standard deviation of back-calculated less applied loads, percent of full scale, by component."""
+        return dict(zip(self.components, (100.0 * self.residual / self.full_scale).tolist(), strict=True))
 
     @property
     def channel_residual_percent_fs(self) -> dict[str, float]:
@@ -166,3 +174,11 @@ class Calibration(ResultView):
                 for channel, row, sigmas in zip(trim.channel_names, trim.C0, trim.C0_sigma, strict=True)
             ]
         )
+
+
+def with_rated_loads(trim: TrimCalibration, geometry: Geometry) -> TrimCalibration:
+    """The trim with the rated loads that a geometry declares."""
+    if not geometry.rated_loads:
+        return trim
+    rated = [geometry.rated_loads.get(name, float("nan")) for name in trim.components]
+    return replace(trim, rated_load=np.array(rated))

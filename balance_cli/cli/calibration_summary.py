@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from balance_cli.cli.load_residual_summary import check_point_summary, load_residual_summary
+
 if TYPE_CHECKING:
     from balance_cli.calibration.all_trims import AllTrimsCalibration, CheckLoads
     from balance_cli.calibration.noniterative import NonIterativeModel
@@ -40,6 +42,8 @@ def calibration_summary(calibration: Calibration) -> dict[str, Any]:
         "geometry": calibration.geometry.name,
         "trims": {name: _trim_summary(trim) for name, trim in calibration.trims.items()},
         "all_trims": summary,
+        "load_residuals": load_residual_summary(calibration),
+        "check_points": check_point_summary(calibration),
         "gage": _with_former_keys(summary) if summary else None,
     }
 
@@ -59,12 +63,13 @@ def _trim_summary(trim: TrimCalibration) -> dict[str, Any]:
         "lack_of_fit": trim.lack_of_fit,
         "calibrated_range": calibrated_range,
         "full_range": calibrated_range,
+        "full_scale": dict(zip(components, trim.full_scale, strict=True)),
         "mean_load": dict(zip(components, trim.mean_load, strict=True)),
         "channel_residual_percent_fs": trim.channel_residual_percent_fs,
         "hysteresis_percent_fs": {
             name: {"value": 100 * value / full, "sigma": 100 * sigma / full}
             for name, value, sigma, full in zip(
-                components, loops.loads, loops.loads_sigma, trim.calibrated_range, strict=True
+                components, loops.loads, loops.loads_sigma, trim.full_scale, strict=True
             )
         },
         "channel_hysteresis": _matrix_summary(channels, components, loops.channels, loops.channels_sigma),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from balance_cli.cli.calibration_summary import nonlinear_terms_summary
+from balance_cli.cli.load_residual_summary import load_residual_text
 
 if TYPE_CHECKING:
     from balance_cli.calibration.all_trims import AllTrimsCalibration, CheckLoads
@@ -20,6 +21,7 @@ def calibration_text(calibration: Calibration) -> Iterator[str]:
     """Lines of text that summarize a calibration."""
     for trim in calibration.trims.values():
         yield from _trim_text(trim)
+    yield from load_residual_text(calibration)
     if calibration.all_trims:
         yield from _math_model_text(calibration.all_trims)
 
@@ -57,8 +59,8 @@ def _trim_text(trim: TrimCalibration) -> Iterator[str]:
     yield f"  residual over noise {trim.lack_of_fit:.2f} (1: a straight line describes the readings)"
     yield "  component  cal. range   residual % FS   hysteresis % FS"
     for j, name in enumerate(trim.components):
-        full = trim.calibrated_range[j]
-        loop, sigma = 100 * trim.hysteresis.loads[j] / full, 100 * trim.hysteresis.loads_sigma[j] / full
+        full, scale = trim.calibrated_range[j], trim.full_scale[j]
+        loop, sigma = 100 * trim.hysteresis.loads[j] / scale, 100 * trim.hysteresis.loads_sigma[j] / scale
         yield f"  {name:9s} {full:11.1f} {trim.residual_percent_fs[name]:15.4f}   {loop:9.4f} +- {sigma:.4f}"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration, TrimCalibration
-from balance_cli.campaign.rig.components import UNIT_OF
+from balance_cli.campaign.rig.load_components import component_units, full_scale
 from balance_cli.report.blocks import (
     Details,
     Heading,
@@ -21,6 +21,7 @@ from balance_cli.report.blocks import (
     WarningText,
     row_with_name,
 )
+from balance_cli.report.load_residuals import check_load_blocks, load_residual_blocks
 from balance_cli.report.math_model import math_model_blocks
 from balance_cli.report.number_format import MARKED_SIGMA, format_significant, value_and_sigma_text
 from balance_cli.report.sources import Source, Sources
@@ -35,16 +36,20 @@ def section(sources: Sources) -> Section | None:
     """The section of all calibrations; None without any."""
     named, blocks = len(sources.calibrations) > 1, list[PageBlock]()
     for i, source in enumerate(sources.calibrations):
-        blocks += _calibration_blocks(source, named)
-        blocks += math_model_blocks(source, named, f"-{i + 1}" if i else "")
+        suffix = f"-{i + 1}" if i else ""
+        blocks += [Heading(source.file)] if named else []
+        blocks += load_residual_blocks(source.content, suffix)
+        blocks += check_load_blocks(source.content, suffix)
+        blocks += _calibration_blocks(source)
+        blocks += math_model_blocks(source, named, suffix)
     return Section("calibration", "Static calibration", tuple(blocks)) if blocks else None
 
 
-def _calibration_blocks(source: Source[Calibration], named: bool) -> Iterator[PageBlock]:
+def _calibration_blocks(source: Source[Calibration]) -> Iterator[PageBlock]:
     trims = source.content.trims
     rows = sum(trim.rows for trim in trims.values())
-    if named:
-        yield Heading(source.file)
+    yield Heading("Matrices of the trims")
+    yield from _unit_notes(source.content)
     yield Paragraph(
         f"{len(trims)} trim{'s' if len(trims) > 1 else ''}, {rows} load points, a linear fit to each trim. "
         "Residual: standard deviation of back-calculated less applied loads."
@@ -57,6 +62,17 @@ def _calibration_blocks(source: Source[Calibration], named: bool) -> Iterator[Pa
     for trim in trims.values():
         yield matrix_table(trim)
     yield Details("T0: loads from channels", tuple(inverse_table(trim) for trim in trims.values()))
+
+
+def _unit_notes(calibration: Calibration) -> Iterator[PageBlock]:
+    """What V and microvolts stand for where readings are ratios to the excitation, or counts."""
+    for unit, meaning in (("V/V", "ratios to the excitation"), ("1", "numbers (counts)")):
+        names = [channel.name for channel in calibration.geometry.channels if channel.reading_unit == unit]
+        if names:
+            yield Paragraph(
+                f"The readings of {', '.join(names)} are {meaning}: V stands for {unit}, and "
+                f"\N{MICRO SIGN}V for a millionth of it."
+            )
 
 
 def _trim_warnings(trim: TrimCalibration) -> Iterator[PageBlock]:
@@ -82,11 +98,14 @@ def residual_table(calibration: Calibration) -> Table:
     )
     rows = tuple(_residual_row(trim) for trim in calibration.trims.values())
     first = next(iter(calibration.trims.values()))
-    ranges = zip(first.components, first.calibrated_range, strict=True)
-    full = ", ".join(f"{name} {format_significant(float(value))} {UNIT_OF[name]}" for name, value in ranges)
+    units = component_units(calibration.geometry)
+    scale = full_scale(calibration.geometry, first.components, first.calibrated_range)
+    ranges = zip(first.components, scale.values, strict=True)
+    full = ", ".join(f"{name} {format_significant(float(value))} {units[name]}" for name, value in ranges)
     caption = (
-        f"Residual in % of the calibrated range ({full}); condition of C0 in units of that range and of the noise of "
-        "the channels; variance of the residuals over that of the noise (1 where a straight line fits the readings)."
+        f"Residual in % of the {scale.meaning} ({full}); condition of C0 in units of the calibrated range and of the "
+        "noise of the channels; variance of the residuals over that of the noise (1 where a straight line fits the "
+        "readings)."
     )
     return Table(caption, (head,), rows)
 
@@ -104,16 +123,16 @@ def _residual_row(trim: TrimCalibration) -> Row:
 
 def hysteresis_table(calibration: Calibration) -> Table:
     """Hysteresis of each trim, as loads."""
-    components = next(iter(calibration.trims.values())).components
-    head = (TableCell("trim"), *(TableCell(f"{name} [{UNIT_OF[name]}]") for name in components))
+    components, units = next(iter(calibration.trims.values())).components, component_units(calibration.geometry)
+    head = (TableCell("trim"), *(TableCell(f"{name} [{units[name]}]") for name in components))
     rows = []
     for trim in calibration.trims.values():
-        pairs = zip(trim.hysteresis.loads, trim.hysteresis.loads_sigma, trim.calibrated_range, strict=True)
+        pairs = zip(trim.hysteresis.loads, trim.hysteresis.loads_sigma, trim.full_scale, strict=True)
         cells = [_hysteresis_cell(float(width), float(sigma), float(full)) for width, sigma, full in pairs]
         rows.append((TableCell(trim.trim, mark="name"), *cells))
     caption = (
-        "Hysteresis: reading while loading less reading while unloading, as load, with standard error; small: % of the "
-        "calibrated range. Marked: more than three standard errors."
+        "Hysteresis: reading while loading less reading while unloading, as load, with standard error; small: % of "
+        "full scale. Marked: more than three standard errors."
     )
     return Table(caption, (head,), tuple(rows))
 

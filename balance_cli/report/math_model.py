@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,7 +14,7 @@ from balance_cli.calibration.outliers import Outlier, SuspectLoadSeries
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.selection import TERM_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.tares import Tares
-from balance_cli.campaign.rig.components import UNIT_OF
+from balance_cli.campaign.rig.load_components import component_units
 from balance_cli.report.blocks import Details, Heading, PageBlock, Paragraph, Picture, WarningText
 from balance_cli.report.diagnosis_tables import PLUS_MINUS
 from balance_cli.report.figure_style import svg
@@ -55,7 +55,7 @@ def math_model_blocks(source: Source[Calibration], named: bool, suffix: str) -> 
     proof = all_trims.model.contraction()
     yield from _math_model_warnings(all_trims, proof)
     if proof.proved:
-        yield Paragraph(_iteration_text(all_trims, proof))
+        yield Paragraph(_iteration_text(all_trims, proof, component_units(source.content.geometry)))
     if all_trims.non_iterative is not None:
         yield Paragraph(_non_iterative_text(all_trims.non_iterative))
     yield from _math_model_tables(source.content, all_trims, has_rows)
@@ -102,16 +102,16 @@ def _selection_text(all_trims: AllTrimsCalibration) -> str:
     )
 
 
-def _iteration_text(all_trims: AllTrimsCalibration, proof: Contraction) -> str:
+def _iteration_text(all_trims: AllTrimsCalibration, proof: Contraction, units: Mapping[str, str]) -> str:
     """The calibrated range, and the loads beyond which a result is refused."""
     model = all_trims.model
     limits = zip(model.components, model.smallest_load, model.largest_load, strict=True)
     calibrated = ", ".join(
-        f"{name} {format_significant(float(low))} to {format_significant(float(high))} {UNIT_OF[name]}"
+        f"{name} {format_significant(float(low))} to {format_significant(float(high))} {units[name]}"
         for name, low, high in limits
     )
     reach = zip(model.components, proof.reach * model.calibrated_range, strict=True)
-    refused = ", ".join(f"{name} {PLUS_MINUS}{format_significant(float(size))} {UNIT_OF[name]}" for name, size in reach)
+    refused = ", ".join(f"{name} {PLUS_MINUS}{format_significant(float(size))} {units[name]}" for name, size in reach)
     factor = format_significant(1.0 / max(proof.rho, 1e-12), 2)
     iteration = f"Loads are computed by iteration; every step reduces the error at least {factor} times. "
     return f"{iteration if model.is_nonlinear else ''}Calibrated: {calibrated}. Loads beyond {refused} are refused."

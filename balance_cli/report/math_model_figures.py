@@ -88,7 +88,7 @@ def order_figure(all_trims: AllTrimsCalibration, series: Sequence[LoadSeriesRows
 def load_figure(all_trims: AllTrimsCalibration, series: Sequence[LoadSeriesRows], ranges: Array) -> Figure:
     """One panel per channel: residual [uV] against the varied loads in % of the calibrated range, by component."""
     figure, panels, last = _make_panels(len(all_trims.model.channel_names), "load")
-    x, styles = varied_loads(all_trims, series), [COMPONENT_STYLES[name] for name in all_trims.model.components]
+    x, styles = varied_loads(all_trims, series), component_styles(all_trims.model.components)
     for c, axes in enumerate(panels):
         _set_title(axes, all_trims, c, ranges)
         axes.axhline(0.0, color=BLACK, linewidth=0.6, zorder=1)
@@ -102,6 +102,13 @@ def load_figure(all_trims: AllTrimsCalibration, series: Sequence[LoadSeriesRows]
     ]
     _add_legend(figure, handles, list(all_trims.model.components))
     return figure
+
+
+def component_styles(components: Sequence[str]) -> list[PlotStyle]:
+    """The styles of components: those of the hub loads, in their order for components of other names."""
+    if set(components) <= set(COMPONENT_STYLES):
+        return [COMPONENT_STYLES[name] for name in components]
+    return list(COMPONENT_STYLES.values())[: len(components)]
 
 
 def varied_loads(all_trims: AllTrimsCalibration, series: Sequence[LoadSeriesRows]) -> Array:

@@ -45,15 +45,22 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     """
     channels, loads = read_samples(run, channel_names)
     differences = second_differences(loads)
-    c = len(channel_names)
-    if len(differences) < c + 2:
-        raise run_error(
-            run, f"only {len(differences)} rows lie within a ramp of the loading", "Apply the loads in steps"
-        )
+    count = _independent_differences(loads, differences)
+    if count < len(channel_names) + 2:
+        fault = f"only {count} rows within a ramp of the loading tell its noise"
+        raise run_error(run, fault, "Apply the loads in steps")
     covariance, dof = difference_covariance(channels, loads, differences)
     parts = _noise_parts(channels, loads, differences, covariance, dof)
     names = tuple(channel_names)
     return StaticPoints(run.name, run.trim or "", names, channels, loads, covariance, dof, noise_parts=parts)
+
+
+def _independent_differences(loads: Array, operator: Array) -> int:
+    """Differences along the ramps that no linear, quadratic or cubic function of the loads explains."""
+    if not len(operator):
+        return 0
+    singular = np.linalg.svd(_difference_operator(loads, operator), compute_uv=False)
+    return int(np.count_nonzero(singular > COLLINEARITY_RATIO))
 
 
 def second_differences(loads: Array) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration
+from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration, with_rated_loads
 from balance_cli.calibration.static_matrices import (
     TrimRegression,
     TrimRows,
@@ -107,7 +107,7 @@ def calibrate(
         members = tuple(run for run in static if (run.trim or "") == label)
         names, excluded = _usable_channels(members, geometry)
         task = _TrimTask(label, members, geometry, names, excluded, components.names, calibrated_range)
-        trims[label] = _calibrate_trim(task)
+        trims[label] = with_rated_loads(_calibrate_trim(task), geometry)
     return Calibration(geometry, trims, fit_all_trims(static, geometry, trims, hold_out, search, non_iterative))
 
 

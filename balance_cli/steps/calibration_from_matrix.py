@@ -14,7 +14,7 @@ from balance_cli.calibration.matrix import model_from_matrix
 from balance_cli.calibration.matrix_reader import ParsedMatrix
 from balance_cli.calibration.matrix_text import CHANNEL, COMPONENT, RIG
 from balance_cli.calibration.noise import CalibrationNoise
-from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration
+from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration, with_rated_loads
 from balance_cli.calibration.static_matrices import inverse_matrix
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
@@ -45,7 +45,7 @@ def calibration_from_matrix(
     model = model_from_matrix(parsed_matrix.matrix)
     return Calibration(
         geometry,
-        {MATRIX_TRIM: _linear_trim(model, geometry)},
+        {MATRIX_TRIM: with_rated_loads(_linear_trim(model, geometry), geometry)},
         _model_without_rows(model, load_components(geometry), hold_out),
     )
 

@@ -320,8 +320,10 @@ def test_lines_appear_where_the_loads_alone_do_not_do():
 def test_several_calibrations_share_a_page(spoiled):
     made = build_page(given(spoiled, calibration()))
     assert made.pictures == (
+        "calibration-loads",
         "calibration-order",
         "calibration-load",
+        "calibration-loads-2",
         "calibration-order-2",
         "calibration-load-2",
     )
@@ -338,7 +340,7 @@ def test_one_channel_and_one_sequence_make_a_page():
     made = section(given(calibrate([run], geometry)))
     assert "21 rows of s1 in one load series." in texts(made, "text")
     assert row_of(made, "nonlinear terms", "z.strain")[4:] == ["–", "–", "–"]
-    assert len(list(pictures(made.blocks))) == 2
+    assert len(list(pictures(made.blocks))) == 3
 
 
 def test_load_points_are_numbered_where_the_names_of_sequences_have_no_room(spoiled, monkeypatch):

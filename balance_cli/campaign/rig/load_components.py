@@ -75,6 +75,28 @@ def moment_transfer(about: Sequence[float], to: Sequence[float]) -> Array:
     return matrix
 
 
+@dataclass(frozen=True)
+class FullScale:
+    """The load (k,) [N, N m] that is 100 % of each component: rated where `is_rated` (k,), else calibrated."""
+
+    values: Array
+    is_rated: tuple[bool, ...]
+
+    @property
+    def meaning(self) -> str:
+        """What 100 % stands for, in words."""
+        if all(self.is_rated):
+            return "rated load"
+        return "rated load, or calibrated range where none is declared" if any(self.is_rated) else "calibrated range"
+
+
+def full_scale(geometry: Geometry, components: Sequence[str], calibrated_range: Array) -> FullScale:
+    """Full scale of these components: the rated loads that the geometry declares, else the calibrated range (k,)."""
+    rated = geometry.rated_loads or {}
+    values = [rated.get(name, float(size)) for name, size in zip(components, calibrated_range, strict=True)]
+    return FullScale(np.array(values), tuple(name in rated for name in components))
+
+
 def component_units(geometry: Geometry) -> dict[str, str]:
     """Unit (N or N m) of each component of a geometry, and of the hub loads."""
     components = load_components(geometry)
