@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
+from balance_cli.campaign.recording.point_loads import with_hub_loads
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, open_run
 from balance_cli.campaign.rig.geometry import Geometry
@@ -65,7 +66,7 @@ def to_runs(runs: RunLike | Iterable[RunLike], geometry: Geometry) -> tuple[Run,
             raise mismatch
         if run.name in opened:
             raise UserError(f"two runs are named `{run.name}`", str(run.path or run.name), "run", "Give each run once")
-        opened[run.name] = run
+        opened[run.name] = with_hub_loads(run, geometry.hub)
     return tuple(opened.values())
 
 

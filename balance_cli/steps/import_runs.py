@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.additions import RunAdditions
 from balance_cli.campaign.recording.import_map import ImportMap
 from balance_cli.campaign.recording.import_map_file import DeclaredRun
 from balance_cli.campaign.recording.run import Run
@@ -17,6 +18,7 @@ from balance_cli.importers.base import ForeignFile
 from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.pulse_consistency import speed_fault
 from balance_cli.signals.rotor.tachometer import RotorReference
+from balance_cli.steps.import_additions import addition_signals, additions_of
 from balance_cli.steps.import_rotor import rotor_reference
 from balance_cli.steps.import_signals import ANGLE_UNIT, ChannelFinder, Signal, mapped_signals, other_signal
 from balance_cli.steps.import_source import ImportedSource, SignalMatrix, signal_matrix
@@ -53,9 +55,13 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
     channels = mapped_signals(finder, mapping.channels)
     has_loads = entry.kind in KINDS_WITH_LOADS
     loads = mapped_signals(finder, mapping.loads) if has_loads else []
+    others = addition_signals(finder, mapping, has_loads)
     signals = [*channels, *loads]
-    timeline, notes = _timeline(finder, signals, mapping) if entry.kind != "static" else (None, [])
+    every = [*signals, *(signal for group in others.values() for signal in group)]
+    timeline, notes = _timeline(finder, every, mapping) if entry.kind != "static" else (None, [])
     matrix = _matrix(finder, signals, timeline)
+    matrices = {name: _matrix(finder, group, timeline) for name, group in others.items()}
+    _check_rows(matrix, matrices)
     load_columns = tuple(COMPONENTS.index(signal.target) for signal in loads) if loads else None
     run = Run(
         name=entry.run,
@@ -76,11 +82,13 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
         recorded=entry.recorded or next((file.recorded for file in files if file.recorded), None),
         note=entry.note,
         path=files[0].path,
+        additions=additions_of(mapping, matrices),
     )
     notes = [*(note for file in files for note in file.notes), *finder.clock_notes, *notes]
-    notes += [signal.note for signal in signals if signal.note]
-    if mapping.loads and not has_loads:
-        notes.append(f"a `{entry.kind}` run has no loads: {', '.join(mapping.loads)} left out")
+    notes += [signal.note for signal in every if signal.note]
+    unused = [*mapping.loads, *(point.channel for point in mapping.load_points)]
+    if unused and not has_loads:
+        notes.append(f"a `{entry.kind}` run has no loads: {', '.join(unused)} left out")
     return _complete(run, finder, mapping, timeline, notes, entry.rotor_speed)
 
 
@@ -141,6 +149,10 @@ def _complete(
     if reference is not None:
         notes += reference.notes
         run = _with_pulses(run, reference, stated_speed, notes)
+        if mapping.rotor2 is not None and timeline is not None:
+            second = rotor_reference(finder, mapping.rotor2, timeline, "rotor2")
+            notes += [f"rotor2: {note}" for note in (f"mean rate {second.mean_rate:.6g} Hz", *second.notes)]
+            run = _with_second_rotor(run, second)
     if run.kind == "sweep" and run.excited and not run.level and run.has_loads:
         run = replace(run, level=_rms_levels(run))
         notes.append(f"level of the excitation, rms over the record: {', '.join(f'{x:.4g}' for x in run.level)}")
@@ -148,7 +160,22 @@ def _complete(
     return ImportedRun(run, reference, tuple(dict.fromkeys(notes)), start)
 
 
+def _check_rows(matrix: SignalMatrix, others: Mapping[str, SignalMatrix]) -> None:
+    """Raise UserError where a static run has more or fewer temperatures or forces than load points."""
+    for name, other in others.items():
+        if other.samples != matrix.samples:
+            fault = f"`{name}` has {other.samples} rows, the channels have {matrix.samples}"
+            raise UserError(fault, str(matrix.groups[0].signals[0].source.file.path), remedy="Give one for each row")
+
+
+def _with_second_rotor(run: Run, second: RotorReference) -> Run:
+    additions = run.additions or RunAdditions()
+    return replace(run, additions=replace(additions, further_pulse_times=(second.pulse_times,)))
+
+
 def _with_pulses(run: Run, reference: RotorReference, stated: float | None, notes: list[str]) -> Run:
+    additions = replace(run.additions or RunAdditions(), azimuth_error_deg=reference.azimuth_error_deg)
+    run = replace(run, additions=additions)
     if stated is None:
         speed = float(f"{reference.mean_rate:.6g}")
         notes.append(f"rotor speed {speed:g} Hz, the mean rate of the pulses")

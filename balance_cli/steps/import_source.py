@@ -81,6 +81,17 @@ def signal_matrix(
 
 
 @dataclass(frozen=True)
+class ImportedAdditions:
+    """Forces at points and temperatures, each a matrix of signals."""
+
+    matrices: dict[str, SignalMatrix]
+
+    def read(self, dataset: str, start: int, stop: int) -> Array:
+        """Rows start to stop."""
+        return self.matrices[dataset].read(start, stop)
+
+
+@dataclass(frozen=True)
 class ImportedSource:
     """Samples of channels [V] and hub loads [N, N m]; the matrix holds the channels, then the loads."""
 

@@ -1,6 +1,7 @@
 """`balance import`: run files from foreign files, against the run files that these were made from."""
 
 import json
+import re
 from pathlib import Path
 
 import h5py
@@ -209,3 +210,37 @@ def test_a_wind_run_whose_tachometer_stands_still_is_refused(tmp_path):
         file["tacho"][:] = 0.0
     result = run_import(tmp_path, wind_map(), tmp_path / "record", status=2)
     assert "channel `tacho` (rotor of the map): is constant" in result.stderr
+
+
+def test_every_key_of_a_map_is_in_the_manual():
+    from balance_cli.campaign.recording.import_map import ImportMap
+    from tests.test_docs import keys
+
+    words = set(re.findall(r"`(\w+)`", re.sub(r"[{}(),:]", "` `", (ROOT / "docs" / "import.md").read_text("utf-8"))))
+    assert keys(ImportMap) - words == set()
+
+
+def test_forces_at_points_temperatures_and_a_second_rotor(tmp_path):
+    rotor = write_wind_hdf5(tmp_path / "record")
+    with h5py.File(tmp_path / "record", "r+") as file:
+        time = np.arange(file["a0"].size) / 4000.0
+        for name, unit, values in (("hammer", "lbf", np.sin(time)), ("tc", "K", 293.15 + time)):
+            file[name] = values
+            file[name].attrs["unit"], file[name].attrs["sample_rate"] = unit, 4000.0
+        file["tail"] = 5.0 * ((3.0 * rotor.azimuth(time) / (2 * np.pi)) % 1.0 < 0.1)
+        file["tail"].attrs["sample_rate"] = 4000.0
+    mapping = wind_map(
+        load_points=[{"channel": "hammer", "position": [0, 0, 1], "direction": [1, 0, 0], "name": "tip", "sign": -1}],
+        temperature={"tc": "beam"},
+        rotor2={"channel": "tail"},
+    )
+    mapping["runs"] = [{"file": "*", "run": "check-1", "kind": "check"}]
+    run_import(tmp_path, mapping, tmp_path / "record")
+    run = open_run(tmp_path / "runs" / "check-1.h5")
+    parts = run.additions
+    assert np.allclose(parts.read("load_points/force", 0, 99)[:, 0], -4.4482216152605 * np.sin(time[:99]))
+    assert np.allclose(parts.read("temperature", 0, 99)[:, 0], 20.0 + time[:99]) and parts.temperature_names == (
+        "beam",
+    )
+    assert np.allclose(np.diff(parts.further_pulse_times[0]), 1 / 52.5, rtol=0.05)
+    assert parts.azimuth_error_deg < 0.1

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.additions import RunAdditions
 from balance_cli.io.result_view import plural
 
 Array = NDArray[np.float64]
@@ -124,6 +125,7 @@ class Run:
     path: Path | None = None
     digest: str = ""
     bridged: tuple[BridgedSamples, ...] = ()
+    additions: RunAdditions | None = None
 
     def __repr__(self) -> str:
         channels = plural(len(self.channel_names), "channel")
@@ -149,8 +151,14 @@ def excerpt_run(run: Run, start: int, stop: int) -> Run:
         pulses = pulses - start / run.sample_rate
         pulses = pulses[(pulses >= 0.0) & (pulses <= (stop - 1 - start) / run.sample_rate)]
     bridged = tuple(item for item in (signal.excerpt(start, stop) for signal in run.bridged) if item.count)
-    source = ExcerptSource(run.source, start)
-    return replace(run, samples=stop - start, source=source, pulse_times=pulses, bridged=bridged)
+    return replace(
+        run,
+        samples=stop - start,
+        source=ExcerptSource(run.source, start),
+        pulse_times=pulses,
+        bridged=bridged,
+        additions=None if run.additions is None else run.additions.excerpt(start, stop, run.sample_rate),
+    )
 
 
 def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | None = None) -> Array:
@@ -181,9 +189,8 @@ def have_same_samples(first: Run, second: Run) -> bool:
     return True
 
 
-_DIGESTED_FIELDS = {item.name for item in fields(Run)} - {
-    *("source", "path", "digest", "pulse_times", "attitude", "bridged")
-}
+_HASHED_APART = {"pulse_times", "attitude", "additions"}
+_DIGESTED_FIELDS = {item.name for item in fields(Run)} - {"source", "path", "digest", "bridged"} - _HASHED_APART
 
 
 def run_digest(run: Run) -> str:
@@ -193,6 +200,8 @@ def run_digest(run: Run) -> str:
     hashed = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
     if run.attitude is not None:
         hashed.update(b"attitude" + np.ascontiguousarray(run.attitude, "<f8").tobytes())
+    if run.additions is not None:
+        hashed.update(b"additions" + run.additions.digest(run.samples))
     for block in run.blocks():
         hashed.update(np.ascontiguousarray(block.channels, "<f8").tobytes())
         if block.loads is not None:

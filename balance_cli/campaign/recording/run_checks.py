@@ -22,7 +22,8 @@ def run_file_faults(contents: RunFileContents) -> Iterator[UserError]:
     if kind not in RUN_KINDS:
         return
     yield from kind_faults(contents.attributes)
-    yield from load_faults(kind, contents.loads, contents.channels)
+    if contents.loads is not None or not contents.has_load_points:
+        yield from load_faults(kind, contents.loads, contents.channels)
     yield from pulse_faults(kind, contents)
     yield from attitude_faults(kind, contents)
 
@@ -45,6 +46,7 @@ class LoadCheck:
 
     def __init__(self, run: Run) -> None:
         self._run = run
+        self._has_points = run.additions is not None and run.additions.load_points is not None
         self._bad, self._largest = np.zeros(len(COMPONENTS), int), np.zeros(len(COMPONENTS))
 
     def watch(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
@@ -71,6 +73,6 @@ class LoadCheck:
                 samples = f"{count} of {self._run.samples} samples"
                 fault = f"{samples} of the load are not finite, or beyond {LARGEST_MAGNITUDE:g}"
                 yield UserError(fault, place=place, remedy="Repeat the run, or cut it before these samples")
-            elif name in self._run.excited and peak == 0.0:
+            elif name in self._run.excited and peak == 0.0 and not self._has_points:
                 fault = "all samples are zero, which declares the load as not measured, but `excited` names it"
                 yield UserError(fault, place=place, remedy="Correct `excited`, or record this load")

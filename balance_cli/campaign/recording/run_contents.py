@@ -60,6 +60,7 @@ def read_contents(path: Path) -> RunFileContents:
             pulse_times=_read_values(file, PULSE_DATASET, pulses, MOST_PULSES),
             attitude=attitude,
             angles=_read_values(file, "attitude", attitude, rows),
+            has_load_points="load_points" in file,
         )
 
 

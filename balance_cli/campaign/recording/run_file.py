@@ -10,7 +10,9 @@ from typing import Any
 import h5py
 import numpy as np
 
+from balance_cli.campaign.recording.additions_file import read_additions, write_additions
 from balance_cli.campaign.recording.gaps import bridge_gaps
+from balance_cli.campaign.recording.point_loads import with_hub_loads
 from balance_cli.campaign.recording.run import Array, Run, SampleBlock, have_same_samples, run_digest
 from balance_cli.campaign.recording.run_checks import load_sample_faults, run_file_faults
 from balance_cli.campaign.recording.run_contents import read_contents, report_damage
@@ -76,6 +78,8 @@ def _read_whole_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
         return None, faults
     order = None if contents.loads is None else tuple(contents.loads.names.index(name) for name in COMPONENTS)
     run = run_from_contents(contents, Hdf5Source(path, order), path)
+    with report_damage(path):
+        run = replace(run, additions=read_additions(path, run.samples))
     return replace(run, digest=run_digest(run)), ()
 
 
@@ -113,7 +117,7 @@ def _matching_run(path: Path, geometry: Geometry) -> Run:
     mismatch = next(geometry_mismatches(run, geometry), None)
     if mismatch:
         raise mismatch
-    return run
+    return with_hub_loads(run, geometry.hub)
 
 
 def geometry_mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
@@ -179,6 +183,8 @@ def write_run(path: Path, run: Run, blocks: Iterable[SampleBlock] | None = None)
             angles = _create_dataset(file, "attitude", run.samples, ANGLES, np.float64)
             angles.attrs["unit"] = "deg"
             angles[:] = run.attitude
+        if run.additions is not None:
+            write_additions(file, run.additions, run.samples)
 
 
 def contents_of_run(run: Run) -> RunFileContents:
@@ -195,6 +201,7 @@ def contents_of_run(run: Run) -> RunFileContents:
         pulse_times=pulses,
         attitude=None if angles is None else DatasetLayout(angles.shape, "f", ANGLES, ("deg",)),
         angles=angles,
+        has_load_points=run.additions is not None and run.additions.load_points is not None,
     )
 
 

@@ -50,6 +50,7 @@ class RunFileContents:
     pulse_times: Array | None = None
     attitude: DatasetLayout | None = None
     angles: Array | None = None
+    has_load_points: bool = False
 
 
 def run_from_contents(contents: RunFileContents, source: SampleSource, path: Path) -> Run:
