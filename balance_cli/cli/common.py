@@ -87,7 +87,7 @@ class Session:
         self._staged = StagedOutputs()
         self._inputs: list[tuple[str, str, str]] = []
         self._outputs: list[Path] = []
-        self._warnings: list[str] = []
+        self.warnings: list[str] = []
         self._skipped: dict[str, str] = {}
         self._left_out: dict[str, str] = {}
         self._gaps: dict[str, dict[str, dict[str, int]]] = {}
@@ -199,7 +199,7 @@ class Session:
 
     def warn(self, text: str) -> None:
         """Print a warning on stderr and add it to the summary."""
-        self._warnings.append(text)
+        self.warnings.append(text)
         self._echo_warning(text)
 
     def report_left_out(self, name: str, reason: str) -> None:
@@ -241,7 +241,7 @@ class Session:
         return {
             "command": self._context.info_name,
             "outputs": [str(path) for path in self._outputs],
-            "warnings": self._warnings,
+            "warnings": self.warnings,
             "skipped": self._skipped,
             "left_out": self._left_out,
             "gaps": self._gaps,

@@ -106,7 +106,8 @@ def command(
     method_options.check_source(source, model)
     records = session.runs(runs, cal.geometry, skip_bad)
     reduction = Reduction(method_options, cal, source, _load_zero_record(session, cal, zero, records), history)
-    loads = HubLoads(method, source.description, cal.geometry, _reduce_runs(session, reduction, records, skip_bad))
+    run_loads = _reduce_runs(session, reduction, records, skip_bad)
+    loads = HubLoads(method, source.description, cal.geometry, run_loads, tuple(session.warnings) or None)
     _write_load_table(session, output, loads)
     session.finish(summary(loads), reduction_text(loads))
 

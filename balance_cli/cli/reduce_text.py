@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from balance_cli.cli.load_text import load_lines, trust_line
+from balance_cli.reduction.run_verdict import run_verdict
 
 if TYPE_CHECKING:
     from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
@@ -23,6 +24,7 @@ def summary(loads: HubLoads) -> dict[str, Any]:
 
 
 def _run_summary(run: RunLoads) -> dict[str, Any]:
+    verdict = run_verdict(run)
     summary = {
         "redundancy": dict(enumerate(run.redundancy)),
         "redundancy_limit": dict(enumerate(run.redundancy_limit)),
@@ -31,6 +33,8 @@ def _run_summary(run: RunLoads) -> dict[str, Any]:
         "interval_s": run.interval,
         "trim": run.trim,
         "flags": run.flag_counts,
+        "verdict": verdict.word,
+        "reasons": verdict.reasons,
         "notes": run.notes,
     }
     if run.check is not None:

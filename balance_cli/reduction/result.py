@@ -130,13 +130,14 @@ class RunLoads(ResultView):
 class HubLoads(ResultView):
     """Hub loads of all runs of one reduction, and the geometry of its calibration.
 
-    `method` is one of `choices.METHODS`.
+    `method` is one of `choices.METHODS`; `warnings`: what was said while the loads were reduced.
     """
 
     method: str
     response: str
     geometry: Geometry
     runs: dict[str, RunLoads]
+    warnings: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     def summary_lines(self) -> Iterator[str]:
         """Rig, response, method, runs, flags."""

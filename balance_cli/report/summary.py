@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.report.blocks import BulletList, KeyFigures, PageBlock, Section, WarningText
 from balance_cli.report.check_errors import loads_with_check_runs, overall_error
 from balance_cli.report.diagnosis import verdict_sentence
 from balance_cli.report.frequencies import LARGE_FREQUENCY_DEVIATION, frequency_deviation, reference_model
-from balance_cli.report.load_figures import wind_runs
+from balance_cli.report.load_verdicts import residual_test_figure, verdict_blocks
 from balance_cli.report.number_format import capitalize_first, format_percent, format_significant, join_names
 from balance_cli.report.parameters import is_good_fit
 from balance_cli.report.source_roles import SourceRole
 from balance_cli.report.sources import Sources
-from balance_cli.report.wind_on import harmonics_above_limit, select_shown_loads
 
 
 def section(sources: Sources) -> Section:
@@ -25,6 +22,7 @@ def section(sources: Sources) -> Section:
     figures = tuple(_key_figures(sources))
     if figures:
         blocks.append(KeyFigures(figures))
+    blocks += verdict_blocks(sources.loads)
     blocks += _verdict_blocks(sources)
     return Section("summary", "Summary", tuple(blocks))
 
@@ -77,14 +75,7 @@ def _key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
         least = min(error.noise for error in noise if error is not None)
         yield f"{format_percent(least)} %", "noise floor of the hub-load error (smallest of all methods)", "quiet"
     yield from _model_key_figures(sources)
-    load_sources = [source for source in sources.loads if wind_runs(source.content)]
-    if load_sources:
-        shown = select_shown_loads(load_sources)
-        runs = wind_runs(shown.content).values()
-        total = sum(int(np.isfinite(run.redundancy).sum()) for run in runs)
-        failing = sum(len(harmonics_above_limit(run)) for run in runs)
-        mark = "bad" if failing else "good"
-        yield f"{failing} of {total}", f"wind-on harmonics that fail the residual test, {shown.label}", mark
+    yield from residual_test_figure(sources.loads)
 
 
 def _model_key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:

@@ -8,6 +8,7 @@ import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.io.artefacts import Artefact
+from balance_cli.report import summary
 from balance_cli.report.check_errors import RelativeError, harmonic_errors, overall_error, pooled_errors
 from balance_cli.report.check_runs import section
 from balance_cli.report.page import build_page
@@ -178,6 +179,38 @@ def test_wind_on_harmonics_beyond_the_limit_are_counted_and_lost_channels_named(
     assert "channel z2.piezo left out: clipped" in words
     fine = group_sources([(Path("l.h5"), artefact("balance-loads/1", loads(), "1" * 64))])
     assert "fail the residual test" not in texts(wind_section(fine), "warn")
+
+
+def summary_of(content):
+    return summary.section(group_sources([(Path("l.h5"), artefact("balance-loads/1", content, "1" * 64))]))
+
+
+def test_harmonics_without_redundancy_are_said_not_to_be_tested_and_are_never_green():
+    plain = loads()
+    untested = {
+        name: replace(run, redundancy=np.full(4, np.nan), flags=(("untested",) * 6,) * 4)
+        for name, run in plain.runs.items()
+    }
+    figures = next(block for block in summary_of(replace(plain, runs=untested)).blocks if block.kind == "figures")
+    (figure,) = [item for item in figures.items if "wind-on" in item[1]]
+    assert figure[0] == "not tested" and "good" not in figure[2]
+    figures = next(block for block in summary_of(plain).blocks if block.kind == "figures")
+    (figure,) = [item for item in figures.items if "wind-on" in item[1]]
+    assert figure[0] == "0 of 3" and "1 not tested" in figure[1] and "good" not in figure[2]
+
+
+def test_the_first_section_says_of_every_run_whether_to_use_it_and_why():
+    contradicted = replace(loads().runs["wind-1"], flags=(("model contradicted",) * 6,) * 4)
+    made = summary_of(replace(loads(), runs={**loads().runs, "wind-1": contradicted}, warnings=("z2 bridged",)))
+    (table,) = [block for block in made.blocks if block.kind == "table"]
+    rows = {row[0].text: row for row in table.rows}
+    assert rows["check-1"][2].text.startswith("Use with care because the mean loads count from")
+    assert rows["wind-1"][2].text.startswith("Do not use because the response misses its own data")
+    assert rows["wind-1"][2].mark == "bad" and "model contradicted (24)" in rows["wind-1"][1].text
+    assert "z2 bridged" in texts(made, "warn")
+    clean = replace(loads().runs["wind-1"], flags=(("",) * 6,) * 4, left_out={})
+    (table,) = [b for b in summary_of(replace(loads(), runs={"wind-1": clean})).blocks if b.kind == "table"]
+    assert (table.rows[0][1].text, table.rows[0][2].text) == ("none", "Use.")
 
 
 def test_nothing_gives_an_empty_report():

@@ -1,0 +1,62 @@
+"""Whether the loads of a run can be used, in one word and with its reasons, from the flags of its rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from balance_cli.reduction.flags import (
+    EXTRAPOLATED,
+    FILTER_CONTRADICTED,
+    MODEL_CONTRADICTED,
+    NO_ZERO,
+    NOT_MEASURED,
+    NOT_STEADY,
+    REDUNDANCY,
+    UNMODELLED_LINE,
+    UNTESTED,
+)
+from balance_cli.reduction.result import RunLoads
+
+USE, WITH_CARE, DO_NOT_USE = "use", "use with care", "do not use"
+CONTRADICTIONS = (REDUNDANCY, FILTER_CONTRADICTED, MODEL_CONTRADICTED)
+"""Flags that say that something measured contradicts the load."""
+CONTRADICTED_SHARE = 0.5
+"""Share of contradicted rows from which a run should not be used: it is the response, the filter or a channel that is
+wrong then, not a harmonic."""
+MEANINGS = {
+    NO_ZERO: "the mean loads count from the zero of the calibration",
+    NOT_MEASURED: "no channel measures the mean loads",
+    UNTESTED: "no redundant sensor tests them",
+    REDUNDANCY: "the redundant channels contradict them",
+    EXTRAPOLATED: "mean loads lie outside the calibrated range",
+    NOT_STEADY: "loads step or drift within the record",
+    UNMODELLED_LINE: "the channels have a line beside the reduced harmonics",
+    FILTER_CONTRADICTED: "the innovations contradict the filter",
+    MODEL_CONTRADICTED: "the response misses its own data by more than a tenth of the load",
+}
+
+
+@dataclass(frozen=True)
+class RunVerdict:
+    """USE, WITH_CARE or DO_NOT_USE, and the reasons in words, those that decide first."""
+
+    word: str
+    reasons: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """The verdict and its reasons as one sentence."""
+        because = f" because {'; '.join(self.reasons)}" if self.reasons else ""
+        return f"{self.word[0].upper()}{self.word[1:]}{because}."
+
+
+def run_verdict(run: RunLoads) -> RunVerdict:
+    """Return the verdict on the loads of one run."""
+    counts, rows = run.flag_counts, sum(len(row) for row in run.flags)
+    contradicted = sum(any(word in flags for word in CONTRADICTIONS) for row in run.flags for flags in row)
+    word = DO_NOT_USE if contradicted >= CONTRADICTED_SHARE * rows > 0 else WITH_CARE if counts or run.left_out else USE
+    order = sorted(counts, key=lambda flag: flag not in CONTRADICTIONS)
+    reasons = [f"{MEANINGS[flag]} ({flag}: {counts[flag]} of {rows} rows)" for flag in order]
+    if run.left_out:
+        reasons.append(f"channels are left out ({', '.join(run.left_out)})")
+    return RunVerdict(word, tuple(reasons))

@@ -1,0 +1,78 @@
+"""The first screen's answer for each run: may these loads be used, and which flags do they have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.reduction.flags import UNTESTED
+from balance_cli.reduction.result import HubLoads, RunLoads
+from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict
+from balance_cli.report.blocks import Details, PageBlock, Row, Table, TableCell, WarningText, plain_row
+from balance_cli.report.load_figures import wind_runs
+from balance_cli.report.sources import Source
+from balance_cli.report.wind_on import harmonics_above_limit, select_shown_loads
+
+MARKS = {USE: "good", DO_NOT_USE: "bad"}
+MOST_WARNINGS = 8
+"""Warnings of the reduction that are shown; the summary of the command has all."""
+
+
+def verdict_blocks(sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
+    """Yield the verdict on every run of the loads that are shown, the warnings of their reduction, and other loads."""
+    if not sources:
+        return
+    shown = select_shown_loads(sources)
+    yield _verdict_table(shown)
+    for source in sources:
+        warnings = source.content.warnings or ()
+        left = len(warnings) - MOST_WARNINGS
+        more = (f"{left} more",) if left > 0 else ()
+        if warnings:
+            yield WarningText(f"Warnings of {source.label}: {'; '.join((*warnings[:MOST_WARNINGS], *more))}.")
+    others = tuple(_verdict_table(source) for source in sources if source is not shown)
+    if others:
+        yield Details("Verdicts on the loads by other methods", others)
+
+
+def _verdict_table(source: Source[HubLoads]) -> Table:
+    head = (plain_row("run", "flags", "verdict"),)
+    return Table(f"Loads by {source.label}.", head, tuple(_verdict_row(run) for run in source.content.runs.values()))
+
+
+def _verdict_row(run: RunLoads) -> Row:
+    verdict = run_verdict(run)
+    flags = ", ".join(f"{flag} ({count})" for flag, count in run.flag_counts.items()) or "none"
+    return (
+        TableCell(run.run, run.kind, "name"),
+        TableCell(flags),
+        TableCell(verdict.sentence, mark=MARKS.get(verdict.word, "")),
+    )
+
+
+def residual_test_figure(sources: Sequence[Source[HubLoads]]) -> Iterator[tuple[str, str, str]]:
+    """Yield the key figure of the residual test of wind-on runs; untested harmonics are never shown as passed."""
+    with_wind = [source for source in sources if wind_runs(source.content)]
+    if not with_wind:
+        return
+    shown = select_shown_loads(with_wind)
+    runs = wind_runs(shown.content).values()
+    tested = sum(int(np.count_nonzero(_is_tested(run))) for run in runs)
+    failing = sum(len(harmonics_above_limit(run)) for run in runs)
+    rows = sum(len(run.redundancy) for run in runs)
+    if not tested and not failing:
+        yield "not tested", f"wind-on harmonics ({rows}) have no redundant sensor, {shown.label}", ""
+        return
+    mark = "bad" if failing else "good" if tested == rows else ""
+    caption = f"wind-on harmonics that fail the residual test, {shown.label}"
+    if tested < rows:
+        caption += f"; {rows - tested} not tested"
+    yield f"{failing} of {tested}", caption, mark
+
+
+def _is_tested(run: RunLoads) -> NDArray[np.bool_]:
+    """Return which harmonics (n+1,) have a residual test of the mechanics, not of the channels alone."""
+    untested = np.array([all(UNTESTED in flags for flags in row) for row in run.flags])
+    return np.asarray(np.isfinite(run.redundancy) & ~untested)
