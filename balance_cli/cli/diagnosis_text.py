@@ -32,6 +32,7 @@ def diagnosis_summary(diagnosis: Diagnosis, updated_model: IdentifiedModel) -> d
         "hold_out": {name: asdict(errors) for name, errors in diagnosis.hold_out.items()},
         "chi2_per_dof": {"before": diagnosis.chi2_per_dof_before, "after": diagnosis.chi2_per_dof_after},
         "frf_error": {"before": diagnosis.frf_error_before, "after": diagnosis.frf_error_after},
+        "frf_band": updated_model.quality.frf_band,
         "parameters": parameters_summary(updated_model.parameters),
         "declared": declared_summary(updated_model),
         "modes": {"before": modes_summary(diagnosis.modes_before), "after": modes_summary(diagnosis.modes_after)},

@@ -21,7 +21,7 @@ from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_freque
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
-from balance_cli.estimation.fit_quality import fit_quality
+from balance_cli.estimation.fit_quality import fit_quality, frf_band
 from balance_cli.estimation.identifiability import parameter_identifiability
 from balance_cli.estimation.identified_model import FitQuality
 from balance_cli.estimation.likelihood import data_curvature
@@ -159,7 +159,7 @@ def model_quality(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -
     """Return how well a model with parameters `theta` (p,) describes the lines."""
     system = model.system(theta)
     identifiability = parameter_identifiability(model.parameters, data_curvature(batches, system).information)
-    return fit_quality(batches, system, identifiability.effective_parameters)
+    return fit_quality(batches, system, identifiability.effective_parameters, frf_band(batches, model.geometry))
 
 
 def is_good_fit(confirmation: ConfirmedFit, quality: FitQuality, settings: SearchSettings) -> bool:

@@ -17,6 +17,8 @@ class ScoreSettings:
 
     min_information_share: float = 1e-9
     """Share of a candidate's information that the fitted parameters must leave: less may be rounding."""
+    min_remaining_share: float = 1e-12
+    """The same of one parameter alone, whose small differences are computed without errors of first order."""
     screening_lines: int = 2000
     """Spectral lines on which all candidates are scored: enough to rank them."""
     full_score_candidates: int = 40
@@ -103,6 +105,8 @@ class UnmodelledModeSettings:
 class PointMassSettings:
     """The place of a point mass that gains most, and its fit."""
 
+    strained_sigma: float = 3.0
+    """Standard deviations of the priors' chi-square from which a mass is also scored as a part of the declared ones."""
     grid: int = 25
     """Points along each axis of the grid from which the best place is refined."""
     min_remaining_share: float = 1e-12

@@ -7,39 +7,55 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identified_model import FitQuality, RunFit
 from balance_cli.estimation.likelihood import evaluate_batch, recorded_load_columns
+from balance_cli.model.balance import balance_model
+from balance_cli.model.modes import modes
+from balance_cli.model.placed_effects import without_effects
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Band [Hz] of the relative response error (`frf_error` in docs/json.md): the modes of rotor balances and 1 to 8/rev.
+# Band [Hz] of the relative response error (`frf_error` in docs/json.md): the modes of rotor balances and 1 to 8/rev. A
+# rig whose computed modes do not all lie in it has the band of its excited lines instead.
 FRF_BAND = (5.0, 150.0)
 
 
-def fit_quality(batches: Sequence[Batch], system: System, effective_parameters: float) -> FitQuality:
-    """Quality of the whole fit and of every run.
+def frf_band(batches: Sequence[Batch], geometry: Geometry) -> tuple[float, float]:
+    """Return the band [Hz] of the relative response errors of a rig: `FRF_BAND`, or that of the excited lines."""
+    computed = modes(balance_model(without_effects(geometry)).system()).frequency
+    if len(computed) and FRF_BAND[0] <= computed.min() and computed.max() <= FRF_BAND[1]:
+        return FRF_BAND
+    lines = np.concatenate([np.zeros(0), *(batch.line_frequency[batch.line_frequency > 0] for batch in batches)])
+    return (float(lines.min()), float(lines.max())) if len(lines) else FRF_BAND
+
+
+def fit_quality(
+    batches: Sequence[Batch], system: System, effective_parameters: float, band: tuple[float, float] = FRF_BAND
+) -> FitQuality:
+    """Quality of the whole fit and of every run; relative errors of the responses are those of the `band` [Hz].
 
     `effective_parameters` are subtracted from the degrees of freedom.
     """
     runs: dict[str, RunFit] = {}
     for batch in batches:
-        runs.update(_batch_quality(batch, system))
+        runs.update(_batch_quality(batch, system, band))
     chi2, count = sum(run.chi2 for run in runs.values()), sum(run.dof for run in runs.values())
     dynamic = [run.frf_error for run in runs.values() if np.isfinite(run.frf_error)]
     error = float(np.sqrt(np.mean(np.square(dynamic)))) if dynamic else float("nan")
-    return FitQuality(float(chi2), float(count - effective_parameters), error, runs)
+    return FitQuality(float(chi2), float(count - effective_parameters), error, runs, band)
 
 
-def _batch_quality(batch: Batch, system: System) -> dict[str, RunFit]:
+def _batch_quality(batch: Batch, system: System, frf_limits: tuple[float, float]) -> dict[str, RunFit]:
     solution = solve(system, batch.frequency, batch.spin)
     fit = evaluate_batch(batch, system, solution)
     columns = recorded_load_columns(batch, system, solution)
     frequency = batch.line_frequency
-    in_band = (frequency >= FRF_BAND[0]) & (frequency <= FRF_BAND[1])
+    in_band = (frequency >= frf_limits[0]) & (frequency <= frf_limits[1]) & (frequency > 0)
     # Lines at rest may have no load at all.
     size = np.where(in_band, np.sum(np.abs(batch.lines.loads) ** 2, axis=1), 1.0)
     is_live = live_mask(batch)

@@ -65,12 +65,16 @@ class RunFit:
 
 @dataclass(frozen=True)
 class FitQuality:
-    """Chi-square against the measured noise, its degrees of freedom, and the relative error of all responses."""
+    """Chi-square against the measured noise, its degrees of freedom, and the relative error of all responses.
+
+    `frf_band` [Hz]: that of the relative errors.
+    """
 
     chi2: float
     dof: float
     frf_error: float
     runs: dict[str, RunFit]
+    frf_band: tuple[float, float] | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def chi2_per_dof(self) -> float:

@@ -28,10 +28,10 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 ModelErrors = Mapping[str, float]
 
-# Half the band around a line over which the response is averaged, relative to its frequency, and its minimum [Hz]:
-# twice the half-power width of a mode with 1 % damping.
+# Half the band around a line over which the response is averaged, relative to its frequency: twice the half-power width
+# of a mode with 1 % damping. Its minimum relative to the highest frequency of the run: that width in the lowest tenth.
 RELATIVE_HALF_BAND = 0.04
-MIN_HALF_BAND = 0.5
+MIN_HALF_BAND_SHARE = 1.0 / 300.0
 # Least response relative to the strongest line of a run: at an antiresonance the model error does not vanish.
 MIN_RESPONSE_RATIO = 1e-3
 # Range of e: an error as large as the response, and one far below any noise, which counts as zero.
@@ -83,7 +83,7 @@ def _running_mean(frequency: Array, power: Array) -> Array:
     """Mean of power (k, c) over the lines within the band around each line, by running sums."""
     order = np.argsort(frequency, kind="stable")
     rising = frequency[order]
-    half = np.maximum(RELATIVE_HALF_BAND * rising, MIN_HALF_BAND)
+    half = np.maximum(RELATIVE_HALF_BAND * rising, MIN_HALF_BAND_SHARE * rising.max(initial=0.0))
     first, last = np.searchsorted(rising, rising - half), np.searchsorted(rising, rising + half, side="right")
     sums = np.concatenate([np.zeros((1, power.shape[1])), np.cumsum(power[order], axis=0)])
     mean = np.empty_like(power)

@@ -48,8 +48,8 @@ EFFECT_PRIOR_SCALES = 100.0
 REGRESSION_PRIOR_SCALES = 10.0
 # Prior that fixes effects at their declared values, in their scales.
 FIXED_EFFECT_SCALES = 1e-3
-# Upper limits [Hz] of the bands that are fitted one after another where parts are flexible; each doubles the last.
-BAND_EDGES = (20.0, 40.0, 80.0, np.inf)
+# Upper limits of the bands that are fitted one after another where parts are flexible, as shares of the highest line.
+BAND_EDGES = (0.125, 0.25, 0.5, 1.0)
 # Rounds, each with the variance estimated from the residual of the one before.
 ROUNDS = 2
 # Number of lines for starting values that a fit refines at once.
@@ -80,9 +80,10 @@ def find_starting_values(
         aligned,
     )
     effects_free = effects_fixed
-    for max_frequency in BAND_EDGES if np.any(aligned_system.equations.own_stiffness) else (np.inf,):
+    highest = max((float(batch.frequency[-1]) for batch in batches), default=0.0)
+    for share in BAND_EDGES if np.any(aligned_system.equations.own_stiffness) else BAND_EDGES[-1:]:
         effects_free = _fit_regression(
-            weakly_constrained, motion_residuals(batches, aligned_system, max_frequency), system, effects_free
+            weakly_constrained, motion_residuals(batches, aligned_system, share * highest), system, effects_free
         )
     return StartingPoints(effects_fixed, effects_free)
 

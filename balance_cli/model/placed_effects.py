@@ -156,14 +156,14 @@ def needs_mean(geometry: Geometry) -> bool:
 
 
 def effect_parameters(effects: Sequence[PlacedEffect]) -> ParameterSet:
-    """Parameters of the effects; they start as declared and have no prior."""
+    """Parameters of the effects; they start as declared and have no prior, or are held."""
     rows = [(placed_effect, parameter) for placed_effect in effects for parameter in placed_effect.parameters]
     bounds = np.array([parameter.fitted_bounds for _, parameter in rows]).reshape(-1, 2)
     return ParameterSet(
         names=tuple(placed_effect.full_name(parameter) for placed_effect, parameter in rows),
         units=tuple(parameter.fitted_unit for _, parameter in rows),
         value=np.array([placed_effect.start(parameter) for placed_effect, parameter in rows], float),
-        sigma=np.full(len(rows), np.inf),
+        sigma=np.array([0.0 if parameter.held else np.inf for _, parameter in rows], float),
         scale=np.array([parameter.fitted_scale for _, parameter in rows], float),
         lower=bounds[:, 0],
         upper=bounds[:, 1],

@@ -22,9 +22,9 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
     """Equations of plate and shaft at the parameters `value` by name, with derivatives by `p` free parameters."""
     mass, B, F = _plate(geometry, value)
     k = stack([value[f"stiffness.{cell.name}"] for cell in geometry.cells])
-    stiffness = B.T @ (k.insert_axis(-1) * B)
+    plate_stiffness = B.T @ (k.insert_axis(-1) * B)
     zeta = stack([value[f"damping_ratio.{i + 1}"] for i in range(len(geometry.freedom))])
-    damping = modal_damping(mass, stiffness, zeta)
+    damping = modal_damping(mass, plate_stiffness, zeta)
     springs: tuple[str, ...] = geometry.cell_names
     coordinates: tuple[str, ...] = geometry.freedom
     if geometry.torque_meter:
@@ -56,6 +56,7 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         own_stiffness=np.zeros(n),
         channel_offset=constant(np.zeros(len(geometry.channels)), p),
         load_offset=constant(np.zeros(6), p),
+        plate_damping=lambda changed_mass: modal_damping(changed_mass, plate_stiffness, zeta),
     )
 
 

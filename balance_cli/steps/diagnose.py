@@ -20,6 +20,7 @@ from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
+from balance_cli.model.effects.geometry_scales import rig_frequency
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.steps.identify import build_identified_model, identified_effects
 
@@ -76,7 +77,7 @@ def _build_diagnosis(
         verdict=verdict,
         effects=effects,
         trials=update.trials,
-        data_tests=model_free_tests(spectra, model.geometry, float(updated.modes.frequency.min()), settings),
+        data_tests=model_free_tests(spectra, model.geometry, _lowest_mode(updated), settings),
         untestable_effects=find_untestable_effects(scores, spectra, updated_geometry, settings.selection),
         chi2_per_dof_before=quality.chi2_per_dof,
         chi2_per_dof_after=updated.quality.chi2_per_dof,
@@ -90,6 +91,11 @@ def _build_diagnosis(
         notes=diagnosis_notes(spectra, update.fit, updated, settings),
         settings=settings,
     )
+
+
+def _lowest_mode(model: IdentifiedModel) -> float:
+    """The lowest eigenfrequency [Hz], of an overdamped rig that of its declared stiffness and mass."""
+    return float(model.modes.frequency.min()) if len(model.modes.frequency) else rig_frequency(model.geometry)
 
 
 def _check_inputs(model: IdentifiedModel, spectra: Spectra) -> None:

@@ -11,7 +11,7 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.result import HoldOut, RunErrors
-from balance_cli.estimation.fit_quality import fit_quality
+from balance_cli.estimation.fit_quality import fit_quality, frf_band
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
@@ -32,7 +32,7 @@ def hold_out_errors(run: Run, before: IdentifiedModel, after: IdentifiedModel) -
     """Return the errors of a run by the model before and after updating, and the noise floor of its record.
 
     A `check` run has errors of its hub loads and of its response at the rotor harmonics 1 to 8, a `sweep` run those of
-    its response from 5 to 150 Hz. Raises UserError for other kinds, and where the run cannot be reduced.
+    its response in the band of `frf_band`. Raises UserError for other kinds, and where the run cannot be reduced.
     """
     require_known_loads(run)
     errors = _check_run_errors if run.kind == "check" else _sweep_run_errors
@@ -116,5 +116,5 @@ def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunE
     run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
     spectra = measured_spectra([run], model.geometry, means=False)
     batches = stack_runs(spectra.lines, (), model.geometry.channel_names)
-    quality = fit_quality(batches, system, 0.0).runs[run.name]
+    quality = fit_quality(batches, system, 0.0, frf_band(batches, model.geometry)).runs[run.name]
     return RunErrors({}, {}, quality.frf_error), RunErrors({}, {}, quality.frf_noise_floor)

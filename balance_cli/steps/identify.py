@@ -12,7 +12,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF, Damping, Form, Method
 from balance_cli.estimation.equation_error import fit_equation_error
-from balance_cli.estimation.fit_quality import fit_quality
+from balance_cli.estimation.fit_quality import fit_quality, frf_band
 from balance_cli.estimation.identifiability import (
     covariance_from_information,
     parameter_identifiability,
@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 
 FULL_BAND = (0.0, np.inf)
 # Band of the equation error: frequency zero, which has no information on mass and damping, is left out.
-DYNAMIC_BAND = (0.5, np.inf)
+DYNAMIC_BAND = (float(np.finfo(float).tiny), np.inf)
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,8 @@ def build_identified_model(
     covariance = covariance_from_information(minimum.total.information)
     identifiability = parameter_identifiability(model.parameters, minimum.data.information)
     system = model.system(minimum.theta)
-    quality = fit_quality(batches, system, identifiability.effective_parameters)
+    band = frf_band(batches, model.geometry)
+    quality = fit_quality(batches, system, identifiability.effective_parameters, band)
     return IdentifiedModel(
         form="physical",
         method=method,

@@ -18,7 +18,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.effects import Effect
-from balance_cli.model.placed_effects import needs_mean
+from balance_cli.model.placed_effects import declared_effects, needs_mean
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
 from balance_cli.model.system_response import response, solve
@@ -201,11 +201,14 @@ class EffectRecovery:
         """Error of each parameter over its sigma, the known bias added to that; infinite where there is no sigma."""
         (effect,) = identified_effects(self.found)
         true = {item.name: float(self.truth.parameters.get(item.name, 0.0)) for item in effect.parameters}
+        (placed,) = declared_effects(self.found.geometry)
+        held = {item.name for item in placed.parameters if item.held}
         return {
             item.name: (item.value - true[item.name]) / np.hypot(item.sigma, self.truth.bias * true[item.name])
             if item.sigma
             else np.inf
             for item in effect.parameters
+            if item.name not in held
         }
 
 

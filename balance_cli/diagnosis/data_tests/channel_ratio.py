@@ -46,9 +46,9 @@ class DifferenceKind:
         """Derivative of ln r (K,) with respect to the parameter."""
         return np.asarray(self.sign * self.ratio.derivative(s, value))
 
-    def start_values(self, count: int) -> Array:
-        """Values (n,) from which a fit may begin, `count` of each sign."""
-        sizes = np.geomspace(*self.ratio.sizes, count)
+    def start_values(self, count: int, s: ComplexArray) -> Array:
+        """Values (n,) from which a fit of lines at s = j w may begin, `count` of each sign."""
+        sizes = np.geomspace(*self.ratio.sizes, count) * np.median(np.abs(s)) ** self.ratio.rate_exponent
         return sizes if self.ratio.one_sided else np.concatenate([-sizes[::-1], sizes])
 
 
@@ -217,7 +217,7 @@ def _inverse(information: Array) -> Array:
 def fit_with_kind(lines: PairSpectrum, fit: RatioFit, kind: DifferenceKind, settings: ChannelPairSettings) -> RatioFit:
     """The fit with one kind more, started at the value that is best on few lines."""
     few, kinds = lines.decimate(settings.start_lines), (*fit.kinds, kind)
-    starts = [np.append(fit.values, value) for value in kind.start_values(settings.start_values)]
+    starts = [np.append(fit.values, value) for value in kind.start_values(settings.start_values, lines.s)]
     return fit_ratio(lines, kinds, min(starts, key=lambda at: ratio_chi2(few, kinds, at)), settings)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.search.projected_scores import solve_refined
 from balance_cli.diagnosis.settings import PointMassSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identifiability import covariance_from_information
@@ -25,6 +26,7 @@ from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import data_curvature
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.effects import EFFECTS, Effect, EffectParameter, Where
+from balance_cli.model.effects.added_mass import add_mass
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 from balance_cli.model.placed_effects import PlacedEffect, effect_parameters
@@ -60,16 +62,19 @@ class MassScore:
 
 
 def score_of_masses(
-    model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: PointMassSettings
+    model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: PointMassSettings, damping_share: float = 0.0
 ) -> MassScore:
-    """The score of ten masses at POINTS in addition to the effects of the model, at its parameters `theta` (p,)."""
-    wide = _with_ten_masses(model)
+    """The score of ten masses at POINTS in addition to the effects of the model, at its parameters `theta` (p,).
+
+    The plate's damping follows the masses by `damping_share`.
+    """
+    wide = _with_ten_masses(model, damping_share)
     at = np.concatenate([theta, np.zeros(len(POINTS))])
     whole = data_curvature(batches, wide.system(at)) + prior_curvature(wide.parameters, at)
     fitted, masses = slice(0, -len(POINTS)), slice(-len(POINTS), None)
     among, cross, raw = (whole.information[pair] for pair in ((fitted, fitted), (fitted, masses), (masses, masses)))
     inverse = covariance_from_information(among)
-    fitted_step, projection = (_solve_refined(inverse, among, right) for right in (-whole.gradient[fitted], cross))
+    fitted_step, projection = (solve_refined(inverse, among, right) for right in (-whole.gradient[fitted], cross))
     # Mass, center of gravity and inertia do nearly the same as the ten masses, so that V is a small difference. In this
     # form it has no error of first order in `projection`.
     V = raw - cross.T @ projection - projection.T @ cross + projection.T @ among @ projection
@@ -77,16 +82,16 @@ def score_of_masses(
     return MassScore(s, 0.5 * (V + V.T), raw, fitted_step, projection, settings.min_remaining_share)
 
 
-def _with_ten_masses(model: BalanceModel) -> BalanceModel:
+def _with_ten_masses(model: BalanceModel, damping_share: float) -> BalanceModel:
     """The model with ten masses at POINTS, whose parameters are the last ones."""
-    effect = _ten_masses(next(effect for effect in EFFECTS if effect.search.point_mass is not None))
+    effect = _ten_masses(next(effect for effect in EFFECTS if effect.search.point_mass is not None), damping_share)
     masses = PlacedEffect(effect, (), effect.parameters(model.geometry, ()), {})
     order = [item.name for item in EFFECTS]
     effects = sorted((*model.effects, masses), key=lambda placed: order.index(placed.effect.name))
     return BalanceModel(model.geometry, model.parameters + effect_parameters([masses]), tuple(effects))
 
 
-def _ten_masses(point_mass: Effect) -> Effect:
+def _ten_masses(point_mass: Effect, damping_share: float) -> Effect:
     """The effect of ten masses at POINTS, which acts where the effect of one mass does."""
 
     def parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -94,19 +99,11 @@ def _ten_masses(point_mass: Effect) -> Effect:
         return tuple(EffectParameter(name, "kg", 0.0, 1.0, "A mass at a fixed point.") for name in names)
 
     def apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
-        mass = equations.mass
-        for k, point in enumerate(POINTS):
-            motion = equations.motion(point)
-            mass = mass + values[f"mass{k}"] * (motion.T @ motion)
-        return replace(equations, mass=mass)
+        motions = [equations.motion(point) for point in POINTS]
+        parts = [values[f"mass{k}"] * (motion.T @ motion) for k, motion in enumerate(motions)]
+        return add_mass(equations, sum(parts[1:], parts[0]), damping_share)
 
     return replace(point_mass, parameters=parameters, apply=apply)
-
-
-def _solve_refined(inverse: Array, matrix: Array, right: Array) -> Array:
-    """The solution of matrix x = right from an inverse with rounding errors, refined once."""
-    x = inverse @ right
-    return np.asarray(x + inverse @ (right - matrix @ x))
 
 
 def equivalent_masses(mass_and_place: Array) -> Array:

@@ -17,7 +17,7 @@ from balance_cli.diagnosis.search.candidates import Candidate
 from balance_cli.diagnosis.search.mass_score import MassScore, equivalent_masses, score_of_masses
 from balance_cli.diagnosis.settings import PointMassSettings, SearchSettings
 from balance_cli.estimation.batch import Batch
-from balance_cli.estimation.levenberg_marquardt import limit_to_bounds
+from balance_cli.estimation.levenberg_marquardt import limit_to_bounds, prior_curvature
 from balance_cli.estimation.maximum_likelihood import penalized_chi2, take_first_steps
 from balance_cli.estimation.starting_values import REGRESSION_PRIOR_SCALES
 from balance_cli.model.balance import BalanceModel
@@ -41,18 +41,33 @@ def place_mass_candidates(
     hints = [candidate.effect.search.point_mass for candidate in candidates]
     if model.geometry.freedom != FREEDOMS or not any(hints):
         return tuple(candidates)
-    score = score_of_masses(model, theta, batches, settings.point_mass)
-    best = _best_places(score, position_bound(model.geometry), settings.point_mass)
+    far, limits = position_bound(model.geometry), settings.point_mass
+    shares = (0.0, 1.0) if _has_strained_priors(model, theta, limits) else (0.0,)
+    best = [
+        (place, share)
+        for share in shares
+        for place in _best_places(score_of_masses(model, theta, batches, limits, share), far, limits)
+    ]
     return tuple(
         candidate
         if names is None
         else replace(
             candidate,
-            starts=tuple(dict(zip(names.names, place.values, strict=True)) for place in best),
+            starts=tuple(
+                {**dict(zip(names.names, place.values, strict=True)), names.damping_share: share}
+                for place, share in best
+            ),
             fitted_start_values=len(names.position),
         )
         for candidate, names in zip(candidates, hints, strict=True)
     )
+
+
+def _has_strained_priors(model: BalanceModel, theta: Array, settings: PointMassSettings) -> bool:
+    """Whether the parameters are improbably far from what is declared, as with a body that nobody has declared."""
+    parameters = model.parameters
+    count = np.count_nonzero(parameters.free & np.isfinite(parameters.sigma))
+    return bool(prior_curvature(parameters, theta).chi2 > count + settings.strained_sigma * np.sqrt(2.0 * count))
 
 
 def refine_point_mass(model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: SearchSettings) -> Array:
@@ -102,6 +117,13 @@ def mass_parameter_indices(model: BalanceModel) -> Index | None:
     return np.array([model.parameters.index(f"{placed.label}.{name}") for name in names])
 
 
+def damping_share_index(model: BalanceModel) -> int:
+    """Index of the share by which the plate's damping follows the point mass of a model."""
+    placed = next(item for item in model.effects if item.effect.search.point_mass)
+    assert placed.effect.search.point_mass is not None
+    return model.parameters.index(f"{placed.label}.{placed.effect.search.point_mass.damping_share}")
+
+
 def score_without_point_mass(
     model: BalanceModel,
     theta: Array,
@@ -110,7 +132,8 @@ def score_without_point_mass(
     settings: PointMassSettings,
 ) -> MassScore:
     """The score of the ten masses as if the model had no point mass, whose parameters are at indices `at` (4,)."""
-    score = score_of_masses(_hold_point_mass(model, at), theta, batches, settings)
+    share = theta[damping_share_index(model)]
+    score = score_of_masses(_hold_point_mass(model, at), theta, batches, settings, float(share))
     return replace(score, s=score.s + score.V @ equivalent_masses(theta[at]))
 
 

@@ -62,13 +62,14 @@ def project_out_fitted(
     cross = sum((run.cross for run in runs), prior.information[indices.fitted])
     blocks = [sum(parts, np.zeros_like(parts[0])) for parts in zip(*(run.blocks for run in runs), strict=True)]
     inverse = covariance_from_information(cross[:, indices.fitted])
-    step = inverse @ gradient[indices.fitted]
-    projections = [inverse @ cross[:, tested] for tested in indices.tested]
+    among = cross[:, indices.fitted]
+    step = solve_refined(inverse, among, gradient[indices.fitted])
+    projections = [solve_refined(inverse, among, cross[:, tested]) for tested in indices.tested]
     dof = noise_dof(runs, indices.fitted, indices.tested, projections, settings.min_noise_dof)
     return [
         ProjectedScore(
-            s=-(gradient[tested] - cross[:, tested].T @ step),
-            V=V - cross[:, tested].T @ projection,
+            s=-(gradient[tested] - projection.T @ gradient[indices.fitted]),
+            V=_remaining_information(V, cross[:, tested], among, projection),
             raw=np.diag(V).copy(),
             noise_dof=float(known),
             fitted_step=-step,
@@ -76,6 +77,21 @@ def project_out_fitted(
         )
         for tested, V, projection, known in zip(indices.tested, blocks, projections, dof, strict=True)
     ]
+
+
+def solve_refined(inverse: Array, matrix: Array, right: Array) -> Array:
+    """The solution of matrix x = right from an inverse with rounding errors, refined once."""
+    x = inverse @ right
+    return np.asarray(x + inverse @ (right - matrix @ x))
+
+
+def _remaining_information(V: Array, cross: Array, among: Array, projection: Array) -> Array:
+    """V (q, q) with the fitted parameters projected out; without an error of first order in `projection` (f, q).
+
+    It is a small difference where a candidate does nearly the same as the fitted parameters.
+    """
+    remaining = V - cross.T @ projection - projection.T @ cross + projection.T @ among @ projection
+    return np.asarray(0.5 * (remaining + remaining.T))
 
 
 def _run_information(

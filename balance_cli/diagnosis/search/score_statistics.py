@@ -150,7 +150,7 @@ def _tested_names(candidate: Candidate) -> list[str]:
 
 def _score(candidate: Candidate, number: int, part: ProjectedScore, settings: ScoreSettings) -> Score:
     items = parameters_of_interest(candidate.placed_effect.parameters)
-    informed = np.diag(part.V) > settings.min_information_share * np.maximum(part.raw, np.finfo(float).tiny)
+    informed = np.diag(part.V) > settings.min_remaining_share * np.maximum(part.raw, np.finfo(float).tiny)
     scale = np.array([item.fitted_scale for item in items])
     lower, upper = (bound[informed] for bound in one_sided_bounds(items))
     V = part.V[np.ix_(informed, informed)]

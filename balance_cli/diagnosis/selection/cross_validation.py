@@ -72,9 +72,10 @@ def cross_validation_gain(
     names = [effect.full_name(item) for item in items]
     extended = hold_other_parameters(extended, model, set(names))
     system, prior = extended.system(null), prior_curvature(extended.parameters, null)
-    parts = [data_curvature(fold, system) for fold in split_folds(batches, settings.cross_validation)]
+    # What is declared with a tolerance is data too: a fold of its own.
+    parts = [*(data_curvature(fold, system) for fold in split_folds(batches, settings.cross_validation)), prior]
     free = free_names(extended)
-    J = _parameter_sensitivity(sum(parts, prior), np.array([free.index(name) for name in names], np.intp))
+    J = _parameter_sensitivity(sum(parts[:-1], prior), np.array([free.index(name) for name in names], np.intp))
     s = np.array([-J.T @ part.gradient for part in parts])
     V = np.array([J.T @ part.information @ J for part in parts])
     return _predicted_gain(s, V, *one_sided_bounds(items), settings)

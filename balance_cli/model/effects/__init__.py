@@ -1,6 +1,7 @@
 """The library of effects, in the order in which they act; a new effect is one file and one line here.
 
-The support of the cells comes first: misaligned cells and transverse stiffness act on the motion relative to it.
+A mass on the plate comes first, because the plate's damping may follow it, then the support of the cells: misaligned
+cells and transverse stiffness act on the motion relative to it.
 """
 
 from balance_cli.model.effects import (
@@ -31,9 +32,9 @@ from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.places import Choice, Where
 
 EFFECTS: tuple[Effect, ...] = (
+    added_mass.EFFECT,
     support_flexibility.EFFECT,
     mast_bending.EFFECT,
-    added_mass.EFFECT,
     gyroscopic_coupling.EFFECT,
     parallel_stiffness.EFFECT,
     cell_misalignment.EFFECT,

@@ -23,6 +23,8 @@ class EffectParameter:
     does nothing while the others are at their nulls: it only shapes what they do once they differ from them. Its own
     null is the value at which it then stays.
 
+    A `held` parameter is never fitted: it stays as declared, or at its start.
+
     A `reciprocal` parameter has an infinite null (the cutoff of a low-pass). Its reciprocal is fitted, and passed to
     the effect, under the name `1/NAME`; `scale` and `start` are those of the reciprocal. The data determine a `squared`
     parameter only by its square, which is fitted under the name `NAME^2`; `scale` is that of the parameter itself.
@@ -39,6 +41,7 @@ class EffectParameter:
     nuisance: bool = False
     reciprocal: bool = False
     squared: bool = False
+    held: bool = False
 
     @property
     def fitted_name(self) -> str:

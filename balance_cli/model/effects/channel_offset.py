@@ -14,13 +14,18 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import channel_range
 from balance_cli.model.effects.places import Where, each_channel
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
+SMALL = 2e-4
+"""An offset that matters, relative to the reading at the cell's range."""
+
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    return (EffectParameter("offset", "V", 0.0, 1e-3, "Reading of the channel without load."),)
+    scale = SMALL * channel_range(geometry, where[0])
+    return (EffectParameter("offset", "V", 0.0, scale, "Reading of the channel without load."),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:

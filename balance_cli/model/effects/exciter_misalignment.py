@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import rig_length
 from balance_cli.model.effects.places import Where, ordered_pairs
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
@@ -31,9 +32,11 @@ def pairs_of_components(geometry: Geometry) -> tuple[Where, ...]:
 
 def cross_axis_parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     """The fraction of the load in the first component of a place that acts in the second."""
-    unit = {(0, 1): "m", (1, 0): "1/m"}.get((where[0][0] == "M", where[1][0] == "M"), "1")
+    length = rig_length(geometry)
+    to_moment = (where[1][0] == "M") - (where[0][0] == "M")
+    unit, size = {0: ("1", 1.0), 1: ("m", length), -1: ("1/m", 1.0 / length)}[to_moment]
     description = f"Applied {where[1]} over measured {where[0]}."
-    return (EffectParameter("fraction", unit, 0.0, 0.005, description, lower=-1.0, upper=1.0),)
+    return (EffectParameter("fraction", unit, 0.0, 0.005 * size, description, lower=-size, upper=size),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:

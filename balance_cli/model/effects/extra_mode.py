@@ -28,14 +28,19 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import rig_frequency, rig_length
 from balance_cli.model.effects.places import Where
 from balance_cli.model.effects.search_hints import SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import TORQUE, Equations
 
 AXES = ("x", "y", "z")
+SMALL_SHIFT = 0.025
+"""A change of frequency that matters, relative to that of the rig's modes: about the width of a mode."""
+SMALL_ARM = 0.13
+"""A shape that matters in a rotation, relative to the size of the rig."""
 SMALL = 0.01
-"""An effective mass that matters, as a share of the mass of the metric side."""
+"""An effective mass that matters, as a share of the mass of the metric side, and a fraction of a load."""
 
 
 def _springs(geometry: Geometry) -> tuple[str, ...]:
@@ -53,7 +58,12 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    frequency = EffectParameter("frequency", "Hz", 60.0, 1.0, "Eigenfrequency of the mode.", lower=1.0, nuisance=True)
+    middle = rig_frequency(geometry)
+    frequency = EffectParameter(
+        *("frequency", "Hz", 1.5 * middle, SMALL_SHIFT * middle, "Eigenfrequency of the mode."),
+        lower=SMALL_SHIFT * middle,
+        nuisance=True,
+    )
     damping = EffectParameter(
         "damping_ratio", "1", 0.0, 0.01, "Its damping ratio.", lower=0.0, upper=1.0, start=0.02, nuisance=True
     )
@@ -70,7 +80,7 @@ def _plate_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectPara
             f"shape_{name}",
             "1" if name in AXES else "m",
             0.0,
-            0.1,
+            0.1 if name in AXES else SMALL_ARM * rig_length(geometry),
             f"Its shape in the motion {name} of the center of gravity; one in {where[0]}.",
             nuisance=True,
         )
@@ -86,8 +96,11 @@ def _load_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectParam
     def unit(spring: str) -> str:
         return "1" if moment == (spring == TORQUE) else "1/m" if moment else "m"
 
+    length = rig_length(geometry)
+    size = {"1": 1.0, "m": length, "1/m": 1.0 / length}
+    description = "Fraction of the load in {}, times the resonance."
     return tuple(
-        EffectParameter(f"shape_{name}", unit(name), 0.0, 1e-2, f"Fraction of the load in {name}, times the resonance.")
+        EffectParameter(f"shape_{name}", unit(name), 0.0, SMALL * size[unit(name)], description.format(name))
         for name in _springs(geometry)
     )
 

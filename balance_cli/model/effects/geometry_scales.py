@@ -43,5 +43,38 @@ def inertia_by_motion(geometry: Geometry) -> dict[str, float]:
 
 def position_bound(geometry: Geometry) -> float:
     """Twice the largest distance [m] of hub, cells and bodies from the origin: effects are not looked for beyond it."""
+    return 2.0 * _largest_distance(geometry) or np.inf
+
+
+def _largest_distance(geometry: Geometry) -> float:
     points = [geometry.hub, *(cell.position for cell in geometry.cells), *(body.position for body in geometry.bodies)]
-    return 2.0 * float(np.linalg.norm(np.array(points), axis=1).max()) or np.inf
+    return float(np.linalg.norm(np.array(points), axis=1).max())
+
+
+def rig_length(geometry: Geometry) -> float:
+    """The size of the rig [m]: the largest distance of its parts from the origin, or a radius of gyration about it."""
+    inertia = inertia_by_motion(geometry)
+    gyration = np.sqrt(max(inertia[name] for name in FREEDOMS[3:]) / inertia["z"])
+    return _largest_distance(geometry) or float(gyration) or 1.0
+
+
+def rig_frequency(geometry: Geometry) -> float:
+    """The frequency [Hz] in the middle of the rig's modes: geometric mean over its motions, each alone."""
+    stiffness, inertia = stiffness_by_motion(geometry), inertia_by_motion(geometry)
+    squares = [stiffness[name] / inertia[name] for name in geometry.freedom if stiffness[name] and inertia[name]]
+    return float(np.exp(0.5 * np.mean(np.log(squares))) / (2 * np.pi)) if squares else 1.0
+
+
+def load_range(geometry: Geometry, component: str) -> float:
+    """The load [N, N m] that the largest cell can carry, a moment at the arm of the rig's size."""
+    force = max(cell.full_range for cell in geometry.cells)
+    return force if component.startswith("F") else force * rig_length(geometry)
+
+
+def channel_range(geometry: Geometry, channel_name: str) -> float:
+    """The reading [V] of a channel where its cell is at its range, or, of another channel, that of a mean cell."""
+    channel = next(item for item in geometry.channels if item.name == channel_name)
+    ranges = {cell.name: cell.full_range for cell in geometry.cells}
+    mean = sum(ranges.values()) / len(ranges)
+    arm = rig_length(geometry) if channel.torque_meter else 1.0
+    return abs(channel.sensitivity) * arm * ranges.get(channel.cell or "", mean)

@@ -18,6 +18,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import inertia_by_motion
 from balance_cli.model.effects.places import Where
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
@@ -29,13 +30,13 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    scale = 0.1 * (geometry.torque_meter.inertia if geometry.torque_meter else 1.0)
+    spinning = geometry.torque_meter.inertia if geometry.torque_meter else 0.1 * inertia_by_motion(geometry)["psi"]
     return (
         EffectParameter(
             "polar_inertia",
             "kg m2",
             0.0,
-            scale,
+            0.1 * spinning,
             "Moment of inertia about z of the spinning parts; negative if they turn clockwise seen from above.",
         ),
     )

@@ -14,15 +14,19 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import rig_frequency
 from balance_cli.model.effects.places import Where, each_channel
 from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
+SMALL = 2.5e-4
+"""A cutoff that matters over the frequency of the rig's modes: at a hundredth of that it is 1.4 degrees."""
+
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     description = "Frequency at which the power is halved."
-    return (EffectParameter("cutoff", "Hz", 0.0, 0.01, description, lower=0.0),)
+    return (EffectParameter("cutoff", "Hz", 0.0, SMALL * rig_frequency(geometry), description, lower=0.0),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
@@ -37,7 +41,8 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 RATIO = ChannelRatio(
     log_ratio=lambda s, rate: -np.log(1 + rate / s),
     derivative=lambda s, rate: -1 / (s + rate),
-    sizes=(1e-3, 1e3),
+    sizes=(2e-6, 2.0),
+    rate_exponent=1,
     start=lambda rate: {"cutoff": rate / (2 * np.pi)},
     finding="{channel} has a further high-pass, time constant {size}",
     shown=lambda rate, sigma: (1.0 / max(rate, 1e-300), sigma / max(rate, 1e-300) ** 2),

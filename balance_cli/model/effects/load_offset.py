@@ -15,6 +15,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import load_range
 from balance_cli.model.effects.places import Where
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
@@ -24,9 +25,14 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
     return tuple((name,) for name in COMPONENTS)
 
 
+SMALL = 2e-4
+"""An offset that matters, relative to what the largest cell can carry: the zero of a good force cell."""
+
+
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     unit = "N" if where[0].startswith("F") else "N m"
-    return (EffectParameter("offset", unit, 0.0, 0.1, "Recorded load without an applied load."),)
+    scale = SMALL * load_range(geometry, where[0])
+    return (EffectParameter("offset", unit, 0.0, scale, "Recorded load without an applied load."),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:

@@ -14,15 +14,20 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import rig_frequency
 from balance_cli.model.effects.places import Where, each_channel
 from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
+SMALL = 0.004
+"""Frequency of the rig's modes over a cutoff that matters: 0.2 degrees there."""
+
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     description = "Frequency at which the power is halved."
-    return (EffectParameter("cutoff", "Hz", np.inf, 1e-4, description, lower=0.0, reciprocal=True),)
+    scale = SMALL / rig_frequency(geometry)
+    return (EffectParameter("cutoff", "Hz", np.inf, scale, description, lower=0.0, reciprocal=True),)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
@@ -42,7 +47,8 @@ def _cutoff(tau: float, sigma: float) -> tuple[float, float]:
 RATIO = ChannelRatio(
     log_ratio=lambda s, tau: -np.log(1 + s * tau),
     derivative=lambda s, tau: -s / (1 + s * tau),
-    sizes=(1e-6, 1.0),
+    sizes=(4e-4, 500.0),
+    rate_exponent=-1,
     start=lambda tau: {"1/cutoff": 2 * np.pi * tau},
     finding="{channel} has a further low-pass at {size}",
     shown=lambda tau, sigma: _cutoff(max(tau, 1e-300), sigma),

@@ -12,15 +12,20 @@ from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import channel_range
 from balance_cli.model.effects.places import Where, each_channel
 from balance_cli.model.effects.search_hints import SearchHints, ToneParameters
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations, InterferenceTone
 
+SMALL = 1e-4
+"""An amplitude that matters, relative to the reading at the cell's range."""
+
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
+    scale = SMALL * channel_range(geometry, where[0])
     return (
-        EffectParameter("amplitude", "V", 0.0, 1e-3, "Amplitude before the anti-alias filter.", 0.0, squared=True),
+        EffectParameter("amplitude", "V", 0.0, scale, "Amplitude before the anti-alias filter.", 0.0, squared=True),
         EffectParameter("frequency", "Hz", 50.0, 0.01, "Frequency of the mains.", 40.0, 70.0, nuisance=True),
     )
 

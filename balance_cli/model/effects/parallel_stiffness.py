@@ -15,13 +15,18 @@ from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import position_bound, stiffness_by_motion
+from balance_cli.model.effects.geometry_scales import position_bound, rig_frequency, rig_length, stiffness_by_motion
 from balance_cli.model.effects.places import Where, whole_rig
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import Equations
 
 SMALL = 1e-2
 """A stiffness that matters, and from which a fit may begin, relative to that of the cells."""
+
+SMALL_TIME = 0.004
+"""A damping time that matters, in periods of the rig's modes: a loss factor of 2.5 % there."""
+SMALL_ARM = 0.13
+"""A change of place that matters, relative to the size of the rig."""
 
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
@@ -43,10 +48,10 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
         "damping_time",
         "s",
         0.0,
-        1e-4,
+        SMALL_TIME / rig_frequency(geometry),
         "Dashpot over spring: the loss factor at angular frequency w is w times this value.",
         lower=0.0,
-        start=1e-4,
+        start=SMALL_TIME / rig_frequency(geometry),
         nuisance=True,
     )
     return (*_position_parameters(geometry), *springs, damping)
@@ -54,10 +59,10 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 def _position_parameters(geometry: Geometry) -> Iterator[EffectParameter]:
     """Position of the springs, from half way up to the hub: at the origin their moments have no derivative."""
-    far = position_bound(geometry)
+    far, arm = position_bound(geometry), SMALL_ARM * rig_length(geometry)
     for axis, hub in zip("xyz", geometry.hub, strict=True):
         description = f"Position {axis} of its point of attachment to the plate."
-        yield EffectParameter(axis, "m", 0.0, 0.1, description, -far, far, 0.5 * hub, nuisance=True)
+        yield EffectParameter(axis, "m", 0.0, arm, description, -far, far, 0.5 * hub, nuisance=True)
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:

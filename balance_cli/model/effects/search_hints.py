@@ -22,7 +22,8 @@ class ChannelRatio:
     """The ratio of a channel with the effect to a channel of the same cell without it, as one parameter shapes it.
 
     `log_ratio` and its derivative by the parameter are given at s = j w (K,); the ratio is one where the parameter is
-    zero. `sizes`: smallest and largest magnitude from which a fit begins. `one_sided`: the parameter is not negative;
+    zero. `sizes`: smallest and largest magnitude from which a fit begins, in units of w to the power `rate_exponent`, w
+    being the median angular frequency of the lines. `one_sided`: the parameter is not negative;
     otherwise a negative one is the same effect, positive, in the other channel. `start(value)`: the effect's
     parameters that make this ratio.
 
@@ -44,14 +45,19 @@ class ChannelRatio:
     sensitivity: bool = False
     at_rest: bool = False
     names_positive: bool = False
+    rate_exponent: int = 0
 
 
 @dataclass(frozen=True)
 class PointMassParameters:
-    """Names of the parameters of a point mass on the metric side: its mass [kg] and its position x, y, z [m]."""
+    """Names of the parameters of a point mass on the metric side: its mass [kg] and its position x, y, z [m].
+
+    `damping_share`: how far the plate's damping follows the mass, from 0 (not at all) to 1.
+    """
 
     mass: str
     position: tuple[str, str, str]
+    damping_share: str
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.geometry_scales import inertia_by_motion, position_bound, stiffness_by_motion
+from balance_cli.model.effects.geometry_scales import inertia_by_motion, position_bound, rig_length, stiffness_by_motion
 from balance_cli.model.effects.places import Where, nonempty_subsets
 from balance_cli.model.effects.search_hints import SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, clip_below, concatenate, constant, stack
@@ -32,6 +32,8 @@ from balance_cli.model.mechanics.equations import Equations, dual_motion_at
 
 TRANSLATIONS = FREEDOMS[:3]
 
+SMALL_ARM = 0.065
+"""A change of the center that matters, relative to the size of the rig."""
 SMALL = 1e-2
 """A compliance that matters, and from which a fit may begin, relative to that of all cells together."""
 FLOOR = 1e-6
@@ -80,9 +82,9 @@ def _center_parameters(geometry: Geometry, where: Where) -> tuple[EffectParamete
     """Position of the center, as far as the rotations of the non-metric side make it identifiable."""
     identifiable = {"psi": "xy", "theta": "xz", "phi": "yz"}
     axes = sorted({axis for name in where for axis in identifiable.get(name, "")})
-    far = position_bound(geometry)
+    far, arm = position_bound(geometry), SMALL_ARM * rig_length(geometry)
     return tuple(
-        EffectParameter(axis, "m", 0.0, 0.05, f"Position {axis} of its center.", -far, far, nuisance=True)
+        EffectParameter(axis, "m", 0.0, arm, f"Position {axis} of its center.", -far, far, nuisance=True)
         for axis in axes
     )
 
@@ -161,7 +163,7 @@ def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]
     """A support as heavy as the metric side and stiffer than the cells; center below the cells, at them, far below."""
     stiffness = stiffness_by_motion(geometry)
     lowest = min(cell.position[2] for cell in geometry.cells)
-    depth = START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3)
+    depth = START_DEPTH * max(abs(geometry.hub[2] - lowest), 1e-3 * rig_length(geometry))
     compliances = {f"compliance_{name}": START_COMPLIANCE_SHARE / stiffness[name] for name in where}
     return tuple({"z": lowest - times * depth, **compliances} for times in (1.0, 0.0, 2.0))
 

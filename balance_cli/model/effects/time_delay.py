@@ -10,15 +10,23 @@ from dataclasses import replace
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
+from balance_cli.model.effects.geometry_scales import rig_frequency
 from balance_cli.model.effects.places import Where, each_channel
 from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import ChannelPath, Equations
 
+SMALL = 0.004
+"""A delay that matters, in periods of the rig's modes: 1.4 degrees."""
+LARGEST = 4.0
+"""The largest delay, in such periods: beyond it channel and loads are records of different moments."""
+
 
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     description = "Delay of the channel; negative if it is early."
-    return (EffectParameter("delay", "s", 0.0, 1e-4, description, lower=-0.1, upper=0.1),)
+    period = 1.0 / rig_frequency(geometry)
+    scale, far = SMALL * period, LARGEST * period
+    return (EffectParameter("delay", "s", 0.0, scale, description, lower=-far, upper=far),)
 
 
 def _add_delay(path: ChannelPath, delay: Dual) -> ChannelPath:
@@ -33,7 +41,8 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
 RATIO = ChannelRatio(
     log_ratio=lambda s, delay: -s * delay,
     derivative=lambda s, delay: -s,
-    sizes=(1e-6, 2e-2),
+    sizes=(4e-4, 10.0),
+    rate_exponent=-1,
     start=lambda delay: {"delay": delay},
     finding="{channel} is late by {size} against {reference}",
     shown=lambda delay, sigma: (1e3 * abs(delay), 1e3 * sigma),

@@ -88,6 +88,7 @@ class Equations:
     - `row_factor` and `own_stiffness` (n,): one and zero except for flexible parts.
     - `forces` act along springs, `interference_tones` in channels; `channel_offset` (c,) [V] and `load_offset` (6,)
       [N, N m] are added to the readings of the channels and of the exciters' force cells.
+    - `plate_damping`: the damping of the plate by its damping ratios for a mass matrix of its motions, both (f, f).
     """
 
     coordinates: tuple[str, ...]
@@ -115,6 +116,7 @@ class Equations:
     load_offset: Dual
     forces: tuple[CellForce, ...] = ()
     interference_tones: tuple[InterferenceTone, ...] = ()
+    plate_damping: Callable[[Dual], Dual] | None = None
 
     @property
     def parameters(self) -> int:
