@@ -91,15 +91,17 @@ def solve_loads(
     the response is known to miss of T f; it enters the errors of the loads, not the residual test, which is to find it.
     """
     a, b = T.shape[1:]
-    G, noise_covariance = _weighted_inverse(T, noise if weighting_covariance is None else weighting_covariance)
-    if weighting_covariance is None:
-        noise_covariance = noise_covariance * _estimated_weights_factor(dof, a - b)[:, None, None]
-    else:
-        noise_covariance = G @ noise @ np.swapaxes(G, 1, 2)
-    loads = np.einsum("hba,ha->hb", G, y)
-    response_error = response_covariance(loads)
     few = dof < DOF_PER_REDUNDANT_EQUATION * (a - b) / 2
     tested_noise = np.where(few[:, None, None], noise * np.eye(a), noise)
+    G, noise_covariance = _weighted_inverse(T, tested_noise if weighting_covariance is None else weighting_covariance)
+    # Weights that are not the inverse of the noise's covariance: the errors of the loads are those of the noise itself.
+    propagated = few | (weighting_covariance is not None)
+    factor = _estimated_weights_factor(np.where(propagated, np.inf, dof), a - b)
+    noise_covariance = np.where(
+        propagated[:, None, None], _propagate(G, noise), noise_covariance * factor[:, None, None]
+    )
+    loads = np.einsum("hba,ha->hb", G, y)
+    response_error = response_covariance(loads)
     total = tested_noise + response_error
     covariance = noise_covariance + G @ response_error @ np.swapaxes(G, 1, 2)
     chi2 = _residual_chi2(T, y, total)

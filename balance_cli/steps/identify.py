@@ -27,7 +27,11 @@ from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
 from balance_cli.estimation.response_error import ResponseError
 from balance_cli.estimation.response_error_estimate import estimate_response_error
-from balance_cli.estimation.starting_values import find_starting_values, start_from_equations_of_motion
+from balance_cli.estimation.starting_values import (
+    StartingPoints,
+    find_starting_values,
+    start_from_equations_of_motion,
+)
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.fitted_effects import FittedEffect, declare_fitted_effects, fitted_effects
@@ -145,11 +149,28 @@ def _fit_model(
         return Minimum(first.theta, data, total, first.iterations, first.converged), "geometry"
     if model.geometry.effects:
         points = find_starting_values(model.parameters, loaded, model.system, declared)
-        return fit_best_start(model, batches, {"least squares": points.effects_free, "geometry": points.effects_fixed})
+        return _fit_with_effects(model, batches, points)
     motion = start_from_equations_of_motion(model.parameters, loaded, model.system, declared)
     starts = {"equations of motion": motion, "least squares": first.theta, "geometry": declared}
     best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
     return fit_maximum_likelihood(model, batches, starts[best]), best
+
+
+def _fit_with_effects(model: BalanceModel, batches: Sequence[Batch], points: StartingPoints) -> tuple[Minimum, str]:
+    """The better fit from two starts; from the declared parameters where neither start is physical.
+
+    Raises UserError where these are not physical either for the measured loads.
+    """
+    try:
+        return fit_best_start(model, batches, {"least squares": points.effects_free, "geometry": points.effects_fixed})
+    except np.linalg.LinAlgError:
+        try:
+            return fit_maximum_likelihood(model, batches, model.parameters.value), "geometry"
+        except np.linalg.LinAlgError as error:
+            names = ", ".join(f"`{effect.label}`" for effect in model.effects)
+            fault = f"no start with {names} is physical: {error}"
+            remedy = "Leave the effect out, or declare parameters near the true ones in `effects`"
+            raise UserError(fault, place="effects", remedy=remedy) from error
 
 
 def _fit_rigid_equation_error(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:

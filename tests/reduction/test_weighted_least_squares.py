@@ -83,6 +83,23 @@ def test_noise_of_fewer_degrees_of_freedom_than_redundant_equations_is_tested_by
     assert np.mean(found.misfit) > 0.95
 
 
+def test_loads_of_many_channels_and_few_lines_of_noise_have_honest_sigmas():
+    """25 channels and 17 lines: their covariance has no inverse, and the weights rest on its variances."""
+    rng, draws = np.random.default_rng(2), 600
+    T, root, f = problem(rng, channels=25)
+    T, f = np.repeat(T, draws, axis=0), np.repeat(f, draws, axis=0)
+    lines = (rng.standard_normal((draws, 17, 25)) + 1j * rng.standard_normal((draws, 17, 25))) / np.sqrt(2) @ root.T
+    noise = circular_real(np.einsum("dka,dkb->dab", lines, lines.conj()) / 17)
+    dof, scale = np.full(draws, 17.0), np.ones(12)
+    found = solve_loads(
+        stacked_real(T), draw(rng, T, root, f), noise, dof, lambda loads: np.zeros((draws, 50, 50)), scale
+    )
+    error = np.concatenate([(found.loads - f).real, (found.loads - f).imag], axis=1)
+    sigma = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    assert np.mean(np.abs(error) < 1.96 * sigma) == pytest.approx(0.95, abs=0.035)
+    assert np.mean(found.misfit) < 0.01
+
+
 def test_a_wrong_response_is_found_out_and_widens_sigma():
     rng = np.random.default_rng(2)
     T, root, f = problem(rng, harmonics=50)

@@ -12,6 +12,7 @@ from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.likelihood import data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
+from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
@@ -96,6 +97,12 @@ def test_a_force_inside_a_cell_cannot_be_most_of_its_reading(runs):
     assert np.isfinite(chi2(1e10))
     with pytest.raises(np.linalg.LinAlgError, match="most of its reading"):
         chi2(1e20)
+
+
+def test_an_effect_without_a_physical_start_is_refused_by_its_name(runs):
+    impossible = ONE.model_copy(update={"effects": (cubic(-1e13, "inside"),)})
+    with pytest.raises(UserError, match="no start with `cubic-stiffness@z,inside` is physical"):
+        identify(measured_spectra(runs[:1], impossible), impossible)
 
 
 # ---- runs kept aside, and the verdict --------------------------------------------------------------------------------
