@@ -19,12 +19,14 @@ from balance_cli.io.formats import (
     DIAGNOSIS_FORMAT,
     LOADS_FORMAT,
     MODEL_FORMAT,
+    SPECTRA_FORMAT,
     TRANSFER_FORMAT,
 )
 from balance_cli.reduction.result import HubLoads
+from balance_cli.reduction.spectra_result import LoadSpectra
 from balance_cli.signals.response.transfer import Transfer
 
-Result = Calibration | Transfer | IdentifiedModel | Diagnosis | HubLoads
+Result = Calibration | Transfer | IdentifiedModel | Diagnosis | HubLoads | LoadSpectra
 
 TYPES: Mapping[str, type[Any]] = {
     CALIBRATION_FORMAT: Calibration,
@@ -32,6 +34,7 @@ TYPES: Mapping[str, type[Any]] = {
     MODEL_FORMAT: IdentifiedModel,
     DIAGNOSIS_FORMAT: Diagnosis,
     LOADS_FORMAT: HubLoads,
+    SPECTRA_FORMAT: LoadSpectra,
 }
 COMMANDS = {
     Calibration: "calibrate",
@@ -39,6 +42,7 @@ COMMANDS = {
     IdentifiedModel: "identify",
     Diagnosis: "diagnose",
     HubLoads: "reduce",
+    LoadSpectra: "reduce",
 }
 """The command that makes a result of each type, for its provenance."""
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from balance_cli.reduction.result import RunLoads
 
 NOT_KNOWN = "-"
+MOST_TONES = 3
+"""Tones of a table of text: more do not fit a line."""
 FEWEST_DIGITS = 2
 """Significant digits of sigma, to which the value is rounded: a third would be noise of the noise."""
 
@@ -24,21 +26,26 @@ def blade_harmonic(geometry: Geometry, harmonics: int) -> int:
     return blades if blades <= harmonics else 1
 
 
-def load_lines(loads: RunLoads, geometry: Geometry) -> Iterator[str]:
-    """Yield a table of one run: a row a component with mean, blade harmonic, sigma of both and a word of trust."""
+def load_lines(loads: RunLoads, geometry: Geometry, tones: bool = False) -> Iterator[str]:
+    """Yield a table of one run, a row a component: mean and blade harmonic, sigma of both, a word of trust of each.
+
+    Of `tones` in place of harmonics the first MOST_TONES are shown.
+    """
     from balance_cli.reduction.polar import polar_sigma
 
-    n = blade_harmonic(geometry, len(loads.frequency_hz) - 1)
-    yield f"   {'':8}{'mean':>11} {'sigma':>9}  {f'{n}/rev':>11} {'sigma':>9}  trust in mean, {n}/rev"
-    sigma, _ = polar_sigma(loads.amplitude[n], loads.sigma_cosine[n], loads.sigma_sine[n])
+    last = len(loads.frequency_hz) - 1
+    shown = tuple(range(1, min(last, MOST_TONES) + 1)) if tones else (blade_harmonic(geometry, last),)
+    names = ["mean", *(f"{loads.frequency_hz[n]:.5g} Hz" if tones else f"{n}/rev" for n in shown)]
+    yield "   " + " " * 8 + "".join(f"{name:>12} {'sigma':>9}" for name in names) + f"  trust in {', '.join(names)}"
+    sigma, _ = polar_sigma(loads.amplitude, loads.sigma_cosine, loads.sigma_sine)
     for m, component in enumerate(loads.components):
         measured = NOT_MEASURED not in loads.flags[0][m].split(SEPARATOR)
-        mean, mean_sigma = number_pair(float(loads.amplitude[0, m].real), float(loads.sigma_cosine[0, m]))
-        first = (mean, mean_sigma) if measured else (NOT_KNOWN, NOT_KNOWN)
-        second = number_pair(abs(complex(loads.amplitude[n, m])), float(sigma[m]))
-        words = f"{trust_word(loads.flags[0][m])}, {trust_word(loads.flags[n][m])}"
-        label = f"{component} {UNIT_OF[component]}"
-        yield f"   {label:8}{first[0]:>11} {first[1]:>9}  {second[0]:>11} {second[1]:>9}  {words}"
+        mean = number_pair(float(loads.amplitude[0, m].real), float(loads.sigma_cosine[0, m]))
+        pairs = [mean if measured else (NOT_KNOWN, NOT_KNOWN)]
+        pairs += [number_pair(abs(complex(loads.amplitude[n, m])), float(sigma[n, m])) for n in shown]
+        words = ", ".join(trust_word(loads.flags[n][m]) for n in (0, *shown))
+        label = f"{component} {UNIT_OF.get(component, '')}"
+        yield f"   {label:8}" + "".join(f"{value:>12} {spread:>9}" for value, spread in pairs) + f"  {words}"
 
 
 def trust_line(loads: RunLoads) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,22 +10,28 @@ import click
 
 from balance_cli.cli.common import Session, balance_command, output_option, skip_bad_option
 from balance_cli.cli.options import InputFile, OutputFolder, deprecated_option
+from balance_cli.cli.reduce_inputs import parse_frequencies, read_calibration, read_response, read_zero
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
+from balance_cli.cli.reduce_spectra import check_band_options, reduce_to_spectra
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import LOADS_FORMAT
 from balance_cli.io.spreadsheet import text_cell
-from balance_cli.reduction.choices import INTERPOLATIONS, LOAD_MODELS, METHODS, TABLE_SUFFIXES
+from balance_cli.reduction.choices import FREQUENCIES, INTERPOLATIONS, LOAD_MODELS, METHODS, TABLE_SUFFIXES
 
 if TYPE_CHECKING:
-    from balance_cli.calibration.result import Calibration
     from balance_cli.campaign.recording.run import Run
-    from balance_cli.reduction.mean_loads import ZeroRecord
+    from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.reduction.response_sources import ResponseSource
     from balance_cli.reduction.result import HubLoads, RunLoads
 
 
 @balance_command("reduce")
-@click.option("--calibration", type=InputFile(), required=True, metavar="CAL", help="Static calibration.")
+@click.option(
+    "--calibration",
+    type=InputFile(),
+    metavar="CAL",
+    help="Static calibration. Without it mean loads are `not measured`.",
+)
 @click.option("--model", type=InputFile(), metavar="MODEL", help="Response from this model.")
 @click.option("--transfer", type=InputFile(), metavar="TF", help="Response as measured, interpolated.")
 @click.option(
@@ -63,7 +70,24 @@ if TYPE_CHECKING:
     metavar="SECONDS",
     help="With --method kalman: each estimate also uses this much of the record after it (0: none).  [default: 0.05]",
 )
-@click.option("--harmonics", type=click.IntRange(1, 64), default=8, show_default=True, help="Highest rotor harmonic.")
+@click.option(
+    "--harmonics",
+    type=click.IntRange(1, 64),
+    help="Highest rotor harmonic.  [default: a multiple of the blades, at least two, at least 8, within the band]",
+)
+@click.option(
+    "--frequencies",
+    callback=parse_frequencies,
+    metavar="F,F,...",
+    help="Loads at these frequencies [Hz] in place of rotor harmonics; phases count from the first sample. In time: "
+    "the frequency whose multiples the loads are.",
+)
+@click.option(
+    "--band",
+    type=(float, float),
+    metavar="LO HI",
+    help="Spectral densities of the loads within this band [Hz], in place of rotor harmonics.",
+)
 @click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record, the zero of the mean loads.")
 @click.option("--history", type=OutputFolder(), metavar="DIR", help="Also write load histories RUN.h5 to this folder.")
 @click.argument("runs", type=InputFile(readable=False), nargs=-1, required=True, metavar="RUN...")
@@ -71,7 +95,7 @@ if TYPE_CHECKING:
 @output_option("LOADS", "Table of loads, .csv or .h5.")
 def command(
     session: Session,
-    calibration: Path,
+    calibration: Path | None,
     model: Path | None,
     transfer: Path | None,
     static: bool,
@@ -79,7 +103,9 @@ def command(
     method: str,
     load_model: str,
     lag: float | None,
-    harmonics: int,
+    harmonics: int | None,
+    frequencies: tuple[float, ...],
+    band: tuple[float, float] | None,
     zero: Path | None,
     history: Path | None,
     runs: tuple[Path, ...],
@@ -88,37 +114,65 @@ def command(
 ) -> None:
     """Reduce runs to rotor-harmonic hub loads, with the dynamics of the balance removed.
 
-    Mean loads come from the strain and torque channels through the static calibration. Harmonic loads come from all
-    channels through a modeled or measured response, weighted by noise. A zero run among RUN... serves as --zero.
+    Mean loads come from the strain and torque channels through the static calibration; without --calibration, as with
+    piezo cells alone, only the harmonics are measured. Harmonic loads come from all channels through a modeled or
+    measured response, weighted by noise. A zero run among RUN... serves as --zero.
+
+    Records without 1/rev pulses are reduced at given --frequencies, or to spectral densities within a --band.
 
     Loads that change in time are estimated sample by sample by --method kalman and --method smoother, from all channels
     through a model of the physical form. --history writes them; the table contains their harmonics.
     """
-    from balance_cli.calibration.result import Calibration
+    _check_options(model, transfer, static, calibration is not None, zero is not None, output)
+    method_options = MethodOptions(
+        method, load_model if _is_given("load_model") else None, lag, harmonics or 0, frequencies
+    )
+    method_options.check(model is not None, history is not None, harmonics is not None)
+    check_band_options(band, _is_given)
+    cal = read_calibration(session, calibration)
+    geometry, source = read_response(session, cal, model, transfer, interpolation)
+    method_options.check_source(source, model)
+    records = session.runs(runs, geometry, skip_bad)
+    if band is not None:
+        reduce_to_spectra(session, geometry, source, _rotor_runs(session, records), band, skip_bad, output)
+        return
+    if harmonics is None and not frequencies:
+        method_options = replace(method_options, harmonics=_default_harmonics(session, geometry, source, records))
+    reduction = Reduction(method_options, geometry, cal, source, read_zero(session, cal, zero, records), history)
+    _finish(session, reduction, _reduce_runs(session, reduction, records, skip_bad), output)
+
+
+def _finish(session: Session, reduction: Reduction, runs: dict[str, RunLoads], output: Path) -> None:
+    """Write the loads and set summary and text."""
     from balance_cli.cli.reduce_text import reduction_text, summary
     from balance_cli.reduction.result import HubLoads
 
-    _check_options(model, transfer, static, output)
-    method_options = MethodOptions(method, load_model if _is_given("load_model") else None, lag, harmonics)
-    method_options.check(model is not None)
-    cal: Calibration = session.artefact(calibration, {"balance-calibration/1": Calibration}, "calibration").content
-    source = _response_source(session, cal, model, transfer, interpolation)
-    method_options.check_source(source, model)
-    records = session.runs(runs, cal.geometry, skip_bad)
-    reduction = Reduction(method_options, cal, source, _load_zero_record(session, cal, zero, records), history)
-    run_loads = _reduce_runs(session, reduction, records, skip_bad)
-    loads = HubLoads(method, source.description, cal.geometry, run_loads, tuple(session.warnings) or None)
+    options = reduction.method
+    method = FREQUENCIES if options.frequencies and not options.in_time else options.name
+    loads = HubLoads(method, reduction.source.description, reduction.geometry, runs, tuple(session.warnings) or None)
     _write_load_table(session, output, loads)
     session.finish(summary(loads), reduction_text(loads))
+
+
+def _default_harmonics(session: Session, geometry: Geometry, source: ResponseSource, records: tuple[Run, ...]) -> int:
+    """Return the harmonics that all runs permit of those that are the default, with a warning where they are fewer."""
+    from balance_cli.steps.reduction_inputs import default_harmonics, harmonics_within_band
+
+    wanted = default_harmonics(geometry)
+    runs = [run for run in records if run.kind in ("check", "wind")]
+    possible = {run.name: harmonics_within_band(run, source, wanted) for run in runs}
+    fewest = min(possible.values(), default=wanted)
+    if fewest < wanted:
+        name = min(possible, key=lambda run: possible[run])
+        session.warn(f"{fewest} harmonics in place of {wanted}: those above are beyond the band of run {name}")
+    return fewest
 
 
 def _reduce_runs(
     session: Session, reduction: Reduction, records: tuple[Run, ...], skip_bad: bool
 ) -> dict[str, RunLoads]:
-    """Reduce the check and wind runs among the records. UserError where there are none."""
-    runs = [run for run in records if _accept_run(session, run)]
-    if not runs:
-        raise UserError("no check or wind run among the runs", "RUN...", remedy="Give the runs that are to be reduced")
+    """Reduce the check and wind runs among the records."""
+    runs = _rotor_runs(session, records)
     run_loads: dict[str, RunLoads] = {}
     for run in session.progress(runs, "runs", len(runs)):
         with session.skip_if_unusable(run, skip_bad):
@@ -128,53 +182,32 @@ def _reduce_runs(
     return run_loads
 
 
+def _rotor_runs(session: Session, records: tuple[Run, ...]) -> list[Run]:
+    """Return the check and wind runs among the records. UserError where there are none."""
+    runs = [run for run in records if _accept_run(session, run)]
+    if not runs:
+        raise UserError("no check or wind run among the runs", "RUN...", remedy="Give the runs that are to be reduced")
+    return runs
+
+
 def _is_given(option: str) -> bool:
     """Return whether the option was given on the command line."""
     source = click.get_current_context().get_parameter_source(option)
     return source is not click.core.ParameterSource.DEFAULT
 
 
-def _check_options(model: Path | None, transfer: Path | None, static: bool, output: Path) -> None:
+def _check_options(
+    model: Path | None, transfer: Path | None, static: bool, has_calibration: bool, has_zero: bool, output: Path
+) -> None:
     if (model is not None) + (transfer is not None) + static != 1:
         raise UserError(
             "exactly one response is needed", "--model, --transfer, --static", remedy="Give one of the three"
         )
+    if not has_calibration and (static or has_zero):
+        option = "--static" if static else "--zero"
+        raise UserError("needs a static calibration", option, remedy="Add --calibration CAL, or leave it out")
     if output.suffix not in TABLE_SUFFIXES:
         raise UserError("the table is written as .csv or .h5", str(output), remedy="End its name with .csv or .h5")
-
-
-def _response_source(
-    session: Session, calibration: Calibration, model: Path | None, transfer: Path | None, interpolation: str
-) -> ResponseSource:
-    """Return the response. UserError where its geometry is not that of the calibration."""
-    from balance_cli.steps.reduction_inputs import require_same_geometry
-
-    if model is not None:
-        from balance_cli.estimation.identified_model import IdentifiedModel
-        from balance_cli.reduction import model_sources
-
-        identified: IdentifiedModel = session.artefact(model, {"balance-model/1": IdentifiedModel}, "model").content
-        require_same_geometry(identified.geometry, calibration, str(model))
-        return model_sources.model_source(identified)
-    from balance_cli.reduction.response_sources import static_source, transfer_source
-
-    if transfer is not None:
-        from balance_cli.signals.response.transfer import Transfer
-
-        measured: Transfer = session.artefact(transfer, {"balance-transfer/1": Transfer}, "transfer").content
-        require_same_geometry(measured.geometry, calibration, str(transfer))
-        return transfer_source(measured, interpolation)
-    return static_source(calibration)
-
-
-def _load_zero_record(
-    session: Session, calibration: Calibration, path: Path | None, records: tuple[Run, ...]
-) -> ZeroRecord | None:
-    from balance_cli.steps.reduction_inputs import zero_reference
-
-    if path is not None:
-        return zero_reference(session.runs([path], calibration.geometry, role="zero"), calibration)
-    return zero_reference([run for run in records if run.kind == "zero"], calibration)
 
 
 def _accept_run(session: Session, run: Run) -> bool:

@@ -16,6 +16,7 @@ from balance_cli.reduction.choices import HARMONIC, KALMAN, LOAD_MODELS, SMOOTHE
 if TYPE_CHECKING:
     from balance_cli.calibration.result import Calibration
     from balance_cli.campaign.recording.run import Run
+    from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.reduction.history_file import HistoryFile
     from balance_cli.reduction.kalman.load_history import LoadHistory
     from balance_cli.reduction.mean_loads import ZeroRecord
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from balance_cli.steps.reduce_in_time import TimeOptions
 
 
+DEFAULT_TONE_MULTIPLES = 8
+"""Multiples of a given frequency that a filter follows if nobody asks, as many as harmonics of a rotor."""
 LONGEST_NAME = 200
 """Bytes of a run name that is also the name of a file, of 255 that file systems allow, with a margin for suffixes."""
 
@@ -32,21 +35,30 @@ LONGEST_NAME = 200
 class MethodOptions:
     """The method and its options as given.
 
-    `name` of METHODS, `load_model` of LOAD_MODELS, `lag` [s]; None: not given.
+    `name` of METHODS, `load_model` of LOAD_MODELS, `lag` [s]; None: not given. `frequencies` [Hz] of tones in place of
+    rotor harmonics; in time, the one whose multiples the loads are.
     """
 
     name: str
     load_model: str | None
     lag: float | None
     harmonics: int
+    frequencies: tuple[float, ...] = ()
 
     @property
     def in_time(self) -> bool:
         """Whether the method is a filter or smoother."""
         return self.name != HARMONIC
 
-    def check(self, has_model: bool) -> None:
+    def check(self, has_model: bool, has_history: bool = False, has_harmonics: bool = False) -> None:
         """Raise UserError where the options do not go together."""
+        if self.frequencies and not self.in_time and (has_history or has_harmonics):
+            option = "--history" if has_history else "--harmonics"
+            fault = "does not go with loads at given frequencies"
+            raise UserError(fault, option, remedy="Leave one out, or add --method smoother")
+        if self.in_time and len(self.frequencies) > 1:
+            fault = f"{len(self.frequencies)} frequencies, where a filter follows the multiples of one"
+            raise UserError(fault, "--frequencies", remedy="Give one, or use --method harmonic")
         if self.load_model is not None and not self.in_time:
             fault = "a load model applies to filters and smoothers only"
             raise UserError(fault, "--load-model", remedy="Add --method kalman or --method smoother, or leave it out")
@@ -71,16 +83,22 @@ class MethodOptions:
         """Return the options of the step."""
         from balance_cli.steps.reduce_in_time import TimeOptions
 
-        options = TimeOptions(self.name == SMOOTHER, self.load_model or LOAD_MODELS[0], harmonics=self.harmonics)
+        options = TimeOptions(
+            self.name == SMOOTHER, self.load_model or LOAD_MODELS[0], harmonics=self.harmonics or DEFAULT_TONE_MULTIPLES
+        )
         return options if self.lag is None else replace(options, lag=self.lag)
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """Method, response and calibration of one call, and the folder of the histories (None: not written)."""
+    """Method, geometry, response and calibration of one call, and the folder of the histories (None: not written).
+
+    Without a calibration the mean loads are not measured.
+    """
 
     method: MethodOptions
-    calibration: Calibration
+    geometry: Geometry
+    calibration: Calibration | None
     source: ResponseSource
     zero: ZeroRecord | None
     histories: Path | None
@@ -89,15 +107,23 @@ class Reduction:
         """Reduce one run and prepare its history. UserError where it cannot be reduced."""
         _check_name(run, self.histories)
         with ExitStack() as stack:
-            history = _HistoryWriter(session, stack, self.histories, run.name)
-            return self._reduce_in_time(run, history) if self.method.in_time else self._reduce_harmonics(run, history)
+            history = _HistoryWriter(session, stack, self.histories, run.name, self.calibration is not None)
+            if self.method.in_time:
+                return self._reduce_in_time(run, history)
+            return self._reduce_tones(run) if self.method.frequencies else self._reduce_harmonics(run, history)
+
+    def _reduce_tones(self, run: Run) -> RunLoads:
+        from balance_cli.steps.reduce_frequencies import reduce_run_at_frequencies
+
+        frequencies = self.method.frequencies
+        return reduce_run_at_frequencies(run, frequencies, self.geometry, self.calibration, self.source, self.zero)
 
     def _reduce_harmonics(self, run: Run, history: _HistoryWriter) -> RunLoads:
         from balance_cli.reduction.history_file import harmonic_history
         from balance_cli.steps.reduce import ReduceOptions, reduce_run
 
         options = ReduceOptions(self.method.harmonics)
-        loads = reduce_run(run, self.calibration.geometry, self.calibration, self.source, self.zero, options)
+        loads = reduce_run(run, self.geometry, self.calibration, self.source, self.zero, options)
         if history.is_enabled:
             for block in harmonic_history(run, loads):
                 history.file.add(block)
@@ -109,8 +135,12 @@ class Reduction:
 
         options = self.method.options()
         _check_lag(run, self.method.lag)
+        if self.method.frequencies:
+            from balance_cli.steps.reduce_frequencies import with_pulses_at
+
+            run = with_pulses_at(run, self.method.frequencies[0])
         time_reduction = reduce_run_in_time(
-            run, self.calibration.geometry, self.calibration, self.source, self.zero, options, history.sink
+            run, self.geometry, self.calibration, self.source, self.zero, options, history.sink
         )
         if time_reduction.track is not None and history.is_enabled:
             history.file.add_harmonics(time_reduction.track, time_reduction.loads.components)
@@ -135,8 +165,9 @@ def _check_name(run: Run, folder: Path | None) -> None:
 class _HistoryWriter:
     """The history file of a run, created with its first block: until then the run may still be refused."""
 
-    def __init__(self, session: Session, stack: ExitStack, folder: Path | None, run: str) -> None:
+    def __init__(self, session: Session, stack: ExitStack, folder: Path | None, run: str, has_mean: bool) -> None:
         self._session, self._stack, self._folder, self._run = session, stack, folder, run
+        self._has_mean = has_mean
         self._file: HistoryFile | None = None
 
     @property
@@ -157,5 +188,5 @@ class _HistoryWriter:
         if self._file is None:
             assert self._folder is not None
             part = self._session.stage_in(self._folder, f"{self._run}.h5")
-            self._file = self._stack.enter_context(HistoryFile(part, self._run))
+            self._file = self._stack.enter_context(HistoryFile(part, self._run, self._has_mean))
         return self._file

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from balance_cli.cli.load_text import load_lines, trust_line
+from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.run_verdict import run_verdict
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def reduction_text(loads: HubLoads) -> Iterator[str]:
             yield f"   interaction in the other loads: {_percent(run.check.interaction)}"
         for note in run.notes:
             yield f"   {note}"
-        yield from load_lines(run, loads.geometry)
+        yield from load_lines(run, loads.geometry, loads.method == FREQUENCIES)
         yield trust_line(run)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import ResultView
+from balance_cli.io.spreadsheet import text_cell
 from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, load_table
 
@@ -72,6 +73,8 @@ def _quantities(item: Any) -> dict[str, float]:
 def csv_text(table: pd.DataFrame) -> str:
     """Return a table as CSV, each value with the digits that its sigma deserves."""
     shown = table.copy()
+    if "run" in shown:
+        shown["run"] = shown["run"].map(lambda name: text_cell(str(name)))
     sigmas = {value: sigma for value, sigma in SIGMA_COLUMNS.items() if value in table and sigma in table}
     names = [str(name) for name in table.columns]
     sigmas |= {name: f"{name}_sigma" for name in names if f"{name}_sigma" in names}

@@ -10,7 +10,8 @@ TRANSFER_FORMAT = "balance-transfer/1"
 MODEL_FORMAT = "balance-model/1"
 DIAGNOSIS_FORMAT = "balance-diagnosis/1"
 LOADS_FORMAT = "balance-loads/1"
-ARTEFACT_FORMATS = (CALIBRATION_FORMAT, TRANSFER_FORMAT, MODEL_FORMAT, DIAGNOSIS_FORMAT, LOADS_FORMAT)
+SPECTRA_FORMAT = "balance-spectra/1"
+ARTEFACT_FORMATS = (CALIBRATION_FORMAT, TRANSFER_FORMAT, MODEL_FORMAT, DIAGNOSIS_FORMAT, LOADS_FORMAT, SPECTRA_FORMAT)
 """Formats of results with provenance and digest, in the order in which a campaign makes them."""
 
 HISTORY_FORMAT = "balance-history/1"

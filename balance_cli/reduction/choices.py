@@ -5,6 +5,8 @@ from __future__ import annotations
 HARMONIC, KALMAN, SMOOTHER = "harmonic", "kalman", "smoother"
 METHODS = (HARMONIC, KALMAN, SMOOTHER)
 """How loads are reduced; the first is the default."""
+FREQUENCIES = "frequencies"
+"""The method of loads at given frequencies in place of rotor harmonics."""
 
 HARMONICS, RANDOM, FREE = "harmonics", "random", "free"
 LOAD_MODELS = (HARMONICS, RANDOM, FREE)

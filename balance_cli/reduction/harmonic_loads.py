@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,14 @@ from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.channel_noise import CleanRecord, channel_noise
 from balance_cli.signals.rotor.azimuth import Azimuth, azimuth_from_pulses
 from balance_cli.signals.rotor.harmonic_spectrum import harmonic_lines
-from balance_cli.signals.rotor.harmonics import FEWEST_REVOLUTIONS, Harmonics, estimate_harmonics
+from balance_cli.signals.rotor.harmonics import (
+    BELOW_NYQUIST,
+    FEWEST_REVOLUTIONS,
+    FITTED_HARMONICS,
+    Harmonics,
+    estimate_harmonics,
+)
+from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines, tones_beside
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults
 from balance_cli.signals.transient_end import transient_end
 
@@ -41,7 +49,8 @@ LARGEST_CONDITION = 1e8
 class RotorRecord:
     """A record over azimuth: its usable channels, and their harmonics and those of the loads after the transient.
 
-    `components` are those that the balance carries.
+    `components` are those that the balance carries. At a `fixed_frequency` the azimuth is that of a tone, which turns
+    with no rotor. `confounded` are lines that cannot be told from the harmonics, in words.
     """
 
     run: Run
@@ -49,10 +58,14 @@ class RotorRecord:
     azimuth: Azimuth
     spectra: Harmonics
     components: tuple[str, ...]
+    fixed_frequency: bool = False
+    confounded: tuple[str, ...] = ()
 
     @property
     def spin(self) -> float:
         """Rotor speed [Hz] over the interval; 0 at rest."""
+        if self.fixed_frequency:
+            return self.run.rotor_speed
         return self.run.rotor_speed and float(self.spectra.frequency_hz[1])
 
 
@@ -70,12 +83,49 @@ def rotor_record(run: Run, geometry: Geometry, source: ResponseSource, max_harmo
     if azimuth.turns < FEWEST_REVOLUTIONS:
         fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
         raise UserError(fault, _place(run), "rotor/pulse_times", "Record more revolutions")
+    return _record(run, azimuth, max_harmonic, geometry, source, health)
+
+
+def _record(
+    run: Run,
+    azimuth: Azimuth,
+    max_harmonic: int,
+    geometry: Geometry,
+    source: ResponseSource,
+    health: ChannelHealth,
+    other: OtherLines = NO_OTHER_LINES,
+) -> RotorRecord:
+    """Return the harmonics of a run over an azimuth, from the end of its start transient on."""
     run = source.remove_nonlinear_contribution(run, health.live)
     limit = max(TRANSIENT_TIME_CONSTANTS * source.slowest_decay, MIN_TRANSIENT_TIME)
-    start = transient_end(run, azimuth, limit, health.live)
+    start = transient_end(run, azimuth, limit, health.live).first_revolution
     signals = health.live + (COMPONENTS if run.has_loads else ())
-    spectra = estimate_harmonics(run, azimuth, max_harmonic, names=signals, first_revolution=start.first_revolution)
+    spectra = estimate_harmonics(run, azimuth, max_harmonic, names=signals, first_revolution=start, other=other)
     return RotorRecord(run, health, azimuth, spectra, carried_components(geometry))
+
+
+def tone_record(
+    run: Run, frequency: float, others: Sequence[float], geometry: Geometry, source: ResponseSource
+) -> RotorRecord:
+    """Return the mean and the tone at `frequency` [Hz] of one run; `others` are tones that are regressed with it.
+
+    The phase counts from the first sample. Raises UserError where the record holds too few cycles or no channel.
+    """
+    assert run.sample_rate is not None
+    health = live_channels(run, geometry)
+    if not health.live:
+        raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
+    duration = (run.samples - 1) / run.sample_rate
+    cycles = int(duration * frequency)
+    if cycles < FEWEST_REVOLUTIONS:
+        fault = f"holds {cycles} cycles of {frequency:g} Hz; at least {FEWEST_REVOLUTIONS} are needed"
+        raise UserError(fault, _place(run), "--frequencies", "Record for longer, or give a higher frequency")
+    if frequency >= BELOW_NYQUIST * run.sample_rate / 2.0:
+        fault = f"{frequency:g} Hz is beyond half the sample rate, {run.sample_rate:g} Hz"
+        raise UserError(fault, _place(run), "--frequencies", "Give lower frequencies")
+    azimuth = azimuth_from_pulses(np.arange(cycles + 1) / frequency)
+    tones = tones_beside(frequency, others, duration, FITTED_HARMONICS)
+    return replace(_record(run, azimuth, 1, geometry, source, health, tones), fixed_frequency=True)
 
 
 def _place(run: Run) -> str:
@@ -84,7 +134,8 @@ def _place(run: Run) -> str:
 
 def _azimuth(run: Run) -> Azimuth:
     if run.pulse_times is None:
-        raise UserError("no 1/rev pulses", _place(run), "rotor/pulse_times", "Give runs of kind check or wind")
+        remedy = "Reduce it with --frequencies or --band, or record the pulses"
+        raise UserError("no 1/rev pulses", _place(run), "rotor/pulse_times", remedy)
     return azimuth_from_pulses(run.pulse_times)
 
 

@@ -44,8 +44,10 @@ def _sum_harmonics(azimuth: Azimuth, loads: RunLoads, time: Array) -> LoadHistor
     phasors = np.exp(1j * azimuth.psi(time)[:, None] * np.arange(len(loads.frequency_hz)))
     columns = [COMPONENTS.index(name) for name in loads.components]
     values, sigma = np.full((2, len(time), 6), np.nan)
-    values[:, columns] = np.real(phasors @ loads.amplitude)
-    variance = phasors.real**2 @ loads.sigma_cosine**2 + phasors.imag**2 @ loads.sigma_sine**2
+    # A mean that is not measured is NaN: the history is then the deviation from it.
+    values[:, columns] = np.real(phasors @ np.nan_to_num(loads.amplitude))
+    sigma_cosine = np.nan_to_num(loads.sigma_cosine)
+    variance = phasors.real**2 @ sigma_cosine**2 + phasors.imag**2 @ loads.sigma_sine**2
     sigma[:, columns] = np.sqrt(variance)
     return LoadHistory(loads.run, time, values, sigma)
 
@@ -56,16 +58,19 @@ def _sum_harmonics(azimuth: Azimuth, loads: RunLoads, time: Array) -> LoadHistor
 class HistoryFile:
     """An HDF5 file of `time` (n,), `loads` (n, 6) and `sigma` (n, 6), to which blocks are appended.
 
-    A context manager closes it. Raises UserError where it cannot be written.
+    Without `has_mean` the loads count from a mean that was not measured, and the attribute `mean` says so. A context
+    manager closes it. Raises UserError where it cannot be written.
     """
 
-    def __init__(self, path: Path, run: str) -> None:
+    def __init__(self, path: Path, run: str, has_mean: bool = True) -> None:
         from balance_cli.io.hdf5_output import Hdf5Output
 
         self._output, self._buffer = Hdf5Output(path), _WriteBuffer()
         self._file = self._output.file
         self._file.attrs["format"] = HISTORY_FORMAT
         self._file.attrs["run"] = run
+        if not has_mean:
+            self._file.attrs["mean"] = "not measured"
         self._create_appendable("time", ()).attrs["unit"] = "s"
         for name in ("loads", "sigma"):
             table = self._create_appendable(name, (len(COMPONENTS),))

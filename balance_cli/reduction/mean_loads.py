@@ -15,7 +15,7 @@ from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.io.errors import UserError
-from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, UNTESTED, join_flags
+from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, NOT_MEASURED, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.rotor.harmonics import Harmonics
@@ -62,6 +62,12 @@ class MeanLoads:
     redundancy: float
     redundancy_limit: float
     condition: float
+
+
+def unmeasured_mean_loads(components: tuple[str, ...]) -> MeanLoads:
+    """Return mean loads that no static calibration measures: NaN, each with the flag NOT_MEASURED."""
+    unknown, flags = np.full(len(components), np.nan), (NOT_MEASURED,) * len(components)
+    return MeanLoads(components, unknown, unknown, "", flags, float("nan"), float("nan"), float("nan"))
 
 
 @dataclass(frozen=True)

@@ -235,6 +235,13 @@ def load_scale(hub: Sequence[float]) -> Array:
     return np.array([1.0, 1.0, 1.0, 1.0 / arm, 1.0 / arm, 1.0 / arm])
 
 
+def highest_frequency(source: ResponseSource) -> float:
+    """Return the highest frequency [Hz] at which a response is known: the last measured line, infinite for a model."""
+    if not isinstance(source, TransferSource):
+        return float("inf")
+    return min(float(measured.frequency[-1]) for measured in source.responses)
+
+
 def transfer_source(transfer: Transfer, interpolation: str) -> ResponseSource:
     """Return the measured responses, for each component that of the highest level."""
     components = dict.fromkeys(name for response in transfer.responses for name in response.components)

@@ -74,18 +74,23 @@ def assess_trust(
     record: RotorRecord,
     geometry: Geometry,
     source: ResponseSource,
-    static: TrimCalibration,
+    static: TrimCalibration | None,
     solution: SolvedLoads,
     sigma: Array,
 ) -> Trust:
-    """Examine the loads of a record; `sigma` (n+1, m) are the standard deviations stated for them."""
+    """Examine the loads of a record; `sigma` (n+1, m) are the standard deviations stated for them.
+
+    Without a `static` calibration the mean loads are not examined.
+    """
     shape, m = sigma.shape, sigma.shape[1]
     untested, contradicted, rejected = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape, bool)
     untested[1:] = (solution.degrees <= 0)[:, None] | (sensor_count(geometry, record.health.live) <= m)
     rejected[1:] = solution.misfit[:, None]
     contradicted[1:] = source.is_contradicted | _model_error_matters(solution)
     n = shape[0] - 1
-    lines = unmodelled_lines(record.run, record.azimuth, record.health.live, n, record.spectra.interval)
+    lines: tuple[UnmodelledLine, ...] = ()
+    if not record.fixed_frequency:  # whoever names the frequencies knows that there are others
+        lines = unmodelled_lines(record.run, record.azimuth, record.health.live, n, record.spectra.interval)
     return Trust(untested, unsteady_loads(record, geometry, source, static, sigma), contradicted, rejected, lines)
 
 

@@ -151,5 +151,6 @@ def _add_plan_metadata(run: Run, truth: RunTruth, plan: SampledPlan) -> tuple[Ru
         pulses = rotor.pulse_times(plan.duration)
         truth = replace(truth, azimuth=rotor.azimuth(truth.time))
         cosine, sine = truth.harmonics(pulses[0], pulses[-1])
-        return replace(run, pulse_times=pulses), replace(truth, cosine=cosine, sine=sine)
+        run = replace(run, pulse_times=pulses) if plan.pulses else replace(run, rotor_speed=0.0)
+        return run, replace(truth, cosine=cosine, sine=sine)
     return run, truth

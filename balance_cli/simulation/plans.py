@@ -141,7 +141,8 @@ class RotorPlan(RecordPlan):
 
     `harmonics`: amplitudes [N, N m] of harmonics 1, 2 ... of a component; their phases are random, and the amplitudes
     vary by `scatter` (relative). `steady`: mean loads; `turbulence`: rms of random loads within `turbulence_band` [Hz];
-    `drift` of the speed (relative); a `step` of the mean loads.
+    `drift` of the speed (relative); a `step` of the mean loads. Without `pulses` the loads are the same, but the record
+    is one at rest: loads of `rotor_speed` and its multiples, as those of a cutting tool, without a rotor.
     """
 
     kind: Literal["check", "wind"] = "check"
@@ -155,6 +156,7 @@ class RotorPlan(RecordPlan):
     drift: Annotated[float, Field(ge=0, lt=1)] = 0.0
     drift_period: Positive = 23.0
     step: LoadStep | None = None
+    pulses: bool = True
 
     @model_validator(mode="after")
     def _check(self) -> RotorPlan:

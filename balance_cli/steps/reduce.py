@@ -14,7 +14,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import MODEL_CONTRADICTED
 from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, rotor_record
-from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads
+from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
@@ -39,12 +39,12 @@ class ReduceOptions:
 def reduce_run(
     run: Run,
     geometry: Geometry,
-    calibration: Calibration,
+    calibration: Calibration | None,
     source: ResponseSource,
     zero: ZeroRecord | None = None,
     options: ReduceOptions | None = None,
 ) -> RunLoads:
-    """Reduce one `check` or `wind` run to hub loads.
+    """Reduce one `check` or `wind` run to hub loads; without a calibration its mean loads are not measured.
 
     Raises UserError where the pulses are unusable or the usable channels do not determine the loads.
     """
@@ -56,7 +56,7 @@ def reduce_run(
 def reduce_record(
     record: RotorRecord,
     geometry: Geometry,
-    calibration: Calibration,
+    calibration: Calibration | None,
     source: ResponseSource,
     zero: ZeroRecord | None = None,
     amplitudes: ComplexArray | None = None,
@@ -66,14 +66,18 @@ def reduce_record(
     `amplitudes` (n, m) of harmonics 1 to n, estimated in another way, replace those that the inverted response gives;
     the errors, the redundancy and the condition remain those of the inverted response.
     """
-    mean_solution = _mean_loads(record, calibration, zero)
+    mean_solution = (
+        unmeasured_mean_loads(record.components) if calibration is None else _mean_loads(record, calibration, zero)
+    )
     harmonic_solution = harmonic_loads(record, geometry, source)
     if amplitudes is not None:
         harmonic_solution = replace(harmonic_solution, loads=amplitudes)
-    notes = record.azimuth.notes if calibration.errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
+    errors_known = calibration is None or calibration.errors_known
+    notes = record.azimuth.notes if errors_known else (*record.azimuth.notes, ERRORS_UNKNOWN)
     loads = _combine_loads(record, mean_solution, harmonic_solution, source)
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
-    trust = assess_trust(record, geometry, source, nearest_trim(calibration, loads), harmonic_solution, sigma)
+    static = None if calibration is None else nearest_trim(calibration, loads)
+    trust = assess_trust(record, geometry, source, static, harmonic_solution, sigma)
     lines = (*filter(None, [describe_gaps(record.run)]), *(line.description for line in trust.lines))
     suspect_note = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *filter(None, [suspect_note])))
@@ -99,6 +103,8 @@ def _combine_loads(
     """Return the loads with harmonic 0 from the mean loads and the others from the harmonic loads."""
     spectra, m = record.spectra, len(mean_solution.components)
     variance = np.diagonal(harmonic_solution.inflated_covariance, axis1=1, axis2=2)
+    unmeasured = np.isnan(mean_solution.loads)
+    mean = np.where(unmeasured, complex(np.nan, np.nan), mean_solution.loads)
     return RunLoads(
         run=record.run.name,
         kind=record.run.kind,
@@ -106,9 +112,9 @@ def _combine_loads(
         trim=mean_solution.trim,
         components=mean_solution.components,
         frequency_hz=np.asarray(np.arange(len(spectra.frequency_hz)) * record.azimuth.mean_rate, float),
-        amplitude=np.concatenate([mean_solution.loads[None, :].astype(complex), harmonic_solution.loads]),
+        amplitude=np.concatenate([mean[None, :], harmonic_solution.loads]),
         sigma_cosine=np.concatenate([mean_solution.sigma[None, :], np.sqrt(variance[:, :m])]),
-        sigma_sine=np.concatenate([np.zeros((1, m)), np.sqrt(variance[:, m:])]),
+        sigma_sine=np.concatenate([np.where(unmeasured, np.nan, 0.0)[None, :], np.sqrt(variance[:, m:])]),
         flags=(mean_solution.flags, *(("",) * m for _ in harmonic_solution.loads)),
         redundancy=np.concatenate([[mean_solution.redundancy], harmonic_solution.redundancy_chi2]),
         redundancy_limit=np.concatenate([[mean_solution.redundancy_limit], harmonic_solution.limit]),

@@ -132,7 +132,7 @@ class _RunSetup:
 def reduce_run_in_time(
     run: Run,
     geometry: Geometry,
-    calibration: Calibration,
+    calibration: Calibration | None,
     source: ResponseSource,
     zero: ZeroRecord | None = None,
     options: TimeOptions | None = None,
@@ -240,7 +240,7 @@ def _channel_means(setup: _RunSetup) -> Array:
 
 def _build_filters(setup: _RunSetup, harmonic_result: RunLoads, options: TimeOptions) -> RunFilters:
     """Return the filters of the load model."""
-    step_loads = np.abs(harmonic_result.amplitude).sum(axis=0)
+    step_loads = np.nansum(np.abs(harmonic_result.amplitude), axis=0)  # a mean that is not measured is NaN
     clean_record, system, segments = setup.clean_record(), setup.system, setup.data_quality.segments
     space, columns, noise = system.space, system.columns, system.noise
     if options.load_model == HARMONICS:
@@ -269,8 +269,9 @@ def _recorder_settings(setup: _RunSetup, harmonic_result: RunLoads, options: Tim
     return RecorderSettings(
         run=setup.run.name,
         components=harmonic_result.components,
-        mean=harmonic_result.amplitude[0].real,
-        mean_sigma=harmonic_result.sigma_cosine[0],
+        # Where the mean is not measured, the history is the deviation from it.
+        mean=np.nan_to_num(harmonic_result.amplitude[0].real),
+        mean_sigma=np.nan_to_num(harmonic_result.sigma_cosine[0]),
         azimuth=setup.azimuth,
         step=setup.system.step,
         state_lead_time=setup.system.state_lead_time,

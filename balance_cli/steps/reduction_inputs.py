@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import ceil
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.channel_health import live_channels
@@ -13,10 +16,40 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import geometry_digest
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import ZeroRecord, zero_record
+from balance_cli.reduction.response_sources import ResponseSource, highest_frequency
 from balance_cli.reduction.result import RunLoads, TimeDomainResult
+from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
+from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST
 
 if TYPE_CHECKING:
     from balance_cli.steps.reduce_in_time import TimeOptions, TimeReduction
+
+LEAST_HARMONICS = 8
+"""Harmonics 1 to 8 are compared in check runs, as the file contract has it."""
+BLADE_MULTIPLES = 2
+"""Multiples of the blade harmonic that are reduced at least: the second drives the cabin noise of a helicopter."""
+
+
+def default_harmonics(geometry: Geometry) -> int:
+    """Return how many harmonics are reduced if nobody asks: whole multiples of the blades, at least two, at least 8.
+
+    8 for two or four blades, 9 for three, 10 for five, 12 for six.
+    """
+    blades = geometry.rotor.blades if geometry.rotor else 1
+    return blades * max(BLADE_MULTIPLES, ceil(LEAST_HARMONICS / blades))
+
+
+def harmonics_within_band(run: Run, source: ResponseSource, harmonics: int) -> int:
+    """Return how many of the harmonics of a run lie below half its sample rate and within the measured response."""
+    if run.pulse_times is None or run.sample_rate is None:
+        return harmonics
+    try:
+        azimuth = azimuth_from_pulses(run.pulse_times)
+    except UserError:
+        return harmonics  # the reduction reports it
+    fastest = float(np.max(azimuth.speed(np.linspace(azimuth.first, azimuth.last, 2048))))
+    highest = min(BELOW_NYQUIST * run.sample_rate / 2.0, highest_frequency(source))
+    return max(1, min(harmonics, int(highest / fastest)))
 
 
 def require_same_geometry(geometry: Geometry, calibration: Calibration, file: str = "") -> None:

@@ -85,11 +85,12 @@ def attitude_faults(kind: str, contents: RunFileContents) -> Iterator[UserError]
 
 
 def pulse_faults(kind: str, contents: RunFileContents) -> Iterator[UserError]:
-    """Yield the faults of the dataset `rotor/pulse_times`."""
-    required = kind in KINDS_WITH_PULSES
+    """Yield the faults of the dataset `rotor/pulse_times`, which a record at rest need not have."""
+    required = kind in KINDS_WITH_PULSES and contents.attributes.get("rotor_speed") != 0
     if contents.pulses is None:
         if required:
-            yield UserError("the dataset is missing", place=PULSE_DATASET, remedy="Record the 1/rev pulses")
+            remedy = "Record the 1/rev pulses. Where no rotor turns, or its pulses are lost, set `rotor_speed` to 0"
+            yield UserError("the dataset is missing", place=PULSE_DATASET, remedy=remedy)
         return
     layout_fault = next(_pulse_layout_faults(contents.pulses, required), None)
     if layout_fault is not None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from balance_cli.cli.load_text import load_lines, trust_line
 from balance_cli.cli.pipeline.steps import BEST_FIRST
+from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.flags import SEPARATOR, trust_word
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def loads_text(best: tuple[Path, HubLoads] | None) -> Iterator[str]:
     yield f"hub loads by {loads.response}, {path}:"
     for name, run in loads.runs.items():
         yield f"{name} ({run.kind}, 1/rev at {run.frequency_hz[1]:.4g} Hz)"
-        yield from load_lines(run, loads.geometry)
+        yield from load_lines(run, loads.geometry, loads.method == FREQUENCIES)
         yield trust_line(run)
 
 

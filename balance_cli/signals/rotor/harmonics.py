@@ -14,6 +14,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.harmonic_noise import blackman_taper, line_offsets, mean_noise, pooled_noise
+from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -83,12 +84,13 @@ class Harmonics:
 
 @dataclass(frozen=True)
 class _AzimuthBlock:
-    """A block of m samples: azimuth, speed [Hz], fraction of the interval, weight of the regression, signals (m, c)."""
+    """A block of m samples: azimuth, speed [Hz], fraction of the interval, weight, `other` (m, e), signals (m, c)."""
 
     psi: Array
     speed: Array
     fraction: Array
     weight: Array
+    other: Array
     signals: Array
 
 
@@ -111,6 +113,7 @@ def estimate_harmonics(
     names: Sequence[str] | None = None,
     first_revolution: int = 0,
     last_revolution: int | None = None,
+    other: OtherLines = NO_OTHER_LINES,
     block: int = BLOCK_SAMPLES,
 ) -> Harmonics:
     """Estimate harmonics 0 to `n` of the named signals (default: all channels, and the loads where the run has them).
@@ -119,7 +122,7 @@ def estimate_harmonics(
     rises smoothly at either end: an amplitude that varies with the speed would otherwise leak into its neighbors at
     1/T (0.001 V from 4/rev into 2/rev, where the speed changed by 6 %). The weight has the moments of a step at each
     end, so that the amplitudes are means over the whole interval. For a signal that is periodic in azimuth the result
-    is exact.
+    is exact. `other` lines are regressed with them, and are not returned.
 
     The noise is that of the neighboring lines k + m/R of the same record, R revolutions, and the error of bridged gaps.
 
@@ -133,8 +136,8 @@ def estimate_harmonics(
     start, end = (float(t) for t in azimuth.time_of(np.array(revolutions)))
     offsets = line_offsets(last - first_revolution)
     fitted_count = _harmonics_to_fit(run, azimuth, n, start, end)
-    sums = _empty_sums(n, fitted_count, offsets, len(names))
-    for samples in _weighted_blocks(run, azimuth, names, revolutions, block):
+    sums = _empty_sums(n, 2 * fitted_count + 1 + other.columns, offsets, len(names))
+    for samples in _weighted_blocks(run, azimuth, names, revolutions, other, block):
         _accumulate_block(sums, samples, n, fitted_count, offsets / (last - first_revolution))
     amplitude = _solve_amplitudes(sums, n, fitted_count)
     covariance, dof = _amplitude_covariance(sums, n, offsets)
@@ -181,7 +184,7 @@ def _harmonics_to_fit(run: Run, azimuth: Azimuth, n: int, start: float, end: flo
 
 
 def _weighted_blocks(
-    run: Run, azimuth: Azimuth, names: tuple[str, ...], revolutions: tuple[int, int], block: int
+    run: Run, azimuth: Azimuth, names: tuple[str, ...], revolutions: tuple[int, int], other: OtherLines, block: int
 ) -> Iterator[_AzimuthBlock]:
     assert run.sample_rate is not None
     first, last = revolutions
@@ -194,7 +197,8 @@ def _weighted_blocks(
         psi = azimuth.psi(time)
         revolution = psi / (2 * np.pi)
         fraction = np.clip((revolution - first) / (last - first), 0.0, 1.0)
-        yield _AzimuthBlock(psi, azimuth.speed(time), fraction, edge_weight(revolution, first, last), signals)
+        weight = edge_weight(revolution, first, last)
+        yield _AzimuthBlock(psi, azimuth.speed(time), fraction, weight, other.basis(time), signals)
 
 
 def _sample_span(run: Run, start: float, end: float) -> tuple[int, int]:
@@ -216,8 +220,7 @@ def _read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Arra
     return signals
 
 
-def _empty_sums(n: int, fitted_count: int, offsets: Array, count: int) -> _NormalEquations:
-    columns = 2 * fitted_count + 1
+def _empty_sums(n: int, columns: int, offsets: Array, count: int) -> _NormalEquations:
     lines = np.zeros((n + 1, len(offsets), count), complex)
     return _NormalEquations(np.zeros((columns, columns)), np.zeros((columns, count)), lines, np.zeros(4))
 
@@ -233,7 +236,7 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, n: int, fi
 
     Lines are integrals over azimuth, d psi = 2 pi speed dt, over which harmonics are orthogonal.
     """
-    basis = _trigonometric_basis(samples.psi, fitted_count)
+    basis = np.hstack([_trigonometric_basis(samples.psi, fitted_count), samples.other])
     weighted = basis * samples.weight[:, None]
     sums.gram += weighted.T @ basis
     sums.moment += weighted.T @ samples.signals

@@ -1,0 +1,90 @@
+"""What `balance reduce` reads: the calibration, the response with its geometry, and the zero record."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from balance_cli.cli.common import Session
+from balance_cli.io.errors import UserError
+
+if TYPE_CHECKING:
+    from balance_cli.calibration.result import Calibration
+    from balance_cli.campaign.recording.run import Run
+    from balance_cli.campaign.rig.geometry import Geometry
+    from balance_cli.reduction.mean_loads import ZeroRecord
+    from balance_cli.reduction.response_sources import ResponseSource
+
+
+def parse_frequencies(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[float, ...]:
+    """Return the frequencies [Hz] of a list with commas. UserError where one is not a positive number."""
+    frequencies = []
+    for word in (value or "").split(",") if value is not None else ():
+        try:
+            frequency = float(word)
+        except ValueError:
+            frequency = math.nan
+        if not (math.isfinite(frequency) and frequency > 0):
+            raise UserError(f"`{word}` is not a frequency above 0 Hz", "--frequencies", remedy="Write F,F,... in Hz")
+        frequencies.append(frequency)
+    return tuple(frequencies)
+
+
+def read_calibration(session: Session, path: Path | None) -> Calibration | None:
+    """Read the static calibration, if one is given."""
+    from balance_cli.calibration.result import Calibration
+
+    if path is None:
+        return None
+    calibration: Calibration = session.artefact(path, {"balance-calibration/1": Calibration}, "calibration").content
+    return calibration
+
+
+def read_response(
+    session: Session, calibration: Calibration | None, model: Path | None, transfer: Path | None, interpolation: str
+) -> tuple[Geometry, ResponseSource]:
+    """Return the response: a model, a measured one, or the static matrix where neither is given; and its geometry.
+
+    Raises UserError where its geometry is not that of the calibration.
+    """
+    from balance_cli.reduction.response_sources import static_source, transfer_source
+    from balance_cli.steps.reduction_inputs import require_same_geometry
+
+    if model is not None:
+        from balance_cli.estimation.identified_model import IdentifiedModel
+        from balance_cli.reduction import model_sources
+
+        identified: IdentifiedModel = session.artefact(model, {"balance-model/1": IdentifiedModel}, "model").content
+        if calibration is not None:
+            require_same_geometry(identified.geometry, calibration, str(model))
+        return _geometry(identified.geometry, calibration), model_sources.model_source(identified)
+    if transfer is not None:
+        from balance_cli.signals.response.transfer import Transfer
+
+        measured: Transfer = session.artefact(transfer, {"balance-transfer/1": Transfer}, "transfer").content
+        if calibration is not None:
+            require_same_geometry(measured.geometry, calibration, str(transfer))
+        return _geometry(measured.geometry, calibration), transfer_source(measured, interpolation)
+    assert calibration is not None
+    return calibration.geometry, static_source(calibration)
+
+
+def _geometry(declared: Geometry, calibration: Calibration | None) -> Geometry:
+    """Return the geometry of the loads: that of the calibration, which an updated model extends by effects."""
+    return declared if calibration is None else calibration.geometry
+
+
+def read_zero(
+    session: Session, calibration: Calibration | None, path: Path | None, records: tuple[Run, ...]
+) -> ZeroRecord | None:
+    """Return the wind-off record: the one given, or the one among the runs; none without a calibration."""
+    from balance_cli.steps.reduction_inputs import zero_reference
+
+    if calibration is None:
+        return None
+    if path is not None:
+        return zero_reference(session.runs([path], calibration.geometry, role="zero"), calibration)
+    return zero_reference([run for run in records if run.kind == "zero"], calibration)

@@ -1,0 +1,126 @@
+"""Spectral densities of hub loads as a result: artefact, table, text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.components import UNIT_OF
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.result_view import ResultView, plural
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+SPECTRUM_COLUMNS = (
+    "run",
+    "component",
+    "unit",
+    "frequency_hz",
+    "density",
+    "sigma_density",
+    "noise_density",
+    "redundancy",
+    "flag",
+)
+"""Columns of a table of spectra."""
+
+DENSITY_UNITS = {"N": "N2/Hz", "N m": "(N m)2/Hz"}
+"""Unit of a spectral density for each unit of a load."""
+
+
+@dataclass(frozen=True, repr=False)
+class RunSpectra(ResultView):
+    """One-sided spectral densities of the hub loads of one run: m components at k frequencies.
+
+    frequency_hz (k,); density (k, m) [N2/Hz, (N m)2/Hz] with sigma (k, m), random error and error of the response;
+    noise (k, m) the part that the noise of the channels has in it; redundancy (k,) chi-square per degree of freedom of
+    the residual test with its limit; flags (k,); `resolution_hz`: noise bandwidth of a frequency; `averages`:
+    independent spectra in the mean; interval [s] that was used; `load_error` {component applied: rms(reduced - applied)
+    / rms(applied) over the band} of a check run.
+    """
+
+    run: str
+    kind: str
+    response: str
+    components: tuple[str, ...]
+    frequency_hz: Array
+    density: Array
+    sigma: Array
+    noise: Array
+    redundancy: Array
+    redundancy_limit: Array
+    flags: tuple[str, ...]
+    resolution_hz: float
+    averages: float
+    interval: tuple[float, float]
+    left_out: dict[str, str]
+    load_error: dict[str, float] | None = field(default=None, metadata={"omit_if_none": True})
+
+    @property
+    def band_rms(self) -> dict[str, tuple[float, float]]:
+        """{component: rms of the load within the band and its sigma}, noise of the channels included."""
+        step = float(np.mean(np.diff(self.frequency_hz)))
+        square = step * self.density.sum(axis=0)
+        # Neighboring bins of the window are correlated over its noise bandwidth.
+        spread = np.sqrt(step * self.resolution_hz * np.sum(self.sigma**2, axis=0))
+        rms = np.sqrt(np.maximum(square, 0.0))
+        return {name: (float(rms[i]), float(spread[i] / (2.0 * rms[i]))) for i, name in enumerate(self.components)}
+
+    @property
+    def peak_hz(self) -> dict[str, float]:
+        """{component: frequency of its largest density}."""
+        peaks = self.frequency_hz[np.argmax(self.density, axis=0)]
+        return {name: float(peaks[i]) for i, name in enumerate(self.components)}
+
+    def summary_lines(self) -> Iterator[str]:
+        """Run, band, averages."""
+        low, high = self.frequency_hz[0], self.frequency_hz[-1]
+        yield f"Spectra of the hub loads of {self.kind} run {self.run} by {self.response}"
+        yield f"  {low:.4g} to {high:.4g} Hz, bandwidth {self.resolution_hz:.3g} Hz, {self.averages:.0f} averages"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row for each component and frequency."""
+        import pandas as pd
+
+        k, m = self.density.shape
+        columns = (
+            [self.run] * (k * m),
+            np.repeat(self.components, k),
+            np.repeat([DENSITY_UNITS[UNIT_OF[name]] for name in self.components], k),
+            np.tile(self.frequency_hz, m),
+            self.density.T.ravel(),
+            self.sigma.T.ravel(),
+            self.noise.T.ravel(),
+            np.tile(self.redundancy, m),
+            list(self.flags) * m,
+        )
+        return pd.DataFrame(dict(zip(SPECTRUM_COLUMNS, columns, strict=True)))
+
+
+@dataclass(frozen=True, repr=False)
+class LoadSpectra(ResultView):
+    """Spectral densities of the hub loads of all runs of one reduction within a `band` [Hz]."""
+
+    response: str
+    geometry: Geometry
+    band: tuple[float, float]
+    runs: dict[str, RunSpectra]
+
+    def summary_lines(self) -> Iterator[str]:
+        """Rig, response, band, runs."""
+        low, high = self.band
+        yield f"Spectra of the hub loads of {self.geometry.rig} by {self.response}, {low:g} to {high:g} Hz"
+        yield f"  {plural(len(self.runs), 'run')}: {', '.join(self.runs)}"
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row for each run, component and frequency."""
+        import pandas as pd
+
+        return pd.concat([run.to_frame() for run in self.runs.values()], ignore_index=True)

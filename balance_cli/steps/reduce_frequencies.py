@@ -1,0 +1,99 @@
+"""Reduction at given frequencies: hub loads of a run at tones that turn with no rotor, or whose pulses are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.harmonic_loads import tone_record
+from balance_cli.reduction.mean_loads import ZeroRecord
+from balance_cli.reduction.response_sources import ResponseSource
+from balance_cli.reduction.result import CheckErrors, RunLoads
+from balance_cli.signals.rotor.other_lines import LEAST_SEPARATION
+from balance_cli.steps.reduce import reduce_record
+
+Array = NDArray[np.float64]
+
+
+def reduce_run_at_frequencies(
+    run: Run,
+    frequencies: Sequence[float],
+    geometry: Geometry,
+    calibration: Calibration | None,
+    source: ResponseSource,
+    zero: ZeroRecord | None = None,
+) -> RunLoads:
+    """Reduce a run to its mean loads and to its loads at `frequencies` [Hz], in rising order.
+
+    Row 0 of the result is the mean, row i the i-th frequency; phases count from the first sample. The tones are
+    regressed together. Raises UserError where two frequencies are closer than the record resolves, or as `reduce_run`.
+    """
+    given = sorted(set(frequencies))
+    assert run.sample_rate is not None
+    resolution = LEAST_SEPARATION * run.sample_rate / run.samples
+    for low, high in pairwise(given):
+        if high - low < resolution:
+            fault = f"{low:g} and {high:g} Hz are closer than the record resolves, {resolution:.3g} Hz"
+            raise UserError(fault, str(run.path or run.name), "--frequencies", "Give one of them")
+    parts = []
+    for frequency in given:
+        others = [f for f in given if f != frequency]
+        record = tone_record(run, frequency, others, geometry, source)
+        loads = reduce_record(record, geometry, calibration, source, zero)
+        parts.append(replace(loads, frequency_hz=np.array([0.0, frequency])))
+    return _join_tones(parts)
+
+
+def with_pulses_at(run: Run, frequency: float) -> Run:
+    """Return a run as if a rotor of constant speed `frequency` [Hz] had given a pulse at the first sample."""
+    assert run.sample_rate is not None
+    cycles = int((run.samples - 1) / run.sample_rate * frequency)
+    return replace(run, pulse_times=np.arange(cycles + 1) / frequency, rotor_speed=0.0)
+
+
+def _join_tones(parts: Sequence[RunLoads]) -> RunLoads:
+    """Return the mean of the first part, and below it the tone of each."""
+    first = parts[0]
+    rows = ("frequency_hz", "amplitude", "sigma_cosine", "sigma_sine", "redundancy", "redundancy_limit", "condition")
+    stacked: dict[str, Any] = {
+        name: np.concatenate([getattr(first, name)[:1], *(getattr(part, name)[1:2] for part in parts)]) for name in rows
+    }
+    flags = (first.flags[0], *(part.flags[1] for part in parts))
+    notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
+    interval = (max(part.interval[0] for part in parts), min(part.interval[1] for part in parts))
+    joined = replace(first, **stacked, flags=flags, notes=notes, interval=interval)
+    return replace(joined, check=_join_checks(parts) if first.check is not None else None)
+
+
+def _join_checks(parts: Sequence[RunLoads]) -> CheckErrors:
+    """Return the errors over all tones: each part weighted by the size to which its own error is relative."""
+    checks = [part.check for part in parts if part.check is not None]
+    applied = np.concatenate([checks[0].applied[:1], *(check.applied[1:2] for check in checks)])
+    components = parts[0].components
+    size = {name: np.abs(applied[1:, i]) for i, name in enumerate(components)}
+    largest = np.array([max(float(size[name][k]) for name in check.load_error) for k, check in enumerate(checks)])
+    applied_names, other_names = tuple(checks[0].load_error), tuple(checks[0].interaction)
+    return CheckErrors(
+        load_error={name: _pooled([check.load_error for check in checks], name, size[name]) for name in applied_names},
+        interaction={name: _pooled([check.interaction for check in checks], name, largest) for name in other_names},
+        load_noise={name: _pooled([check.load_noise for check in checks], name, size[name]) for name in applied_names},
+        interaction_noise={
+            name: _pooled([check.interaction_noise for check in checks], name, largest) for name in other_names
+        },
+        applied=applied,
+    )
+
+
+def _pooled(errors: Sequence[Mapping[str, float]], name: str, size: Array) -> float:
+    """Return rms(error) / rms(size) of errors that are relative to `size` (k,) each."""
+    absolute = np.array([error.get(name, np.nan) for error in errors]) * size
+    return float(np.sqrt(np.nanmean(absolute**2) / np.mean(size**2)))
