@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 OTHER_WAYS = ("method", "zero", "frequencies", "harmonics", "history")
-"""Options that say nothing of a spectrum."""
+"""Options that do not apply to a spectrum."""
 
 
 def check_band_options(band: tuple[float, float] | None, is_given: Callable[[str], bool]) -> None:
