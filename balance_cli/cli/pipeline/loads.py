@@ -10,6 +10,7 @@ from balance_cli.cli.load_text import load_lines, trust_line
 from balance_cli.cli.pipeline.steps import BEST_FIRST
 from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.flags import SEPARATOR, trust_word
+from balance_cli.reduction.run_verdict import run_verdict
 
 if TYPE_CHECKING:
     from balance_cli.reduction.result import HubLoads
@@ -39,6 +40,7 @@ def loads_text(best: tuple[Path, HubLoads] | None) -> Iterator[str]:
         yield f"{name} ({run.kind}, 1/rev at {run.frequency_hz[1]:.4g} Hz)"
         yield from load_lines(run, loads.geometry, loads.method == FREQUENCIES)
         yield trust_line(run)
+        yield f"   {run_verdict(run).sentence}"
 
 
 def loads_summary(best: tuple[Path, HubLoads] | None) -> dict[str, Any]:
