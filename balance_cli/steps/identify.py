@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.selection.fit import Fit
+from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF, Damping, Form, Method
 from balance_cli.estimation.equation_error import fit_equation_error
@@ -21,7 +24,7 @@ from balance_cli.estimation.identifiability import (
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel, ModeTable, ParameterTable
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
 from balance_cli.estimation.likelihood import Curvature, data_chi2, data_curvature
-from balance_cli.estimation.maximum_likelihood import fit_best_start, fit_maximum_likelihood
+from balance_cli.estimation.maximum_likelihood import TOLERANCE, fit_best_start, fit_maximum_likelihood
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.paper.result import PAPER_BAND, PaperOptions
@@ -106,6 +109,9 @@ def _identify_physical_form(spectra: Spectra, geometry: Geometry, options: Ident
         minimum, start = _declared_estimate(model, batches), "geometry"
     else:
         minimum, start = _fit_model(model, batches, _loaded_batches(spectra, geometry), options)
+        # Along the frequency of a tone chi-square has a minimum for each lobe of the spectrum.
+        settings = replace(DEFAULT_SETTINGS, fit=replace(DEFAULT_SETTINGS.fit, comparison_tolerance=TOLERANCE))
+        minimum = refit_at_best_frequency(Fit(model, minimum), model.effects, batches, settings).minimum
     return build_identified_model(model, batches, minimum, options.method, start, spectra.channels_left_out)
 
 

@@ -393,6 +393,23 @@ def test_frequency_of_the_mains_is_found_from_a_side_lobe():
     assert refit_at_best_frequency(held, declared_effects(model.geometry), batches, SETTINGS) is held
 
 
+def test_mains_are_scored_on_their_lines_however_few_are_screened_and_found_when_given_by_hand():
+    hidden = {"amplitude": 4e-3, "frequency": 60.03}
+    spectra = simulated_spectra(DeclaredEffect(name="mains-pickup", where=("z3.piezo",), parameters=hidden))
+    batches, model = lines_of(spectra), balance_model(RIG)
+    few = replace(SETTINGS, score=replace(SETTINGS.score, screening_lines=100, full_score_candidates=4))
+    pool = [one for one in candidates(RIG) if one.effect.name in ("mains-pickup", "channel-gain")]
+    found = max(score_in_two_stages(model, model.parameters.value, batches, pool, few), key=lambda score: score.gain)
+    assert found.candidate.label == "mains-pickup@z3.piezo"
+    assert found.candidate.starts[found.start] == {"frequency": 60.0}
+    beside = DeclaredEffect(
+        name="mains-pickup", where=("z3.piezo",), parameters={"amplitude": 1e-3, "frequency": 60.27}
+    )
+    identified = identify(spectra, RIG.model_copy(update={"effects": (beside,)}))
+    place = identified.parameters.names.index("mains-pickup@z3.piezo.frequency")
+    assert identified.parameters.value[place] == pytest.approx(60.03, abs=5e-3)
+
+
 def test_beside_large_friction_small_effects_are_confounded(stiff):
     batches, fit = stiff
     assert confounding_limit(fit, batches) == (0.0, "")

@@ -37,6 +37,9 @@ from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
 
+LINES_OF_A_TONE = 5
+"""Lines of a run that a tone fills: its main lobe, and a line on either side for a tone that is not quite there."""
+
 
 @dataclass(frozen=True)
 class Score:
@@ -100,7 +103,8 @@ def score_in_two_stages(
     candidates = place_mass_candidates(candidates, model, theta, batches, settings)
     if stride < 2:
         return scores(model, theta, batches, candidates, limits)
-    subset = [select_lines(batch, _screening_mask(batch, stride)) for batch in batches]
+    tones = _tone_frequencies(candidates)
+    subset = [select_lines(batch, _screening_mask(batch, stride, tones)) for batch in batches]
     result = {
         score.candidate.label: replace(score, expected=stride * score.expected)
         for score in scores(model, theta, subset, candidates, limits)
@@ -111,10 +115,29 @@ def score_in_two_stages(
     return tuple(result.values())
 
 
-def _screening_mask(batch: Batch, stride: int) -> NDArray[np.bool_]:
-    """Every n-th line, but all lines at frequency zero, whose information no other line has."""
-    at_rest = batch.line_frequency == 0
-    return np.asarray(at_rest | (np.arange(len(at_rest)) % stride == 0))
+def _tone_frequencies(candidates: Sequence[Candidate]) -> tuple[float, ...]:
+    """The frequencies [Hz] at which the tones among the candidates begin."""
+    hints = [(candidate, candidate.effect.search.tone) for candidate in candidates]
+    starts = [start[tone.frequency] for candidate, tone in hints if tone is not None for start in candidate.starts]
+    return tuple(dict.fromkeys(starts))
+
+
+def _screening_mask(batch: Batch, stride: int, tones: Sequence[float]) -> NDArray[np.bool_]:
+    """Every n-th line, but all lines at frequency zero and beside a tone, whose information no other line has."""
+    frequency = batch.line_frequency
+    kept = (frequency == 0) | (np.arange(len(frequency)) % stride == 0)
+    for tone in tones:
+        distance = np.abs(frequency - tone)
+        for lines in batch.parts:
+            kept[lines] |= _among_nearest(distance[lines])
+    return np.asarray(kept)
+
+
+def _among_nearest(distance: Array) -> NDArray[np.bool_]:
+    """Which of the lines at these distances (k,) are the `LINES_OF_A_TONE` nearest ones."""
+    nearest = np.zeros(len(distance), bool)
+    nearest[np.argsort(distance, kind="stable")[:LINES_OF_A_TONE]] = True
+    return nearest
 
 
 def _is_new_null(candidate: Candidate, number: int) -> bool:

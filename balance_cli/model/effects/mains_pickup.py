@@ -30,6 +30,11 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
     )
 
 
+def _starts(geometry: Geometry, where: Where) -> tuple[Mapping[str, float], ...]:
+    """The two mains frequencies of the world."""
+    return ({"frequency": 50.0}, {"frequency": 60.0})
+
+
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
     channel = equations.channel_names.index(where[0])
     tone = InterferenceTone(channel, values["amplitude^2"], values["frequency"])
@@ -50,5 +55,5 @@ EFFECT = Effect(
     parameters=_parameters,
     apply=_apply,
     needs_mean=True,
-    search=SearchHints(tone=ToneParameters("amplitude^2", "frequency")),
+    search=SearchHints(starts=_starts, tone=ToneParameters("amplitude^2", "frequency")),
 )
