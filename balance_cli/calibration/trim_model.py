@@ -7,6 +7,9 @@ import numpy as np
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.result import TrimCalibration
 
+WITHOUT_ZEROS = "a matrix without zeros"
+"""Description of the one load series of a model from a linear matrix; stored in artefacts."""
+
 
 def model_of_trim(trim: TrimCalibration) -> CalibrationModel:
     """Convert the straight line of a trim to a calibration model with linear terms.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,11 +52,18 @@ if TYPE_CHECKING:
     help="Also write the matrix of the model: .csv for spreadsheets and --from-matrix, .txt for reading.",
 )
 @click.option(
+    "--linear-matrix",
+    "linear_matrix",
+    type=OutputFile(),
+    metavar="FILE",
+    help="Also write the linear matrix T0, loads from readings: .csv, or .cal in the XML of ATI sensors.",
+)
+@click.option(
     "--from-matrix",
     "from_matrix",
     type=InputFile(),
     metavar="FILE",
-    help="Take the calibration from this matrix (.csv) instead of from runs.",
+    help="Take the calibration from this matrix instead of from runs: .csv as written here, or .cal of ATI sensors.",
 )
 @units_option
 @moment_center_option
@@ -70,6 +77,7 @@ def command(
     direct: bool,
     hold_out: tuple[Path, ...],
     matrix: Path | None,
+    linear_matrix: Path | None,
     from_matrix: Path | None,
     units: str | None,
     moment_center: tuple[float, float, float] | None,
@@ -89,8 +97,11 @@ def command(
     """
     from balance_cli.cli.calibration_summary import calibration_summary
     from balance_cli.cli.calibration_text import calibration_text, math_model_warnings
+    from balance_cli.cli.matrix_files import linear_matrix_text, matrix_file_text, read_matrix_calibration
 
     _check_options(runs, terms, direct, matrix, from_matrix)
+    if linear_matrix is not None and linear_matrix.suffix not in (".csv", ".cal"):
+        raise UserError("is written as .csv or .cal", str(linear_matrix), remedy="Give it one of these suffixes")
     rig = session.geometry(geometry, mechanics=False)
     reading = table_reading(units, moment_center)
     held_out = functools.partial(open_static_runs, session, hold_out, rig, reading, skip_bad, "hold-out")
@@ -98,7 +109,7 @@ def command(
         calibration_runs = open_static_runs(session, runs, rig, reading, skip_bad)
         result = _calibrate_from_runs(session, rig, calibration_runs, held_out(calibration_runs), (terms, direct))
     else:
-        result = _read_matrix_calibration(session, rig, from_matrix, held_out)
+        result = read_matrix_calibration(session, rig, from_matrix, _select_static_hold_out(session, held_out()))
     for trim in result.trims.values():
         for name, reason in trim.excluded_channels.items():
             session.warn(f"trim {trim.trim}: channel {name} left out: {reason}")
@@ -106,7 +117,9 @@ def command(
         session.warn(warning)
     session.save(output, CALIBRATION_FORMAT, result)
     if matrix is not None:
-        session.write_text(matrix, _matrix_file_text(result, matrix))
+        session.write_text(matrix, matrix_file_text(result, matrix))
+    if linear_matrix is not None:
+        session.write_text(linear_matrix, linear_matrix_text(result, linear_matrix))
     session.finish(calibration_summary(result), calibration_text(result))
 
 
@@ -139,32 +152,6 @@ def _calibrate_from_runs(
             session.report_left_out(run.name, f"a {run.kind} run; only static runs are used")
     terms, non_iterative = model
     return calibrate(runs, rig, terms == "search", _select_static_hold_out(session, hold_out), non_iterative)
-
-
-def _read_matrix_calibration(
-    session: Session, rig: Geometry, path: Path, open_hold_out: Callable[[], tuple[Run, ...]]
-) -> Calibration:
-    from balance_cli.steps.calibration_from_matrix import calibration_from_matrix
-
-    parsed_matrix = session.matrix(path)
-    try:
-        result = calibration_from_matrix(parsed_matrix, rig, _select_static_hold_out(session, open_hold_out()))
-    except UserError as error:
-        raise error.with_location(file=str(path)) from error
-    session.warn("the matrix states no errors of its coefficients: sigma of mean loads will not include them")
-    return result
-
-
-def _matrix_file_text(result: Calibration, path: Path) -> str:
-    """Format the matrix as the suffix of its file requires; raises UserError where there is no model of all trims."""
-    from balance_cli.calibration.matrix import matrix_from_model
-    from balance_cli.calibration.matrix_text import matrix_csv, matrix_text
-
-    if result.all_trims is None:
-        fault = "there is no matrix: the trims have too few channels in common, or other loads were applied"
-        raise UserError(fault, str(path), remedy="Repair the channels, apply the carried loads, or leave --matrix out")
-    matrix = matrix_from_model(result.all_trims.model, result.geometry.rig)
-    return matrix_csv(matrix) if path.suffix == ".csv" else matrix_text(matrix)
 
 
 def _select_static_hold_out(session: Session, hold_out_runs: Sequence[Run]) -> list[Run]:

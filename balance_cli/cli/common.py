@@ -57,7 +57,6 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.reader_process import reader_process
 
 if TYPE_CHECKING:
-    from balance_cli.calibration.matrix_reader import ParsedMatrix
     from balance_cli.campaign.recording.run import Run
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.io.artefacts import Artefact, Provenance
@@ -140,14 +139,6 @@ class Session:
         artefact = load_artefact(path, types)
         self._inputs.append((path.name, role, artefact.digest))
         return artefact
-
-    def matrix(self, path: Path) -> ParsedMatrix:
-        """Read a matrix and record it as an input."""
-        from balance_cli.calibration.matrix_file import read_matrix_file
-
-        matrix, digest = read_matrix_file(path)
-        self._inputs.append((path.name, "matrix", digest))
-        return matrix
 
     def progress(self, items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
         """The same items, with a progress bar where stderr is a terminal."""

@@ -43,10 +43,13 @@ def calibration_from_matrix(
     _check_components(parsed_matrix, geometry)
     _check_channels(parsed_matrix, geometry)
     model = model_from_matrix(parsed_matrix.matrix)
+    k = len(model.components)
     return Calibration(
         geometry,
-        {MATRIX_TRIM: with_rated_loads(_linear_trim(model, geometry), geometry)},
-        _model_without_rows(model, load_components(geometry), hold_out),
+        {MATRIX_TRIM: with_rated_loads(linear_trim(model, geometry), geometry)},
+        model_without_rows(
+            model, CalibrationNoise(model.residual_covariance, np.zeros(k)), load_components(geometry), hold_out
+        ),
     )
 
 
@@ -79,7 +82,7 @@ def _row_error(parsed_matrix: ParsedMatrix, name: str, fault: str, remedy: str) 
     return UserError(fault, place=f"line {parsed_matrix.line[name]}, `{name}`", remedy=remedy)
 
 
-def _linear_trim(model: CalibrationModel, geometry: Geometry) -> TrimCalibration:
+def linear_trim(model: CalibrationModel, geometry: Geometry) -> TrimCalibration:
     """Trim of the linear part at zero load, relative to the zeros."""
     k, c = len(model.components), len(model.channel_names)
     C0 = model.coefficients[:k].T / model.calibrated_range
@@ -115,12 +118,11 @@ def _linear_trim(model: CalibrationModel, geometry: Geometry) -> TrimCalibration
     )
 
 
-def _model_without_rows(
-    model: CalibrationModel, components: LoadComponents, hold_out: Sequence[Run]
+def model_without_rows(
+    model: CalibrationModel, noise: CalibrationNoise, components: LoadComponents, hold_out: Sequence[Run]
 ) -> AllTrimsCalibration:
-    """Calibration of all trims without rows; the noise of load readings is not known and taken as zero."""
+    """Calibration of all trims without rows; the noise of load readings is not known, `noise` has none."""
     k, c = len(model.components), len(model.channel_names)
-    noise = CalibrationNoise(model.residual_covariance, np.zeros(k))
     checks = [(run.name, *read_load_points(run, model.channel_names, components)) for run in hold_out]
     return AllTrimsCalibration(
         model=model,

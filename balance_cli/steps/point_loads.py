@@ -15,7 +15,7 @@ from scipy import stats
 
 from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
 from balance_cli.calibration.result import Calibration
-from balance_cli.calibration.trim_model import model_of_trim
+from balance_cli.calibration.trim_model import WITHOUT_ZEROS, model_of_trim
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components, moment_transfer
@@ -190,6 +190,11 @@ def _change_from_zero(readings: PointReadings, usable: _Model, zero: ZeroReading
             raise UserError(fault, "--zero", remedy="Give a zero with all channels of the table")
         mean = zero.mean[[zero.channel_names.index(name) for name in names]]
         return values - mean, np.full(len(values), 1.0 / zero.rows), "zero record"
+    if usable.model.load_series == (WITHOUT_ZEROS,):
+        fault = "the calibration is a matrix without zeros, and no row is marked as that of the unloaded balance"
+        raise UserError(
+            fault, readings.run, "--zero", "Give `--zero first`, a table of unloaded rows, or a column `point`"
+        )
     return values - usable.model.zeros.mean(axis=0)[usable.rows], np.zeros(len(values)), CALIBRATION_ZERO
 
 
@@ -263,14 +268,14 @@ def _redundancy(usable: _Model, change: Array, loads: Array, zero_share: Array) 
 
 def _extrapolated(model: CalibrationModel, loads: Array, covariance: Array) -> tuple[str, ...]:
     """Components whose load (k,) is outside the applied loads by more than its own uncertainty."""
-    margin = EXTRAPOLATION_SIGMAS * np.sqrt(np.diagonal(covariance))
+    margin = EXTRAPOLATION_SIGMAS * np.nan_to_num(np.sqrt(np.diagonal(covariance)))
     outside = (loads > model.largest_load + margin) | (loads < model.smallest_load - margin)
     return tuple(name for name, is_outside in zip(model.components, outside, strict=True) if is_outside)
 
 
 def _flags(usable: _Model, loads: Array, covariance: Array, tests: tuple[NDArray[np.bool_], bool]) -> tuple[str, ...]:
     """Flags (n,); `tests`: rows whose redundant channels contradict, and whether the zero is the calibration's."""
-    untested = len(usable.rows) <= len(usable.model.components)
+    untested = len(usable.rows) <= len(usable.model.components) or not np.isfinite(usable.noise).all()
     flags = []
     for row, S, misfits in zip(loads, covariance, tests[0], strict=True):
         outside = _extrapolated(usable.model, row, S) if np.isfinite(row).all() else ()
