@@ -71,7 +71,7 @@ def _axes(elements: list[Element], scaled: bool, units: tuple[Unit, Unit], file:
         rows.append(unit.to_base(values) / scale)
         ranges.append(unit.factor * _numbers(element, "max", file)[0] if element.get("max") else np.nan)
     if len({len(row) for row in rows}) != 1:
-        raise UserError("has axes of unequal length", file, "Calibration", "Give each axis one value for each gage")
+        raise UserError("has axes of unequal length", file, "Calibration", "Give each axis one value for each channel")
     return np.array(rows), np.array(ranges)
 
 

@@ -64,22 +64,16 @@ def read_linear_csv(table: TextTable, components: Sequence[str], channels: Seque
     heads = [table.header[j] for j, _ in columns]
     below = [table.units[j] if table.units else "" for j, _ in columns]
     column_units = [_unit(table, 0, head, unit, not from_readings) for head, unit in zip(heads, below, strict=True)]
-    scale = np.outer([unit.factor for unit in row_units], [1.0 / unit.factor for unit in column_units])
-    matrix, row_names_known = values * scale, [str(row_names[i]) for i in rows]
-    column_names = [name for _, name in columns]
-    loads, readings = (row_names_known, column_names) if from_readings else (column_names, row_names_known)
-    units = column_units if from_readings else row_units
+    matrix = values * np.outer([unit.factor for unit in row_units], [1.0 / unit.factor for unit in column_units])
+    sides = ([str(row_names[i]) for i in rows], row_units), ([name for _, name in columns], column_units)
+    (loads, load_units), (readings, units) = sides if from_readings else reversed(sides)
     _check_complete(table, loads, components)
-    T0 = matrix if from_readings else np.linalg.pinv(matrix)
-    load_units = row_units if from_readings else column_units
     order = [loads.index(name) for name in components]
+    T0 = (matrix if from_readings else np.linalg.pinv(matrix))[order]
+    check_condition(T0, str(table.path))
     ranges = _stated_range(table, rows, [j for j, _ in columns], from_readings)
     in_si = ranges * np.array([unit.factor for unit in load_units])
-    result = LinearMatrix(
-        tuple(components), tuple(readings), tuple(unit.dimension for unit in units), T0[order], in_si[order]
-    )
-    check_condition(result.T0, str(table.path))
-    return result
+    return LinearMatrix(tuple(components), tuple(readings), tuple(unit.dimension for unit in units), T0, in_si[order])
 
 
 def check_condition(T0: Array, file: str) -> None:
@@ -144,8 +138,8 @@ def ati_xml(matrix: LinearMatrix) -> str:
     """Format a matrix of the six hub loads in the XML of ATI: elements UserAxis in N and N m per volt."""
     axes = {"Mx": "Tx", "My": "Ty", "Mz": "Tz"}
     lines = ['<?xml version="1.0" encoding="utf-8"?>']
-    gages = matrix.T0.shape[1]
-    lines.append(f'<FTSensor Serial={quoteattr(matrix.name)} NumGages="{gages}" CalFileVersion="1.1">')
+    count = matrix.T0.shape[1]
+    lines.append(f'<FTSensor Serial={quoteattr(matrix.name)} NumGages="{count}" CalFileVersion="1.1">')
     lines.append('\t<Calibration ForceUnits="N" TorqueUnits="N-m" DistUnits="m">')
     for name, row, size in zip(matrix.components, matrix.T0, matrix.full_range, strict=True):
         values = " ".join(f"{value:.10g}" for value in row)

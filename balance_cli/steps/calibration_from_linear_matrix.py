@@ -48,8 +48,8 @@ def _channel_names(matrix: LinearMatrix, geometry: Geometry) -> tuple[str, ...]:
     names = matrix.channel_names
     if names is None:
         if len(constant) != len(matrix.reading_units):
-            fault = f"has {len(matrix.reading_units)} gages, but the geometry {len(constant)} channels"
-            raise UserError(fault, remedy="Declare one channel for each gage, in the order of the file")
+            fault = f"has {len(matrix.reading_units)} columns, but the geometry {len(constant)} channels"
+            raise UserError(fault, remedy="Declare one channel for each column, in the order of the file")
         names = tuple(channel.name for channel in constant)
     units = {channel.name: channel.reading_unit for channel in constant}
     for name, unit in zip(names, matrix.reading_units, strict=True):
