@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -69,21 +70,7 @@ if TYPE_CHECKING:
 @moment_center_option
 @skip_bad_option
 @output_option("CAL")
-def command(
-    session: Session,
-    geometry: Path,
-    runs: tuple[Path, ...],
-    terms: str,
-    direct: bool,
-    hold_out: tuple[Path, ...],
-    matrix: Path | None,
-    linear_matrix: Path | None,
-    from_matrix: Path | None,
-    units: str | None,
-    moment_center: tuple[float, float, float] | None,
-    skip_bad: bool,
-    output: Path,
-) -> None:
+def command(session: Session, geometry: Path, runs: tuple[Path, ...], output: Path, **options: Any) -> None:
     """Calibrate: static matrices C0 and T0 for each trim, and one calibration model of all trims.
 
     The model has the terms of AIAA R-091: for each channel those that are significant and that reduce the
@@ -96,62 +83,86 @@ def command(
     With --from-matrix the model is read from a matrix made elsewhere, and no run is needed.
     """
     from balance_cli.cli.calibration_summary import calibration_summary
-    from balance_cli.cli.calibration_text import calibration_text, math_model_warnings
+    from balance_cli.cli.calibration_text import calibration_text
     from balance_cli.cli.matrix_files import linear_matrix_text, matrix_file_text, read_matrix_calibration
 
-    _check_options(runs, terms, direct, matrix, from_matrix)
-    if linear_matrix is not None and linear_matrix.suffix not in (".csv", ".cal"):
-        raise UserError("is written as .csv or .cal", str(linear_matrix), remedy="Give it one of these suffixes")
+    choices = _Choices(**options)
+    _check_options(runs, choices)
     rig = session.geometry(geometry, mechanics=False)
-    reading = table_reading(units, moment_center)
-    held_out = functools.partial(open_static_runs, session, hold_out, rig, reading, skip_bad, "hold-out")
-    if from_matrix is None:
-        calibration_runs = open_static_runs(session, runs, rig, reading, skip_bad)
-        result = _calibrate_from_runs(session, rig, calibration_runs, held_out(calibration_runs), (terms, direct))
+    reading = table_reading(choices.units, choices.moment_center)
+    held_out = functools.partial(
+        open_static_runs, session, choices.hold_out, rig, reading, choices.skip_bad, "hold-out"
+    )
+    if choices.from_matrix is None:
+        calibration_runs = open_static_runs(session, runs, rig, reading, choices.skip_bad)
+        result = _calibrate_from_runs(session, rig, calibration_runs, held_out(calibration_runs), choices)
     else:
-        result = read_matrix_calibration(session, rig, from_matrix, _select_static_hold_out(session, held_out()))
+        checks = _select_static_hold_out(session, held_out())
+        result = read_matrix_calibration(session, rig, choices.from_matrix, checks)
+    _warn(session, result)
+    session.save(output, CALIBRATION_FORMAT, result)
+    if choices.matrix is not None:
+        session.write_text(choices.matrix, matrix_file_text(result, choices.matrix))
+    if choices.linear_matrix is not None:
+        session.write_text(choices.linear_matrix, linear_matrix_text(result, choices.linear_matrix))
+    session.finish(calibration_summary(result), calibration_text(result))
+
+
+@dataclass(frozen=True)
+class _Choices:
+    """The options of a call beside its inputs and output; `direct`: the non-iterative model is fitted too."""
+
+    terms: str
+    direct: bool
+    hold_out: tuple[Path, ...]
+    matrix: Path | None
+    linear_matrix: Path | None
+    from_matrix: Path | None
+    units: str | None
+    moment_center: tuple[float, float, float] | None
+    skip_bad: bool
+
+
+def _warn(session: Session, result: Calibration) -> None:
+    from balance_cli.cli.calibration_text import math_model_warnings
+
     for trim in result.trims.values():
         for name, reason in trim.excluded_channels.items():
             session.warn(f"trim {trim.trim}: channel {name} left out: {reason}")
     for warning in math_model_warnings(result.all_trims) if result.all_trims else ():
         session.warn(warning)
-    session.save(output, CALIBRATION_FORMAT, result)
-    if matrix is not None:
-        session.write_text(matrix, matrix_file_text(result, matrix))
-    if linear_matrix is not None:
-        session.write_text(linear_matrix, linear_matrix_text(result, linear_matrix))
-    session.finish(calibration_summary(result), calibration_text(result))
 
 
-def _check_options(
-    runs: tuple[Path, ...], terms: str, direct: bool, matrix: Path | None, from_matrix: Path | None
-) -> None:
+def _check_options(runs: tuple[Path, ...], choices: _Choices) -> None:
     """Raise UserError for a call with both sources or none, with options of the other one, or an unknown suffix."""
+    from_matrix, matrix, linear_matrix = choices.from_matrix, choices.matrix, choices.linear_matrix
     if from_matrix is None and not runs:
         raise UserError("no run is given", "RUN...", remedy="Give the static runs, or a matrix with --from-matrix")
     if from_matrix is not None and runs:
         fault = "the calibration comes from runs or from a matrix, not from both"
         raise UserError(fault, "RUN..., --from-matrix", remedy="Give one of them; --hold-out RUN checks a matrix")
-    if from_matrix is not None and terms != "search":
+    if from_matrix is not None and choices.terms != "search":
         raise UserError("a matrix has its own terms", "--terms, --from-matrix", remedy="Leave --terms out")
-    if from_matrix is not None and direct:
+    if from_matrix is not None and choices.direct:
         fault = "a matrix has no rows to fit"
         raise UserError(fault, "--non-iterative, --from-matrix", remedy="Leave --non-iterative out")
     if matrix is not None and matrix.suffix not in (".csv", ".txt"):
         raise UserError("a matrix is written as .csv or .txt", str(matrix), remedy="Give it one of these suffixes")
+    if linear_matrix is not None and linear_matrix.suffix not in (".csv", ".cal"):
+        fault = "a linear matrix is written as .csv or .cal"
+        raise UserError(fault, str(linear_matrix), remedy="Give it one of these suffixes")
 
 
 def _calibrate_from_runs(
-    session: Session, rig: Geometry, runs: Sequence[Run], hold_out: Sequence[Run], model: tuple[str, bool]
+    session: Session, rig: Geometry, runs: Sequence[Run], hold_out: Sequence[Run], choices: _Choices
 ) -> Calibration:
-    """Calibrate from runs; `model`: how terms are selected, and whether the non-iterative model is fitted too."""
     from balance_cli.steps.calibrate import calibrate
 
     for run in runs:
         if run.kind != "static":
             session.report_left_out(run.name, f"a {run.kind} run; only static runs are used")
-    terms, non_iterative = model
-    return calibrate(runs, rig, terms == "search", _select_static_hold_out(session, hold_out), non_iterative)
+    checks = _select_static_hold_out(session, hold_out)
+    return calibrate(runs, rig, choices.terms == "search", checks, choices.direct)
 
 
 def _select_static_hold_out(session: Session, hold_out_runs: Sequence[Run]) -> list[Run]:
