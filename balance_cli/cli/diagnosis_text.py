@@ -61,6 +61,8 @@ def _effect_evidence_summary(effect: FoundEffect) -> dict[str, Any]:
         },
         "indistinguishable_from": effect.indistinguishable_from,
         "separated_by": effect.separated_by,
+        "worth": effect.worth,
+        "of_no_consequence": effect.is_of_no_consequence,
     }
 
 
@@ -113,6 +115,11 @@ def _effect_text(effect: FoundEffect) -> Iterator[str]:
     for item in effect.parameters:
         interval = "" if item.interval is None else "   95 %: {:.4g} to {:.4g}".format(*item.interval)
         yield f"   {item.name:<24} {item.value:12.5g} +- {item.sigma:<9.2g} {item.unit}{interval}"
+    if effect.worth:
+        largest = max(effect.worth, key=lambda name: effect.worth[name] if effect.worth else 0.0)
+        yield f"   worth: without it {largest} at the rotor harmonics is off by up to {effect.worth[largest]:.2g} sigma"
+    if effect.is_of_no_consequence:
+        yield "   of no consequence: it moves no load by a tenth of its sigma"
     if effect.indistinguishable_from:
         yield f"   cannot be distinguished from {', '.join(effect.indistinguishable_from)}"
         if effect.separated_by:

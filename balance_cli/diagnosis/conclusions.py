@@ -21,6 +21,8 @@ from balance_cli.diagnosis.result import (
 from balance_cli.diagnosis.selection.fit import Fit
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
+from balance_cli.diagnosis.worth import effect_worth
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.declared_departures import declared_agreement
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
@@ -35,10 +37,13 @@ def decide_verdict(
 
     Without a good fit it is never `nothing missing`; with an empirical effect it is never `explained`. A parameter that
     departs from its declared tolerance is a misfit too: the declaration is a measurement that the model contradicts.
+    Effects of no consequence do not change the verdict.
     """
     good = is_good_fit(update.confirmation, updated.quality, settings) and not declared_agreement(updated).departures
     if not effects:
         return NOTHING_MISSING if good else UNEXPLAINED
+    if good and all(effect.is_of_no_consequence for effect in effects):
+        return NOTHING_MISSING
     empirical = any(effect.evidence.empirical for effect in effects)
     return EXPLAINED if good and not empirical else PARTLY_EXPLAINED
 
@@ -80,8 +85,9 @@ def describe_added_effects(
     fitted: Sequence[FittedEffect],
     update: UpdateResult,
     intervals: Mapping[str, tuple[float, float]],
+    batches: Sequence[Batch],
 ) -> tuple[FoundEffect, ...]:
-    """Return the effects that the update has added, with their evidence, strongest first.
+    """Return the effects that the update has added, with their evidence, those first that change the loads most.
 
     `fitted`: the effects of the updated model with their parameters; `intervals`: 95 % intervals of parameters whose
     likelihood is far from normal, by full name.
@@ -105,9 +111,15 @@ def describe_added_effects(
                 indistinguishable_from=support.equivalent,
                 separated_by=effect.effect.separated_by if support.equivalent else "",
                 choice=described.choice,
+                worth=effect_worth(update.fit, effect, batches),
             )
         )
-    return tuple(sorted(effects, key=lambda item: -item.evidence.gain))
+    return tuple(sorted(effects, key=lambda item: (-_largest_worth(item), -item.evidence.gain)))
+
+
+def _largest_worth(effect: FoundEffect) -> float:
+    """The largest worth over the components; infinite where it cannot be told."""
+    return float("inf") if effect.worth is None else max(effect.worth.values(), default=0.0)
 
 
 def _evidence(effect: PlacedEffect, update: UpdateResult) -> Evidence:

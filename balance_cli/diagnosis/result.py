@@ -26,6 +26,9 @@ PARTLY_EXPLAINED = "partly explained"
 UNEXPLAINED = "unexplained"
 CONTRADICTED = "contradicted by hold-out"
 
+NEGLIGIBLE_WORTH = 0.1
+"""Worth below which an effect is of no consequence: a tenth of a sigma is lost in the error of the sigma itself."""
+
 VERDICT_MEANING = {
     NOTHING_MISSING: "no candidate is significant",
     EXPLAINED: "with the effects found the model describes the data within their noise",
@@ -66,7 +69,8 @@ class FoundEffect:
     """An effect of the updated model.
 
     `indistinguishable_from`: labels NAME@PLACE of effects that describe the data as well; `separated_by`: the
-    measurement that would separate them. `choice`: name and value of a parameter that is a word.
+    measurement that would separate them. `choice`: name and value of a parameter that is a word. `worth`: by load
+    component, what forgetting the effect does to the harmonic loads over their sigma; None where it cannot be told.
     """
 
     name: str
@@ -76,6 +80,12 @@ class FoundEffect:
     indistinguishable_from: tuple[str, ...] = ()
     separated_by: str = ""
     choice: tuple[str, str] | None = None
+    worth: dict[str, float] | None = field(default=None, metadata={"omit_if_none": True})
+
+    @property
+    def is_of_no_consequence(self) -> bool:
+        """Whether it moves no load by a tenth of its sigma."""
+        return self.worth is not None and max(self.worth.values(), default=0.0) < NEGLIGIBLE_WORTH
 
     @property
     def label(self) -> str:

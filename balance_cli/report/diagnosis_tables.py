@@ -38,14 +38,15 @@ def format_p_value(value: float) -> str:
 def effect_table(effects: Sequence[FoundEffect]) -> Table:
     """Each effect with its evidence, and the effects that it cannot be distinguished from."""
     columns = (
-        *("effect", "chi2 without it", "parameters", "p", "cross-validation"),
+        *("effect", "worth", "chi2 without it", "parameters", "p", "cross-validation"),
         *("indistinguishable from", "separated by"),
     )
-    head = tuple(TableCell(name, mark="text" if i > 4 else "") for i, name in enumerate(columns))
+    head = tuple(TableCell(name, mark="text" if i > 5 else "") for i, name in enumerate(columns))
     caption = (
-        "Effects found, strongest first. Chi2 without it: increase of chi-square when the effect is removed and all "
-        "else is refitted; p: of that, corrected for the number of candidates; cross-validation: gain on lines that "
-        "the fit had not used."
+        "Effects found. Worth: the largest error of a harmonic load at the rotor speed without the effect, over its "
+        "sigma; below 0.1 the effect is of no consequence. Chi2 without it: increase of chi-square when the effect is "
+        "removed and all else is refitted; p: of that, corrected for the number of candidates; cross-validation: gain "
+        "on lines that the fit had not used."
     )
     return Table(caption, (head,), tuple(_effect_row(effect) for effect in effects))
 
@@ -54,6 +55,7 @@ def _effect_row(effect: FoundEffect) -> Row:
     evidence = effect.evidence
     return (
         TableCell(effect.label, "empirical" if evidence.empirical else "", "name"),
+        TableCell(_worth_text(effect)),
         TableCell(f"+{format_significant(evidence.gain)}"),
         TableCell(str(evidence.parameters)),
         TableCell(format_p_value(evidence.p_value)),
@@ -61,6 +63,14 @@ def _effect_row(effect: FoundEffect) -> Row:
         TableCell(join_names(effect.indistinguishable_from), mark="text"),
         TableCell(effect.separated_by if effect.indistinguishable_from else "", mark="text"),
     )
+
+
+def _worth_text(effect: FoundEffect) -> str:
+    """The largest worth and its component; a dash where it cannot be told."""
+    if not effect.worth:
+        return "-"
+    name = max(effect.worth, key=lambda component: (effect.worth or {})[component])
+    return f"{format_significant(effect.worth[name])} ({name})"
 
 
 def parameter_table(effects: Sequence[FoundEffect]) -> Table:

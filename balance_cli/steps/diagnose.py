@@ -52,7 +52,9 @@ def diagnose(
         updated, after = model, before
     residual = residual_map(batches, before, after, settings.residual_map)
     intervals = mass_intervals(fit.model, fit.theta, batches, settings)
-    effects = describe_added_effects(declared_effects(updated.geometry), identified_effects(updated), update, intervals)
+    effects = describe_added_effects(
+        declared_effects(updated.geometry), identified_effects(updated), update, intervals, batches
+    )
     diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings)
     announce("done")
     return diagnosis, updated
