@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,6 @@ from balance_cli.io.errors import UserError
 
 NAME = "MAT"
 VERSION_5 = b"MATLAB 5.0 MAT-file"
-KEPT_VARIABLES = 4
-"""Variables kept in memory: a compressed variable can only be read whole, and is read block by block from there."""
 DEEPEST = 4
 """Levels of nested structures."""
 NUMERIC_CLASSES = {"double", "single", "logical"} | {
@@ -50,7 +48,7 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
         listed = whosmat(str(path))
     except Exception as error:  # scipy raises whatever damaged bytes lead to
         raise damaged(error) from error
-    load = lru_cache(KEPT_VARIABLES)(lambda name: _load(path, name))
+    load = cache(lambda name: _load(path, name))  # a compressed variable can only be read whole
     groups: list[ChannelGroup] = []
     scalars: dict[str, float] = {}
     for name, shape, kind in listed:

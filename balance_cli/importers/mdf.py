@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -63,20 +65,18 @@ def _groups(path: Path, file: Any, index: int) -> list[ChannelGroup]:
         return []
     unusable, rate, start = "", None, 0.0
     if master is not None:
-
-        def time(columns: Sequence[int], first: int, last: int) -> Array:
-            return np.asarray(file.get_master(index, record_offset=first, record_count=last - first), float)[:, None]
-
+        stamps = np.asarray(file.get_master(index), float)
         try:
-            axis = read_time_axis(time, samples)
+            axis = read_time_axis(lambda _, first, last: stamps[first:last, None], samples)
             rate, start = axis.rate, axis.start
         except UserError as error:
             unusable = f"sampled at uneven times ({error.fault})"
     channels = tuple(ForeignChannel(channel.name, _unit(channel)) for _, channel in names)
     positions = [k for k, _ in names]
+    load = cache(lambda position: _load_channel(path, index, position))
 
     def read(columns: Sequence[int], first: int, last: int) -> Array:
-        return _read(path, index, [positions[k] for k in columns], first, last)
+        return np.column_stack([np.asarray(load(positions[k])[first:last], np.float64) for k in columns])
 
     return [ChannelGroup(channels, samples, read, rate, start, unusable)]
 
@@ -86,18 +86,18 @@ def _unit(channel: Any) -> str:
     return str(getattr(channel, "unit", "") or getattr(conversion, "unit", "") or "")
 
 
-def _read(path: Path, index: int, positions: Sequence[int], first: int, last: int) -> Array:
+def _load_channel(path: Path, index: int, position: int) -> Any:
+    """A whole channel, mapped from a temporary file: asammdf reads part of a channel no faster than all of it."""
     from asammdf import MDF
 
     try:
         with MDF(path) as file:
-            columns = [
-                file.get(group=index, index=k, record_offset=first, record_count=last - first, samples_only=True)[0]
-                for k in positions
-            ]
+            values = np.asarray(file.get(group=index, index=position, samples_only=True)[0])
     except Exception as error:
         raise damaged(error).with_location(file=str(path)) from error
-    for values in columns:
-        if np.asarray(values).dtype.kind not in "iufb" or np.ndim(values) != 1:
-            raise UserError("a channel holds no real numbers", str(path), remedy="Leave it out of the map")
-    return np.column_stack([np.asarray(values, np.float64) for values in columns])
+    if values.dtype.kind not in "iufb" or values.ndim != 1:
+        raise UserError("a channel holds no real numbers", str(path), remedy="Leave it out of the map")
+    with tempfile.TemporaryFile() as scratch:
+        mapped = np.memmap(scratch, values.dtype, "w+", shape=values.shape)
+        mapped[:] = values
+    return mapped

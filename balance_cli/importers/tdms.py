@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +50,8 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     begins = [facts["begin"] for _, _, facts in found if facts["begin"] is not None]
     origin = min(begins, default=None)
     several = len({group for group, _, _ in found}) > 1
-    groups = tuple(_group(path, group, name, facts, origin, several) for group, name, facts in found)
+    opened = _OpenFile(path)
+    groups = tuple(_group(opened, group, name, facts, origin, several) for group, name, facts in found)
     return ForeignFile(path, NAME, groups, recorded=None if origin is None else str(origin)[:19])
 
 
@@ -72,16 +75,31 @@ def _is_set(time: np.datetime64) -> bool:
     return bool(time > np.datetime64("1904-01-02"))
 
 
-def _group(path: Path, group: str, name: str, facts: dict[str, Any], origin: Any, several: bool) -> ChannelGroup:
-    def read(columns: Sequence[int], start: int, stop: int) -> Array:
+class _OpenFile:
+    """A file that stays open while its channels are used, because its index is long to read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @cached_property
+    def _file(self) -> Any:
         from nptdms import TdmsFile
 
+        file = TdmsFile.open(self.path)
+        weakref.finalize(self, file.close)
+        return file
+
+    def read(self, group: str, name: str, start: int, stop: int) -> Array:
+        """Samples start to stop of a channel."""
         try:
-            with TdmsFile.open(path) as file:
-                values = file[group][name].read_data(start, stop - start)
+            return np.asarray(self._file[group][name].read_data(start, stop - start), np.float64)
         except Exception as error:
-            raise damaged(error).with_location(file=str(path), place=name) from error
-        return np.repeat(np.asarray(values, np.float64)[:, None], len(columns), axis=1)
+            raise damaged(error).with_location(file=str(self.path), place=name) from error
+
+
+def _group(opened: _OpenFile, group: str, name: str, facts: dict[str, Any], origin: Any, several: bool) -> ChannelGroup:
+    def read(columns: Sequence[int], start: int, stop: int) -> Array:
+        return np.repeat(opened.read(group, name, start, stop)[:, None], len(columns), axis=1)
 
     start = facts["offset"]
     if facts["begin"] is not None:

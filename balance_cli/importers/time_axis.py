@@ -9,7 +9,7 @@ import numpy as np
 from balance_cli.importers.base import Array, ReadBlock
 from balance_cli.io.errors import UserError
 
-BLOCK = 2**20
+BLOCK = 2**17
 LARGEST_SCATTER = 0.6
 """Steps by which a time may be off the straight line through all: times that are rounded to half a step are equal
 steps, a missing or a repeated sample shifts those behind it by a whole one."""
