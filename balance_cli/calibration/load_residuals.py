@@ -1,6 +1,6 @@
 """Back-calculated loads: loads computed from the readings of the calibration itself, less the applied ones.
 
-This is the figure of merit of a balance calibration (AIAA R-091A-2020, section 4.4): residuals of each load component
+This is the figure of merit of a balance calibration (AIAA R-091A-2020): residuals of each load component
 in percent of its full scale, by the model that is actually used to compute loads.
 """
 

@@ -22,6 +22,7 @@ from balance_cli.report.blocks import (
     row_with_name,
 )
 from balance_cli.report.load_residuals import check_load_blocks, load_residual_blocks
+from balance_cli.report.load_schedule import load_schedule_blocks
 from balance_cli.report.math_model import math_model_blocks
 from balance_cli.report.number_format import MARKED_SIGMA, format_significant, value_and_sigma_text
 from balance_cli.report.sources import Source, Sources
@@ -42,6 +43,7 @@ def section(sources: Sources) -> Section | None:
         blocks += check_load_blocks(source.content, suffix)
         blocks += _calibration_blocks(source)
         blocks += math_model_blocks(source, named, suffix)
+        blocks += load_schedule_blocks(source.content)
     return Section("calibration", "Static calibration", tuple(blocks)) if blocks else None
 
 
