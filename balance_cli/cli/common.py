@@ -186,7 +186,7 @@ class Session:
 
     def echo(self, line: str) -> None:
         """Print a line now: on stdout, or on stderr where the JSON goes to stdout."""
-        click.echo(line, err=self._json_to_stdout)
+        click.echo(line, err=self.json_to_stdout)
 
     def warn(self, text: str) -> None:
         """Print a warning on stderr and add it to the summary."""
@@ -242,7 +242,7 @@ class Session:
     def _stage_json(self) -> None:
         from balance_cli.cli.summary import json_text
 
-        if self._json_path is not None and not self._json_to_stdout:
+        if self._json_path is not None and not self.json_to_stdout:
             part = self._staged.stage_file(self._json_path)
             with os_errors_as_user_error(self._json_path):
                 part.write_text(json_text(self._full_summary()) + "\n", encoding="utf-8")
@@ -250,15 +250,14 @@ class Session:
     def _echo_result(self) -> None:
         from balance_cli.cli.summary import json_text
 
-        for line in self._text:
-            click.echo(line, err=self._json_to_stdout)
-        for path in self._outputs:
-            click.echo(f"written: {path}", err=self._json_to_stdout)
-        if self._json_to_stdout:
+        for line in (*self._text, *(f"written: {path}" for path in self._outputs)):
+            self.echo(line)
+        if self.json_to_stdout:
             click.echo(json_text(self._full_summary()))
 
     @property
-    def _json_to_stdout(self) -> bool:
+    def json_to_stdout(self) -> bool:
+        """Whether the summary goes to stdout, and the text therefore to stderr."""
         return self._json_path is not None and str(self._json_path) == "-"
 
     def _echo_warning(self, text: str) -> None:

@@ -2,24 +2,56 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
 
 from balance_cli.cli.common import InputFile, OutputFile, Session, balance_command
+from balance_cli.io.atomic import os_errors_as_user_error
+from balance_cli.io.errors import UserError
+
+FORMAT_NAMES = ("csv", "parquet", "mat", "uff", "nexus", "netcdf")
 
 
 @balance_command("export")
 @click.argument("artefact", type=InputFile(), metavar="ARTEFACT")
+@click.option(
+    "--format",
+    "format",
+    type=click.Choice(FORMAT_NAMES),
+    help="Format.  [default: by the name of FILE: .csv, .parquet, .mat, .uff or .unv, .h5 or .nxs, .nc; csv for `-`]",
+)
 @click.option("--wide", is_flag=True, help="A table of loads with a row for each run and a column for each quantity.")
-@click.option("-o", "--output", type=OutputFile(allow_dash=True), required=True, metavar="FILE", help="File to write.")
-def command(session: Session, artefact: Path, wide: bool, output: Path) -> None:
-    """Write a result in the format of another program."""
-    from balance_cli.exporters.tables import csv_text, long_table, wide_table
-    from balance_cli.io.formats import LOADS_FORMAT
-    from balance_cli.reduction.result import HubLoads
+@click.option("-o", "--output", type=OutputFile(allow_dash=True), required=True, metavar="FILE", help="`-` is stdout.")
+def command(session: Session, artefact: Path, format: str | None, wide: bool, output: Path) -> None:
+    """Write a result in the format of another program.
 
-    content = session.artefact(artefact, {LOADS_FORMAT: HubLoads}).content
-    table = wide_table(content) if wide else long_table(content)
-    session.write_text(output, csv_text(table))
-    session.finish({"rows": len(table), "columns": list(table.columns)})
+    Tables (CSV, Parquet) hold any result, with a row for each value. MAT has a struct for each run. UFF holds frequency
+    responses (datasets 151, 164, 58). HDF5 has NeXus attributes, so that viewers plot it. netCDF holds one run; it
+    needs xarray.
+    """
+    from balance_cli.api.artefacts import TYPES
+    from balance_cli.exporters.formats import SUFFIXES, export_bytes
+
+    to_stdout = str(output) == "-"
+    chosen = format or ("csv" if to_stdout else SUFFIXES.get(output.suffix.lower()))
+    if chosen is None:
+        fault = f"its ending `{output.suffix}` names no format"
+        raise UserError(fault, str(output), remedy=f"End it with {', '.join(SUFFIXES)}, or give --format")
+    if to_stdout and session.json_to_stdout:
+        raise UserError("stdout cannot hold both", "-o - --json -", remedy="Write one of them to a file")
+    item = session.artefact(artefact, TYPES)
+    try:
+        content = export_bytes(item, chosen, wide)
+    except UserError as error:
+        raise error.with_location(file=str(artefact)) from error
+    if to_stdout:
+        sys.stdout.flush()
+        sys.stdout.buffer.write(content)
+        sys.stdout.buffer.flush()
+    else:
+        part = session.stage(output)
+        with os_errors_as_user_error(output):
+            part.write_bytes(content)
+    session.finish({"format": chosen, "bytes": len(content)})

@@ -25,4 +25,5 @@ def polar_sigma(amplitude: ArrayLike, sigma_cosine: ArrayLike, sigma_sine: Array
     with np.errstate(over="ignore"):
         angle = np.degrees(np.hypot(sine * c, cosine * s) / size)
     angle = np.where(np.abs(value) > 0, np.minimum(angle, LARGEST_PHASE_SIGMA), LARGEST_PHASE_SIGMA)
-    return np.asarray(radial), np.asarray(np.where(s == 0.0, np.nan, angle))
+    has_phase = np.isfinite(value) & (s > 0.0)
+    return np.asarray(radial), np.asarray(np.where(has_phase, angle, np.nan))
