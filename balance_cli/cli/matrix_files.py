@@ -41,10 +41,17 @@ def matrix_file_text(result: Calibration, path: Path) -> str:
     """Format the matrix as the suffix of its file requires; raises UserError where there is no model of all trims."""
     from balance_cli.calibration.matrix import matrix_from_model
     from balance_cli.calibration.matrix_text import matrix_csv, matrix_text
+    from balance_cli.campaign.rig.load_components import load_components
 
     if result.all_trims is None:
         fault = "there is no matrix: the trims have too few channels in common, or other loads were applied"
         raise UserError(fault, str(path), remedy="Repair the channels, apply the carried loads, or leave --matrix out")
+    units = {channel.name: channel.reading_unit for channel in result.geometry.channels}
+    others = [name for name in result.all_trims.model.channel_names if units[name] != "V"]
+    if others or not load_components(result.geometry).are_hub_loads:
+        what = f"channels in {units[others[0]]}" if others else "components of their own names"
+        fault = f"such a matrix has channels in V and the loads Fx to Mz, but the calibration has {what}"
+        raise UserError(fault, str(path), remedy="Write the linear part with --linear-matrix")
     matrix = matrix_from_model(result.all_trims.model, result.geometry.rig)
     return matrix_csv(matrix) if path.suffix == ".csv" else matrix_text(matrix)
 

@@ -14,6 +14,7 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_file import geometry_digest
+from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import ZeroRecord, zero_record
 from balance_cli.reduction.response_sources import ResponseSource, highest_frequency
@@ -62,6 +63,10 @@ def require_same_geometry(geometry: Geometry, calibration: Calibration, file: st
             "geometry",
             "Make both from the same geometry file",
         )
+    if not load_components(calibration.geometry).are_hub_loads:
+        names = ", ".join(load_components(calibration.geometry).names)
+        fault = f"has the components {names}, where hub loads are needed"
+        raise UserError(fault, "calibration", remedy="Calibrate with Fx to Mz; `apply` gives loads of other components")
 
 
 def zero_reference(zeros: Sequence[Run], calibration: Calibration) -> ZeroRecord | None:

@@ -163,3 +163,13 @@ def test_summary_and_bad_calls(calibrated: Path) -> None:
         done = CliRunner().invoke(balance, ["apply", str(calibrated / "cal.h5"), str(path), *words])
         assert done.exit_code == 2
         assert fault in done.output
+
+
+def test_other_commands_refuse_components_of_other_names(calibrated: Path) -> None:
+    """A matrix with all terms has readings in V: mV/V would be taken for volts."""
+    g, table = ("-g", str(calibrated / "g.yaml")), str(calibrated / "cal.csv")
+    words = ["calibrate", *g, table, "--matrix", str(calibrated / "m.csv"), "-o", str(calibrated / "x.h5")]
+    done = CliRunner().invoke(balance, words)
+    assert done.exit_code == 2
+    assert "but the calibration has channels in V/V. Write the linear part with --linear-matrix" in done.output
+    assert not (calibrated / "m.csv").exists()
