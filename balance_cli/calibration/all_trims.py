@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN
-from balance_cli.calibration.fit import CalibrationPoints
-from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
-from balance_cli.calibration.noise import APPLIED_SHARE, CalibrationNoise, estimate_calibration_noise
+from balance_cli.calibration.check_loads import CheckLoads, evaluate_check_loads, evaluate_check_points
+from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, refit_terms
+from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.calibration.noise import CalibrationNoise, estimate_calibration_noise
 from balance_cli.calibration.noniterative import NonIterativeModel, fit_noniterative_model
-from balance_cli.calibration.outliers import Outlier, SuspectLoadSeries, find_swapped_channels
+from balance_cli.calibration.outliers import Outlier, ScreenedFit
+from balance_cli.calibration.suspect_series import SuspectLoadSeries, find_swapped_channels
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.load_components import LoadComponents
-from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 LEVEL_GRAVITY = gravity_directions([[0.0, 0.0]])
+SAME_RANGE = 0.01
+"""Relative difference of two calibrated ranges that needs no remark: above load noise, below any load step."""
 MIN_ZEROS = 3
 """Zeros that a drift rate with a residual needs: a line through two of them leaves no degree of freedom."""
-SAME_LOAD_TOLERANCE = 1e-3
-"""Share of the calibrated range within which two loads count as the same: a tenth of the smallest load step."""
 
 
 @dataclass(frozen=True)
@@ -43,32 +43,6 @@ class Drift:
 
 
 @dataclass(frozen=True)
-class CheckLoads:
-    """Loads of a held-out run: applied (m, k) and computed (m, k) [N, N m], with half the prediction interval (m, k).
-
-    `is_valid` (m,): rows within the calibrated loads for which the iteration converged.
-    """
-
-    run: str
-    applied: Array
-    computed: Array = field(metadata={"stored_as": "found"})
-    prediction_interval: Array = field(metadata={"stored_as": "interval"})
-    is_valid: NDArray[np.bool_] = field(metadata={"stored_as": "solved"})
-
-    @property
-    def interval_coverage(self) -> Array:
-        """Share (k,) of the valid rows whose load lies within its prediction interval; NaN without any."""
-        within = (np.abs(self.computed - self.applied) <= self.prediction_interval)[self.is_valid]
-        return np.asarray(np.mean(within, axis=0)) if len(within) else np.full(within.shape[1], np.nan)
-
-    @property
-    def error(self) -> Array:
-        """Rms error (k,) [N, N m] of the valid rows; NaN without any."""
-        errors = (self.computed - self.applied)[self.is_valid]
-        return np.asarray(np.sqrt(np.mean(errors**2, axis=0))) if len(errors) else np.full(errors.shape[1], np.nan)
-
-
-@dataclass(frozen=True)
 class AllTrimsCalibration:
     """Calibration model of all trims, with the rows that it was fitted to.
 
@@ -82,6 +56,8 @@ class AllTrimsCalibration:
 
     With `tares` the loads of the rows and of the model include the weight of the metric part, and the zeros are those
     of the balance without any load.
+
+    `load_series` (m,): number of the load series of each row; `series_notes`: how open tare points were read.
     """
 
     model: CalibrationModel
@@ -100,6 +76,8 @@ class AllTrimsCalibration:
     checks: tuple[CheckLoads, ...] = ()
     tares: Tares | None = None
     attitude_segment: Index | None = field(default=None, metadata={"stored_as": "stretch"})
+    load_series: Index | None = field(default=None, metadata={"omit_if_none": True})
+    series_notes: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def level_weight_loads(self) -> Array:
@@ -115,21 +93,22 @@ def calibrate_all_trims(
     declared: Array | None = None,
     non_iterative: bool = False,
     check_gravity: Mapping[str, Array] | None = None,
+    check_points: NDArray[np.bool_] | None = None,
 ) -> AllTrimsCalibration:
     """Fit one calibration model to the points of all trims.
 
     `checks`: name, readings (m, c) [V] and loads (m, k) [N, N m] of each held-out run; `check_gravity`: directions of
     gravity (m, 3) in rig axes of those that state their attitude, by name. With the `declared` response (c, k)
     [V/N, V/(N m)] swapped channels are identified. With `non_iterative` the loads are also fitted as functions of the
-    readings.
+    readings. `check_points` (m,): rows of the points that check the model, and are not fitted.
 
     Raises least_squares.CollinearError where a load was never applied without the others.
     """
-    total, screened, tares = screen_outliers_with_tares(points, search)
+    notes = points.series_reading.notes
+    points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, search))
     fit, model = screened.fit, screened.fit.model
     used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
-    C = model.coefficients[: len(model.components)].T
-    noise = estimate_calibration_noise(fit.residuals[used], points.x[used], C, model.residual_covariance)
+    noise = _estimate_noise(points, fit, used)
     return AllTrimsCalibration(
         model=model,
         runs=points.run_names,
@@ -147,10 +126,56 @@ def calibrate_all_trims(
         checks=tuple(
             evaluate_check_loads(model, noise, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0])))
             for check in checks
-        ),
+        )
+        + tuple(_check_points_by_run(total, fit, noise, check_points)),
         tares=tares,
         attitude_segment=None if points.gravity is None else points.attitude_segment,
+        load_series=points.load_series,
+        series_notes=notes or None,
     )
+
+
+def _estimate_noise(points: CalibrationPoints, fit: CalibrationModelFit, used: NDArray[np.bool_]) -> CalibrationNoise:
+    C = fit.model.coefficients[: len(fit.model.components)].T
+    return estimate_calibration_noise(fit.residuals[used], points.x[used], C, fit.model.residual_covariance)
+
+
+def _with_final_range(
+    points: CalibrationPoints, total: CalibrationPoints, screened: ScreenedFit, tares: Tares | None
+) -> tuple[CalibrationPoints, CalibrationPoints, ScreenedFit, Tares | None]:
+    """Refer everything to the range of the rows that were fitted, with a note where excluded rows made it smaller."""
+    used = np.asarray(np.isfinite(screened.fit.residuals).all(axis=1))
+    final = np.max(np.abs(points.loads[used]), axis=0)
+    if np.array_equal(final, points.calibrated_range):
+        return points, total, screened, tares
+    notes = tuple(
+        f"{name}: the calibrated range is {new:.5g}, not {old:.5g}, because the rows with larger loads were excluded"
+        for name, new, old in zip(points.components, final, points.calibrated_range, strict=True)
+        if new < (1.0 - SAME_RANGE) * old
+    )
+    points, total = (
+        replace(each, calibrated_range=final, series=each.load_series, weight=np.where(used, each.weight, 0.0))
+        for each in (points, total)
+    )
+    fit = refit_terms(total, screened.fit.model)
+    model = replace(fit.model, unsupported_terms=screened.fit.model.unsupported_terms)
+    fit = replace(fit, model=model)
+    return points, total, replace(screened, fit=fit, screening_notes=screened.screening_notes + notes), tares
+
+
+def _check_points_by_run(
+    total: CalibrationPoints, fit: CalibrationModelFit, noise: CalibrationNoise, is_check: NDArray[np.bool_] | None
+) -> Iterator[CheckLoads]:
+    """Check points of each run whose load series were fitted."""
+    if is_check is None:
+        return
+    fitted = np.unique(total.load_series[np.isfinite(fit.residuals).all(axis=1)])
+    known = is_check & np.isin(total.load_series, fitted)
+    for run in np.unique(total.run[known]).tolist():
+        rows = known & (total.run == run)
+        series = np.searchsorted(fitted, total.load_series[rows])
+        name = f"{total.run_names[run]}, check points"
+        yield evaluate_check_points(fit.model, noise, name, total.channels[rows], total.loads[rows], series)
 
 
 def _tare_loads(tares: Tares | None, model: CalibrationModel, gravity: Array | None) -> Array | None:
@@ -185,36 +210,6 @@ def fit_drift(zeros: Array, covariance: Array) -> Drift:
         slope[channel], sigma[channel] = coefficients[1], np.sqrt(inverse[1, 1])
         chi2_per_dof[channel] = residual @ np.linalg.solve(covariance[channel], residual) / (s - 2)
     return Drift(slope, sigma, chi2_per_dof)
-
-
-def evaluate_check_loads(
-    model: CalibrationModel,
-    noise: CalibrationNoise,
-    run: str,
-    channels: Array,
-    loads: Array,
-    weight: Array | None = None,
-) -> CheckLoads:
-    """Compute the loads of a held-out run from its readings (m, c) [V], with their prediction intervals.
-
-    The rows at the load (m, k) [N, N m] with which the run begins determine its zero: their mean reading less that of
-    the model. The interval includes the noise of a load reading where that load was applied. `weight` (m, k): loads of
-    the metric part in addition to those applied.
-    """
-    weight_loads_in_rows = np.zeros_like(loads) if weight is None else weight
-    S = noise.reading_covariance
-    tare = np.all(np.abs(loads - loads[0]) <= SAME_LOAD_TOLERANCE * model.calibrated_range, axis=1)
-    zero = np.mean(channels[tare] - model.readings((loads + weight_loads_in_rows)[tare]), axis=0)
-    computed, is_valid = model.loads(channels - zero)
-    beyond = (EXTRAPOLATION_MARGIN - 1.0) * model.calibrated_range
-    is_valid &= np.all((computed <= model.largest_load + beyond) & (computed >= model.smallest_load - beyond), axis=1)
-    interval = np.full(computed.shape, np.nan)
-    if is_valid.any():
-        reading_interval = model.interval(computed[is_valid], S * (1.0 + 1.0 / np.count_nonzero(tare)))
-        applied = np.abs(loads[is_valid]) > APPLIED_SHARE * model.calibrated_range
-        load_interval = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE) * applied * noise.load_sigma * model.calibrated_range
-        interval[is_valid] = np.hypot(reading_interval, load_interval)
-    return CheckLoads(run, loads, computed - weight_loads_in_rows, interval, is_valid)
 
 
 def read_load_points(run: Run, channel_names: Sequence[str], components: LoadComponents) -> tuple[Array, Array]:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares
-from balance_cli.calibration.load_series import describe_load_series, find_load_series
+from balance_cli.calibration.load_series import describe_load_series
+from balance_cli.calibration.load_series_reading import ScheduleRows, SeriesReading, read_load_series
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.selection import select_terms
 from balance_cli.calibration.term_support import find_supported_terms
@@ -27,7 +28,9 @@ class CalibrationPoints:
 
     `calibrated_range` (k,) [N, N m] scales the loads; `run` (m,) is an index into `run_names`; `weight` (m,) follows
     from the noise of the run, 0 excludes a row. `gravity` (m, 3): unit vectors in rig axes, NaN for runs that do not
-    state their attitude; None where no run does.
+    state their attitude; None where no run does. `stated_series` (m,): labels of the load series, empty where a run
+    states none; `tare_points` (m,): rows stated to be tare points. `series` (m,): numbers of the load series where they
+    are known already.
     """
 
     channel_names: tuple[str, ...]
@@ -39,6 +42,9 @@ class CalibrationPoints:
     weight: Array
     calibrated_range: Array
     gravity: Array | None = None
+    stated_series: tuple[str, ...] = ()
+    tare_points: NDArray[np.bool_] | None = None
+    series: Index | None = None
 
     @property
     def x(self) -> Array:
@@ -48,7 +54,26 @@ class CalibrationPoints:
     @cached_property
     def load_series(self) -> Index:
         """Number (m,) of the load series of each row."""
-        return find_load_series(self.x, self.attitude_segment)
+        return self.series_reading.load_series
+
+    @cached_property
+    def series_reading(self) -> SeriesReading:
+        """The load series of the rows, and how they were found."""
+        if self.series is not None:
+            return SeriesReading(self.series, ())
+        m = len(self.loads)
+        return read_load_series(
+            ScheduleRows(
+                x=self.x,
+                channels=self.channels,
+                used=self.weight > 0,
+                segment=self.attitude_segment,
+                run=self.run,
+                run_names=self.run_names,
+                stated=self.stated_series or ("",) * m,
+                tare=np.zeros(m, bool) if self.tare_points is None else self.tare_points,
+            )
+        )
 
     @cached_property
     def attitude_segment(self) -> Index:
@@ -57,7 +82,7 @@ class CalibrationPoints:
 
     def exclude_rows(self, rows: NDArray[np.bool_]) -> CalibrationPoints:
         """Copy with zero weight for some rows (m,), which keep their place in the order of loading."""
-        return replace(self, weight=np.where(rows, 0.0, self.weight))
+        return replace(self, weight=np.where(rows, 0.0, self.weight), series=self.load_series)
 
 
 @dataclass(frozen=True)
@@ -98,7 +123,8 @@ def fit_calibration_model(
     solve_least_squares(X[:, :k], Y, load_series, w)  # raises where the loads are collinear
     channel_terms = [tuple(range(k))] * Y.shape[1]
     if search and len(X) > k + len(np.unique(load_series)) + 1:
-        channel_terms = select_terms(X, Y, load_series, load_series, k, w)
+        quadratic = [place for place, term in enumerate(terms) if term.is_quadratic]
+        channel_terms = select_terms(X, Y, load_series, load_series, k, w, quadratic)
     return _fit_terms(points, terms, unsupported, channel_terms)
 
 

@@ -19,6 +19,7 @@ precision.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,14 +109,13 @@ class LeastSquares:
         """
         errors = np.full(self.residuals.shape, np.nan)
         root = np.sqrt(self.weight)[:, None]
-        for name in np.unique(group):
-            rows = np.flatnonzero(group == name)
-            Q = self.Q[rows]
-            # The smaller of two equivalent systems: (1 - Q Q')^-1 = 1 + Q (1 - Q'Q)^-1 Q'.
-            remainder = np.eye(Q.shape[1]) - Q.T @ Q
-            if np.linalg.eigvalsh(remainder)[0] > MIN_KNOWN_SHARE:
-                e = root[rows] * self.residuals[rows]
-                errors[rows] = (e + Q @ np.linalg.solve(remainder, Q.T @ e)) / root[rows]
+        members = [np.flatnonzero(group == name) for name in np.unique(group)]
+        # The smaller of two equivalent systems: (1 - Q Q')^-1 = 1 + Q (1 - Q'Q)^-1 Q'.
+        remainders = np.eye(self.Q.shape[1]) - np.stack([self.Q[rows].T @ self.Q[rows] for rows in members])
+        known = np.linalg.eigvalsh(remainders)[:, 0] > MIN_KNOWN_SHARE
+        for rows, remainder in zip(itertools.compress(members, known), remainders[known], strict=True):
+            Q, e = self.Q[rows], root[rows] * self.residuals[rows]
+            errors[rows] = (e + Q @ np.linalg.solve(remainder, Q.T @ e)) / root[rows]
         return errors
 
 

@@ -1,6 +1,8 @@
 """Load series: consecutive rows in which the same loads are varied.
 
-Each load series has its own zero, because weights are removed and pans are moved between series.
+Each load series has its own zero, because weights are removed and pans are moved between series. A series may open with
+its tare point, close with one, do both or neither. The loads alone do not tell to which of two series an unloaded row
+between them belongs; `load_series_reading` lets the readings decide.
 """
 
 from __future__ import annotations
@@ -19,29 +21,110 @@ MIN_LOAD_CHANGE = 0.01
 """Share of the calibrated range by which a load must change: above load noise, below the steps of a calibration."""
 MIN_SERIES_ROWS = 3
 """Rows in a load series at least, so that a zero and a slope leave a residual; fewer rows join the previous series."""
+MAX_INTRUDING_SHARE = 0.05
+"""Share of the rows that may intrude, as that of outliers; more of them are single loads that were meant."""
+MIN_INTRUDING_ROWS = 3
+"""Rows that may intrude in any case: two that were exchanged, and a neighbor that they cut off from its series."""
+LARGE_STEP_RATIO = 1.5
+"""A return to the tare that is so many times the next step is no step of a ramp, whose steps are about equal."""
 MIN_SEPARATION = 0.1
 """Least singular value of the loads with one zero per series, over that with one zero per run.
 
 Below it the series zeros would explain most of the variation of some loads, and each run keeps one zero.
 """
 
+TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST, EACH_TARE = "last", "first", "split-last", "split-first", "each"
+TARE_POSITIONS = (TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST, EACH_TARE)
+"""Where the tare points of load series stand.
 
-def find_load_series(x: Array, run: Index) -> Index:
+`last`: an unloaded row between two series closes the earlier one; `first`: it opens the later one; `split-last` and
+`split-first`: the same, but two unloaded rows in succession belong to one series each; `each`: a series opens wherever
+the loads return to their first value at once, also where the same load is varied again.
+"""
+
+
+def find_load_series(x: Array, run: Index, position: str = TARE_LAST) -> Index:
     """Number (m,) of the load series of each row of loads x (m, n), in units of the calibrated range.
 
     A load series never extends over two runs (m,), or over two segments of constant attitude where `run` numbers those.
-    It ends where a load begins to change that was constant in it. Where all loads change at once from row to row, the
-    run is one load series; so is every run where shorter series would leave some loads undetermined.
+    It ends where a load begins to change that was constant in it; `position` says to which series a tare point between
+    two of them belongs. Where all loads change at once from row to row, the run is one load series; so is every run
+    where shorter series would leave some loads undetermined.
     """
     load_series = np.zeros(len(x), dtype=np.intp)
     number = -1
     for name in dict.fromkeys(run.tolist()):
         rows = np.flatnonzero(run == name)
-        starts = _drop_constant_series(_series_starts(np.abs(np.diff(x[rows], axis=0)) > MIN_LOAD_CHANGE), x[rows])
-        load_series[rows] = number + 1 + np.searchsorted(starts, np.arange(len(rows)), side="right") - 1
+        load_series[rows] = number + 1 + split_rows(x[rows], position)
         number = int(load_series[rows[-1]])
     runs = np.unique(run, return_inverse=True)[1]
-    return load_series if _load_separation(x, load_series) >= MIN_SEPARATION * _load_separation(x, runs) else runs
+    return load_series if determines_loads(x, load_series, runs) else runs
+
+
+def determines_loads(x: Array, load_series: Index, runs: Index) -> bool:
+    """Whether one zero for each load series (m,) leaves the loads x (m, n) determined as those of each run (m,) do."""
+    return _load_separation(x, load_series) >= MIN_SEPARATION * _load_separation(x, runs)
+
+
+def split_rows(x: Array, position: str = TARE_LAST) -> Index:
+    """Number (m,) from 0 of the load series of each row of one run, loads x (m, n)."""
+    if position in (TARE_FIRST, SPLIT_FIRST, EACH_TARE):
+        # Backwards in time a tare point that opens a series closes it.
+        starts = sorted(len(x) - start for start in _starts(x[::-1])[1:])
+        starts = [0, *starts]
+    else:
+        starts = _starts(x)
+    if position in (SPLIT_LAST, SPLIT_FIRST):
+        starts = [_between_tares(x, start) for start in starts]
+    if position == EACH_TARE:
+        starts = sorted({*starts, *_returns_to_first_load(x)})
+    return np.asarray(np.searchsorted(starts, np.arange(len(x)), side="right") - 1, np.intp)
+
+
+def _starts(x: Array) -> list[int]:
+    return _drop_constant_series(_series_starts(np.abs(np.diff(x, axis=0)) > MIN_LOAD_CHANGE), x)
+
+
+def _between_tares(x: Array, start: int) -> int:
+    """Move a start (row) between two equal rows, one of which would be the wrong side of it."""
+    same = np.all(np.abs(np.diff(x, axis=0)) <= MIN_LOAD_CHANGE, axis=1)
+    if 0 < start < len(x) and not same[start - 1]:
+        if start >= 2 and same[start - 2]:
+            return start - 1
+        if start < len(same) and same[start]:
+            return start + 1
+    return start
+
+
+def _returns_to_first_load(x: Array) -> list[int]:
+    """Rows at which all loads return to those of the first row in a step larger than the one that follows.
+
+    None where that would leave a load series too short.
+    """
+    at_base = np.all(np.abs(x - x[0]) <= MIN_LOAD_CHANGE, axis=1)
+    step = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    returns = [row for row in range(1, len(x) - 1) if at_base[row] and not at_base[row - 1] and not at_base[row + 1]]
+    jumps = [row for row in returns if step[row - 1] > LARGE_STEP_RATIO * step[row]]
+    return jumps if min(np.diff([0, *jumps, len(x)]), default=0) >= MIN_SERIES_ROWS else []
+
+
+def intruding_rows(x: Array) -> NDArray[np.bool_]:
+    """Rows (m,) of loads x (m, n) with a load that neither neighbor has, as after an exchange of two rows.
+
+    None where there are so many that such rows belong to the schedule.
+    """
+    if len(x) < MIN_SERIES_ROWS:
+        return np.zeros(len(x), bool)
+    active = np.abs(x - x[0]) > MIN_LOAD_CHANGE
+    before, after = np.vstack([active[1:2], active[:-1]]), np.vstack([active[1:], active[-2:-1]])
+    intruding = np.any(active & ~before & ~after, axis=1)
+    return (
+        intruding if np.count_nonzero(intruding) <= max(2, MAX_INTRUDING_SHARE * len(x)) else np.zeros_like(intruding)
+    )
+
+
+MAX_INTRUDING_SHARE = 0.05
+"""Share of the rows that may intrude, as that of outliers; more of them are single loads that were meant."""
 
 
 def _load_separation(x: Array, block: Index) -> float:

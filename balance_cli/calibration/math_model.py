@@ -147,6 +147,17 @@ class CalibrationModel:
         return {name: float(value) for name, value in zip(self.terms, column, strict=True) if value != 0.0}
 
 
+def student_widening(dof: float) -> float:
+    """Factor on a variance estimated with so many degrees of freedom: 1.96 sigma then cover 95 %, as for a known one.
+
+    The ratio of the 97.5 % points of Student's t and of the normal distribution, squared; 1 where dof is not known.
+    """
+    if not np.isfinite(dof) or dof <= 0:
+        return 1.0
+    at = 0.5 + 0.5 * CONFIDENCE
+    return float((stats.t.ppf(at, dof) / stats.norm.ppf(at)) ** 2)
+
+
 def weighted_inverse(C: Array, covariance: Array) -> Array:
     """Compute W (k, c) with W C = 1 for C (c, k), of least variance where there are more channels than loads."""
     if C.shape[0] == C.shape[1]:

@@ -66,6 +66,7 @@ def fit_noniterative_model(
         weight=np.where(used, points.weight, 0.0),
         calibrated_range=np.ones(len(points.components)),
         gravity=points.gravity,
+        series=load_series,
     )
     return NonIterativeModel(
         W, fit_calibration_model(exchanged_points, search, points.x).model, points.calibrated_range

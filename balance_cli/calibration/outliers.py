@@ -1,74 +1,52 @@
-"""Outliers of a calibration: rows, load series in which a channel has a wrong gain, and swapped channels.
+"""Outliers of a calibration: rows and load series that the others do not predict.
 
-Rows and load series are compared with predictions from the rest of the data, never with a fit that includes them. The
-scale of the errors is a median, which outliers hardly affect.
+Rows and load series are compared with predictions from the rest of the data, never with a fit that includes them, nor
+with terms that were selected with them. The scale of the errors is a median, which outliers hardly affect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
+from balance_cli.calibration.gross_outliers import OUTLIER_SIGNIFICANCE_LEVEL, gross_outlier_candidates
+from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
+from balance_cli.calibration.robust_scale import robust_row_sigma
+from balance_cli.calibration.suspect_series import SuspectLoadSeries, exclude_suspect_series
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
-OUTLIER_SIGNIFICANCE_LEVEL = 1e-3
-"""Probability of calling any good row an outlier, and of suspecting any good channel of a load series (Bonferroni)."""
-MIN_GAIN_ERROR = 0.01
-"""Gain error below which no load series is suspected: nonlinearity causes as much, a wrong cable or range far more."""
-MIN_UNEXPLAINED_SHARE = 0.3
-"""Share of a channel's signal, as amplitude, that its own prediction must leave for it to be held against others."""
-MIN_PLAUSIBLE_GAIN = 0.5
-"""Gain below which a channel is always held against the predictions of the others."""
-MAX_SUSPECT_SERIES = 6
-"""Suspect load series from which on the screening stops: with more of them the majority is not to be trusted."""
 MAX_OUTLIER_SHARE = 0.05
 """Share of the rows that may be outliers; more of them point to the model instead of the rows."""
+MIN_OUTLIERS = 2
+"""Rows that may be outliers in any calibration: two that are exchanged."""
 OUTLIER_LIMIT_FACTOR = 1.3
 """Factor on the limit of Student's t: the median of a load series is itself known to a few per cent only."""
-MAX_NOISE_TO_SIGNAL = 0.1
-"""Noise over signal up to which the gain of a channel in a load series is tested: above it the gain is uncertain."""
-AMBIGUITY_FACTOR = 1.5
-"""Another series is named as an alternative where excluding it leaves at most this multiple of the least misfit."""
-MAX_SCALED_SQUARE = 100.0
-"""Squared error over noise at which errors are clipped (10 sigma), so that a second bad series does not decide."""
-MIN_SWAPPED_COSINE = 0.95
-"""Cosine of a channel's sensitivities with those declared for the other channel, in both of a swapped pair at least."""
-MAX_OWN_COSINE = 0.8
-"""Cosine with its own declared sensitivities, in either channel of a swapped pair at most."""
+MAX_SCREENINGS = 4
+"""Rounds of selecting terms and excluding rows; without a further outlier the rounds end."""
 
 
 @dataclass(frozen=True)
 class Outlier:
-    """A row that the others do not predict: `row` from 1 in its run, `error` [V], and the error over its sigma."""
+    """A row that the others do not predict: `row` from 1 in its run, `error` [V], and the error over its sigma.
+
+    `exchanged_with`: row whose loads it seems to have; `cause`: what a single mistake would explain it. None where
+    neither is found.
+    """
 
     run: str
     row: int
     channel: str
     error: float
     over_sigma: float
-
-
-@dataclass(frozen=True)
-class SuspectLoadSeries:
-    """A load series in which a channel does not follow the prediction from the other load series.
-
-    `gain` with `gain_sigma`: regression coefficient of its change on the prediction. `resembled_channel`: the channel
-    whose prediction it follows instead, empty for none. `alternatives`: load series that may be wrong in its place.
-    """
-
-    load_series: str = field(metadata={"stored_as": "sequence"})
-    channel: str
-    gain: float
-    gain_sigma: float
-    resembled_channel: str = field(metadata={"stored_as": "like"})
-    alternatives: tuple[str, ...] = field(default=(), metadata={"stored_as": "or_else"})
+    exchanged_with: int | None = field(default=None, metadata={"omit_if_none": True})
+    cause: str | None = field(default=None, metadata={"omit_if_none": True})
 
 
 @dataclass(frozen=True)
@@ -82,204 +60,139 @@ class ScreenedFit:
 
 
 def screen_outliers(points: CalibrationPoints, search: bool = True) -> ScreenedFit:
-    """Fit, exclude suspect load series and then outlying rows one by one, and fit again without them.
+    """Fit without suspect load series and outlying rows.
 
     Everything that is excluded is listed in the result.
     """
-    included, fit, suspect_series, series_notes = _exclude_suspect_series(points, search)
-    included, outliers, row_notes = _exclude_outliers(included, fit)
-    fit = fit_calibration_model(included, search) if outliers else fit
-    return ScreenedFit(fit, outliers, suspect_series, series_notes + row_notes)
+    gross = _gross_outliers(points, search)
+    included, fit, suspect_series, notes = exclude_suspect_series(points.exclude_rows(gross), search)
+    excluded, stopped = gross, False
+    for _ in range(MAX_SCREENINGS):
+        further, stopped = _outlying_rows(included, fit, _most_outliers(points) - int(np.count_nonzero(excluded)))
+        if not further.any():
+            break
+        excluded, included = excluded | further, included.exclude_rows(further)
+        fit = fit_calibration_model(included, search)
+    if stopped:
+        notes = (*notes, f"{int(np.count_nonzero(excluded))} rows were excluded as outliers, and more remain")
+    return ScreenedFit(fit, describe_outliers(points, fit, excluded), suspect_series, notes)
 
 
-def _exclude_suspect_series(
-    points: CalibrationPoints, search: bool
-) -> tuple[CalibrationPoints, CalibrationModelFit, tuple[SuspectLoadSeries, ...], tuple[str, ...]]:
-    """Exclude load series until the rest agree; returns the remaining points, their fit, the series and notes."""
-    suspect_series: list[SuspectLoadSeries] = []
-    included, fit, worst = points, *_fit_and_find_worst(points, search)
-    while worst is not None and len({suspect.load_series for suspect in suspect_series}) < MAX_SUSPECT_SERIES:
-        rows, suspect_channels = worst
-        suspect_series += suspect_channels
-        included = included.exclude_rows(rows)
-        fit, worst = _fit_and_find_worst(included, search)
-    notes = () if worst is None else (f"{MAX_SUSPECT_SERIES} load series were excluded, and more disagree",)
-    return included, fit, tuple(suspect_series), notes
+def _most_outliers(points: CalibrationPoints) -> int:
+    return max(MIN_OUTLIERS, int(np.ceil(MAX_OUTLIER_SHARE * np.count_nonzero(points.weight > 0))))
 
 
-def _fit_and_find_worst(
-    points: CalibrationPoints, search: bool
-) -> tuple[CalibrationModelFit, tuple[NDArray[np.bool_], list[SuspectLoadSeries]] | None]:
-    fit = fit_calibration_model(points, search)
-    return fit, _worst_series(points, fit, fit_calibration_model(points, search=False) if search else fit)
+def _gross_outliers(points: CalibrationPoints, search: bool) -> Mask:
+    """Rows (m,) that stand out from a robust fit and are not predicted by a model that was selected without them.
 
-
-def _exclude_outliers(
-    points: CalibrationPoints, fit: CalibrationModelFit
-) -> tuple[CalibrationPoints, tuple[Outlier, ...], tuple[str, ...]]:
-    """Exclude outlying rows; returns the remaining points, the outliers and notes."""
-    outliers: list[Outlier] = []
-    # One by one, refitted each time: an outlier biases the predictions of the rows near it.
-    largest = _largest_outlier(points, fit)
-    while largest is not None and len(outliers) < MAX_OUTLIER_SHARE * len(points.loads):
-        row, outlier = largest
-        outliers.append(outlier)
-        points = points.exclude_rows(np.arange(len(points.loads)) == row)
-        fit = refit_terms(points, fit.model)
-        largest = _largest_outlier(points, fit)
-    notes = () if largest is None else (f"{len(outliers)} rows were excluded as outliers, and more remain",)
-    return points, tuple(outliers), notes
-
-
-def _worst_series(
-    points: CalibrationPoints, fit: CalibrationModelFit, linear_fit: CalibrationModelFit
-) -> tuple[NDArray[np.bool_], list[SuspectLoadSeries]] | None:
-    """Rows (m,) of the load series without which the others agree best, and its suspect channels; None without any.
-
-    A load series is suspected only if it deviates both from the model of the loads alone and from that with the
-    selected terms, because nonlinearity explained by terms is not a fault. Where two series disagree and no third one
-    decides, the second is named as an alternative.
+    Where the model that was selected with them leaves none of them an outlier, and the others no larger errors, they
+    are evidence of a term and no mistake.
     """
-    load_series, used = points.load_series, points.weight > 0
-    unexplained = _find_suspect_series(points, fit)
-    if not unexplained:
-        return None
-    by_linear_fit = _find_suspect_series(points, linear_fit)
-    candidates = {
-        name: suspect_channels
-        for name, suspect_channels in by_linear_fit.items()
-        if name in unexplained and suspect_channels
-    }
-    if not candidates:
-        return None
-    misfit = {name: _cross_validation_misfit(points, (load_series == name) & used) for name in candidates}
-    worst = min(candidates, key=lambda name: misfit[name])
-    words = dict(_series_names(np.unique(load_series[used]), fit))
-    limit = AMBIGUITY_FACTOR * misfit[worst]
-    alternatives = tuple(words[name] for name in candidates if name != worst and misfit[name] < limit)
-    return (load_series == worst) & used, [replace(suspect, alternatives=alternatives) for suspect in candidates[worst]]
+    none = np.zeros(len(points.weight), bool)
+    gross = gross_outlier_candidates(points)
+    if not gross.any():
+        return none
+    for _ in range(MAX_SCREENINGS):
+        fit = fit_calibration_model(points.exclude_rows(gross), search)
+        ratio = _prediction_ratio(points, fit, gross)
+        agreeing = gross & (ratio <= _limit(points, fit))
+        gross = gross & ~agreeing
+        if not agreeing.any() or not gross.any():
+            break
+    if not gross.any():
+        return none
+    gross = gross & (ratio >= np.sort(ratio[gross])[::-1][: _most_outliers(points)].min())
+    fit = fit_calibration_model(points.exclude_rows(gross), search)
+    whole = fit_calibration_model(points, search)
+    outlying, _ = _outlying_rows(points, whole, int(np.count_nonzero(gross)))
+    is_explained = not (outlying & gross).any()
+    return none if is_explained and _scale(points, whole, ~gross) <= SAME_SCALE * _scale(points, fit, ~gross) else gross
 
 
-def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) -> dict[int, list[SuspectLoadSeries]]:
-    """Suspect channels by load series; an empty list where the other series do not predict a load series."""
-    load_series, used = points.load_series, points.weight > 0
-    by_series = {}
-    for name, description in _series_names(np.unique(load_series[used]), fit):
-        rows = (load_series == name) & used
-        known = bool(np.isfinite(fit.cross_validation_errors[rows]).all())
-        channels = _suspect_channels(points, fit, rows, description) if known else []
-        if channels or not known:
-            by_series[name] = channels
-    return by_series
+SAME_SCALE = 1.2
+"""Ratio of two robust scales that differ by chance in some dozens of rows."""
 
 
-def _series_names(names: Index, fit: CalibrationModelFit) -> list[tuple[int, str]]:
-    return list(zip(names.tolist(), fit.model.load_series, strict=True))
+def _scale(points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask) -> float:
+    """Median size of the errors of rows (m,) predicted by all others, over the range of each channel."""
+    at = rows & (points.weight > 0)
+    spread = np.maximum(np.ptp(points.channels[at], axis=0), np.finfo(float).tiny)
+    return float(np.mean(np.nanmedian(np.abs(fit.press[at]), axis=0) / spread))
 
 
-def _cross_validation_misfit(points: CalibrationPoints, rows: NDArray[np.bool_]) -> float:
-    """Mean square cross-validation error without these rows (m,), in units of the noise, large errors clipped."""
-    errors = fit_calibration_model(points.exclude_rows(rows), search=False).cross_validation_errors
-    scaled = (errors / _robust_sigma(errors)) ** 2
-    return float(np.mean(np.minimum(scaled[np.isfinite(scaled)], MAX_SCALED_SQUARE)))
+def _limit(points: CalibrationPoints, fit: CalibrationModelFit) -> float:
+    """Ratio of error and sigma beyond which the largest of all rows and channels is not chance."""
+    dof = max(float(np.min(fit.model.dof)), 3.0)  # below 3 the variance of Student's t is infinite
+    tests = np.count_nonzero(points.weight > 0) * points.channels.shape[1]
+    return float(OUTLIER_LIMIT_FACTOR * stats.t.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / tests, dof))
 
 
-def _robust_sigma(errors: Array) -> Array:
-    """Robust standard deviation (c,) of errors (m, c)."""
-    return np.asarray(np.maximum(1.4826 * np.nanmedian(np.abs(errors), axis=0), np.finfo(float).tiny))
+def _prediction_ratio(points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask) -> Array:
+    """Largest error of some rows (m,) of which the fit knows nothing, over its sigma; 0 for the others."""
+    errors = _errors_without(points, fit, rows)
+    used = (points.weight > 0) & ~rows
+    sigma = robust_row_sigma(fit.press * np.sqrt(points.weight)[:, None], points.load_series, used)
+    known = np.where(rows[:, None], np.sqrt(points.weight)[:, None] * errors, 0.0)
+    at = np.searchsorted(np.unique(points.load_series), points.load_series)
+    series_sigma = np.stack([sigma[(points.load_series == name)].max(axis=0) for name in np.unique(points.load_series)])
+    extrapolated = np.sqrt(fit.model.model_covariance(points.loads).diagonal(axis1=1, axis2=2))
+    return np.asarray(np.max(np.abs(known) / np.hypot(series_sigma[at], extrapolated), axis=1))
 
 
-def _suspect_channels(
-    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], description: str
-) -> list[SuspectLoadSeries]:
-    """Suspect channels in the rows of one load series."""
-    change = points.channels[rows] - points.channels[rows].mean(axis=0)
-    errors = fit.cross_validation_errors[rows]
-    predicted = change - (errors - errors.mean(axis=0))
-    noise = _robust_sigma(fit.cross_validation_errors)
-    suspect_channels = (
-        _check_channel_gain(c, change, predicted, noise, points.channel_names, description)
-        for c in range(change.shape[1])
-    )
-    return [suspect for suspect in suspect_channels if suspect is not None]
+def _errors_without(points: CalibrationPoints, fit: CalibrationModelFit, rows: Mask) -> Array:
+    """Readings of some rows (m, c) less those of a fit without them; 0 where their load series was not fitted."""
+    fitted = np.unique(points.load_series[np.isfinite(fit.residuals).all(axis=1)])
+    known = rows & np.isin(points.load_series, fitted)
+    errors = np.zeros_like(points.channels)
+    zeros = fit.model.zeros[np.searchsorted(fitted, points.load_series[known])]
+    errors[known] = points.channels[known] - zeros - fit.model.readings(points.loads[known])
+    return errors
 
 
-def _check_channel_gain(
-    c: int, change: Array, predicted: Array, noise: Array, channels: Sequence[str], description: str
-) -> SuspectLoadSeries | None:
-    """Compare the change of channel c in some rows (r, channels) with its prediction; None where they agree."""
-    power = float(np.sum(predicted[:, c] ** 2))
-    if power == 0.0:
-        return None
-    gain = float(predicted[:, c] @ change[:, c] / power)
-    # The misfit of a linear model follows the load: it does not average out over the rows.
-    sigma = float(noise[c] / np.sqrt(power / len(change)))
-    is_significant = abs(gain - 1.0) > max(
-        float(stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / len(channels))) * sigma, MIN_GAIN_ERROR
-    )
-    # A channel with hardly any signal in this load series does not determine its gain.
-    if not is_significant or sigma > MAX_NOISE_TO_SIGNAL:
-        return None
-    residual = change[:, c] - gain * predicted[:, c]
-    resembled = ""
-    if np.sum(residual**2) > MIN_UNEXPLAINED_SHARE**2 * np.sum(change[:, c] ** 2) or gain < MIN_PLAUSIBLE_GAIN:
-        shares = [_unexplained_share(change[:, c], predicted[:, i]) for i in range(len(channels))]
-        best = int(np.argmin(shares))
-        resembled = channels[best] if best != c and shares[best] < MIN_UNEXPLAINED_SHARE**2 else ""
-    return SuspectLoadSeries(description, channels[c], gain, sigma, resembled)
+def _outlying_rows(points: CalibrationPoints, fit: CalibrationModelFit, most: int) -> tuple[Mask, bool]:
+    """Rows (m,) that the others do not predict, at most so many, and whether more remain."""
+    excluded = np.zeros(len(points.weight), bool)
+    # One by one, refitted each time: an outlier biases the predictions of the rows near it.
+    row = _largest_outlier(points, fit)
+    while row is not None and np.count_nonzero(excluded) < most:
+        excluded[row] = True
+        points = points.exclude_rows(excluded)
+        fit = refit_terms(points, fit.model)
+        row = _largest_outlier(points, fit)
+    return excluded, row is not None
 
 
-def _unexplained_share(change: Array, predicted: Array) -> float:
-    """Share of the power of a change that a prediction, not rescaled, leaves unexplained."""
-    return float(np.sum((change - predicted) ** 2) / max(float(np.sum(change**2)), np.finfo(float).tiny))
-
-
-def _largest_outlier(points: CalibrationPoints, fit: CalibrationModelFit) -> tuple[int, Outlier] | None:
-    """The row with the largest error when predicted by all others, and that outlier; None if it is not significant."""
+def _largest_outlier(points: CalibrationPoints, fit: CalibrationModelFit) -> int | None:
+    """The row with the largest error when predicted by all others; None if it is not significant."""
     used = points.weight > 0
     scaled = fit.press * np.sqrt(points.weight)[:, None]
-    ratio = np.where(used[:, None], np.abs(scaled) / _robust_row_sigma(scaled, points.load_series, used), 0.0)
-    dof = max(float(np.min(fit.model.dof)), 3.0)  # below 3 the variance of Student's t is infinite
-    limit = OUTLIER_LIMIT_FACTOR * stats.t.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / ratio.size, dof)
-    row, c = divmod(int(np.argmax(ratio)), ratio.shape[1])
-    if ratio[row, c] <= limit:
-        return None
-    run = int(points.run[row])
-    number = row - int(np.flatnonzero(points.run == run)[0]) + 1
-    name, channel = points.run_names[run], points.channel_names[c]
-    return row, Outlier(name, number, channel, float(fit.press[row, c]), float(ratio[row, c]))
+    sigma = robust_row_sigma(scaled, points.load_series, used)
+    ratio = np.max(np.where(used[:, None], np.abs(scaled) / sigma, 0.0), axis=1)
+    row = int(np.argmax(ratio))
+    return row if ratio[row] > _limit(points, fit) else None
 
 
-def _robust_row_sigma(errors: Array, load_series: Index, used: NDArray[np.bool_]) -> Array:
-    """Robust standard deviation (m, c) of the errors of each row: that of all rows or, if larger, of its load series.
-
-    The noise of a load reading is present only where that load was applied.
-    """
-    sigma = np.tile(_robust_sigma(errors[used]), (len(errors), 1))
-    for name in np.unique(load_series[used]):
-        rows = (load_series == name) & used
-        # An outlier shifts the zero of its load series, and with it the errors of all other rows.
-        sigma[rows] = np.maximum(sigma[rows], _robust_sigma(errors[rows] - np.median(errors[rows], axis=0)))
-    return sigma
-
-
-def find_swapped_channels(points: CalibrationPoints, expected: Array) -> tuple[str, ...]:
-    """Find pairs of channels that read each other's loads.
-
-    `expected` (c, k) [V]: declared response to loads of the calibrated range. In a swapped pair both channels of the
-    linear fit resemble the declared sensitivities of the other channel far more than their own.
-    """
-    C = fit_calibration_model(points, search=False).model.coefficients[: len(points.components)].T
-    cosine = _unit_rows(C) @ _unit_rows(expected).T
-    pairs = []
-    for i in range(len(C)):
-        for j in range(i + 1, len(C)):
-            own, crossed = min(cosine[i, i], cosine[j, j]), min(cosine[i, j], cosine[j, i])
-            if crossed > MIN_SWAPPED_COSINE and own < MAX_OWN_COSINE:
-                pairs.append(f"{points.channel_names[i]} and {points.channel_names[j]}")
-    return tuple(pairs)
-
-
-def _unit_rows(rows: Array) -> Array:
-    size = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.asarray(rows / np.where(size > 0, size, 1.0))
+def describe_outliers(points: CalibrationPoints, fit: CalibrationModelFit, excluded: Mask) -> tuple[Outlier, ...]:
+    """The excluded rows (m,) with their errors by the final fit, and what seems to be wrong with them."""
+    if not excluded.any():
+        return ()
+    errors = _errors_without(points, fit, excluded)
+    used = (points.weight > 0) & ~excluded
+    sigma = robust_row_sigma(fit.press * np.sqrt(points.weight)[:, None], points.load_series, used)
+    common = np.where(np.isfinite(sigma), sigma, np.nanmedian(sigma[used], axis=0))
+    partner = exchanged_rows(points, fit, excluded)
+    outliers = []
+    for row in np.flatnonzero(excluded).tolist():
+        ratio = np.abs(errors[row]) * np.sqrt(points.weight[row]) / common[row]
+        c, first = int(np.argmax(ratio)), int(np.flatnonzero(points.run == points.run[row])[0])
+        outlier = Outlier(
+            run=points.run_names[int(points.run[row])],
+            row=row - first + 1,
+            channel=points.channel_names[c],
+            error=float(errors[row, c]),
+            over_sigma=float(ratio[c]),
+        )
+        other = partner.get(row)
+        cause = None if other is not None else likely_cause(fit.model, points, row, errors[row])
+        outliers.append(replace(outlier, exchanged_with=None if other is None else other - first + 1, cause=cause))
+    return tuple(outliers)

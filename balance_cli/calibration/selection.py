@@ -12,12 +12,14 @@ removed unless it reduces the cross-validation error of the load series.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import solve_least_squares, subtract_block_means
+from balance_cli.calibration.cross_validation import prediction_errors
+from balance_cli.calibration.few_rows import FEW_ROWS_P_VALUE, least_p_value_without_two_rows
+from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares, subtract_block_means
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -29,8 +31,14 @@ MAX_VARIANCE_INFLATION = 1000.0
 """Variance inflation above which a term is not added: F, F|F| and F^3 in even steps have up to 336."""
 RESIDUAL_POWER_FLOOR = 1e-14
 """Floor of the residual over the power of a channel: below it a residual is rounding, which no term should fit."""
+MIN_DOF = 5
+"""Degrees of freedom below which no term is added: the residual of so few rows is no measure of their noise."""
 MAX_SELECTION_STEPS = 200
 """Upper bound on additions and on replacements: twice the 96 terms of six loads. A repeated model ends the search."""
+ROWS_PER_FAMILY_COLUMN = 2
+"""Rows less zeros for each column of a family that is taken as a whole."""
+MIN_FAMILY_GAIN = 0.8
+"""Squared prediction error of a family over that of the selected terms from which it is taken: 10 % in the rms."""
 MIN_PAIR_CORRELATION = 0.5
 """Correlation, after loads and zeros are eliminated, above which two terms can hide each other."""
 
@@ -47,13 +55,19 @@ class _TermNormalEquations:
     def residual(self, selected: Sequence[int]) -> float:
         """Residual sum of squares of a model with these terms."""
         at = list(selected)
-        left = float(self.yy - self.g[at] @ np.linalg.solve(self.G[np.ix_(at, at)], self.g[at]))
+        try:
+            left = float(self.yy - self.g[at] @ np.linalg.solve(self.G[np.ix_(at, at)], self.g[at]))
+        except np.linalg.LinAlgError:  # terms that the rows do not tell apart explain nothing
+            return self.yy
         return max(left, RESIDUAL_POWER_FLOOR * self.yy)
 
     def inflation(self, selected: Sequence[int]) -> Array:
-        """Variance inflation factor of each of these terms."""
+        """Variance inflation factor of each of these terms, infinite where the rows do not tell them apart."""
         at = list(selected)
-        return np.asarray(np.diag(np.linalg.inv(self.G[np.ix_(at, at)])))
+        try:
+            return np.asarray(np.diag(np.linalg.inv(self.G[np.ix_(at, at)])))
+        except np.linalg.LinAlgError:
+            return np.full(len(at), np.inf)
 
     def explained_squares(self, selected: Sequence[int]) -> tuple[Array, Array]:
         """Sum of squares (p,) that each further term would explain, and its variance inflation (p,)."""
@@ -69,11 +83,18 @@ class _TermNormalEquations:
 
 
 def select_terms(
-    X: Array, Y: Array, block: Index, load_series: Index, linear_count: int, weight: Array | None = None
+    X: Array,
+    Y: Array,
+    block: Index,
+    load_series: Index,
+    linear_count: int,
+    weight: Array | None = None,
+    family: Sequence[int] = (),
 ) -> list[tuple[int, ...]]:
     """Select the columns of X (m, p) that each output of Y (m, c) has; the first `linear_count` are in every model.
 
-    Each `block` (m,) has its own zero; cross-validation leaves out whole `load_series` (m,).
+    Each `block` (m,) has its own zero; cross-validation leaves out whole `load_series` (m,). `family`: columns that
+    are taken all together where the load series are predicted far better with them than with the selected ones.
     """
     w = np.ones(len(X)) if weight is None else weight
     Xc, Yc = (subtract_block_means(values, block, w) for values in (X, Y))
@@ -87,8 +108,80 @@ def select_terms(
     for c in range(Y.shape[1]):
         normal = _TermNormalEquations(G, g[:, c], float(Yc[:, c] @ Yc[:, c]), rows_less_zeros)
         selected = _search_stepwise(normal, linear_count, TERM_SIGNIFICANCE_LEVEL / tests, pairs)
-        channel_terms.append(_cross_validate(selected, X, Y[:, c], block, load_series, linear_count, w))
+        rows = _ChannelRows(X, Y[:, c], block, load_series, linear_count, w)
+        selected = _drop_terms_of_few_rows(_limit_inflation(normal, selected, linear_count), rows)
+        channel_terms.append(_best_predictor(_cross_validate(selected, rows), rows, normal, family))
     return channel_terms
+
+
+@dataclass(frozen=True)
+class _ChannelRows:
+    """Rows of one channel: columns X (m, p), readings y (m,), zeros by block (m,), load series (m,), weight (m,).
+
+    `known_errors`: prediction errors of models that were compared before.
+    """
+
+    X: Array
+    y: Array
+    block: Index
+    load_series: Index
+    linear_count: int
+    weight: Array
+    known_errors: dict[tuple[int, ...], float] = field(default_factory=dict)
+
+    def fit(self, selected: Sequence[int]) -> LeastSquares:
+        """Fit of some columns."""
+        return solve_least_squares(self.X[:, list(selected)], self.y[:, None], self.block, self.weight)
+
+    def prediction_error(self, selected: Sequence[int]) -> float:
+        """Weighted sum of squares of the errors of rows that are left out of the fit of some columns."""
+        key = tuple(sorted(selected))
+        if key not in self.known_errors:
+            self.known_errors[key] = float(self.weight @ prediction_errors(self.fit(key), self.load_series) ** 2)
+        return self.known_errors[key]
+
+
+def _limit_inflation(normal: _TermNormalEquations, selected: list[int], linear_count: int) -> list[int]:
+    """Remove terms, those of the largest variance inflation first, until that of no column exceeds its limit."""
+    while len(selected) > linear_count:
+        inflation = normal.inflation(selected)
+        if np.max(inflation) <= MAX_VARIANCE_INFLATION:
+            break
+        worst = linear_count + int(np.argmax(inflation[linear_count:]))
+        selected = [term for place, term in enumerate(selected) if place != worst]
+    return selected
+
+
+def _drop_terms_of_few_rows(selected: list[int], rows: _ChannelRows) -> list[int]:
+    """Remove the terms that are not significant without some two rows, the least significant first."""
+    while len(selected) > rows.linear_count:
+        fit = rows.fit(selected)
+        p = [least_p_value_without_two_rows(fit, place) for place in range(rows.linear_count, len(selected))]
+        worst = int(np.argmax(p))
+        if p[worst] <= FEW_ROWS_P_VALUE:
+            break
+        selected = [term for place, term in enumerate(selected) if place != rows.linear_count + worst]
+    return selected
+
+
+def _best_predictor(
+    selected: tuple[int, ...], rows: _ChannelRows, normal: _TermNormalEquations, family: Sequence[int]
+) -> tuple[int, ...]:
+    """The selected columns, unless the loads alone or the whole family predict rows that are left out better.
+
+    Many small terms can be significant together and none by itself; only a large gain outweighs that they are many.
+    """
+    linear = tuple(range(rows.linear_count))
+    error = rows.prediction_error(selected)
+    if selected != linear:
+        without = rows.prediction_error(linear)
+        selected, error = (linear, without) if without < error else (selected, error)
+    whole = tuple(sorted({*linear, *family}))
+    if not family or normal.rows_less_zeros < ROWS_PER_FAMILY_COLUMN * len(whole):
+        return selected
+    if np.max(normal.inflation(whole)) > MAX_VARIANCE_INFLATION:
+        return selected
+    return whole if rows.prediction_error(whole) < MIN_FAMILY_GAIN * error else selected
 
 
 def _correlated_pairs(G: Array, linear_count: int) -> list[tuple[int, int]]:
@@ -108,6 +201,8 @@ def _search_stepwise(
     selected = list(range(linear_count))
     seen = {tuple(selected)}
     for _ in range(MAX_SELECTION_STEPS):
+        if normal.rows_less_zeros - len(selected) < MIN_DOF:
+            break
         new, p = _best_addition(normal, selected)
         if p > level:
             new, p = _best_pair(normal, selected, pairs)
@@ -190,29 +285,16 @@ def _eliminate_backward(
         selected = [term for term in selected if term != least]
 
 
-def _cross_validate(
-    selected: list[int], X: Array, y: Array, block: Index, load_series: Index, linear_count: int, weight: Array
-) -> tuple[int, ...]:
-    """Remove the terms that do not help to predict load series that are left out, the worst first."""
-    while len(selected) > linear_count:
-        error = _cross_validation_error(selected, X, y, block, load_series, weight)
+def _cross_validate(selected: Sequence[int], rows: _ChannelRows) -> tuple[int, ...]:
+    """Remove the terms that do not help to predict rows that are left out, the worst first."""
+    selected = list(selected)
+    while len(selected) > rows.linear_count:
+        error = rows.prediction_error(selected)
         error_without = {
-            k: _cross_validation_error([term for term in selected if term != k], X, y, block, load_series, weight)
-            for k in selected
-            if k >= linear_count
+            k: rows.prediction_error([term for term in selected if term != k]) for k in selected[rows.linear_count :]
         }
         worst = min(error_without, key=lambda k: error_without[k])
-        # A term that a single load series determines cannot be cross-validated, and is kept.
-        if not (np.isfinite(error_without[worst]) and np.isfinite(error)) or error_without[worst] >= error:
+        if error_without[worst] >= error:
             break
         selected = [term for term in selected if term != worst]
     return tuple(selected)
-
-
-def _cross_validation_error(
-    selected: Sequence[int], X: Array, y: Array, block: Index, load_series: Index, weight: Array
-) -> float:
-    errors = solve_least_squares(X[:, list(selected)], y[:, None], block, weight).cross_validation_errors(load_series)[
-        :, 0
-    ]
-    return float(weight @ errors**2)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 
@@ -17,6 +18,10 @@ NOISE_FLOOR_SHARE = 1e-7
 """Floor of a channel's noise over its range: no reading is better, and a computed one must not have infinite weight."""
 HC3_LEVERAGE_FLOOR = 0.1
 """Floor of 1 - leverage in HC3, so that a row that alone determines a coefficient has a finite error."""
+CONTRADICTED_NOISE_P_VALUE = 1e-3
+"""P-value of residuals so much smaller than the noise, below which that noise estimate is rejected."""
+ZERO_SHIFT_P_VALUE = 0.01
+"""P-value, corrected for the number of channels, below which the zeros of load series differ within a run."""
 MIN_MOVEMENT = 0.01
 """Share of a component's range by which consecutive rows must differ to count as a movement: above load noise."""
 MIN_NULL_SHARE = 0.1
@@ -95,6 +100,16 @@ def regress(rows: TrimRows, components: tuple[str, ...]) -> TrimRegression:
     return TrimRegression(fit.coefficients[:r], C0, fit.covariance(inner), fit.residuals, covariance, fit.dof)
 
 
+def zeros_differ(few: TrimRegression, many: TrimRegression) -> bool:
+    """Whether a regression with more zeros explains significantly more than one with few, in any channel (F-test)."""
+    added = few.dof - many.dof
+    if added <= 0:
+        return False
+    gain = np.diag(few.covariance) * few.dof - np.diag(many.covariance) * many.dof
+    F = gain / added / np.maximum(np.diag(many.covariance), np.finfo(float).tiny)
+    return bool(np.min(stats.f.sf(F, added, many.dof)) * len(F) < ZERO_SHIFT_P_VALUE)
+
+
 def standard_errors(covariance: Array) -> Array:
     """Standard errors (c, k) from a covariance (c, k, c, k)."""
     return np.asarray(np.sqrt(np.einsum("ijij->ij", covariance)))
@@ -159,6 +174,19 @@ def lack_of_fit(residual: Array, noise: Array, dof: float) -> float:
     c = len(noise)
     unbiased = (dof - c - 1) / dof if dof > c + 1 else 1.0
     return float(np.trace(np.linalg.solve(noise, residual)) / c * unbiased)
+
+
+def known_lack_of_fit(residual: Array, residual_dof: int, noise: Array, noise_dof: float) -> float:
+    """Lack of fit where the noise is known; NaN where it is not.
+
+    It is not known without degrees of freedom, nor where it exceeds the residuals beyond chance: no model leaves less
+    than the noise of its rows, so that what was measured as noise was something else (jumps, friction, creep).
+    """
+    if noise_dof <= 0:
+        return float("nan")
+    ratio, c = lack_of_fit(residual, noise, noise_dof), len(noise)
+    least = stats.f.ppf(CONTRADICTED_NOISE_P_VALUE, c * residual_dof, c * noise_dof)
+    return ratio if ratio >= least else float("nan")
 
 
 def add_variance_floor(covariance: Array, channels: Array) -> Array:

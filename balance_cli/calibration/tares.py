@@ -126,7 +126,8 @@ def screen_outliers_with_tares(
 def add_weight_loads(points: CalibrationPoints, tares: Tares) -> CalibrationPoints:
     """Add the weight of the metric part, in the attitude of each segment, to the applied loads."""
     assert points.gravity is not None
-    return replace(points, loads=points.loads + tares.loads(segment_mean_gravity(points), points.components))
+    loads = points.loads + tares.loads(segment_mean_gravity(points), points.components)
+    return replace(points, loads=loads, series=points.load_series)
 
 
 def segment_mean_gravity(points: CalibrationPoints) -> Array:

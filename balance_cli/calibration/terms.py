@@ -58,6 +58,12 @@ class Term:
         return self.single_load and self.function == IDENTITY
 
     @property
+    def is_quadratic(self) -> bool:
+        """Whether the term is a square, or a product of two loads."""
+        own = self.function == SQUARE if self.single_load else self.function == IDENTITY
+        return own and self.other_function in (CONSTANT, IDENTITY)
+
+    @property
     def loads(self) -> tuple[int, ...]:
         """Indices of the loads on which the term depends."""
         return (self.i,) if self.single_load else (self.i, self.j)

@@ -10,10 +10,11 @@ import numpy as np
 from balance_cli.cli.load_residual_summary import check_point_summary, load_residual_summary
 
 if TYPE_CHECKING:
-    from balance_cli.calibration.all_trims import AllTrimsCalibration, CheckLoads
+    from balance_cli.calibration.all_trims import AllTrimsCalibration
+    from balance_cli.calibration.check_loads import CheckLoads
     from balance_cli.calibration.noniterative import NonIterativeModel
-    from balance_cli.calibration.outliers import SuspectLoadSeries
     from balance_cli.calibration.result import Calibration, TrimCalibration
+    from balance_cli.calibration.suspect_series import SuspectLoadSeries
     from balance_cli.calibration.tares import Tares
 
 FORMER_KEYS = {
@@ -111,6 +112,7 @@ def math_model_summary(all_trims: AllTrimsCalibration) -> dict[str, Any]:
         },
         "zeros": {
             "load_series": model.load_series,
+            "reading": all_trims.series_notes or (),
             "drift_per_series": _values_with_sigma(channels, drift.slope, drift.slope_sigma),
             "scatter_chi2_per_dof": dict(zip(channels, drift.chi2_per_dof, strict=True)),
         },

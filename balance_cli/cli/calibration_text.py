@@ -11,9 +11,11 @@ from balance_cli.cli.calibration_summary import nonlinear_terms_summary
 from balance_cli.cli.load_residual_summary import load_residual_text
 
 if TYPE_CHECKING:
-    from balance_cli.calibration.all_trims import AllTrimsCalibration, CheckLoads
-    from balance_cli.calibration.outliers import SuspectLoadSeries
+    from balance_cli.calibration.all_trims import AllTrimsCalibration
+    from balance_cli.calibration.check_loads import CheckLoads
+    from balance_cli.calibration.outliers import Outlier
     from balance_cli.calibration.result import Calibration, TrimCalibration
+    from balance_cli.calibration.suspect_series import SuspectLoadSeries
     from balance_cli.calibration.tares import Tares
 
 
@@ -30,16 +32,31 @@ def math_model_warnings(all_trims: AllTrimsCalibration) -> Iterator[str]:
     """Warnings about excluded rows and load series, swapped channels, and an iteration that may not converge."""
     for suspect in all_trims.suspect_series:
         yield _suspect_series_text(suspect)
-    for outlier in all_trims.outliers:
-        yield (
-            f"run {outlier.run} row {outlier.row}: {outlier.channel} deviates by {1e6 * outlier.error:.3g} uV from the "
-            f"prediction of all other rows ({outlier.over_sigma:.1f} sigma); the row was excluded"
-        )
+    yield from (outlier_text(outlier) for outlier in all_trims.outliers)
     for pair in all_trims.swapped_channels:
         yield f"{pair} read each other's loads in all runs: their cables seem to be swapped"
     yield from all_trims.screening_notes
     if not all_trims.model.contraction().proved:
         yield "the load iteration is not proved to converge over the calibrated range; reduce refuses this model"
+
+
+def outlier_text(outlier: Outlier) -> str:
+    """An excluded row, what its error is, and what seems to be wrong with it."""
+    if outlier.exchanged_with is not None:
+        first, second = sorted((outlier.row, outlier.exchanged_with))
+        what = f"rows {first} and {second} of run {outlier.run} look exchanged: "
+    else:
+        what = f"{outlier.cause}: " if outlier.cause else ""
+    return (
+        f"run {outlier.run} row {outlier.row}: {what}{outlier.channel} deviates by {_voltage_text(outlier.error)} from "
+        f"the prediction of all other rows ({outlier.over_sigma:.1f} sigma); the row was excluded"
+    )
+
+
+def _voltage_text(volts: float) -> str:
+    """A voltage with the unit in which it is short."""
+    factor, unit = next(((f, u) for f, u in ((1.0, "V"), (1e3, "mV")) if abs(volts) * f >= 1.0), (1e6, "uV"))
+    return f"{factor * volts:.3g} {unit}"
 
 
 def _suspect_series_text(suspect: SuspectLoadSeries) -> str:
@@ -56,12 +73,16 @@ def _trim_text(trim: TrimCalibration) -> Iterator[str]:
         yield f"From a matrix, linear part at zero load: condition {trim.condition:.1f}"
         return
     yield f"Trim {trim.trim}: {trim.rows} rows of {', '.join(trim.runs)}; condition {trim.condition:.1f}"
-    yield f"  residual over noise {trim.lack_of_fit:.2f} (1: a straight line describes the readings)"
+    if np.isfinite(trim.lack_of_fit):
+        yield f"  residual over noise {trim.lack_of_fit:.2f} (1: a straight line describes the readings)"
+    else:
+        yield "  residual over noise not known: the rows do not tell their noise; sigma rests on the residual"
     yield "  component  cal. range   residual % FS   hysteresis % FS"
     for j, name in enumerate(trim.components):
         full, scale = trim.calibrated_range[j], trim.full_scale[j]
         loop, sigma = 100 * trim.hysteresis.loads[j] / scale, 100 * trim.hysteresis.loads_sigma[j] / scale
-        yield f"  {name:9s} {full:11.1f} {trim.residual_percent_fs[name]:15.4f}   {loop:9.4f} +- {sigma:.4f}"
+        width = f"{loop:9.4f} +- {sigma:.4f}" if np.isfinite(sigma) else "not known"
+        yield f"  {name:9s} {full:11.1f} {trim.residual_percent_fs[name]:15.4f}   {width}"
 
 
 def _math_model_text(all_trims: AllTrimsCalibration) -> Iterator[str]:
@@ -69,6 +90,8 @@ def _math_model_text(all_trims: AllTrimsCalibration) -> Iterator[str]:
     proof = model.contraction()
     if all_trims.runs:
         yield f"All trims, {len(all_trims.loads)} rows in {len(model.load_series)} load series, each with its own zero"
+    for note in all_trims.series_notes or ():
+        yield f"  {note}"
     for channel, name in enumerate(model.channel_names):
         terms = nonlinear_terms_summary(all_trims, channel)
         yield f"  {name:12s} {', '.join(_term_text(term, values['t']) for term, values in terms.items()) or 'linear'}"
@@ -93,7 +116,8 @@ def _check_text(check: CheckLoads, all_trims: AllTrimsCalibration) -> Iterator[s
     yield f"  {check.run}: rms error % FS, and share of loads within their 95 % interval{note}"
     for j, component in enumerate(model.components):
         error, share = 100.0 * check.error[j] / model.calibrated_range[j], 100.0 * check.interval_coverage[j]
-        yield f"    {component:4s} {error:9.4f} {share:6.1f} %"
+        known = np.isfinite(error)
+        yield f"    {component:4s} {error:9.4f} {share:6.1f} %" if known else f"    {component:4s} not known"
 
 
 def _tares_text(tares: Tares) -> Iterator[str]:
@@ -102,7 +126,8 @@ def _tares_text(tares: Tares) -> Iterator[str]:
         axes = zip("xyz", 1e3 * tares.center_of_gravity, 1e3 * tares.center_of_gravity_sigma, strict=True)
         place = ", ".join(f"{axis} {value:.5g} +- {sigma:.2g}" for axis, value, sigma in axes)
         yield f"    its center of gravity from the hub [mm]: {place}"
-    yield f"    from the zeros of {tares.series_count} load series: chi2/dof {tares.chi2_per_dof:.2f}"
+    tested = f"chi2/dof {tares.chi2_per_dof:.2f}" if np.isfinite(tares.chi2_per_dof) else "not tested by further zeros"
+    yield f"    from the zeros of {tares.series_count} load series: {tested}"
 
 
 def _term_text(term: str, t: float) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.math_model import student_widening
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
@@ -152,12 +153,12 @@ def _model_covariance(trim: TrimCalibration, rows: list[int], change: Array, cou
 
     Counted from the center of the rows of the calibration, the reading there has the error of a mean of `trim.rows`
     rows (none where a matrix was given). Counted from a zero record, the change spans the whole load, and the errors
-    of C0 act on all of it.
+    of C0 act on all of it. Widened for the degrees of freedom of the residuals.
     """
     load = change + trim.mean_load if counts_from_zero else change
     spread = np.einsum("ijkl,j,l->ik", trim.C0_covariance, load, load)
     center = 0.0 if counts_from_zero or not trim.rows else 1.0 / trim.rows
-    covariance = spread + (trim.misfit_share + center) * trim.residual_covariance
+    covariance = student_widening(trim.dof) * (spread + (trim.misfit_share + center) * trim.residual_covariance)
     return np.asarray(covariance[np.ix_(rows, rows)])
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.convergence import Contraction
-from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.calibration.math_model import CalibrationModel, student_widening
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.static_matrices import lack_of_fit
 from balance_cli.campaign.recording.channel_health import ChannelHealth
@@ -81,8 +81,9 @@ def nonlinear_mean_loads(
     if non_iterative is not None and len(rows) == len(model.channel_names):
         loads = non_iterative.loads(reading.change)
     J = model.jacobian(loads, rows)[0]
-    noise = reading.covariance + _misfit_covariance(calibration, rows)
-    total_covariance = noise + model.model_covariance(loads, rows)[0]
+    coefficient_covariance = model.model_covariance(loads, rows)[0]
+    noise = reading.covariance + _widened_covariance(calibration, rows, coefficient_covariance)
+    total_covariance = noise + coefficient_covariance
     redundancy, limit = mean_load_redundancy(reading.change - model.readings(loads)[0, rows], J, total_covariance)
     variance = np.diag(model.load_covariance(loads, noise, rows)[0]) * (redundancy if redundancy > limit else 1.0)
     return flag_extrapolated(
@@ -116,6 +117,13 @@ def _loads_determined(model: CalibrationModel, rows: Index) -> bool:
 def _jacobian_condition(J: Array, covariance: Array) -> float:
     """Condition of the Jacobian (c, k), loads in units of the calibrated range, channels of their residuals."""
     return float(np.linalg.cond(J / np.sqrt(np.diagonal(covariance))[:, None]))
+
+
+def _widened_covariance(calibration: Calibration, rows: Index, coefficients: Array) -> Array:
+    """Covariance (c, c) of the misfit, and by what that of the coefficients is widened for the degrees of freedom."""
+    assert calibration.all_trims is not None
+    widening = student_widening(float(calibration.all_trims.model.dof[rows].min()))
+    return np.asarray(widening * _misfit_covariance(calibration, rows) + (widening - 1.0) * coefficients)
 
 
 def _misfit_covariance(calibration: Calibration, rows: Index) -> Array:

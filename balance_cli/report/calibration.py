@@ -107,7 +107,7 @@ def residual_table(calibration: Calibration) -> Table:
     caption = (
         f"Residual in % of the {scale.meaning} ({full}); condition of C0 in units of the calibrated range and of the "
         "noise of the channels; variance of the residuals over that of the noise (1 where a straight line fits the "
-        "readings)."
+        "readings; not known where the rows do not tell their noise)."
     )
     return Table(caption, (head,), rows)
 
@@ -116,7 +116,7 @@ def _residual_row(trim: TrimCalibration) -> Row:
     percents = [format_significant(value, 2) for value in trim.residual_percent_fs.values()]
     rest = (
         format_significant(trim.condition),
-        format_significant(trim.lack_of_fit),
+        format_significant(trim.lack_of_fit) if np.isfinite(trim.lack_of_fit) else "not known",
         str(trim.rows),
         ", ".join(trim.runs),
     )

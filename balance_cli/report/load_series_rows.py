@@ -40,9 +40,11 @@ class LoadSeriesRows:
 def split_load_series(all_trims: AllTrimsCalibration) -> tuple[LoadSeriesRows, ...]:
     """Split all rows into their load series, in order, including excluded ones."""
     x = all_trims.loads / all_trims.model.calibrated_range
-    load_series = find_load_series(
-        x, all_trims.run if all_trims.attitude_segment is None else all_trims.attitude_segment
-    )
+    load_series = all_trims.load_series
+    if load_series is None:
+        load_series = find_load_series(
+            x, all_trims.run if all_trims.attitude_segment is None else all_trims.attitude_segment
+        )
     return tuple(
         _load_series_rows(all_trims, x, np.flatnonzero(load_series == name)) for name in np.unique(load_series)
     )

@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.calibration.convergence import Contraction
 from balance_cli.calibration.noniterative import NonIterativeModel
-from balance_cli.calibration.outliers import Outlier, SuspectLoadSeries
+from balance_cli.calibration.outliers import Outlier
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.selection import TERM_SIGNIFICANCE_LEVEL
+from balance_cli.calibration.suspect_series import SuspectLoadSeries
 from balance_cli.calibration.tares import Tares
 from balance_cli.campaign.rig.load_components import component_units
 from balance_cli.report.blocks import Details, Heading, PageBlock, Paragraph, Picture, WarningText

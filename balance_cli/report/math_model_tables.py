@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration, CheckLoads
+from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.check_loads import CheckLoads
 from balance_cli.calibration.math_model import CONFIDENCE
 from balance_cli.calibration.tares import Tares
 from balance_cli.report.blocks import Row, Table, TableCell

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.calibration.insignificant_loads import MIN_SIGNIFICANCE, explain_insignificance, fit_with_curvature
 from balance_cli.calibration.result import Calibration, Hysteresis, TrimCalibration, with_rated_loads
 from balance_cli.calibration.static_matrices import (
     TrimRegression,
@@ -16,24 +17,24 @@ from balance_cli.calibration.static_matrices import (
     hysteresis,
     inverse_matrix,
     inverse_sigma,
-    lack_of_fit,
+    known_lack_of_fit,
+    loading_directions,
     regress,
     significance,
     standard_errors,
+    zeros_differ,
 )
-from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import attitude_segments
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import LoadComponents, load_components
 from balance_cli.io.errors import UserError
-from balance_cli.signals.static_noise import static_points
 from balance_cli.steps.calibrate_all_trims import fit_all_trims, gravity_of_runs
+from balance_cli.steps.load_point_rows import load_point_rows
+from balance_cli.steps.trim_tasks import TrimTask, fitted_tasks, rows_of_tasks, run_place, trim_tasks
 
 Array = NDArray[np.float64]
 
-MIN_SIGNIFICANCE = 25.0
-"""Mean squared t of a component's coefficients (5 sigma) below which it counts as hardly loaded."""
 MIN_LOAD_VARIATION = 0.01
 """Variation of a load over its largest value below which it counts as constant: above load noise, below any step."""
 MIN_SINGULAR_VALUE_SIGNIFICANCE = 5.0
@@ -42,38 +43,6 @@ LARGEST_CONDITION = 1e8
 """Condition of C0 from which it does not determine the loads: half the digits of double precision."""
 MIN_NULL_SHARE = 0.1
 """Share in the least singular vector from which a component is named in an error."""
-
-
-@dataclass(frozen=True)
-class _TrimTask:
-    """One trim to be calibrated: runs, usable channels, carried components and their calibrated range (k,) [N, N m]."""
-
-    label: str
-    runs: tuple[Run, ...]
-    geometry: Geometry
-    channel_names: tuple[str, ...]
-    excluded_channels: dict[str, str]
-    components: tuple[str, ...]
-    calibrated_range: Array
-
-    def error(self, fault: str, remedy: str) -> UserError:
-        """The error to raise for a fault of this trim."""
-        return UserError(fault, ", ".join(_place(run) for run in self.runs), f"trim {self.label}", remedy)
-
-    @property
-    def left_out_note(self) -> str:
-        """The excluded channels, as part of a message."""
-        lost = ", ".join(f"{name}: {reason}" for name, reason in self.excluded_channels.items())
-        return f" (left out: {lost})" if lost else ""
-
-
-@dataclass(frozen=True)
-class _RowNoise:
-    """Noise of a row: covariance (c, c) [V2], degrees of freedom (0 if unknown), and relative variance of each run."""
-
-    covariance: Array
-    dof: float
-    relative: Array
 
 
 def calibrate(
@@ -87,7 +56,8 @@ def calibrate(
 
     The model has the loads alone, or with `search` the terms selected for each channel. The static runs of `hold_out`
     are not fitted, but check the model. With `non_iterative` the loads are also fitted as functions of the readings.
-    The calibrated range of a component is the largest load applied to it in all runs.
+    Matrices and model use the same rows: those that the model calls outliers enter neither. The calibrated range of a
+    component is the largest load applied to it in these rows.
 
     Raises UserError where there is no static run, a run has no loads, a trim does not load a component that the balance
     carries, or the usable channels do not determine the loads.
@@ -97,18 +67,25 @@ def calibrate(
         raise UserError("there is no static run among the runs", remedy="Give the static runs of the calibration")
     for run in static:
         if not run.has_loads:
-            raise UserError("a static run without loads", _place(run), "loads", "Record the applied loads")
+            raise UserError("a static run without loads", run_place(run), "loads", "Record the applied loads")
     components = load_components(geometry)
     _check_attitudes(static, components)
-    loads = [components.carried(_loads_of_run(run)) for run in static]
-    calibrated_range = np.max([np.max(np.abs(run_loads), axis=0) for run_loads in loads], axis=0)
-    trims = {}
-    for label in dict.fromkeys(run.trim or "" for run in static):
-        members = tuple(run for run in static if (run.trim or "") == label)
-        names, excluded = _usable_channels(members, geometry)
-        task = _TrimTask(label, members, geometry, names, excluded, components.names, calibrated_range)
-        trims[label] = with_rated_loads(_calibrate_trim(task), geometry)
-    return Calibration(geometry, trims, fit_all_trims(static, geometry, trims, hold_out, search, non_iterative))
+    tasks = trim_tasks(load_point_rows(static), geometry, components)
+    for task in tasks.values():
+        _check_task(task)
+    all_trims = fit_all_trims(rows_of_tasks(static, tasks), geometry, hold_out, search, non_iterative)
+    trims, notes = {}, []
+    for label, task in fitted_tasks(static, tasks, all_trims).items():
+        try:
+            trims[label] = _calibrate_trim(task)
+        except UserError as error:
+            # Without the excluded rows the trim is not determined; with all of them it may be.
+            trims[label] = _calibrate_trim(replace(tasks[label], calibrated_range=task.calibrated_range))
+            notes.append(f"trim {label}: C0 and T0 include the excluded rows: without them {error.fault}")
+    if all_trims is not None and notes:
+        all_trims = replace(all_trims, screening_notes=(*all_trims.screening_notes, *notes))
+    trims = {label: with_rated_loads(trim, geometry) for label, trim in trims.items()}
+    return Calibration(geometry, trims, all_trims)
 
 
 def _check_attitudes(runs: Sequence[Run], components: LoadComponents) -> None:
@@ -116,76 +93,75 @@ def _check_attitudes(runs: Sequence[Run], components: LoadComponents) -> None:
     for run in runs:
         if run.attitude is not None and not components.are_hub_loads:
             fault = f"states attitudes, but the components are {', '.join(components.names)}"
-            raise UserError(fault, _place(run), "attitude", "Declare Fx to Mz as `components` of the geometry")
+            raise UserError(fault, run_place(run), "attitude", "Declare Fx to Mz as `components` of the geometry")
 
 
-def _calibrate_trim(task: _TrimTask) -> TrimCalibration:
-    """Calibrate one trim; raises UserError as `calibrate` does."""
+def _check_task(task: TrimTask) -> None:
+    """Raise UserError for a trim whose channels or loads cannot determine its matrices."""
     c, k = len(task.channel_names), len(task.components)
     if c < k:
         fault = f"{c} usable channels cannot determine {k} load components{task.left_out_note}"
         raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig")
-    noise = _pooled_noise(task)
-    rows = _stack_rows(task, noise)
+    rows = _stack_rows(task)
     _check_loaded(task, rows)
+    _regress(task, rows)
+
+
+def _calibrate_trim(task: TrimTask) -> TrimCalibration:
+    """Calibrate one trim; raises UserError as `calibrate` does."""
+    rows, regression = _regress_with_zeros(task)
+    _check_significance(task, rows, regression)
+    return _trim_calibration(task, rows, regression)
+
+
+def _regress_with_zeros(task: TrimTask) -> tuple[TrimRows, TrimRegression]:
+    """Regression with one zero for each run or, where these explain significantly more, for each load series."""
+    by_run = _stack_rows(replace(task, rows=tuple(replace(each, load_series=None) for each in task.rows)))
+    _check_loaded(task, by_run)
+    regression = _regress(task, by_run)
+    rows = _stack_rows(task)
     try:
-        regression = regress(rows, task.components)
+        by_series = regress(rows, task.components)
+    except UserError:  # more zeros than the rows of one trim determine
+        return by_run, regression
+    return (rows, by_series) if _zeros_shift(task, by_run, rows) else (by_run, regression)
+
+
+def _zeros_shift(task: TrimTask, by_run: TrimRows, by_series: TrimRows) -> bool:
+    """Whether the zeros of the load series differ, beyond what curvature and hysteresis explain."""
+    directions = loading_directions(by_run)
+    fits = []
+    for rows in (by_run, by_series):
+        columns = np.hstack([rows.uncarried_loads, directions[:, np.any(directions != 0, axis=0)]])
+        beside = fit_with_curvature(replace(rows, uncarried_loads=columns), task.components)
+        fits.append(beside or regress(rows, task.components))
+    return zeros_differ(*fits)
+
+
+def _regress(task: TrimTask, rows: TrimRows) -> TrimRegression:
+    try:
+        return regress(rows, task.components)
     except UserError as error:
         raise task.error(error.fault, error.remedy) from None
-    _check_significance(task, regression)
-    return _trim_calibration(task, rows, regression, noise)
 
 
-def _place(run: Run) -> str:
-    return str(run.path or f"run {run.name}")
-
-
-def _loads_of_run(run: Run) -> Array:
-    loads = run.read().loads
-    assert loads is not None
-    return loads
-
-
-def _usable_channels(runs: Sequence[Run], geometry: Geometry) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Channels that measure constant loads and are live in every run, and the unusable ones with the reason."""
-    left_out: dict[str, str] = {}
-    for run in runs:
-        for name, reason in live_channels(run, geometry).left_out.items():
-            left_out.setdefault(name, f"{reason} (run {run.name})" if len(runs) > 1 else reason)
-    constant = [channel.name for channel in geometry.channels if channel.measures_dc]
-    return tuple(name for name in constant if name not in left_out), {
-        name: reason for name, reason in left_out.items() if name in constant
-    }
-
-
-def _pooled_noise(task: _TrimTask) -> _RowNoise:
-    """Noise of a row from differences of neighboring rows, pooled over the runs."""
-    measured = []
-    for run in task.runs:
-        try:
-            points = static_points(run, task.channel_names)
-        except UserError:  # too few rows in a ramp: the residuals of the regression are used instead
-            c = len(task.channel_names)
-            return _RowNoise(np.zeros((c, c)), 0.0, np.ones(len(task.runs)))
-        measured.append((points.covariance, points.dof))
-    dof = sum(each for _, each in measured)
-    pooled = np.asarray(sum(covariance * each for covariance, each in measured) / dof)
-    relative = [float(np.mean(np.diagonal(covariance) / np.diagonal(pooled))) for covariance, _ in measured]
-    return _RowNoise(pooled, dof, np.array(relative))
-
-
-def _stack_rows(task: _TrimTask, noise: _RowNoise) -> TrimRows:
-    loads = [_loads_of_run(run) for run in task.runs]
-    run = np.repeat(np.arange(len(loads)), [len(run_loads) for run_loads in loads])
-    all_loads = np.vstack(loads)
+def _stack_rows(task: TrimTask) -> TrimRows:
+    """The rows of a trim that enter its fit, with a block for each load series, run or segment of one attitude."""
+    run = np.repeat(np.arange(len(task.rows)), [len(each.used) for each in task.rows])
+    used = np.concatenate([each.used for each in task.rows])
+    all_loads = np.vstack([each.loads for each in task.rows])
     components = load_components(task.geometry)
     carried, uncarried = components.carried(all_loads), components.uncarried(all_loads)
-    channels = np.vstack([read_channels(run, task.channel_names) for run in task.runs])
-    offset = attitude_segments(run, gravity_of_runs(task.runs))
-    return TrimRows(channels, carried, uncarried, offset, 1.0 / noise.relative[run])
+    channels = np.vstack([read_channels(each, task.channel_names) for each in task.runs])
+    block = attitude_segments(run, gravity_of_runs(task.runs))
+    known = [each.load_series for each in task.rows if each.load_series is not None]
+    if len(known) == len(task.rows):
+        block = np.concatenate(known)
+    block = np.unique(block[used], return_inverse=True)[1].astype(np.intp)
+    return TrimRows(channels[used], carried[used], uncarried[used], block, 1.0 / task.noise.relative[run[used]])
 
 
-def _check_loaded(task: _TrimTask, rows: TrimRows) -> None:
+def _check_loaded(task: TrimTask, rows: TrimRows) -> None:
     """Raise UserError for a component whose load did not change."""
     spread, size = np.ptp(rows.loads, axis=0), np.max(np.abs(rows.loads), axis=0)
     for name, varied in zip(task.components, spread > MIN_LOAD_VARIATION * size, strict=True):
@@ -193,19 +169,22 @@ def _check_loaded(task: _TrimTask, rows: TrimRows) -> None:
             raise task.error(f"`{name}` was never loaded", f"Apply `{name}` in steps about this trim")
 
 
-def _check_significance(task: _TrimTask, regression: TrimRegression) -> None:
+def _check_significance(task: TrimTask, rows: TrimRows, regression: TrimRegression) -> None:
     """Raise UserError for a component to which no channel responds significantly."""
-    for name, significant in zip(task.components, significance(regression), strict=True):
+    for j, significant in enumerate(significance(regression)):
         if significant < MIN_SIGNIFICANCE:
-            fault = f"`{name}` was hardly loaded, or no usable channel shows it{task.left_out_note}"
-            raise task.error(fault, f"Apply `{name}` in steps, and check the channels that should show it")
+            fault, remedy = explain_insignificance(rows, task.components, j)
+            if fault:
+                raise task.error(f"{fault}{task.left_out_note}", remedy)
 
 
-def _trim_calibration(task: _TrimTask, rows: TrimRows, regression: TrimRegression, noise: _RowNoise) -> TrimCalibration:
+def _trim_calibration(task: TrimTask, rows: TrimRows, regression: TrimRegression) -> TrimCalibration:
     """Matrices, errors and residuals of a trim from its regression."""
     residual_covariance = add_variance_floor(regression.covariance, rows.channels)
-    noise_covariance = add_variance_floor(noise.covariance, rows.channels) if noise.dof else residual_covariance
-    condition = _condition(task, regression, noise_covariance)
+    noise = add_variance_floor(task.noise.covariance, rows.channels)
+    ratio = known_lack_of_fit(residual_covariance, regression.dof, noise, task.noise.dof)
+    noise_covariance = noise if np.isfinite(ratio) else residual_covariance
+    condition = _condition(task, rows, regression, noise_covariance)
     T0, derivative = inverse_matrix(regression.C0, residual_covariance)
     return TrimCalibration(
         trim=task.label,
@@ -220,11 +199,11 @@ def _trim_calibration(task: _TrimTask, rows: TrimRows, regression: TrimRegressio
         T0_sigma=inverse_sigma(derivative, regression.C0_covariance),
         offsets=regression.offsets,
         mean_load=np.average(rows.loads, axis=0, weights=rows.weight),
-        mean_channels=_mean_channels(task, rows, regression),
+        mean_channels=_mean_channels(rows, regression),
         residual_covariance=residual_covariance,
         dof=regression.dof,
         noise_covariance=noise_covariance,
-        lack_of_fit=lack_of_fit(residual_covariance, noise_covariance, noise.dof),
+        lack_of_fit=ratio,
         calibrated_range=task.calibrated_range,
         channel_rated_range=channel_full_range(
             task.geometry, task.channel_names, regression.C0 * task.calibrated_range
@@ -237,11 +216,9 @@ def _trim_calibration(task: _TrimTask, rows: TrimRows, regression: TrimRegressio
     )
 
 
-def _mean_channels(task: _TrimTask, rows: TrimRows, regression: TrimRegression) -> Array:
-    """Mean reading (c,) [V] of the rows; where attitudes are stated, referred to the mean offset."""
-    away = np.zeros_like(rows.channels)
-    if gravity_of_runs(task.runs) is not None:
-        away = regression.offsets.mean(axis=0) - regression.offsets[rows.run]
+def _mean_channels(rows: TrimRows, regression: TrimRegression) -> Array:
+    """Mean reading (c,) [V] of the rows, referred to the mean of the offsets."""
+    away = regression.offsets.mean(axis=0) - regression.offsets[rows.run]
     return np.asarray(np.average(rows.channels + away, axis=0, weights=rows.weight))
 
 
@@ -250,7 +227,7 @@ def _standard_deviation(errors: Array, weight: Array, dof: int) -> Array:
     return np.asarray(np.sqrt(weight @ errors**2 / dof))
 
 
-def _condition(task: _TrimTask, regression: TrimRegression, noise_covariance: Array) -> float:
+def _condition(task: TrimTask, rows: TrimRows, regression: TrimRegression, noise_covariance: Array) -> float:
     """Condition of C0, loads in units of the calibrated range, channels in units of their noise.
 
     Raises UserError where the least singular value is not significant: then a combination of loads has no effect on
@@ -259,15 +236,30 @@ def _condition(task: _TrimTask, regression: TrimRegression, noise_covariance: Ar
     unit = 1.0 / np.sqrt(np.diagonal(noise_covariance))
     U, s, Vt = np.linalg.svd(unit[:, None] * regression.C0 * task.calibrated_range, full_matrices=False)
     u, v = U[:, -1] * unit, Vt[-1] * task.calibrated_range
-    variance = float(np.einsum("i,j,ijlm,l,m->", u, v, regression.C0_covariance, u, v, optimize=True))
     condition = float(s[0] / max(s[-1], np.finfo(float).tiny))
-    if s[-1] < MIN_SINGULAR_VALUE_SIGNIFICANCE * np.sqrt(max(variance, 0.0)) or condition > LARGEST_CONDITION:
+    limit = s[-1] / MIN_SINGULAR_VALUE_SIGNIFICANCE
+    if condition > LARGEST_CONDITION or not _is_determined(rows, task.components, regression, u, v, limit):
         involved = [
             f"`{name}`" for name, share in zip(task.components, np.abs(Vt[-1]), strict=True) if share > MIN_NULL_SHARE
         ]
         fault = f"the usable channels cannot distinguish {' and '.join(involved)}{task.left_out_note}"
         raise task.error(fault, "Repair the channels, or declare the smaller freedom of the rig")
     return condition
+
+
+def _is_determined(
+    rows: TrimRows, components: tuple[str, ...], regression: TrimRegression, u: Array, v: Array, limit: float
+) -> bool:
+    """Whether the standard error of u' C0 v is within a limit, also where curvature is no error of C0."""
+
+    def sigma(fit: TrimRegression) -> float:
+        variance = float(np.einsum("i,j,ijlm,l,m->", u, v, fit.C0_covariance, u, v, optimize=True))
+        return float(np.sqrt(max(variance, 0.0)))
+
+    if sigma(regression) < limit:
+        return True
+    curved = fit_with_curvature(rows, components)
+    return curved is not None and sigma(curved) < limit
 
 
 def channel_full_range(geometry: Geometry, channel_names: Sequence[str], C: Array) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 from balance_cli.calibration.all_trims import AllTrimsCalibration, calibrate_all_trims, read_load_points
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import CollinearError
-from balance_cli.calibration.result import TrimCalibration
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.geometry import Geometry
@@ -19,15 +19,27 @@ from balance_cli.campaign.rig.load_components import LoadComponents, load_compon
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import response, solve
-from balance_cli.signals.static_noise import static_points
+from balance_cli.steps.load_point_rows import LoadPointRows
 
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class AllTrimRows:
+    """Rows of the static runs of all trims, with the noise variance of each run over that of its trim.
+
+    `channel_names`: channels that are usable in all trims. `calibrated_range` (k,) [N, N m] of the applied loads.
+    """
+
+    rows: tuple[LoadPointRows, ...]
+    relative_noise: tuple[float, ...]
+    channel_names: tuple[str, ...]
+    calibrated_range: Array
+
+
 def fit_all_trims(
-    runs: Sequence[Run],
+    members: AllTrimRows,
     geometry: Geometry,
-    trims: Mapping[str, TrimCalibration],
     hold_out: Sequence[Run],
     search: bool,
     non_iterative: bool = False,
@@ -39,32 +51,41 @@ def fit_all_trims(
 
     Raises UserError for a hold-out run without some of the channels.
     """
-    first = next(iter(trims.values()))
-    names = tuple(name for name in first.channel_names if all(name in trim.channel_names for trim in trims.values()))
-    components = load_components(geometry)
-    if len(names) < len(first.components) or any(_has_uncarried_loads(run, components) for run in runs):
+    names, components = members.channel_names, load_components(geometry)
+    runs = [rows.run for rows in members.rows]
+    if len(names) < len(components.names) or any(_has_uncarried_loads(run, components) for run in runs):
         return None
-    rows = [read_load_points(run, names, components) for run in runs]
-    lengths = [len(loads) for _, loads in rows]
-    points = CalibrationPoints(
-        channel_names=names,
-        components=first.components,
-        run_names=tuple(run.name for run in runs),
-        channels=np.vstack([channels for channels, _ in rows]),
-        loads=np.vstack([loads for _, loads in rows]),
-        run=np.repeat(np.arange(len(runs)), lengths),
-        weight=np.repeat([1.0 / _relative_noise(run, names, trims[run.trim or ""]) for run in runs], lengths),
-        calibrated_range=first.calibrated_range,
-        gravity=gravity_of_runs(runs),
-    )
+    points = _stack_points(members, components)
     for run in hold_out:
         _check_hold_out_channels(run, names)
     checks = [(run.name, *read_load_points(run, names, components)) for run in hold_out]
     try:
         declared, by_run = _declared_response(geometry, points), _gravity_by_run(hold_out)
-        return calibrate_all_trims(points, checks, search, declared, non_iterative, by_run)
+        check_points = np.concatenate([rows.is_check for rows in members.rows])
+        return calibrate_all_trims(points, checks, search, declared, non_iterative, by_run, check_points)
     except CollinearError:
         return None
+
+
+def _stack_points(members: AllTrimRows, components: LoadComponents) -> CalibrationPoints:
+    """All rows, those that enter no fit with weight 0."""
+    runs = [rows.run for rows in members.rows]
+    read = [read_load_points(run, members.channel_names, components) for run in runs]
+    run = np.repeat(np.arange(len(runs)), [len(loads) for _, loads in read])
+    used = np.concatenate([rows.used for rows in members.rows])
+    return CalibrationPoints(
+        channel_names=members.channel_names,
+        components=components.names,
+        run_names=tuple(run.name for run in runs),
+        channels=np.vstack([channels for channels, _ in read]),
+        loads=np.vstack([loads for _, loads in read]),
+        run=run,
+        weight=np.where(used, 1.0 / np.array(members.relative_noise)[run], 0.0),
+        calibrated_range=members.calibrated_range,
+        gravity=gravity_of_runs(runs),
+        stated_series=tuple(label for rows in members.rows for label in rows.stated_series),
+        tare_points=np.concatenate([rows.tare_points for rows in members.rows]),
+    )
 
 
 def gravity_of_runs(runs: Sequence[Run]) -> Array | None:
@@ -102,13 +123,3 @@ def _has_uncarried_loads(run: Run, components: LoadComponents) -> bool:
     loads = run.read().loads
     assert loads is not None
     return bool(components.uncarried(loads).shape[1])
-
-
-def _relative_noise(run: Run, names: tuple[str, ...], trim: TrimCalibration) -> float:
-    """Mean noise variance of the rows of a run over that of its trim; 1 where it is not known."""
-    try:
-        variance = np.diagonal(static_points(run, names).covariance)
-    except UserError:
-        return 1.0
-    at = [trim.channel_names.index(name) for name in names]
-    return float(np.mean(variance / np.diagonal(trim.noise_covariance)[at]))

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.all_trims import AllTrimsCalibration, Drift, evaluate_check_loads, read_load_points
+from balance_cli.calibration.all_trims import AllTrimsCalibration, Drift, read_load_points
+from balance_cli.calibration.check_loads import evaluate_check_loads
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.matrix import model_from_matrix
 from balance_cli.calibration.matrix_reader import ParsedMatrix

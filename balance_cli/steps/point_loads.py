@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
 from balance_cli.calibration.result import Calibration
@@ -22,6 +21,7 @@ from balance_cli.campaign.rig.load_components import load_components, moment_tra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, SEPARATOR, UNTESTED
 from balance_cli.reduction.mean_loads import determines_loads, mean_load_redundancy
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

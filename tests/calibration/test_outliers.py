@@ -7,7 +7,8 @@ import pytest
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import fit_calibration_model
-from balance_cli.calibration.outliers import _find_suspect_series, find_swapped_channels, screen_outliers
+from balance_cli.calibration.outliers import screen_outliers
+from balance_cli.calibration.suspect_series import _find_suspect_series, find_swapped_channels
 from balance_cli.calibration.terms import term_values
 from balance_cli.campaign.rig.components import COMPONENTS
 from tests.support.calibration_stand import CHANNELS, NOISE, NONLINEAR_TERMS, stand_points, true_model

@@ -100,8 +100,9 @@ class Run:
 
     `excited` and `level` (rms in N or N m) are parallel tuples; `period` [s] where the excitation is periodic;
     `pulse_times` (n_rev,) [s from the first sample]; `attitude` (n, 2) of a static run: pitch and roll [deg] as in
-    balance_cli.campaign.rig.attitude; `digest` is the hex SHA-256 of the content; `bridged`: signals with short gaps,
-    which `source` fills.
+    balance_cli.campaign.rig.attitude; `series_labels` and `point_kinds` (n,) of a static run: the load series of each
+    row and the kind of its load point, None where the file states none; `digest` is the hex SHA-256 of the content;
+    `bridged`: signals with short gaps, which `source` fills.
     """
 
     name: str
@@ -120,6 +121,8 @@ class Run:
     trim: str | None = None
     pulse_times: Array | None = None
     attitude: Array | None = None
+    series_labels: tuple[str, ...] | None = None
+    point_kinds: tuple[str, ...] | None = None
     recorded: str | None = None
     note: str | None = None
     path: Path | None = None
@@ -189,7 +192,7 @@ def have_same_samples(first: Run, second: Run) -> bool:
     return True
 
 
-_HASHED_APART = {"pulse_times", "attitude", "additions"}
+_HASHED_APART = {"pulse_times", "attitude", "additions", "series_labels", "point_kinds"}
 _DIGESTED_FIELDS = {item.name for item in fields(Run)} - {"source", "path", "digest", "bridged"} - _HASHED_APART
 
 
@@ -202,6 +205,9 @@ def run_digest(run: Run) -> str:
         hashed.update(b"attitude" + np.ascontiguousarray(run.attitude, "<f8").tobytes())
     if run.additions is not None:
         hashed.update(b"additions" + run.additions.digest(run.samples))
+    for name, labels in (("series", run.series_labels), ("point", run.point_kinds)):
+        if labels is not None:
+            hashed.update(json.dumps([name, labels]).encode())
     for block in run.blocks():
         hashed.update(np.ascontiguousarray(block.channels, "<f8").tobytes())
         if block.loads is not None:

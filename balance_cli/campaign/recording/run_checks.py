@@ -8,6 +8,7 @@ import numpy as np
 
 from balance_cli.campaign.recording.attribute_checks import kind_faults, name_faults
 from balance_cli.campaign.recording.dataset_checks import attitude_faults, channel_faults, load_faults, pulse_faults
+from balance_cli.campaign.recording.point_labels import label_faults
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Run, SampleBlock
 from balance_cli.campaign.recording.run_schema import RunFileContents
 from balance_cli.campaign.rig.components import COMPONENTS, RUN_KINDS
@@ -26,6 +27,9 @@ def run_file_faults(contents: RunFileContents) -> Iterator[UserError]:
         yield from load_faults(kind, contents.loads, contents.channels)
     yield from pulse_faults(kind, contents)
     yield from attitude_faults(kind, contents)
+    rows = contents.channels.shape[0] if contents.channels is not None and contents.channels.shape else 0
+    yield from label_faults(kind, "series", contents.series, rows)
+    yield from label_faults(kind, "point", contents.point, rows)
 
 
 def load_sample_faults(run: Run) -> Iterator[UserError]:

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 
 from balance_cli.campaign.recording.dataset_checks import MOST_PULSES, PULSE_DATASET, is_loadable
+from balance_cli.campaign.recording.point_labels import MOST_LABELS, LabelDataset, label_texts
 from balance_cli.campaign.recording.run import Array
 from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileContents
 from balance_cli.io.errors import UserError
@@ -61,6 +62,8 @@ def read_contents(path: Path) -> RunFileContents:
             attitude=attitude,
             angles=_read_values(file, "attitude", attitude, rows),
             has_load_points="load_points" in file,
+            series=_read_labels(file, "series"),
+            point=_read_labels(file, "point"),
         )
 
 
@@ -72,6 +75,14 @@ def _not_a_run_error(path: Path) -> UserError:
 
 def _read_values(file: h5py.File, name: str, layout: DatasetLayout | None, most_rows: int) -> Array | None:
     return np.asarray(file[name][()]) if is_loadable(layout, most_rows) else None
+
+
+def _read_labels(file: h5py.File, name: str) -> LabelDataset | None:
+    layout = _read_layout(file, name, "unit")
+    if layout is None:
+        return None
+    loadable = layout.is_complete and len(layout.shape) == 1 and layout.shape[0] <= MOST_LABELS
+    return LabelDataset(layout.shape, layout.kind, label_texts(file[name][()]) if loadable else None)
 
 
 def _read_layout(file: h5py.File, name: str, units: str) -> DatasetLayout | None:

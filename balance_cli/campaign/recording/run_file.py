@@ -185,6 +185,9 @@ def write_run(path: Path, run: Run, blocks: Iterable[SampleBlock] | None = None)
             angles[:] = run.attitude
         if run.additions is not None:
             write_additions(file, run.additions, run.samples)
+        for name, labels in (("series", run.series_labels), ("point", run.point_kinds)):
+            if labels is not None:
+                file.create_dataset(name, data=np.array(labels, h5py.string_dtype()))
 
 
 def contents_of_run(run: Run) -> RunFileContents:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from balance_cli.campaign.recording.point_labels import LabelDataset
 from balance_cli.campaign.recording.run import Array, Run, SampleSource
 from balance_cli.campaign.rig.attitude import ANGLES
 
@@ -40,7 +41,8 @@ class RunFileContents:
     """A run file without its samples.
 
     `pulses` and `attitude` are the layouts of `rotor/pulse_times` and `attitude`, `pulse_times` and `angles` their
-    values: None where the layout is not sound. The columns of `angles` are ordered as `attitude.names` says.
+    values: None where the layout is not sound. The columns of `angles` are ordered as `attitude.names` says. `series`
+    and `point`: the labels of the load points.
     """
 
     attributes: Mapping[str, Any]
@@ -51,6 +53,8 @@ class RunFileContents:
     attitude: DatasetLayout | None = None
     angles: Array | None = None
     has_load_points: bool = False
+    series: LabelDataset | None = None
+    point: LabelDataset | None = None
 
 
 def run_from_contents(contents: RunFileContents, source: SampleSource, path: Path) -> Run:
@@ -77,6 +81,8 @@ def run_from_contents(contents: RunFileContents, source: SampleSource, path: Pat
         trim=attributes["trim"] if kind == "static" else None,
         pulse_times=None if contents.pulse_times is None else np.asarray(contents.pulse_times, float),
         attitude=_attitude_angles(contents),
+        series_labels=None if contents.series is None else contents.series.labels,
+        point_kinds=None if contents.point is None else contents.point.labels,
         recorded=_optional_text(attributes.get("recorded")),
         note=_optional_text(attributes.get("note")),
         path=path,

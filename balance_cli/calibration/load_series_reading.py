@@ -1,0 +1,284 @@
+"""The load series of all runs, as their files state them or as the readings tell them.
+
+Where the loads leave open to which of two load series a tare point belongs, each possible reading of the schedule is
+fitted, with a zero for each series, and the one with the least misfit is taken. The misfits are compared robustly, so
+that an outlier does not decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.least_squares import subtract_block_means
+from balance_cli.calibration.load_series import (
+    EACH_TARE,
+    MIN_LOAD_CHANGE,
+    SPLIT_FIRST,
+    SPLIT_LAST,
+    TARE_FIRST,
+    TARE_LAST,
+    TARE_POSITIONS,
+    determines_loads,
+    intruding_rows,
+    split_rows,
+)
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+DECISIVE_SCORE_DIFFERENCE = 10.0
+"""Difference of the Bayesian information criterion that is very strong evidence (Kass and Raftery, JASA 90, 1995)."""
+MAX_SCALED_SQUARE = 25.0
+"""Squared error over its robust variance at which it is clipped (5 sigma), so that an outlier does not decide."""
+MIN_LEFT_SHARE = 0.1
+"""Floor of 1 - leverage, so that a row that alone determines a zero does not decide."""
+ROWS_PER_COLUMN = 3
+"""Rows for each column of the model by which readings are compared: with fewer it has the loads alone."""
+
+_POSITION_WORDS = {
+    TARE_LAST: "a tare point between two load series closes the earlier one",
+    TARE_FIRST: "a tare point between two load series opens the later one",
+    SPLIT_LAST: "load series open and close with a tare point",
+    SPLIT_FIRST: "load series open and close with a tare point",
+    EACH_TARE: "each return to the tare opens a load series",
+}
+
+
+@dataclass(frozen=True)
+class SeriesReading:
+    """Number (m,) of the load series of each row, and how it was found, in words."""
+
+    load_series: Index
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ScheduleRows:
+    """Rows of all runs: loads x (m, k) in units of the calibrated range, readings (m, c), and whether they are `used`.
+
+    `segment` (m,): number of the run, or of the segment of constant attitude; `run` (m,): index into `run_names`.
+    `stated` (m,): labels of the load series, empty where a run states none; `tare` (m,): rows stated to be tare points.
+    """
+
+    x: Array
+    channels: Array
+    used: Mask
+    segment: Index
+    run: Index
+    run_names: tuple[str, ...]
+    stated: tuple[str, ...]
+    tare: Mask
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """One reading of the rows of a segment: position of the tare points, and number (r,) of the series of each row."""
+
+    position: str
+    local: Index
+
+
+def read_load_series(rows: ScheduleRows) -> SeriesReading:
+    """Find the load series of all rows: stated ones as they are, the others by the reading that fits best.
+
+    A row that is not used belongs to the load series of the used row before it.
+    """
+    at = np.flatnonzero(rows.used)
+    if len(at) == 0:
+        return SeriesReading(np.unique(rows.segment, return_inverse=True)[1].astype(np.intp), ())
+    reading = _read_used_rows(
+        ScheduleRows(
+            x=rows.x[at],
+            channels=rows.channels[at],
+            segment=rows.segment[at],
+            run=rows.run[at],
+            run_names=rows.run_names,
+            stated=tuple(rows.stated[row] for row in at.tolist()),
+            tare=rows.tare[at],
+            used=np.ones(len(at), bool),
+        )
+    )
+    before = np.clip(np.searchsorted(at, np.arange(len(rows.x)), side="right") - 1, 0, None)
+    return SeriesReading(reading.load_series[before], reading.notes)
+
+
+def _read_used_rows(rows: ScheduleRows) -> SeriesReading:
+    by_segment = {
+        number: _candidates(rows, np.flatnonzero(rows.segment == number)) for number in np.unique(rows.segment).tolist()
+    }
+    chosen = {number: candidates[0] for number, candidates in by_segment.items()}
+    open_segments = [number for number, candidates in by_segment.items() if len(candidates) > 1]
+    decided: dict[int, float] = {}
+    if open_segments:
+        chosen, decided = _choose_readings(rows, by_segment, chosen)
+    load_series = _number_series(rows, chosen)
+    if not any(rows.stated) and not determines_loads(
+        rows.x[rows.used], load_series[rows.used], rows.segment[rows.used]
+    ):
+        return SeriesReading(np.unique(rows.segment, return_inverse=True)[1].astype(np.intp), ())
+    return SeriesReading(load_series, tuple(_reading_notes(rows, chosen, open_segments, decided)))
+
+
+def _candidates(rows: ScheduleRows, at: Index) -> list[_Candidate]:
+    """Readings of the rows `at` of one segment, those that are equal only once, the default first."""
+    stated = [rows.stated[row] for row in at.tolist()]
+    if all(stated):
+        numbers = {label: number for number, label in enumerate(dict.fromkeys(stated))}
+        return [_Candidate("stated", np.array([numbers[label] for label in stated], np.intp))]
+    x, tare = rows.x[at], rows.tare[at]
+    inner_tares = np.any(tare[1:] & ~tare[:-1])
+    readings = [
+        (position, _split_at_tares(tare, position) if inner_tares else split_rows(x, position))
+        for position in TARE_POSITIONS
+        if not (inner_tares and position == EACH_TARE)
+    ]
+    regular = _readings_without(x, ~intruding_rows(x)) if not inner_tares else []
+    default = dict(regular or readings)[_default_position(x)]
+    readings += regular
+    different: list[_Candidate] = []
+    for position, local in readings:
+        if not any(np.array_equal(local, other.local) for other in different):
+            different.append(_Candidate(position, local))
+    return sorted(different, key=lambda candidate: not np.array_equal(candidate.local, default))
+
+
+def _readings_without(x: Array, regular: Mask) -> list[tuple[str, Index]]:
+    """Readings of the regular rows (r,) alone, to whose load series the others are assigned."""
+    if regular.all() or np.count_nonzero(regular) < 2:
+        return []
+    return [(position, _assign_others(x, regular, split_rows(x[regular], position))) for position in TARE_POSITIONS]
+
+
+def _assign_others(x: Array, regular: Mask, local: Index) -> Index:
+    """Series (r,) of all rows, from those of the regular ones: of the regular row before or, by its loads, after it."""
+    active = np.abs(x - x[0]) > MIN_LOAD_CHANGE
+    loads = [active[regular][local == number].any(axis=0) for number in range(int(local.max()) + 1)]
+    before = local[np.clip(np.cumsum(regular) - 1, 0, None)]
+    after = local[np.clip(np.cumsum(regular), None, len(local) - 1)]
+    series = np.array(before, np.intp)
+    for row in np.flatnonzero(~regular).tolist():
+        own = active[row]
+        if not np.all(loads[before[row]][own]) and np.all(loads[after[row]][own]):
+            series[row] = after[row]
+    return series
+
+
+def _default_position(x: Array) -> str:
+    """The most plausible position of the tare points, from the first and the last row of a segment."""
+    unloaded = np.all(np.abs(x) <= MIN_LOAD_CHANGE, axis=1)
+    return SPLIT_FIRST if unloaded[0] and not unloaded[-1] else SPLIT_LAST
+
+
+def _split_at_tares(tare: Mask, position: str) -> Index:
+    """Number (r,) from 0 of the load series of each row, where the tare points (r,) are stated."""
+    opens = np.flatnonzero(tare & ~np.r_[False, tare[:-1]])
+    ends = np.flatnonzero(tare & ~np.r_[tare[1:], False])
+    if position == TARE_LAST:
+        starts = ends + 1
+    elif position == TARE_FIRST:
+        starts = opens
+    else:
+        alone = opens + 1 if position == SPLIT_LAST else opens
+        starts = np.where(ends > opens, ends, alone)
+    inner = starts[(starts > 0) & (starts < len(tare))]
+    return np.asarray(np.searchsorted(inner, np.arange(len(tare)), side="right"), np.intp)
+
+
+def _number_series(rows: ScheduleRows, chosen: dict[int, _Candidate]) -> Index:
+    """Number (m,) of the load series of each row, counted over all segments."""
+    load_series, first = np.zeros(len(rows.x), np.intp), 0
+    for number, candidate in chosen.items():
+        load_series[rows.segment == number] = first + candidate.local
+        first += int(candidate.local.max()) + 1
+    return load_series
+
+
+def _choose_readings(
+    rows: ScheduleRows, by_segment: dict[int, list[_Candidate]], default: dict[int, _Candidate]
+) -> tuple[dict[int, _Candidate], dict[int, float]]:
+    """Choose the reading of each segment: first one position for all, then segment by segment.
+
+    Also returns by how much the score of the next best reading of a segment is worse, where that is decisive.
+    """
+    scorer = _Scorer(rows)
+    common = [default]
+    for position in TARE_POSITIONS:
+        common.append(
+            {
+                number: next((each for each in reversed(candidates) if each.position == position), candidates[0])
+                for number, candidates in by_segment.items()
+            }
+        )
+    scores = [scorer.score(_number_series(rows, choice)) for choice in common]
+    best = int(np.argmin(scores))
+    chosen = common[best] if scores[best] < scores[0] - DECISIVE_SCORE_DIFFERENCE else default
+    decided: dict[int, float] = {}
+    for number, candidates in by_segment.items():
+        if len(candidates) < 2:
+            continue
+        alone = np.array([scorer.score(_number_series(rows, {**chosen, number: each})) for each in candidates])
+        order = np.argsort(alone)
+        taken = next(i for i, each in enumerate(candidates) if each is chosen[number])
+        if alone[order[0]] < alone[taken] - DECISIVE_SCORE_DIFFERENCE:
+            taken = int(order[0])
+            chosen = {**chosen, number: candidates[taken]}
+        margin = float(np.min(np.delete(alone, taken)) - alone[taken])
+        if margin > DECISIVE_SCORE_DIFFERENCE:
+            decided[number] = margin
+    return chosen, decided
+
+
+class _Scorer:
+    """Scores of readings: clipped squared errors over their robust variance, plus the price of the zeros."""
+
+    def __init__(self, rows: ScheduleRows) -> None:
+        # Rows that stand in the wrong place would decide by their own errors.
+        parts = [np.flatnonzero(rows.segment == number) for number in np.unique(rows.segment)]
+        self._rows = np.concatenate([part[~intruding_rows(rows.x[part])] for part in parts])
+        self._x, self._channels = rows.x[self._rows], rows.channels[self._rows]
+        self._scale: Array | None = None
+
+    def score(self, load_series: Index) -> float:
+        """Score of one reading (m,), less is better; infinite where it does not determine the loads."""
+        block = np.unique(load_series[self._rows], return_inverse=True)[1]
+        errors = self._errors(block)
+        if errors is None:
+            return float("inf")
+        if self._scale is None:
+            spread = np.ptp(self._channels, axis=0)
+            self._scale = np.maximum(1.4826 * np.median(np.abs(errors), axis=0), 1e-9 * np.maximum(spread, 1e-300))
+        squares = np.mean((errors / self._scale) ** 2, axis=1)
+        return float(np.sum(np.minimum(squares, MAX_SCALED_SQUARE)) + len(np.unique(block)) * np.log(len(block)))
+
+    def _errors(self, block: Index) -> Array | None:
+        """Errors (m, c) scaled to the variance of a row, of a fit with a zero for each block (m,)."""
+        x = self._x
+        zeros = len(np.unique(block))
+        columns = [x, np.abs(x), x**2] if len(x) > ROWS_PER_COLUMN * (3 * x.shape[1] + zeros) else [x]
+        if len(x) <= x.shape[1] + zeros:
+            return None
+        A = subtract_block_means(np.hstack(columns), block)
+        U, s, _ = np.linalg.svd(A, full_matrices=False)
+        Q = U[:, s > 1e-9 * max(s[0], 1e-300)]
+        y = subtract_block_means(self._channels, block)
+        left = 1.0 - np.sum(Q**2, axis=1) - 1.0 / np.bincount(block)[block]
+        return np.asarray((y - Q @ (Q.T @ y)) / np.sqrt(np.maximum(left, MIN_LEFT_SHARE))[:, None])
+
+
+def _reading_notes(
+    rows: ScheduleRows, chosen: dict[int, _Candidate], open_segments: Sequence[int], decided: dict[int, float]
+) -> Iterator[str]:
+    """How the tare points were read, for each run in which that was open."""
+    runs: dict[tuple[str, str], list[str]] = {}
+    for number in open_segments:
+        name = rows.run_names[rows.run[np.argmax(rows.segment == number)]]
+        how = "the readings decide it" if number in decided else "the zeros differ too little to decide it"
+        names = runs.setdefault((_POSITION_WORDS[chosen[number].position], how), [])
+        names += [] if name in names else [name]
+    for (words, how), names in runs.items():
+        yield f"{', '.join(names)}: {words}; {how}"

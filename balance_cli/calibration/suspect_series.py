@@ -1,0 +1,197 @@
+"""Load series in which a channel has a wrong gain, and channels that are swapped.
+
+A load series is compared with predictions from the other ones, never with a fit that includes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model
+from balance_cli.calibration.gross_outliers import OUTLIER_SIGNIFICANCE_LEVEL
+from balance_cli.calibration.robust_scale import robust_sigma
+from balance_cli.signals import distributions as stats
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+MIN_GAIN_ERROR = 0.01
+"""Gain error below which no load series is suspected: nonlinearity causes as much, a wrong cable or range far more."""
+MIN_UNEXPLAINED_SHARE = 0.3
+"""Share of a channel's signal, as amplitude, that its own prediction must leave for it to be held against others."""
+MIN_PLAUSIBLE_GAIN = 0.5
+"""Gain below which a channel is always held against the predictions of the others."""
+MAX_SUSPECT_SERIES = 6
+"""Suspect load series from which on the screening stops: with more of them the majority is not to be trusted."""
+MAX_NOISE_TO_SIGNAL = 0.1
+"""Noise over signal up to which the gain of a channel in a load series is tested: above it the gain is uncertain."""
+AMBIGUITY_FACTOR = 1.5
+"""Another series is named as an alternative where excluding it leaves at most this multiple of the least misfit."""
+MAX_SCALED_SQUARE = 100.0
+"""Squared error over noise at which errors are clipped (10 sigma), so that a second bad series does not decide."""
+MIN_SWAPPED_COSINE = 0.95
+"""Cosine of a channel's sensitivities with those declared for the other channel, in both of a swapped pair at least."""
+MAX_OWN_COSINE = 0.8
+"""Cosine with its own declared sensitivities, in either channel of a swapped pair at most."""
+
+
+@dataclass(frozen=True)
+class SuspectLoadSeries:
+    """A load series in which a channel does not follow the prediction from the other load series.
+
+    `gain` with `gain_sigma`: regression coefficient of its change on the prediction. `resembled_channel`: the channel
+    whose prediction it follows instead, empty for none. `alternatives`: load series that may be wrong in its place.
+    """
+
+    load_series: str = field(metadata={"stored_as": "sequence"})
+    channel: str
+    gain: float
+    gain_sigma: float
+    resembled_channel: str = field(metadata={"stored_as": "like"})
+    alternatives: tuple[str, ...] = field(default=(), metadata={"stored_as": "or_else"})
+
+
+def exclude_suspect_series(
+    points: CalibrationPoints, search: bool
+) -> tuple[CalibrationPoints, CalibrationModelFit, tuple[SuspectLoadSeries, ...], tuple[str, ...]]:
+    """Exclude load series until the rest agree; returns the remaining points, their fit, the series and notes."""
+    suspect_series: list[SuspectLoadSeries] = []
+    included, fit, worst = points, *_fit_and_find_worst(points, search)
+    while worst is not None and len({suspect.load_series for suspect in suspect_series}) < MAX_SUSPECT_SERIES:
+        rows, suspect_channels = worst
+        suspect_series += suspect_channels
+        included = included.exclude_rows(rows)
+        fit, worst = _fit_and_find_worst(included, search)
+    notes = () if worst is None else (f"{MAX_SUSPECT_SERIES} load series were excluded, and more disagree",)
+    return included, fit, tuple(suspect_series), notes
+
+
+def _fit_and_find_worst(
+    points: CalibrationPoints, search: bool
+) -> tuple[CalibrationModelFit, tuple[NDArray[np.bool_], list[SuspectLoadSeries]] | None]:
+    fit = fit_calibration_model(points, search)
+    return fit, _worst_series(points, fit, fit_calibration_model(points, search=False) if search else fit)
+
+
+def _worst_series(
+    points: CalibrationPoints, fit: CalibrationModelFit, linear_fit: CalibrationModelFit
+) -> tuple[NDArray[np.bool_], list[SuspectLoadSeries]] | None:
+    """Rows (m,) of the load series without which the others agree best, and its suspect channels; None without any.
+
+    A load series is suspected only if it deviates both from the model of the loads alone and from that with the
+    selected terms, because nonlinearity explained by terms is not a fault. Where two series disagree and no third one
+    decides, the second is named as an alternative.
+    """
+    load_series, used = points.load_series, points.weight > 0
+    unexplained = _find_suspect_series(points, fit)
+    if not unexplained:
+        return None
+    by_linear_fit = _find_suspect_series(points, linear_fit)
+    candidates = {
+        name: suspect_channels
+        for name, suspect_channels in by_linear_fit.items()
+        if name in unexplained and suspect_channels
+    }
+    if not candidates:
+        return None
+    misfit = {name: _cross_validation_misfit(points, (load_series == name) & used) for name in candidates}
+    worst = min(candidates, key=lambda name: misfit[name])
+    words = dict(_series_names(np.unique(load_series[used]), fit))
+    limit = AMBIGUITY_FACTOR * misfit[worst]
+    alternatives = tuple(words[name] for name in candidates if name != worst and misfit[name] < limit)
+    return (load_series == worst) & used, [replace(suspect, alternatives=alternatives) for suspect in candidates[worst]]
+
+
+def _find_suspect_series(points: CalibrationPoints, fit: CalibrationModelFit) -> dict[int, list[SuspectLoadSeries]]:
+    """Suspect channels by load series; an empty list where the other series do not predict a load series."""
+    load_series, used = points.load_series, points.weight > 0
+    by_series = {}
+    for name, description in _series_names(np.unique(load_series[used]), fit):
+        rows = (load_series == name) & used
+        known = bool(np.isfinite(fit.cross_validation_errors[rows]).all())
+        channels = _suspect_channels(points, fit, rows, description) if known else []
+        if channels or not known:
+            by_series[name] = channels
+    return by_series
+
+
+def _series_names(names: Index, fit: CalibrationModelFit) -> list[tuple[int, str]]:
+    return list(zip(names.tolist(), fit.model.load_series, strict=True))
+
+
+def _cross_validation_misfit(points: CalibrationPoints, rows: NDArray[np.bool_]) -> float:
+    """Mean square cross-validation error without these rows (m,), in units of the noise, large errors clipped."""
+    errors = fit_calibration_model(points.exclude_rows(rows), search=False).cross_validation_errors
+    scaled = (errors / robust_sigma(errors)) ** 2
+    return float(np.mean(np.minimum(scaled[np.isfinite(scaled)], MAX_SCALED_SQUARE)))
+
+
+def _suspect_channels(
+    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], description: str
+) -> list[SuspectLoadSeries]:
+    """Suspect channels in the rows of one load series."""
+    change = points.channels[rows] - points.channels[rows].mean(axis=0)
+    errors = fit.cross_validation_errors[rows]
+    predicted = change - (errors - errors.mean(axis=0))
+    noise = robust_sigma(fit.cross_validation_errors)
+    suspect_channels = (
+        _check_channel_gain(c, change, predicted, noise, points.channel_names, description)
+        for c in range(change.shape[1])
+    )
+    return [suspect for suspect in suspect_channels if suspect is not None]
+
+
+def _check_channel_gain(
+    c: int, change: Array, predicted: Array, noise: Array, channels: Sequence[str], description: str
+) -> SuspectLoadSeries | None:
+    """Compare the change of channel c in some rows (r, channels) with its prediction; None where they agree."""
+    power = float(np.sum(predicted[:, c] ** 2))
+    if power == 0.0:
+        return None
+    gain = float(predicted[:, c] @ change[:, c] / power)
+    # The misfit of a linear model follows the load: it does not average out over the rows.
+    sigma = float(noise[c] / np.sqrt(power / len(change)))
+    is_significant = abs(gain - 1.0) > max(
+        float(stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / len(channels))) * sigma, MIN_GAIN_ERROR
+    )
+    # A channel with hardly any signal in this load series does not determine its gain.
+    if not is_significant or sigma > MAX_NOISE_TO_SIGNAL:
+        return None
+    residual = change[:, c] - gain * predicted[:, c]
+    resembled = ""
+    if np.sum(residual**2) > MIN_UNEXPLAINED_SHARE**2 * np.sum(change[:, c] ** 2) or gain < MIN_PLAUSIBLE_GAIN:
+        shares = [_unexplained_share(change[:, c], predicted[:, i]) for i in range(len(channels))]
+        best = int(np.argmin(shares))
+        resembled = channels[best] if best != c and shares[best] < MIN_UNEXPLAINED_SHARE**2 else ""
+    return SuspectLoadSeries(description, channels[c], gain, sigma, resembled)
+
+
+def _unexplained_share(change: Array, predicted: Array) -> float:
+    """Share of the power of a change that a prediction, not rescaled, leaves unexplained."""
+    return float(np.sum((change - predicted) ** 2) / max(float(np.sum(change**2)), np.finfo(float).tiny))
+
+
+def find_swapped_channels(points: CalibrationPoints, expected: Array) -> tuple[str, ...]:
+    """Find pairs of channels that read each other's loads.
+
+    `expected` (c, k) [V]: declared response to loads of the calibrated range. In a swapped pair both channels of the
+    linear fit resemble the declared sensitivities of the other channel far more than their own.
+    """
+    C = fit_calibration_model(points, search=False).model.coefficients[: len(points.components)].T
+    cosine = _unit_rows(C) @ _unit_rows(expected).T
+    pairs = []
+    for i in range(len(C)):
+        for j in range(i + 1, len(C)):
+            own, crossed = min(cosine[i, i], cosine[j, j]), min(cosine[i, j], cosine[j, i])
+            if crossed > MIN_SWAPPED_COSINE and own < MAX_OWN_COSINE:
+                pairs.append(f"{points.channel_names[i]} and {points.channel_names[j]}")
+    return tuple(pairs)
+
+
+def _unit_rows(rows: Array) -> Array:
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.where(size > 0, size, 1.0))

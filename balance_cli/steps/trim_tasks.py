@@ -1,0 +1,118 @@
+"""Tasks of a calibration: for each trim the rows, the usable channels and the calibrated range."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.campaign.recording.channel_health import live_channels
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import LoadComponents
+from balance_cli.io.errors import UserError
+from balance_cli.steps.calibrate_all_trims import AllTrimRows
+from balance_cli.steps.load_point_rows import LoadPointRows, RowNoise, measure_row_noise
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrimTask:
+    """One trim to be calibrated: its rows, usable channels, carried components and their calibrated range (k,).
+
+    `noise` of a row, with that of each run.
+    """
+
+    label: str
+    rows: tuple[LoadPointRows, ...]
+    geometry: Geometry
+    channel_names: tuple[str, ...]
+    excluded_channels: dict[str, str]
+    components: tuple[str, ...]
+    calibrated_range: Array
+    noise: RowNoise
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The runs of the trim."""
+        return tuple(rows.run for rows in self.rows)
+
+    def error(self, fault: str, remedy: str) -> UserError:
+        """The error to raise for a fault of this trim."""
+        return UserError(fault, ", ".join(run_place(run) for run in self.runs), f"trim {self.label}", remedy)
+
+    @property
+    def left_out_note(self) -> str:
+        """The excluded channels, as part of a message."""
+        lost = ", ".join(f"{name}: {reason}" for name, reason in self.excluded_channels.items())
+        return f" (left out: {lost})" if lost else ""
+
+
+def trim_tasks(rows: Sequence[LoadPointRows], geometry: Geometry, components: LoadComponents) -> dict[str, TrimTask]:
+    """One task for each trim label, in the order of the runs."""
+    loads = [components.carried(each.loads[each.used]) for each in rows]
+    calibrated_range = np.asarray(np.max(np.abs(np.vstack(loads)), axis=0, initial=0.0))
+    tasks = {}
+    for label in dict.fromkeys(each.run.trim or "" for each in rows):
+        members = tuple(each for each in rows if (each.run.trim or "") == label)
+        names, excluded = _usable_channels([each.run for each in members], geometry)
+        noise = measure_row_noise(members, names)
+        tasks[label] = TrimTask(label, members, geometry, names, excluded, components.names, calibrated_range, noise)
+    return tasks
+
+
+def rows_of_tasks(static: Sequence[Run], tasks: Mapping[str, TrimTask]) -> AllTrimRows:
+    """The rows of all trims in the order of the runs, with what the fit of all trims needs of each."""
+    by_run = {
+        rows.run.name: (rows, float(relative))
+        for task in tasks.values()
+        for rows, relative in zip(task.rows, task.noise.relative, strict=True)
+    }
+    first = next(iter(tasks.values()))
+    common = [task.channel_names for task in tasks.values()]
+    return AllTrimRows(
+        rows=tuple(by_run[run.name][0] for run in static),
+        relative_noise=tuple(by_run[run.name][1] for run in static),
+        channel_names=tuple(name for name in first.channel_names if all(name in names for names in common)),
+        calibrated_range=first.calibrated_range,
+    )
+
+
+def fitted_tasks(
+    static: Sequence[Run], tasks: Mapping[str, TrimTask], all_trims: AllTrimsCalibration | None
+) -> dict[str, TrimTask]:
+    """The tasks with the rows, load series and calibrated range of the model of all trims."""
+    if all_trims is None or all_trims.load_series is None:
+        return dict(tasks)
+    excluded = np.asarray(~np.isfinite(all_trims.residuals).all(axis=1))
+    at = {run.name: all_trims.run == number for number, run in enumerate(static)}
+    series = all_trims.load_series
+    return {
+        label: replace(
+            task,
+            rows=tuple(rows.exclude_rows(excluded[at[rows.run.name]], series[at[rows.run.name]]) for rows in task.rows),
+            calibrated_range=all_trims.model.calibrated_range,
+        )
+        for label, task in tasks.items()
+    }
+
+
+def run_place(run: Run) -> str:
+    """Where a run is, for messages."""
+    return str(run.path or f"run {run.name}")
+
+
+def _usable_channels(runs: Sequence[Run], geometry: Geometry) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Channels that measure constant loads and are live in every run, and the unusable ones with the reason."""
+    left_out: dict[str, str] = {}
+    for run in runs:
+        for name, reason in live_channels(run, geometry).left_out.items():
+            left_out.setdefault(name, f"{reason} (run {run.name})" if len(runs) > 1 else reason)
+    constant = [channel.name for channel in geometry.channels if channel.measures_dc]
+    return tuple(name for name in constant if name not in left_out), {
+        name: reason for name, reason in left_out.items() if name in constant
+    }

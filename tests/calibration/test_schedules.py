@@ -1,0 +1,138 @@
+"""Schedules and mistakes of laboratories: tare points, repeated rows, exchanged rows, terms of few rows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.calibration.all_trims import calibrate_all_trims
+from balance_cli.calibration.few_rows import least_p_value_without_two_rows
+from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.calibration.least_squares import solve_least_squares
+from balance_cli.calibration.repeated_rows import merge_repeated_rows
+from balance_cli.campaign.rig.components import COMPONENTS
+
+NOISE, SHIFT = 2e-4, 5e-3
+STEPS = np.r_[0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2]
+RANGE = np.array([800.0, 800.0, 3500.0, 400.0, 400.0, 450.0])
+
+
+def schedule(first, last):
+    """One load at a time with tare points at the beginning or at the end of each series, and the series."""
+    values = np.r_[[0.0] * first, STEPS, [0.0] * last]
+    return np.vstack([np.outer(values, one) for one in np.eye(6)]), np.repeat(np.arange(6), len(values))
+
+
+def recorded(x, series, seed=0, change=lambda x, channels: None):
+    """Points of one run, with a zero for each series; `change` spoils what the file holds."""
+    rng = np.random.default_rng(seed)
+    C = np.eye(6) + 0.1 * rng.normal(size=(6, 6))
+    channels = x @ C.T + SHIFT * rng.normal(size=(series[-1] + 1, 6))[series] + NOISE * rng.normal(size=x.shape)
+    x = x.copy()
+    change(x, channels)
+    names = tuple(f"g{i + 1}" for i in range(6))
+    m = len(x)
+    return C, CalibrationPoints(names, COMPONENTS, ("s",), channels, x * RANGE, np.zeros(m, int), np.ones(m), RANGE)
+
+
+@pytest.mark.parametrize(("first", "last"), [(1, 0), (0, 1), (1, 1), (0, 0)])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_readings_tell_where_the_tare_points_stand(first, last, seed):
+    C, points = recorded(*(rows := schedule(first, last)), seed)
+    whole = calibrate_all_trims(points, search=False)
+    np.testing.assert_array_equal(whole.load_series, rows[1])
+    np.testing.assert_allclose(whole.model.coefficients.T, C, atol=6 * NOISE)
+    assert whole.outliers == ()
+    assert bool(whole.series_notes) == bool(first + last)
+
+
+def test_stated_series_are_taken_as_they_are():
+    x, series = schedule(1, 0)
+    _, points = recorded(x, series)
+    stated = np.repeat(np.arange(12), 5)
+    labels = tuple(str(number) for number in stated)
+    np.testing.assert_array_equal(replace(points, stated_series=labels).load_series, stated)
+
+
+def test_stated_tare_points_end_where_the_readings_say():
+    x, series = schedule(1, 0)
+    _, points = recorded(x, series)
+    tare = np.all(x == 0, axis=1)
+    np.testing.assert_array_equal(replace(points, tare_points=tare).load_series, series)
+
+
+@pytest.mark.parametrize("rows", [(4, 8), (13, 44), (25, 31), (36, 38)])
+@pytest.mark.parametrize("first", [0, 1])
+def test_two_exchanged_rows_are_named(rows, first):
+    def exchange(x, channels):
+        x[list(rows)] = x[list(rows[::-1])]
+
+    _, points = recorded(*schedule(first, 1 - first), 1, exchange)
+    whole = calibrate_all_trims(points)
+    found = {outlier.row: outlier.exchanged_with for outlier in whole.outliers}
+    expected = {rows[0] + 1: rows[1] + 1, rows[1] + 1: rows[0] + 1}
+    assert found == expected
+    assert not whole.model.is_nonlinear
+
+
+def test_an_outlier_in_a_series_of_five_rows_does_not_hide_in_its_own_scale():
+    x = np.vstack([np.outer(np.arange(5) / 4, one) for one in np.vstack([np.eye(6), np.eye(6) * -1])])
+    series = np.repeat(np.arange(12), 5)
+
+    def spoil(x, channels):
+        channels[33, 2] -= 0.03
+
+    _, points = recorded(x, series, 2, spoil)
+    whole = calibrate_all_trims(points)
+    assert [(outlier.row, outlier.channel) for outlier in whole.outliers] == [(34, "g3")]
+    assert whole.outliers[0].error == pytest.approx(-0.03, abs=10 * NOISE)
+    assert whole.outliers[0].cause.startswith("g3 seems to read")
+    assert not whole.model.is_nonlinear
+
+
+def test_a_reversed_sign_is_named():
+    def reverse(x, channels):
+        x[15] *= -1.0
+
+    _, points = recorded(*schedule(1, 0), 3, reverse)
+    (outlier,) = calibrate_all_trims(points).outliers
+    assert outlier.row == 16 and "(its sign)" in outlier.cause
+
+
+def test_excluded_rows_that_shorten_the_range_are_remarked():
+    def spoil(x, channels):
+        channels[15] += 0.05 * np.arange(6)
+
+    _, points = recorded(*schedule(1, 0), 4, spoil)
+    whole = calibrate_all_trims(points)
+    assert [outlier.row for outlier in whole.outliers] == [16]
+    assert whole.model.calibrated_range[1] == pytest.approx(0.8 * RANGE[1])
+    assert whole.model.largest_load[1] == pytest.approx(whole.model.calibrated_range[1])
+    assert any(note.startswith("Fy: the calibrated range is 640") for note in whole.screening_notes)
+
+
+def test_deletion_formula_against_fits_without_two_rows():
+    rng = np.random.default_rng(5)
+    X, block = rng.normal(size=(14, 3)), np.repeat([0, 1], 7)
+    y = X @ [1.0, 0.0, 0.3] + 0.2 * rng.normal(size=14)
+    fit = solve_least_squares(X, y[:, None], block)
+    worst = 0.0
+    for i in range(14):
+        for j in range(i):
+            kept = np.setdiff1d(np.arange(14), [i, j])
+            worst = max(worst, float(solve_least_squares(X[kept], y[kept, None], block[kept]).p_value[2, 0]))
+    assert least_p_value_without_two_rows(fit, 2) == pytest.approx(worst, rel=1e-6)
+
+
+def test_repeated_rows_are_one_load_point_and_two_tare_points_are_two():
+    x = np.outer(np.repeat([0.0, 0.5, 1.0, 0.0, 0.0, 0.5], 3), [1.0, 0.0])
+    rng = np.random.default_rng(0)
+    readings = rng.normal(size=(18, 4))
+    merged, _, repeats = merge_repeated_rows(readings, x, x, np.zeros(18, int))
+    np.testing.assert_array_equal(np.flatnonzero(repeats.is_first), np.arange(0, 18, 3))
+    np.testing.assert_allclose(merged[3], readings[3:6].mean(axis=0))
+    assert repeats.dof == 12
+    np.testing.assert_allclose(np.diag(repeats.noise_covariance(np.zeros((4, 2)))), 1 / 3, rtol=0.9)
+    # Without repeated samples two unloaded rows in succession close one series and open the next.
+    both = np.outer([0.0, 0.5, 1.0, 0.0, 0.0, 0.5, 1.0], [1.0, 0.0])
+    assert merge_repeated_rows(both, both, both, np.zeros(7, int))[2] is None
