@@ -27,6 +27,7 @@ def main() -> None:
         from balance_cli.cli import balance
 
         sys.setswitchinterval(SWITCH_INTERVAL)
+        _silence_libraries()
         balance(prog_name="balance")
     except SystemExit as end:
         if handle and isinstance(end.code, int) and end.code:
@@ -38,6 +39,14 @@ def main() -> None:
     finally:
         if handle:
             _ignore_signals()  # the exit status is fixed
+
+
+def _silence_libraries() -> None:
+    """Leave the warnings of libraries to `--verbose` and to Python's own option `-W`: they name no file of the user."""
+    import warnings
+
+    if not sys.warnoptions and not {"-v", "--verbose"} & set(sys.argv[1:]):
+        warnings.simplefilter("ignore")
 
 
 def _end_process(status: int) -> None:

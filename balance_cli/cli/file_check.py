@@ -81,7 +81,8 @@ def _check_geometry_file(path: Path, expected: Geometry | None) -> FileFinding:
     geometry, faults = read_geometry(path)
     if geometry is None:
         return FileFinding("geometry", "geometry", faults=faults)
-    faults += () if missing_mechanics(geometry) else _effect_faults(geometry, path)
+    if not faults and not missing_mechanics(geometry):  # effects are looked up in a geometry that is sound
+        faults = _effect_faults(geometry, path)
     about = f"geometry `{geometry.name}` of rig `{geometry.rig}`: {len(geometry.cells)} cells, "
     about += f"{len(geometry.channels)} channels, "
     only_calibrated = bool(missing_mechanics(geometry))

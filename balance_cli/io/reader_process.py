@@ -39,8 +39,12 @@ BASE_CPU_TIME = 5.0
 """[s]. An artefact of 100 MB takes one second."""
 SLOWEST_READING = 4e6
 """Bytes of a file per second of processor time. Compressed samples are read at 30 to 300 MB/s."""
+BASE_MEMORY = 640 * 2**20
+"""Bytes that the child may allocate for a file beyond those it has; a block of samples and its copies take 100 MB."""
+MEMORY_PER_BYTE = 300
+"""The same for each byte of the file: an array is read and copied once, and is compressed by a factor up to 100."""
 MOST_MEMORY = 4 * 2**30
-"""Bytes that the child may allocate beyond those it begins with: an artefact of the largest size, and a copy of it."""
+"""Bytes that the size of a file adds at most: an artefact of the largest size, and copies of it."""
 
 
 @dataclass
@@ -79,8 +83,9 @@ class ReaderProcess:
         if self._child is None or self._child.owner != os.getpid():
             self._child = _fork_child()
         budget = BASE_CPU_TIME + size / SLOWEST_READING
+        memory = BASE_MEMORY + min(MEMORY_PER_BYTE * size, MOST_MEMORY)
         try:
-            _send(self._child.requests, (budget, function, (path, *arguments), options))
+            _send(self._child.requests, ((budget, memory), function, (path, *arguments), options))
             succeeded, result = _receive(self._child.answers)
         except (EOFError, BrokenPipeError) as error:
             self._fatal[key] = fault = _fatal_error(self.stop(kill=False), budget, path)
@@ -179,10 +184,10 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> NoReturn:
     _detach()
     while True:
         try:
-            budget, function, arguments, options = _receive(requests)
+            limits, function, arguments, options = _receive(requests)
         except EOFError:
             os._exit(0)
-        _limit_cpu_time(budget)
+        _set_limits(*limits)
         answer: tuple[bool, Any]
         try:
             answer = True, function(*arguments, **options)
@@ -195,9 +200,8 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> NoReturn:
 
 
 def _detach() -> None:
-    """Leave signals and the terminal to the parent, and bound memory."""
+    """Leave signals and the terminal to the parent."""
     import faulthandler
-    import resource
 
     for number, action in {
         signal.SIGINT: signal.SIG_IGN,
@@ -210,18 +214,18 @@ def _detach() -> None:
     null_device = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(null_device, descriptor)
-    with suppress(OSError, ValueError):
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-        _lower_limit(resource.RLIMIT_AS, pages * resource.getpagesize() + MOST_MEMORY)
 
 
-def _limit_cpu_time(budget: float) -> None:
-    """Let the system end the process (SIGXCPU) after this processor time from now [s]."""
+def _set_limits(cpu_time: float, memory: int) -> None:
+    """Let the system end the process (SIGXCPU) after this processor time from now [s], and give it no more memory."""
     import resource
 
     times = os.times()
     with suppress(OSError, ValueError):
-        _lower_limit(resource.RLIMIT_CPU, int(times.user + times.system + budget) + 1)
+        _lower_limit(resource.RLIMIT_CPU, int(times.user + times.system + cpu_time) + 1)
+    with suppress(OSError, ValueError):
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        _lower_limit(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
 
 
 def _lower_limit(which: int, value: int) -> None:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.io.errors import UserError
+
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -48,7 +50,7 @@ def cross_spectra(
     the frequencies (k,), which bins of that window count: so a harmonic that moves with the speed is excluded window by
     window. The window is that of Blackman and Harris with four terms, whose side lobes are at -92 dB.
 
-    Raises ValueError where no part is as long as a window.
+    Raises UserError where no part is as long as a window, or no bin is selected.
     """
     window = _blackman_harris(length)
     frequency = np.asarray(np.fft.rfftfreq(length, step), float)
@@ -65,7 +67,8 @@ def cross_spectra(
             count += selected
     bins = count > 0
     if total is None or not bins.any():
-        raise ValueError("no part of the record is as long as a window")
+        fault = f"no part of the record is as long as a window of {length * step:.2g} s with bins between harmonics"
+        raise UserError(fault, place="channels", remedy="Use --method harmonic, or record for longer")
     density = total[bins] * (step / np.sum(window**2) / count[bins])[:, None, None]
     return CrossSpectra(frequency[bins], density, np.maximum(INDEPENDENT_PER_WINDOW * count[bins], 1.0))
 

@@ -19,6 +19,8 @@ from balance_cli.signals.run_spectrum import NoisePart
 
 Array = NDArray[np.float64]
 
+OWN_VARIANCE_SHARE = 1e-12
+"""Share of the variance that each channel has for itself: coarsely quantized channels may repeat each other exactly."""
 EM_ITERATIONS = 60
 """Expectation-maximization converges linearly; the change is then below the standard errors of the components."""
 ALWAYS_APPLIED_SHARE = 0.9
@@ -71,7 +73,7 @@ def _em_step(
 ) -> tuple[Array, Array]:
     """One step: expected noise of the loads in each difference, and the variance components that follow from it."""
     load_variance = H * variance
-    covariance = row_power[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", load_variance, columns, columns)
+    covariance = _difference_covariances(sigma, load_variance, columns, row_power)
     gain = load_variance[:, :, None] * np.linalg.solve(
         covariance, np.broadcast_to(columns, (len(d), *columns.shape))
     ).swapaxes(1, 2)
@@ -90,6 +92,13 @@ def _em_step(
     return scatter / float(weights @ row_power), variance
 
 
+def _difference_covariances(sigma: Array, load_variance: Array, columns: Array, row_power: Array) -> Array:
+    """Covariance (t, c, c) of each difference: noise of the channels, and that of the loads through their columns."""
+    covariance = row_power[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", load_variance, columns, columns)
+    covariance[:, *np.diag_indices(len(sigma))] *= 1.0 + OWN_VARIANCE_SHARE
+    return np.asarray(covariance, float)
+
+
 def _variance_errors(
     sigma: Array, variance: Array, columns: Array, H: Array, row_power: Array, weights: Array, B: Array, applied: Array
 ) -> Array:
@@ -99,13 +108,14 @@ def _variance_errors(
     is in no difference has an error of UNKNOWN_VARIANCE_FACTOR times the variance that would be visible beside the
     noise of the channels.
     """
-    covariance = row_power[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", H * variance, columns, columns)
+    covariance = _difference_covariances(sigma, H * variance, columns, row_power)
     seen = np.einsum(
         "cj,tcj->tj", columns, np.linalg.solve(covariance, np.broadcast_to(columns, (len(H), *columns.shape)))
     )
     information = 0.5 * np.sum(weights[:, None] * (H * seen) ** 2, axis=0)
     effective_information = information * np.array([_effective_dof(weights, B * rows) for rows in applied.T])
-    visible = np.sum(columns * np.linalg.solve(sigma, columns), axis=0)
+    own = sigma + np.diag(OWN_VARIANCE_SHARE * np.diagonal(sigma))
+    visible = np.sum(columns * np.linalg.solve(own, columns), axis=0)
     return np.asarray(
         1.0
         / np.sqrt(

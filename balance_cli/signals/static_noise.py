@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.signals.row_noise import row_noise
+from balance_cli.signals.row_noise import OWN_VARIANCE_SHARE, row_noise
 from balance_cli.signals.run_samples import read_samples, run_error
 from balance_cli.signals.run_spectrum import NoisePart, StaticPoints
 
@@ -118,6 +118,7 @@ def difference_covariance(rows: Array, loads: Array, operator: Array) -> tuple[A
         weighted = weights[:, None] * gram
         trace = np.trace(weighted)
         covariance = (d.T * weights) @ d / trace + floor
+        covariance[np.diag_indices(c)] *= 1.0 + OWN_VARIANCE_SHARE
         dof = float(trace**2 / np.sum(weighted * weighted.T))
         weights = _robust_weights(d, covariance, np.diagonal(gram), dof, c)
     return covariance, dof

@@ -56,7 +56,7 @@ def arrays(path, count):
 
 @read_in_child
 def allocate(path):
-    return np.ones(2 * module.MOST_MEMORY // 8).sum()
+    return np.ones(2 * module.BASE_MEMORY // 8).sum()
 
 
 @pytest.fixture
@@ -108,7 +108,7 @@ def test_an_endless_loop_is_an_error_of_the_file(path, tmp_path, monkeypatch):
 
 
 def test_memory_of_the_child_is_bounded(path, monkeypatch):
-    monkeypatch.setattr(module, "MOST_MEMORY", 2**28)
+    monkeypatch.setattr(module, "BASE_MEMORY", 2**28)
     with reader_process(), pytest.raises(MemoryError):
         allocate(path)
 

@@ -36,6 +36,8 @@ UNINFORMATIVE_BAND = 150.0
 """Band [Hz] of uninformative loads: 8/rev of a rotor at 17.5 Hz is 140 Hz."""
 LOW_FREQUENCY_WINDOW_FACTOR = 4.0
 """Length of the windows for frequency bins below the first harmonic, over that of the others."""
+LEAST_REVOLUTIONS = 16.0
+"""Revolutions in a window: the main lobes of two harmonics, 4 bins to each side, then take half of the bins."""
 BELOW_FIRST_HARMONIC = 0.7
 """Share of the rotor speed below which frequency bins contain no harmonic, for a speed that varies by up to 30 %."""
 UNINFORMATIVE_FACTOR = 10.0
@@ -64,7 +66,9 @@ def fit_loads_between_harmonics(
     Below the first harmonic it comes from long windows, above from short ones, each without the frequency bins at the
     harmonics of the speed in that window.
     """
-    short, long = clean_record.window(WINDOW_TIME), clean_record.window(LOW_FREQUENCY_WINDOW_FACTOR * WINDOW_TIME)
+    slowest = float(np.min(azimuth.speed(np.linspace(azimuth.first, azimuth.last, 256))))
+    window_time = max(WINDOW_TIME, LEAST_REVOLUTIONS / slowest)
+    short, long = (clean_record.window(factor * window_time) for factor in (1.0, LOW_FREQUENCY_WINDOW_FACTOR))
     above = cross_spectra(
         clean_record.parts(),
         clean_record.step,
@@ -72,7 +76,6 @@ def fit_loads_between_harmonics(
         lambda first, f: _bins_between_harmonics(first, f, short, clean_record, azimuth),
     )
     low = cross_spectra(clean_record.parts(), clean_record.step, long)
-    slowest = float(np.min(azimuth.speed(np.linspace(azimuth.first, azimuth.last, 256))))
     low = low.at(low.frequency < BELOW_FIRST_HARMONIC * slowest - MAIN_LOBE / (long * clean_record.step))
     combined = CrossSpectra(
         np.concatenate([low.frequency, above.frequency]),
