@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.diagnosis.settings import SearchSettings
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import ModeTable
 from balance_cli.io.result_view import ResultView, plural
 from balance_cli.model.fitted_effects import FittedParameter
@@ -25,9 +25,6 @@ EXPLAINED = "explained"
 PARTLY_EXPLAINED = "partly explained"
 UNEXPLAINED = "unexplained"
 CONTRADICTED = "contradicted by hold-out"
-
-NEGLIGIBLE_WORTH = 0.1
-"""Worth below which an effect is of no consequence: a tenth of a sigma is lost in the error of the sigma itself."""
 
 VERDICT_MEANING = {
     NOTHING_MISSING: "no candidate is significant",
@@ -85,7 +82,7 @@ class FoundEffect:
     @property
     def is_of_no_consequence(self) -> bool:
         """Whether it moves no load by a tenth of its sigma."""
-        return self.worth is not None and max(self.worth.values(), default=0.0) < NEGLIGIBLE_WORTH
+        return self.worth is not None and max(self.worth.values(), default=0.0) < DEFAULT_SETTINGS.worth.negligible
 
     @property
     def label(self) -> str:

@@ -21,6 +21,8 @@ class ScoreSettings:
     """The same of one parameter alone, whose small differences are computed without errors of first order."""
     screening_lines: int = 2000
     """Spectral lines on which all candidates are scored: enough to rank them."""
+    tone_lines: int = 5
+    """Lines of a run that a tone fills: its main lobe, and one on either side for a tone that is not quite there."""
     full_score_candidates: int = 40
     """Best candidates of the screening that are scored on all lines: ten times as many as are refitted."""
     step_fractions: tuple[float, ...] = (1.0, 0.3, 0.1, 0.03)
@@ -254,6 +256,16 @@ class HoldOutSettings:
 
 
 @dataclass(frozen=True)
+class WorthSettings:
+    """What forgetting an effect does to the hub loads."""
+
+    harmonics: int = 8
+    """Harmonics of the rotor speed, as `reduce` takes by default."""
+    negligible: float = 0.1
+    """Worth below which an effect is of no consequence: a tenth of a sigma is lost in the error of the sigma itself."""
+
+
+@dataclass(frozen=True)
 class SearchSettings:
     """All tuning constants of a diagnosis."""
 
@@ -268,6 +280,7 @@ class SearchSettings:
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     data_tests: DataTestSettings = field(default_factory=DataTestSettings)
     residual_map: ResidualMapSettings = field(default_factory=ResidualMapSettings)
+    worth: WorthSettings = field(default_factory=WorthSettings)
     hold_out: HoldOutSettings = field(default_factory=HoldOutSettings)
     free_simulation: FreeSimulationSettings = field(default_factory=FreeSimulationSettings)
     parameter_cost: float = 6.0

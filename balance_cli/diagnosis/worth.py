@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.search.candidates import parameters_of_interest
 from balance_cli.diagnosis.selection.fit import Fit
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, WorthSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.estimation.levenberg_marquardt import limit_to_bounds
@@ -33,9 +34,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Index = NDArray[np.intp]
 
-HARMONICS = 8
-"""Harmonics of the rotor speed, as `reduce` takes by default."""
-
 
 @dataclass(frozen=True)
 class _Harmonics:
@@ -47,13 +45,15 @@ class _Harmonics:
     levels: Array
 
 
-def effect_worth(fit: Fit, effect: PlacedEffect, batches: Sequence[Batch]) -> dict[str, float] | None:
+def effect_worth(
+    fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], settings: WorthSettings = DEFAULT_SETTINGS.worth
+) -> dict[str, float] | None:
     """Return the worth of an effect of a fit by load component.
 
     None where it cannot be told: without a rotor speed or enough channels, and of effects that are not a part of the
     linear response, such as offsets, tones and nonlinear forces.
     """
-    harmonics = _harmonics(fit, batches)
+    harmonics = _harmonics(fit, batches, settings)
     if harmonics is None or effect.effect.needs_mean:
         return None
     try:
@@ -81,12 +81,12 @@ def theta_without(fit: Fit, effect: PlacedEffect) -> Array:
     return np.asarray(theta)
 
 
-def _harmonics(fit: Fit, batches: Sequence[Batch]) -> _Harmonics | None:
+def _harmonics(fit: Fit, batches: Sequence[Batch], settings: WorthSettings) -> _Harmonics | None:
     """The harmonics of the rotor speed within the swept band; None where there are none, or too few channels."""
     rotor, sweeps = fit.model.geometry.rotor, [batch for batch in batches if not batch.is_static]
     speed = rotor.speed if rotor else max((batch.spin for batch in sweeps), default=0.0)
     highest = max((float(batch.frequency[-1]) for batch in sweeps), default=0.0)
-    frequency = np.asarray(speed * np.arange(1.0, HARMONICS + 1.0), float)
+    frequency = np.asarray(speed * np.arange(1.0, settings.harmonics + 1.0), float)
     frequency = frequency[(frequency > 0) & (frequency <= highest)]
     if not len(frequency):
         return None

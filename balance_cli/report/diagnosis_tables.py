@@ -68,7 +68,7 @@ def _effect_row(effect: FoundEffect) -> Row:
 def _worth_text(effect: FoundEffect) -> str:
     """The largest worth and its component; a dash where it cannot be told."""
     if not effect.worth:
-        return "-"
+        return "\N{EN DASH}"
     name = max(effect.worth, key=lambda component: (effect.worth or {})[component])
     return f"{format_significant(effect.worth[name])} ({name})"
 

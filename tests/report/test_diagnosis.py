@@ -44,8 +44,9 @@ def test_the_section_stands_on_the_whole_page():
 def test_effects_stand_with_evidence_and_what_they_cannot_be_told_from():
     made = section(given(diagnosis()))
     label = "support-flexibility@x,theta"
-    row = ["+1.23e6", "3", "<1e-99", "3.10e5", "mast-bending@x", "a tap on the support"]
+    row = ["\N{EN DASH}", "+1.23e6", "3", "<1e-99", "3.10e5", "mast-bending@x", "a tap on the support"]
     assert row_of(made, "chi2 without it", label) == [label, *row]
+    assert row_of(made, "chi2 without it", "time-delay@z1.piezo")[1] == "31.0 (Fz)"
     assert row_of(made, "sigma", "mass")[:4] == ["mass", "512", "23", "kg"]
     assert row_of(made, "sigma", "compliance_x")[-1] == "1.9e-08 to 2.9e-08"
     assert row_of(made, "sigma", "damping_ratio")[2] == "–"

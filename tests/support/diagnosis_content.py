@@ -50,6 +50,7 @@ def delay_effect() -> FoundEffect:
         where=("z1.piezo",),
         parameters=(FittedParameter("delay", 2.5e-4, 3e-6, "s"),),
         evidence=Evidence(812.3, 1, 2.2e-150, 790.0, 401.0, 2),
+        worth={"Fz": 31.0, "Mx": 4.2},
     )
 
 

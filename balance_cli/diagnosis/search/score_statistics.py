@@ -37,9 +37,6 @@ from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
 
-LINES_OF_A_TONE = 5
-"""Lines of a run that a tone fills: its main lobe, and a line on either side for a tone that is not quite there."""
-
 
 @dataclass(frozen=True)
 class Score:
@@ -104,7 +101,7 @@ def score_in_two_stages(
     if stride < 2:
         return scores(model, theta, batches, candidates, limits)
     tones = _tone_frequencies(candidates)
-    subset = [select_lines(batch, _screening_mask(batch, stride, tones)) for batch in batches]
+    subset = [select_lines(batch, _screening_mask(batch, stride, tones, limits.tone_lines)) for batch in batches]
     result = {
         score.candidate.label: replace(score, expected=stride * score.expected)
         for score in scores(model, theta, subset, candidates, limits)
@@ -122,22 +119,16 @@ def _tone_frequencies(candidates: Sequence[Candidate]) -> tuple[float, ...]:
     return tuple(dict.fromkeys(starts))
 
 
-def _screening_mask(batch: Batch, stride: int, tones: Sequence[float]) -> NDArray[np.bool_]:
+def _screening_mask(batch: Batch, stride: int, tones: Sequence[float], tone_lines: int) -> NDArray[np.bool_]:
     """Every n-th line, but all lines at frequency zero and beside a tone, whose information no other line has."""
     frequency = batch.line_frequency
     kept = (frequency == 0) | (np.arange(len(frequency)) % stride == 0)
     for tone in tones:
         distance = np.abs(frequency - tone)
         for lines in batch.parts:
-            kept[lines] |= _among_nearest(distance[lines])
+            nearest = np.argsort(distance[lines], kind="stable")[:tone_lines]
+            kept[lines.start + nearest] = True
     return np.asarray(kept)
-
-
-def _among_nearest(distance: Array) -> NDArray[np.bool_]:
-    """Which of the lines at these distances (k,) are the `LINES_OF_A_TONE` nearest ones."""
-    nearest = np.zeros(len(distance), bool)
-    nearest[np.argsort(distance, kind="stable")[:LINES_OF_A_TONE]] = True
-    return nearest
 
 
 def _is_new_null(candidate: Candidate, number: int) -> bool:
