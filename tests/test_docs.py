@@ -168,7 +168,7 @@ NAMES = {
     **dict.fromkeys(("residual_percent_fs", "full_range", "mean_load", "channel_residual_percent_fs"), 1),
     **dict.fromkeys(("hysteresis_percent_fs", "sensitivity", "sensitivities", "stiffness"), 1),
     **dict.fromkeys(("coherence_min", "relative_sigma", "redundancy", "redundancy_limit", "condition"), 1),
-    **dict.fromkeys(("load_error", "interaction", "load_noise", "interaction_noise"), 1),
+    **dict.fromkeys(("load_error", "interaction", "load_noise", "interaction_noise", "worth"), 1),
     **dict.fromkeys(("unsupported_terms", "residual", "press", "cross_validation", "reach", "drift_per_series"), 1),
     **dict.fromkeys(("terms_refused", "left_out_sequences", "drift_per_sequence", "calibrated_range"), 1),
     **dict.fromkeys(("scatter_chi2_per_dof", "checks", "error_percent_fs", "within_interval"), 1),

@@ -359,7 +359,9 @@ def test_lines_that_do_not_reach_the_mains_give_no_row():
 
 def campaign(*effects: DeclaredEffect, plan: CampaignPlan | None = None, seed: int = 0):
     """Spectra of a simulated campaign of a drawn rig with these effects."""
-    plan = plan or CampaignPlan(runs=tuple(r for r in short_plan().runs if r.run.startswith(("static", "sweep"))))
+    used = (run for run in short_plan().runs if run.kind in ("static", "sweep"))
+    steps = (run.model_copy(update={"steps": 5}) if run.kind == "static" else run for run in used)
+    plan = plan or CampaignPlan(runs=tuple(steps))
     rig = apply_effects(draw_rig(RIG, np.random.default_rng(seed)) if seed else true_rig(RIG), effects)
     return measured_spectra(simulate_campaign(rig, plan, seed=seed)[0], RIG)
 
