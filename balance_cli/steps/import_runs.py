@@ -16,6 +16,7 @@ from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.importers.base import ForeignFile
 from balance_cli.io.errors import UserError
+from balance_cli.signals.impact import IMPACT, find_hits
 from balance_cli.signals.rotor.pulse_consistency import speed_fault
 from balance_cli.signals.rotor.tachometer import RotorReference
 from balance_cli.steps.import_additions import addition_signals, additions_of
@@ -157,6 +158,8 @@ def _complete(
         run = replace(run, level=_rms_levels(run))
         notes.append(f"level of the excitation, rms over the record: {', '.join(f'{x:.4g}' for x in run.level)}")
     start = None if timeline is None else timeline.start
+    if run.excitation == IMPACT and run.has_loads:
+        notes += _hit_notes(run)
     return ImportedRun(run, reference, tuple(dict.fromkeys(notes)), start)
 
 
@@ -185,6 +188,15 @@ def _with_pulses(run: Run, reference: RotorReference, stated: float | None, note
         remedy = "Correct `rotor_speed`, or `pulses_per_revolution` and `level` of `rotor`"
         raise UserError(fault, str(run.path or run.name), "rotor", remedy)
     return replace(run, pulse_times=reference.pulse_times)
+
+
+def _hit_notes(run: Run) -> list[str]:
+    """A note on the taps of each excited load."""
+    assert run.sample_rate is not None
+    columns = [COMPONENTS.index(name) for name in run.excited]
+    loads = np.concatenate([block.loads[:, columns] for block in run.blocks(BLOCK) if block.loads is not None])
+    hits = [find_hits(column, run.sample_rate) for column in loads.T]
+    return [f"{name}: {found.note}" for name, found in zip(run.excited, hits, strict=True)]
 
 
 def _rms_levels(run: Run) -> tuple[float, ...]:

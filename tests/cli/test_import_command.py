@@ -244,3 +244,22 @@ def test_forces_at_points_temperatures_and_a_second_rotor(tmp_path):
     )
     assert np.allclose(np.diff(parts.further_pulse_times[0]), 1 / 52.5, rtol=0.05)
     assert parts.azimuth_error_deg < 0.1
+
+
+def test_the_example_of_the_manual(tmp_path):
+    page = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
+    header = re.search(r"```text\n(.*?)^0,000", page, re.DOTALL | re.MULTILINE)[1]
+    (tmp_path / "map.yaml").write_text(re.search(r"```yaml\n(.*?)```", page, re.DOTALL)[1], encoding="utf-8")
+    time = np.arange(4000) / 1000.0
+    tachometer = 5.0 * ((17.37 * time) % 1.0 < 0.1)
+    rows = np.column_stack([time, 1.25 + np.sin(time), -0.5 + np.cos(time), tachometer])
+    lines = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in rows.tolist()]
+    (tmp_path / "hover-3.csv").write_text(header + "\n".join(lines), encoding="cp1252")
+    sketch = invoke("import", "--sketch", tmp_path / "hover-3.csv")
+    assert sketch.exit_code == 0 and "time: Zeit" in sketch.stdout and "channel: Tacho" in sketch.stdout
+    done = invoke("import", tmp_path / "map.yaml", tmp_path / "hover-3.csv", "-o", tmp_path / "runs")
+    assert done.exit_code == 0, done.output
+    run = open_run(tmp_path / "runs" / "wind-3.h5")
+    assert (run.rig, run.note, run.channel_names) == ("hexapod-2", "hover 3", ("z1.strain", "z2.strain"))
+    assert run.rotor_speed == pytest.approx(17.37, rel=1e-3)
+    assert np.allclose(run.read().channels[:, 1], 1e-3 * (0.5 - np.cos(time)), atol=1e-9)

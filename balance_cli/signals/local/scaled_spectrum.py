@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.covariance_pooling import window_sums
+from balance_cli.signals.impact import IMPACT, has_short_hits
 from balance_cli.signals.run_samples import load_columns, measured_components, read_samples, run_error, sample_rate
 
 Array = NDArray[np.float64]
@@ -19,6 +20,8 @@ RATIONAL_LINES = 81
 """Least lines in a window of a rational model: several for each of its coefficients."""
 LEAST_POWER_SHARE = 1e-4
 """Power of a load, over that where it is strong, from which a line counts as excited (-40 dB)."""
+IMPACT_POWER_SHARE = 1e-3
+"""The same of a hammer (-30 dB): the spectrum of a hit falls off, and beyond its first zero the noise decides."""
 LEAST_INDEPENDENCE = 1e-6
 """Smallest eigenvalue of the coherence matrix of the loads; with less they differ by 0.1 % of their amplitude."""
 
@@ -51,12 +54,14 @@ def record_spectrum(
     """
     channels, loads = read_samples(run, channel_names)
     components = measured_components(run, loads)
+    _require_declared_impact(run, loads[:, load_columns(run.excited or components)])
     z = np.hstack([channels, loads[:, load_columns(components)]])
     Z = np.fft.rfft(z, axis=0)[1 : (run.samples + 1) // 2] * (2.0 / run.samples)
     frequency = np.arange(1, len(Z) + 1) * sample_rate(run) / run.samples
     c = len(channel_names)
     inside = (frequency >= band[0]) & (frequency <= band[1])
-    excited = has_power(Z[:, c:]) & inside
+    share = IMPACT_POWER_SHARE if run.excitation == IMPACT else LEAST_POWER_SHARE
+    excited = has_power(Z[:, c:], share) & inside
     if np.count_nonzero(excited) < RATIONAL_LINES:
         raise run_error(run, "the record is too short, or its loads too narrow in frequency", "Record for longer")
     if np.median(load_independence(local_power(Z[excited, c:]))) < LEAST_INDEPENDENCE:
@@ -80,12 +85,22 @@ def record_spectrum(
     )
 
 
-def has_power(loads: ComplexArray) -> NDArray[np.bool_]:
-    """Return whether (K,) some load has power around a line, LEAST_POWER_SHARE of that where the load is strong."""
+def _require_declared_impact(run: Run, loads: Array) -> None:
+    """Raise UserError where the loads are zero but for short hits, and the excitation is declared as something else.
+
+    A hammer excites only up to some frequency, and lines beyond it would pass as measured.
+    """
+    if run.excitation != IMPACT and loads.shape[1] and all(has_short_hits(column) for column in loads.T):
+        fault = f"the load is zero but for short hits, which is no `{run.excitation}` excitation"
+        raise run_error(run, fault, "Declare `excitation = impact`", "attribute excitation")
+
+
+def has_power(loads: ComplexArray, share: float = LEAST_POWER_SHARE) -> NDArray[np.bool_]:
+    """Return whether (K,) some load has power around a line, `share` of that where the load is strong."""
     width = min(RATIONAL_LINES // 2, len(loads))
     power = window_sums(np.abs(loads) ** 2, width)
     strong = np.quantile(power, 0.95, axis=0)
-    return np.asarray(np.any(power > LEAST_POWER_SHARE * np.maximum(strong, 1e-300), axis=1))
+    return np.asarray(np.any(power > share * np.maximum(strong, 1e-300), axis=1))
 
 
 def local_power(loads: ComplexArray) -> ComplexArray:

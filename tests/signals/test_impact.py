@@ -1,0 +1,91 @@
+"""Hammer records: recognized where they are declared as something else, taps and bounces counted, responses right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.io.errors import UserError
+from balance_cli.signals.impact import find_hits, has_short_hits
+from balance_cli.signals.local.response import local_response
+
+RATE, FINE, SAMPLES = 1000.0, 16, 20000
+MODES = ((40.0, 0.01, 5e3), (95.0, 0.008, 2e4))
+RNG = np.random.default_rng(7)
+
+
+def taps(times, width=0.004):
+    """Half sines of a hammer at these times [s], sampled at RATE * FINE."""
+    time = np.arange(SAMPLES * FINE) / (RATE * FINE)
+    force = np.zeros(len(time))
+    for k, start in enumerate(times):
+        inside = (time >= start) & (time < start + width)
+        force[inside] += (100.0 + 7.0 * k) * np.sin(np.pi * (time[inside] - start) / width)
+    return force
+
+
+def hammer_run(times, noise=0.02):
+    """A two-mode system tapped at these times; load and channel behind one anti-alias filter."""
+    force, response = taps(times), 0.0
+    for frequency, damping, gain in MODES:
+        omega = 2 * np.pi * frequency
+        system = ([gain], [1.0, 2 * damping * omega, omega**2])
+        numerator, denominator, _ = scipy.signal.cont2discrete(system, 1 / (RATE * FINE), method="foh")
+        response = response + scipy.signal.lfilter(numerator.ravel(), denominator, force)
+    sections = scipy.signal.butter(8, 350.0, fs=RATE * FINE, output="sos")
+    sampled = [scipy.signal.sosfilt(sections, signal)[::FINE] for signal in (force, response)]
+    loads = np.zeros((SAMPLES, 6))
+    loads[:, 2] = sampled[0] + noise * RNG.standard_normal(SAMPLES)
+    channel = sampled[1] + 0.01 * noise * RNG.standard_normal(SAMPLES)
+    source = MemorySource(channel[:, None], loads)
+    return Run(
+        *("hammer", "rig", "sweep", ("c",), SAMPLES, source, True, RATE),
+        excited=("Fz",),
+        excitation="impact",
+        level=(5.0,),
+    )
+
+
+def exact(frequency):
+    s = 2j * np.pi * frequency
+    return sum(g / (s**2 + 2 * z * 2 * np.pi * f * s + (2 * np.pi * f) ** 2) for f, z, g in MODES)
+
+
+def test_response_of_a_hammer_record():
+    found = local_response(hammer_run([1.3, 5.1, 9.4, 14.2]), ("c",), "lrm")
+    error = np.abs(found.response[:, 0, 0] - exact(found.frequency))
+    sigma = np.sqrt(np.abs(found.channel_covariance[:, 0, 0] * found.load_covariance[:, 0, 0]))
+    assert 0.8 < np.sqrt(np.median((error / sigma) ** 2) / np.log(2)) < 1.25  # |z|^2 of complex noise is exponential
+    inner = found.frequency < 200.0
+    assert np.median(error[inner] / np.abs(exact(found.frequency[inner]))) < 0.01
+    assert found.frequency[-1] < 380.0  # the spectrum of a half sine of 4 ms has its first zero at 375 Hz
+
+
+def test_a_hammer_declared_as_random_is_refused():
+    run = replace(hammer_run([1.3, 5.1, 9.4]), excitation="random")
+    with pytest.raises(UserError, match="zero but for short hits") as caught:
+        local_response(run, ("c",), "lrm")
+    assert "impact" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        RNG.standard_normal(5000),
+        np.sin(np.arange(5000) ** 2 / 2e4),
+        np.where(np.arange(5000) % 1000 < 500, RNG.standard_normal(5000), 0.0),
+        np.zeros(5000),
+    ],
+)
+def test_other_loads_are_no_hits(load):
+    assert not has_short_hits(load)
+
+
+def test_taps_and_bounces_are_counted():
+    force = taps([1.0, 4.0, 4.05, 9.0])[::FINE] + 0.1 * RNG.standard_normal(SAMPLES)
+    hits = find_hits(force, RATE)
+    assert np.allclose(hits.times, [1.002, 4.002, 4.052, 9.002], atol=0.002)
+    assert hits.is_double.tolist() == [False, False, True, False]
+    assert hits.note.startswith("3 taps") and "bounced once (first at 4.05" in hits.note and has_short_hits(force)
