@@ -66,6 +66,13 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Take the calibration from this matrix instead of from runs: .csv as written here, or .cal of ATI sensors.",
 )
+@click.option(
+    "--against",
+    "against",
+    type=InputFile(),
+    metavar="OLD_CAL",
+    help="Say what changed since this calibration, coefficient by coefficient, with significance.",
+)
 @units_option
 @moment_center_option
 @skip_bad_option
@@ -105,7 +112,10 @@ def command(session: Session, geometry: Path, runs: tuple[Path, ...], output: Pa
         session.write_text(choices.matrix, matrix_file_text(result, choices.matrix))
     if choices.linear_matrix is not None:
         session.write_text(choices.linear_matrix, linear_matrix_text(result, choices.linear_matrix))
-    session.finish(calibration_summary(result), calibration_text(result))
+    summary, text = calibration_summary(result), list(calibration_text(result))
+    if choices.against is not None:
+        summary["against"] = _compare(session, result, choices.against, text)
+    session.finish(summary, text)
 
 
 @dataclass(frozen=True)
@@ -121,6 +131,20 @@ class _Choices:
     units: str | None
     moment_center: tuple[float, float, float] | None
     skip_bad: bool
+    against: Path | None
+
+
+def _compare(session: Session, result: Calibration, path: Path, text: list[str]) -> dict[str, Any]:
+    """Compare with an earlier calibration, add lines to the text, and return the summary."""
+    from balance_cli.calibration.comparison import compare_calibrations
+    from balance_cli.calibration.result import Calibration
+    from balance_cli.cli.comparison_summary import comparison_summary, comparison_text
+
+    # After the result was saved: it does not depend on what it is compared with.
+    old = session.artefact(path, {CALIBRATION_FORMAT: Calibration}, "calibration")
+    comparison = compare_calibrations(result, old.content)
+    text += comparison_text(comparison, path.name)
+    return comparison_summary(comparison, path.name)
 
 
 def _warn(session: Session, result: Calibration) -> None:

@@ -1,0 +1,54 @@
+"""What changed since an earlier calibration, against a known change."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.calibration.comparison import compare_calibrations
+from balance_cli.campaign.recording.run import MemorySource
+from balance_cli.cli.comparison_summary import comparison_summary, comparison_text
+from balance_cli.io.errors import UserError
+from balance_cli.steps.calibrate import calibrate
+from tests.calibration.test_load_residuals import C, geometry, run
+
+
+def calibrated(seed: int, gain: float = 1.0):
+    """A calibration; the first channel reads `gain` times as much."""
+    rig = geometry()
+    made = run(rig, seed=seed)
+    block = made.read()
+    source = MemorySource(block.channels * [gain, 1.0, 1.0], block.loads)
+    return calibrate([replace(made, source=source)], rig, search=False)
+
+
+def test_an_unchanged_balance_has_not_changed() -> None:
+    """Ten pairs: no more than one significant coefficient where 0.01 of the pairs have one by chance."""
+    changed = [len(compare_calibrations(calibrated(2 * i), calibrated(2 * i + 1)).significant) for i in range(10)]
+    assert sum(changed) <= 1
+
+
+def test_a_changed_gain_is_found_with_its_worth_in_loads() -> None:
+    """Channel 1 up 2 %: its N1 coefficient changes by 2 % of 1 mV/V, N1 of the older calibration by as much."""
+    comparison = compare_calibrations(calibrated(1, gain=1.02), calibrated(2))
+    first = comparison.significant[0]
+    assert (first.channel, first.term) == ("B0", "N1")
+    assert first.new - first.old == pytest.approx(0.02 * 1e-3, abs=4 * first.sigma)
+    assert {change.channel for change in comparison.significant} == {"B0"}
+    expected = np.linalg.inv(C) @ np.diag([1.02, 1, 1]) @ C - np.eye(3)
+    assert expected[0, 0] > 0.019
+    assert comparison.load_change["N1"] == pytest.approx(100 * expected[0, 0], abs=0.3)
+    summary = comparison_summary(comparison, "old.h5")
+    assert summary["changed"] == len(comparison.significant)
+    text = "\n".join(comparison_text(comparison, "old.h5"))
+    assert "B0 N1: " in text
+    assert "coefficients changed significantly" in text
+
+
+def test_other_balances_are_refused() -> None:
+    made = calibrated(1)
+    with pytest.raises(UserError, match="no calibration model"):
+        compare_calibrations(made, replace(made, all_trims=None))
+    model = replace(made.all_trims.model, components=("a", "b", "c"))
+    with pytest.raises(UserError, match="has the components a, b, c"):
+        compare_calibrations(made, replace(made, all_trims=replace(made.all_trims, model=model)))
