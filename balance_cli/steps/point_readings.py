@@ -71,8 +71,14 @@ def table_of_run(run: Run, geometry: Geometry) -> LoadTable:
         channel_names=names,
         channels=pick_channels(block.channels, run.channel_names, names),
         hub_loads=block.loads,
-        labels={"run": (run.name,) * run.samples},
+        labels=_run_labels(run),
         load_units={},
         unused=(),
         digest=run.digest,
     )
+
+
+def _run_labels(run: Run) -> dict[str, tuple[str, ...]]:
+    """The labels of the rows of a run, as those of a table."""
+    labels = {"run": (run.name,) * run.samples, "series": run.series_labels, "point": run.point_kinds}
+    return {key: texts for key, texts in labels.items() if texts is not None}

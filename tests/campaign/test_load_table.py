@@ -51,6 +51,7 @@ def test_default_units_and_labels(tmp_path: Path) -> None:
     assert table.unused == ("No", "weather")
     runs = runs_of_table(table, geometry())
     assert [(run.name, run.trim, run.samples) for run in runs] == [("a", "t1", 1), ("b", "t2", 1)]
+    assert [(run.series_labels, run.point_kinds) for run in runs] == [(("s1",), ("tare",)), (("s2",), ("load",))]
 
 
 def test_numbered_points_are_no_kinds(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.load_table_columns import LABELS, POINT_WORDS, Column, identify_columns, plain_name
+from balance_cli.campaign.recording.point_labels import POINT_KINDS
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
@@ -28,7 +29,6 @@ Array = NDArray[np.float64]
 
 TABLE_TRIM = "table"
 """Label of the trim of a table that names none."""
-POINT_KINDS = ("tare", "load", "repeat", "check")
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,7 @@ def runs_of_table(table: LoadTable, geometry: Geometry) -> tuple[Run, ...]:
 
 def _run_of_rows(table: LoadTable, geometry: Geometry, name: str, trim: str, rows: NDArray[np.bool_]) -> Run:
     loads = None if table.hub_loads is None else table.hub_loads[rows]
+    labels = {key: tuple(np.array(texts)[rows].tolist()) for key, texts in table.labels.items()}
     run = Run(
         name=name,
         rig=geometry.rig,
@@ -104,6 +105,8 @@ def _run_of_rows(table: LoadTable, geometry: Geometry, name: str, trim: str, row
         has_loads=loads is not None,
         trim=trim,
         path=table.path,
+        series_labels=labels.get("series"),
+        point_kinds=labels.get("point"),
     )
     return replace(run, digest=run_digest(run))
 
