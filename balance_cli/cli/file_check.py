@@ -33,7 +33,8 @@ class FileFinding:
     """A file that was checked.
 
     `kind` is `geometry`, `run`, `loads`, `unknown` or a format; `about` describes the content in a line of text.
-    `run_kind` is the kind of a run (`static`, `sweep`, ...), `has_pulses` whether it has 1/rev pulses.
+    `run_kind` is the kind of a run (`static`, `sweep`, ...), `has_pulses` whether it has 1/rev pulses,
+    `sample_rate` [Hz] that of its samples.
     """
 
     kind: str
@@ -44,6 +45,7 @@ class FileFinding:
     faults: tuple[UserError, ...] = ()
     run_kind: str = ""
     has_pulses: bool = False
+    sample_rate: float | None = None
 
 
 def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
@@ -119,7 +121,15 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
     remedy = "Commands leave it out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
     return FileFinding(
-        "run", _describe_run(run), run.name, run.rig, run.digest, faults, run.kind, run.pulse_times is not None
+        "run",
+        _describe_run(run),
+        run.name,
+        run.rig,
+        run.digest,
+        faults,
+        run.kind,
+        run.pulse_times is not None,
+        run.sample_rate,
     )
 
 

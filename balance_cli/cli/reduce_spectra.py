@@ -13,7 +13,6 @@ from balance_cli.cli.load_text import number_pair
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import SPECTRA_FORMAT
 from balance_cli.io.spreadsheet import text_cell
-from balance_cli.reduction.flags import SEPARATOR, trust_word
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
@@ -86,7 +85,7 @@ def _run_summary(run: RunSpectra) -> dict[str, Any]:
         "redundancy_max": float(run.redundancy.max()),
         "interval_s": run.interval,
         "channels_left_out": run.left_out,
-        "trust": trust_word(SEPARATOR.join(run.flags)),
+        "trust": run.trust,
         "load_error": run.load_error,
     }
 
@@ -105,5 +104,4 @@ def spectra_text(spectra: LoadSpectra) -> Iterator[str]:
             shown, spread = number_pair(value, sigma)
             yield f"   {f'{component} {UNIT_OF[component]}':8}{shown:>12} {spread:>9} {run.peak_hz[component]:>9.4g} Hz"
         flagged = sum(bool(flag) for flag in run.flags)
-        word = trust_word(SEPARATOR.join(run.flags))
-        yield f"   trust: {word}; {flagged} of {len(run.flags)} frequencies are flagged"
+        yield f"   trust: {run.trust}; {flagged} of {len(run.flags)} frequencies are flagged"

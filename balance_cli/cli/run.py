@@ -82,7 +82,7 @@ class _ProgressLines:
 
 def _finish(session: Session, execution: Execution, inventory: Inventory) -> None:
     """Set summary, text and exit status: that of the worst step, or 4 where only files were left out."""
-    from balance_cli.cli.pipeline.loads import best_loads, loads_summary, loads_text
+    from balance_cli.cli.pipeline.loads import best_loads, loads_summary, loads_text, spectra_lines
 
     loads = best_loads(execution.results, execution.made)
     summary = {**_summary(execution, inventory), **loads_summary(loads)}
@@ -91,7 +91,7 @@ def _finish(session: Session, execution: Execution, inventory: Inventory) -> Non
         session.status = EXIT_USER_ERROR if set(statuses) == {EXIT_USER_ERROR} else 1
     elif inventory.left_out:
         session.status = EXIT_RUNS_SKIPPED
-    session.finish(summary, loads_text(loads))
+    session.finish(summary, [*loads_text(loads), *spectra_lines(execution.results, execution.made)])
 
 
 def _summary(execution: Execution, inventory: Inventory) -> dict[str, Any]:

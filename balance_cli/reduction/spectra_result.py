@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.result_view import ResultView, plural
+from balance_cli.reduction.flags import REDUNDANCY, SEPARATOR, trust_word
+from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,6 +34,8 @@ SPECTRUM_COLUMNS = (
 )
 """Columns of a table of spectra."""
 
+NEIGHBORS_REJECTED = 2.0
+"""Frequencies that one excursion of the noise rejects: neighbors within the bandwidth of the window go together."""
 DENSITY_UNITS = {"N": "N2/Hz", "N m": "(N m)2/Hz"}
 """Unit of a spectral density for each unit of a load."""
 
@@ -78,6 +83,15 @@ class RunSpectra(ResultView):
         """{component: frequency of its largest density}."""
         peaks = self.frequency_hz[np.argmax(self.density, axis=0)]
         return {name: float(peaks[i]) for i, name in enumerate(self.components)}
+
+    @property
+    def trust(self) -> str:
+        """The word of trust of the run: `contradicted` only where more frequencies are than chance explains."""
+        words = [flag.split(SEPARATOR) for flag in self.flags]
+        rejected = sum(REDUNDANCY in flags for flags in words)
+        by_chance = float(stats.poisson.ppf(REDUNDANCY_CONFIDENCE, (1.0 - REDUNDANCY_CONFIDENCE) * len(self.flags)))
+        ignored = (REDUNDANCY,) if rejected <= NEIGHBORS_REJECTED * by_chance else ()
+        return trust_word(SEPARATOR.join(word for flags in words for word in flags if word not in ignored))
 
     def summary_lines(self) -> Iterator[str]:
         """Run, band, averages."""

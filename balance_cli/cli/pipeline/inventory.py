@@ -21,12 +21,13 @@ RUN_SUFFIXES = (".h5", ".hdf5")
 
 @dataclass(frozen=True)
 class RunFile:
-    """A run file that can be used: its path, the name of its run, its content digest, whether it has 1/rev pulses."""
+    """A run file that can be used: path, name of the run, content digest, whether it has 1/rev pulses, rate [Hz]."""
 
     path: Path
     name: str
     digest: str
     has_pulses: bool = True
+    sample_rate: float | None = None
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ def _sort_findings(inventory: Inventory, findings: Mapping[Path, FileFinding]) -
             left_out[path] = f"has the same run name as {names[finding.name].name}, `{finding.name}`"
         else:
             names[finding.name] = path
-            run = RunFile(path, finding.name, finding.digest, finding.has_pulses)
+            run = RunFile(path, finding.name, finding.digest, finding.has_pulses, finding.sample_rate)
             runs[finding.run_kind] = (*runs[finding.run_kind], run)
             if finding.faults:
                 channels[path] = tuple(f"{fault.place}: {fault.fault}" for fault in finding.faults)

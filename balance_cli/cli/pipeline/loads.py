@@ -32,7 +32,7 @@ def best_loads(results: Path, made: list[Path]) -> tuple[Path, HubLoads] | None:
 def loads_text(best: tuple[Path, HubLoads] | None) -> Iterator[str]:
     """Yield the loads of each run with a line of trust."""
     if best is None:
-        yield "no loads were reduced"
+        yield "no harmonic loads were reduced"
         return
     path, loads = best
     yield f"hub loads by {loads.response}, {path}:"
@@ -41,6 +41,18 @@ def loads_text(best: tuple[Path, HubLoads] | None) -> Iterator[str]:
         yield from load_lines(run, loads.geometry, loads.method == FREQUENCIES)
         yield trust_line(run)
         yield f"   {run_verdict(run).sentence}"
+
+
+def spectra_lines(results: Path, made: list[Path]) -> Iterator[str]:
+    """Yield the loads of records without pulses, where their spectra were made."""
+    from balance_cli.cli.reduce_spectra import spectra_text
+    from balance_cli.io.artefacts import load_artefact
+    from balance_cli.io.formats import SPECTRA_FORMAT
+    from balance_cli.reduction.spectra_result import LoadSpectra
+
+    path = results / "spectra.h5"
+    if path in made:
+        yield from spectra_text(load_artefact(path, {SPECTRA_FORMAT: LoadSpectra}).content)
 
 
 def loads_summary(best: tuple[Path, HubLoads] | None) -> dict[str, Any]:

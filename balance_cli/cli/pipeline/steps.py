@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,8 +14,10 @@ from balance_cli.io.errors import UserError
 PAPER_FORMS = {"paper": ("--form", "paper"), "paper-full": ("--form", "paper", "--damping", "full")}
 BEST_FIRST = ("closed", "rigid", "transfer", "computed")
 """Responses in the order in which their loads are preferred: updated, identified, measured, computed."""
-SPECTRUM_SHARE = 0.8
-"""Of the cut-off of the anti-alias filter (or of 0.4 times the sample rate): the highest frequency of a spectrum."""
+LOWEST_FREQUENCY = 1.0
+"""[Hz] from which spectra are reduced: below lie the drift of channels and the high-pass of piezo channels."""
+SHARE_OF_CUTOFF, SHARE_OF_RATE = 0.8, 0.4
+"""Of the cut-off of the anti-alias filter, and of the sample rate: up to the smaller one spectra are reduced."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,7 @@ class _Builder:
     def add_reductions(self) -> None:
         """Add the reductions by every response, in time, and the tables of the best response."""
         rotor = _paths(run for run in self._campaign.of_kind("check", "wind") if run.has_pulses)
+        self._add_spectra()
         if not rotor:
             self.left_out["loads"] = "no check or wind run with 1/rev pulses: no harmonic loads"
             return
@@ -156,9 +160,24 @@ class _Builder:
             options = ("--method", "smoother", "--history", str(self._path("histories")))
             self._add_reduction("smoother", "closed", wind, *options, optional=True)
 
+    def _add_spectra(self) -> None:
+        """Add spectral densities of the records without 1/rev pulses."""
+        runs = [run for run in self._campaign.of_kind("check", "wind") if not run.has_pulses]
+        if not runs:
+            return
+        rate = min(run.sample_rate or math.inf for run in runs)
+        declared = self._campaign.geometry.acquisition.filter
+        highest = min(SHARE_OF_RATE * rate, SHARE_OF_CUTOFF * declared.cutoff if declared else math.inf)
+        spectra, response = self._path("spectra.h5"), self._response("closed" if self._sweeps else "computed")
+        words: tuple[str | Path, ...] = ("reduce", *response, *_paths(runs))
+        band = ("--band", f"{LOWEST_FREQUENCY:g}", f"{highest:g}", "-o", spectra)
+        self.add("spectra", *words, *band, writes=(spectra,), json=True)
+        self._add_table("spectra.csv", (spectra,))
+
     def add_report(self) -> None:
         """Add the report of everything that was made."""
-        parts = [path for step in self.steps for path in step.writes if path.suffix == ".h5"]
+        outputs = [path for step in self.steps if step.name != "spectra" for path in step.writes]
+        parts = [path for path in outputs if path.suffix == ".h5"]
         page = self._path("report.html")
         self.add("report", "report", "-o", page, writes=(page,), if_there=tuple(parts))
 
