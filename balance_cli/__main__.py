@@ -1,9 +1,9 @@
 """The program `balance`, also `python -m balance_cli`."""
 
+# Nothing that takes time is imported before the signals are handled: these modules are there when Python starts.
+import _signal  # type: ignore[import-not-found]  # what `signal` wraps, without its enumerations
 import os
 import sys
-from contextlib import suppress
-from types import FrameType
 
 # With many small matrices BLAS threads cost more than they gain: up to ten times the run time on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -19,7 +19,7 @@ EXIT_INTERRUPTED = 130
 
 def main() -> None:
     """Run the program with the arguments of the command line."""
-    # Help writes no file, and is fastest without the module `signal`: there Ctrl-C is an ordinary exception.
+    # Help writes no file: there Ctrl-C is an ordinary exception.
     handle = not HELP_OPTIONS & set(sys.argv[1:])
     try:
         if handle:
@@ -55,55 +55,54 @@ def _end_process(status: int) -> None:
     At the end of the interpreter HDF5 once more closes the files that it could not write, and crashes.
     """
     _ignore_signals()
-    with suppress(OSError, ValueError):
-        sys.stdout.flush()
-    with suppress(OSError, ValueError):
-        sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            continue
     os._exit(status)
 
 
 def _handle_signals() -> None:
     """Let the signals end the program in order, except those that the caller ignores (as `nohup` does)."""
-    import signal
-
-    for name in SIGNALS:
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _exit_on_signal)
+    for number in _signal_numbers():
+        if _signal.getsignal(number) is not _signal.SIG_IGN:
+            _signal.signal(number, _exit_on_signal)
 
 
 def _ignore_signals() -> None:
-    import signal
-
-    for name in SIGNALS:
-        number = getattr(signal, name, None)
-        if number is not None:
-            signal.signal(number, signal.SIG_IGN)
+    for number in _signal_numbers():
+        _signal.signal(number, _signal.SIG_IGN)
 
 
-def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
+def _signal_numbers() -> dict[int, str]:
+    """The message of each signal that this system has."""
+    return {getattr(_signal, name): message for name, message in SIGNALS.items() if hasattr(_signal, name)}
+
+
+def _exit_on_signal(number: int, _frame: object) -> None:
     """Remove the staged files, print one line and end the process with status 128 + number.
 
     An exception would not do: extension modules that are being imported replace it by their own or drop it, and a pool
     of threads waits for its work.
     """
-    import signal
-
     # No file is staged before this module is imported; it may be half imported now.
     abandon = getattr(sys.modules.get("balance_cli.io.atomic"), "abandon_outputs", None)
     outcome = abandon(lambda: _exit_on_signal(number, None)) if abandon else "nothing written"
     if outcome is None:
         return
     _ignore_signals()
-    _write_line(f"{SIGNALS[signal.Signals(number).name]}, {outcome}")
+    _write_line(f"{_signal_numbers()[number]}, {outcome}")
     os._exit(128 + number)
 
 
 def _write_line(message: str) -> None:
     """Print the message on stderr; on a terminal it begins below a progress bar or an echoed ^C."""
     start = "\n" if os.isatty(2) else ""
-    with suppress(OSError):  # the terminal may be gone
+    try:
         os.write(2, f"{start}balance: error: {message}\n".encode())
+    except OSError:
+        return  # the terminal may be gone
 
 
 if __name__ == "__main__":
