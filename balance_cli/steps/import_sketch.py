@@ -17,6 +17,8 @@ from balance_cli.io.units import FORCE, MOMENT, TIME, Unit, parse_unit
 
 TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
 TACHOMETER = re.compile(r"tach|rpm|puls|1/?rev|key ?phas|encoder|trigger|drehz|azimu|speed", re.IGNORECASE)
+YAML_WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
+"""Words that YAML does not take for text."""
 SIMILARITY = 0.6
 """Share of equal characters (difflib) from which two names are taken as one."""
 KIND_NAMES = {
@@ -58,6 +60,8 @@ def _rig(geometry: Geometry | None) -> str:
 
 def _quoted(text: str) -> str:
     """A text as a YAML scalar: plain where that is safe, else in quotes."""
+    if text.lower() in YAML_WORDS:
+        return json.dumps(text)
     return text if re.fullmatch(r"[A-Za-z][\w./+-]*( [\w./+-]+)*", text) else json.dumps(text, ensure_ascii=False)
 
 
