@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,6 +39,14 @@ EXIT_DISCREPANCY = 3
 @click.option(
     "--model-out", type=OutputFile(), required=True, metavar="MODEL", help="Where the updated model is written."
 )
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(min=0.0),
+    default=300.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Time after which no further effect is tried; the best model up to then is written, and the notes say so.",
+)
 @click.option("--fail-on-discrepancy", is_flag=True, help="Exit status 3 unless the verdict is `nothing missing`.")
 @skip_bad_option
 @output_option("DIAGNOSIS")
@@ -47,6 +56,7 @@ def command(
     runs: tuple[Path, ...],
     hold_out: tuple[Path, ...],
     model_out: Path,
+    time_limit: float,
     fail_on_discrepancy: bool,
     skip_bad: bool,
     output: Path,
@@ -74,7 +84,7 @@ def command(
     _check_spectra(session, spectra)
     hold_out_runs = (*hold_out_runs, *kept_aside)
     _warn_about_hold_out(session, before, hold_out_runs, kept_aside)
-    diagnosis, updated_model = _run_diagnosis(before, spectra, records, hold_out_runs)
+    diagnosis, updated_model = _run_diagnosis(before, spectra, records, hold_out_runs, time_limit)
     errors = _hold_out_run_errors(session, hold_out_runs, before, updated_model, skip_bad)
     diagnosis = judge_hold_out(diagnosis, errors, [run.name for run in kept_aside])
     session.save(output, DIAGNOSIS_FORMAT, diagnosis)
@@ -130,15 +140,22 @@ def _warn_about_hold_out(
 
 
 def _run_diagnosis(
-    before: IdentifiedModel, spectra: Spectra, records: tuple[Run, ...], hold_out_runs: tuple[Run, ...]
+    before: IdentifiedModel,
+    spectra: Spectra,
+    records: tuple[Run, ...],
+    hold_out_runs: tuple[Run, ...],
+    time_limit: float,
 ) -> tuple[Diagnosis, IdentifiedModel]:
     from balance_cli.cli.progress import progress_bar
+    from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
     from balance_cli.steps.diagnose import diagnose
     from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation
 
     task = SimulationTask(before, spectra, records, hold_out_runs)
     with progress_bar() as progress:
-        return diagnose_with_free_simulation(task, partial(diagnose, progress=progress))
+        return diagnose_with_free_simulation(
+            task, partial(diagnose, progress=progress), replace(DEFAULT_SETTINGS, time_limit=time_limit)
+        )
 
 
 def _hold_out_run_errors(

@@ -32,7 +32,7 @@ from balance_cli.model.balance import BalanceModel
 from balance_cli.model.placed_effects import declared_effects
 
 Array = NDArray[np.float64]
-Announce = Callable[[str], None]
+Announce = Callable[[str], bool]
 
 
 @dataclass(frozen=True)
@@ -81,9 +81,9 @@ def update_model(
     update = _test_on_all_lines(task, search_result)
     if is_good_fit(update.confirmation, model_quality(update.fit.model, update.fit.theta, batches), settings):
         return update
-    state, tried = add_unmodelled_modes(
-        _starting_models(task, update), lines, last_round(update.trials) + 1, announce, settings
-    )
+    if announce("resonances without a cause"):
+        return update
+    state, tried = add_unmodelled_modes(_starting_models(task, update), lines, last_round(update.trials) + 1, settings)
     trials = (*update.trials, *tried)
     if state is None:
         return replace(update, trials=trials)
@@ -111,7 +111,7 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     trials, alternatives = search_result.trials, _search_alternatives(search_result, settings)
     for number in range(settings.selection.max_passes):
         confirmation = confirm(fit, batches, noise_alone, last_round(trials) + 1, task.announce, settings)
-        task.announce("effect selection")
+        over = task.announce("effect selection")
         trials = (*trials, *confirmation.trials)
         alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
         count, last = len(confirmation.scores), last_round(trials) + 1
@@ -121,7 +121,7 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
             fit, batches, task.given_labels, alternatives, count, last + 1, task.announce, settings
         )
         trials, fit = (*trials, *pruned, *dropped, *comparison.trials), comparison.fit
-        if not comparison.trials or number == settings.selection.max_passes - 1:
+        if over or not comparison.trials or number == settings.selection.max_passes - 1:
             break
     fit = fit_all_lines(fit.model, fit.theta, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
     return UpdateResult(fit, comparison.effect_support, trials, confirmation)

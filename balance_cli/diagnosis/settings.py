@@ -289,6 +289,8 @@ class SearchSettings:
     """Difference of chi-square within which two explanations are equally good: a log-likelihood ratio of 3."""
     alternative_gap: float = 30.0
     """Difference of chi-square on which an explanation is not yet rejected: the plate, or all lines, may reverse it."""
+    time_limit: float = 300.0
+    """Seconds after which no further round begins: the longest that a user is kept waiting for a diagnosis."""
     excluded: tuple[str, ...] = ()
     """Effects (NAME or NAME@PLACE) that are no candidates: those that a free simulation has contradicted."""
 

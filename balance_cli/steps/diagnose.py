@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +41,7 @@ def diagnose(
     `spectra` include means and waveforms. Raises UserError for a model of the paper's form, and without any sweep.
     """
     _check_inputs(model, spectra)
-    announce = _Announcer(progress)
+    announce = _Announcer(progress, settings.time_limit)
     batches = stack_runs(spectra.lines, spectra.statics, model.geometry.channel_names)
     before = (balance_model(model.geometry), np.array(model.parameters.value, float))
     quality = model_quality(*before, batches)
@@ -56,6 +58,9 @@ def diagnose(
         declared_effects(updated.geometry), identified_effects(updated), update, intervals, batches
     )
     diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings)
+    if announce.is_over:
+        note = f"the time limit of {settings.time_limit:g} s was reached: this is the best model up to then"
+        diagnosis = replace(diagnosis, notes=(*diagnosis.notes, note))
     announce("done")
     return diagnosis, updated
 
@@ -108,17 +113,24 @@ def _check_inputs(model: IdentifiedModel, spectra: Spectra) -> None:
 
 
 class _Announcer:
-    """Reports the progress: each call is one step further, and `done` is the end."""
+    """Reports the progress: each call is one step further, and `done` is the end; tells whether the time is over."""
 
     EXPECTED_STEPS = 16
     """Steps of a usual diagnosis. Further ones stay below LAST_SHARE."""
     LAST_SHARE = 0.95
 
-    def __init__(self, progress: Progress | None) -> None:
+    def __init__(self, progress: Progress | None, time_limit: float) -> None:
         self._progress, self._count = progress, 0
+        self._end = time.monotonic() + time_limit
 
-    def __call__(self, text: str) -> None:
+    @property
+    def is_over(self) -> bool:
+        """Whether the time limit has been reached."""
+        return time.monotonic() >= self._end
+
+    def __call__(self, text: str) -> bool:
         self._count += 1
         if self._progress is not None:
             share = min(self._count / self.EXPECTED_STEPS, self.LAST_SHARE)
             self._progress(text, 1.0 if text == "done" else share)
+        return self.is_over

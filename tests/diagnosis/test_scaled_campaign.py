@@ -1,10 +1,12 @@
 """A diagnosis does not depend on units of time, force and length; a body that nobody declared is a candidate."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.diagnosis.result import EXPLAINED
+from balance_cli.diagnosis.result import EXPLAINED, UNEXPLAINED
 from balance_cli.diagnosis.search.candidates import candidate_at
 from balance_cli.diagnosis.search.score_statistics import score_in_two_stages
 from balance_cli.diagnosis.selection.cross_validation import cross_validation_gain
@@ -57,6 +59,16 @@ def test_slower_stronger_and_smaller_is_the_same_diagnosis(recorded):
     assert first.quality.frf_band == (5.0, 150.0)
     assert second.quality.frf_band == pytest.approx((0.2, 15.0), rel=0.3)
     assert second.quality.frf_error == pytest.approx(first.quality.frf_error, rel=0.1)
+
+
+def test_after_the_time_limit_the_best_model_so_far_is_returned_and_said_to_be_that(recorded):
+    spectra = measured_spectra(recorded, ONE, means=True)
+    hasty = replace(SETTINGS, time_limit=0.0)
+    made, _ = diagnose(identify(measured_spectra(recorded, ONE), ONE), spectra, settings=hasty)
+    assert made.verdict == UNEXPLAINED
+    assert made.chi2_per_dof_after <= made.chi2_per_dof_before
+    assert any("time limit of 0 s" in note for note in made.notes)
+    assert any("before its refit" in trial.reason for trial in made.trials)
 
 
 def test_a_body_that_nobody_declared_relieves_the_declared_center_of_gravity():

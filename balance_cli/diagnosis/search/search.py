@@ -22,7 +22,7 @@ from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
-Announce = Callable[[str], None]
+Announce = Callable[[str], bool]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def search(
 ) -> SearchResult:
     """Add effects one by one until none helps; where the error stays large, fit everything again from the regression.
 
-    The effects that the channels of one cell demand come first.
+    The effects that the channels of one cell demand come first. `announce` returns whether the time is over.
     """
     result = SearchResult(fit_until_stable(model, theta, lines, settings.fit))
     for initial_set in initial_sets:
@@ -60,7 +60,8 @@ def search(
         state = result.state
         if state.error < limits.small_error:
             break
-        announce(f"search, round {number}: model error {100 * state.error:.2g} %")
+        if announce(f"search, round {number}: model error {100 * state.error:.2g} %"):
+            break
         added = search_round(state, lines, number, candidates(state.geometry, excluded=settings.excluded), settings)
         result = result.add(added.state or state, added.trials, added.alternatives)
         if not stuck and _is_slow(state, added.state, settings):

@@ -6,7 +6,7 @@ unknown way; the cause has to be looked for at the identified frequencies.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +35,6 @@ def add_unmodelled_modes(
     starting_models: Sequence[tuple[BalanceModel, Array]],
     lines: SearchLines,
     first_round: int,
-    announce: Callable[[str], None],
     settings: SearchSettings,
 ) -> tuple[SearchState | None, tuple[Trial, ...]]:
     """The model with the resonances that reduce its error, and the trials; None where no resonance is accepted.
@@ -43,7 +42,6 @@ def add_unmodelled_modes(
     Of several starting models the one that ends with the best description is returned. The first one has all effects
     found before; those of its effects that the returned model lacks are listed as removed.
     """
-    announce("resonances without a cause")
     results = [_add_modes(model, theta, lines, first_round, settings) for model, theta in starting_models]
     costs = [_cost(state, settings.parameter_cost) for state, _ in results]
     best = int(np.argmin(costs))

@@ -60,7 +60,7 @@ def compare_alternatives(
     alternatives: Mapping[str, Sequence[str]],
     count: int,
     number: int,
-    announce: Callable[[str], None],
+    announce: Callable[[str], bool],
     settings: SearchSettings,
 ) -> ComparisonResult:
     """Compare every effect that is not given with its `alternatives` (labels), and a weak one with all candidates.
@@ -70,9 +70,13 @@ def compare_alternatives(
     """
     known, result = dict(alternatives), ComparisonResult(fit)
     while effect := _next_effect(result, given_labels):
-        announce(f"evidence of {effect.label}")
+        over = announce(f"evidence of {effect.label}")
         label, fit = effect.label, result.fit
-        comparison = _compare(fit, effect, batches, known.get(label, ()), settings)
+        comparison = (
+            _Comparison(EffectSupport(*effect_wald_statistic(fit, effect), ()), {}, None)
+            if over
+            else _compare(fit, effect, batches, known.get(label, ()), settings)
+        )
         better = comparison.better
         if better is None or len(result.trials) >= 2 * settings.selection.max_replaced:
             support = {**result.effect_support, label: comparison.support}

@@ -23,9 +23,10 @@ from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
 
 REASON_SMALL_GAIN = "takes too little off what no noise explains"
+REASON_NO_TIME = "the time limit was reached before its refit"
 REASON_CONFOUNDED = "gains no more than what is not exactly known of "
 
-Announce = Callable[[str], None]
+Announce = Callable[[str], bool]
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,10 @@ class ConfirmedFit:
 
 @dataclass(frozen=True)
 class _RoundContext:
-    """One round: the fit before it, the scores of all candidates, and the gain that an effect must have."""
+    """One round: the fit before it, the scores of all candidates, and the gain that an effect must have.
+
+    `is_last`: there is no time to refit any candidate.
+    """
 
     number: int
     fit: Fit
@@ -53,6 +57,7 @@ class _RoundContext:
     scores: tuple[Score, ...]
     threshold: float
     settings: SearchSettings
+    is_last: bool = False
 
     def reject(self, scores: Sequence[Score], reason: str) -> tuple[Trial, ...]:
         """Trials of candidates that are rejected without a refit."""
@@ -85,14 +90,14 @@ def confirm(
     """Add significant effects one by one, as long as each explains a fair share of the unexplained chi-square."""
     result, refused = ConfirmedFit(fit), frozenset[str]()
     for number in range(first_round, first_round + settings.selection.max_rounds):
-        announce(f"all lines, round {number}")
+        over = announce(f"all lines, round {number}")
         fit = result.fit
         pool = candidates(fit.model.geometry, excluded=settings.excluded)
         scores = score_in_two_stages(fit.model, fit.theta, batches, pool, settings)
         unexplained = unexplained_chi2(fit, batches, noise_alone, settings.fit)
         threshold = settings.selection.min_effect_share * unexplained
         smallest_p_value, step = _confirm_round(
-            _RoundContext(number, fit, batches, scores, threshold, settings), refused
+            _RoundContext(number, fit, batches, scores, threshold, settings, over), refused
         )
         trials, alternatives = (*result.trials, *step.trials), {**result.alternatives, **step.alternatives}
         result = ConfirmedFit(step.fit or fit, trials, scores, alternatives, smallest_p_value)
@@ -115,6 +120,8 @@ def _confirm_round(context: _RoundContext, refused: Collection[str]) -> tuple[fl
     if not selected:
         confounded = select_significant([score for score in possible if score.gain <= limit], count, context.settings)
         result = _RoundResult(None, context.reject(confounded, REASON_CONFOUNDED + cause), ended=True)
+    elif context.is_last:
+        result = _RoundResult(None, context.reject(selected, REASON_NO_TIME), ended=True)
     elif max(score.gain for score in selected) < context.threshold:
         result = _RoundResult(None, context.reject(selected, REASON_SMALL_GAIN), ended=True)
     else:
