@@ -14,6 +14,7 @@ from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noise import CalibrationNoise, estimate_calibration_noise
 from balance_cli.calibration.noniterative import NonIterativeModel, fit_noniterative_model
 from balance_cli.calibration.outliers import Outlier, ScreenedFit
+from balance_cli.calibration.series_alarm import unpredicted_series
 from balance_cli.calibration.suspect_series import SuspectLoadSeries, find_swapped_channels
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
 from balance_cli.campaign.recording.run import Run, read_channels
@@ -121,7 +122,11 @@ def calibrate_all_trims(
         outliers=screened.outliers,
         suspect_series=screened.suspect_series,
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
-        screening_notes=(*screened.screening_notes, *_runs_without_attitude(points)),
+        screening_notes=(
+            *screened.screening_notes,
+            *unpredicted_series(points, fit),
+            *_runs_without_attitude(points),
+        ),
         non_iterative=fit_noniterative_model(total, model, used, search) if non_iterative else None,
         checks=tuple(
             evaluate_check_loads(model, noise, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0])))

@@ -49,7 +49,8 @@ class Tares:
     """Weight of the metric part and natural zeros.
 
     `w` (4,): weight [N] and its first moments about the hub [N m], with covariance (4, 4). `natural_zeros` (c,) [V]:
-    reading of the channels without any load, with sigma. `chi2_per_dof` of the zeros of `series_count` load series
+    reading of the channels without any load, with sigma. Elements of `w` that the balance does not tell (first moments
+    where it measures no moments) are zero, without error. `chi2_per_dof` of the zeros of `series_count` load series
     about this model, NaN without degrees of freedom; the standard errors are widened where it is significant.
     """
 
@@ -73,7 +74,9 @@ class Tares:
     @property
     def center_of_gravity(self) -> Array:
         """Center of gravity (3,) [m] of the metric part from the hub, in rig axes; NaN for an insignificant weight."""
-        return self.w[1:] / self.weight if self._weight_is_significant else np.full(3, np.nan)
+        if not self._weight_is_significant:
+            return np.full(3, np.nan)
+        return np.where(self._told[1:], self.w[1:] / self.weight, np.nan)
 
     @property
     def center_of_gravity_sigma(self) -> Array:
@@ -81,7 +84,13 @@ class Tares:
         if not self._weight_is_significant:
             return np.full(3, np.nan)
         derivative = np.column_stack([-self.center_of_gravity, np.eye(3)]) / self.weight
-        return np.asarray(np.sqrt(np.diag(derivative @ self.w_covariance @ derivative.T)))
+        sigma = np.sqrt(np.diag(derivative @ self.w_covariance @ derivative.T))
+        return np.where(self._told[1:], sigma, np.nan)
+
+    @property
+    def _told(self) -> NDArray[np.bool_]:
+        """Elements (4,) of w that the balance tells: without moments not where the weight acts."""
+        return np.asarray(np.diag(self.w_covariance) > 0)
 
     @property
     def _weight_is_significant(self) -> bool:
@@ -204,12 +213,15 @@ def _solve_tares(
     )
     X, y = white[:, :-1], white[:, -1]
     scale = np.linalg.norm(X, axis=0)
-    if not np.all(scale > 0) or len(y) < len(scale):
+    # A balance without moments tells the weight, and not where it acts: those columns are zero.
+    told = scale > 0
+    if not np.all(told[: c + 1]) or len(y) < np.count_nonzero(told):
         return None
-    U, d, Vt = np.linalg.svd(X / scale, full_matrices=False)
+    U, d, Vt = np.linalg.svd(X[:, told] / scale[told], full_matrices=False)
     if d[-1] < MIN_SINGULAR_RATIO * d[0]:
         return None
-    root = Vt.T / d / scale[:, None]
+    root = np.zeros((len(scale), len(d)))
+    root[told] = Vt.T / d / scale[told][:, None]
     solution = root @ (U.T @ y)
     return solution, root @ root.T, float(np.sum((y - X @ solution) ** 2)), s
 
@@ -219,7 +231,7 @@ def _tares_from_solution(
 ) -> Tares:
     """Tares from N and w (c + 4,), with the covariance widened by chi-square where that is significant."""
     c = len(solution) - 4
-    dof = c * series_count - len(solution)
+    dof = c * series_count - int(np.count_nonzero(np.diag(covariance) > 0))
     ratio = chi2 / dof if dof else float("nan")
     if dof and stats.chi2.sf(chi2, dof) < MISFIT_P_VALUE:
         covariance = covariance * ratio

@@ -170,9 +170,13 @@ def _suspect_series_warning(suspect: SuspectLoadSeries) -> str:
 
 def _outlier_warning(outlier: Outlier) -> str:
     size, direction = format_significant(abs(1e6 * outlier.error)), "above" if outlier.error > 0 else "below"
+    cause = f" {outlier.cause}." if outlier.cause else ""
+    if outlier.exchanged_with is not None:
+        first, second = sorted((outlier.row, outlier.exchanged_with))
+        cause = f" Rows {first} and {second} look exchanged."
     return (
         f"{outlier.run} row {outlier.row}: {outlier.channel} is {size} {MICROVOLT} {direction} the prediction of all "
-        f"other rows ({format_significant(abs(outlier.over_sigma))} standard deviations). The row was excluded."
+        f"other rows ({format_significant(abs(outlier.over_sigma))} standard deviations).{cause} The row was excluded."
     )
 
 

@@ -307,3 +307,21 @@ def test_the_page_tells_the_weight():
     assert "Metric part, from the zeros of" in texts(made, "text")
     table = next(one for one in tables(made) if "Natural zeros" in one.caption)
     assert len(table.rows) == len(calibration.all_trims.model.channel_names)
+
+
+def test_a_balance_without_moments_tells_the_weight_and_not_where_it_acts():
+    rng = np.random.default_rng(6)
+    up = np.r_[0.0, np.arange(1, 6), np.arange(4, 0, -1)] / 5.0
+    x = np.vstack([np.outer(up, np.eye(3)[i % 3]) for i in range(6)])
+    series = np.repeat(np.arange(6), len(up))
+    gravity = gravity_directions(SIX[series])
+    C = np.eye(3) + 0.1 * rng.normal(size=(3, 3))
+    total = x + W * gravity / FULL_RANGE[:3]
+    readings = total @ C.T + NATURAL[:3] + 1e-4 * rng.normal(size=x.shape)
+    m, names = len(x), COMPONENTS[:3]
+    points = CalibrationPoints(
+        CHANNELS[:3], names, ("s",), readings, x * FULL_RANGE[:3], np.zeros(m, int), np.ones(m), FULL_RANGE[:3], gravity
+    )
+    tares = calibrate_all_trims(points).tares
+    assert tares.weight == pytest.approx(W, abs=5 * tares.weight_sigma) and 0 < tares.weight_sigma < 0.05 * W
+    assert np.isnan(tares.center_of_gravity).all() and np.isnan(tares.center_of_gravity_sigma).all()
