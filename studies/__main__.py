@@ -13,6 +13,7 @@ from balance_cli.report.figure_style import save_picture
 from studies.attribution import attribution_chunk
 from studies.attribution_tables import attribution_table
 from studies.calibration import calibration_chunk, calibration_table
+from studies.calibration_schedules import schedules_chunk, schedules_table
 from studies.cases import KINDS, case, count
 from studies.chunks import run_chunks
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
@@ -38,6 +39,7 @@ def studies(context: click.Context) -> None:
         context.invoke(recovery)
         context.invoke(attribution)
         context.invoke(calibration)
+        context.invoke(schedules)
         context.invoke(maneuver)
         context.invoke(filters)
 
@@ -90,6 +92,16 @@ def calibration(balances: int = 100, jobs: int = 2) -> None:
     rows = run_chunks("calibration", calibration_chunk, range(balances), jobs)
     table = calibration_table(rows)
     _write("calibration", table)
+    click.echo(table.to_string(index=False))
+
+
+@studies.command()
+@click.option("--seeds", default=20, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def schedules(seeds: int = 20, jobs: int = 2) -> None:
+    """Mistakes named, coverage, and errors over those of plain least squares, by schedule of a static calibration."""
+    table = schedules_table(run_chunks("schedules", schedules_chunk, range(seeds), jobs))
+    _write("schedules", table)
     click.echo(table.to_string(index=False))
 
 

@@ -32,8 +32,8 @@ def unpredicted_series(points: CalibrationPoints, fit: CalibrationModelFit) -> I
         if share[c] > MIN_ERROR_SHARE:
             predicted, fitted = 100.0 * share[c], 100.0 * sigma[c] / spread[c]
             notes.append(
-                f"{description}: the other load series predict {points.channel_names[c]} to {predicted:.2g} % of its range "
-                f"only, where the fit leaves {fitted:.2g} %: the model rests on this series alone, or does not hold"
+                f"{description}: the other load series predict {points.channel_names[c]} to {predicted:.2g} % of its "
+                f"range only, where the fit leaves {fitted:.2g} %: the model rests on this series alone, or does not hold"
             )
     yield from notes[:MAX_NOTES]
     if len(notes) > MAX_NOTES:
