@@ -33,7 +33,7 @@ def unpredicted_series(points: CalibrationPoints, fit: CalibrationModelFit) -> I
             predicted, fitted = 100.0 * share[c], 100.0 * sigma[c] / spread[c]
             notes.append(
                 f"{description}: the other load series predict {points.channel_names[c]} to {predicted:.2g} % of its "
-                f"range only, where the fit leaves {fitted:.2g} %: the model rests on this series alone, or does not hold"
+                f"range only, where the fit leaves {fitted:.2g} %: the model rests on this series alone, or is wrong"
             )
     yield from notes[:MAX_NOTES]
     if len(notes) > MAX_NOTES:
