@@ -255,9 +255,8 @@ def _judge(schedule: Schedule, recorded: Recorded, check: tuple[Array, Array]) -
     errors = (held.computed - held.applied) / FULL_RANGE[:k]
     inside = np.abs(held.computed - held.applied) <= held.prediction_interval
     own = float(np.sqrt(np.mean(errors[good] ** 2)))
-    plain = [
-        float(np.sqrt(np.mean(plain_errors(schedule, recorded, check, quadratic) ** 2))) for quadratic in (False, True)
-    ]
+    each = (plain_errors(schedule, recorded, check, quadratic) for quadratic in (False, True))
+    plain = [float(np.sqrt(np.mean(errors_of_model**2))) for errors_of_model in each]
     named = {outlier.row - 1 for outlier in whole.outliers}
     return {
         "refused": 0.0,

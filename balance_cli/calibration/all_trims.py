@@ -122,11 +122,7 @@ def calibrate_all_trims(
         outliers=screened.outliers,
         suspect_series=screened.suspect_series,
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
-        screening_notes=(
-            *screened.screening_notes,
-            *unpredicted_series(points, fit),
-            *_runs_without_attitude(points),
-        ),
+        screening_notes=_screening_notes(points, screened),
         non_iterative=fit_noniterative_model(total, model, used, search) if non_iterative else None,
         checks=tuple(
             evaluate_check_loads(model, noise, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0])))
@@ -138,6 +134,11 @@ def calibrate_all_trims(
         load_series=points.load_series,
         series_notes=notes or None,
     )
+
+
+def _screening_notes(points: CalibrationPoints, screened: ScreenedFit) -> tuple[str, ...]:
+    alarms = unpredicted_series(points, screened.fit)
+    return (*screened.screening_notes, *alarms, *_runs_without_attitude(points))
 
 
 def _estimate_noise(points: CalibrationPoints, fit: CalibrationModelFit, used: NDArray[np.bool_]) -> CalibrationNoise:

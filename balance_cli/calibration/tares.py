@@ -76,7 +76,7 @@ class Tares:
         """Center of gravity (3,) [m] of the metric part from the hub, in rig axes; NaN for an insignificant weight."""
         if not self._weight_is_significant:
             return np.full(3, np.nan)
-        return np.where(self._told[1:], self.w[1:] / self.weight, np.nan)
+        return np.where(self._informed[1:], self.w[1:] / self.weight, np.nan)
 
     @property
     def center_of_gravity_sigma(self) -> Array:
@@ -85,10 +85,10 @@ class Tares:
             return np.full(3, np.nan)
         derivative = np.column_stack([-self.center_of_gravity, np.eye(3)]) / self.weight
         sigma = np.sqrt(np.diag(derivative @ self.w_covariance @ derivative.T))
-        return np.where(self._told[1:], sigma, np.nan)
+        return np.where(self._informed[1:], sigma, np.nan)
 
     @property
-    def _told(self) -> NDArray[np.bool_]:
+    def _informed(self) -> NDArray[np.bool_]:
         """Elements (4,) of w that the balance tells: without moments not where the weight acts."""
         return np.asarray(np.diag(self.w_covariance) > 0)
 
@@ -214,14 +214,14 @@ def _solve_tares(
     X, y = white[:, :-1], white[:, -1]
     scale = np.linalg.norm(X, axis=0)
     # A balance without moments tells the weight, and not where it acts: those columns are zero.
-    told = scale > 0
-    if not np.all(told[: c + 1]) or len(y) < np.count_nonzero(told):
+    informed = scale > 0
+    if not np.all(informed[: c + 1]) or len(y) < np.count_nonzero(informed):
         return None
-    U, d, Vt = np.linalg.svd(X[:, told] / scale[told], full_matrices=False)
+    U, d, Vt = np.linalg.svd(X[:, informed] / scale[informed], full_matrices=False)
     if d[-1] < MIN_SINGULAR_RATIO * d[0]:
         return None
     root = np.zeros((len(scale), len(d)))
-    root[told] = Vt.T / d / scale[told][:, None]
+    root[informed] = Vt.T / d / scale[informed][:, None]
     solution = root @ (U.T @ y)
     return solution, root @ root.T, float(np.sum((y - X @ solution) ** 2)), s
 
