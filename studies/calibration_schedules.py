@@ -24,7 +24,7 @@ Index = NDArray[np.intp]
 
 COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 FULL_RANGE = np.array([800.0, 800.0, 3500.0, 400.0, 400.0, 450.0])
-# Shares of the range: noise of readings and loads, shift of the zero, hysteresis, misaligned weights, curvature.
+# Shares of the range.
 READING_NOISE, LOAD_NOISE, ZERO_SHIFT, HYSTERESIS, MISALIGNMENT, CURVATURE = 3e-4, 1e-4, 5e-3, 2e-4, 5e-4, 1e-3
 CONDITION = 10.0
 CHECKS = 60
@@ -167,10 +167,9 @@ def calibration_points(recorded: Recorded) -> CalibrationPoints:
 
 
 def plain_errors(schedule: Schedule, recorded: Recorded, check: tuple[Array, Array], quadratic: bool) -> Array:
-    """Rms errors (k,) over their range of check loads by plain least squares, loads as functions of the readings.
+    """Rms errors (k,) of check loads by plain least squares, loads as functions of the readings less the tare points.
 
-    Readings are counted from the first row of each series where there are tare points, and have one constant elsewhere.
-    The mistakes are left out by hand.
+    Without tare points there is one constant. The mistakes are left out by hand.
     """
     good = np.setdiff1d(np.arange(len(recorded.x)), recorded.spoiled)
     readings = recorded.channels
@@ -220,7 +219,7 @@ def check_record(
 
 
 def schedules_chunk(seed: int) -> pd.DataFrame:
-    """All schedules and faults once: what was named, errors over those of plain least squares, coverage."""
+    """All schedules and faults once."""
     rows = []
     for number, (name, make) in enumerate(SCHEDULES.items()):
         for systematic in (0.0, 1.0):
