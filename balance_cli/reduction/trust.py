@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,8 +91,18 @@ def assess_trust(
     n = shape[0] - 1
     lines: tuple[UnmodelledLine, ...] = ()
     if not record.fixed_frequency:  # whoever names the frequencies knows that there are others
-        lines = unmodelled_lines(record.run, record.azimuth, record.health.live, n, record.spectra.interval)
+        gain = _power_gain(record, source)
+        lines = unmodelled_lines(record.run, record.azimuth, record.health.live, n, record.spectra.interval, gain)
     return Trust(untested, unsteady_loads(record, geometry, source, static, sigma), contradicted, rejected, lines)
+
+
+def _power_gain(record: RotorRecord, source: ResponseSource) -> Callable[[Array], Array] | None:
+    """Return |T|^2 (k, c, 6) of the live channels at k frequencies; None where the rows of the response are others."""
+    live = record.health.live
+    picked = source.channel_combination(record.spectra.frequency_hz[1:2], live)
+    if picked.combination.shape[1] != len(live) or not np.array_equal(picked.combination[0], np.eye(len(live))):
+        return None
+    return lambda frequency: np.abs(source.at(frequency, record.spin)[:, picked.rows]) ** 2
 
 
 def sensor_count(geometry: Geometry, live: tuple[str, ...]) -> int:

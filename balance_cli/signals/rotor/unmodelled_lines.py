@@ -6,6 +6,7 @@ constant frequency (mains, a pump, another rotor) is one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.signals.rotor.azimuth import Azimuth
-from balance_cli.signals.rotor.spectral_floor import spectral_floor
+from balance_cli.signals.rotor.spectral_floor import block_size, spectral_floor
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,8 @@ SIDEBAND_BINS = 8.0
 MOST_LINES = 6
 """Lines that are named, the strongest first."""
 BELOW_NYQUIST = 0.9
+RESONANCE_GRID = 33
+"""Frequencies across the width of the median at which the response is compared with itself at a line."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +55,22 @@ class UnmodelledLine:
         return f"line at {self.frequency:.2f} Hz ({where}), strongest in {self.channel}"
 
 
+PowerGain = Callable[[Array], Array]
+
+
 def unmodelled_lines(
-    run: Run, azimuth: Azimuth, names: tuple[str, ...], n: int, interval: tuple[float, float]
+    run: Run,
+    azimuth: Azimuth,
+    names: tuple[str, ...],
+    n: int,
+    interval: tuple[float, float],
+    power_gain: PowerGain | None = None,
 ) -> tuple[UnmodelledLine, ...]:
-    """Return the lines of the named channels in an interval [s] that harmonics 0 to `n` do not contain."""
+    """Return the lines of the named channels in an interval [s] that harmonics 0 to `n` do not contain.
+
+    `power_gain` returns |T|^2 (k, c, m) of the channels at frequencies (k,) [Hz]: a light mode that gusts excite is as
+    narrow as a line in a record of a few of its time constants, and is not one as far as the response explains it.
+    """
     assert run.sample_rate is not None
     first, last = (int(t * run.sample_rate) for t in interval)
     excess = max(0, last - first - LONGEST_RECORD) // 2
@@ -83,8 +98,34 @@ def unmodelled_lines(
         for f, c, a in _peaks(frequency, over_time, largest)
         if f < highest * speed and not _beside_harmonic(f, slowest, fastest, SIDEBAND_BINS * frequency[1])
     ]
+    width = (frequency[1] + speed * order[1]) / 2 * block_size(len(frequency))
     found = sorted(rotor_lines + fixed_lines, key=lambda line: -line.amplitude)
+    if power_gain is not None:
+        clearance = {"turns": (order, over_azimuth, speed), "fixed": (frequency, over_time, 1.0)}
+        found = [
+            line
+            for line in found
+            if _clearance(line, names, *clearance["turns" if line.turns_with_rotor else "fixed"])
+            > LINE_TO_FLOOR * _resonance(line, names, width, power_gain)
+        ]
     return tuple(found[:MOST_LINES])
+
+
+def _clearance(line: UnmodelledLine, names: tuple[str, ...], axis: Array, amplitude: Array, unit: float) -> float:
+    """Return the power of a line over the floor of its channel; `axis` times `unit` is in Hz."""
+    power = amplitude[:, [names.index(line.channel)]] ** 2
+    at = int(np.argmin(np.abs(axis * unit - line.frequency)))
+    floor = float(spectral_floor(power)[at, 0])
+    return float(power[max(0, at - 1) : at + 2].max()) / max(floor, float(np.finfo(float).tiny))
+
+
+def _resonance(line: UnmodelledLine, names: tuple[str, ...], width: float, power_gain: PowerGain) -> float:
+    """Return by how much the response to the load that is amplified most exceeds its median across `width` [Hz]."""
+    grid = np.abs(line.frequency + np.linspace(-width, width, RESONANCE_GRID))
+    gain = power_gain(np.append(np.maximum(grid, 0.1 * line.frequency), line.frequency))[:, names.index(line.channel)]
+    median = np.median(gain[:-1], axis=0)
+    driven = median > 0
+    return float(max(1.0, np.max(gain[-1, driven] / median[driven], initial=1.0)))
 
 
 def _speed_range(azimuth: Azimuth, time: Array) -> tuple[float, float]:
