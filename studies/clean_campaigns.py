@@ -1,7 +1,7 @@
 """Clean campaigns on five rigs: how many rows are flagged although nothing is wrong, and whether intervals cover.
 
-Each campaign is a rig sampled from the tolerances, simulated in time, with the standard noise. Its records are short: what
-is counted are rows, not digits.
+Each campaign is a rig sampled from the tolerances, simulated in time, with the standard noise. Its records are short:
+what is counted are rows, not digits.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def _rows(loads: RunLoads, truth: RunTruth) -> Iterator[dict[str, object]]:
 
 
 def clean_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return campaigns, rows, rows with each flag that occurs by mistake, and the coverage of 95 % intervals, by rig."""
+    """Return campaigns, rows, rows with each flag by mistake, and the coverage of 95 % intervals, by rig."""
     table = []
     for letter, part in rows.groupby("rig"):
         flags = part["flag"].fillna("")

@@ -17,7 +17,7 @@ from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, NOT_MEASURED, REDUNDANCY, UNTESTED, join_flags
-from balance_cli.reduction.weighted_least_squares import REDUNDANCY_CONFIDENCE
+from balance_cli.reduction.weighted_least_squares import DOF_PER_REDUNDANT_EQUATION, REDUNDANCY_CONFIDENCE
 from balance_cli.signals import distributions as stats
 from balance_cli.signals.rotor.harmonics import Harmonics
 
@@ -73,11 +73,15 @@ def unmeasured_mean_loads(components: tuple[str, ...]) -> MeanLoads:
 
 @dataclass(frozen=True)
 class MeanReading:
-    """Mean readings (c,) [V] of the usable channels (rows) less a reference reading, with covariance (c, c)."""
+    """Mean readings (c,) [V] of the usable channels (rows) less a reference reading, with covariance (c, c).
+
+    `dof`: real degrees of freedom of the covariance.
+    """
 
     rows: list[int]
     change: Array
     covariance: Array
+    dof: float
 
 
 def linear_mean_loads(
@@ -127,8 +131,9 @@ def _loads_by_trim(
     is_complete = len(reading.rows) == len(trim.channel_names)
     T0 = trim.T0 if is_complete else np.linalg.inv(C0.T @ W @ C0) @ C0.T @ W
     change = T0 @ reading.change
-    covariance = reading.covariance + _model_covariance(trim, reading.rows, change, zero is not None)
-    redundancy, limit = mean_load_redundancy(reading.change - C0 @ change, C0, covariance)
+    model_covariance = _model_covariance(trim, reading.rows, change, zero is not None)
+    covariance = reading.covariance + model_covariance
+    redundancy, limit = _residual_test(reading, C0, model_covariance, trim)
     variance = np.diag(T0 @ covariance @ T0.T) * (redundancy if redundancy > limit else 1.0)
     return MeanLoads(
         components=trim.components,
@@ -140,6 +145,31 @@ def _loads_by_trim(
         redundancy_limit=limit,
         condition=trim.condition,
     )
+
+
+def _residual_test(
+    reading: MeanReading, C0: Array, model_covariance: Array, trim: TrimCalibration
+) -> tuple[float, float]:
+    """Return chi-square per degree of freedom of the redundant channels and its limit, for the matrix of a trim.
+
+    The test is made in the directions N that no load reaches, N' C0 = 0. The errors of C0 under one load come from the
+    few rows that applied it, so that their covariance has hardly an inverse: its size is kept, and the correlation is
+    that of the residuals of all rows. Noise of too few degrees of freedom counts by its variances. Degrees of freedom
+    are combined by Satterthwaite's formula (Biometrics Bulletin 2, 1946, 110).
+    """
+    redundant = len(C0) - C0.shape[1]
+    if not trim.rows or redundant <= 0:
+        return mean_load_redundancy(reading.change, C0, reading.covariance + model_covariance)
+    few = reading.dof < DOF_PER_REDUNDANT_EQUATION * redundant
+    noise = np.diag(np.diag(reading.covariance)) if few else reading.covariance
+    residual = trim.residual_covariance[np.ix_(reading.rows, reading.rows)]
+    unit = np.sqrt(np.diag(residual))[:, None]
+    N = np.linalg.svd(C0 / unit * trim.calibrated_range)[0][:, C0.shape[1] :] / unit
+    noise, model, residual = (N.T @ part @ N for part in (noise, model_covariance, residual))
+    share = float(np.trace(np.linalg.solve(residual, model))) / redundant
+    sizes = (float(np.trace(np.linalg.solve(residual, noise))) / redundant, share)
+    dof = sum(sizes) ** 2 / sum(size**2 / n for size, n in zip(sizes, (reading.dof, trim.dof), strict=True))
+    return mean_load_redundancy(N.T @ reading.change, np.zeros((redundant, 0)), noise + share * residual, dof, few)
 
 
 def run_flags(components: Sequence[str], zero: ZeroRecord | None, misfit: bool, tested: bool) -> tuple[str, ...]:
@@ -186,7 +216,8 @@ def mean_reading(
         at = [zero.channel_names.index(name) for name in names]
         change = change - (zero.mean[at] - unloaded[rows])
         covariance = covariance + np.diag(zero.variance[at])
-    return MeanReading(rows, change, covariance)
+    dof = 2.0 * float(spectra.dof[0])
+    return MeanReading(rows, change, covariance, dof if zero is None else min(dof, ZERO_SEGMENTS - 1.0))
 
 
 def determines_loads(C0: Array) -> bool:
@@ -205,8 +236,13 @@ def undetermined_loads_error(health: ChannelHealth, run: str) -> UserError:
     )
 
 
-def mean_load_redundancy(residual: Array, C0: Array, covariance: Array) -> tuple[float, float]:
-    """Residual test of the redundant channels: chi-square per degree of freedom, and its 99.9 % point."""
+def mean_load_redundancy(
+    residual: Array, C0: Array, covariance: Array, dof: float = np.inf, variances_only: bool = False
+) -> tuple[float, float]:
+    """Residual test of the redundant channels: chi-square per degree of freedom, and its 99.9 % point.
+
+    With a covariance of `dof` degrees of freedom it follows Hotelling's distribution; with `variances_only` F.
+    """
     degrees = len(C0) - C0.shape[1]
     if degrees <= 0:
         return float("nan"), float("inf")
@@ -214,4 +250,7 @@ def mean_load_redundancy(residual: Array, C0: Array, covariance: Array) -> tuple
     inverse = np.linalg.inv(C0.T @ weight @ C0)
     projected = residual - C0 @ (inverse @ C0.T @ weight @ residual)
     chi2 = float(projected @ weight @ projected)
-    return chi2 / degrees, float(stats.chi2.ppf(REDUNDANCY_CONFIDENCE, degrees)) / degrees
+    if not np.isfinite(dof):
+        return chi2 / degrees, float(stats.chi2.ppf(REDUNDANCY_CONFIDENCE, degrees)) / degrees
+    second = dof if variances_only else max(dof - degrees + 1.0, 1.0)
+    return chi2 / degrees, float(stats.f.ppf(REDUNDANCY_CONFIDENCE, degrees, second)) * max(dof / second, 1.0)

@@ -52,3 +52,26 @@ def test_a_tone_that_does_not_turn_with_the_rotor_is_named(frequency):
 
 def test_a_line_too_small_to_matter_is_not_reported():
     assert lines(orders={9: 0.01}, tones={50.0: 0.01}) == ()
+
+
+def test_a_light_mode_that_gusts_excite_is_no_line_where_the_response_explains_it():
+    rng = np.random.default_rng(3)
+    rate, seconds, mode, zeta = 250.0, 48.0, 3.47, 0.0005
+    n = int(rate * seconds)
+    time = np.arange(n) / rate
+    w = 2 * np.pi * np.fft.rfftfreq(3 * n, 1 / rate)
+    w0 = 2 * np.pi * mode
+    response = w0**2 / (w0**2 - w**2 + 2j * zeta * w * w0)
+    swaying = np.fft.irfft(np.fft.rfft(rng.standard_normal(3 * n)) * response, 3 * n)[n : 2 * n]
+    psi = 2 * np.pi * 4.2 * time
+    values = np.stack([np.cos(psi) + 0.05 * swaying + 1e-4 * rng.standard_normal(n)] * 2, axis=1)
+    azimuth = azimuth_from_pulses(np.arange(0, seconds, 1 / 4.2))
+    run = Run("r", "r", "wind", ("a", "b"), n, MemorySource(values, None), has_loads=False, sample_rate=rate)
+
+    def power_gain(frequency):
+        H = w0**2 / (w0**2 - (2 * np.pi * frequency) ** 2 + 2j * zeta * 2 * np.pi * frequency * w0)
+        return np.tile(np.abs(H)[:, None, None] ** 2, (1, 2, 6))
+
+    arguments = (run, azimuth, ("a", "b"), 8, (azimuth.first, azimuth.last))
+    assert [round(line.frequency, 1) for line in unmodelled_lines(*arguments)] == [3.5]
+    assert unmodelled_lines(*arguments, power_gain) == ()
