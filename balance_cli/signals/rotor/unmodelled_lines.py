@@ -98,23 +98,39 @@ def unmodelled_lines(
         for f, c, a in _peaks(frequency, over_time, largest)
         if f < highest * speed and not _beside_harmonic(f, slowest, fastest, SIDEBAND_BINS * frequency[1])
     ]
-    width = (frequency[1] + speed * order[1]) / 2 * block_size(len(frequency))
     found = sorted(rotor_lines + fixed_lines, key=lambda line: -line.amplitude)
     if power_gain is not None:
-        clearance = {"turns": (order, over_azimuth, speed), "fixed": (frequency, over_time, 1.0)}
-        found = [
-            line
-            for line in found
-            if _clearance(line, names, *clearance["turns" if line.turns_with_rotor else "fixed"])
-            > LINE_TO_FLOOR * _resonance(line, names, width, power_gain)
-        ]
+        spectra = _Spectra(names, order * speed, over_azimuth, frequency, over_time)
+        found = [line for line in found if not _is_resonance(line, spectra, power_gain)]
     return tuple(found[:MOST_LINES])
 
 
-def _clearance(line: UnmodelledLine, names: tuple[str, ...], axis: Array, amplitude: Array, unit: float) -> float:
-    """Return the power of a line over the floor of its channel; `axis` times `unit` is in Hz."""
+@dataclass(frozen=True)
+class _Spectra:
+    """Amplitudes of the named channels over azimuth, at `turning` [Hz] of the mean speed, and over time, at `fixed`."""
+
+    names: tuple[str, ...]
+    turning: Array
+    over_azimuth: Array
+    fixed: Array
+    over_time: Array
+
+
+def _is_resonance(line: UnmodelledLine, spectra: _Spectra, power_gain: PowerGain) -> bool:
+    """Whether the response explains how far a line stands out."""
+    if line.turns_with_rotor:
+        frequency, amplitude = spectra.turning, spectra.over_azimuth
+    else:
+        frequency, amplitude = spectra.fixed, spectra.over_time
+    width = frequency[1] * block_size(len(frequency))
+    clearance = _clearance(line, spectra.names, frequency, amplitude)
+    return clearance <= LINE_TO_FLOOR * _resonance(line, spectra.names, width, power_gain)
+
+
+def _clearance(line: UnmodelledLine, names: tuple[str, ...], frequency: Array, amplitude: Array) -> float:
+    """Return the power of a line over the floor of its channel."""
     power = amplitude[:, [names.index(line.channel)]] ** 2
-    at = int(np.argmin(np.abs(axis * unit - line.frequency)))
+    at = int(np.argmin(np.abs(frequency - line.frequency)))
     floor = float(spectral_floor(power)[at, 0])
     return float(power[max(0, at - 1) : at + 2].max()) / max(floor, float(np.finfo(float).tiny))
 
