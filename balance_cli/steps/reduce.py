@@ -21,6 +21,7 @@ from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.suspect_channels import describe_suspect_channels
 from balance_cli.reduction.trust import assess_trust, flag_all, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
+from balance_cli.steps.dynamic_error import add_dynamic_error
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -69,7 +70,7 @@ def reduce_record(
     mean_solution = (
         unmeasured_mean_loads(record.components) if calibration is None else _mean_loads(record, calibration, zero)
     )
-    harmonic_solution = harmonic_loads(record, geometry, source)
+    harmonic_solution = add_dynamic_error(harmonic_loads(record, geometry, source), record, geometry, source)
     if amplitudes is not None:
         harmonic_solution = replace(harmonic_solution, loads=amplitudes)
     errors_known = calibration is None or calibration.errors_known
