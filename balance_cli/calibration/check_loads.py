@@ -37,9 +37,11 @@ class CheckLoads:
 
     @property
     def interval_coverage(self) -> Array:
-        """Share (k,) of the valid rows whose load lies within its prediction interval; NaN without any."""
+        """Share (k,) of the valid rows whose load lies within its prediction interval; NaN where none is known."""
         within = (np.abs(self.computed - self.applied) <= self.prediction_interval)[self.is_valid]
-        return np.asarray(np.mean(within, axis=0)) if len(within) else np.full(within.shape[1], np.nan)
+        if not len(within) or not np.isfinite(self.prediction_interval[self.is_valid]).all():
+            return np.full(within.shape[1], np.nan)
+        return np.asarray(np.mean(within, axis=0))
 
     @property
     def error(self) -> Array:

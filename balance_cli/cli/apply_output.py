@@ -109,11 +109,13 @@ def _rms_errors(run: PointLoads) -> list[float]:
 
 
 def _coverage(run: PointLoads) -> list[float]:
-    """Share (k,) of the rows with loads whose error is within the prediction interval."""
+    """Share (k,) of the rows with loads whose error is within the prediction interval; NaN where none is known."""
     assert run.applied is not None
     rows = np.isfinite(run.loads).all(axis=1)
+    if not rows.any() or not np.isfinite(run.interval[rows]).all():
+        return [float("nan")] * len(run.components)
     within = np.abs(run.loads - run.applied)[rows] <= run.interval[rows]
-    return within.mean(axis=0).tolist() if rows.any() else [float("nan")] * len(run.components)
+    return [float(share) for share in within.mean(axis=0)]
 
 
 def apply_text(loads: Sequence[PointLoads], units: Mapping[str, Unit]) -> Iterator[str]:
@@ -127,4 +129,5 @@ def apply_text(loads: Sequence[PointLoads], units: Mapping[str, Unit]) -> Iterat
         yield "  component      rms error   within 95 % interval (without the error of the applied loads)"
         for name, error, share in zip(run.components, _rms_errors(run), _coverage(run), strict=True):
             unit = units[name]
-            yield f"  {name:9s} {error / unit.factor:12.5g} {unit.symbol:7s} {100 * share:6.1f} %"
+            within = f"{100 * share:6.1f} %" if np.isfinite(share) else "not known"
+            yield f"  {name:9s} {error / unit.factor:12.5g} {unit.symbol:7s} {within}"

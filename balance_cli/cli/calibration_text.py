@@ -99,7 +99,8 @@ def _math_model_text(all_trims: AllTrimsCalibration) -> Iterator[str]:
         yield f"  loads by iteration: every step reduces the error at least {1 / max(proof.rho, 1e-12):.0f} times"
     if all_trims.non_iterative is not None:
         residuals = zip(model.components, all_trims.non_iterative.residual_percent_fs, strict=True)
-        yield f"  non-iterative method; residual % FS: {', '.join(f'{name} {value:.4f}' for name, value in residuals)}"
+        values = ", ".join(f"{name} {value:.4f}" for name, value in residuals)
+        yield f"  non-iterative method; residual in % of calibrated range: {values}"
     if all_trims.tares is not None:
         yield from _tares_text(all_trims.tares)
     if model.unsupported_terms:
@@ -113,11 +114,12 @@ def _check_text(check: CheckLoads, all_trims: AllTrimsCalibration) -> Iterator[s
     model, rows = all_trims.model, len(check.is_valid)
     outside = rows - int(np.count_nonzero(check.is_valid))
     note = f"; {outside} of {rows} rows outside the calibrated loads are left out" if outside else ""
-    yield f"  {check.run}: rms error % FS, and share of loads within their 95 % interval{note}"
+    yield f"  {check.run}: rms error in % of calibrated range, and share of loads within their 95 % interval{note}"
     for j, component in enumerate(model.components):
         error, share = 100.0 * check.error[j] / model.calibrated_range[j], 100.0 * check.interval_coverage[j]
         known = np.isfinite(error)
-        yield f"    {component:4s} {error:9.4f} {share:6.1f} %" if known else f"    {component:4s} not known"
+        within = f"{share:6.1f} %" if np.isfinite(share) else "interval not known"
+        yield f"    {component:4s} {error:9.4f} {within}" if known else f"    {component:4s} not known"
 
 
 def _tares_text(tares: Tares) -> Iterator[str]:

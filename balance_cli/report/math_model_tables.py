@@ -189,5 +189,7 @@ def _check_row(all_trims: AllTrimsCalibration, check: CheckLoads) -> Row:
 def _check_cell(error: float, share: float, rows: int) -> TableCell:
     if not rows:
         return TableCell(MISSING_VALUE)
+    if not np.isfinite(share):
+        return TableCell(format_percent(error), "interval not known")
     p_value = float(stats.binom.cdf(round(share * rows), rows, CONFIDENCE))
     return TableCell(format_percent(error), f"{100 * share:.0f} %", "bad" if p_value < THREE_SIGMA_P_VALUE else "")

@@ -136,3 +136,19 @@ def test_a_vendor_matrix_is_applied_and_written_again(tmp_path: Path) -> None:
     again = read_ati_matrix((tmp_path / "b.cal").read_text(), "f")
     np.testing.assert_allclose(again.T0, expected.T0, atol=1e-9)
     call("report", cal, "-o", tmp_path / "page.html")
+
+
+def test_check_loads_have_no_coverage_where_no_interval_is_known(tmp_path: Path) -> None:
+    """The noise of a linear matrix is not known: an interval that is not known covers neither all nor nothing."""
+    geometry = "format: balance-geometry/1\nname: g\nrig: r\nchannels: [{name: B}]\ncomponents: [Fx]\n"
+    (tmp_path / "g.yaml").write_text(geometry)
+    (tmp_path / "m.csv").write_text("component,B [V],range\nFx [N],100,50\nnote,1,1\n")
+    (tmp_path / "check.csv").write_text("Fx [N],B [V]\n0,0.01\n10,0.111\n20,0.209\n")
+    words = ("-g", tmp_path / "g.yaml", "--from-matrix", tmp_path / "m.csv", "--hold-out", tmp_path / "check.csv")
+    text = call("calibrate", *words, "-o", tmp_path / "cal.h5")
+    assert "interval not known" in text
+    assert "0.0 %" not in text
+    call("report", tmp_path / "cal.h5", "-o", tmp_path / "page.html")
+    assert "interval not known" in (tmp_path / "page.html").read_text()
+    text = call("apply", tmp_path / "cal.h5", tmp_path / "check.csv", "--zero", "first", "-o", tmp_path / "l.csv")
+    assert "not known" in text
