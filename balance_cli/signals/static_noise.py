@@ -43,6 +43,8 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
 
     Raises UserError where there are no loads, or too few rows within a ramp.
     """
+    if not channel_names:
+        raise run_error(run, "none of its channels can be used", "Repair the channels, or leave the run out")
     channels, loads = read_samples(run, channel_names)
     differences = second_differences(loads)
     count = _independent_differences(loads, differences)

@@ -163,7 +163,7 @@ def test_a_value_beyond_sense_is_refused(examples, tmp_path, out, command, place
     assert_refused(call(*examples.words(command, path, out)), out, "bad.yaml", word)
 
 
-@pytest.mark.parametrize("key", ["name", "rig", "channels"])
+@pytest.mark.parametrize("key", ["name", "rig", "hub", "channels"])
 def test_a_missing_key_is_named(examples, tmp_path, out, key):
     assert_refused(call("modes", "-g", write(tmp_path / "bad.yaml", without(key))), out, "bad.yaml", key)
 

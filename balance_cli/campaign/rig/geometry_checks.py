@@ -22,6 +22,8 @@ SINGULAR_VALUE_TOLERANCE = 1e-6
 
 def geometry_faults(geometry: Geometry) -> Iterator[UserError]:
     """All faults between the parts of a geometry, in the order of the file; each part is valid by itself."""
+    if geometry.bodies and "hub" not in geometry.model_fields_set:
+        yield UserError("is missing", place="hub", remedy="Give the point to which the hub loads refer [m]")
     yield from _duplicate_name_faults("bodies", [body.name for body in geometry.bodies])
     for index, body in enumerate(geometry.bodies):
         yield from _inertia_faults(index, body)
