@@ -16,6 +16,7 @@ from studies.calibration import calibration_chunk, calibration_table
 from studies.calibration_schedules import schedules_chunk, schedules_table
 from studies.cases import KINDS, case, count
 from studies.chunks import run_chunks
+from studies.clean_campaigns import clean_chunk, clean_table
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
 from studies.filters import filters_chunk
 from studies.filters_picture import filters_picture
@@ -128,6 +129,16 @@ def filters(seeds: int = 10, jobs: int = 2) -> None:
     _write("filters", table)
     save_picture(PICTURES / "filters.png", "filters", lambda: filters_picture(table), "png")
     click.echo(page_table(table))
+
+
+@studies.command("clean-campaigns")
+@click.option("--campaigns", default=100, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def clean_campaigns(campaigns: int = 100, jobs: int = 2) -> None:
+    """Rows that are flagged although nothing is wrong, and coverage, on five rigs."""
+    table = clean_table(run_chunks("clean-campaigns", clean_chunk, range(campaigns), jobs))
+    _write("clean_campaigns", table)
+    click.echo(table.to_string(index=False))
 
 
 @studies.command()

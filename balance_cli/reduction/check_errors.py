@@ -19,7 +19,7 @@ ComplexArray = NDArray[np.complex128]
 HARMONICS_COMPARED = 8
 """Harmonics 1 to 8, as `load_error` is defined in the file contract."""
 SAME_PATTERN = 0.98
-"""Correlation of the reduced with the applied harmonics from which they differ by a factor only."""
+"""Correlation of what was found with what was expected at the harmonics, from which they differ by a factor only."""
 SMALLEST_FACTOR, LARGEST_FACTOR = 0.5, 2.0
 """Range of factors between reduced and applied loads that a response may be wrong by; units and signs lie outside."""
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
+from balance_cli.reduction.check_errors import SAME_PATTERN
 from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, harmonic_response
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
@@ -22,8 +23,6 @@ REJECTED_SHARE = 0.5
 """Share of rejected harmonics from which a channel is looked for: a fault of a channel shows in all of them."""
 EXPLAINED_SHARE = 0.2
 """Share of the rejected harmonics that may remain without the channel that is to blame."""
-SAME_PATTERN = 0.98
-"""Correlation of the readings with what the other channels predict from which they differ by a factor only."""
 PAIR_CANDIDATES = 6
 """Channels whose pairs are tried: those without which the least contradiction remains."""
 FACTOR_TOLERANCE = 0.2
