@@ -63,12 +63,23 @@ def balance_model(geometry: Geometry) -> BalanceModel:
     return BalanceModel(geometry, declared_parameters(geometry) + effect_parameters(effects), effects)
 
 
+def _has_positive_inertia(geometry: Geometry) -> bool:
+    if not geometry.effects:
+        return True
+    try:
+        mass = balance_model(geometry).system().equations.mass.value
+    except np.linalg.LinAlgError:  # the damping of the modes has no solution
+        return False
+    if not np.isfinite(mass).all():
+        return False
+    least, largest = np.linalg.eigvalsh(mass)[[0, -1]]
+    return bool(least >= -NEGATIVE_INERTIA * abs(largest))
+
+
 def check_effects(geometry: Geometry, file: str) -> None:
     """Raise UserError, with the file named, where an effect is unknown, has no such place, or is not physical."""
     try:
-        mass = balance_model(geometry).system().equations.mass.value if geometry.effects else np.eye(1)
-        least, largest = np.linalg.eigvalsh(mass)[[0, -1]]
-        if not np.isfinite(mass).all() or least < -NEGATIVE_INERTIA * abs(largest):
+        if not _has_positive_inertia(geometry):
             names = ", ".join(f"`{effect.name}`" for effect in geometry.effects)
             fault = f"these parameters are not physical: the inertia with {names} is not positive"
             raise UserError(fault, place="effects", remedy="Check the masses of the effects")

@@ -110,6 +110,11 @@ VALUES = {
     "freedom twice": (("freedom",), ["z", "z"], "freedom"),
     "effect unknown": (("effects", 0, "name"), "warp", "effect"),
     "effect at an unknown place": (("effects", 0, "where"), ["q"], "q"),
+    "negative added mass": (
+        ("effects", 0),
+        {"name": "added-mass", "where": [], "parameters": {"mass": -500.0, "x": 0.0, "y": 0.0, "z": 0.0}},
+        "added-mass",
+    ),
     "effect with NaN": (("effects", 0, "parameters", "delay"), NAN, "effects"),
     "effect with an unknown parameter": (("effects", 0, "parameters"), {"dely": 1e-3}, "dely"),
 }
