@@ -25,6 +25,8 @@ MAX_INTRUDING_SHARE = 0.05
 """Share of the rows that may intrude, as that of outliers; more of them are single loads that were meant."""
 MIN_INTRUDING_ROWS = 3
 """Rows that may intrude in any case: two that were exchanged, and a neighbor that they cut off from its series."""
+MIN_RETURNS = 2
+"""Returns to the first load from which it is a tare point, and not a load that was applied twice."""
 LARGE_STEP_RATIO = 1.5
 """A return to the tare that is so many times the next step is no step of a ramp, whose steps are about equal."""
 MIN_SEPARATION = 0.1
@@ -33,13 +35,15 @@ MIN_SEPARATION = 0.1
 Below it the series zeros would explain most of the variation of some loads, and each run keeps one zero.
 """
 
-TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST, EACH_TARE = "last", "first", "split-last", "split-first", "each"
-TARE_POSITIONS = (TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST, EACH_TARE)
+TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST = "last", "first", "split-last", "split-first"
+EACH_TARE, EACH_RETURN = "each", "each-return"
+TARE_POSITIONS = (TARE_LAST, TARE_FIRST, SPLIT_LAST, SPLIT_FIRST, EACH_TARE, EACH_RETURN)
 """Where the tare points of load series stand.
 
 `last`: an unloaded row between two series closes the earlier one; `first`: it opens the later one; `split-last` and
 `split-first`: the same, but two unloaded rows in succession belong to one series each; `each`: a series opens wherever
-the loads return to their first value at once, also where the same load is varied again.
+the loads return to their first value at once, also where the same load is varied again; `each-return`: also where they
+return to it by a step of the ramp, as between the two directions of a load.
 """
 
 
@@ -68,7 +72,7 @@ def determines_loads(x: Array, load_series: Index, runs: Index) -> bool:
 
 def split_rows(x: Array, position: str = TARE_LAST) -> Index:
     """Number (m,) from 0 of the load series of each row of one run, loads x (m, n)."""
-    if position in (TARE_FIRST, SPLIT_FIRST, EACH_TARE):
+    if position in (TARE_FIRST, SPLIT_FIRST, EACH_TARE, EACH_RETURN):
         # Backwards in time a tare point that opens a series closes it.
         starts = sorted(len(x) - start for start in _starts(x[::-1])[1:])
         starts = [0, *starts]
@@ -76,8 +80,8 @@ def split_rows(x: Array, position: str = TARE_LAST) -> Index:
         starts = _starts(x)
     if position in (SPLIT_LAST, SPLIT_FIRST):
         starts = [_between_tares(x, start) for start in starts]
-    if position == EACH_TARE:
-        starts = sorted({*starts, *_returns_to_first_load(x)})
+    if position in (EACH_TARE, EACH_RETURN):
+        starts = sorted({*starts, *_returns_to_first_load(x, LARGE_STEP_RATIO if position == EACH_TARE else 0.0)})
     return np.asarray(np.searchsorted(starts, np.arange(len(x)), side="right") - 1, np.intp)
 
 
@@ -96,16 +100,17 @@ def _between_tares(x: Array, start: int) -> int:
     return start
 
 
-def _returns_to_first_load(x: Array) -> list[int]:
-    """Rows at which all loads return to those of the first row in a step larger than the one that follows.
+def _returns_to_first_load(x: Array, ratio: float) -> list[int]:
+    """Rows at which all loads return to those of the first row in a step above `ratio` times the one that follows.
 
     None where that would leave a load series too short.
     """
     at_base = np.all(np.abs(x - x[0]) <= MIN_LOAD_CHANGE, axis=1)
     step = np.linalg.norm(np.diff(x, axis=0), axis=1)
     returns = [row for row in range(1, len(x) - 1) if at_base[row] and not at_base[row - 1] and not at_base[row + 1]]
-    jumps = [row for row in returns if step[row - 1] > LARGE_STEP_RATIO * step[row]]
-    return jumps if min(np.diff([0, *jumps, len(x)]), default=0) >= MIN_SERIES_ROWS else []
+    jumps = [row for row in returns if step[row - 1] > ratio * step[row]]
+    is_tare = len(returns) >= MIN_RETURNS and min(np.diff([0, *jumps, len(x)]), default=0) >= MIN_SERIES_ROWS
+    return jumps if is_tare else []
 
 
 def intruding_rows(x: Array) -> NDArray[np.bool_]:

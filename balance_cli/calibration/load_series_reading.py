@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.least_squares import subtract_block_means
 from balance_cli.calibration.load_series import (
+    EACH_RETURN,
     EACH_TARE,
     MIN_LOAD_CHANGE,
     SPLIT_FIRST,
@@ -46,6 +47,7 @@ _POSITION_WORDS = {
     SPLIT_LAST: "load series open and close with a tare point",
     SPLIT_FIRST: "load series open and close with a tare point",
     EACH_TARE: "each return to the tare opens a load series",
+    EACH_RETURN: "each return to the tare opens a load series",
 }
 
 
@@ -135,7 +137,7 @@ def _candidates(rows: ScheduleRows, at: Index) -> list[_Candidate]:
     readings = [
         (position, _split_at_tares(tare, position) if inner_tares else split_rows(x, position))
         for position in TARE_POSITIONS
-        if not (inner_tares and position == EACH_TARE)
+        if not (inner_tares and position in (EACH_TARE, EACH_RETURN))
     ]
     regular = _readings_without(x, ~intruding_rows(x)) if not inner_tares else []
     default = dict(regular or readings)[_default_position(x)]
@@ -214,11 +216,16 @@ def _choose_readings(
                 for number, candidates in by_segment.items()
             }
         )
-    scores = [scorer.score(_number_series(rows, choice)) for choice in common]
+    numbered = [_number_series(rows, choice) for choice in common]
+    scores = [scorer.score(series) for series in numbered]
+    if not scorer.is_general(numbered[int(np.argmin(scores[:-1]))], numbered[-1]):
+        scores[-1] = float("inf")
     best = int(np.argmin(scores))
     chosen = common[best] if scores[best] < scores[0] - DECISIVE_SCORE_DIFFERENCE else default
     decided: dict[int, float] = {}
-    for number, candidates in by_segment.items():
+    for number, possible in by_segment.items():
+        # A wrong gain in one segment resembles a shifted zero between its two directions: all segments must show it.
+        candidates = [each for each in possible if each.position != EACH_RETURN or each is chosen[number]]
         if len(candidates) < 2:
             continue
         alone = np.array([scorer.score(_number_series(rows, {**chosen, number: each})) for each in candidates])
@@ -254,6 +261,20 @@ class _Scorer:
             self._scale = np.maximum(1.4826 * np.median(np.abs(errors), axis=0), 1e-9 * np.maximum(spread, 1e-300))
         squares = np.mean((errors / self._scale) ** 2, axis=1)
         return float(np.sum(np.minimum(squares, MAX_SCALED_SQUARE)) + len(np.unique(block)) * np.log(len(block)))
+
+    def is_general(self, few: Index, many: Index) -> bool:
+        """Whether most of the series of one reading (m,) that another one splits are fitted better by the latter.
+
+        A wrong gain in one series resembles a shifted zero between its two directions.
+        """
+        few, many = few[self._rows], many[self._rows]
+        errors = [self._errors(np.unique(block, return_inverse=True)[1]) for block in (few, many)]
+        if errors[0] is None or errors[1] is None or self._scale is None:
+            return False
+        gain = np.mean((errors[0] / self._scale) ** 2 - (errors[1] / self._scale) ** 2, axis=1)
+        split = [name for name in np.unique(few) if len(np.unique(many[few == name])) > 1]
+        gains = [float(np.sum(gain[few == name])) for name in split]
+        return bool(gains) and float(np.median(gains)) > np.log(len(few))
 
     def _errors(self, block: Index) -> Array | None:
         """Errors (m, c) scaled to the variance of a row, of a fit with a zero for each block (m,)."""
