@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares
 from balance_cli.calibration.load_series import describe_load_series
-from balance_cli.calibration.load_series_reading import ScheduleRows, SeriesReading, read_load_series
+from balance_cli.calibration.load_series_reading import SeriesReading, read_load_series
+from balance_cli.calibration.load_series_score import ScheduleRows
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.selection import select_terms
 from balance_cli.calibration.term_support import find_supported_terms

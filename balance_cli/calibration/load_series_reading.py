@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.least_squares import subtract_block_means
 from balance_cli.calibration.load_series import (
     EACH_RETURN,
     EACH_TARE,
@@ -27,6 +26,7 @@ from balance_cli.calibration.load_series import (
     intruding_rows,
     split_rows,
 )
+from balance_cli.calibration.load_series_score import ReadingScore, ScheduleRows
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -34,12 +34,6 @@ Mask = NDArray[np.bool_]
 
 DECISIVE_SCORE_DIFFERENCE = 10.0
 """Difference of the Bayesian information criterion that is very strong evidence (Kass and Raftery, JASA 90, 1995)."""
-MAX_SCALED_SQUARE = 25.0
-"""Squared error over its robust variance at which it is clipped (5 sigma), so that an outlier does not decide."""
-MIN_LEFT_SHARE = 0.1
-"""Floor of 1 - leverage, so that a row that alone determines a zero does not decide."""
-ROWS_PER_COLUMN = 3
-"""Rows for each column of the model by which readings are compared: with fewer it has the loads alone."""
 
 _POSITION_WORDS = {
     TARE_LAST: "a tare point between two load series closes the earlier one",
@@ -57,24 +51,6 @@ class SeriesReading:
 
     load_series: Index
     notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class ScheduleRows:
-    """Rows of all runs: loads x (m, k) in units of the calibrated range, readings (m, c), and whether they are `used`.
-
-    `segment` (m,): number of the run, or of the segment of constant attitude; `run` (m,): index into `run_names`.
-    `stated` (m,): labels of the load series, empty where a run states none; `tare` (m,): rows stated to be tare points.
-    """
-
-    x: Array
-    channels: Array
-    used: Mask
-    segment: Index
-    run: Index
-    run_names: tuple[str, ...]
-    stated: tuple[str, ...]
-    tare: Mask
 
 
 @dataclass(frozen=True)
@@ -207,7 +183,7 @@ def _choose_readings(
 
     Also returns by how much the score of the next best reading of a segment is worse, where that is decisive.
     """
-    scorer = _Scorer(rows)
+    scorer = ReadingScore(rows)
     common = [default]
     for position in TARE_POSITIONS:
         common.append(
@@ -238,57 +214,6 @@ def _choose_readings(
         if margin > DECISIVE_SCORE_DIFFERENCE:
             decided[number] = margin
     return chosen, decided
-
-
-class _Scorer:
-    """Scores of readings: clipped squared errors over their robust variance, plus the price of the zeros."""
-
-    def __init__(self, rows: ScheduleRows) -> None:
-        # Rows that stand in the wrong place would decide by their own errors.
-        parts = [np.flatnonzero(rows.segment == number) for number in np.unique(rows.segment)]
-        self._rows = np.concatenate([part[~intruding_rows(rows.x[part])] for part in parts])
-        self._x, self._channels = rows.x[self._rows], rows.channels[self._rows]
-        self._scale: Array | None = None
-
-    def score(self, load_series: Index) -> float:
-        """Score of one reading (m,), less is better; infinite where it does not determine the loads."""
-        block = np.unique(load_series[self._rows], return_inverse=True)[1]
-        errors = self._errors(block)
-        if errors is None:
-            return float("inf")
-        if self._scale is None:
-            spread = np.ptp(self._channels, axis=0)
-            self._scale = np.maximum(1.4826 * np.median(np.abs(errors), axis=0), 1e-9 * np.maximum(spread, 1e-300))
-        squares = np.mean((errors / self._scale) ** 2, axis=1)
-        return float(np.sum(np.minimum(squares, MAX_SCALED_SQUARE)) + len(np.unique(block)) * np.log(len(block)))
-
-    def is_general(self, few: Index, many: Index) -> bool:
-        """Whether most of the series of one reading (m,) that another one splits are fitted better by the latter.
-
-        A wrong gain in one series resembles a shifted zero between its two directions.
-        """
-        few, many = few[self._rows], many[self._rows]
-        errors = [self._errors(np.unique(block, return_inverse=True)[1]) for block in (few, many)]
-        if errors[0] is None or errors[1] is None or self._scale is None:
-            return False
-        gain = np.mean((errors[0] / self._scale) ** 2 - (errors[1] / self._scale) ** 2, axis=1)
-        split = [name for name in np.unique(few) if len(np.unique(many[few == name])) > 1]
-        gains = [float(np.sum(gain[few == name])) for name in split]
-        return bool(gains) and float(np.median(gains)) > np.log(len(few))
-
-    def _errors(self, block: Index) -> Array | None:
-        """Errors (m, c) scaled to the variance of a row, of a fit with a zero for each block (m,)."""
-        x = self._x
-        zeros = len(np.unique(block))
-        columns = [x, np.abs(x), x**2] if len(x) > ROWS_PER_COLUMN * (3 * x.shape[1] + zeros) else [x]
-        if len(x) <= x.shape[1] + zeros:
-            return None
-        A = subtract_block_means(np.hstack(columns), block)
-        U, s, _ = np.linalg.svd(A, full_matrices=False)
-        Q = U[:, s > 1e-9 * max(s[0], 1e-300)]
-        y = subtract_block_means(self._channels, block)
-        left = 1.0 - np.sum(Q**2, axis=1) - 1.0 / np.bincount(block)[block]
-        return np.asarray((y - Q @ (Q.T @ y)) / np.sqrt(np.maximum(left, MIN_LEFT_SHARE))[:, None])
 
 
 def _reading_notes(
