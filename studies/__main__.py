@@ -6,10 +6,12 @@ from functools import partial
 from pathlib import Path
 
 import click
+import numpy as np
 import pandas as pd
 
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.report.figure_style import save_picture
+from balance_cli.simulation import Noise, draw_rig, simulate_campaign
 from studies.attribution import attribution_chunk
 from studies.attribution_tables import attribution_table
 from studies.calibration import calibration_chunk, calibration_table
@@ -17,6 +19,9 @@ from studies.calibration_schedules import schedules_chunk, schedules_table
 from studies.cases import KINDS, case, count
 from studies.chunks import run_chunks
 from studies.clean_campaigns import clean_chunk, clean_table
+from studies.consistency import consistency_table, table_in_page
+from studies.consistency_cases import CASES
+from studies.consistency_rigs import campaign_of, rigs
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
 from studies.filters import filters_chunk
 from studies.filters_picture import filters_picture
@@ -28,6 +33,7 @@ from studies.recovery import recovery_chunk, recovery_table
 TABLES = Path(__file__).parent / "tables"
 PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
 GEOMETRY = Path(__file__).parents[1] / "configs" / "rts-6.yaml"
+CONSISTENCY_PAGE = Path(__file__).parents[1] / "docs" / "consistency.md"
 FITS_PER_RIG = 50
 
 
@@ -43,6 +49,18 @@ def studies(context: click.Context) -> None:
         context.invoke(schedules)
         context.invoke(maneuver)
         context.invoke(filters)
+
+
+@studies.command()
+def consistency() -> None:
+    """What the cross-checks say of campaigns that are plausible and wrong; the table in docs/consistency.md."""
+    geometry = rigs()["sample"]
+    rig = draw_rig(geometry, np.random.default_rng(1))
+    runs = simulate_campaign(rig, campaign_of("sample", geometry), Noise(), 1).runs
+    table = consistency_table(geometry, runs, CASES)
+    _write("consistency", table)
+    table_in_page(table, CONSISTENCY_PAGE)
+    click.echo(f"{(table['named'] == 'yes').sum()} of {len(table)} campaigns named")
 
 
 @studies.command()

@@ -91,7 +91,9 @@ def command(session: Session, geometry: Path, runs: tuple[Path, ...], output: Pa
     """
     from balance_cli.cli.calibration_summary import calibration_summary
     from balance_cli.cli.calibration_text import calibration_text
+    from balance_cli.cli.consistency import require_consistent_runs
     from balance_cli.cli.matrix_files import linear_matrix_text, matrix_file_text, read_matrix_calibration
+    from balance_cli.diagnosis.consistency.severity import measured_anyway
 
     choices = _Choices(**options)
     _check_options(runs, choices)
@@ -102,6 +104,7 @@ def command(session: Session, geometry: Path, runs: tuple[Path, ...], output: Pa
     )
     if choices.from_matrix is None:
         calibration_runs = open_static_runs(session, runs, rig, reading, choices.skip_bad)
+        calibration_runs = require_consistent_runs(session, rig, calibration_runs, choices.skip_bad, measured_anyway)
         result = _calibrate_from_runs(session, rig, calibration_runs, held_out(calibration_runs), choices)
     else:
         checks = _select_static_hold_out(session, held_out())

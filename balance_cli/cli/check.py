@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from balance_cli.cli.common import InputFile, Session, balance_command
+from balance_cli.cli.consistency import check_findings, finding_place, finding_summary
 from balance_cli.cli.errors import EXIT_USER_ERROR
 from balance_cli.cli.options import ListedFile
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
+    from balance_cli.campaign.recording.run import Run
+    from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.cli.file_check import FileFinding
+    from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
 
 
 @balance_command("check")
@@ -26,6 +30,9 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
 
     A file is known by its content: a geometry, a run file, a result of another command. All faults of a file are
     listed, channels that are dead or clipped among them. Exit status 2 where any file has a fault.
+
+    With a geometry, by -g or among the files, the runs with known loads are also cross-checked as a campaign: units,
+    signs, exchanged channels and loads, stiffness, the position of the hub.
     """
     from balance_cli.cli.file_check import check_file
     from balance_cli.model.balance import check_effects
@@ -34,14 +41,48 @@ def command(session: Session, files: tuple[Path, ...], geometry: Path | None) ->
     if rig is not None:
         check_effects(rig, str(geometry))
     findings = {path: check_file(path, rig) for path in session.progress(files, "files")}
-    faults = {path: [*finding.faults, *_duplicate_name_faults(path, findings)] for path, finding in findings.items()}
+    consistency = _cross_check(findings, rig)
+    faults = {
+        path: [*finding.faults, *_duplicate_name_faults(path, findings), *_campaign_faults(finding, consistency)]
+        for path, finding in findings.items()
+    }
     faulty = sum(bool(file_faults) for file_faults in faults.values())
     session.status = EXIT_USER_ERROR if faulty else 0
     lines = [line for path in findings for line in (f"{path}: {findings[path].about}", *_fault_lines(faults[path]))]
+    for item in consistency:
+        if not item.is_fault:
+            session.warn(item.sentence)
+    session.extra_summary["consistency"] = [finding_summary(item) for item in consistency]
     session.finish(
         {"files": {str(path): _summary(findings[path], faults[path]) for path in findings}, "faulty": faulty},
         [*lines, f"{len(findings)} files, {faulty} with faults"],
     )
+
+
+def _cross_check(findings: Mapping[Path, FileFinding], geometry: Geometry | None) -> tuple[ConsistencyFinding, ...]:
+    """Findings of the runs as a campaign, by the given geometry or the only one among the files; none without one."""
+    declared = [finding.geometry for finding in findings.values() if finding.geometry is not None]
+    if geometry is None and len({item.model_dump_json() for item in declared}) == 1:
+        geometry = declared[0]
+    if geometry is None:
+        return ()
+    runs: dict[str, Run] = {}
+    for finding in findings.values():
+        if finding.run is not None and finding.run.rig == geometry.rig and not finding.is_unreadable:
+            runs.setdefault(finding.run.name, finding.run)
+    return check_findings(geometry, tuple(runs.values()))
+
+
+def _campaign_faults(finding: FileFinding, consistency: Sequence[ConsistencyFinding]) -> list[UserError]:
+    """The faults that concern a run; what all runs show is said of the first of them."""
+    if finding.run is None:
+        return []
+    name = finding.run.name
+    return [
+        UserError(item.sentence, place=finding_place(item), remedy="Correct the files, or the geometry")
+        for item in consistency
+        if item.is_fault and name in (item.runs[:1] if item.in_all_runs else item.runs)
+    ]
 
 
 def _duplicate_name_faults(path: Path, findings: Mapping[Path, FileFinding]) -> list[UserError]:

@@ -92,6 +92,7 @@ class Session:
         self._gaps: dict[str, dict[str, dict[str, int]]] = {}
         self._summary: Mapping[str, Any] = {}
         self._text: tuple[str, ...] = ()
+        self.extra_summary: dict[str, Any] = {}
 
     def geometry(self, path: Path, mechanics: bool = True) -> Geometry:
         """Read a geometry and record it as an input; without `mechanics` it need not have masses and stiffness."""
@@ -121,8 +122,7 @@ class Session:
 
         runs, skipped = open_runs(tuple(paths), geometry, skip_bad)
         for path, reason in skipped.items():
-            self._skipped[str(path)] = reason
-            self._echo_warning(f"skipped: {reason}")
+            self.report_skipped(str(path), reason)
         require_disjoint(runs, disjoint_from)
         self._inputs += [(run.name, role, run.digest) for run in runs]
         self._gaps |= report_gaps(runs, self.warn)
@@ -193,6 +193,11 @@ class Session:
         self.warnings.append(text)
         self._echo_warning(text)
 
+    def report_skipped(self, file: str, reason: str) -> None:
+        """Report that a run is not used although the command goes on (`--skip-bad`)."""
+        self._skipped[file] = reason
+        self._echo_warning(f"skipped: {reason}")
+
     def report_left_out(self, name: str, reason: str) -> None:
         """Report that a run (or channel) was read but not used, and why."""
         self._left_out[name] = reason
@@ -211,8 +216,7 @@ class Session:
             for path in self._outputs[before:]:
                 self._staged.unstage(path)
             del self._outputs[before:]
-            self._skipped[str(run.path or run.name)] = str(named)
-            self._echo_warning(f"skipped: {named}")
+            self.report_skipped(str(run.path or run.name), str(named))
 
     def finish(self, summary: Mapping[str, Any], text: Iterable[str] = ()) -> None:
         """Set the summary (one JSON object) and the text for the user, printed once all outputs are in place."""
@@ -236,6 +240,7 @@ class Session:
             "skipped": self._skipped,
             "left_out": self._left_out,
             "gaps": self._gaps,
+            **self.extra_summary,
             **self._summary,
         }
 

@@ -68,14 +68,17 @@ def command(
     for it. MODEL is a physical model: computed, identified, or updated before. So is
     the updated model.
     """
+    from balance_cli.cli.consistency import require_consistent_runs
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text
     from balance_cli.diagnosis.conclusions import judge_hold_out
+    from balance_cli.diagnosis.consistency.severity import identified_anyway
     from balance_cli.diagnosis.result import NOTHING_MISSING
     from balance_cli.estimation.measured_spectra import measured_spectra
     from balance_cli.steps.hold_out import choose_hold_out
 
     before = _load_start_model(session, model)
     records = session.runs(runs, before.geometry, skip_bad)
+    records = require_consistent_runs(session, before.geometry, records, skip_bad, identified_anyway)
     hold_out_runs = session.runs(hold_out, before.geometry, skip_bad, role="hold-out", disjoint_from=records)
     hold_out_runs = _select_usable_hold_out(session, hold_out_runs, skip_bad)
     kept_aside = () if hold_out else choose_hold_out(records)

@@ -34,7 +34,7 @@ class FileFinding:
 
     `kind` is `geometry`, `run`, `loads`, `unknown` or a format; `about` describes the content in a line of text.
     `run_kind` is the kind of a run (`static`, `sweep`, ...), `has_pulses` whether it has 1/rev pulses,
-    `sample_rate` [Hz] that of its samples.
+    `sample_rate` [Hz] that of its samples. `run` and `geometry` are what the file holds, where it can be read.
     """
 
     kind: str
@@ -46,6 +46,13 @@ class FileFinding:
     run_kind: str = ""
     has_pulses: bool = False
     sample_rate: float | None = None
+    run: Run | None = None
+    geometry: Geometry | None = None
+
+    @property
+    def is_unreadable(self) -> bool:
+        """Whether faults of the samples themselves keep a run out of comparisons with others."""
+        return any(fault.place.startswith("channel ") for fault in self.faults)
 
 
 def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
@@ -93,7 +100,7 @@ def _check_geometry_file(path: Path, expected: Geometry | None) -> FileFinding:
     if expected is not None and digest != geometry_digest(expected):
         fault = f"differs from the geometry `{expected.name}` given with -g"
         faults += (UserError(fault, str(path), remedy="Give only one of the two"),)
-    return FileFinding("geometry", about, geometry.name, geometry.rig, digest, faults)
+    return FileFinding("geometry", about, geometry.name, geometry.rig, digest, faults, geometry=geometry)
 
 
 def _effect_faults(geometry: Geometry, path: Path) -> tuple[UserError, ...]:
@@ -130,6 +137,7 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
         run.kind,
         run.pulse_times is not None,
         run.sample_rate,
+        run,
     )
 
 

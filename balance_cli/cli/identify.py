@@ -83,6 +83,8 @@ def command(
 
     Runs of other kinds are left out and named. With --method computed no run is needed: the model is the geometry.
     """
+    from balance_cli.cli.consistency import require_consistent_runs
+    from balance_cli.diagnosis.consistency.severity import identified_anyway
     from balance_cli.estimation.measured_spectra import measured_spectra
     from balance_cli.model.balance import check_effects
     from balance_cli.model.placed_effects import add_effects
@@ -94,6 +96,7 @@ def command(
     check_effects(rig, str(geometry))
     rig = add_effects(rig, effects)
     records = session.runs(runs, rig, skip_bad)
+    records = require_consistent_runs(session, rig, records, skip_bad, identified_anyway)
     spectra = measured_spectra(session.progress(records, "spectra", len(records)), rig)
     for name, reason in spectra.unused.items():
         session.report_left_out(name, reason)

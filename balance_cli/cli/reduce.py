@@ -123,6 +123,9 @@ def command(
     Loads that change in time are estimated sample by sample by --method kalman and --method smoother, from all channels
     through a model of the physical form. --history writes them; the table contains their harmonics.
     """
+    from balance_cli.cli.consistency import require_consistent_runs
+    from balance_cli.diagnosis.consistency.severity import known_anyway
+
     _check_options(model, transfer, static, calibration is not None, zero is not None, output)
     method_options = MethodOptions(
         method, load_model if _is_given("load_model") else None, lag, harmonics or 0, frequencies
@@ -133,6 +136,7 @@ def command(
     geometry, source = read_response(session, cal, model, transfer, interpolation)
     method_options.check_source(source, model)
     records = session.runs(runs, geometry, skip_bad)
+    records = require_consistent_runs(session, geometry, records, skip_bad, known_anyway)
     if band is not None:
         reduce_to_spectra(session, geometry, source, _rotor_runs(session, records), band, skip_bad, output)
         return

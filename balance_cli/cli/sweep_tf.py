@@ -50,12 +50,15 @@ def command(
     output: Path,
 ) -> None:
     """Estimate the frequency responses of the sweeps, with covariance."""
+    from balance_cli.cli.consistency import require_consistent_runs
+    from balance_cli.diagnosis.consistency.severity import measured_anyway
     from balance_cli.steps.sweep_tf import estimate_responses
 
     band = (lowest or 0.0, float("inf") if highest is None else highest)
     check_band("--from, --to", *band)
     rig = session.geometry(geometry)
     opened = session.runs(runs, rig, skip_bad)
+    opened = require_consistent_runs(session, rig, opened, skip_bad, measured_anyway)
     transfer = estimate_responses(session.progress(opened, "runs"), rig, estimator, band)
     for name, reason in transfer.unused_runs.items():
         session.report_left_out(name, reason)

@@ -16,6 +16,12 @@ from balance_cli.io.errors import UserError
 
 RELATIVE_ROUNDING = 1e-9
 """Tolerance for declared values exactly at a limit (a flat disc has Ixx + Iyy = Izz)."""
+LARGEST_EXTENT = 50.0
+"""Of a rig [m]: the test sections of the largest wind tunnels are 24 m x 37 m. Of a rig of 50 mm, in mm."""
+FAR_FROM_OTHERS = 50.0
+"""Distance of a point from the others over their extent from which it was given in another unit."""
+MOST_COMPARED_POINTS = 500
+"""More points are not compared one by one."""
 SINGULAR_VALUE_TOLERANCE = 1e-6
 """Singular values of the elongations below this share of the largest are motions that no cell restrains."""
 
@@ -32,8 +38,31 @@ def geometry_faults(geometry: Geometry) -> Iterator[UserError]:
     yield from _channel_reference_faults(geometry)
     yield from _duplicate_name_faults("freedom", geometry.freedom)
     yield from component_faults(geometry)
+    yield from _extent_faults(geometry)
     if not missing_mechanics(geometry):
         yield from _restraint_faults(geometry)
+
+
+def _extent_faults(geometry: Geometry) -> Iterator[UserError]:
+    """Faults of positions that are far from all others, or too large for any rig: they were given in mm."""
+    points = {
+        "hub": geometry.hub,
+        **{f"bodies[{index}].position": body.position for index, body in enumerate(geometry.bodies)},
+        **{f"cells[{index}].position": cell.position for index, cell in enumerate(geometry.cells)},
+    }
+    positions = np.array(list(points.values()), float)
+    remedy = "Positions are in m"
+    if np.ptp(positions, axis=0).max() > LARGEST_EXTENT and len(points) <= MOST_COMPARED_POINTS:
+        for index, place in enumerate(points):
+            others = np.delete(positions, index, axis=0)
+            extent, center = float(np.ptp(others, axis=0).max()), others.mean(axis=0)
+            distance = float(np.linalg.norm(positions[index] - center))
+            if 0.0 < extent < LARGEST_EXTENT and distance > FAR_FROM_OTHERS * extent:
+                fault = f"lies {distance:.4g} m from all others, which lie within {extent:.3g} m: was it given in mm?"
+                yield UserError(fault, place=place, remedy=remedy)
+                return
+        fault = f"extends over {np.ptp(positions, axis=0).max():.4g} m: were the positions given in mm?"
+        yield UserError(fault, place="positions", remedy=remedy)
 
 
 def missing_mechanics(geometry: Geometry) -> tuple[str, ...]:

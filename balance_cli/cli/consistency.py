@@ -1,0 +1,78 @@
+"""The cross-checks of a campaign in the commands: faults end a command (or skip a run), the rest are warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from balance_cli.cli.common import Session
+from balance_cli.io.errors import UserError
+
+if TYPE_CHECKING:
+    from balance_cli.campaign.recording.run import Run
+    from balance_cli.campaign.rig.geometry import Geometry
+    from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
+    from balance_cli.diagnosis.consistency.severity import ConsequenceRule
+
+REMEDY = "Correct the files, or the geometry; `balance check -g GEOMETRY RUN...` lists everything"
+
+
+def require_consistent_runs(
+    session: Session, geometry: Geometry, runs: tuple[Run, ...], skip_bad: bool, is_harmless: ConsequenceRule
+) -> tuple[Run, ...]:
+    """Cross-check the runs of a command and return those that it may use.
+
+    Raises UserError for a fault; with `skip_bad` the runs that show it are skipped, unless all runs do.
+    """
+    from balance_cli.diagnosis.consistency.campaign import campaign_findings
+    from balance_cli.diagnosis.consistency.severity import findings_for_command
+
+    findings = findings_for_command(campaign_findings(geometry, runs), is_harmless)
+    session.extra_summary["consistency"] = [finding_summary(finding) for finding in findings]
+    paths = {run.name: str(run.path or run.name) for run in runs}
+    bad: dict[str, str] = {}
+    for finding in findings:
+        if not finding.is_fault:
+            session.warn(finding.sentence)
+        elif finding.in_all_runs or not skip_bad or len(bad) == len(runs):
+            raise _error(finding, paths)
+        else:
+            bad.update(dict.fromkeys(finding.runs, finding.sentence))
+    for name, reason in bad.items():
+        session.report_skipped(paths[name], f"{paths[name]}: {reason}")
+    return tuple(run for run in runs if run.name not in bad)
+
+
+def _error(finding: ConsistencyFinding, paths: dict[str, str]) -> UserError:
+    file = paths[finding.runs[0]] if len(finding.runs) == 1 else "RUN..."
+    return UserError(finding.sentence, file, finding_place(finding), REMEDY)
+
+
+def finding_place(finding: ConsistencyFinding) -> str:
+    """Return the part of a run file, or the key of a geometry, that a finding is about."""
+    if finding.components:
+        return "loads"
+    return "channels" if finding.channels else "geometry"
+
+
+def finding_summary(finding: ConsistencyFinding) -> dict[str, Any]:
+    """Return the JSON summary of a finding, with the keys of docs/json.md."""
+    return {
+        "kind": finding.kind,
+        "severity": finding.severity,
+        "text": finding.sentence,
+        "runs": finding.runs,
+        "in_all_runs": finding.in_all_runs,
+        "channels": finding.channels,
+        "components": finding.components,
+        "cells": finding.cells,
+        "factor": finding.factor,
+        "hub": finding.position,
+    }
+
+
+def check_findings(geometry: Geometry, runs: Sequence[Run]) -> tuple[ConsistencyFinding, ...]:
+    """Return the findings for `balance check`, which judges the files for any use."""
+    from balance_cli.diagnosis.consistency.campaign import campaign_findings
+
+    return campaign_findings(geometry, runs)

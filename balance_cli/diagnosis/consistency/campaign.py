@@ -1,0 +1,155 @@
+"""What is wrong in a campaign as a whole: the geometry and its runs, cross-checked, and each fault named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_checks import missing_mechanics
+from balance_cli.diagnosis.consistency.descriptions import describe_mistakes
+from balance_cli.diagnosis.consistency.evidence import Evidence, gather_evidence, rig_size
+from balance_cli.diagnosis.consistency.findings import (
+    DIFFERENT_RIG,
+    FAULT,
+    FREQUENCIES,
+    HUB_POSITION,
+    LEVEL,
+    STIFFNESS,
+    WARNING,
+    ConsistencyFinding,
+)
+from balance_cli.diagnosis.consistency.frequencies import FrequencyMismatch, frequency_mismatch, with_stiffness
+from balance_cli.diagnosis.consistency.hub import hub_shift
+from balance_cli.diagnosis.consistency.search import find_mistakes
+from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, suggest_units
+from balance_cli.model.balance import balance_model
+from balance_cli.signals.response_rows import ResponseRows, response_rows
+
+LARGEST_LEVEL_RATIO = 3.0
+"""Ratio of the rms of a load to its stated `level` that may be a matter of definition: rms or peak, pauses or none."""
+LARGEST_DEVIATION = 0.6
+"""Relative difference, at a typical line, of a check run from what the sweeps predict: a rig as in the sweeps stays
+below a tenth, one that is loaded otherwise through a support or a hose below a third."""
+FEWEST_LINES = 4
+BEYOND_TOLERANCES = float(np.log(10.0))
+"""Logarithm of the ratio of measured to computed responses from which no effect, but only wrong numbers explain it."""
+
+
+def campaign_findings(geometry: Geometry, runs: Iterable[Run]) -> tuple[ConsistencyFinding, ...]:
+    """Cross-check the runs with known loads against the geometry and against each other; faults first.
+
+    Runs without loads, and what the given runs cannot show, have no finding; nor has a geometry without mechanics.
+    """
+    if missing_mechanics(geometry):
+        return ()
+    rows = [part for run in runs for part in [_rows_with_level(run, geometry)] if part is not None]
+    return findings_from_rows(geometry, [part for part, _ in rows], {part.run: level for part, level in rows})
+
+
+def _rows_with_level(run: Run, geometry: Geometry) -> tuple[ResponseRows, tuple[float, ...]] | None:
+    rows = response_rows(run, geometry.channel_names)
+    return None if rows is None else (rows, run.level)
+
+
+def findings_from_rows(
+    geometry: Geometry, rows: Sequence[ResponseRows], levels: dict[str, tuple[float, ...]]
+) -> tuple[ConsistencyFinding, ...]:
+    """As `campaign_findings`, from the rows of the runs and the stated levels of the sweeps."""
+    if not rows:
+        return ()
+    runs = gather_evidence(rows, geometry, balance_model(geometry).system())
+    mismatch = frequency_mismatch(runs, geometry)
+    if mismatch is not None and mismatch.factor is not None:
+        geometry = with_stiffness(geometry, mismatch.cells, mismatch.factor)
+        runs = gather_evidence(rows, geometry, balance_model(geometry).system())
+    groups: dict[str | None, list[int]] = {}
+    for index, channel in enumerate(geometry.channels):
+        if channel.cell is not None:
+            groups.setdefault(channel.cell, []).append(index)
+    mistakes, corrected = find_mistakes(runs, tuple(map(tuple, groups.values())))
+    findings = [*describe_mistakes(mistakes, geometry)]
+    if mismatch is None or mismatch.factor is None:  # the mistakes may have hidden it, or been taken for it
+        mismatch = frequency_mismatch(corrected, geometry) if mistakes else mismatch
+    findings += _frequency_findings(mismatch)
+    if not any(finding.is_fault for finding in findings):
+        findings += _hub_findings(corrected, geometry)
+        findings += _level_findings(rows, levels)
+    findings += _deviating_runs(corrected)
+    return tuple(sorted(findings, key=lambda finding: finding.severity != FAULT))
+
+
+def _frequency_findings(mismatch: FrequencyMismatch | None) -> list[ConsistencyFinding]:
+    if mismatch is None:
+        return []
+    shown = mismatch.runs
+    if mismatch.factor is None:
+        text = f"computed and measured responses differ by a factor of {np.exp(mismatch.difference):.3g} on average"
+        severity = FAULT if mismatch.difference > BEYOND_TOLERANCES else WARNING
+        return [
+            ConsistencyFinding(FREQUENCIES, severity, f"{text}: check masses, stiffness and positions", shown, True)
+        ]
+    cells = ", ".join(mismatch.cells)
+    which = f"stiffness of {cells}" if cells else "ratio of stiffness to mass"
+    text = f"the {which} is {mismatch.factor:.4g} times what the geometry declares{_stiffness_hint(mismatch.factor)}"
+    kind = STIFFNESS if mismatch.cells or abs(np.log10(mismatch.factor)) > 2.5 else FREQUENCIES
+    return [ConsistencyFinding(kind, FAULT, text, shown, True, cells=mismatch.cells, factor=mismatch.factor)]
+
+
+def _stiffness_hint(factor: float) -> str:
+    if abs(np.log10(factor) - 3.0) < 0.15:
+        return ": given in N/mm? It is in N/m"
+    return ": masses in g, or stiffness multiplied twice?" if abs(np.log10(factor) + 3.0) < 0.15 else ""
+
+
+def _hub_findings(runs: Sequence[Evidence], geometry: Geometry) -> list[ConsistencyFinding]:
+    shift = hub_shift(runs, rig_size(geometry))
+    if shift is None:
+        return []
+    position = tuple(float(x) for x in np.asarray(geometry.hub) + shift)
+    shown = ", ".join(f"{x:.2f}" for x in position)
+    moved = ", ".join(f"{x:+.2f}" for x in shift)
+    text = f"the forces act at ({shown}) m, ({moved}) m from the declared `hub`, by the moments that they make"
+    names = tuple(run.run for run in runs if any(j < 3 for j in run.applied))
+    return [ConsistencyFinding(HUB_POSITION, WARNING, text, names, True, position=position)]
+
+
+def _level_findings(rows: Sequence[ResponseRows], levels: dict[str, tuple[float, ...]]) -> list[ConsistencyFinding]:
+    """Sweeps whose loads are not of their stated level, where a unit explains it."""
+    findings = []
+    for run in rows:
+        for name, level in zip(run.excited, levels.get(run.run, ()), strict=False):
+            j = COMPONENTS.index(name)
+            rms = float(np.sqrt(0.5 * np.sum(np.abs(run.loads[run.reference == j, j]) ** 2))) * 2.0
+            ratio = rms / level if level > 0 else 1.0
+            if rms == 0.0 or 1.0 / LARGEST_LEVEL_RATIO < ratio < LARGEST_LEVEL_RATIO:
+                continue
+            hint = suggest_units(ratio, FORCE_UNITS if j < 3 else MOMENT_UNITS)
+            text = f"{name} has {ratio:.4g} times its stated `level`" + (f": {hint}" if hint else "")
+            findings.append(
+                ConsistencyFinding(LEVEL, WARNING, text, (run.run,), components=(name,), factor=float(ratio))
+            )
+    return findings
+
+
+def _deviating_runs(runs: Sequence[Evidence]) -> list[ConsistencyFinding]:
+    """Check runs that respond otherwise than the sweeps at most of their lines, though no mistake explains it."""
+    findings = []
+    for run in runs:
+        columns = list(run.applied)
+        if run.rows.kind != "check" or not columns:
+            continue
+        predicted = np.einsum("kcj,kj->kc", run.reference[:, :, columns], run.loads[:, columns])
+        known = np.isfinite(predicted).all(axis=1)
+        measured = np.nan_to_num(run.forces[known])
+        if known.sum() < FEWEST_LINES:
+            continue
+        size = np.linalg.norm(predicted[known], axis=1)
+        deviation = float(np.median(np.linalg.norm(measured - predicted[known], axis=1) / np.maximum(size, 1e-300)))
+        if deviation > LARGEST_DEVIATION:
+            text = f"the channels differ by {100 * deviation:.0f} % from what the sweeps predict: another geometry?"
+            findings.append(ConsistencyFinding(DIFFERENT_RIG, WARNING, text, (run.run,)))
+    return findings

@@ -1,0 +1,300 @@
+"""The evidence of a run: the forces that its channels read, and what geometry, channel pairs and other runs predict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigvals
+
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.model.channel_gains import channel_gains
+from balance_cli.model.system import System
+from balance_cli.model.system_response import response, solve
+from balance_cli.signals.response_rows import ResponseRows, select_rows
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+
+LOW_FREQUENCY_SHARE = 0.5
+"""Of the lowest computed natural frequency: up to there a response exceeds that at rest by a third at most, so that
+errors of stiffness and mass hardly change it."""
+GEOMETRY_ERROR = 0.1
+"""Relative error of a computed response at low frequency that is usual without any mistake (paths beside the cells,
+flexible supports), or three times the declared tolerance of stiffness where that is more."""
+CHANNEL_ERROR = 0.01
+"""Relative difference of two channels of a cell, and of two runs, that is usual: sensitivities and amplitudes."""
+CHECK_ERROR = 0.3
+"""Relative error of a response from sweeps at the lines of a check run: bands are as wide as half of a mode, few lines
+near a mode decide, and the rotor turns. Signs, units and exchanges are seen nevertheless."""
+NEGLIGIBLE_ENERGY = 1e-4
+"""Of the strongest channel of a run: below it (1 % in amplitude) the pair of a channel is not compared."""
+LEAST_CORRELATION = 0.9
+"""Of a channel with what is predicted for another, from which the two may have been exchanged."""
+MANY_BANDS, THINNING = 150, 3
+"""Bands from which only every third is used: neighbors say the same."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One run at its rows k, for c channels: `forces` (k, c) and `loads` (k, 6) as recorded.
+
+    `gains` (k, c) are the volts per unit of force of each channel.
+    `computed` (l, c, 6) are the forces per load by the geometry at the rows `low` (k,), at which they are trusted.
+    `reference` (k, c, 6) are those that other runs show, NaN where none does. `pairs` are indices of channels that
+    read the same cell. Forces are in N, and torques divided by the size of the rig.
+    """
+
+    rows: ResponseRows
+    forces: ComplexArray
+    loads: ComplexArray
+    gains: ComplexArray
+    low: Bools
+    computed: ComplexArray
+    reference: ComplexArray
+    pairs: tuple[tuple[int, int], ...]
+    geometry_error: float
+
+    @property
+    def run(self) -> str:
+        """Name of the run."""
+        return self.rows.run
+
+    @cached_property
+    def applied(self) -> tuple[int, ...]:
+        """Components that drive rows of the run; in a static run, those that vary."""
+        if self.rows.is_static:
+            return tuple(int(j) for j in np.flatnonzero(np.any(self.loads != 0, axis=0)))
+        return tuple(int(j) for j in np.unique(self.rows.reference))
+
+
+def natural_frequencies(system: System) -> Array:
+    """Return the undamped natural frequencies [Hz] in rising order, infinite ones left out."""
+    M, K = system.pencil.mass.value, system.pencil.stiffness.value
+    square = np.asarray(eigvals(K, M), complex)
+    real = square[np.isfinite(square) & (square.real > 0)].real
+    return np.sort(np.sqrt(real)) / (2 * np.pi)
+
+
+def rig_size(geometry: Geometry) -> float:
+    """Return the length [m] that makes torques comparable with forces: the largest distance of a cell or the hub."""
+    points = np.array([geometry.hub, *(cell.position for cell in geometry.cells)], float)
+    return float(np.linalg.norm(points, axis=1).max()) or 1.0
+
+
+def force_scale(geometry: Geometry) -> Array:
+    """Return the divisors (c,) of the channels' readings: 1 for forces, the size of the rig for torques."""
+    return np.array([rig_size(geometry) if channel.torque_meter else 1.0 for channel in geometry.channels])
+
+
+def same_source_pairs(geometry: Geometry) -> tuple[tuple[int, int], ...]:
+    """Return the indices of channels that read the same cell or the torque meter: each with the first of its source."""
+    first: dict[str, int] = {}
+    pairs = []
+    for index, channel in enumerate(geometry.channels):
+        if channel.cell is None and not channel.torque_meter:
+            continue
+        source = "torque meter" if channel.torque_meter else f"cell {channel.cell}"
+        if source in first:
+            pairs.append((first[source], index))
+        first.setdefault(source, index)
+    return tuple(pairs)
+
+
+def gather_evidence(rows: Sequence[ResponseRows], geometry: Geometry, system: System) -> list[Evidence]:
+    """Return the evidence of each run; runs with the same excited component are references of each other."""
+    lowest = float(natural_frequencies(system).min(initial=np.inf))
+    rows = _thin_out(rows)
+    scale = force_scale(geometry)
+    pairs = same_source_pairs(geometry)
+    error = max(GEOMETRY_ERROR, 3.0 * geometry.tolerances.stiffness)
+    runs = []
+    for run in rows:
+        low = run.frequency <= LOW_FREQUENCY_SHARE * lowest
+        gains = channel_gains(system.equations.paths, run.frequency) * scale
+        forces = _divide(run.channels, gains)
+        computed = computed_forces(system, run.frequency[low], run.rotor_speed) / scale[:, None]
+        nothing = np.full((*forces.shape, 6), np.nan, complex)
+        runs.append(Evidence(run, forces, run.loads, gains, low, computed, nothing, pairs, error))
+    return with_references(runs)
+
+
+def _thin_out(rows: Sequence[ResponseRows]) -> list[ResponseRows]:
+    """Return the sweeps with fewer bands where they have many, the same in all, and those that check runs need."""
+    needed = np.unique(np.concatenate([[-1], *(run.band for run in rows if run.kind == "check")]))
+    thinned = []
+    for run in rows:
+        keep = (run.band % THINNING == 0) | np.isin(run.band, needed)
+        thinned.append(select_rows(run, keep) if len(run.band) > MANY_BANDS and run.kind == "sweep" else run)
+    return thinned
+
+
+def _divide(values: ComplexArray, gains: ComplexArray) -> ComplexArray:
+    """Return values over gains; NaN where a gain is zero, as that of a high-pass for a constant load."""
+    usable = np.broadcast_to(np.abs(gains) > 0, values.shape)
+    return np.asarray(np.divide(values, gains, out=np.full(values.shape, np.nan, complex), where=usable))
+
+
+def computed_forces(system: System, frequency: Array, spin: float) -> ComplexArray:
+    """Return the computed forces and torques (l, c, 6) that the channels read, per unit load."""
+    distinct, place = np.unique(frequency, return_inverse=True)
+    if not len(distinct):
+        return np.zeros((0, len(system.channel_names), 6), complex)
+    gains = channel_gains(system.equations.paths, distinct)[:, :, None]
+    return _divide(response(system, solve(system, distinct, spin)), gains)[place]
+
+
+def with_references(runs: Sequence[Evidence]) -> list[Evidence]:
+    """Return the evidence with the responses that the sweeps of other runs show, averaged over these runs."""
+    sweeps = [run for run in runs if run.rows.kind == "sweep" and len(run.applied) == 1]
+    measured = {run.run: _apparent_response(run) for run in sweeps}
+    return [replace(run, reference=_reference(run, sweeps, measured)) for run in runs]
+
+
+def _apparent_response(run: Evidence) -> dict[int, ComplexArray]:
+    """Return the forces (c,) per unit of the excited load in each band of a sweep."""
+    j = run.applied[0]
+    ratio = _divide(run.forces, run.loads[:, j, None])
+    return dict(zip(run.rows.band.tolist(), ratio, strict=True))
+
+
+def _reference(run: Evidence, sweeps: Sequence[Evidence], measured: dict[str, dict[int, ComplexArray]]) -> ComplexArray:
+    """Return the mean response (k, c, 6) of the other sweeps at the rows of a run; NaN where no other run has it."""
+    reference = np.full((*run.forces.shape, 6), np.nan, complex)
+    if run.rows.is_static:
+        return reference
+    for j in range(len(COMPONENTS)):
+        bands = [measured[sweep.run] for sweep in sweeps if sweep.run != run.run and sweep.applied == (j,)]
+        for k, band in enumerate(run.rows.band.tolist()):
+            values = [responses[band] for responses in bands if band in responses]
+            if values:
+                reference[k, :, j] = np.mean(values, axis=0)
+    return reference
+
+
+def alike_channels(run: Evidence) -> Bools:
+    """Return whether (c, c) channel i reads what is predicted for channel j, up to a factor, and the reverse.
+
+    Predictions are those by the geometry, by other runs, and the other channel of a cell.
+    """
+    partner = np.full(run.forces.shape, np.nan, complex)
+    for first, second in run.pairs:
+        partner[:, first], partner[:, second] = run.forces[:, second], run.forces[:, first]
+    by_runs = _predict_from_runs(run.reference, run.loads, run.applied)
+    predictions = [
+        (run.forces[run.low] * run.gains[run.low], _predict(run.computed, run.loads[run.low]) * run.gains[run.low]),
+        (run.forces * run.gains, by_runs * run.gains),
+        (run.forces * run.gains, partner * run.gains),
+    ]
+    alike = np.zeros((run.forces.shape[1],) * 2, bool)
+    for volts, predicted in predictions:
+        correlation = _correlation(_zero_where_missing(volts.copy()), _zero_where_missing(predicted.copy()))
+        alike |= (correlation > LEAST_CORRELATION) & (correlation.T > LEAST_CORRELATION)
+    return alike
+
+
+def _correlation(first: ComplexArray, second: ComplexArray) -> Array:
+    """Return the absolute correlation (c, c) of the columns of two arrays; zero where one has none."""
+    norms = np.outer(np.linalg.norm(first, axis=0), np.linalg.norm(second, axis=0))
+    return np.asarray(np.abs(first.conj().T @ second) / np.where(norms > 0, norms, np.inf))
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Weighted residuals of a run: by the geometry (l, c), by other runs (k, c), of pairs of channels (k, p).
+
+    Each is divided by its usual error, so that a column with a sum of squares below 9 is as good as can be expected.
+    """
+
+    geometry: ComplexArray
+    runs: ComplexArray
+    pairs: ComplexArray
+
+    @property
+    def energy(self) -> Array:
+        """Sums of squares of all columns, (2 c + p,)."""
+        return np.concatenate([np.sum(np.abs(part) ** 2, axis=0) for part in (self.geometry, self.runs, self.pairs)])
+
+    @property
+    def vector(self) -> ComplexArray:
+        """All residuals in one vector."""
+        return np.concatenate([self.geometry.ravel(), self.runs.ravel(), self.pairs.ravel()])
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Divisors of the residuals of a run: scalars for geometry and runs, (p,) for pairs; infinite: not compared."""
+
+    geometry: float
+    runs: float
+    pairs: Array
+
+
+def residual_weights(run: Evidence) -> Weights:
+    """Return what the residuals of a run are divided by, from what is predicted for its recorded loads."""
+    by_geometry = _predict(run.computed, run.loads[run.low])
+    by_runs = _predict_from_runs(run.reference, run.loads, run.applied)
+    energy = np.nansum(np.abs(run.forces) ** 2, axis=0)
+    return Weights(
+        run.geometry_error * _size(by_geometry[:, _has_channels(run.forces)]),
+        (CHANNEL_ERROR if run.rows.kind == "sweep" else CHECK_ERROR)
+        * _size(np.where(np.isfinite(run.forces), by_runs, np.nan)),
+        CHANNEL_ERROR * np.sqrt(_pair_energies(energy, run.pairs)),
+    )
+
+
+def _has_channels(forces: ComplexArray) -> Bools:
+    return np.asarray(np.isfinite(forces).all(axis=0))
+
+
+def _size(predicted: ComplexArray) -> float:
+    """Return the root of the summed squares of a channel of average size; infinite where nothing is predicted."""
+    per_channel = np.nansum(np.abs(predicted) ** 2, axis=0)
+    strong = per_channel[per_channel > 0]
+    return float(np.sqrt(strong.mean())) if len(strong) else np.inf
+
+
+def _pair_energies(energy: Array, pairs: tuple[tuple[int, int], ...]) -> Array:
+    """Return the smaller energy of the channels of each pair; infinite where that is next to none, or one is absent.
+
+    The strongest channel is found among the smaller ones of pairs and those without a pair, so that one channel in
+    another unit does not silence the others.
+    """
+    smaller = np.array([min(energy[first], energy[second]) for first, second in pairs])
+    single = np.delete(energy, sorted({index for pair in pairs for index in pair}))
+    strongest = np.concatenate([smaller, single]).max(initial=0.0)
+    return np.where(smaller > NEGLIGIBLE_ENERGY * strongest, smaller, np.inf)
+
+
+def _predict(forces_per_load: ComplexArray, loads: ComplexArray) -> ComplexArray:
+    return np.asarray(np.einsum("kcj,kj->kc", forces_per_load, loads))
+
+
+def _predict_from_runs(reference: ComplexArray, loads: ComplexArray, applied: tuple[int, ...]) -> ComplexArray:
+    """Return the forces (k, c) by other runs for the components that drive the run; NaN where one is unknown."""
+    columns = list(applied)
+    return _predict(reference[:, :, columns], loads[:, columns]) if columns else np.full(reference.shape[:2], np.nan)
+
+
+def residuals(run: Evidence, forces: ComplexArray, loads: ComplexArray, weights: Weights) -> Residuals:
+    """Return the residuals of a run whose true forces (k, c) and loads (k, 6) are these."""
+    by_geometry = forces[run.low] - _predict(run.computed, loads[run.low])
+    by_runs = forces - _predict_from_runs(run.reference, loads, run.applied)
+    first, second = np.array(run.pairs, int).reshape(-1, 2).T
+    with np.errstate(invalid="ignore"):
+        pairs = (forces[:, second] - forces[:, first]) / weights.pairs
+    return Residuals(
+        _zero_where_missing(by_geometry / weights.geometry),
+        _zero_where_missing(by_runs / weights.runs),
+        _zero_where_missing(pairs),
+    )
+
+
+def _zero_where_missing(values: ComplexArray) -> ComplexArray:
+    values[np.isnan(values)] = 0.0
+    return values

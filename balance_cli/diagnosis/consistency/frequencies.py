@@ -1,0 +1,140 @@
+"""Whether the resonances of the runs lie where the geometry puts them, and which stiffness puts them elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.campaign.rig.geometry import Cell, Geometry
+from balance_cli.diagnosis.consistency.evidence import Evidence, computed_forces, force_scale
+from balance_cli.model.balance import balance_model
+
+Array = NDArray[np.float64]
+
+UNIT_FACTORS = (1e3, 1e-3)
+"""Of stiffness: N/mm given as N/m, and N/m as N/mm."""
+SMOOTHING = 0.15
+"""Relative width over which responses are averaged before they are compared: errors of a tenth in frequency and of any
+size in damping are forgotten."""
+DIFFERENT = 1.0
+"""Rms of the logarithm of the ratio of two smoothed responses: a factor of 2.7 in amplitude at a typical frequency.
+Responses of rigs with stiffnesses off by 30 % differ by 0.4."""
+EXPLAINED_SHARE = 0.35
+"""Of that rms: what may remain with the stiffness that explains it."""
+LARGEST_REMAINING = 0.7
+"""Of that rms, where a stiffness explains it."""
+ODD_RATIO = 200.0
+"""Ratio of the stiffness of a cell to the median of all from which its unit is doubted."""
+ODD_CELL_SHARE = 0.7
+"""Of the sum of squares of these logarithms: what may remain where the stiffness of a doubted cell is corrected."""
+FEWEST_ROWS = 20
+"""Rows of a sweep that are compared."""
+SMALLEST_RATIO = 4.0
+"""Of stiffness over mass to what is declared, from which it is named as the cause; less has other causes, too."""
+SCALES = np.geomspace(1 / 50.0, 50.0, 57)
+"""Ratios of measured to computed natural frequencies that are tried, in steps of 15 %."""
+
+
+@dataclass(frozen=True)
+class FrequencyMismatch:
+    """Responses that the geometry does not compute: by which factor of stiffness they would be, and of which cells.
+
+    `factor` is None where no factor explains them; `cells` are empty where it is that of all.
+    """
+
+    difference: float
+    factor: float | None
+    cells: tuple[str, ...]
+    runs: tuple[str, ...]
+
+
+def frequency_mismatch(runs: Sequence[Evidence], geometry: Geometry) -> FrequencyMismatch | None:
+    """Return how the sweeps contradict the computed responses; None where they agree, or do not say."""
+    sweeps = [run for run in runs if run.rows.kind == "sweep" and len(run.applied) == 1]
+    sweeps = [run for run in sweeps if len(run.rows.frequency) >= FEWEST_ROWS and run.loads[:, run.applied[0]].all()]
+    if not sweeps:
+        return None
+    names = tuple(run.run for run in sweeps)
+    declared = _differences(sweeps, geometry, 1.0)
+    difference = float(declared.max())
+    odd = _odd_cells(geometry)
+    for cells in odd:
+        factor = UNIT_FACTORS[0] if _is_soft(cells, geometry) else UNIT_FACTORS[1]
+        changed = _differences(sweeps, with_stiffness(geometry, cells, factor), 1.0)
+        if np.sum(changed**2) < ODD_CELL_SHARE * np.sum(declared**2):
+            return FrequencyMismatch(difference, factor, cells, names)
+    if difference < DIFFERENT:
+        return None
+    limit = min(EXPLAINED_SHARE * difference, LARGEST_REMAINING)
+    for factor in UNIT_FACTORS:
+        for cells in _groups(geometry):
+            if _differences(sweeps, with_stiffness(geometry, cells, factor), 1.0).max() < limit:
+                return FrequencyMismatch(difference, factor, cells, names)
+    scaled = [(float(np.median(_differences(sweeps, geometry, 1.0 / scale))), scale) for scale in SCALES]
+    best, scale = min(scaled)
+    explained = best < limit and abs(np.log(scale**2)) > np.log(SMALLEST_RATIO)
+    return FrequencyMismatch(difference, float(scale**2) if explained else None, (), names)
+
+
+def _odd_cells(geometry: Geometry) -> list[tuple[str, ...]]:
+    """Return each cell whose stiffness is far from that of all others."""
+    stiffness = np.array([cell.effective_stiffness for cell in geometry.cells])
+    odd = np.abs(np.log(stiffness / np.median(stiffness))) > np.log(ODD_RATIO)
+    return [(cell.name,) for cell, is_odd in zip(geometry.cells, odd, strict=True) if is_odd]
+
+
+def _is_soft(cells: tuple[str, ...], geometry: Geometry) -> bool:
+    median = np.median([cell.effective_stiffness for cell in geometry.cells])
+    return any(cell.effective_stiffness < median for cell in geometry.cells if cell.name in cells)
+
+
+def _groups(geometry: Geometry) -> list[tuple[str, ...]]:
+    """Return all cells, and each set of cells with parallel axes."""
+    parallel = {
+        tuple(other.name for other in geometry.cells if abs(float(cell.direction @ other.direction)) > 0.99)
+        for cell in geometry.cells
+    }
+    return [geometry.cell_names, *sorted(parallel)]
+
+
+def with_stiffness(geometry: Geometry, cells: tuple[str, ...], factor: float) -> Geometry:
+    """Return the geometry with the stiffness of these cells (all where there are none) multiplied by a factor."""
+    cells = cells or geometry.cell_names
+    changed = tuple(_scaled(cell, factor) if cell.name in cells else cell for cell in geometry.cells)
+    return geometry.model_copy(update={"cells": changed})
+
+
+def _scaled(cell: Cell, factor: float) -> Cell:
+    return cell.model_copy(update={"stiffness": cell.effective_stiffness * factor, "series": None})
+
+
+def _differences(sweeps: Sequence[Evidence], geometry: Geometry, ratio: float) -> Array:
+    """Return the rms over a sweep of each component of log measured less log computed at `ratio` times the lines."""
+    system = balance_model(geometry).system()
+    scale = force_scale(geometry)
+
+    def computed(run: Evidence) -> Array:
+        forces = computed_forces(system, run.rows.frequency * ratio, 0.0)[:, :, run.applied[0]] / scale
+        return np.asarray(np.where(np.isfinite(run.forces), np.abs(forces) ** 2, 0.0).sum(axis=1))
+
+    return np.array([np.sqrt(np.mean(_smoothed(run, computed) ** 2)) for run in _distinct(sweeps)])
+
+
+def _distinct(sweeps: Sequence[Evidence]) -> list[Evidence]:
+    """Return one sweep of each component."""
+    return list({run.applied: run for run in sweeps}.values())
+
+
+def _smoothed(run: Evidence, computed: Callable[[Evidence], Array]) -> Array:
+    """Return half the log of the ratio of measured to computed energy in bins of frequency (amplitude, natural log)."""
+    load = np.abs(run.loads[:, run.applied[0]]) ** 2
+    measured = np.nansum(np.abs(run.forces) ** 2, axis=1) / load
+    bins = np.round(np.log(run.rows.frequency) / SMOOTHING).astype(int)
+    bins -= bins.min()
+    counts = np.bincount(bins)
+    means = [np.bincount(bins, energy)[counts > 0] / counts[counts > 0] for energy in (measured, computed(run))]
+    tiny = np.finfo(float).tiny
+    return np.asarray(0.5 * np.log(np.maximum(means[0], tiny) / np.maximum(means[1], tiny)))

@@ -1,0 +1,41 @@
+"""What a finding means for a command: a factor that it measures itself is no fault there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from balance_cli.diagnosis.consistency import findings as kinds
+from balance_cli.diagnosis.consistency.findings import WARNING, ConsistencyFinding
+
+ConsequenceRule = Callable[[ConsistencyFinding], bool]
+"""Whether a finding that is a fault by itself is only a warning for a command."""
+
+LOAD_KINDS = (kinds.REVERSED_LOAD, kinds.EXCHANGED_LOADS, kinds.LOAD_FACTOR)
+FACTOR_KINDS = (kinds.CHANNEL_FACTOR, kinds.CHANNELS_FACTOR)
+
+
+def measured_anyway(finding: ConsistencyFinding) -> bool:
+    """The rule of `calibrate` and `sweep-tf`, which measure what the channels read for each load.
+
+    What is the same in all runs is part of what they measure, whatever the geometry says of it; loads are not.
+    """
+    return finding.in_all_runs and finding.kind not in LOAD_KINDS
+
+
+def identified_anyway(finding: ConsistencyFinding) -> bool:
+    """The rule of `identify` and `diagnose`, which can find the factor of one channel if it is the same in all runs."""
+    return finding.in_all_runs and finding.kind == kinds.CHANNEL_FACTOR and len(finding.channels) == 1
+
+
+def known_anyway(finding: ConsistencyFinding) -> bool:
+    """The rule of `reduce`, whose calibration and model know factors of channels, and tell loads from channels."""
+    return finding.kind in FACTOR_KINDS
+
+
+def findings_for_command(
+    findings: Sequence[ConsistencyFinding], is_harmless: ConsequenceRule
+) -> tuple[ConsistencyFinding, ...]:
+    """Return the findings with those that are harmless to a command as warnings; faults first."""
+    judged = [replace(item, severity=WARNING) if item.is_fault and is_harmless(item) else item for item in findings]
+    return tuple(sorted(judged, key=lambda finding: not finding.is_fault))

@@ -1,0 +1,144 @@
+"""Channels and loads of one run at selected frequencies: enough to see which channel answers to which load, and how.
+
+The estimate is quick and coarse, meant for comparisons in which a factor, a sign or an order is at stake. Records are
+transformed once, and lines are averaged over narrow bands with the spectrum of an applied load as reference:
+Y = S_yu / sqrt(S_uu), U = S_vu / sqrt(S_uu), so that Y = T U holds for the averages as for each line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft
+
+from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.campaign.rig.components import COMPONENTS
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+BAND_RATIO = 1.01
+"""Width of a band relative to its frequency: half of the width of a mode with 1 % damping."""
+START_SHARE = 0.2
+"""Share of a record that is left out at its start: most of the start transient, and exciters that are being started."""
+MOST_SAMPLES = 2**17
+"""Samples of a record that are transformed, the last ones; more would only add lines."""
+FEWEST_SAMPLES = 64
+LEAST_POWER = 1e-3
+"""Power of a band relative to the strongest band of the same load, from which the load drives the channels there."""
+MOST_BANDS = 1000
+"""Bands of one run and load."""
+
+
+@dataclass(frozen=True)
+class ResponseRows:
+    """Rows (k,) of one run: `frequency` [Hz], `channels` (k, c) [V], `loads` (k, 6) [N, N m], complex.
+
+    `reference` (k,) is the index of the component that drives a row; `band` (k,) numbers the bands alike in all runs.
+    Load points of a static run have frequency zero, reference -1 and band -1; they count from their mean. Channels that
+    the run lacks, or that are not finite, are NaN.
+    """
+
+    run: str
+    kind: str
+    rotor_speed: float
+    excited: tuple[str, ...]
+    frequency: Array
+    channels: ComplexArray
+    loads: ComplexArray
+    reference: Index
+    band: Index
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the rows are load points."""
+        return self.kind == "static"
+
+
+def select_rows(rows: ResponseRows, keep: NDArray[np.bool_]) -> ResponseRows:
+    """Return the selected rows (k,)."""
+    names = ("frequency", "channels", "loads", "reference", "band")
+    return replace(rows, **{name: getattr(rows, name)[keep] for name in names})
+
+
+def response_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | None:
+    """Return the rows of a run with known loads, channels in this order; None where it has no load or no sample."""
+    if not run.has_loads or run.kind not in ("static", "sweep", "check"):
+        return None
+    return _static_rows(run, channel_names) if run.kind == "static" else _dynamic_rows(run, channel_names)
+
+
+def _static_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | None:
+    channels, loads = _read(run, channel_names, 0)
+    if len(loads) < 2 or not np.ptp(loads, axis=0).any():
+        return None
+    rows = len(loads)
+    index = np.full(rows, -1)
+    channels, loads = channels - channels.mean(axis=0), loads - loads.mean(axis=0)
+    return ResponseRows(
+        run.name, run.kind, 0.0, (), np.zeros(rows), channels.astype(complex), loads.astype(complex), index, index
+    )
+
+
+def _read(run: Run, channel_names: tuple[str, ...], start: int) -> tuple[Array, Array]:
+    channels = read_channels(run, channel_names, start)
+    loads = run.read(start).loads
+    assert loads is not None
+    return channels, np.nan_to_num(loads)
+
+
+def _dynamic_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | None:
+    assert run.sample_rate is not None
+    start = max(int(START_SHARE * run.samples), run.samples - MOST_SAMPLES)
+    samples = _fast_length(run.samples - start)
+    if samples < FEWEST_SAMPLES:
+        return None
+    channels, loads = _read(run, channel_names, run.samples - samples)
+    window = np.hanning(samples)[:, None] * np.sqrt(8.0 / 3.0) / samples
+    Y = rfft((channels - channels.mean(axis=0)) * window, axis=0)
+    U = rfft((loads - loads.mean(axis=0)) * window, axis=0)
+    frequency = np.arange(len(U)) * run.sample_rate / samples
+    bands = np.full(len(U), -1)
+    bands[2:] = np.round(np.log(frequency[2:]) / np.log(BAND_RATIO))
+    parts = [_band_rows(j, frequency, bands, Y, U) for j in _driving_components(run, U)]
+    if not parts:
+        return None
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return ResponseRows(run.name, run.kind, run.rotor_speed, run.excited, *columns)
+
+
+def _fast_length(samples: int) -> int:
+    """Return a length of at most `samples`, and little less, that is quickly transformed."""
+    for length in range(samples, max(samples - 512, 1), -1):
+        if next_fast_len(length, real=True) == length:
+            return length
+    return samples
+
+
+def _driving_components(run: Run, U: ComplexArray) -> list[int]:
+    """Return the components that were excited, or all that were measured where none of these was."""
+    measured = np.flatnonzero(np.any(U[2:] != 0, axis=0))
+    excited = [COMPONENTS.index(name) for name in run.excited]
+    return [j for j in excited if j in measured] or [int(j) for j in measured]
+
+
+def _band_rows(
+    j: int, frequency: Array, bands: Index, Y: ComplexArray, U: ComplexArray
+) -> tuple[Array, ComplexArray, ComplexArray, Index, Index]:
+    """Return frequency, channels, loads, reference and band of the bands in which component j is strong."""
+    power = np.abs(U[:, j]) ** 2
+    used = np.arange(len(U)) >= 2
+    labels, place = np.unique(bands[used], return_inverse=True)
+    total = np.bincount(place, power[used])
+    edges = np.flatnonzero(np.r_[True, np.diff(place) > 0])
+    keep = np.flatnonzero(total > LEAST_POWER * total.max())
+    keep = keep[np.linspace(0, len(keep) - 1, min(len(keep), MOST_BANDS)).astype(int)]
+    scale = 1.0 / np.sqrt(total[keep])
+    reference = U[used, j].conj()[:, None]
+    channels = np.add.reduceat(Y[used] * reference, edges, axis=0)[keep] * scale[:, None]
+    loads = np.add.reduceat(U[used] * reference, edges, axis=0)[keep] * scale[:, None]
+    center = np.bincount(place, power[used] * frequency[used])[keep] / total[keep]
+    return center, channels, loads, np.full(len(keep), j), labels[keep].astype(np.intp)

@@ -1,0 +1,108 @@
+"""Cross-checks of a campaign: mistakes are named, true effects and clean campaigns are not mistaken for them."""
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_checks import geometry_faults
+from balance_cli.diagnosis.consistency.campaign import campaign_findings
+from balance_cli.diagnosis.consistency.findings import FAULT, HUB_POSITION, WARNING
+from balance_cli.diagnosis.consistency.severity import findings_for_command, identified_anyway, measured_anyway
+from balance_cli.diagnosis.consistency.units import MOMENT_UNITS, suggest_units
+from balance_cli.simulation import CampaignPlan, Noise, SweepPlan, simulate_campaign, true_rig
+from balance_cli.simulation.plans import HIGH_SWEEP_LEVELS, STATIC_LOAD_LIMITS, StaticPlan
+from studies.consistency import (
+    change_geometry,
+    every,
+    exchange_channels,
+    exchange_loads,
+    named,
+    scale_channels,
+    scale_loads,
+)
+from tests.support.rigs import rotor_balance
+
+Spoil = Callable[..., tuple[Geometry, tuple[Run, ...]]]
+
+
+@cache
+def campaign() -> tuple[Run, ...]:
+    sweeps = [
+        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(HIGH_SWEEP_LEVELS[name],), period=2.0, periods=4)
+        for name in ("Fx", "Fy", "Fz")
+    ]
+    low = sweeps[0].model_copy(update={"run": "sweep-Fx-low", "level": (16.0,)})
+    static = StaticPlan(run="static-bare", largest=STATIC_LOAD_LIMITS, steps=2)
+    plan = CampaignPlan(runs=(static, *sweeps, low))
+    return simulate_campaign(true_rig(rotor_balance()), plan, Noise(), 3).runs
+
+
+def hub_lowered(content: dict[str, object]) -> None:
+    content["hub"] = [0.0, 0.0, 0.68]
+
+
+def softened(content: dict[str, list[dict[str, float]]]) -> None:
+    for cell in content["cells"]:
+        cell["stiffness"] *= 1e-3
+
+
+def test_a_clean_campaign_has_no_finding() -> None:
+    assert campaign_findings(rotor_balance(), campaign()) == ()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (
+            exchange_channels(named("low"), ("z1.piezo", "z2.piezo")),
+            "z1.piezo and z2.piezo are exchanged in sweep-Fx-low",
+        ),
+        (scale_channels(every, -1.0, "z1.strain"), "z1.strain is reversed in all"),
+        (scale_channels(every, 1e3), "are they in mV"),
+        (scale_loads(every, -1.0, "Fz"), "the load Fz is reversed in all"),
+        (scale_loads(named("low"), 1 / 4.4482216), "are they in lbf? in sweep-Fx-low"),
+        (exchange_loads(named("static"), "Mx", "My"), "the loads Mx and My are exchanged in static-bare"),
+        (change_geometry(softened), "given in N/mm"),
+    ],
+)
+def test_a_mistake_is_a_fault_and_named(spoil: Spoil, text: str) -> None:
+    findings = campaign_findings(*spoil(rotor_balance(), campaign()))
+    assert len(findings) == 1
+    assert findings[0].severity == FAULT
+    assert text in findings[0].sentence
+
+
+def test_a_gain_is_a_warning_with_its_factor() -> None:
+    findings = campaign_findings(*scale_channels(every, 1.2, "z1.piezo")(rotor_balance(), campaign()))
+    assert [(finding.severity, finding.channels) for finding in findings] == [(WARNING, ("z1.piezo",))]
+    assert findings[0].factor == pytest.approx(1.2, rel=1e-2)
+
+
+def test_the_hub_is_found_where_the_forces_act() -> None:
+    (finding,) = campaign_findings(*change_geometry(hub_lowered)(rotor_balance(), campaign()))
+    assert (finding.kind, finding.severity) == (HUB_POSITION, WARNING)
+    assert np.allclose(finding.position, rotor_balance().hub, atol=0.01)
+
+
+def test_what_a_command_measures_itself_is_no_fault_there() -> None:
+    everywhere = campaign_findings(*scale_channels(every, 1e3, "z1.piezo")(rotor_balance(), campaign()))
+    assert everywhere[0].is_fault
+    for rule in (measured_anyway, identified_anyway):
+        assert not findings_for_command(everywhere, rule)[0].is_fault
+    loads = campaign_findings(*scale_loads(every, -1.0, "Fz")(rotor_balance(), campaign()))
+    assert findings_for_command(loads, measured_anyway)[0].is_fault
+
+
+def test_positions_in_millimeters_are_faults_of_the_geometry() -> None:
+    content = rotor_balance().model_dump(mode="json")
+    content["bodies"][3]["position"][2] *= 1e3
+    (fault,) = geometry_faults(Geometry.model_validate(content))
+    assert (fault.place, fault.remedy) == ("bodies[3].position", "Positions are in m")
+
+
+def test_inch_pounds_are_recognized() -> None:
+    assert "in lbf" in suggest_units(1.0 / 0.112985, MOMENT_UNITS)
