@@ -27,7 +27,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.io.formats import ARTEFACT_FORMATS
 from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
 from balance_cli.io.reader_process import read_in_child
-from balance_cli.io.sniff import describe_file, is_hdf5, require_file, sniff_format
+from balance_cli.io.sniff import attribute_text, describe_file, is_hdf5, require_file, sniff_format
 
 ROOT_ATTRIBUTES = ("format", "digest", "command", "options", "inputs", "versions", "created")
 PACKAGES = ("numpy", "scipy", "h5py", "pandas", "pydantic")
@@ -149,7 +149,7 @@ def read_stored(path: Path) -> StoredArtefact:
     Raises UserError as `load_artefact` does.
     """
     with _damage_as_user_error(path), h5py.File(path, "r") as file:
-        attributes = {name: str(value) for name, value in file.attrs.items()}
+        attributes = {name: attribute_text(str(value)) or "" for name, value in file.attrs.items()}
         provenance = _read_provenance(attributes)
         stored = StoredArtefact(attributes["format"], read_tree(file["content"]), provenance, attributes["digest"])
         computed = _artefact_digest(stored.format, stored.tree, provenance)

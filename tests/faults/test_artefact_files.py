@@ -66,6 +66,15 @@ def test_a_malformed_artefact_is_refused(examples, tmp_path, out, name, change):
     assert_refused(call("report", path, "-o", out / "r.html"), out, "bad.h5")
 
 
+@pytest.mark.parametrize("attribute", ["created", "command"])
+def test_text_that_is_not_utf8_reaches_the_page(examples, tmp_path, out, attribute):
+    path = tmp_path / "a.h5"
+    shutil.copy(examples / "loads.h5", path)
+    with h5py.File(path, "r+") as file:
+        file.attrs.create(attribute, b"caf\xe9", dtype=h5py.string_dtype())
+    assert call("report", path, "-o", out / "r.html").exit_code == 0
+
+
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("size", [0, 8, 3000, -1])
 def test_a_truncated_artefact_is_refused(examples, tmp_path, out, name, size):

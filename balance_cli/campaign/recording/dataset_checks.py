@@ -175,6 +175,9 @@ def _pulse_time_faults(pulses: Array, contents: RunFileContents, required: bool)
     rate, channels = contents.attributes.get("sample_rate"), contents.channels
     if required and channels is not None and channels.shape and is_positive(rate):
         inside = (pulses >= 0) & (pulses <= channels.shape[0] / rate)  # type: ignore[operator]
+        if inside.sum() > channels.shape[0] / 2:
+            fault = f"{inside.sum()} pulses in {channels.shape[0]} samples: a revolution needs more than two samples"
+            yield UserError(fault, place=PULSE_DATASET, remedy="Give one pulse for each revolution, in s")
         if inside.sum() < 2:
             fault = "no whole revolution lies within the record"
             yield UserError(fault, place=PULSE_DATASET, remedy="Give times in s from the first sample")
