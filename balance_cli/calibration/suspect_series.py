@@ -11,9 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model
+from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
 from balance_cli.calibration.gross_outliers import OUTLIER_SIGNIFICANCE_LEVEL
+from balance_cli.calibration.math_model import student_widening
 from balance_cli.calibration.robust_scale import robust_sigma
+from balance_cli.calibration.terms import term_values
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -138,23 +140,42 @@ def _suspect_channels(
     errors = fit.cross_validation_errors[rows]
     predicted = change - (errors - errors.mean(axis=0))
     noise = robust_sigma(fit.cross_validation_errors)
+    # The misfit of a linear model follows the load: it does not average out over the rows.
+    sigma = noise / np.sqrt(np.maximum(np.mean(predicted**2, axis=0), np.finfo(float).tiny))
+    if not any(_check_channel_gain(c, change, predicted, sigma, points.channel_names, "") for c in range(len(sigma))):
+        return []
+    sigma = np.hypot(sigma, _prediction_gain_sigma(points, fit, rows, predicted))
     suspect_channels = (
-        _check_channel_gain(c, change, predicted, noise, points.channel_names, description)
-        for c in range(change.shape[1])
+        _check_channel_gain(c, change, predicted, sigma, points.channel_names, description) for c in range(len(sigma))
     )
     return [suspect for suspect in suspect_channels if suspect is not None]
 
 
+def _prediction_gain_sigma(
+    points: CalibrationPoints, fit: CalibrationModelFit, rows: NDArray[np.bool_], predicted: Array
+) -> Array:
+    """Standard deviation (c,) of the gains in some rows that is due to the errors of their prediction (r, c).
+
+    The other load series may have loaded a component with a small fraction of its load in these rows. The errors of
+    their coefficients b are then those of the prediction: gain = p'y / p'p has the derivative p'X / p'p with respect
+    to b.
+    """
+    model = refit_terms(points.exclude_rows(rows), fit.model).model
+    X = term_values(model.parsed_terms, points.loads[rows] / model.calibrated_range)
+    derivative = predicted.T @ X / np.maximum(np.sum(predicted**2, axis=0), np.finfo(float).tiny)[:, None]
+    variance = np.einsum("cp,cpq,cq->c", derivative, model.covariance, derivative)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) * np.array([student_widening(dof) for dof in model.dof])))
+
+
 def _check_channel_gain(
-    c: int, change: Array, predicted: Array, noise: Array, channels: Sequence[str], description: str
+    c: int, change: Array, predicted: Array, gain_sigma: Array, channels: Sequence[str], description: str
 ) -> SuspectLoadSeries | None:
     """Compare the change of channel c in some rows (r, channels) with its prediction; None where they agree."""
     power = float(np.sum(predicted[:, c] ** 2))
     if power == 0.0:
         return None
     gain = float(predicted[:, c] @ change[:, c] / power)
-    # The misfit of a linear model follows the load: it does not average out over the rows.
-    sigma = float(noise[c] / np.sqrt(power / len(change)))
+    sigma = float(gain_sigma[c])
     is_significant = abs(gain - 1.0) > max(
         float(stats.norm.isf(0.5 * OUTLIER_SIGNIFICANCE_LEVEL / len(channels))) * sigma, MIN_GAIN_ERROR
     )
