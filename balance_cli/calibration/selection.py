@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from balance_cli.calibration.cross_validation import prediction_errors
 from balance_cli.calibration.few_rows import FEW_ROWS_P_VALUE, least_p_value_without_two_rows
 from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares, subtract_block_means
+from balance_cli.calibration.normal_equations import MAX_VARIANCE_INFLATION, TermNormalEquations
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -27,10 +28,6 @@ Index = NDArray[np.intp]
 
 TERM_SIGNIFICANCE_LEVEL = 0.01
 """Probability of a spurious term anywhere in the balance."""
-MAX_VARIANCE_INFLATION = 1000.0
-"""Variance inflation above which a term is not added: F, F|F| and F^3 in even steps have up to 336."""
-RESIDUAL_POWER_FLOOR = 1e-14
-"""Floor of the residual over the power of a channel: below it a residual is rounding, which no term should fit."""
 MIN_DOF = 5
 """Degrees of freedom below which no term is added: the residual of so few rows is no measure of their noise."""
 MAX_SELECTION_STEPS = 200
@@ -41,45 +38,6 @@ MIN_FAMILY_GAIN = 0.8
 """Squared prediction error of a family over that of the selected terms from which it is taken: 10 % in the rms."""
 MIN_PAIR_CORRELATION = 0.5
 """Correlation, after loads and zeros are eliminated, above which two terms can hide each other."""
-
-
-@dataclass(frozen=True)
-class _TermNormalEquations:
-    """Normal equations of one channel, terms scaled, zeros eliminated: G (p, p), g (p,), y'y, rows less zeros."""
-
-    G: Array
-    g: Array
-    yy: float
-    rows_less_zeros: int
-
-    def residual(self, selected: Sequence[int]) -> float:
-        """Residual sum of squares of a model with these terms."""
-        at = list(selected)
-        try:
-            left = float(self.yy - self.g[at] @ np.linalg.solve(self.G[np.ix_(at, at)], self.g[at]))
-        except np.linalg.LinAlgError:  # terms that the rows do not tell apart explain nothing
-            return self.yy
-        return max(left, RESIDUAL_POWER_FLOOR * self.yy)
-
-    def inflation(self, selected: Sequence[int]) -> Array:
-        """Variance inflation factor of each of these terms, infinite where the rows do not tell them apart."""
-        at = list(selected)
-        try:
-            return np.asarray(np.diag(np.linalg.inv(self.G[np.ix_(at, at)])))
-        except np.linalg.LinAlgError:
-            return np.full(len(at), np.inf)
-
-    def explained_squares(self, selected: Sequence[int]) -> tuple[Array, Array]:
-        """Sum of squares (p,) that each further term would explain, and its variance inflation (p,)."""
-        at = list(selected)
-        along = np.linalg.solve(self.G[np.ix_(at, at)], np.column_stack([self.G[at], self.g[at]]))
-        remaining_power = np.diag(self.G) - np.sum(self.G[at] * along[:, :-1], axis=0)
-        remaining_product = self.g - self.G[:, at] @ along[:, -1]
-        remaining_power[at] = 0.0
-        is_identifiable = remaining_power > 1.0 / (10.0 * MAX_VARIANCE_INFLATION)
-        divisor = np.where(is_identifiable, remaining_power, 1.0)
-        inflation = np.where(is_identifiable, 1.0 / divisor, np.inf)
-        return np.where(is_identifiable, remaining_product**2 / divisor, 0.0), inflation
 
 
 def select_terms(
@@ -106,7 +64,7 @@ def select_terms(
     rows_less_zeros = len(X) - len(np.unique(block))
     channel_terms = []
     for c in range(Y.shape[1]):
-        normal = _TermNormalEquations(G, g[:, c], float(Yc[:, c] @ Yc[:, c]), rows_less_zeros)
+        normal = TermNormalEquations(G, g[:, c], float(Yc[:, c] @ Yc[:, c]), rows_less_zeros)
         selected = _search_stepwise(normal, linear_count, TERM_SIGNIFICANCE_LEVEL / tests, pairs)
         rows = _ChannelRows(X, Y[:, c], block, load_series, linear_count, w)
         selected = _drop_terms_of_few_rows(_limit_inflation(normal, selected, linear_count), rows)
@@ -141,7 +99,7 @@ class _ChannelRows:
         return self.known_errors[key]
 
 
-def _limit_inflation(normal: _TermNormalEquations, selected: list[int], linear_count: int) -> list[int]:
+def _limit_inflation(normal: TermNormalEquations, selected: list[int], linear_count: int) -> list[int]:
     """Remove terms, those of the largest variance inflation first, until that of no column exceeds its limit."""
     while len(selected) > linear_count:
         inflation = normal.inflation(selected)
@@ -165,7 +123,7 @@ def _drop_terms_of_few_rows(selected: list[int], rows: _ChannelRows) -> list[int
 
 
 def _best_predictor(
-    selected: tuple[int, ...], rows: _ChannelRows, normal: _TermNormalEquations, family: Sequence[int]
+    selected: tuple[int, ...], rows: _ChannelRows, normal: TermNormalEquations, family: Sequence[int]
 ) -> tuple[int, ...]:
     """The selected columns, unless the loads alone or the whole family predict rows that are left out better.
 
@@ -177,11 +135,28 @@ def _best_predictor(
         without = rows.prediction_error(linear)
         selected, error = (linear, without) if without < error else (selected, error)
     whole = tuple(sorted({*linear, *family}))
-    if not family or normal.rows_less_zeros < ROWS_PER_FAMILY_COLUMN * len(whole):
+    if not family or _family_p_value(normal, selected, whole, linear) > TERM_SIGNIFICANCE_LEVEL:
+        return selected
+    if normal.rows_less_zeros < ROWS_PER_FAMILY_COLUMN * len(whole):
         return selected
     if np.max(normal.inflation(whole)) > MAX_VARIANCE_INFLATION:
         return selected
     return whole if rows.prediction_error(whole) < MIN_FAMILY_GAIN * error else selected
+
+
+def _family_p_value(
+    normal: TermNormalEquations, selected: tuple[int, ...], whole: tuple[int, ...], linear: tuple[int, ...]
+) -> float:
+    """p-value of what a whole family explains beyond the selected columns, or the linear ones where it lacks some.
+
+    Load series that are left out are few: they can be predicted better by chance.
+    """
+    within = selected if set(selected) < set(whole) else linear
+    terms, dof = len(whole) - len(within), normal.rows_less_zeros - len(whole)
+    if terms == 0 or dof < MIN_DOF:
+        return 1.0
+    residual = normal.residual(whole)
+    return _p_value(normal.residual(within) - residual, residual, dof, terms)
 
 
 def _correlated_pairs(G: Array, linear_count: int) -> list[tuple[int, int]]:
@@ -195,7 +170,7 @@ def _correlated_pairs(G: Array, linear_count: int) -> list[tuple[int, int]]:
 
 
 def _search_stepwise(
-    normal: _TermNormalEquations, linear_count: int, level: float, pairs: Sequence[tuple[int, int]]
+    normal: TermNormalEquations, linear_count: int, level: float, pairs: Sequence[tuple[int, int]]
 ) -> list[int]:
     """Add, replace and remove terms until the model no longer changes."""
     selected = list(range(linear_count))
@@ -216,7 +191,7 @@ def _search_stepwise(
     return sorted(selected)
 
 
-def _best_addition(normal: _TermNormalEquations, selected: Sequence[int]) -> tuple[tuple[int, ...], float]:
+def _best_addition(normal: TermNormalEquations, selected: Sequence[int]) -> tuple[tuple[int, ...], float]:
     """The term that explains most, with its p-value; no term and 1 where none may be added."""
     explained_squares, inflation = normal.explained_squares(selected)
     explained_squares = np.where(inflation <= MAX_VARIANCE_INFLATION, explained_squares, 0.0)
@@ -229,7 +204,7 @@ def _best_addition(normal: _TermNormalEquations, selected: Sequence[int]) -> tup
 
 
 def _best_pair(
-    normal: _TermNormalEquations, selected: Sequence[int], pairs: Sequence[tuple[int, int]]
+    normal: TermNormalEquations, selected: Sequence[int], pairs: Sequence[tuple[int, int]]
 ) -> tuple[tuple[int, ...], float]:
     """The pair of terms that explains most, with its p-value; no terms and 1 where none may be added."""
     at = list(selected)
@@ -247,7 +222,7 @@ def _p_value(gain: float, residual: float, dof: int, terms: int = 1) -> float:
     return float(stats.f.sf(gain / terms / mean, terms, max(dof, 1)))
 
 
-def _replace_sequentially(normal: _TermNormalEquations, selected: list[int], linear_count: int) -> list[int]:
+def _replace_sequentially(normal: TermNormalEquations, selected: list[int], linear_count: int) -> list[int]:
     """Replace terms by better ones, one at a time, until no replacement reduces the residual."""
     for _ in range(MAX_SELECTION_STEPS):
         residual = normal.residual(selected)
@@ -268,9 +243,7 @@ def _replace_sequentially(normal: _TermNormalEquations, selected: list[int], lin
     return selected
 
 
-def _eliminate_backward(
-    normal: _TermNormalEquations, selected: list[int], linear_count: int, level: float
-) -> list[int]:
+def _eliminate_backward(normal: TermNormalEquations, selected: list[int], linear_count: int, level: float) -> list[int]:
     """Remove the terms that are not significant, the least significant first."""
     while True:
         residual, dof = normal.residual(selected), normal.rows_less_zeros - len(selected)

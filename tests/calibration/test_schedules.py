@@ -136,3 +136,31 @@ def test_repeated_rows_are_one_load_point_and_two_tare_points_are_two():
     # Without repeated samples two unloaded rows in succession close one series and open the next.
     both = np.outer([0.0, 0.5, 1.0, 0.0, 0.0, 0.5, 1.0], [1.0, 0.0])
     assert merge_repeated_rows(both, both, both, np.zeros(7, int))[2] is None
+
+
+# ---- loads in very different shares ----------------------------------------------------------------------------------
+
+
+def with_small_shares(seed):
+    """Series of one component each, the first of them also loaded by a fifteenth of its load beside the others."""
+    x, series = schedule(1, 0)
+    x[(series > 0) & np.any(x != 0, axis=1), 0] = 1.0 / 15.0
+    return recorded(x, series, seed)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_series_that_the_others_hardly_predict_is_not_excluded(seed):
+    _, points = with_small_shares(seed)
+    whole = calibrate_all_trims(points, search=True)
+    assert whole.suspect_series == () and whole.outliers == ()
+    assert set(whole.model.terms[6:]) == set(), "a family of terms that is not significant"
+
+
+def test_a_wrong_gain_of_a_series_that_the_others_predict_is_still_named():
+    def change(x, channels):
+        channels[20:30, 1] *= 1.2
+
+    x, series = schedule(1, 0)
+    x[(series != 2) & np.any(x != 0, axis=1), 2] = 0.5
+    _, points = recorded(x, series, 3, change)
+    assert [suspect.channel for suspect in calibrate_all_trims(points, search=False).suspect_series] == ["g2"]

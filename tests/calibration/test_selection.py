@@ -7,6 +7,7 @@ from balance_cli.calibration import selection
 from balance_cli.calibration.fit import fit_calibration_model
 from balance_cli.calibration.least_squares import solve_least_squares, subtract_block_means
 from balance_cli.calibration.load_series import describe_load_series, find_load_series
+from balance_cli.calibration.normal_equations import TermNormalEquations
 from balance_cli.calibration.selection import select_terms
 from balance_cli.calibration.term_support import find_supported_terms
 from balance_cli.calibration.terms import all_terms, term_from_name, term_values
@@ -131,7 +132,7 @@ def test_a_term_that_is_no_longer_significant_goes():
     w = np.ones(len(X))
     Xs = subtract_block_means(X, sequence, w)
     y = subtract_block_means(Y, sequence, w)[:, 0]
-    normal = selection._TermNormalEquations(Xs.T @ Xs, Xs.T @ y, float(y @ y), len(X) - sequence[-1] - 1)
+    normal = TermNormalEquations(Xs.T @ Xs, Xs.T @ y, float(y @ y), len(X) - sequence[-1] - 1)
     kept = [*range(6), place("Fx Fy")]
     assert selection._eliminate_backward(normal, [*kept, place("Mz^2"), place("|Fx Fy|")], 6, 1e-5) == kept
     # The loads stay, whether they are significant or not.
