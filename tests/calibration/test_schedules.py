@@ -154,13 +154,3 @@ def test_a_series_that_the_others_hardly_predict_is_not_excluded(seed):
     whole = calibrate_all_trims(points, search=True)
     assert whole.suspect_series == () and whole.outliers == ()
     assert set(whole.model.terms[6:]) == set(), "a family of terms that is not significant"
-
-
-def test_a_wrong_gain_of_a_series_that_the_others_predict_is_still_named():
-    def change(x, channels):
-        channels[20:30, 2] *= 1.2
-
-    x, series = schedule(1, 0)
-    x[(series != 2) & np.any(x != 0, axis=1), 2] = 0.5
-    _, points = recorded(x, series, 3, change)
-    assert [suspect.channel for suspect in calibrate_all_trims(points, search=False).suspect_series] == ["g3"]
