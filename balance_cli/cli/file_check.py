@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from balance_cli.campaign.recording.channel_health import channel_faults, live_channels
 from balance_cli.campaign.recording.channel_range import full_range_faults
-from balance_cli.campaign.recording.gaps import describe_gaps
+from balance_cli.campaign.recording.gaps import gap_summary
 from balance_cli.campaign.recording.import_map_file import read_import_map
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
@@ -18,6 +18,7 @@ from balance_cli.campaign.rig.geometry_file import geometry_digest, read_geometr
 from balance_cli.io.artefacts import StoredArtefact, read_stored
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import ARTEFACT_FORMATS, GEOMETRY_FORMAT, IMPORT_FORMAT, MATRIX_FORMAT, RUN_FORMAT
+from balance_cli.io.result_view import plural
 from balance_cli.io.sniff import describe_file, require_file, sniff_format
 
 LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
@@ -127,6 +128,7 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
     faults += tuple(pulse_faults(run))
     remedy = "Commands leave it out where the other channels determine the loads"
     faults += tuple(UserError(text, str(path), f"channel {name}", remedy) for name, text in channels.items())
+    faults += tuple(_gap_faults(run, path))
     return FileFinding(
         "run",
         _describe_run(run),
@@ -149,7 +151,15 @@ def _describe_run(run: Run) -> str:
     if run.excited:
         levels = ", ".join(f"{name} {level:g} rms" for name, level in zip(run.excited, run.level, strict=True))
         about += f", {run.excitation} of {levels}"
-    return f"{about}, {describe_gaps(run)}" if run.bridged else about
+    return about
+
+
+def _gap_faults(run: Run, path: Path) -> Iterator[UserError]:
+    """Yield what commands interpolate in a run: it is a fault of the record, though they can do without the samples."""
+    for name, about in gap_summary(run).items():
+        gaps = f"{plural(about['gaps'], 'gap')}, longest {about['longest']}"
+        fault = f"{plural(about['samples'], 'sample')} not finite, in {gaps}"
+        yield UserError(fault, str(path), f"channel {name}", "Commands interpolate them, and sigma contains the error")
 
 
 def _check_artefact_file(path: Path, geometry: Geometry | None) -> FileFinding:

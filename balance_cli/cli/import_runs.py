@@ -77,7 +77,7 @@ def _write(session: Session, output: Path, imported: ImportedRun) -> None:
     from balance_cli.campaign.recording.run_file import write_run
 
     run = imported.run
-    check, size = LoadCheck(run, allow_gaps=run.kind != "static"), _block_rows(len(run.channel_names))
+    check, size = LoadCheck(run), _block_rows(len(run.channel_names))
     blocks = session.progress(run.blocks(size), run.name, -(-run.samples // size))
     write_run(session.stage_in(output, f"{run.name}.h5"), run, check.watch(blocks))
     for fault in check.faults():

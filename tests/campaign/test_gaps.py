@@ -10,6 +10,7 @@ from scipy import signal
 from balance_cli.campaign.recording.channel_health import channel_faults
 from balance_cli.campaign.recording.gaps import LONGEST_GAP, bridge_gaps, describe_gaps, gap_summary
 from balance_cli.campaign.recording.run import MemorySource, Run, excerpt_run, run_digest
+from balance_cli.campaign.recording.run_checks import load_sample_faults
 from balance_cli.campaign.recording.run_file import open_run, write_run
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.signals.rotor.harmonics import estimate_harmonics
@@ -146,15 +147,13 @@ def test_a_file_is_bridged_when_it_is_read_and_keeps_its_digest(tmp_path):
         assert np.isnan(file["channels"][500, 0])
 
 
-def test_a_gap_in_a_measured_load_is_bridged_too():
+def test_gaps_of_the_loads_are_left_for_the_check_of_the_run():
     run = rotor_run(0)
     loads = np.zeros((9600, 6))
-    loads[:, 2] = run.read().channels[:, 1]
-    broken = loads.copy()
-    broken[700:704, 2] = np.nan
-    filled = bridge_gaps(replace(run, has_loads=True, source=MemorySource(run.read().channels, broken)))
-    assert filled.bridged[0].name == "Fz"
-    assert np.abs(filled.read().loads - loads).max() < 0.1
+    loads[700:704, 2] = np.nan
+    broken = replace(run, has_loads=True, source=MemorySource(run.read().channels, loads))
+    assert bridge_gaps(broken) is broken
+    assert [fault.place for fault in load_sample_faults(broken)] == ["loads, column Fz"]
 
 
 def test_static_runs_are_not_bridged():

@@ -265,12 +265,12 @@ def test_the_example_of_the_manual(tmp_path):
     assert np.allclose(run.read().channels[:, 1], 1e-3 * (0.5 - np.cos(time)), atol=1e-9)
 
 
-def test_a_missing_load_sample_is_bridged_and_names_of_yaml_words_are_quoted(tmp_path):
+def test_a_missing_sample_of_a_channel_is_bridged_and_names_of_yaml_words_are_quoted(tmp_path):
     rows = [f"{k / 100:.2f},{np.sin(0.3 * k):.6f},{np.cos(0.3 * k):.6f}" for k in range(4000)]
-    rows[777] = "7.77,0.5,"
+    rows[777] = f"7.77,,{np.cos(0.3 * 777):.6f}"
     (tmp_path / "check-1.csv").write_text("t [s],No [V],Fz [N]\n" + "\n".join(rows), encoding="utf-8")
     assert '"No": {name: "No", unit: V}' in invoke("import", "--sketch", tmp_path / "check-1.csv").stdout
     run = {"file": "*.csv", "kind": "sweep", "excited": "Fz", "excitation": "random", "level": 1.0}
     mapping = base_map(time="t", channels={"No": "z1"}, loads={"Fz": "Fz"}, runs=[run])
     run_import(tmp_path, mapping, tmp_path / "check-1.csv")
-    assert abs(open_run(tmp_path / "runs" / "check-1.h5").read().loads[777, 2] - np.cos(0.3 * 777)) < 1e-3
+    assert abs(open_run(tmp_path / "runs" / "check-1.h5").read().channels[777, 0] - np.sin(0.3 * 777)) < 1e-3

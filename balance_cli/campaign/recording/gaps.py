@@ -1,7 +1,8 @@
 """Short gaps of a record, samples that are not finite, are bridged where the record is read.
 
 A gap is bridged by interpolation (`gap_interpolation`). Longer or more frequent gaps stay, and the channel is left out.
-Static runs have no time between their rows and are not bridged.
+Gaps of the loads are faults of the run: loads are what responses and errors refer to, and no other signal can stand in
+for them. Static runs have no time between their rows and are not bridged.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.gap_interpolation import REACH, interpolate_missing
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, BridgedSamples, Run, SampleBlock, SampleSource
-from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.result_view import plural
 
 Integers = NDArray[np.int64]
@@ -39,7 +39,7 @@ TILE = 2048
 
 @dataclass(frozen=True)
 class BridgedSource:
-    """Samples of another source with gaps filled: `fills` {column of channels and loads: (indices, values)}."""
+    """Samples of another source with gaps filled: `fills` {column of channels: (indices, values)}."""
 
     measured: SampleSource
     fills: Mapping[int, tuple[Integers, Array]]
@@ -47,28 +47,23 @@ class BridgedSource:
     def read(self, start: int, stop: int) -> SampleBlock:
         """Return samples start to stop, filled."""
         block = self.measured.read(start, stop)
-        channels, loads = block.channels, block.loads
+        channels = block.channels
         for column, (index, values) in self.fills.items():
             low, high = np.searchsorted(index, (start, stop))
             if low == high:
                 continue
-            if column < channels.shape[1]:
-                channels = channels.copy() if channels is block.channels else channels
-                channels[index[low:high] - start, column] = values[low:high]
-            elif loads is not None:
-                loads = loads.copy() if loads is block.loads else loads
-                loads[index[low:high] - start, column - channels.shape[1]] = values[low:high]
-        return replace(block, channels=channels, loads=loads)
+            channels = channels.copy() if channels is block.channels else channels
+            channels[index[low:high] - start, column] = values[low:high]
+        return replace(block, channels=channels)
 
 
 def bridge_gaps(run: Run) -> Run:
     """Return the run with its short gaps filled and listed; itself where it has none, or is static."""
     if run.kind == "static":
         return run
-    names = run.channel_names + (COMPONENTS if run.has_loads else ())
     bridged = {}
-    for column, missing in _missing_samples(run, len(names)).items():
-        samples = _bridge(run, names[column], column, missing)
+    for column, missing in _missing_samples(run).items():
+        samples = _bridge(run, run.channel_names[column], column, missing)
         if samples is not None:
             bridged[column] = samples
     if not bridged:
@@ -111,20 +106,15 @@ def _segments(index: Integers) -> list[Integers]:
     return np.split(index, np.flatnonzero(np.diff(index) > 1) + 1)
 
 
-def _signals(block: SampleBlock) -> Array:
-    return block.channels if block.loads is None else np.hstack([block.channels, block.loads])
-
-
-def _missing_samples(run: Run, columns: int) -> dict[int, Integers]:
+def _missing_samples(run: Run) -> dict[int, Integers]:
     """Return the indices of the missing samples of each column that has any, and not too many."""
-    most = int(LARGEST_SHARE * run.samples)
+    most, columns = int(LARGEST_SHARE * run.samples), len(run.channel_names)
     found: list[list[Integers]] = [[] for _ in range(columns)]
     count = np.zeros(columns, int)
     for block in run.blocks():
-        parts = (block.channels,) if block.loads is None else (block.channels, block.loads)
-        if all(bool(np.isfinite(part).all()) for part in parts):
+        if np.isfinite(block.channels).all():
             continue
-        bad = ~np.isfinite(_signals(block))
+        bad = ~np.isfinite(block.channels)
         count += bad.sum(axis=0)
         for column in np.flatnonzero(bad.any(axis=0) & (count <= most)):
             found[column].append(block.start + np.flatnonzero(bad[:, column]))
@@ -138,7 +128,7 @@ def _bridge(run: Run, name: str, column: int, missing: Integers) -> BridgedSampl
     values, errors = [], []
     for first, stop in _tiles(missing):
         low, high = max(0, first - CONTEXT), min(run.samples, stop + CONTEXT + REACH)
-        signal = _signals(run.read(low, high))[:, column]
+        signal = run.read(low, high).channels[:, column]
         is_missing = ~np.isfinite(signal)
         if np.any(np.abs(signal[~is_missing]) > LARGEST_MAGNITUDE):
             return None

@@ -46,13 +46,10 @@ def load_sample_faults(run: Run) -> Iterator[UserError]:
 
 
 class LoadCheck:
-    """The check of the samples of the loads of a run, while they pass block by block.
+    """The check of the samples of the loads of a run, while they pass block by block."""
 
-    With `allow_gaps` samples that are missing (not finite) are left to the reader, which bridges short gaps.
-    """
-
-    def __init__(self, run: Run, allow_gaps: bool = False) -> None:
-        self._run, self._allow_gaps = run, allow_gaps
+    def __init__(self, run: Run) -> None:
+        self._run = run
         self._has_points = run.additions is not None and run.additions.load_points is not None
         self._bad, self._largest = np.zeros(len(COMPONENTS), int), np.zeros(len(COMPONENTS))
 
@@ -66,8 +63,7 @@ class LoadCheck:
         """Take note of the loads of a block."""
         if block.loads is not None:
             sound = np.abs(block.loads) <= LARGEST_MAGNITUDE
-            missing = np.isnan(block.loads) if self._allow_gaps else np.zeros(block.loads.shape, bool)
-            self._bad += (~sound & ~missing).sum(axis=0)
+            self._bad += (~sound).sum(axis=0)
             largest = np.abs(np.where(sound, block.loads, 0.0)).max(axis=0, initial=0.0)
             self._largest = np.maximum(self._largest, largest)
 
