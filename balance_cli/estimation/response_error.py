@@ -15,7 +15,9 @@ ComplexArray = NDArray[np.complex128]
 class ResponseError:
     """Error of a model's response beyond the noise: E_j(f) = factor factor* in bands about `frequency` (b,) [Hz].
 
-    `factor` (b, 6, c, r) [V/N, V/(N m)] of the named channels and the six loads, zero where a load was not applied.
+    `factor` (b, 6, c, r) of the rows of the response, in their order, and the six loads, zero where a load was not
+    applied. `channel_names` names the rows: the channels [V/N, V/(N m)], or the sensors of the paper's form and its
+    torque channel.
     """
 
     channel_names: tuple[str, ...]

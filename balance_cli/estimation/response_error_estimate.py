@@ -39,10 +39,10 @@ NOISE_MARGIN = 1.5
 
 
 @dataclass(frozen=True)
-class _Residuals:
+class Residuals:
     """Residual responses (k, c) of lines at (k,) [Hz] and their noise variance (k, c).
 
-    The variance is zero where a channel is not live.
+    The variance is zero where a row of the response was not measured.
     """
 
     frequency: Array
@@ -55,6 +55,16 @@ def estimate_response_error(
 ) -> ResponseError | None:
     """Return the error of the system's response to each load in the lines of the batches; None where there is none."""
     parts = [part for batch in batches for part in _residuals_by_component(batch, system)]
+    return response_error_of_residuals(parts, channel_names)
+
+
+def response_error_of_residuals(
+    parts: Sequence[tuple[int, Residuals]], row_names: tuple[str, ...]
+) -> ResponseError | None:
+    """Return the error of the rows of a response from the residuals of runs, each with the index of its load.
+
+    None where there is no error beyond the noise.
+    """
     applied = sorted({component for component, _ in parts})
     if not applied:
         return None
@@ -62,14 +72,14 @@ def estimate_response_error(
     low = min(float(part.frequency.min()) for part in residuals.values())
     high = max(float(part.frequency.max()) for part in residuals.values())
     centers = low * BAND_RATIO ** np.arange(max(1, int(np.ceil(np.log(high / low) / np.log(BAND_RATIO))) + 1))
-    factor = np.zeros((len(centers), 6, len(channel_names), RANK), complex)
+    factor = np.zeros((len(centers), 6, len(row_names), RANK), complex)
     for j, part in residuals.items():
         for i, center in enumerate(centers):
             factor[i, j] = _band_factor(part, center)
-    return ResponseError(channel_names, np.asarray(centers), factor) if np.any(factor) else None
+    return ResponseError(row_names, np.asarray(centers), factor) if np.any(factor) else None
 
 
-def _residuals_by_component(batch: Batch, system: System) -> list[tuple[int, _Residuals]]:
+def _residuals_by_component(batch: Batch, system: System) -> list[tuple[int, Residuals]]:
     """Return component and residual responses for each excited load of a batch.
 
     Where several loads act at once, the residual is divided among them in proportion to what each contributes.
@@ -90,19 +100,19 @@ def _residuals_by_component(batch: Batch, system: System) -> list[tuple[int, _Re
                 continue
             scale = (share[mine, column] / np.sqrt(power[mine, column]))[:, None]
             response = np.where(live[mine], residual[mine], 0.0) * scale
-            parts.append((int(j), _Residuals(batch.line_frequency[mine], response, variance[mine] * scale**2)))
+            parts.append((int(j), Residuals(batch.line_frequency[mine], response, variance[mine] * scale**2)))
     return parts
 
 
-def _join(parts: Sequence[_Residuals]) -> _Residuals:
-    return _Residuals(
+def _join(parts: Sequence[Residuals]) -> Residuals:
+    return Residuals(
         np.concatenate([part.frequency for part in parts]),
         np.concatenate([part.response for part in parts]),
         np.concatenate([part.variance for part in parts]),
     )
 
 
-def _band_factor(part: _Residuals, center: float) -> ComplexArray:
+def _band_factor(part: Residuals, center: float) -> ComplexArray:
     """Return the leading directions (c, r) of the error in the band about a frequency; zero where it is all noise."""
     distance = np.abs(np.log(part.frequency / center))
     inside = distance <= max(0.5 * np.log(BAND_RATIO), float(np.sort(distance)[min(FEWEST_LINES, len(distance)) - 1]))

@@ -166,7 +166,7 @@ def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSour
         return source.covariance(frequency, record.spin, as_components(loads))[:, real_rows[:, None], real_rows]
 
     def known_error(loads: Array) -> Array:
-        return circular_real(_known_error(record, source, channel_combination.combination, as_components(loads)))
+        return circular_real(_known_error(record, source, channel_combination.rows, as_components(loads)))
 
     scale = np.tile(load_scale(geometry.hub)[columns], 2)
     stacked = np.concatenate([y.real, y.imag], axis=1)
@@ -184,17 +184,11 @@ def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSour
     )
 
 
-def _known_error(
-    record: RotorRecord, source: ResponseSource, combination: ComplexArray, loads: ComplexArray
-) -> ComplexArray:
+def _known_error(record: RotorRecord, source: ResponseSource, rows: list[int], loads: ComplexArray) -> ComplexArray:
     """Return the covariance (h, r, r) of what the response is known to miss of the rows, for loads (h, 6)."""
     error = source.response_error
     assert error is not None
-    live = record.health.live
-    known = [i for i, name in enumerate(live) if name in error.channel_names]
-    columns = np.array([error.channel_names.index(live[i]) for i in known])
-    channels = error.covariance(record.spectra.frequency_hz[1:], loads)[:, columns[:, None], columns]
-    return np.asarray(combination[:, :, known] @ channels @ combination[:, :, known].conj().swapaxes(1, 2))
+    return error.covariance(record.spectra.frequency_hz[1:], loads)[:, np.array(rows)[:, None], rows]
 
 
 def _channel_noise(record: RotorRecord, geometry: Geometry) -> Array:

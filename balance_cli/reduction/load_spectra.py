@@ -126,7 +126,7 @@ def _densities(
     c = len(health.live)
     y = inversion.combination @ spectra.density[:, :c, :c] @ _adjoint(inversion.combination)
     density = inversion.G @ y @ _adjoint(inversion.G)
-    model, known = _response_covariance(run, source, health, inversion, density, spectra.frequency, components)
+    model, known = _response_covariance(run, source, inversion, density, spectra.frequency, components)
     redundancy, limit = _residual_test(inversion, y, model, spectra.averages)
     power, noise = _power(density), _power(inversion.G @ inversion.noise @ _adjoint(inversion.G))
     error = _power(inversion.G @ (model + known) @ _adjoint(inversion.G))
@@ -205,7 +205,6 @@ def _invert(
 def _response_covariance(
     run: Run,
     source: ResponseSource,
-    health: ChannelHealth,
     inversion: _Inversion,
     density: ComplexArray,
     frequency: Array,
@@ -223,7 +222,7 @@ def _response_covariance(
         loads = np.zeros((len(frequency), len(COMPONENTS)), complex)
         loads[:, columns] = vectors[:, :, j] * np.sqrt(np.maximum(size[:, j], 0.0))[:, None]
         total += _complex_covariance(source.covariance(frequency, run.rotor_speed, loads), inversion.rows)
-        known += _known_covariance(source, health, inversion, frequency, loads)
+        known += _known_covariance(source, inversion, frequency, loads)
     return total, known
 
 
@@ -236,18 +235,13 @@ def _complex_covariance(real: Array, rows: list[int]) -> ComplexArray:
 
 
 def _known_covariance(
-    source: ResponseSource, health: ChannelHealth, inversion: _Inversion, frequency: Array, loads: ComplexArray
+    source: ResponseSource, inversion: _Inversion, frequency: Array, loads: ComplexArray
 ) -> ComplexArray:
     """Return the covariance (k, r, r) of what the response is known to miss of the rows."""
-    error = source.response_error
-    r = len(inversion.rows)
+    error, r = source.response_error, len(inversion.rows)
     if error is None:
         return np.zeros((len(frequency), r, r), complex)
-    known = [i for i, name in enumerate(health.live) if name in error.channel_names]
-    columns = np.array([error.channel_names.index(health.live[i]) for i in known])
-    channels = error.covariance(frequency, loads)[:, columns[:, None], columns]
-    combination = inversion.combination[:, :, known]
-    return np.asarray(combination @ channels @ _adjoint(combination))
+    return error.covariance(frequency, loads)[:, np.array(inversion.rows)[:, None], inversion.rows]
 
 
 def _residual_test(

@@ -13,10 +13,10 @@ from balance_cli.campaign.rig.geometry import Channel, Geometry
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
-from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.fit import response_jacobian
 from balance_cli.estimation.paper.result import PaperFit
 from balance_cli.estimation.paper.spectra import channel_response
+from balance_cli.estimation.paper_rows import row_names, row_response, torque_channel
 from balance_cli.estimation.response_error import ResponseError
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
@@ -109,13 +109,13 @@ class PaperSource:
 
     @property
     def response_error(self) -> ResponseError | None:
-        """None: the misfit of the paper's form is known in its sensors, not in the channels."""
-        return None
+        """What the form misses of the sensors and the torque in the sweeps."""
+        return self.model.response_error
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether the form does not fit its data."""
-        return self.fit.misfit.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
+        """Whether the form does not fit its data and nobody recorded by how much, as in artefacts of before."""
+        return self.model.response_error is None and self.fit.misfit.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
 
     @property
     def system(self) -> System | None:
@@ -128,51 +128,64 @@ class PaperSource:
         modes = self.model.modes
         return float(1.0 / np.abs(2 * np.pi * modes.frequency * modes.damping_ratio).min())
 
-    @property
-    def _torque_channel(self) -> str | None:
-        return next((channel.name for channel in self.model.geometry.channels if channel.torque_meter), None)
-
     def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """Form the sensor forces from the live channels of each cell, and append the torque channel."""
         rule, geometry = self.fit.rule, self.model.geometry
+        torque = torque_channel(geometry)
         n = len(rule.names)
         combination = np.zeros((len(frequency), n + 1, len(live)), complex)
         for j, cell in enumerate(rule.cells):
             channel = _live_channel_of_cell(geometry, cell, live)
             gain = channel_response(channel, frequency)
             combination[:, :n, live.index(channel.name)] += rule.matrix[:, j] / gain[:, None]
-        if self._torque_channel is None or self._torque_channel not in live:
+        if torque is None or torque not in live:
             return ChannelCombination(list(range(n)), combination[:, :n])
-        combination[:, n, live.index(self._torque_channel)] = 1.0
+        combination[:, n, live.index(torque)] = 1.0
         return ChannelCombination(list(range(n + 1)), combination)
 
     def at(self, frequency: Array, spin: float) -> ComplexArray:
-        """Return G(w) B_F for the plate and k / (k + jwd - w^2 J) for the torque."""
-        n = len(self.fit.rule.names)
-        value = np.zeros((len(frequency), n + 1, 6), complex)
-        value[:, :n, self._columns] = paper_response(self.fit, frequency)
-        if self._torque_channel is not None:
-            system = balance_model(self.model.geometry).system()
-            row = system.channel_names.index(self._torque_channel)
-            value[:, n, 5] = response(system, solve(system, frequency, spin))[:, row, 5]
-        return value
+        """Return the sensors and the torque that the loads give."""
+        return row_response(self.fit, self.model.geometry, frequency, spin)
 
     def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
         """Return the run itself: the paper's form is linear."""
         return run
 
     def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
-        """Return J Cov J' of the sensor rows; Cov comes from the residuals, so it contains the misfit already."""
-        jacobian = np.einsum("hnmp,hm->hnp", response_jacobian(self.fit, frequency), loads[:, self._columns])
-        n, p = jacobian.shape[1:]
-        with_torque = np.zeros((len(frequency), n + 1, p), complex)
-        with_torque[:, :n] = jacobian
-        J = np.concatenate([with_torque.real, with_torque.imag], axis=1)
-        return np.asarray(J @ self.fit.covariance @ J.swapaxes(1, 2))
+        """Return J Cov J' of the rows, whose Cov contains the misfit within the band of the fit.
+
+        Where no sweep tested the row of the torque, its error is that of the tolerances of the shaft.
+        """
+        geometry = self.model.geometry
+        columns = [COMPONENTS.index(name) for name in self.fit.inputs]
+        jacobian = np.einsum("hnmp,hm->hnp", response_jacobian(self.fit, frequency), loads[:, columns])
+        h, n, p = jacobian.shape
+        rows = np.zeros((h, len(row_names(self.fit, geometry)), p), complex)
+        rows[:, :n] = jacobian
+        J = np.concatenate([rows.real, rows.imag], axis=1)
+        total = np.asarray(J @ self.fit.covariance @ J.swapaxes(1, 2))
+        torque = torque_channel(geometry)
+        if torque is not None and not self._torque_was_tested:
+            total[:, n :: n + 1, n :: n + 1] += _declared_torque_covariance(geometry, torque, frequency, spin, loads)
+        return total
 
     @property
-    def _columns(self) -> list[int]:
-        return [COMPONENTS.index(name) for name in self.fit.inputs]
+    def _torque_was_tested(self) -> bool:
+        error = self.response_error
+        return error is not None and bool(np.any(error.factor[:, COMPONENTS.index("Mz"), -1]))
+
+
+def _declared_torque_covariance(
+    geometry: Geometry, torque: str, frequency: Array, spin: float, loads: ComplexArray
+) -> Array:
+    """Return the covariance (h, 2, 2) of [Re, Im] of the torque channel by the tolerances of the declared rig."""
+    model = balance_model(geometry)
+    system, only_torque = model.system(), np.zeros_like(loads)
+    only_torque[:, COMPONENTS.index("Mz")] = loads[:, COMPONENTS.index("Mz")]
+    solution = solve(system, frequency, spin)
+    jacobian = output_jacobian(system, solution, np.arange(len(solution.frequency)), only_torque)
+    J = np.stack([part[:, system.channel_names.index(torque)] for part in (jacobian.real, jacobian.imag)], axis=1)
+    return np.asarray((J * model.parameters.sigma[model.parameters.free] ** 2) @ J.swapaxes(1, 2))
 
 
 def _live_channel_of_cell(geometry: Geometry, cell: str, live: tuple[str, ...]) -> Channel:

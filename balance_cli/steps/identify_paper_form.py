@@ -10,13 +10,14 @@ from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel,
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.paper.fit import identify_paper_form
 from balance_cli.estimation.paper.result import PaperFit, PaperOptions
+from balance_cli.estimation.paper_rows import estimate_row_error
 from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 
 
 def identify_in_paper_form(spectra: Spectra, geometry: Geometry, options: PaperOptions) -> IdentifiedModel:
-    """Identify in the paper's form; static runs and torque sweeps are not used.
+    """Identify in the paper's form; static runs are not used, torque sweeps only for the error of the torque.
 
     Source: the paper, corrected as in docs/theory/paper-notes.md, notes 3 to 11.
     """
@@ -36,6 +37,7 @@ def identify_in_paper_form(spectra: Spectra, geometry: Geometry, options: PaperO
         channels_left_out=spectra.channels_left_out,
         iterations=fit.iterations,
         converged=fit.converged,
+        response_error=estimate_row_error(fit, geometry, spectra.lines),
         paper=fit,
     )
 

@@ -8,6 +8,7 @@ import pytest
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.reduction.flags import FLAGS, join_flags
+from balance_cli.reduction.harmonic_loads import harmonic_loads, rotor_record
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.trust import filter_is_contradicted, flag_filter, sensor_count
@@ -88,6 +89,29 @@ def test_a_model_that_its_own_data_contradict_states_errors_that_cover(campaign,
     flagged = np.array([["contradicted" in flag for flag in row] for row in found.flags[1:]])
     assert far.any()
     assert np.mean(flagged[far]) > 0.9
+
+
+@pytest.mark.parametrize("torque_swept", [True, False])
+def test_the_papers_form_states_errors_that_cover(campaign, check, torque_swept):
+    """Its diagonal damping does not fit the rig: the misfit of sensors and torque alone widens the intervals enough."""
+    geometry = campaign.geometry
+    runs = [run for run in campaign.runs if torque_swept or run.excited != ("Mz",)]
+    model = identify(measured_spectra(runs, geometry), geometry, IdentifyOptions(form="paper"))
+    assert model.quality.chi2_per_dof > 1.2
+    record = rotor_record(check, geometry, model_source(model))
+    solution = harmonic_loads(record, geometry, model_source(model))
+    cosine, sine = campaign.truths[check.name].harmonics(*record.spectra.interval)
+    error = solution.loads - (cosine - 1j * sine)[1:, : solution.loads.shape[1]]
+
+    def share_covered(covariance):
+        sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        return np.mean(np.abs(np.concatenate([error.real, error.imag], axis=1)) < 1.96 * sigma)
+
+    assert share_covered(solution.covariance + solution.model_covariance) > 0.9
+    assert share_covered(solution.covariance) < 0.8
+    without = model_source(replace(model, response_error=None))
+    assert without.is_contradicted
+    assert not model_source(model).is_contradicted
 
 
 def test_the_error_of_a_misfit_does_not_need_redundancy(campaign, calibration, check):

@@ -96,10 +96,7 @@ def _sensor_forces(
     """Z = [s, u] (k, n+m) of one run and its noise covariance: both linear in [channels, loads]."""
     k, c, n = len(run.frequency), len(run.channel_names), len(rule.names)
     L = np.zeros((k, n + len(inputs), c + len(run.components)), complex)
-    for j, cell in enumerate(rule.cells):
-        channel = _select_channel(geometry, cell, run)
-        column = run.channel_names.index(channel.name)
-        L[:, :n, column] += rule.matrix[:, j] / channel_response(channel, run.frequency)[:, None]
+    L[:, :n, :c] = _sensor_combination(geometry, rule, run)
     for j, component in enumerate(run.components):
         if component in inputs:
             L[:, n + inputs.index(component), c + j] = 1.0
@@ -108,6 +105,22 @@ def _sensor_forces(
     read = np.any(L != 0.0, axis=(0, 1))
     L, raw, noise = L[:, :, read], raw[:, read], run.covariance[:, read][:, :, read]
     return (L @ raw[:, :, None])[:, :, 0], L @ noise @ np.conj(np.swapaxes(L, 1, 2))
+
+
+def sensor_combination(geometry: Geometry, rule: SensorRule, run: RunSpectrum) -> ComplexArray | None:
+    """Return how the sensor forces (k, n, c) are formed from the channels of a run; None where it lacks a cell."""
+    if not all(any(ch.cell == cell and _is_usable(run, ch.name) for ch in geometry.channels) for cell in rule.cells):
+        return None
+    return _sensor_combination(geometry, rule, run)
+
+
+def _sensor_combination(geometry: Geometry, rule: SensorRule, run: RunSpectrum) -> ComplexArray:
+    L = np.zeros((len(run.frequency), len(rule.names), len(run.channel_names)), complex)
+    for j, cell in enumerate(rule.cells):
+        channel = _select_channel(geometry, cell, run)
+        gain = channel_response(channel, run.frequency)
+        L[:, :, run.channel_names.index(channel.name)] += rule.matrix[:, j] / gain[:, None]
+    return L
 
 
 def _select_channel(geometry: Geometry, cell: str, run: RunSpectrum) -> Channel:
