@@ -54,5 +54,6 @@ class LazyGroup(BalanceCommand, click.Group):
 def balance() -> None:
     """From raw volts of a rotor balance to rotor-harmonic hub loads.
 
-    Exit status: 0 done; 1 internal error; 2 the input or the call is wrong, and nothing was written.
+    Exit status: 0 done; 1 internal error; 2 the input or the call is wrong, and nothing was written; 3 `diagnose
+    --fail-on-discrepancy` found one; 4 `run` is done, and some runs were skipped.
     """
