@@ -15,6 +15,7 @@ from balance_cli.io.hdf5_tree import from_tree, to_tree
 from tests.support.diagnosis_content import diagnosis
 
 PACKAGE = Path(balance_cli.diagnosis.__file__).parent
+CONSISTENCY = PACKAGE / "consistency"
 
 
 def test_settings_come_back_from_a_tree():
@@ -51,14 +52,23 @@ def test_every_setting_has_a_reason():
 
 
 def test_no_number_tunes_an_algorithm_outside_the_settings():
-    """Significance levels and the frequencies of mains are no tuning."""
-    for path in PACKAGE.rglob("*.py"):
+    """Significance levels and the frequencies of mains are no tuning; checks of consistency are no part of a search."""
+    for path in set(PACKAGE.rglob("*.py")) - set(CONSISTENCY.rglob("*.py")):
         if path.name in ("settings.py", "data_test_settings.py", "significance.py"):
             continue
         for item in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(item, ast.Assign) and isinstance(item.value, ast.Constant):
                 name = ast.unparse(item.targets[0])
                 assert isinstance(item.value.value, str) or name == "CHI2_95", f"{path.name}: {name}"
+
+
+def test_every_constant_of_the_consistency_checks_has_its_reason():
+    for path in CONSISTENCY.rglob("*.py"):
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        for item, following in zip(body, [*body[1:], None], strict=True):
+            if isinstance(item, ast.Assign) and isinstance(item.value, ast.Constant):
+                is_text = isinstance(item.value.value, str)
+                assert is_text or isinstance(following, ast.Expr), f"{path.name}: {ast.unparse(item)} has no reason"
 
 
 def test_all_groups_are_frozen_and_have_defaults():

@@ -295,6 +295,6 @@ def test_saving_again_replaces_the_whole_file_or_nothing(tmp_path: Path) -> None
     assert [item.name for item in tmp_path.iterdir()] == ["model.h5"]
 
 
-def test_the_formats_are_those_of_the_five_results() -> None:
-    kinds = ("calibration", "transfer", "model", "diagnosis", "loads")
+def test_the_formats_are_those_of_the_results() -> None:
+    kinds = ("calibration", "transfer", "model", "diagnosis", "loads", "spectra")
     assert tuple(f"balance-{kind}/1" for kind in kinds) == ARTEFACT_FORMATS

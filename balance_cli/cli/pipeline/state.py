@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +89,8 @@ class State:
 
     def remember_finding(self, path: Path, stamp: FileStamp, geometry: str, finding: FileFinding) -> None:
         """Remember what a file is."""
-        self.findings[str(path)] = RememberedFinding(stamp, geometry, finding)
+        without_content = replace(finding, run=None, geometry=None)
+        self.findings[str(path)] = RememberedFinding(stamp, geometry, without_content)
 
     def is_current(self, name: str, signature: str, results: Path) -> bool:
         """Return whether a step of this signature was done and its outputs are as it left them."""

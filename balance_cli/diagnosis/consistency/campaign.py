@@ -35,6 +35,7 @@ LARGEST_DEVIATION = 0.6
 """Relative difference, at a typical line, of a check run from what the sweeps predict: a rig as in the sweeps stays
 below a tenth, one that is loaded otherwise through a support or a hose below a third."""
 FEWEST_LINES = 4
+"""Lines in common from which a median over them is not that of one or two bad ones."""
 BEYOND_TOLERANCES = float(np.log(10.0))
 """Logarithm of the ratio of measured to computed responses from which no effect, but only wrong numbers explain it."""
 

@@ -74,6 +74,7 @@ class ConsistencyFinding:
 
 
 MOST_NAMES = 6
+"""Runs that a message names one by one: as many as fit on a line."""
 
 
 def describe_runs(runs: tuple[str, ...], in_all_runs: bool) -> str:

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-POUND_FORCE = 4.4482216152605
-"""N (exact: 0.45359237 kg times 9.80665 m/s2)."""
-KILOGRAM_FORCE = 9.80665
-INCH = 0.0254
-FOOT = 0.3048
+from balance_cli.io.units import FOOT, INCH, POUND_FORCE, STANDARD_GRAVITY
 
-FORCE_UNITS = {"kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": POUND_FORCE, "kgf": KILOGRAM_FORCE, "daN": 10.0}
+FORCE_UNITS = {"kN": 1e3, "MN": 1e6, "mN": 1e-3, "lbf": POUND_FORCE, "kgf": STANDARD_GRAVITY, "daN": 10.0}
 MOMENT_UNITS = {
     "kN m": 1e3,
     "N mm": 1e-3,
     "N cm": 1e-2,
     "in lbf": POUND_FORCE * INCH,
     "ft lbf": POUND_FORCE * FOOT,
-    "kgf m": KILOGRAM_FORCE,
+    "kgf m": STANDARD_GRAVITY,
 }
 VOLT_UNITS = {"mV": 1e-3, "uV": 1e-6, "kV": 1e3}
 
