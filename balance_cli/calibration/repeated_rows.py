@@ -18,6 +18,12 @@ Index = NDArray[np.intp]
 
 SAME_LOAD_TOLERANCE = 3e-3
 """Share of the calibrated range within which consecutive loads are one: between load noise and the smallest step."""
+SAME_READINGS_TOLERANCE = 0.05
+"""Share of the largest change of the readings within which those of one load point stay.
+
+Creep, hysteresis and noise are a tenth of it or less; rows that state one load and read another are no repetition, but
+one of them has a wrong load.
+"""
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,9 @@ def merge_repeated_rows(
     of one run, attitude, load series and kind of point. Two unloaded rows between two load series, where no load is
     sampled repeatedly, are two tare points. Returns readings, loads and the repeated rows, None where there are none.
     """
-    first = _first_rows(x, segment)
+    change = channels - channels.mean(axis=0)
+    size = float(np.max(np.linalg.norm(change, axis=1), initial=0.0))
+    first = _first_rows(x, change / size if size > 0 else change, segment)
     if np.all(first == np.arange(len(first))):
         return channels, loads, None
     count = np.bincount(first, minlength=len(first))[first][:, None]
@@ -76,9 +84,9 @@ def _group_sums(values: Array, first: Index) -> Array:
     return np.asarray(sums[first])
 
 
-def _first_rows(x: Array, segment: Index) -> Index:
-    """First row (m,) of the load point of each row."""
-    groups = _equal_runs(x, segment)
+def _first_rows(x: Array, readings: Array, segment: Index) -> Index:
+    """First row (m,) of the load point of each row, for loads and readings relative to their largest."""
+    groups = _equal_runs(x, readings, segment)
     base = {int(segment[rows[0]]): x[rows[0]] for rows in reversed(groups)}
     unloaded = [bool(np.all(np.abs(x[rows[0]] - base[int(segment[rows[0]])]) <= MIN_LOAD_CHANGE)) for rows in groups]
     sizes = [len(rows) for rows, is_unloaded in zip(groups, unloaded, strict=True) if not is_unloaded]
@@ -99,13 +107,14 @@ def _load_points(rows: Index, is_unloaded: bool, typical: int) -> list[Index]:
     return [rows] if len(rows) < 2 * typical else [rows[: len(rows) - typical], rows[len(rows) - typical :]]
 
 
-def _equal_runs(x: Array, segment: Index) -> list[Index]:
-    """Consecutive rows of one segment whose loads equal those of the first of them."""
+def _equal_runs(x: Array, readings: Array, segment: Index) -> list[Index]:
+    """Consecutive rows of one segment whose loads and readings equal those of the first of them."""
     groups: list[list[int]] = []
     for row in range(len(x)):
         start = groups[-1][0] if groups else -1
         same = bool(groups) and segment[row] == segment[start]
-        if same and np.all(np.abs(x[row] - x[start]) <= SAME_LOAD_TOLERANCE):
+        same = same and bool(np.all(np.abs(x[row] - x[start]) <= SAME_LOAD_TOLERANCE))
+        if same and np.linalg.norm(readings[row] - readings[start]) <= SAME_READINGS_TOLERANCE:
             groups[-1].append(row)
         else:
             groups.append([row])

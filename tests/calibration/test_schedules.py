@@ -124,10 +124,23 @@ def test_deletion_formula_against_fits_without_two_rows():
     assert least_p_value_without_two_rows(fit, 2) == pytest.approx(worst, rel=1e-6)
 
 
+def test_an_exchange_that_makes_neighbors_equal_is_no_repetition():
+    """0.4, 0.6, 0.8, 1, 0.8, 0.6 reads 0.4, 0.8, 0.8, 1, 0.6, 0.6 with the third and sixth step exchanged."""
+
+    def exchange(x, channels):
+        x[[23, 26]] = x[[26, 23]]
+
+    x, series = schedule(1, 0)
+    _, points = recorded(x, series, 2, exchange)
+    assert np.array_equal(points.loads[23], points.loads[24])
+    outliers = calibrate_all_trims(points, search=False).outliers
+    assert {(outlier.row, outlier.exchanged_with) for outlier in outliers} == {(24, 27), (27, 24)}
+
+
 def test_repeated_rows_are_one_load_point_and_two_tare_points_are_two():
     x = np.outer(np.repeat([0.0, 0.5, 1.0, 0.0, 0.0, 0.5], 3), [1.0, 0.0])
     rng = np.random.default_rng(0)
-    readings = rng.normal(size=(18, 4))
+    readings = 100.0 * x[:, [0]] + rng.normal(size=(18, 4))
     merged, _, repeats = merge_repeated_rows(readings, x, x, np.zeros(18, int))
     np.testing.assert_array_equal(np.flatnonzero(repeats.is_first), np.arange(0, 18, 3))
     np.testing.assert_allclose(merged[3], readings[3:6].mean(axis=0))
