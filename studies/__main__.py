@@ -23,6 +23,7 @@ from studies.consistency import consistency_table, table_in_page
 from studies.consistency_cases import CASES
 from studies.consistency_rigs import campaign_of, rigs
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
+from studies.coverage_by_fault import fault_chunk, fault_table
 from studies.filters import filters_chunk
 from studies.filters_picture import filters_picture
 from studies.filters_table import filters_table, page_table
@@ -156,6 +157,16 @@ def clean_campaigns(campaigns: int = 100, jobs: int = 2) -> None:
     """Rows that are flagged although nothing is wrong, and coverage, on five rigs."""
     table = clean_table(run_chunks("clean-campaigns", clean_chunk, range(campaigns), jobs))
     _write("clean_campaigns", table)
+    click.echo(table.to_string(index=False))
+
+
+@studies.command("coverage-by-fault")
+@click.option("--seeds", default=4, show_default=True)
+@click.option("--jobs", default=1, show_default=True)
+def coverage_by_fault(seeds: int = 4, jobs: int = 1) -> None:
+    """Coverage and flags of hub loads by what is wrong with a campaign or its reduction."""
+    table = fault_table(run_chunks("coverage-by-fault", fault_chunk, range(seeds), jobs))
+    _write("coverage_by_fault", table)
     click.echo(table.to_string(index=False))
 
 

@@ -54,10 +54,11 @@ def load_rows(campaign: Campaign, calibration: object, source: ResponseSource) -
         if run.kind in ("check", "wind"):
             loads = reduce_run(run, geometry, calibration, source, zero)  # type: ignore[arg-type]
             faults = len(list(pulse_faults(run)))
-            yield from ({**row, "pulse_faults": faults} for row in _rows(loads, truth))
+            yield from ({**row, "pulse_faults": faults} for row in rows_of_run(loads, truth))
 
 
-def _rows(loads: RunLoads, truth: RunTruth) -> Iterator[dict[str, object]]:
+def rows_of_run(loads: RunLoads, truth: RunTruth) -> Iterator[dict[str, object]]:
+    """Yield harmonic, component, flag, errors over sigma and relative sigma of every load of a run."""
     assert truth.cosine is not None and truth.sine is not None
     columns = [COMPONENTS.index(name) for name in loads.components]
     true = (truth.cosine - 1j * truth.sine)[: len(loads.amplitude), columns]

@@ -154,7 +154,7 @@ class PaperSource:
     def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
         """Return J Cov J' of the rows, whose Cov contains the misfit within the band of the fit.
 
-        Where no sweep tested the row of the torque, its error is that of the tolerances of the shaft.
+        The row of the torque rests on the declared shaft, and has the error of its tolerances.
         """
         geometry = self.model.geometry
         columns = [COMPONENTS.index(name) for name in self.fit.inputs]
@@ -165,14 +165,9 @@ class PaperSource:
         J = np.concatenate([rows.real, rows.imag], axis=1)
         total = np.asarray(J @ self.fit.covariance @ J.swapaxes(1, 2))
         torque = torque_channel(geometry)
-        if torque is not None and not self._torque_was_tested:
+        if torque is not None:
             total[:, n :: n + 1, n :: n + 1] += _declared_torque_covariance(geometry, torque, frequency, spin, loads)
         return total
-
-    @property
-    def _torque_was_tested(self) -> bool:
-        error = self.response_error
-        return error is not None and bool(np.any(error.factor[:, COMPONENTS.index("Mz"), -1]))
 
 
 def _declared_torque_covariance(
