@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,9 +58,9 @@ class ModelSource:
         """Whether the model does not fit its data and nobody recorded by how much, as in artefacts of version 0.1."""
         return self.model.response_error is None and self.model.quality.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
 
-    @property
-    def system(self) -> System | None:
-        """The equations of motion of the model at its estimate."""
+    @cached_property
+    def system(self) -> System:
+        """The equations of motion of the model at its estimate, the same for all runs."""
         return identified_system(self.model)
 
     @property
@@ -75,18 +76,16 @@ class ModelSource:
 
     def at(self, frequency: Array, spin: float) -> ComplexArray:
         """Return T of the model."""
-        system = identified_system(self.model)
-        return response(system, solve(system, frequency, spin))
+        return response(self.system, solve(self.system, frequency, spin))
 
     def remove_nonlinear_contribution(self, run: Run, live: tuple[str, ...]) -> Run:
         """Return the run without the contribution of nonlinear cell forces to its channels."""
-        return remove_nonlinear_contribution(run, identified_system(self.model), self.model.geometry, live)
+        return remove_nonlinear_contribution(run, self.system, self.model.geometry, live)
 
     def covariance(self, frequency: Array, spin: float, loads: ComplexArray) -> Array:
         """Return J Cov J' with J = d(T f)/d(parameters)."""
-        system = identified_system(self.model)
-        solution = solve(system, frequency, spin)
-        jacobian = output_jacobian(system, solution, np.arange(len(solution.frequency)), loads)
+        solution = solve(self.system, frequency, spin)
+        jacobian = output_jacobian(self.system, solution, np.arange(len(solution.frequency)), loads)
         J = np.concatenate([jacobian.real, jacobian.imag], axis=1)
         free = self.model.parameters.declared_sigma > 0
         covariance = self.model.covariance[np.ix_(free, free)] * self.model.misfit_scale**2

@@ -53,12 +53,11 @@ class CleanRecord:
 
 def channel_noise(clean_record: CleanRecord, acquisition: Acquisition) -> Array:
     """Return the noise variance (c,) [V2] of one sample of each channel, from frequencies above all loads."""
-    spectra = cross_spectra(clean_record.parts(), clean_record.step, clean_record.window(WINDOW_TIME))
     nyquist = 0.5 / clean_record.step
     cutoff = acquisition.filter.cutoff if acquisition.filter else np.inf
-    load_free = spectra.frequency > (
-        LOAD_FREE_CUTOFF_FACTOR * cutoff
-        if LOAD_FREE_CUTOFF_FACTOR * cutoff < LOAD_FREE_NYQUIST_SHARE * nyquist
-        else LOAD_FREE_NYQUIST_SHARE * nyquist
-    )
-    return noise_variance(spectra, clean_record.step, load_free)
+    lowest = LOAD_FREE_CUTOFF_FACTOR * cutoff
+    if lowest >= LOAD_FREE_NYQUIST_SHARE * nyquist:
+        lowest = LOAD_FREE_NYQUIST_SHARE * nyquist
+    window = clean_record.window(WINDOW_TIME)
+    spectra = cross_spectra(clean_record.parts(), clean_record.step, window, lambda first, bins: bins > lowest)
+    return noise_variance(spectra, clean_record.step, np.ones(len(spectra.frequency), bool))

@@ -55,15 +55,17 @@ def cross_spectra(
     window = _blackman_harris(length)
     frequency = np.asarray(np.fft.rfftfreq(length, step), float)
     inner = (np.arange(len(frequency)) >= MAIN_LOBE) & (np.arange(len(frequency)) < len(frequency) - MAIN_LOBE)
-    total, count = None, np.zeros(len(frequency))
+    total: ComplexArray | None = None
+    count = np.zeros(len(frequency))
     for first, part in parts:
         for start in range(0, len(part) - length + 1, length // 3):
             samples = part[start : start + length]
             spectrum = np.fft.rfft((samples - samples.mean(axis=0)) * window[:, None], axis=0)
             selected = inner if select_bins is None else inner & select_bins(first + start, frequency)
-            spectrum[~selected] = 0.0
-            power = spectrum[:, :, None] * spectrum[:, None, :].conj()
-            total = power if total is None else total + power
+            if total is None:
+                total = np.zeros((len(frequency), spectrum.shape[1], spectrum.shape[1]), complex)
+            counted = spectrum[selected]
+            total[selected] += counted[:, :, None] * counted[:, None, :].conj()
             count += selected
     bins = count > 0
     if total is None or not bins.any():

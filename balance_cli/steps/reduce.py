@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.gaps import describe_gaps
-from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.recording.run import Run, hold_samples
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
 from balance_cli.reduction.flags import MODEL_CONTRADICTED
@@ -50,7 +50,7 @@ def reduce_run(
     Raises UserError where the pulses are unusable or the usable channels do not determine the loads.
     """
     options = options or ReduceOptions()
-    record = rotor_record(run, geometry, source, options.harmonics)
+    record = rotor_record(hold_samples(run), geometry, source, options.harmonics)
     return reduce_record(record, geometry, calibration, source, zero)
 
 

@@ -13,12 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.additions import RunAdditions
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.result_view import plural
 
 Array = NDArray[np.float64]
 
 LARGEST_MAGNITUDE = 1e9
 """Of any sample, time or rate of a run in SI units. No rig comes near it, and fourth powers of it remain accurate."""
+
+
+MOST_HELD_BYTES = 2**28
+"""Of the samples of one run that are kept in memory: 256 MB, 20 channels at 10 kHz for 160 s. Longer ones are read in
+blocks, as often as they are needed."""
 
 
 @dataclass(frozen=True)
@@ -162,6 +168,18 @@ def excerpt_run(run: Run, start: int, stop: int) -> Run:
         bridged=bridged,
         additions=None if run.additions is None else run.additions.excerpt(start, stop, run.sample_rate),
     )
+
+
+def hold_samples(run: Run) -> Run:
+    """Return the run with its samples in memory, read once and write-protected; itself where they are too many."""
+    columns = len(run.channel_names) + (len(COMPONENTS) if run.has_loads else 0)
+    if isinstance(run.source, MemorySource) or 8 * run.samples * columns > MOST_HELD_BYTES:
+        return run
+    block = run.read()
+    for samples in (block.channels, block.loads):
+        if samples is not None:
+            samples.setflags(write=False)
+    return replace(run, source=MemorySource(block.channels, block.loads))
 
 
 def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | None = None) -> Array:

@@ -62,6 +62,11 @@ class Azimuth:
         degree = min(5, len(self.pulse_times) - 1)
         return make_interp_spline(self.pulse_times, self.revolutions.astype(float), k=degree)
 
+    @cached_property
+    def speed_curve(self) -> BSpline:
+        """Rotor speed [Hz], a spline over time [s]."""
+        return self.revolution_count.derivative()
+
     @property
     def first(self) -> float:
         """Time of the first pulse [s]."""
@@ -88,13 +93,13 @@ class Azimuth:
 
     def speed(self, time: ArrayLike) -> Array:
         """Return the rotor speed [Hz] at `time` [s], NaN outside the pulses."""
-        return self._evaluate_within_pulses(time, self.revolution_count.derivative())
+        return self._evaluate_within_pulses(time, self.speed_curve)
 
     def extrapolated_count(self, time: ArrayLike) -> Array:
         """Return the revolutions since the first pulse at any `time` [s]; the speed is constant outside the pulses."""
         t = np.asarray(time, float)
         inside = np.clip(t, self.first, self.last)
-        first, last = self.revolution_count.derivative()(np.array([self.first, self.last]))
+        first, last = self.speed_curve(np.array([self.first, self.last]))
         return np.asarray(self.revolution_count(inside) + np.where(t < self.first, first, last) * (t - inside))
 
     def time_of(self, revolution: ArrayLike) -> Array:
@@ -103,7 +108,7 @@ class Azimuth:
         time = np.interp(target, self.revolutions, self.pulse_times)
         for _ in range(4):
             time = np.clip(
-                time - (self.revolution_count(time) - target) / self.revolution_count.derivative()(time),
+                time - (self.revolution_count(time) - target) / self.speed_curve(time),
                 self.first,
                 self.last,
             )

@@ -109,12 +109,12 @@ def _outlier_lines(power: Array) -> Flags:
     if count < COMPARISON_LINES:
         return np.zeros(count, bool)
     limit = -np.log(LINE_FALSE_ALARM / power.size) / MEDIAN_OF_EXPONENTIAL
-    beyond = np.array(
-        [np.median(power[min(j + 3, count - COMPARISON_LINES) :][:COMPARISON_LINES], axis=0) for j in range(count)]
-    )
-    before = np.array(
-        [np.median(power[max(j - 2 - COMPARISON_LINES, 0) : max(j - 2, 1)], axis=0) for j in range(count)]
-    )
+    windows = np.median(np.lib.stride_tricks.sliding_window_view(power, COMPARISON_LINES, axis=0), axis=-1)
+    line = np.arange(count)
+    beyond = windows[np.minimum(line + 3, count - COMPARISON_LINES)]
+    before = windows[np.maximum(line - 2 - COMPARISON_LINES, 0)]
+    for j in range(COMPARISON_LINES // 2, min(COMPARISON_LINES + 2, count)):  # fewer lines lie before these
+        before[j] = np.median(power[: j - 2], axis=0)
     before[: COMPARISON_LINES // 2] = np.inf
     outliers = np.any(power > limit * np.minimum(beyond, before), axis=1)
     return np.asarray(np.convolve(outliers, np.ones(5), mode="same") > 0, bool)

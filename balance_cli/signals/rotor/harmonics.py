@@ -14,6 +14,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.harmonic_noise import blackman_taper, line_offsets, mean_noise, pooled_noise
+from balance_cli.signals.rotor.line_sums import add_lines, unit_powers
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines
 
 Array = NDArray[np.float64]
@@ -138,7 +139,7 @@ def estimate_harmonics(
     fitted_count = _harmonics_to_fit(run, azimuth, n, start, end)
     sums = _empty_sums(n, 2 * fitted_count + 1 + other.columns, offsets, len(names))
     for samples in _weighted_blocks(run, azimuth, names, revolutions, other, block):
-        _accumulate_block(sums, samples, n, fitted_count, offsets / (last - first_revolution))
+        _accumulate_block(sums, samples, n, fitted_count, last - first_revolution)
     amplitude = _solve_amplitudes(sums, n, fitted_count)
     covariance, dof = _amplitude_covariance(sums, n, offsets)
 
@@ -227,23 +228,23 @@ def _empty_sums(n: int, columns: int, offsets: Array, count: int) -> _NormalEqua
 
 def _trigonometric_basis(psi: Array, fitted_count: int) -> Array:
     """Basis (m, 2 F + 1) of the regression: cos(0 .. F psi), sin(1 .. F psi), F = `fitted_count`."""
-    angle = np.outer(psi, np.arange(fitted_count + 1))
-    return np.hstack([np.cos(angle), np.sin(angle[:, 1:])])
+    turns = unit_powers(psi, fitted_count)
+    return np.hstack([turns.real, turns[:, 1:].imag])
 
 
-def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, n: int, fitted_count: int, orders: Array) -> None:
+def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, n: int, fitted_count: int, turns: int) -> None:
     """Add a block to the sums.
 
     Lines are integrals over azimuth, d psi = 2 pi speed dt, over which harmonics are orthogonal.
     """
-    basis = np.hstack([_trigonometric_basis(samples.psi, fitted_count), samples.other])
-    weighted = basis * samples.weight[:, None]
-    sums.gram += weighted.T @ basis
+    basis = _trigonometric_basis(samples.psi, fitted_count)
+    columns = np.hstack([basis, samples.other])
+    weighted = columns * samples.weight[:, None]
+    sums.gram += weighted.T @ columns
     sums.moment += weighted.T @ samples.signals
     q = blackman_taper(samples.fraction) * samples.speed
-    tapered = np.exp(-1j * np.outer(orders, samples.psi)) * q
-    for k in range(n + 1):
-        sums.lines[k] += tapered @ (samples.signals * np.exp(-1j * k * samples.psi)[:, None])
+    harmonics = basis[:, [*range(n + 1), *range(fitted_count + 1, fitted_count + 1 + n)]]
+    add_lines(sums.lines, samples.psi / turns, q, samples.signals, harmonics)
     w = samples.weight
     sums.weight += [np.sum(w), np.sum(w**2), np.sum(q), np.sum(q**2)]
     sums.samples += len(w)

@@ -25,5 +25,6 @@ def spectral_floor(power: Array) -> Array:
     """
     size = block_size(len(power))
     starts = np.arange(0, len(power), size)
-    medians = [np.median(power[max(0, start - size // 2) : start + size + size // 2], axis=0) for start in starts]
+    channels = np.ascontiguousarray(power.T)
+    medians = [np.median(channels[:, max(0, start - size // 2) : start + size + size // 2], axis=1) for start in starts]
     return np.asarray(np.repeat(np.array(medians), size, axis=0)[: len(power)])

@@ -61,15 +61,15 @@ def windowed_amplitudes(
     assert run.sample_rate is not None
     times = azimuth.time_of(edges)
     samples = np.ceil(times * run.sample_rate).astype(int)
-    rows = [_amplitudes(run, azimuth, names, n, a, b) for a, b in pairwise(samples.tolist())]
+    time = np.clip(np.arange(samples[0], samples[-1]) / run.sample_rate, azimuth.first, azimuth.last)
+    psi, start = azimuth.psi(time), int(samples[0])
+    rows = [_amplitudes(run, psi[a - start : b - start], names, n, a, b) for a, b in pairwise(samples.tolist())]
     empty = np.zeros((0, n + 1, len(names)), complex)
     return WindowedAmplitudes(np.array(rows) if rows else empty, tuple(names), length / np.diff(times))
 
 
-def _amplitudes(run: Run, azimuth: Azimuth, names: Sequence[str], n: int, start: int, stop: int) -> ComplexArray:
+def _amplitudes(run: Run, psi: Array, names: Sequence[str], n: int, start: int, stop: int) -> ComplexArray:
     """Return the amplitudes (n+1, c) between two samples; harmonics above half the samples of a window are left out."""
-    assert run.sample_rate is not None
-    psi = azimuth.psi(np.clip(np.arange(start, stop) / run.sample_rate, azimuth.first, azimuth.last))
     angle = np.outer(psi, np.arange(1, n + 1))
     basis = np.column_stack([np.ones(len(psi)), np.cos(angle), np.sin(angle)])
     solution = np.linalg.lstsq(basis, read_channels(run, names, start, stop), rcond=None)[0]
