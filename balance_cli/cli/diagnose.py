@@ -25,6 +25,7 @@ from balance_cli.io.formats import DIAGNOSIS_FORMAT, MODEL_FORMAT
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
     from balance_cli.diagnosis.result import Diagnosis, HoldOut
+    from balance_cli.diagnosis.settings import SearchSettings
     from balance_cli.estimation.identified_model import IdentifiedModel
     from balance_cli.estimation.measured_spectra import Spectra
 
@@ -47,6 +48,20 @@ EXIT_DISCREPANCY = 3
     metavar="SECONDS",
     help="Time after which no further effect is tried; the best model up to then is written, and the notes say so.",
 )
+@click.option(
+    "--suspect",
+    "suspected",
+    multiple=True,
+    metavar="NAME[@PLACE]",
+    help="Effect to try first and to test in any case, as a single hypothesis (repeatable).",
+)
+@click.option(
+    "--exclude",
+    "excluded",
+    multiple=True,
+    metavar="NAME[@PLACE]",
+    help="Effect that is no candidate, at this place or at any (repeatable).",
+)
 @click.option("--fail-on-discrepancy", is_flag=True, help="Exit status 3 unless the verdict is `nothing missing`.")
 @skip_bad_option
 @output_option("DIAGNOSIS")
@@ -57,6 +72,8 @@ def command(
     hold_out: tuple[Path, ...],
     model_out: Path,
     time_limit: float,
+    suspected: tuple[str, ...],
+    excluded: tuple[str, ...],
     fail_on_discrepancy: bool,
     skip_bad: bool,
     output: Path,
@@ -77,6 +94,7 @@ def command(
     from balance_cli.steps.hold_out import choose_hold_out
 
     before = _load_start_model(session, model)
+    settings = _search_settings(before, time_limit, suspected, excluded)
     records = session.runs(runs, before.geometry, skip_bad)
     records = require_consistent_runs(session, before.geometry, records, skip_bad, identified_anyway)
     hold_out_runs = session.runs(hold_out, before.geometry, skip_bad, role="hold-out", disjoint_from=records)
@@ -85,9 +103,8 @@ def command(
     records = tuple(run for run in records if run not in kept_aside)
     spectra = measured_spectra(session.progress(records, "spectra", len(records)), before.geometry, means=True)
     _check_spectra(session, spectra)
-    hold_out_runs = (*hold_out_runs, *kept_aside)
-    _warn_about_hold_out(session, before, hold_out_runs, kept_aside)
-    diagnosis, updated_model = _run_diagnosis(before, spectra, records, hold_out_runs, time_limit)
+    hold_out_runs = _warn_about_hold_out(session, before, (*hold_out_runs, *kept_aside), kept_aside)
+    diagnosis, updated_model = _run_diagnosis(before, spectra, records, hold_out_runs, settings)
     errors = _hold_out_run_errors(session, hold_out_runs, before, updated_model, skip_bad)
     diagnosis = judge_hold_out(diagnosis, errors, [run.name for run in kept_aside])
     session.save(output, DIAGNOSIS_FORMAT, diagnosis)
@@ -106,6 +123,25 @@ def _load_start_model(session: Session, path: Path) -> IdentifiedModel:
         remedy = "Give a model of `balance identify --form physical` (the default)"
         raise UserError("is in the paper's form, which has no place for an effect", str(path), "form", remedy)
     return model
+
+
+def _search_settings(
+    model: IdentifiedModel, time_limit: float, suspected: tuple[str, ...], excluded: tuple[str, ...]
+) -> SearchSettings:
+    """Return the settings for what is suspected or excluded. Raises UserError for an unknown effect or place."""
+    from balance_cli.diagnosis.search.candidates import check_exclusion, suspected_candidates
+    from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
+
+    for option, words in (("--suspect", suspected), ("--exclude", excluded)):
+        for word in words:
+            try:
+                if option == "--suspect":
+                    suspected_candidates(word, model.geometry)
+                else:
+                    check_exclusion(word, model.geometry)
+            except UserError as error:
+                raise UserError(error.fault, place=option, remedy=error.remedy) from error
+    return replace(DEFAULT_SETTINGS, time_limit=time_limit, suspected=suspected, excluded=excluded)
 
 
 def _select_usable_hold_out(session: Session, hold_out_runs: tuple[Run, ...], skip_bad: bool) -> tuple[Run, ...]:
@@ -132,7 +168,8 @@ def _check_spectra(session: Session, spectra: Spectra) -> None:
 
 def _warn_about_hold_out(
     session: Session, before: IdentifiedModel, hold_out_runs: tuple[Run, ...], kept_aside: tuple[Run, ...]
-) -> None:
+) -> tuple[Run, ...]:
+    """Return the hold-out runs, after warning where there are none and where they are no test."""
     if not hold_out_runs:
         session.warn("no hold-out run: the updated model is not tested on new data; keep check runs for --hold-out")
     if kept_aside:
@@ -140,6 +177,7 @@ def _warn_about_hold_out(
     for run in hold_out_runs:
         if before.method != "computed" and run.name in before.quality.runs:
             session.warn(f"{run.name} is held out here, but the model was fitted to it: its error before is no test")
+    return hold_out_runs
 
 
 def _run_diagnosis(
@@ -147,18 +185,15 @@ def _run_diagnosis(
     spectra: Spectra,
     records: tuple[Run, ...],
     hold_out_runs: tuple[Run, ...],
-    time_limit: float,
+    settings: SearchSettings,
 ) -> tuple[Diagnosis, IdentifiedModel]:
     from balance_cli.cli.progress import progress_bar
-    from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
     from balance_cli.steps.diagnose import diagnose
     from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation
 
     task = SimulationTask(before, spectra, records, hold_out_runs)
     with progress_bar() as progress:
-        return diagnose_with_free_simulation(
-            task, partial(diagnose, progress=progress), replace(DEFAULT_SETTINGS, time_limit=time_limit)
-        )
+        return diagnose_with_free_simulation(task, partial(diagnose, progress=progress), settings)
 
 
 def _hold_out_run_errors(

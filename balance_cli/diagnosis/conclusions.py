@@ -87,7 +87,7 @@ def describe_added_effects(
     intervals: Mapping[str, tuple[float, float]],
     batches: Sequence[Batch],
 ) -> tuple[FoundEffect, ...]:
-    """Return the effects that the update has added, with their evidence, those first that change the loads most.
+    """Return the effects that the update has added, with their evidence, strongest first.
 
     `fitted`: the effects of the updated model with their parameters; `intervals`: 95 % intervals of parameters whose
     likelihood is far from normal, by full name.
@@ -114,16 +114,12 @@ def describe_added_effects(
                 worth=effect_worth(update.fit, effect, batches),
             )
         )
-    return tuple(sorted(effects, key=lambda item: (-_largest_worth(item), -item.evidence.gain)))
-
-
-def _largest_worth(effect: FoundEffect) -> float:
-    """The largest worth over the components; infinite where it cannot be told."""
-    return float("inf") if effect.worth is None else max(effect.worth.values(), default=0.0)
+    return tuple(sorted(effects, key=lambda item: -item.evidence.gain))
 
 
 def _evidence(effect: PlacedEffect, update: UpdateResult) -> Evidence:
-    support, count = update.effect_support[effect.label], len(update.confirmation.scores)
+    support = update.effect_support[effect.label]
+    count = len(update.confirmation.scores) if support.candidates is None else support.candidates
     trial = next((item for item in update.trials if _added(item, effect.label)), None)
     return Evidence(
         gain=support.gain,

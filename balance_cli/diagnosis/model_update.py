@@ -14,9 +14,11 @@ from balance_cli.diagnosis.search.search import SearchResult, search
 from balance_cli.diagnosis.search.search_lines import SearchLines, search_lines
 from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
 from balance_cli.diagnosis.selection.alternatives import EffectSupport, compare_alternatives
+from balance_cli.diagnosis.selection.common_causes import merge_common_causes
 from balance_cli.diagnosis.selection.confirm import ConfirmedFit, confirm
 from balance_cli.diagnosis.selection.effect_selection import drop_unsupported_effects, keep_effects, prune_effects
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
+from balance_cli.diagnosis.selection.hypotheses import examine_hypotheses
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.estimation.batch import Batch
@@ -114,8 +116,12 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
         over = task.announce("effect selection")
         trials = (*trials, *confirmation.trials)
         alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
+        fit, merged = merge_common_causes(
+            confirmation.fit, batches, task.given_labels, last_round(trials) + 1, settings
+        )
+        trials = (*trials, *merged)
         count, last = len(confirmation.scores), last_round(trials) + 1
-        fit, pruned = prune_effects(confirmation.fit, batches, count, last, settings)
+        fit, pruned = prune_effects(fit, batches, count, last, settings)
         fit, dropped = drop_unsupported_effects(fit, batches, noise_alone, task.certain_labels, last, settings)
         comparison = compare_alternatives(
             fit, batches, task.given_labels, alternatives, count, last + 1, task.announce, settings
@@ -123,8 +129,11 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
         trials, fit = (*trials, *pruned, *dropped, *comparison.trials), comparison.fit
         if over or not comparison.trials or number == settings.selection.max_passes - 1:
             break
+    tested = examine_hypotheses(fit, batches, last_round(trials) + 1, settings)
+    fit = tested.fit
     fit = fit_all_lines(fit.model, fit.theta, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
-    return UpdateResult(fit, comparison.effect_support, trials, confirmation)
+    support = {**comparison.effect_support, **tested.support}
+    return UpdateResult(fit, support, (*trials, *tested.trials), confirmation)
 
 
 def _search_alternatives(search_result: SearchResult, settings: SearchSettings) -> dict[str, tuple[str, ...]]:

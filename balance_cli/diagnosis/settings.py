@@ -292,7 +292,9 @@ class SearchSettings:
     time_limit: float = 300.0
     """Seconds after which no further round begins: the longest that a user is kept waiting for a diagnosis."""
     excluded: tuple[str, ...] = ()
-    """Effects (NAME or NAME@PLACE) that are no candidates: those that a free simulation has contradicted."""
+    """Effects (NAME or NAME@PLACE) that are no candidates: by the user, or contradicted by a free simulation."""
+    suspected: tuple[str, ...] = ()
+    """Effects (NAME or NAME@PLACE) that are tried first, and tested in any case."""
 
 
 DEFAULT_SETTINGS = SearchSettings()

@@ -182,14 +182,17 @@ def apply_placed_effects(
     return equations
 
 
+def parse_effect_word(word: str) -> tuple[str, Where]:
+    """The name and the place of an effect as on the command line: NAME[@PLACE[,PLACE]]."""
+    name, _, where = word.partition("@")
+    return name.strip(), tuple(part.strip() for part in where.split(",") if part.strip())
+
+
 def add_effects(geometry: Geometry, words: Sequence[str]) -> Geometry:
     """The geometry with effects added that are named as on the command line: NAME[@PLACE[,PLACE]]."""
     added = []
     for word in words:
-        name, _, where = word.partition("@")
-        placed_effect = place_effect(
-            name.strip(), tuple(part.strip() for part in where.split(",") if part.strip()), geometry
-        )
+        placed_effect = place_effect(*parse_effect_word(word), geometry)
         added.append(DeclaredEffect(name=placed_effect.effect.name, where=placed_effect.where))
     extended = geometry.model_copy(update={"effects": (*geometry.effects, *added)})
     declared_effects(extended)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from balance_cli.campaign.rig.channel_groups import expand_group
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
@@ -179,8 +180,7 @@ def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -
     Raises UserError for an unknown effect or parameter, and for an effect that is given twice at one place.
     """
     extensions = [
-        effect if isinstance(effect, Extension) else extension(effect.name, effect.where, **effect.parameters)
-        for effect in effects
+        effect if isinstance(effect, Extension) else _declared_extension(effect, rig.geometry) for effect in effects
     ]
     for index, item in enumerate(extensions):
         if (type(item), item.where) in [(type(before), before.where) for before in extensions[:index]]:
@@ -188,3 +188,8 @@ def apply_effects(rig: TrueRig, effects: Iterable[DeclaredEffect | Extension]) -
             raise UserError(f"`{label}` is given twice", place="effects", remedy="Remove one of them")
     order = list(EXTENSIONS)
     return rig.with_extensions(*sorted(extensions, key=lambda item: order.index(item.name)))
+
+
+def _declared_extension(effect: DeclaredEffect, geometry: Geometry) -> Extension:
+    """The extension of a declared effect, in each channel of a group."""
+    return extension(effect.name, expand_group(effect.where, geometry), **effect.parameters)

@@ -230,3 +230,16 @@ def test_a_bar_is_drawn_where_stderr_is_a_terminal(monkeypatch, capsys):
         progress("refit of support-flexibility", 0.5)
     shown = capsys.readouterr().err
     assert "refit of support-flexibility" in shown and "50 %" in shown
+
+
+def test_suspected_and_excluded_effects_reach_the_search(diagnose, engine):
+    diagnose("--suspect", "time-delay@piezo", "--suspect", "crosstalk", "--exclude", "dry-friction@x")
+    assert engine.settings.suspected == ("time-delay@piezo", "crosstalk")
+    assert engine.settings.excluded == ("dry-friction@x",)
+
+
+@pytest.mark.parametrize("option", ["--suspect", "--exclude"])
+def test_an_unknown_suspect_is_refused_before_anything_is_read(diagnose, option):
+    result, output = diagnose(option, "time-delai@x.piezo", status=2)
+    assert output is None
+    assert option in result.output and "Did you mean `time-delay`" in result.output

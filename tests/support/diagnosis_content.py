@@ -189,9 +189,10 @@ class FakeDiagnose:
     def __init__(self, verdict: str = EXPLAINED) -> None:
         self.verdict = verdict
         self.spectra: Spectra | None = None
+        self.settings = DEFAULT_SETTINGS
 
     def __call__(self, before, spectra, settings=DEFAULT_SETTINGS, progress=None) -> tuple[Diagnosis, IdentifiedModel]:
-        self.spectra = spectra
+        self.spectra, self.settings = spectra, settings
         if progress is not None:
             progress("residual", 0.2)
             progress("done", 1.0)

@@ -162,9 +162,19 @@ class AnalogFilter(FrozenModel):
 
 
 class Acquisition(FrozenModel):
-    """The data acquisition: its anti-alias filter, the same in every channel and load signal."""
+    """The data acquisition: its anti-alias filter, the same in every channel and load signal.
+
+    `groups`: by name, channels that share a box, and so one clock and one filter.
+    """
 
     filter: AnalogFilter | None = None
+    groups: dict[Name, Annotated[tuple[Name, ...], Field(min_length=1)]] = Field(default_factory=dict)
+
+    @model_serializer(mode="wrap")
+    def _leave_out_absent_groups(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without groups where none is declared, as before there were any."""
+        plain: dict[str, Any] = serialize(self)
+        return {key: value for key, value in plain.items() if value or key != "groups"}
 
 
 class Tolerances(FrozenModel):

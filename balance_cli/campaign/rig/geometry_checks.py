@@ -36,6 +36,7 @@ def geometry_faults(geometry: Geometry) -> Iterator[UserError]:
     yield from _duplicate_name_faults("cells", [cell.name for cell in geometry.cells])
     yield from _duplicate_name_faults("channels", geometry.channel_names)
     yield from _channel_reference_faults(geometry)
+    yield from _channel_group_faults(geometry)
     yield from _duplicate_name_faults("freedom", geometry.freedom)
     yield from component_faults(geometry)
     yield from _extent_faults(geometry)
@@ -120,6 +121,19 @@ def _channel_reference_faults(geometry: Geometry) -> Iterator[UserError]:
         if channel.torque_meter and geometry.torque_meter is None:
             place = f"channels[{index}].torque_meter"
             yield UserError("no torque meter is declared", place=place, remedy="Add the key `torque_meter`")
+
+
+def _channel_group_faults(geometry: Geometry) -> Iterator[UserError]:
+    """Faults of groups that name no channel, one twice, or are named as a channel or a cell."""
+    for name, members in geometry.acquisition.groups.items():
+        place = f"acquisition.groups.{name}"
+        if name in (*geometry.channel_names, *geometry.cell_names):
+            yield UserError("a channel or a cell has this name", place=place, remedy="Give the group a name of its own")
+        for member in members:
+            if member not in geometry.channel_names:
+                remedy = f"The channels are {', '.join(geometry.channel_names)}"
+                yield UserError(f"there is no channel `{member}`", place=place, remedy=remedy)
+        yield from _duplicate_name_faults(place, members)
 
 
 def _restraint_faults(geometry: Geometry) -> Iterator[UserError]:

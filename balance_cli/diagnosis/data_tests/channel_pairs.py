@@ -19,6 +19,7 @@ from balance_cli.diagnosis.data_tests.channel_ratio import (
     RatioFit,
     fit_ratio,
     fit_with_kind,
+    ratio_chi2,
     score_gain,
 )
 from balance_cli.diagnosis.data_tests.high_pass_transient import high_pass_transient
@@ -158,11 +159,11 @@ def _finding(pair: _Pair, start: RatioFit, settings: SearchSettings) -> str:
 
 @dataclass(frozen=True)
 class ChannelDifference:
-    """One difference of two channels: the kinds that describe it, best first, with their values; its gain."""
+    """One difference of two channels: the kinds that describe it with value and sigma, best first; its gain."""
 
     first: str
     second: str
-    kinds: tuple[tuple[DifferenceKind, float], ...]
+    kinds: tuple[tuple[DifferenceKind, float, float], ...]
     gain: float
 
 
@@ -184,6 +185,25 @@ def find_channel_differences(
     return tuple(differences)
 
 
+def difference_gain(
+    runs: Sequence[RunSpectrum],
+    geometry: Geometry,
+    names: tuple[str, str],
+    difference: tuple[DifferenceKind, float],
+    settings: SearchSettings,
+) -> float:
+    """Decrease of the chi-square of two channels by a difference of this kind and value; zero without any line."""
+    paths = {path.channel: path for path in declared_paths(geometry)}
+    pair = _pair_data(runs, paths[names[0]], paths[names[1]], geometry.tolerances.sensitivity)
+    if pair is None:
+        return 0.0
+    equal = _fit_equal_channels(pair.lines, settings.data_tests.channel_pairs)
+    kind, value = difference
+    if kind in equal.kinds:
+        return equal.chi2 - ratio_chi2(pair.lines, (kind,), np.array([value]))
+    return equal.chi2 - ratio_chi2(pair.lines, (*equal.kinds, kind), np.append(equal.values, value))
+
+
 def _pair_differences(pair: _Pair, start: RatioFit, settings: SearchSettings) -> list[ChannelDifference]:
     limits, level = settings.data_tests.channel_pairs, settings.data_tests.significance_level
     fits = _fits_with_one_more_kind(pair, start, limits)
@@ -193,14 +213,14 @@ def _pair_differences(pair: _Pair, start: RatioFit, settings: SearchSettings) ->
         return []
     if _residual_p_value(pair, best) > level**2:
         near = [fit for fit in fits if fit.chi2 < best.chi2 + settings.alternative_gap]
-        kinds = tuple((fit.kinds[-1], float(fit.values[-1])) for fit in near)
+        kinds = tuple((fit.kinds[-1], float(fit.values[-1]), float(fit.sigma[-1])) for fit in near)
         return [ChannelDifference(pair.first, pair.second, kinds, start.chi2 - best.chi2)]
     both = _fits_with_one_more_kind(pair, best, limits)[0]
     if best.chi2 - both.chi2 < limits.min_kind_gain or _residual_p_value(pair, both) <= level**2:
         return []
     gains = (start.chi2 - best.chi2, best.chi2 - both.chi2)
-    ways = zip(both.kinds[-2:], both.values[-2:], gains, strict=True)
-    return [ChannelDifference(pair.first, pair.second, ((kind, float(value)),), gain) for kind, value, gain in ways]
+    ways = zip(both.kinds[-2:], both.values[-2:].tolist(), both.sigma[-2:].tolist(), gains, strict=True)
+    return [ChannelDifference(pair.first, pair.second, ((kind, *size),), gain) for kind, *size, gain in ways]
 
 
 def _fits_with_one_more_kind(pair: _Pair, fit: RatioFit, settings: ChannelPairSettings) -> list[RatioFit]:

@@ -8,7 +8,15 @@ from dataclasses import dataclass, replace
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.model import effects
 from balance_cli.model.effects import Effect, EffectParameter, Where
-from balance_cli.model.placed_effects import PlacedEffect, declare_effect, declared_effects, effect_label, place_effect
+from balance_cli.model.placed_effects import (
+    PlacedEffect,
+    declare_effect,
+    declared_effects,
+    effect_label,
+    find_effect,
+    parse_effect_word,
+    place_effect,
+)
 
 
 @dataclass(frozen=True)
@@ -103,6 +111,26 @@ def candidate_at(name: str, where: Where, geometry: Geometry) -> Candidate:
     placed_effect = place_effect(name, where, geometry)
     starts = placed_effect.effect.search.starts
     return Candidate(placed_effect, ({},) if starts is None else tuple(starts(geometry, where)))
+
+
+def suspected_candidates(word: str, geometry: Geometry) -> tuple[Candidate, ...]:
+    """The candidates that a user means by NAME[@PLACE]: the one at that place, or those at all places of the effect.
+
+    Empty where the geometry has one of them. Raises UserError for an unknown effect or place.
+    """
+    name, where = parse_effect_word(word)
+    places = [place_effect(name, where, geometry).where] if where else list(find_effect(name).places(geometry))
+    present = {(item.effect.name, item.where) for item in declared_effects(geometry)}
+    if any((name, place) in present for place in places):
+        return ()
+    return tuple(candidate_at(name, place, geometry) for place in places)
+
+
+def check_exclusion(word: str, geometry: Geometry) -> None:
+    """Raise UserError unless the rig can have the effect NAME[@PLACE], at a place or at places that begin so."""
+    name, where = parse_effect_word(word)
+    if not any(place[: len(where)] == where for place in find_effect(name).places(geometry)):
+        place_effect(name, where, geometry)
 
 
 def smaller_places(candidate: PlacedEffect, geometry: Geometry) -> tuple[Where, ...]:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import Trial
-from balance_cli.diagnosis.search.candidates import candidates
+from balance_cli.diagnosis.search.candidates import candidates, suspected_candidates
 from balance_cli.diagnosis.search.initial_candidates import InitialCandidates
 from balance_cli.diagnosis.search.refit import SearchState, fit_until_stable, fit_with_candidate, restart
-from balance_cli.diagnosis.search.rounds import search_round
+from balance_cli.diagnosis.search.rounds import RoundResult, search_round
 from balance_cli.diagnosis.search.search_lines import SearchLines
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.model.balance import BalanceModel
@@ -55,6 +55,10 @@ def search(
     result = SearchResult(fit_until_stable(model, theta, lines, settings.fit))
     for initial_set in initial_sets:
         result = _add_initial_candidate(result, initial_set, lines, settings)
+    for word in settings.suspected:
+        pool = suspected_candidates(word, result.state.geometry)
+        added = search_round(result.state, lines, 1, pool, settings) if pool else RoundResult(None)
+        result = result.add(added.state or result.state, added.trials, added.alternatives)
     limits, stuck = settings.rounds, False
     for number in range(1, limits.max_effects + 1):
         state = result.state

@@ -23,12 +23,14 @@ from balance_cli.model.placed_effects import PlacedEffect, declared_effects
 class EffectSupport:
     """What an effect of the updated model gains in chi-square, with so many identifiable parameters.
 
-    `equivalent`: labels of effects that describe the data as well in its place.
+    `equivalent`: labels of effects that describe the data as well in its place. `candidates`: among how many it was the
+    best (None: all).
     """
 
     gain: float
     parameters: int
     equivalent: tuple[str, ...]
+    candidates: int | None = None
 
 
 @dataclass(frozen=True)

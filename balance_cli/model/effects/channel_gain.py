@@ -9,7 +9,7 @@ import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.places import Where, each_channel
+from balance_cli.model.effects.places import Where, channels_at, each_channel_or_group
 from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
@@ -20,8 +20,9 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
+    channels = channels_at(geometry, where)
     paths = tuple(
-        replace(path, gain=path.gain * values["gain"]) if path.channel == where[0] else path for path in equations.paths
+        replace(path, gain=path.gain * values["gain"]) if path.channel in channels else path for path in equations.paths
     )
     return replace(equations, paths=paths)
 
@@ -44,8 +45,8 @@ EFFECT = Effect(
     reference="Bendat and Piersol, Random Data, 4th ed., chapter 10 (data acquisition: calibration of the chain).",
     signature="The residual of one channel is a fixed real fraction of its reading in every run.",
     separated_by="Calibrate the channel, or compare it with the other channel of the same cell.",
-    place="a channel",
-    places=each_channel,
+    place="a channel, or a group of channels",
+    places=each_channel_or_group,
     parameters=_parameters,
     apply=_apply,
     search=SearchHints(channel_ratio=RATIO),

@@ -15,7 +15,7 @@ import numpy as np
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import rig_frequency
-from balance_cli.model.effects.places import Where, each_channel
+from balance_cli.model.effects.places import Where, channels_at, each_channel_or_group
 from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
@@ -31,9 +31,10 @@ def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
+    channels = channels_at(geometry, where)
     tau = values["1/cutoff"] * (1.0 / (2 * np.pi))
     paths = tuple(
-        replace(path, low_pass=(*path.low_pass, tau)) if path.channel == where[0] else path for path in equations.paths
+        replace(path, low_pass=(*path.low_pass, tau)) if path.channel in channels else path for path in equations.paths
     )
     return replace(equations, paths=paths)
 
@@ -65,8 +66,8 @@ EFFECT = Effect(
     signature="Amplitude and phase of one channel fall together towards high frequencies; the static reading is "
     "correct.",
     separated_by="The other channel of the same cell. Unlike a delay, a low-pass also reduces the amplitude.",
-    place="a channel",
-    places=each_channel,
+    place="a channel, or a group of channels",
+    places=each_channel_or_group,
     parameters=_parameters,
     apply=_apply,
     search=SearchHints(channel_ratio=RATIO),

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
 from balance_cli.campaign.rig.geometry import Geometry
 
 Where = tuple[str, ...]
 """A place: names of cells, channels, load components or motions; empty for an effect of the whole rig."""
-
-ALL = "all"
-"""The place of an effect that is the same in every cell."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +47,16 @@ def each_cell_and_side(geometry: Geometry) -> tuple[Where, ...]:
 def each_channel(geometry: Geometry) -> tuple[Where, ...]:
     """One place per channel."""
     return tuple((channel.name,) for channel in geometry.channels)
+
+
+def each_channel_or_group(geometry: Geometry) -> tuple[Where, ...]:
+    """One place per channel, then one per group of channels."""
+    return (*each_channel(geometry), *((name,) for name in channel_groups(geometry)))
+
+
+def channels_at(geometry: Geometry, where: Where) -> tuple[str, ...]:
+    """Names of the channels at a place, which is a channel or a group of channels."""
+    return where if where[0] in geometry.channel_names else channel_groups(geometry)[where[0]]
 
 
 def cells_at(geometry: Geometry, where: Where) -> list[int]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import rig_frequency
-from balance_cli.model.effects.places import Where, each_channel
+from balance_cli.model.effects.places import Where, channels_at, each_channel_or_group
 from balance_cli.model.effects.search_hints import ChannelRatio, SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import ChannelPath, Equations
@@ -34,7 +34,8 @@ def _add_delay(path: ChannelPath, delay: Dual) -> ChannelPath:
 
 
 def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mapping[str, Dual]) -> Equations:
-    paths = tuple(_add_delay(path, values["delay"]) if path.channel == where[0] else path for path in equations.paths)
+    channels = channels_at(geometry, where)
+    paths = tuple(_add_delay(path, values["delay"]) if path.channel in channels else path for path in equations.paths)
     return replace(equations, paths=paths)
 
 
@@ -59,8 +60,8 @@ EFFECT = Effect(
     reference="Bendat and Piersol, Random Data, 4th ed., chapter 2 (linear systems: a delay has linear phase).",
     signature="In one channel the phase falls in proportion to frequency while the amplitude is correct.",
     separated_by="The ratio to the other channel of the same cell, which shows the delay without a model of the plate.",
-    place="a channel",
-    places=each_channel,
+    place="a channel, or a group of channels",
+    places=each_channel_or_group,
     parameters=_parameters,
     apply=_apply,
     search=SearchHints(channel_ratio=RATIO),
