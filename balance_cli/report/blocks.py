@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+from balance_cli.report.plots import Plot
+
 
 @dataclass(frozen=True)
 class TableCell:
@@ -27,12 +29,34 @@ Row = tuple[TableCell, ...]
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a caption; `head` may have several rows."""
+    """A table with a caption; `head` may have several rows. A `sortable` one sorts and filters where scripts run."""
 
     kind: ClassVar[str] = "table"
     caption: str
     head: tuple[Row, ...]
     rows: tuple[Row, ...]
+    sortable: bool = False
+
+
+@dataclass(frozen=True)
+class Card:
+    """The answer for one run: its name, a note, a verdict (`badge`, with the style `mark`), a sentence and a table."""
+
+    title: str
+    note: str
+    badge: str
+    mark: str
+    sentence: str
+    head: tuple[Row, ...]
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class CardGrid:
+    """Cards side by side as far as the screen is wide."""
+
+    kind: ClassVar[str] = "cards"
+    cards: tuple[Card, ...]
 
 
 @dataclass(frozen=True)
@@ -46,11 +70,42 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class PlotGroup:
+    """Plots that are shown together; several groups of one chart are offered as a choice under `label`."""
+
+    label: str
+    plots: tuple[Plot, ...]
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A picture that zooms, pans and reads out values where scripts run.
+
+    Charts of one `link` zoom together. `static_markup` is shown in print and without scripts (empty: drawn from the
+    plots of the first group). `wide`: one plot a row.
+    """
+
+    kind: ClassVar[str] = "chart"
+    name: str
+    caption: str
+    groups: tuple[PlotGroup, ...]
+    link: str = ""
+    static_markup: str = ""
+    wide: bool = False
+
+    @classmethod
+    def single(cls, name: str, caption: str, plots: tuple[Plot, ...], link: str = "", wide: bool = False) -> Chart:
+        """Return a chart of one group of plots."""
+        return cls(name, caption, (PlotGroup("", plots),), link, wide=wide)
+
+
+@dataclass(frozen=True)
 class Paragraph:
-    """A paragraph."""
+    """A paragraph; `mark` names a style."""
 
     kind: ClassVar[str] = "text"
     text: str
+    mark: str = ""
 
 
 @dataclass(frozen=True)
@@ -94,7 +149,7 @@ class Details:
     blocks: tuple[PageBlock, ...]
 
 
-PageBlock = Table | Picture | Paragraph | WarningText | BulletList | Heading | KeyFigures | Details
+PageBlock = Table | CardGrid | Picture | Chart | Paragraph | WarningText | BulletList | Heading | KeyFigures | Details
 
 
 @dataclass(frozen=True)
@@ -106,10 +161,10 @@ class Section:
     blocks: tuple[PageBlock, ...]
 
 
-def pictures(blocks: Sequence[PageBlock]) -> Iterator[Picture]:
-    """All pictures among the blocks, including those inside `Details`."""
+def pictures(blocks: Sequence[PageBlock]) -> Iterator[Picture | Chart]:
+    """All pictures and charts among the blocks, including those inside `Details`."""
     for block in blocks:
-        if isinstance(block, Picture):
+        if isinstance(block, (Picture, Chart)):
             yield block
         elif isinstance(block, Details):
             yield from pictures(block.blocks)

@@ -1,19 +1,16 @@
-"""The first screen's answer for each run: may these loads be used, and which flags do they have."""
+"""Verdicts, flags and warnings of the loads of every run and method, and the key figure of the residual test."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
-from balance_cli.reduction.flags import UNTESTED
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict
 from balance_cli.report.blocks import Details, PageBlock, Row, Table, TableCell, WarningText, plain_row
 from balance_cli.report.load_figures import wind_runs
+from balance_cli.report.recommendation import rank_methods, tested_harmonics
 from balance_cli.report.sources import Source
-from balance_cli.report.wind_on import harmonics_above_limit, select_shown_loads
+from balance_cli.report.wind_on import harmonics_above_limit
 
 MARKS = {USE: "good", DO_NOT_USE: "bad"}
 MOST_WARNINGS = 8
@@ -21,17 +18,17 @@ MOST_WARNINGS = 8
 
 
 def verdict_blocks(sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
-    """Yield the verdict on every run of the loads that are shown, the warnings of their reduction, and other loads."""
+    """Yield the warnings of the reductions, then the verdict on every run: recommended loads, then the others."""
     if not sources:
         return
-    shown = select_shown_loads(sources)
-    yield _verdict_table(shown)
+    shown = rank_methods(sources)[0]
     for source in sources:
         warnings = source.content.warnings or ()
         left = len(warnings) - MOST_WARNINGS
         more = (f"{left} more",) if left > 0 else ()
         if warnings:
             yield WarningText(f"Warnings of {source.label}: {'; '.join((*warnings[:MOST_WARNINGS], *more))}.")
+    yield Details("Flags and verdict of every run", (_verdict_table(shown),))
     others = tuple(_verdict_table(source) for source in sources if source is not shown)
     if others:
         yield Details("Verdicts on the loads by other methods", others)
@@ -57,9 +54,9 @@ def residual_test_figure(sources: Sequence[Source[HubLoads]]) -> Iterator[tuple[
     with_wind = [source for source in sources if wind_runs(source.content)]
     if not with_wind:
         return
-    shown = select_shown_loads(with_wind)
+    shown = rank_methods(with_wind)[0]
     runs = wind_runs(shown.content).values()
-    tested = sum(int(np.count_nonzero(_is_tested(run))) for run in runs)
+    tested = sum(map(tested_harmonics, runs))
     failing = sum(len(harmonics_above_limit(run)) for run in runs)
     rows = sum(len(run.redundancy) for run in runs)
     if not tested and not failing:
@@ -70,9 +67,3 @@ def residual_test_figure(sources: Sequence[Source[HubLoads]]) -> Iterator[tuple[
     if tested < rows:
         caption += f"; {rows - tested} not tested"
     yield f"{failing} of {tested}", caption, mark
-
-
-def _is_tested(run: RunLoads) -> NDArray[np.bool_]:
-    """Return which harmonics (n+1,) have a residual test of the mechanics, not of the channels alone."""
-    untested = np.array([all(UNTESTED in flags for flags in row) for row in run.flags])
-    return np.asarray(np.isfinite(run.redundancy) & ~untested)

@@ -22,19 +22,26 @@ from balance_cli.report import (
     transfer,
     wind_on,
 )
-from balance_cli.report.blocks import Section, pictures
+from balance_cli.report.blocks import Chart, Picture, Section, pictures
+from balance_cli.report.data_tables import data_tables
+from balance_cli.report.plot_data import chart_json
 from balance_cli.report.sources import Sources
+from balance_cli.report.static_plot import plot_svg
 
-# Results first, then the measurements and fits behind them.
+STYLES = ("page.css", "chart.css", "vendor/uPlot.min.css")
+SCRIPTS = ("vendor/uPlot.iife.min.js", "charts.js", "tables.js")
+"""uPlot by Leon Sorokin, MIT license (vendor/uPlot-LICENSE.txt), then the page's own scripts."""
+
+# Results first, then the measurements and fits behind them, then the methods that are only compared.
 SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
     summary.section,
-    check_runs.section,
     wind_on.section,
     in_time.section,
     diagnosis.section,
     frequencies.section,
     responses.section,
     parameters.section,
+    check_runs.section,
     transfer.section,
     calibration.section,
     provenance.section,
@@ -43,11 +50,12 @@ SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
 
 @dataclass(frozen=True)
 class Page:
-    """A page: its HTML, {section key: title} and the names of its pictures, in order."""
+    """A page: its HTML, {section key: title}, the names of its pictures in order, and the pictures themselves."""
 
     html: str
     sections: dict[str, str]
     pictures: tuple[str, ...]
+    picture_blocks: tuple[Picture | Chart, ...] = ()
 
 
 def build_page(sources: Sources) -> Page:
@@ -55,14 +63,17 @@ def build_page(sources: Sources) -> Page:
     made_sections = tuple(build_sections(sources))
     rig = summary.rig_title(sources)
     title = f"Rotor balance {rig}" if rig else "Rotor balance"
-    style = Markup(_read_resource("page.css"))
-    html = (
-        _template_environment()
-        .from_string(_read_resource("page.html"))
-        .render(title=title, sections=made_sections, style=style)
+    shown = [picture for section in made_sections for picture in pictures(section.blocks)]
+    template = _template_environment().from_string(_read_resource("page.html"))
+    html = template.render(
+        title=title,
+        sections=made_sections,
+        style=Markup("\n".join(map(_read_resource, STYLES))),
+        scripts=[Markup(_read_resource(name)) for name in SCRIPTS],
+        numbers={picture.name: number for number, picture in enumerate(shown, 1)},
     )
-    names = tuple(picture.name for section in made_sections for picture in pictures(section.blocks))
-    return Page(html, {section.key: section.title for section in made_sections}, names)
+    names = tuple(picture.name for picture in shown)
+    return Page(html, {section.key: section.title for section in made_sections}, names, tuple(shown))
 
 
 def build_sections(sources: Sources) -> Iterator[Section]:
@@ -78,9 +89,11 @@ def _read_resource(name: str) -> str:
 
 
 def _template_environment() -> Environment:
-    return Environment(
+    environment = Environment(
         autoescape=select_autoescape(default_for_string=True),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals.update(plot_svg=plot_svg, chart_json=chart_json, data_tables=data_tables)
+    return environment

@@ -1,30 +1,35 @@
-"""The top of the page: the inputs, and the main results as key figures."""
+"""The top of the page: the loads of each run and whether to use them, then key figures, verdicts and inputs."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.report.blocks import BulletList, KeyFigures, PageBlock, Section, WarningText
+from balance_cli.report.answer import answer_blocks
+from balance_cli.report.before_after import before_after_blocks
+from balance_cli.report.blocks import BulletList, Details, KeyFigures, PageBlock, Section, WarningText
 from balance_cli.report.check_errors import loads_with_check_runs, overall_error
 from balance_cli.report.diagnosis import verdict_sentence
 from balance_cli.report.frequencies import LARGE_FREQUENCY_DEVIATION, frequency_deviation, reference_model
 from balance_cli.report.load_verdicts import residual_test_figure, verdict_blocks
 from balance_cli.report.number_format import capitalize_first, format_percent, format_significant, join_names
 from balance_cli.report.parameters import is_good_fit
+from balance_cli.report.recommendation import rank_methods
 from balance_cli.report.source_roles import SourceRole
 from balance_cli.report.sources import Sources
 
 
 def section(sources: Sources) -> Section:
-    """Inputs, key figures and conclusions."""
-    blocks: list[PageBlock] = [BulletList(tuple(_input_sentences(sources)))]
+    """Loads of each run with their verdict, updating before and after, key figures, and the inputs."""
+    blocks: list[PageBlock] = [*answer_blocks(sources.loads), *before_after_blocks(sources)]
     figures = tuple(_key_figures(sources))
     if figures:
         blocks.append(KeyFigures(figures))
-    blocks += verdict_blocks(sources.loads)
     blocks += _verdict_blocks(sources)
-    return Section("summary", "Summary", tuple(blocks))
+    blocks += verdict_blocks(sources.loads)
+    blocks.append(Details("Inputs of this page", (BulletList(tuple(_input_sentences(sources))),)))
+    return Section("summary", "Hub loads" if sources.loads else "Summary", tuple(blocks))
 
 
 def rig_title(sources: Sources) -> str:
@@ -62,18 +67,14 @@ def _rig_sentence(geometry: Geometry) -> str:
 
 
 def _key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
-    for source in loads_with_check_runs(sources):
+    """Yield the key figures of the recommended loads and of the best model; other methods are compared below."""
+    for source in rank_methods(loads_with_check_runs(sources))[:1]:
         error = overall_error(source.content, "load_error")
         if error is not None:
-            yield (
-                f"{format_percent(error.value)} %",
-                f"hub-load error, {source.label}",
-                "good" if error.is_noise else "",
-            )
-    noise = [overall_error(source.content, "load_error") for source in loads_with_check_runs(sources)]
-    if any(noise):
-        least = min(error.noise for error in noise if error is not None)
-        yield f"{format_percent(least)} %", "noise floor of the hub-load error (smallest of all methods)", "quiet"
+            mark = "good" if error.is_noise else ""
+            yield f"{format_percent(error.value)} %", f"hub-load error on known loads, {source.label}", mark
+            if math.isfinite(error.noise):
+                yield f"{format_percent(error.noise)} %", "noise floor of that error", "quiet"
     yield from _model_key_figures(sources)
     yield from residual_test_figure(sources.loads)
 

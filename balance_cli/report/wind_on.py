@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.flags import REDUNDANCY
 from balance_cli.reduction.result import HubLoads, RunLoads
+from balance_cli.report.azimuth import azimuth_chart
 from balance_cli.report.blocks import (
     BulletList,
     Details,
@@ -37,18 +39,8 @@ from balance_cli.report.number_format import (
     join_names,
     value_and_sigma_text,
 )
-from balance_cli.report.source_roles import PREFERRED_LOADS
+from balance_cli.report.recommendation import rank_methods
 from balance_cli.report.sources import Source, Sources
-
-
-def select_shown_loads(sources: Sequence[Source[HubLoads]]) -> Source[HubLoads]:
-    """The loads shown in full: those with the fewest flagged harmonics; of equals, those of the better model."""
-
-    def order(source: Source[HubLoads]) -> tuple[int, int]:
-        failing = sum(len(harmonics_above_limit(run)) for run in wind_runs(source.content).values())
-        return failing, PREFERRED_LOADS.index(source.role) if source.role in PREFERRED_LOADS else len(PREFERRED_LOADS)
-
-    return min(sources, key=order)
 
 
 def harmonics_above_limit(run: RunLoads) -> list[int]:
@@ -62,7 +54,7 @@ def section(sources: Sources) -> Section | None:
     if not load_sources:
         return None
     tested = _sources_by_harmonics(load_sources)
-    shown = select_shown_loads(tested)
+    shown = rank_methods(tested)[0]
     blocks: list[PageBlock] = [
         Paragraph(
             "The true loads of these runs are not known, but there are more channels than loads. As long as the "
@@ -77,6 +69,7 @@ def section(sources: Sources) -> Section | None:
             svg("redundancy", "Redundancy by harmonic of every run and method", lambda: redundancy_figure(tested)),
         ),
         Heading(f"Loads by {shown.label}"),
+        *_azimuth_blocks(shown),
         Picture(
             "harmonics",
             f"Amplitude of the harmonics by {shown.label}, with one sigma. Open symbols: residual test failed.",
@@ -89,6 +82,12 @@ def section(sources: Sources) -> Section | None:
     others = [source for source in load_sources if source is not shown]
     blocks += [Details(f"Loads by {source.label}", tuple(_load_tables(source.content))) for source in others]
     return Section("wind-on", "Wind-on loads", tuple(blocks))
+
+
+def _azimuth_blocks(shown: Source[HubLoads]) -> Iterator[PageBlock]:
+    """Yield the loads over azimuth; loads at given frequencies have none."""
+    if shown.content.method != FREQUENCIES:
+        yield azimuth_chart(wind_runs(shown.content), shown.label)
 
 
 def _sources_by_harmonics(load_sources: Sequence[Source[HubLoads]]) -> Sequence[Source[HubLoads]]:

@@ -30,10 +30,10 @@ def test_page_summary_and_picture(files, tmp_path):
     written = json.loads(summary.read_text())
     assert list(written["sections"]) == [
         "summary",
-        "check-runs",
         "wind-on",
         "eigenfrequencies",
         "parameters",
+        "check-runs",
         "provenance",
     ]
     assert "check-runs" in written["figures"]

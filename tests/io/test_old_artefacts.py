@@ -78,13 +78,13 @@ def test_a_page_of_old_artefacts_has_all_sections():
     page = build_page(group_sources([item for item in shown if item[1].format in ARTEFACT_TYPES]))
     assert list(page.sections) == [
         "summary",
-        "check-runs",
         "wind-on",
         "in-time",
         "diagnosis",
         "eigenfrequencies",
         "responses",
         "parameters",
+        "check-runs",
         "sweeps",
         "calibration",
         "provenance",

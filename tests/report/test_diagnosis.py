@@ -31,7 +31,7 @@ def test_the_section_stands_on_the_whole_page():
         (Path("d.h5"), artefact("balance-diagnosis/1", diagnosis(hold_out=hold_out()), "9" * 64)),
     ]
     made = build_page(group_sources(everything))
-    assert list(made.sections)[3] == "diagnosis"
+    assert list(made.sections)[2] == "diagnosis"
     assert {"hold-out", "residual"} <= set(made.pictures)
     tags = read(made.html)
     assert not tags.open and not tags.outside

@@ -25,7 +25,7 @@ def whole():
 
 
 def test_every_section_of_a_campaign_is_there(whole):
-    expected = ["summary", "check-runs", "wind-on", "eigenfrequencies", "responses", "parameters", "sweeps"]
+    expected = ["summary", "wind-on", "eigenfrequencies", "responses", "parameters", "check-runs", "sweeps"]
     assert list(whole.sections) == [*expected, "calibration", "provenance"]
     assert set(whole.pictures) >= {"check-runs", "redundancy", "harmonics", "eigenfrequencies", "fit", "coherence"}
     assert {"response-Fx", "response-Mz"} <= set(whole.pictures)
@@ -199,17 +199,22 @@ def test_harmonics_without_redundancy_are_said_not_to_be_tested_and_are_never_gr
     assert figure[0] == "0 of 3" and "1 not tested" in figure[1] and "good" not in figure[2]
 
 
+def verdict_table(made):
+    (folded,) = [b for b in made.blocks if b.kind == "details" and b.summary.startswith("Flags and verdict")]
+    return folded.blocks[0]
+
+
 def test_the_first_section_says_of_every_run_whether_to_use_it_and_why():
     contradicted = replace(loads().runs["wind-1"], flags=(("model contradicted",) * 6,) * 4)
     made = summary_of(replace(loads(), runs={**loads().runs, "wind-1": contradicted}, warnings=("z2 bridged",)))
-    (table,) = [block for block in made.blocks if block.kind == "table"]
+    table = verdict_table(made)
     rows = {row[0].text: row for row in table.rows}
     assert rows["check-1"][2].text.startswith("Use with care because the mean loads count from")
     assert rows["wind-1"][2].text.startswith("Do not use because the response misses its own data")
     assert rows["wind-1"][2].mark == "bad" and "model contradicted (24)" in rows["wind-1"][1].text
     assert "z2 bridged" in texts(made, "warn")
     clean = replace(loads().runs["wind-1"], flags=(("",) * 6,) * 4, left_out={})
-    (table,) = [b for b in summary_of(replace(loads(), runs={"wind-1": clean})).blocks if b.kind == "table"]
+    table = verdict_table(summary_of(replace(loads(), runs={"wind-1": clean})))
     assert (table.rows[0][1].text, table.rows[0][2].text) == ("none", "Use.")
 
 

@@ -41,6 +41,7 @@ class Tags(HTMLParser):
         self.references: set[str] = set()
         self.outside: list[str] = []
         self.text: list[str] = []
+        self.in_script = False
 
     def handle_starttag(self, tag, attrs):
         if tag not in VOID:
@@ -53,8 +54,9 @@ class Tags(HTMLParser):
             elif name in ("src", "href", "xlink:href", "data", "action") and not value.startswith("data:"):
                 self.outside.append(value)
             self.references.update(re.findall(r"url\(#([^)]+)\)", value or ""))
-        if tag in ("script", "link", "iframe", "object"):
+        if tag in ("link", "iframe", "object"):
             self.outside.append(tag)
+        self.in_script = tag == "script"
 
     def handle_startendtag(self, tag, attrs):
         self.handle_starttag(tag, attrs)
@@ -62,10 +64,12 @@ class Tags(HTMLParser):
             self.open.pop()
 
     def handle_endtag(self, tag):
+        self.in_script = False
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        self.text.append(data)
+        if not self.in_script:
+            self.text.append(data)
 
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
