@@ -173,6 +173,7 @@ NAMES = {
     **dict.fromkeys(("terms_refused", "left_out_sequences", "drift_per_sequence", "calibrated_range"), 1),
     **dict.fromkeys(("scatter_chi2_per_dof", "checks", "error_percent_fs", "within_interval"), 1),
     **dict.fromkeys(("channels", "noise_v", "flags", "campaign_runs", "steps", "steps_left_out", "trust", "error"), 1),
+    **dict.fromkeys(("reference", "sigma_before", "sigma_after", "sigma_noise"), 1),
     **dict.fromkeys(("terms", "linear", "C0", "T0", "channel_hysteresis", "channels_left_out", "gaps"), 2),
 }
 
@@ -197,6 +198,8 @@ def summaries(tmp_path_factory):
         "runs": [{"run": "zero", "kind": "zero", "duration": 0.5}, {"run": "s", "kind": "static", "largest": {"Fz": 9}}]
     }
     (folder / "plan.yaml").write_text(yaml.safe_dump(plan))
+    hall = {"exciters": {"Fz": {"rms": 80}}, "change_minutes": 1, "periods": [2], "effects": ["low-pass", "time-delay"]}
+    (folder / "hall.yaml").write_text(yaml.safe_dump({"format": "balance-hall/1", **hall}))
     static, sweep, check = (str(data / f"{name}.h5") for name in ("static-bare", "sweep-Fz-high", "check-1"))
     cal, out, model = (str(folder / name) for name in ("cal.h5", "out.h5", "model.h5"))
     (folder / "table.csv").write_text("a [V],Fz [N],t [s]\n" + "".join(f"{k % 7},{k % 5},{k / 8}\n" for k in range(99)))
@@ -217,6 +220,7 @@ def summaries(tmp_path_factory):
         "diagnose": [model, sweep, "--hold-out", check, "-o", out, "--model-out", str(folder / "closed.h5")],
         "reduce": ["--calibration", cal, "--model", model, "--method", "smoother", check, "-o", out],
         "modes": g,
+        "plan": [*g, "--hall", str(folder / "hall.yaml"), "--minutes", "3", "-o", str(folder / "planned.yaml")],
         "simulate": [*g, "--plan", str(folder / "plan.yaml"), "-o", str(folder / "campaign")],
         "check": [static, str(ROOT / "pyproject.toml"), *g],
         "report": [cal, "-o", str(folder / "report.html")],

@@ -19,6 +19,7 @@ COMMANDS = (
     "diagnose",
     "reduce",
     "modes",
+    "plan",
     "simulate",
     "check",
     "report",

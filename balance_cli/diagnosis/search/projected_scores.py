@@ -69,7 +69,7 @@ def project_out_fitted(
     return [
         ProjectedScore(
             s=-(gradient[tested] - projection.T @ gradient[indices.fitted]),
-            V=_remaining_information(V, cross[:, tested], among, projection),
+            V=remaining_information(V, cross[:, tested], among, projection),
             raw=np.diag(V).copy(),
             noise_dof=float(known),
             fitted_step=-step,
@@ -85,8 +85,8 @@ def solve_refined(inverse: Array, matrix: Array, right: Array) -> Array:
     return np.asarray(x + inverse @ (right - matrix @ x))
 
 
-def _remaining_information(V: Array, cross: Array, among: Array, projection: Array) -> Array:
-    """V (q, q) with the fitted parameters projected out; without an error of first order in `projection` (f, q).
+def remaining_information(V: Array, cross: Array, among: Array, projection: Array) -> Array:
+    """Return V (q, q) with the fitted parameters projected out; without an error of first order in `projection` (f, q).
 
     It is a small difference where a candidate does nearly the same as the fitted parameters.
     """

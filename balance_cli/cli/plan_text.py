@@ -1,0 +1,158 @@
+"""A plan as a YAML file, as JSON keys for scripts, and as text for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+if TYPE_CHECKING:
+    from balance_cli.planning.candidate_runs import CandidateRun
+    from balance_cli.planning.result import DetectableEffect, LoadSigma, PlannedCampaign
+
+MOST_LISTED = 10
+"""Confused pairs and ranked runs that the text lists; the JSON has all."""
+
+
+# ---- file ------------------------------------------------------------------------------------------------------------
+
+
+def plan_file_text(planned: PlannedCampaign) -> str:
+    """The plan as `balance simulate --plan` reads it, with a head of comments."""
+    runs = [item.plan.model_dump(mode="json", exclude_none=True) for item in planned.chosen]
+    head = f"# Plan for {planned.rig}: {len(runs)} runs in {planned.minutes:.1f} minutes\n"
+    head += f"# noise {planned.noise_source}\n"
+    return head + yaml.safe_dump({"runs": runs}, sort_keys=False, default_flow_style=None, width=120)
+
+
+# ---- summary ---------------------------------------------------------------------------------------------------------
+
+
+def plan_summary(planned: PlannedCampaign) -> dict[str, Any]:
+    """Return the JSON keys of docs/json.md."""
+    return {
+        "minutes": planned.minutes,
+        "made": planned.made,
+        "noise": planned.noise_source,
+        "level": planned.detection.level,
+        "power": planned.detection.power,
+        "runs": [_run_summary(item) for item in planned.chosen],
+        "levels": [asdict(limit) for limit in planned.limits],
+        "effects": [_effect_summary(item) for item in planned.effects],
+        "not_predicted": [{"name": name, "why": why} for name, why in planned.unpredicted.items()],
+        "confusion": [asdict(pair) for pair in planned.confusion],
+        "ranking": [asdict(row) for row in planned.ranking],
+        "loads": None if planned.loads is None else _load_summary(planned.loads),
+        "parameters": {
+            item.name: {"value": item.value, "unit": item.unit, "declared": item.declared_sigma}
+            | {"before": item.before, "after": item.after}
+            for item in planned.parameters
+        },
+    }
+
+
+def _run_summary(item: CandidateRun) -> dict[str, Any]:
+    keys = ("run", "excited", "level", "excitation", "band", "period", "periods", "sample_rate", "rotor_speed")
+    return {**{key: getattr(item.plan, key) for key in keys}, "minutes": item.minutes}
+
+
+def _effect_summary(item: DetectableEffect) -> dict[str, Any]:
+    return {
+        "name": item.effect,
+        "hardest": item.label,
+        "parameter": item.parameter,
+        "unit": item.unit,
+        "before": _finite(item.sizes[0]),
+        "after": [_finite(size) for size in item.sizes[1:]],
+        "easiest": {"place": item.easiest[0], "size": _finite(item.easiest[1])},
+        "load_error": item.load_error,
+        "load_share": item.share,
+        "not_shown": item.missing,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _load_summary(loads: LoadSigma) -> dict[str, Any]:
+    return {
+        "frequency_hz": loads.frequency,
+        "reference": dict(zip(loads.components, loads.reference, strict=True)),
+        "sigma_before": dict(zip(loads.components, loads.before.T, strict=True)),
+        "sigma_after": dict(zip(loads.components, loads.after.T, strict=True)),
+        "sigma_noise": dict(zip(loads.components, loads.noise.T, strict=True)),
+        "parameter_part_after_run": loads.by_run,
+    }
+
+
+# ---- text ------------------------------------------------------------------------------------------------------------
+
+
+def plan_text(planned: PlannedCampaign) -> Iterator[str]:
+    """Yield the lines of the console summary."""
+    yield f"{len(planned.chosen)} runs in {planned.minutes:.1f} minutes; noise {planned.noise_source}"
+    if planned.made:
+        yield f"already made: {', '.join(planned.made)}"
+    yield "Largest level of each component:"
+    for limit in planned.limits:
+        yield f"   {limit.component}  {limit.level:10.4g} rms, limited by the {limit.reason}"
+    yield from _runs_text(planned)
+    yield from _effects_text(planned)
+    yield from _load_text(planned)
+    yield from _confusion_text(planned)
+
+
+def _runs_text(planned: PlannedCampaign) -> Iterator[str]:
+    yield "Runs, in this order:"
+    for i, item in enumerate(planned.chosen):
+        plan = item.plan
+        level = ", ".join(f"{value:.3g}" for value in plan.level)
+        part = "" if planned.loads is None else f"  parameters' part of load sigma x {planned.loads.by_run[i]:.3g}"
+        yield f"   {plan.run:<28} {'+'.join(plan.excited):<6} {level:>8} rms {plan.duration:6.0f} s{part}"
+
+
+def _effects_text(planned: PlannedCampaign) -> Iterator[str]:
+    level, power = planned.detection.level, planned.detection.power
+    yield f"Smallest size that is found ({100 * power:.0f} % of the time; {100 * level:.2g} % false alarms in all):"
+    yield f"   {'effect, hardest place':<44} {'now':>10} {'after':>10} {'unit':<9} load error"
+    for item in planned.effects:
+        name = f"{item.label} {item.parameter}"
+        share = "" if item.share is None else f"{100 * item.share:9.2g} %"
+        yield f"   {name:<44} {_size(item.sizes[0]):>10} {_size(item.sizes[-1]):>10} {item.unit:<9} {share}"
+        if item.missing and not math.isfinite(item.sizes[-1]):
+            yield "      no run shows it"
+    for name, why in planned.unpredicted.items():
+        yield f"   {name}: not predicted: {why}"
+
+
+def _size(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) and value else "-"
+
+
+def _load_text(planned: PlannedCampaign) -> Iterator[str]:
+    loads = planned.loads
+    if loads is None:
+        yield "Hub loads: no rotor in the geometry, or too few channels; their sigma is not predicted"
+        return
+    yield "Sigma of the hub loads in % of the reference load (now / after / noise of the record alone), worst harmonic:"
+    for i, name in enumerate(loads.components):
+        parts = [100.0 * part[:, i] / loads.reference[i] for part in (loads.before, loads.after, loads.noise)]
+        worst = int(parts[1].argmax())
+        numbers = " / ".join(f"{part[worst]:.3g}" for part in parts)
+        yield f"   {name}  {numbers}  at harmonic {worst + 1}, reference {loads.reference[i]:.4g}"
+
+
+def _confusion_text(planned: PlannedCampaign) -> Iterator[str]:
+    if not planned.confusion:
+        return
+    yield "Effects that the runs cannot tell apart (cosine between their traces):"
+    for pair in planned.confusion[:MOST_LISTED]:
+        remedy = (
+            f"best separated by {pair.run}: {pair.cosine_with_run:.4f}" if pair.run else "no run here separates them"
+        )
+        more = f" (and {pair.places - 1} other places)" if pair.places > 1 else ""
+        yield f"   {pair.cosine:.4f}  {pair.first} and {pair.second}{more}; {remedy}"

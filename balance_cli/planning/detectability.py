@@ -1,0 +1,194 @@
+"""The smallest size of each effect that a diagnosis would find, from the information of the runs.
+
+With the information I of all runs and priors (f: fitted parameters, c: parameters of a candidate)
+
+    V = I_cc - I_cf I_ff^-1 I_fc
+
+is what is left of a candidate's information once the fitted parameters have followed. Where its parameters are truly
+d, the gain of the score test is noncentral chi-square distributed with the noncentrality d'V d (Rao, Proc. Camb. Phil.
+Soc. 44 (1948) 50; Kay, Fundamentals of Statistical Signal Processing II, 1998, section 6.5). The effect is found where
+the gain exceeds the threshold that noise alone exceeds, for any of the candidates, with the false-alarm level. Of a
+parameter alone the smallest size is sqrt(lambda / V_ii), lambda being the noncentrality with the stated power.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from balance_cli.diagnosis.search.projected_scores import remaining_information, solve_refined
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
+from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
+from balance_cli.estimation.identifiability import covariance_from_information
+from balance_cli.model.effects import EffectParameter
+from balance_cli.planning.extended_model import ExtendedModel
+from balance_cli.planning.information import RunInformation
+from balance_cli.signals.distributions import chi2, f
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+POWER = 0.9
+"""Probability with which an effect of the smallest size is found: the usual one of clinical and radar detection."""
+
+
+@dataclass(frozen=True)
+class DetectionLevel:
+    """False-alarm `level` of a whole diagnosis (all candidates together), and `power` for an effect that is there."""
+
+    level: float = SIGNIFICANCE_LEVEL
+    power: float = POWER
+
+
+@dataclass(frozen=True)
+class ProjectedInformation:
+    """Information of runs and priors with the fitted parameters projected out.
+
+    `covariance` (f, f) of the fitted parameters; `V` (t, t) of all tested parameters in the order of the candidates;
+    `raw` (t,), the diagonal before; `projection` (f, t): the fitted ones change by -projection d where the tested ones
+    are d. `noise_dof`: real degrees of freedom of the noise.
+    """
+
+    covariance: Array
+    V: Array
+    raw: Array
+    projection: Array
+    noise_dof: float
+
+    def block(self, rows: Index, columns: Index) -> Array:
+        """A part of V."""
+        return self.V[np.ix_(rows, columns)]
+
+
+@dataclass(frozen=True)
+class SmallestSize:
+    """Smallest size of one parameter that is found, the effect's other parameters being zero.
+
+    `sigma` is the standard deviation of the parameter if the effect were fitted; `size` is infinite where the runs
+    do not show it. Both are of the fitted value (`fitted_name`, such as `1/cutoff`); `value` is the departure of the
+    parameter itself from its null (of a cutoff: the cutoff).
+    """
+
+    label: str
+    effect: str
+    parameter: str
+    unit: str
+    size: float
+    value: float
+    sigma: float
+    index: int
+
+
+def tested_positions(model: ExtendedModel) -> tuple[Index, ...]:
+    """Positions of each candidate's parameters among all tested ones."""
+    lengths = [len(item) for item in model.indices.tested]
+    edges = np.cumsum([0, *lengths])
+    return tuple(
+        np.arange(start, start + length, dtype=np.intp) for start, length in zip(edges[:-1], lengths, strict=True)
+    )
+
+
+def project(run: RunInformation, model: ExtendedModel) -> ProjectedInformation:
+    """Project the fitted parameters out of the information of runs, the priors included."""
+    total = run.information + model.prior_information
+    fitted = model.indices.fitted
+    tested = np.concatenate([*model.indices.tested, np.zeros(0, np.intp)]).astype(np.intp)
+    among, cross = total[np.ix_(fitted, fitted)], total[np.ix_(fitted, tested)]
+    covariance = covariance_from_information(among)
+    projection = solve_refined(covariance, among, cross)
+    raw = np.diag(total)[tested].copy()
+    V = remaining_information(total[np.ix_(tested, tested)], cross, among, projection)
+    # What rounding leaves of a parameter that the fitted ones describe as well is no information.
+    informed = np.diag(V) > DEFAULT_SETTINGS.score.min_information_share * np.maximum(raw, np.finfo(float).tiny)
+    V = np.where(np.outer(informed, informed), V, 0.0)
+    return ProjectedInformation(covariance, V, raw, projection, run.noise_dof)
+
+
+def remaining_diagonal(run: RunInformation, model: ExtendedModel) -> tuple[Array, Array]:
+    """The covariance (f, f) of the fitted parameters and the diagonal (t,) of V, as `project` does but faster."""
+    total = run.information + model.prior_information
+    fitted = model.indices.fitted
+    tested = np.concatenate([*model.indices.tested, np.zeros(0, np.intp)]).astype(np.intp)
+    rows = total[fitted]
+    among, cross = rows[:, fitted], rows[:, tested]
+    covariance = covariance_from_information(among)
+    projection = solve_refined(covariance, among, cross)
+    raw = np.diag(total)[tested]
+    V = raw - 2.0 * np.sum(cross * projection, axis=0) + np.sum(projection * (among @ projection), axis=0)
+    informed = DEFAULT_SETTINGS.score.min_information_share * np.maximum(raw, np.finfo(float).tiny) < V
+    return covariance, np.where(informed, V, 0.0)
+
+
+def gain_threshold(parameters: int, count: int, level: float, noise_dof: float) -> float:
+    """The gain that one candidate of `count` must exceed, with so many parameters (Bonferroni)."""
+    alone = level / max(count, 1)
+    if noise_dof > 0 and np.isfinite(noise_dof):
+        return float(parameters * f.isf(alone, parameters, noise_dof))
+    return float(chi2.isf(alone, parameters))
+
+
+def required_noncentrality(parameters: int, count: int, detection: DetectionLevel, noise_dof: float) -> float:
+    """The noncentrality with which the gain exceeds its threshold with the stated power."""
+    threshold = gain_threshold(parameters, count, detection.level, noise_dof)
+    return float(special.chndtrinc(threshold, parameters, 1.0 - detection.power))
+
+
+def detection_probability(noncentrality: float, parameters: int, threshold: float) -> float:
+    """Probability that a gain with this noncentrality exceeds the threshold."""
+    return float(1.0 - special.chndtr(threshold, parameters, noncentrality))
+
+
+def informed_directions(V: Array) -> int:
+    """Number of directions (as the score test counts them) that the information V (q, q) of a candidate has."""
+    informed = np.flatnonzero(np.diag(V) > 0)
+    if not len(informed):
+        return 0
+    scale = 1.0 / np.sqrt(np.diag(V)[informed])
+    values = np.linalg.eigvalsh(V[np.ix_(informed, informed)] * np.outer(scale, scale))
+    return int(np.count_nonzero(values > DEFAULT_SETTINGS.score.min_information_share * values.max()))
+
+
+def smallest_sizes(
+    projected: ProjectedInformation, model: ExtendedModel, detection: DetectionLevel
+) -> tuple[SmallestSize, ...]:
+    """The smallest size of every parameter of interest of every candidate, in their order."""
+    sizes = []
+    for candidate, positions in zip(model.candidates, tested_positions(model), strict=True):
+        V = projected.block(positions, positions)
+        directions = max(informed_directions(V), 1)
+        needed = required_noncentrality(directions, model.candidate_count, detection, projected.noise_dof)
+        spread = np.sqrt(np.diag(covariance_from_information(V)))
+        for k, item in enumerate(model.items(candidate)):
+            size = float(np.sqrt(needed / V[k, k])) if V[k, k] > 0 else float("inf")
+            sigma = float(spread[k]) if V[k, k] > 0 else float("inf")
+            sizes.append(_smallest_size(candidate.label, candidate.effect.name, item, size, sigma, int(positions[k])))
+    return tuple(sizes)
+
+
+def _smallest_size(
+    label: str, effect: str, item: EffectParameter, size: float, sigma: float, index: int
+) -> SmallestSize:
+    return SmallestSize(label, effect, item.name, item.unit, size, departure(item, size), sigma, index)
+
+
+def departure(item: EffectParameter, size: float) -> float:
+    """How far a parameter is from its null where the fitted value is so by `size`; of a reciprocal, its value.
+
+    Infinite (of a reciprocal zero) where the size is.
+    """
+    if not np.isfinite(size):
+        return 0.0 if item.reciprocal else float("inf")
+    value = item.physical_value(item.fitted_null + size)
+    return value if item.reciprocal else value - item.null
+
+
+def sizes_by_effect(sizes: Sequence[SmallestSize]) -> dict[str, list[SmallestSize]]:
+    """The sizes of each effect, by its name."""
+    by_name: dict[str, list[SmallestSize]] = {}
+    for item in sizes:
+        by_name.setdefault(item.effect, []).append(item)
+    return by_name

@@ -1,0 +1,139 @@
+"""What a sequence of runs is expected to tell: smallest sizes, sigma of loads and parameters, after each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.model import effects
+from balance_cli.planning.detectability import (
+    DetectionLevel,
+    ProjectedInformation,
+    SmallestSize,
+    project,
+    smallest_sizes,
+)
+from balance_cli.planning.extended_model import ExtendedModel
+from balance_cli.planning.hub_loads import LoadForecast, load_error, parameter_sigma, total_sigma
+from balance_cli.planning.information import RunInformation, add_information
+from balance_cli.planning.result import DetectableEffect, LoadSigma, ParameterForecast
+
+Array = NDArray[np.float64]
+
+NOT_PREDICTED = "its frequency and phase are unknown, and it belongs to the hall, not to the balance"
+"""Why nothing is said of a tone: the score test of its power is not linear in its amplitude."""
+
+
+def cumulative_information(
+    before: RunInformation, runs: Sequence[RunInformation], model: ExtendedModel
+) -> tuple[RunInformation, ...]:
+    """What is known before the first run and after each."""
+    totals = [before]
+    for run in runs:
+        totals.append(add_information([totals[-1], run], model))
+    return tuple(totals)
+
+
+def unpredicted_effects(model: ExtendedModel) -> dict[str, str]:
+    """Effects of which the theory says nothing, and why."""
+    present = {item.effect.name for item in model.candidates}
+    reasons = {}
+    for effect in effects.EFFECTS:
+        if effect.name in present and effect.search.tone is not None:
+            reasons[effect.name] = NOT_PREDICTED
+    return reasons
+
+
+def detectable_effects(
+    stages: Sequence[ProjectedInformation],
+    model: ExtendedModel,
+    detection: DetectionLevel,
+    forecast: LoadForecast | None,
+) -> tuple[DetectableEffect, ...]:
+    """Each effect at the place and parameter where it is hardest to find, before and after each run."""
+    tables = [smallest_sizes(stage, model, detection) for stage in stages]
+    unpredicted = unpredicted_effects(model)
+    names = dict.fromkeys(item.effect for item in tables[-1])
+    return tuple(
+        _detectable_effect(name, tables, stages[-1], model, forecast) for name in names if name not in unpredicted
+    )
+
+
+def _detectable_effect(
+    name: str,
+    tables: Sequence[Sequence[SmallestSize]],
+    last: ProjectedInformation,
+    model: ExtendedModel,
+    forecast: LoadForecast | None,
+) -> DetectableEffect:
+    rows = [item for item in tables[-1] if item.effect == name]
+    scale = _scales(model)
+    shown = [item for item in rows if np.isfinite(item.size)]
+    hardest = max(shown or rows, key=lambda item: item.size / scale[item.index])
+    easiest = min(rows, key=lambda item: item.size / scale[item.index])
+    sizes = tuple(next(item for item in table if item.index == hardest.index).value for table in tables)
+    error = None if forecast is None else load_error(forecast, model, last, hardest)
+    of_components = None if error is None or forecast is None else dict(zip(forecast.components, error, strict=True))
+    share = None if error is None or forecast is None else float(np.max(error / forecast.reference))
+    missing = tuple(f"{item.label}: {item.parameter}" for item in rows if not np.isfinite(item.size))
+    return DetectableEffect(
+        effect=name,
+        label=hardest.label,
+        parameter=hardest.parameter,
+        unit=hardest.unit,
+        sizes=sizes,
+        easiest=(easiest.label, easiest.value),
+        load_error=None if of_components is None else {key: float(value) for key, value in of_components.items()},
+        share=share,
+        missing=missing,
+    )
+
+
+def _scales(model: ExtendedModel) -> Array:
+    """The size (t,) of a change that matters, of every tested parameter."""
+    return np.array([item.fitted_scale for each in model.candidates for item in model.items(each)])
+
+
+def load_sigma(
+    stages: Sequence[ProjectedInformation], model: ExtendedModel, forecast: LoadForecast | None
+) -> LoadSigma | None:
+    """The sigma of the hub loads before and after the runs; None without a forecast."""
+    if forecast is None:
+        return None
+    logs = [np.mean(np.log(np.maximum(parameter_sigma(forecast, model, s.covariance), 1e-300))) for s in stages]
+    return LoadSigma(
+        components=forecast.components,
+        frequency=forecast.frequency,
+        reference=forecast.reference,
+        before=total_sigma(forecast, model, stages[0].covariance),
+        after=total_sigma(forecast, model, stages[-1].covariance),
+        noise=forecast.noise,
+        by_run=np.exp(np.array(logs[1:]) - logs[0]),
+    )
+
+
+def parameter_forecasts(
+    first: ProjectedInformation, last: ProjectedInformation, model: ExtendedModel
+) -> tuple[ParameterForecast, ...]:
+    """The sigma of every fitted parameter before and after the runs."""
+    parameters = model.model.parameters
+    free = np.flatnonzero(parameters.free)[model.indices.fitted]
+    before, after = (np.sqrt(np.maximum(np.diag(stage.covariance), 0.0)) for stage in (first, last))
+    return tuple(
+        ParameterForecast(
+            name=parameters.names[i],
+            unit=parameters.units[i],
+            value=float(model.theta[i]),
+            declared_sigma=float(parameters.sigma[i]),
+            before=float(before[k]),
+            after=float(after[k]),
+        )
+        for k, i in enumerate(free)
+    )
+
+
+def projected_stages(totals: Sequence[RunInformation], model: ExtendedModel) -> tuple[ProjectedInformation, ...]:
+    """The projected information at each stage."""
+    return tuple(project(total, model) for total in totals)

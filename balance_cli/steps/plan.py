@@ -1,0 +1,189 @@
+"""Plan a campaign: the runs that tell most of the parameters, the effects and the hub loads in the time of a hall."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.estimation.identified_model import IdentifiedModel
+from balance_cli.estimation.measured_spectra import Spectra
+from balance_cli.io.errors import UserError
+from balance_cli.model.balance import balance_model
+from balance_cli.model.plate import carried_components, moment_reference_length
+from balance_cli.planning.candidate_runs import CandidateRun, LevelLimit, candidate_runs, level_limits
+from balance_cli.planning.channel_noise import ChannelNoise, planning_noise
+from balance_cli.planning.choices import Aim
+from balance_cli.planning.confusion import confused_pairs
+from balance_cli.planning.design import Problem, choose_runs, rank_runs
+from balance_cli.planning.detectability import DetectionLevel
+from balance_cli.planning.extended_model import ExtendedModel, effect_names, extended_model
+from balance_cli.planning.forecast import (
+    cumulative_information,
+    detectable_effects,
+    load_sigma,
+    parameter_forecasts,
+    projected_stages,
+    unpredicted_effects,
+)
+from balance_cli.planning.hall import Hall, RecordSettings, excitable_components, open_hall, record_settings
+from balance_cli.planning.hub_loads import LoadForecast, load_forecast
+from balance_cli.planning.information import (
+    RunInformation,
+    add_information,
+    planned_information,
+    spectra_information,
+)
+from balance_cli.planning.result import PlannedCampaign
+from balance_cli.simulation.plans import AnyPlan, CampaignPlan
+from balance_cli.simulation.rig import TrueRig
+from balance_cli.steps.free_simulation import simulated_rig
+from balance_cli.steps.identify import IdentifyOptions, identify
+
+Progress = Callable[[Iterable[CandidateRun], str, int], Iterable[CandidateRun]]
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """How to plan: `minutes` of hall time, what for, at which level of detection, and what the hall allows."""
+
+    minutes: float
+    aim: Aim = "both"
+    detection: DetectionLevel = field(default_factory=DetectionLevel)
+    hall: Hall = field(default_factory=open_hall)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class PlanningRig:
+    """All that a plan rests on: the model with its candidates, the rig that rehearses, noise, records and forecast."""
+
+    model: ExtendedModel
+    rig: TrueRig
+    noise: ChannelNoise
+    settings: RecordSettings
+    limits: tuple[LevelLimit, ...]
+    forecast: LoadForecast | None
+
+    def information(self, plan: AnyPlan, random_seeds: Iterable[int] = (0,)) -> RunInformation:
+        """The information that a run is expected to give, in the mean over rehearsals."""
+        return planned_information(plan, self.rig, self.noise, self.model, random_seeds)
+
+
+REHEARSALS = 3
+"""Rehearsals of each run of the plan, for the forecast; for the choice among all candidates one is enough."""
+NO_SPECTRA = Spectra((), (), {}, {})
+
+
+def plan_campaign(
+    geometry: Geometry,
+    options: PlanOptions,
+    model: IdentifiedModel | None = None,
+    spectra: Spectra = NO_SPECTRA,
+    progress: Progress | None = None,
+) -> PlannedCampaign:
+    """Choose the runs of a campaign, and forecast what they tell.
+
+    `model` and the `spectra` of runs already made (with means and waveforms) are what is known before. Raises UserError
+    where the hall, the geometry or the runs leave nothing to plan.
+    """
+    base = planning_rig(geometry, options.hall, model, spectra)
+    before = add_information(spectra_information(spectra, base.model), base.model)
+    candidates = candidate_runs(geometry, options.hall, base.settings, base.limits)
+    steps = progress(candidates, "runs", len(candidates)) if progress else candidates
+    information = [base.information(item.plan, (options.seed,)) for item in steps]
+    problem = Problem(
+        candidates, information, before, base.model, base.forecast, options.hall.change_minutes, options.aim
+    )
+    design = choose_runs(problem, options.minutes)
+    if not design.chosen:
+        shortest = min(problem.minutes([i]) for i in range(len(candidates)))
+        fault = f"no run that tells anything fits into {options.minutes:g} minutes (the shortest takes {shortest:.3g})"
+        raise UserError(fault, "--minutes", remedy="Give more time, or shorter periods and set-ups in the hall file")
+    return _describe(base, problem, design.chosen, design.minutes, options, spectra)
+
+
+def planning_rig(
+    geometry: Geometry, hall: Hall, model: IdentifiedModel | None = None, spectra: Spectra = NO_SPECTRA
+) -> PlanningRig:
+    """Prepare a plan: without a model the runs are identified, and without runs the geometry is taken as declared."""
+    _check_effect_names(hall)
+    if model is None:
+        options = IdentifyOptions(method="ls+ml" if spectra.lines else "computed")
+        model = identify(spectra, geometry, options)
+    rig = simulated_rig(model)
+    if rig is None:
+        names = ", ".join(item.name for item in model.geometry.effects)
+        fault = "is in the paper's form" if model.form == "paper" else f"has effects that cannot be simulated ({names})"
+        raise UserError(fault, "MODEL", remedy="Give a model of the physical form, without empirical effects")
+    extended = extended_model(balance_model(model.geometry), model.parameters.value, hall.effects)
+    settings = record_settings(model.geometry, hall)
+    noise = planning_noise(hall.noise, spectra.lines, settings.sample_rate)
+    system = extended.model.system(extended.theta)
+    limits = level_limits(model.geometry, hall, settings, system)
+    reference = _reference_loads(model.geometry, hall, limits)
+    forecast = load_forecast(extended, noise, reference, settings.sample_rate, hall.record_seconds)
+    excitable_components(model.geometry, hall)
+    return PlanningRig(extended, rig, noise, settings, limits, forecast)
+
+
+def _check_effect_names(hall: Hall) -> None:
+    known = effect_names()
+    for name in hall.effects or ():
+        if name not in known:
+            raise UserError(f"`{name}` is no effect", place="effects", remedy=f"Give some of {', '.join(known)}")
+
+
+def _reference_loads(geometry: Geometry, hall: Hall, limits: Iterable[LevelLimit]) -> Mapping[str, float]:
+    """Amplitude of each hub load for which its sigma counts: as stated, else that of the largest sweep.
+
+    A component that is neither has the largest force of the others, or the moment of that force at the hub's height.
+    """
+    stated: dict[str, float] = {limit.component: limit.level * 2.0**0.5 for limit in limits}
+    for name, value in (hall.loads or {}).items():
+        stated[name] = value
+    arm = moment_reference_length(geometry.hub)
+    force = max(value / (arm if name.startswith("M") else 1.0) for name, value in stated.items())
+    other = {name: force * (arm if name.startswith("M") else 1.0) for name in carried_components(geometry)}
+    return {**other, **stated}
+
+
+def _describe(
+    base: PlanningRig,
+    problem: Problem,
+    chosen: tuple[int, ...],
+    minutes: float,
+    options: PlanOptions,
+    spectra: Spectra,
+) -> PlannedCampaign:
+    random_seeds = range(options.seed, options.seed + REHEARSALS)
+    rehearsed = {i: base.information(problem.candidates[i].plan, random_seeds) for i in sorted(set(chosen))}
+    runs = [rehearsed[i] for i in chosen]
+    totals = cumulative_information(problem.before, runs, base.model)
+    stages = projected_stages(totals, base.model)
+    named = number_runs([problem.candidates[i] for i in chosen])
+    proposals = list({run.run: run for run in problem.information}.values())
+    return PlannedCampaign(
+        rig=base.rig.geometry.rig,
+        campaign=CampaignPlan(runs=tuple(item.plan for item in named)),
+        chosen=named,
+        minutes=minutes,
+        made=tuple([run.run for run in spectra.lines] + [points.run for points in spectra.statics]),
+        noise_source=base.noise.source,
+        detection=options.detection,
+        limits=base.limits,
+        effects=detectable_effects(stages, base.model, options.detection, base.forecast),
+        unpredicted=unpredicted_effects(base.model),
+        confusion=confused_pairs(totals[-1], base.model, proposals),
+        ranking=rank_runs(problem),
+        loads=load_sigma(stages, base.model, base.forecast),
+        parameters=parameter_forecasts(stages[0], stages[-1], base.model),
+    )
+
+
+def number_runs(chosen: Iterable[CandidateRun]) -> tuple[CandidateRun, ...]:
+    """The runs with unique names: those of the candidates, with a number in front."""
+    return tuple(
+        CandidateRun(item.plan.model_copy(update={"run": f"{i:02d}-{item.plan.run}"}), item.minutes)
+        for i, item in enumerate(chosen, 1)
+    )

@@ -1,0 +1,82 @@
+"""`balance plan` from the command line: files, exit status and messages."""
+
+import json
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from balance_cli.campaign.rig.geometry_file import save_geometry
+from balance_cli.cli import balance
+from balance_cli.simulation import CampaignPlan
+from balance_cli.simulation.files import read_plan
+from tests.support.rigs import one_degree_of_freedom
+
+HALL = {
+    "format": "balance-hall/1",
+    "exciters": {"Fz": {"rms": 20.0, "peak": 60.0}},
+    "change_minutes": 0.5,
+    "overhead_minutes": 0.1,
+    "periods": [3, 5],
+    "levels": [1.0],
+    "effects": ["channel-gain", "time-delay", "low-pass"],
+}
+
+
+@pytest.fixture
+def call(tmp_path):
+    save_geometry(tmp_path / "g.yaml", one_degree_of_freedom(rotor={"blades": 2, "speed": 5.0}))
+
+    def run(*words, **hall):
+        (tmp_path / "hall.yaml").write_text(yaml.safe_dump({**HALL, **hall}))
+        files = ["-g", tmp_path / "g.yaml", "--hall", tmp_path / "hall.yaml", "-o", tmp_path / "plan.yaml"]
+        return CliRunner().invoke(balance, ["plan", *map(str, (*files, *words))])
+
+    return run
+
+
+def test_plan_is_one_of_simulate_with_sheets_and_summary(call, tmp_path):
+    result = call("--minutes", 3, "--json", tmp_path / "s.json", "--sheets", tmp_path / "sheets.md")
+    assert result.exit_code == 0, result.output
+    plan, summary = read_plan(tmp_path / "plan.yaml"), json.loads((tmp_path / "s.json").read_text())
+    assert isinstance(plan, CampaignPlan)
+    assert [run.run for run in plan.runs] == [run["run"] for run in summary["runs"]]
+    # A peak of 60 N at four times the rms is the limit, not the rms of 20 N.
+    assert all(run.level[0] == pytest.approx(15.0) for run in plan.runs)
+    assert summary["minutes"] <= 3.0
+    sheets = (tmp_path / "sheets.md").read_text()
+    assert all(f"## Run {run.run}" in sheets for run in plan.runs)
+    gain = next(effect for effect in summary["effects"] if effect["name"] == "channel-gain")
+    assert gain["before"] is None and 0 < gain["after"][-1] < 0.1
+
+
+def test_runs_already_made_count(call, tmp_path):
+    assert call("--minutes", 2).exit_code == 0
+    folder, g = tmp_path / "made", tmp_path / "g.yaml"
+    simulate = ["simulate", "-g", g, "--plan", tmp_path / "plan.yaml", "-o", folder]
+    assert CliRunner().invoke(balance, list(map(str, simulate))).exit_code == 0
+    result = call("--minutes", 2, "--json", tmp_path / "s.json", *sorted(folder.glob("*.h5")))
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "s.json").read_text())
+    assert summary["noise"] == "measured in the runs given"
+    assert summary["made"]
+    assert all(effect["before"] is not None for effect in summary["effects"] if effect["name"] == "channel-gain")
+
+
+@pytest.mark.parametrize(
+    ("hall", "words", "message"),
+    [
+        ({"excitors": {}}, (), "unknown key `excitors`"),
+        ({"exciters": {"Fx": {"rms": 1.0}}}, (), "does not carry Fx"),
+        ({"exciters": {"Fz": {"rms": -1.0}}}, (), "exciters.Fz.rms"),
+        ({"simultaneous": 3}, (), "`simultaneous` is 3"),
+        ({"sample_rate": 3.0}, (), "half of the sample rate"),
+        ({"change_minutes": 60.0}, (), "fits into 1 minutes"),
+        ({"format": "balance-hall/9"}, (), "format"),
+    ],
+)
+def test_constraints_that_cannot_hold_end_with_one_message(call, tmp_path, hall, words, message):
+    result = call("--minutes", 1, *words, **hall)
+    assert result.exit_code == 2
+    assert message in result.output and ("hall.yaml" in result.output or "--minutes" in result.output)
+    assert "Traceback" not in result.output and not (tmp_path / "plan.yaml").exists()

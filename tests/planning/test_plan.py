@@ -1,0 +1,184 @@
+"""What a plan predicts, against what identification and score tests of simulated campaigns achieve."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.search.candidates import candidate_at
+from balance_cli.diagnosis.search.score_statistics import scores
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.io.errors import UserError
+from balance_cli.model.balance import balance_model
+from balance_cli.planning.candidate_runs import candidate_runs
+from balance_cli.planning.channel_noise import planning_noise
+from balance_cli.planning.detectability import (
+    DetectionLevel,
+    detection_probability,
+    gain_threshold,
+    project,
+    required_noncentrality,
+    smallest_sizes,
+)
+from balance_cli.planning.hall import Exciter, Hall, open_hall, record_settings
+from balance_cli.planning.information import add_information, no_information
+from balance_cli.simulation import CampaignPlan, simulate_campaign, true_rig
+from balance_cli.simulation.rig import apply_effects
+from balance_cli.steps.identify import identify
+from balance_cli.steps.plan import PlanOptions, plan_campaign, planning_rig
+from tests.support.other_rigs import other_rig, short_campaign
+
+EFFECTS = ("channel-gain", "added-mass", "time-delay")
+
+
+def hall_of(geometry, letter, **changes):
+    """A hall with the sweeps of the short campaign of a rig."""
+    sweeps = [run for run in short_campaign(letter).runs if run.kind == "sweep"]
+    settings = {
+        "exciters": {run.excited[0]: {"rms": run.level[0]} for run in sweeps},
+        "band": sweeps[0].band,
+        "period": sweeps[0].period,
+        "sample_rate": sweeps[0].sample_rate,
+        "periods": (4, 8),
+        "levels": (1.0,),
+        "effects": EFFECTS,
+        "change_minutes": 0.1,
+        "overhead_minutes": 0.05,
+    }
+    return Hall(format="balance-hall/1", **{**settings, **changes})
+
+
+@pytest.fixture(scope="module")
+def rig_a():
+    geometry = other_rig("A")
+    return planning_rig(geometry, hall_of(geometry, "A"))
+
+
+@pytest.fixture(scope="module")
+def plan_a(rig_a):
+    """A sweep of each component; their periods are long beside the decay of the modes."""
+    geometry = rig_a.rig.geometry
+    hall = hall_of(geometry, "A", period=1.0, periods=(5,))
+    runs = candidate_runs(geometry, hall, record_settings(geometry, hall), rig_a.limits)
+    return CampaignPlan(runs=tuple(item.plan for item in runs))
+
+
+@pytest.fixture(scope="module")
+def information_a(rig_a, plan_a):
+    return [rig_a.information(run, range(3)) for run in plan_a.runs]
+
+
+def test_predicted_sigma_is_that_of_the_identified_model(rig_a, plan_a, information_a):
+    geometry = rig_a.rig.geometry
+    predicted = project(add_information(information_a, rig_a.model), rig_a.model)
+    sigma = np.sqrt(np.diag(predicted.covariance))
+    free = rig_a.model.model.parameters.free
+    names = np.array(rig_a.model.model.parameters.names)[free][rig_a.model.indices.fitted]
+    achieved = []
+    for seed in (21, 22):
+        runs, _ = simulate_campaign(true_rig(geometry), plan_a, seed=seed)
+        table = identify(measured_spectra(runs, geometry), geometry).parameters
+        achieved.append([table.sigma[table.names.index(name)] for name in names])
+    ratio = sigma / np.mean(achieved, axis=0)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
+    assert np.all(np.abs(ratio - 1.0) < 0.1)
+
+
+def test_scores_of_campaigns_with_the_smallest_size_are_as_large_as_predicted(rig_a, plan_a, information_a):
+    geometry = rig_a.rig.geometry
+    total = add_information(information_a, rig_a.model)
+    sizes = smallest_sizes(project(total, rig_a.model), rig_a.model, DetectionLevel())
+    size = next(item for item in sizes if item.effect == "channel-gain")
+    where = (size.label.partition("@")[2],)
+    needed = required_noncentrality(1, rig_a.model.candidate_count, DetectionLevel(), total.noise_dof)
+    effect = DeclaredEffect(name="channel-gain", where=where, parameters={"gain": 1.0 + size.value})
+    candidate = candidate_at("channel-gain", where, geometry)
+    gains = []
+    for seed in range(2):
+        rig = apply_effects(true_rig(geometry), [effect])
+        runs, _ = simulate_campaign(rig, plan_a, seed=seed + 40)
+        spectra = measured_spectra(runs, geometry)
+        fitted = identify(spectra, geometry)
+        batches = stack_runs(spectra.lines, spectra.statics, geometry.channel_names)
+        theta = fitted.parameters.value
+        score = scores(balance_model(geometry), theta, batches, [candidate], DEFAULT_SETTINGS.score)[0]
+        gains.append(score.gain)
+    # The mean of n gains of noncentrality L has the expectation 1 + L and the variance 2 (1 + 2 L) / n.
+    assert abs(np.mean(gains) - 1.0 - needed) < 3.5 * np.sqrt(2.0 * (1.0 + 2.0 * needed) / len(gains))
+
+
+def test_information_grows_with_every_run(rig_a, information_a):
+    few, all_runs = (
+        project(add_information(part, rig_a.model), rig_a.model) for part in (information_a[:3], information_a)
+    )
+    assert np.all(np.diag(all_runs.covariance) <= np.diag(few.covariance) * (1 + 1e-6))
+    assert np.all(np.diag(all_runs.V) >= np.diag(few.V) * (1 - 1e-6))
+
+
+def test_nothing_is_found_before_the_first_run(rig_a):
+    before = project(no_information(rig_a.model), rig_a.model)
+    assert all(np.isinf(item.size) for item in smallest_sizes(before, rig_a.model, DetectionLevel()))
+
+
+@pytest.mark.parametrize(("parameters", "count", "power"), [(1, 1, 0.9), (3, 400, 0.9), (6, 50, 0.5)])
+def test_noncentrality_has_the_stated_power(parameters, count, power):
+    detection = DetectionLevel(level=0.01, power=power)
+    needed = required_noncentrality(parameters, count, detection, np.inf)
+    threshold = stats.chi2.isf(0.01 / count, parameters)
+    assert gain_threshold(parameters, count, 0.01, np.inf) == pytest.approx(threshold)
+    assert stats.ncx2.sf(threshold, parameters, needed) == pytest.approx(power, abs=1e-6)
+    assert detection_probability(needed, parameters, threshold) == pytest.approx(power, abs=1e-6)
+
+
+def test_plan_keeps_to_time_and_exciters():
+    geometry = other_rig("A")
+    hall = hall_of(geometry, "A", effects=("channel-gain",), periods=(4,))
+    planned = plan_campaign(geometry, PlanOptions(minutes=1.5, hall=hall))
+    assert 0 < planned.minutes <= 1.5
+    assert all(item.plan.level[0] <= hall.exciters[item.plan.excited[0]].rms for item in planned.chosen)
+    again = plan_campaign(geometry, PlanOptions(minutes=1.5, hall=hall))
+    assert planned.campaign == again.campaign and planned.effects == again.effects
+    after = [item.sizes[-1] for item in planned.effects]
+    assert all(np.isfinite(after)) and all(np.isinf(item.sizes[0]) for item in planned.effects)
+
+
+def test_noise_of_runs_already_made_is_measured(plan_a):
+    geometry, sweep = other_rig("A"), plan_a.runs[0]
+    runs, _ = simulate_campaign(true_rig(geometry), CampaignPlan(runs=(sweep,)), seed=1)
+    noise = planning_noise(None, measured_spectra(runs, geometry).lines, sweep.sample_rate)
+    ratio = [noise.sigma_of_channel(c) / planning_noise(None, (), 1.0).sigma_of_channel(c) for c in geometry.channels]
+    # Two hundred lines of two steady periods: the standard error of a channel's sigma is about 0.04.
+    assert np.allclose(ratio, 1.0, atol=0.15) and np.mean(ratio) == pytest.approx(1.0, abs=0.05)
+    assert noise.load == pytest.approx(0.02, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"band": (5.0, 3000.0)}, "half of the sample rate"),
+        ({"period": 1e-3}, "has no two lines"),
+        ({"periods": (1000,), "period": 100.0}, "more than"),
+        ({"rotor_speeds": (1e4,)}, "rotor speed"),
+        ({"effects": ("gremlin",)}, "is no effect"),
+    ],
+)
+def test_constraints_that_cannot_hold_are_refused(changes, fault):
+    geometry = other_rig("A")
+    with pytest.raises(UserError, match=fault):
+        planning_rig(geometry, hall_of(geometry, "A", **changes))
+
+
+def test_exciters_of_components_that_are_not_carried_are_refused():
+    geometry = other_rig("A").model_copy(update={"freedom": ("z",)})
+    hall = open_hall().model_copy(update={"exciters": {"Fx": Exciter(rms=1.0)}})
+    with pytest.raises(UserError, match="does not carry Fx"):
+        planning_rig(geometry, hall)
+
+
+def test_open_hall_takes_band_and_rate_from_the_rig():
+    for letter in "ABCDE":
+        settings = record_settings(other_rig(letter), open_hall())
+        assert settings.band[1] < settings.sample_rate / 2.0
+        assert settings.period * settings.sample_rate == pytest.approx(round(settings.period * settings.sample_rate))
