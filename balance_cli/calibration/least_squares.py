@@ -19,7 +19,7 @@ precision.
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,14 +109,31 @@ class LeastSquares:
         """
         errors = np.full(self.residuals.shape, np.nan)
         root = np.sqrt(self.weight)[:, None]
-        members = [np.flatnonzero(group == name) for name in np.unique(group)]
-        # The smaller of two equivalent systems: (1 - Q Q')^-1 = 1 + Q (1 - Q'Q)^-1 Q'.
-        remainders = np.eye(self.Q.shape[1]) - np.stack([self.Q[rows].T @ self.Q[rows] for rows in members])
-        known = np.linalg.eigvalsh(remainders)[:, 0] > MIN_KNOWN_SHARE
-        for rows, remainder in zip(itertools.compress(members, known), remainders[known], strict=True):
-            Q, e = self.Q[rows], root[rows] * self.residuals[rows]
-            errors[rows] = (e + Q @ np.linalg.solve(remainder, Q.T @ e)) / root[rows]
+        scaled = root * self.residuals
+        for rows, is_row in _padded_groups(group):
+            # The smaller of two equivalent systems: (1 - Q Q')^-1 = 1 + Q (1 - Q'Q)^-1 Q'.
+            Q = np.where(is_row[:, :, None], self.Q[rows], 0.0)
+            remainders = np.eye(Q.shape[2]) - Q.swapaxes(1, 2) @ Q
+            known = np.linalg.eigvalsh(remainders)[:, 0] > MIN_KNOWN_SHARE
+            Q, at, inside = Q[known], rows[known], is_row[known]
+            predicted = scaled[at] + Q @ np.linalg.solve(remainders[known], Q.swapaxes(1, 2) @ scaled[at])
+            errors[at[inside]] = (predicted / root[at])[inside]
         return errors
+
+
+def _padded_groups(group: Index) -> Iterator[tuple[Index, NDArray[np.bool_]]]:
+    """Rows (g, r) of groups of similar size, padded with the first row of all, and which of them are members.
+
+    Groups are solved together; those of one class differ in size by less than a factor of two.
+    """
+    place = np.unique(group, return_inverse=True)[1]
+    order, count = np.argsort(place, kind="stable"), np.bincount(place)
+    first, size_class = np.cumsum(count) - count, np.frexp(count)[1]
+    for number in np.unique(size_class):
+        members = np.flatnonzero(size_class == number)
+        offset = np.arange(count[members].max())
+        is_row = offset < count[members][:, None]
+        yield order[np.where(is_row, first[members][:, None] + offset, 0)], is_row
 
 
 class CollinearError(Exception):

@@ -19,7 +19,9 @@ The noise of a load reading is present only where that load was applied, and mak
 
 def robust_sigma(errors: Array) -> Array:
     """Robust standard deviation (c,) of errors (m, c): 1.4826 times the median of their absolute values."""
-    return np.asarray(np.maximum(1.4826 * np.nanmedian(np.abs(errors), axis=0), np.finfo(float).tiny))
+    # np.nanmedian takes several times as long where nothing is missing.
+    median = np.median if np.isfinite(errors).all() else np.nanmedian
+    return np.asarray(np.maximum(1.4826 * median(np.abs(errors), axis=0), np.finfo(float).tiny))
 
 
 def robust_row_sigma(errors: Array, load_series: Index, used: NDArray[np.bool_]) -> Array:

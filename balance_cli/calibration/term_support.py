@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,29 +35,28 @@ def find_supported_terms(terms: Sequence[Term], x: Array, block: Index, loads: S
     A term is not supported where the zeros and the loads themselves explain it, or where it is collinear with an
     earlier term in this schedule.
     """
-    linear_columns = subtract_block_means(term_values(linear_terms(x.shape[1]), x), block)
-    basis = _orthonormal_basis(linear_columns)
-    supported: list[Term] = []
+    basis = _orthonormal_basis(subtract_block_means(term_values(linear_terms(x.shape[1]), x), block))
+    values = term_values(terms, x)
+    columns = subtract_block_means(values, block)
+    left = columns - basis @ (basis.T @ columns)
+    size = np.linalg.norm(left, axis=0)
+    is_independent = size > MIN_INDEPENDENT_SHARE * np.linalg.norm(values, axis=0)
+    unit = left / np.where(size > 0, size, 1.0)
+    correlation = np.abs(unit.T @ unit)
+    is_linear = np.array([term.linear for term in terms], bool)
+    is_supported = np.zeros(len(terms), bool)
     unsupported: dict[Term, str] = {}
-    spanned = np.zeros((len(x), 0))
-    for term in terms:
-        column = subtract_block_means(term_values([term], x), block)[:, 0]
-        if term.linear:
-            supported.append(term)
-            continue
-        left = column - basis @ (basis.T @ column)
-        if np.linalg.norm(left) <= MIN_INDEPENDENT_SHARE * np.linalg.norm(term_values([term], x)):
-            unsupported[term] = _refusal_reason(term, x, loads)
-            continue
-        unit = left / np.linalg.norm(left)
-        correlation = np.abs(unit @ spanned)
-        if correlation.size and correlation.max() > 1.0 - 0.5 * MIN_INDEPENDENT_SHARE**2:
-            equivalent_term = [earlier for earlier in supported if not earlier.linear][int(np.argmax(correlation))]
-            unsupported[term] = f"does what {equivalent_term.name(loads)} does in these loads"
-            continue
-        supported.append(term)
-        spanned = np.column_stack([spanned, unit])
-    return TermSupport(tuple(supported), unsupported)
+    for number, term in enumerate(terms):
+        if not is_linear[number]:
+            earlier = np.where(is_supported & ~is_linear, correlation[number], 0.0)
+            if not is_independent[number]:
+                unsupported[term] = _refusal_reason(term, x, loads)
+                continue
+            if np.max(earlier) > 1.0 - 0.5 * MIN_INDEPENDENT_SHARE**2:
+                unsupported[term] = f"does what {terms[int(np.argmax(earlier))].name(loads)} does in these loads"
+                continue
+        is_supported[number] = True
+    return TermSupport(tuple(compress(terms, is_supported)), unsupported)
 
 
 def _orthonormal_basis(values: Array) -> Array:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,12 @@ def all_terms(count: int) -> tuple[Term, ...]:
 
 def term_from_name(name: str, loads: Sequence[str]) -> Term:
     """The term with this name; raises KeyError if there is none."""
-    return {term.name(loads): term for term in all_terms(len(loads))}[name]
+    return _terms_by_name(tuple(loads))[name]
+
+
+@lru_cache(maxsize=8)
+def _terms_by_name(loads: tuple[str, ...]) -> dict[str, Term]:
+    return {term.name(loads): term for term in all_terms(len(loads))}
 
 
 def term_values(terms: Sequence[Term], x: Array) -> Array:
@@ -132,7 +138,8 @@ def _term_indices(terms: Sequence[Term]) -> tuple[NDArray[np.intp], ...]:
 def _function_values(x: Array) -> Array:
     """Values (7, m, n) of the functions of each load."""
     size = np.abs(x)
-    return np.stack([np.ones_like(x), x, size, x**2, x * size, x**3, size**3])
+    square = x * x
+    return np.stack([np.ones_like(x), x, size, square, x * size, x * square, size * square])
 
 
 def _function_derivatives(x: Array) -> Array:

@@ -88,13 +88,13 @@ def _em_step(
     variance_in_differences = np.where(H > 0.0, second / np.where(H > 0.0, H, 1.0), 0.0)
     variance = np.sum(share * variance_in_differences, axis=0) / np.maximum(share.sum(axis=0), 1e-300)
     left = d - mean @ columns.T
-    scatter = (left.T * weights) @ left + np.einsum("t,cj,tjk,dk->cd", weights, columns, spread, columns)
+    scatter = (left.T * weights) @ left + columns @ np.tensordot(weights, spread, 1) @ columns.T
     return scatter / float(weights @ row_power), variance
 
 
 def _difference_covariances(sigma: Array, load_variance: Array, columns: Array, row_power: Array) -> Array:
     """Covariance (t, c, c) of each difference: noise of the channels, and that of the loads through their columns."""
-    covariance = row_power[:, None, None] * sigma + np.einsum("tj,cj,dj->tcd", load_variance, columns, columns)
+    covariance = row_power[:, None, None] * sigma + (columns * load_variance[:, None, :]) @ columns.T
     covariance[:, *np.diag_indices(len(sigma))] *= 1.0 + OWN_VARIANCE_SHARE
     return np.asarray(covariance, float)
 
