@@ -14,6 +14,7 @@ import scipy.signal
 from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration
+from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.measured_spectra import Spectra
@@ -100,7 +101,7 @@ def simulate_record(case: FilterCase, seed: int, duration: float = DURATION) -> 
     run, truth = simulate_run(rig, rotor_plan(case, duration), seed=seed)
     static, _ = simulate_run(rig, static_plan(), seed=seed)
     model = identify(Spectra((), (), {}, {}), geometry, IdentifyOptions(method="computed"))
-    return SimulatedRecord(run, truth, geometry, calibrate([static], geometry, search=False), ModelSource(model))
+    return SimulatedRecord(run, truth, geometry, calibrate([static], geometry, choice=LINEAR_TERMS), ModelSource(model))
 
 
 def case_rows(record: SimulatedRecord, case: str, methods: tuple[str, ...] = METHODS) -> list[dict[str, object]]:

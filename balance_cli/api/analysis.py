@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Literal
 
 import numpy as np
 
 from balance_cli.api.inputs import GeometryLike, RunLike, require_disjoint, to_geometry, to_runs
 from balance_cli.calibration.result import Calibration
+from balance_cli.calibration.term_choice import TERM_SIGNIFICANCE_LEVEL, choice_of_words, require_known_names
+from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.estimation.choices import Damping, Form, Method
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
@@ -24,16 +25,19 @@ def calibrate(
     runs: RunLike | Iterable[RunLike],
     geometry: GeometryLike,
     *,
-    terms: Literal["search", "linear"] = "search",
+    terms: str | Sequence[str] = "search",
+    significance: float = TERM_SIGNIFICANCE_LEVEL,
     hold_out: RunLike | Iterable[RunLike] = (),
     non_iterative: bool = False,
 ) -> Calibration:
     """Calibrate a balance from its static runs, as `balance calibrate` does.
 
     The result has the matrices C0 and T0 of each trim, and one calibration model for all trims: with `terms="search"`
-    each channel has the terms that are significant, with `"linear"` the loads alone. Static runs of `hold_out` are not
-    fitted and test the prediction intervals. With `non_iterative` the loads are also fitted as functions of the
-    readings. Runs of other kinds are ignored. Raises UserError where the runs do not determine the matrices.
+    each channel has the terms that are significant (`significance`: probability of any spurious one), with `"linear"`
+    the loads alone, with `"quadratic"` all squares and products, otherwise the listed terms (`["Fx^2", "Fx Fy"]`).
+    Static runs of `hold_out` are not fitted and test the prediction intervals. With `non_iterative` the loads are also
+    fitted as functions of the readings. Runs of other kinds are ignored. Raises UserError where the runs do not
+    determine the matrices.
 
     >>> import balance_cli as bal
     >>> calibration = bal.calibrate("sample_data/static-bare.h5", "configs/rts-6.yaml")
@@ -49,7 +53,9 @@ def calibrate(
     fitted, checks = to_runs(runs, rig), to_runs(hold_out, rig)
     require_disjoint(fitted, checks)
     usable = [run for run in checks if run.kind == "static" and run.has_loads]
-    return calibrate_step.calibrate(fitted, rig, terms == "search", usable, non_iterative)
+    choice = choice_of_words(terms, significance)
+    require_known_names(choice, rig.channel_names, load_components(rig).names, "")
+    return calibrate_step.calibrate(fitted, rig, choice, usable, non_iterative)
 
 
 def frequency_response(

@@ -17,6 +17,7 @@ from balance_cli.calibration.outliers import Outlier, ScreenedFit
 from balance_cli.calibration.series_alarm import unpredicted_series
 from balance_cli.calibration.suspect_series import SuspectLoadSeries, find_swapped_channels
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
+from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.load_components import LoadComponents
@@ -59,6 +60,7 @@ class AllTrimsCalibration:
     of the balance without any load.
 
     `load_series` (m,): number of the load series of each row; `series_notes`: how open tare points were read.
+    `term_choice`: which terms the model could have.
     """
 
     model: CalibrationModel
@@ -79,6 +81,7 @@ class AllTrimsCalibration:
     attitude_segment: Index | None = field(default=None, metadata={"stored_as": "stretch"})
     load_series: Index | None = field(default=None, metadata={"omit_if_none": True})
     series_notes: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    term_choice: TermChoice | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def level_weight_loads(self) -> Array:
@@ -90,7 +93,7 @@ class AllTrimsCalibration:
 def calibrate_all_trims(
     points: CalibrationPoints,
     checks: Sequence[tuple[str, Array, Array]] = (),
-    search: bool = True,
+    choice: TermChoice = SEARCHED,
     declared: Array | None = None,
     non_iterative: bool = False,
     check_gravity: Mapping[str, Array] | None = None,
@@ -101,12 +104,13 @@ def calibrate_all_trims(
     `checks`: name, readings (m, c) [V] and loads (m, k) [N, N m] of each held-out run; `check_gravity`: directions of
     gravity (m, 3) in rig axes of those that state their attitude, by name. With the `declared` response (c, k)
     [V/N, V/(N m)] swapped channels are identified. With `non_iterative` the loads are also fitted as functions of the
-    readings. `check_points` (m,): rows of the points that check the model, and are not fitted.
+    readings. `check_points` (m,): rows of the points that check the model, and are not fitted. `choice`: the
+    terms that the model may have.
 
     Raises least_squares.CollinearError where a load was never applied without the others.
     """
     notes = points.series_reading.notes
-    points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, search))
+    points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
     fit, model = screened.fit, screened.fit.model
     used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
     noise = _estimate_noise(points, fit, used)
@@ -123,7 +127,7 @@ def calibrate_all_trims(
         suspect_series=screened.suspect_series,
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
         screening_notes=_screening_notes(points, screened),
-        non_iterative=fit_noniterative_model(total, model, used, search) if non_iterative else None,
+        non_iterative=fit_noniterative_model(total, model, used, choice) if non_iterative else None,
         checks=tuple(
             evaluate_check_loads(model, noise, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0])))
             for check in checks
@@ -133,6 +137,7 @@ def calibrate_all_trims(
         attitude_segment=None if points.gravity is None else points.attitude_segment,
         load_series=points.load_series,
         series_notes=notes or None,
+        term_choice=choice,
     )
 
 

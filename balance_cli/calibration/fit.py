@@ -15,9 +15,11 @@ from balance_cli.calibration.load_series_reading import SeriesReading, read_load
 from balance_cli.calibration.load_series_score import ScheduleRows
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.selection import select_terms
+from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.term_support import find_supported_terms
-from balance_cli.calibration.terms import Term, all_terms, linear_terms, term_values
+from balance_cli.calibration.terms import Term, linear_terms, term_values
 from balance_cli.campaign.rig.attitude import attitude_segments
+from balance_cli.io.errors import UserError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -103,9 +105,9 @@ class CalibrationModelFit:
 
 
 def fit_calibration_model(
-    points: CalibrationPoints, search: bool = True, schedule: Array | None = None
+    points: CalibrationPoints, choice: TermChoice = SEARCHED, schedule: Array | None = None
 ) -> CalibrationModelFit:
-    """Fit the calibration model: with `search` the terms selected for each channel, otherwise the loads alone.
+    """Fit the calibration model with the terms of a `choice`: by default those that a search selects for each channel.
 
     `schedule` (m, k): the loads that were applied, in units of the calibrated range, where `points` hold other
     regressors; they decide which terms are supported.
@@ -116,17 +118,37 @@ def fit_calibration_model(
     x, load_series = points.x[used], points.load_series[used]
     k = len(points.components)
     terms, unsupported = linear_terms(k), {}
-    if search:
+    if not choice.is_linear:
         applied = x if schedule is None else schedule[used]
-        support = find_supported_terms(all_terms(k), applied, load_series, points.components)
+        candidates = choice.candidates(points.components)
+        support = find_supported_terms(candidates, applied, load_series, points.components, not choice.is_search)
         terms, unsupported = support.terms, support.unsupported
     X, Y, w = term_values(terms, x), points.channels[used], points.weight[used]
     solve_least_squares(X[:, :k], Y, load_series, w)  # raises where the loads are collinear
     channel_terms = [tuple(range(k))] * Y.shape[1]
-    if search and len(X) > k + len(np.unique(load_series)) + 1:
+    if not choice.is_search:
+        channel_terms = _fixed_terms(points, choice, terms)
+    elif len(X) > k + len(np.unique(load_series)) + 1:
         quadratic = [place for place, term in enumerate(terms) if term.is_quadratic]
-        channel_terms = select_terms(X, Y, load_series, load_series, k, w, quadratic)
+        channel_terms = select_terms(X, Y, load_series, load_series, k, w, quadratic, choice.significance)
     return _fit_terms(points, terms, unsupported, channel_terms)
+
+
+def _fixed_terms(points: CalibrationPoints, choice: TermChoice, terms: Sequence[Term]) -> list[tuple[int, ...]]:
+    """Indices into `terms` of those of each channel, where they are not searched for.
+
+    Raises UserError where the rows do not determine so many coefficients.
+    """
+    chosen = []
+    for channel in points.channel_names:
+        own = choice.of_channel(channel, points.components)
+        chosen.append(tuple(place for place, term in enumerate(terms) if term in own))
+    rows, zeros = int(np.count_nonzero(points.weight > 0)), len(np.unique(points.load_series[points.weight > 0]))
+    most = max(map(len, chosen))
+    if rows - zeros <= most:
+        fault = f"{rows} load points in {zeros} load series do not determine {most} terms of a channel"
+        raise UserError(fault, place="--terms", remedy="Apply more load points, or give fewer terms")
+    return chosen
 
 
 def refit_terms(points: CalibrationPoints, model: CalibrationModel) -> CalibrationModelFit:

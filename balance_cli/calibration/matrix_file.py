@@ -25,7 +25,7 @@ def read_any_matrix(path: Path, geometry: Geometry) -> tuple[ParsedMatrix | Line
     """
     begin = _first_bytes(path)
     if begin.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<"):
-        text, digest = _read_text(path)
+        text, digest = read_text_file(path)
         return read_ati_matrix(text.removeprefix("\ufeff"), str(path)), digest
     if begin.startswith((b"balance-matrix", b"\xef\xbb\xbfbalance-matrix")) or not begin:
         return read_matrix_file(path)
@@ -48,22 +48,23 @@ def read_matrix_file(path: Path) -> tuple[ParsedMatrix, str]:
 
     Raises UserError for its first fault.
     """
-    text, digest = _read_text(path)
+    text, digest = read_text_file(path)
     try:
         return read_matrix(text), digest
     except UserError as error:
         raise error.with_location(file=str(path)) from error
 
 
-def _read_text(path: Path) -> tuple[str, str]:
-    """The text of a matrix file, and the hex SHA-256 of the file."""
+def read_text_file(path: Path, expected: str = "a matrix", remedy: str = "Give a matrix as .csv") -> tuple[str, str]:
+    """The text of a small file, and the hex SHA-256 of the file.
+
+    Raises UserError, with the `remedy`, for anything but the text file that was `expected`.
+    """
     require_file(path)
     if not path.is_file():
-        raise UserError(
-            f"is {describe_file(path)}, where a matrix was expected", str(path), remedy="Give a matrix as .csv"
-        )
+        raise UserError(f"is {describe_file(path)}, where {expected} was expected", str(path), remedy=remedy)
     if path.stat().st_size > MAX_BYTES:
-        raise UserError("is too large for a matrix", str(path), remedy="Give a matrix as .csv")
+        raise UserError(f"is too large for {expected}", str(path), remedy=remedy)
     try:
         content = path.read_bytes()
         text = content.decode("utf-8")
@@ -73,5 +74,5 @@ def _read_text(path: Path) -> tuple[str, str]:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         fault = f"is not UTF-8 text ({describe_file(path)})"
-        raise UserError(fault, str(path), f"line {line}", "Save it as CSV in UTF-8") from error
+        raise UserError(fault, str(path), f"line {line}", "Save it as text in UTF-8") from error
     return text, hashlib.sha256(content).hexdigest()

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
 from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.terms import term_values
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ class NonIterativeModel:
 
 
 def fit_noniterative_model(
-    points: CalibrationPoints, math_model: CalibrationModel, used: NDArray[np.bool_], search: bool = True
+    points: CalibrationPoints, math_model: CalibrationModel, used: NDArray[np.bool_], choice: TermChoice = SEARCHED
 ) -> NonIterativeModel:
     """Fit the loads as functions of the readings to the rows `used` (m,), with the zeros of the calibration model."""
     W = math_model.inverse()
@@ -69,5 +70,5 @@ def fit_noniterative_model(
         series=load_series,
     )
     return NonIterativeModel(
-        W, fit_calibration_model(exchanged_points, search, points.x).model, points.calibrated_range
+        W, fit_calibration_model(exchanged_points, choice.for_all_channels(), points.x).model, points.calibrated_range
     )

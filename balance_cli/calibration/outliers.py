@@ -16,6 +16,7 @@ from balance_cli.calibration.gross_outliers import OUTLIER_SIGNIFICANCE_LEVEL, g
 from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
 from balance_cli.calibration.robust_scale import robust_row_sigma
 from balance_cli.calibration.suspect_series import SuspectLoadSeries, exclude_suspect_series
+from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -59,20 +60,20 @@ class ScreenedFit:
     screening_notes: tuple[str, ...]
 
 
-def screen_outliers(points: CalibrationPoints, search: bool = True) -> ScreenedFit:
+def screen_outliers(points: CalibrationPoints, choice: TermChoice = SEARCHED) -> ScreenedFit:
     """Fit without suspect load series and outlying rows.
 
     Everything that is excluded is listed in the result.
     """
-    gross = _gross_outliers(points, search)
-    included, fit, suspect_series, notes = exclude_suspect_series(points.exclude_rows(gross), search)
+    gross = _gross_outliers(points, choice)
+    included, fit, suspect_series, notes = exclude_suspect_series(points.exclude_rows(gross), choice)
     excluded, stopped = gross, False
     for _ in range(MAX_SCREENINGS):
         further, stopped = _outlying_rows(included, fit, _most_outliers(points) - int(np.count_nonzero(excluded)))
         if not further.any():
             break
         excluded, included = excluded | further, included.exclude_rows(further)
-        fit = fit_calibration_model(included, search)
+        fit = fit_calibration_model(included, choice)
     if stopped:
         notes = (*notes, f"{int(np.count_nonzero(excluded))} rows were excluded as outliers, and more remain")
     return ScreenedFit(fit, describe_outliers(points, fit, excluded), suspect_series, notes)
@@ -82,7 +83,7 @@ def _most_outliers(points: CalibrationPoints) -> int:
     return max(MIN_OUTLIERS, int(np.ceil(MAX_OUTLIER_SHARE * np.count_nonzero(points.weight > 0))))
 
 
-def _gross_outliers(points: CalibrationPoints, search: bool) -> Mask:
+def _gross_outliers(points: CalibrationPoints, choice: TermChoice) -> Mask:
     """Rows (m,) that stand out from a robust fit and are not predicted by a model that was selected without them.
 
     Where the model that was selected with them leaves none of them an outlier, and the others no larger errors, they
@@ -93,7 +94,7 @@ def _gross_outliers(points: CalibrationPoints, search: bool) -> Mask:
     if not gross.any():
         return none
     for _ in range(MAX_SCREENINGS):
-        fit = fit_calibration_model(points.exclude_rows(gross), search)
+        fit = fit_calibration_model(points.exclude_rows(gross), choice)
         ratio = _prediction_ratio(points, fit, gross)
         agreeing = gross & (ratio <= _limit(points, fit))
         gross = gross & ~agreeing
@@ -102,8 +103,8 @@ def _gross_outliers(points: CalibrationPoints, search: bool) -> Mask:
     if not gross.any():
         return none
     gross = gross & (ratio >= np.sort(ratio[gross])[::-1][: _most_outliers(points)].min())
-    fit = fit_calibration_model(points.exclude_rows(gross), search)
-    whole = fit_calibration_model(points, search)
+    fit = fit_calibration_model(points.exclude_rows(gross), choice)
+    whole = fit_calibration_model(points, choice)
     outlying, _ = _outlying_rows(points, whole, int(np.count_nonzero(gross)))
     is_explained = not (outlying & gross).any()
     return none if is_explained and _scale(points, whole, ~gross) <= SAME_SCALE * _scale(points, fit, ~gross) else gross

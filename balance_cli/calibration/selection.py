@@ -21,13 +21,12 @@ from balance_cli.calibration.cross_validation import prediction_errors
 from balance_cli.calibration.few_rows import FEW_ROWS_P_VALUE, least_p_value_without_two_rows
 from balance_cli.calibration.least_squares import LeastSquares, solve_least_squares, subtract_block_means
 from balance_cli.calibration.normal_equations import MAX_VARIANCE_INFLATION, TermNormalEquations
+from balance_cli.calibration.term_choice import TERM_SIGNIFICANCE_LEVEL
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-TERM_SIGNIFICANCE_LEVEL = 0.01
-"""Probability of a spurious term anywhere in the balance."""
 MIN_DOF = 5
 """Degrees of freedom below which no term is added: the residual of so few rows is no measure of their noise."""
 MAX_SELECTION_STEPS = 200
@@ -48,11 +47,13 @@ def select_terms(
     linear_count: int,
     weight: Array | None = None,
     family: Sequence[int] = (),
+    significance: float = TERM_SIGNIFICANCE_LEVEL,
 ) -> list[tuple[int, ...]]:
     """Select the columns of X (m, p) that each output of Y (m, c) has; the first `linear_count` are in every model.
 
     Each `block` (m,) has its own zero; cross-validation leaves out whole `load_series` (m,). `family`: columns that
     are taken all together where the load series are predicted far better with them than with the selected ones.
+    `significance`: probability of a spurious term in any of the outputs.
     """
     w = np.ones(len(X)) if weight is None else weight
     Xc, Yc = (subtract_block_means(values, block, w) for values in (X, Y))
@@ -65,8 +66,8 @@ def select_terms(
     channel_terms = []
     for c in range(Y.shape[1]):
         normal = TermNormalEquations(G, g[:, c], float(Yc[:, c] @ Yc[:, c]), rows_less_zeros)
-        selected = _search_stepwise(normal, linear_count, TERM_SIGNIFICANCE_LEVEL / tests, pairs)
-        rows = _ChannelRows(X, Y[:, c], block, load_series, linear_count, w)
+        selected = _search_stepwise(normal, linear_count, significance / tests, pairs)
+        rows = _ChannelRows(X, Y[:, c], block, load_series, linear_count, w, significance)
         selected = _drop_terms_of_few_rows(_limit_inflation(normal, selected, linear_count), rows)
         channel_terms.append(_best_predictor(_cross_validate(selected, rows), rows, normal, family))
     return channel_terms
@@ -85,6 +86,7 @@ class _ChannelRows:
     load_series: Index
     linear_count: int
     weight: Array
+    significance: float = TERM_SIGNIFICANCE_LEVEL
     known_errors: dict[tuple[int, ...], float] = field(default_factory=dict)
 
     def fit(self, selected: Sequence[int]) -> LeastSquares:
@@ -135,7 +137,7 @@ def _best_predictor(
         without = rows.prediction_error(linear)
         selected, error = (linear, without) if without < error else (selected, error)
     whole = tuple(sorted({*linear, *family}))
-    if not family or _family_p_value(normal, selected, whole, linear) > TERM_SIGNIFICANCE_LEVEL:
+    if not family or _family_p_value(normal, selected, whole, linear) > rows.significance:
         return selected
     if normal.rows_less_zeros < ROWS_PER_FAMILY_COLUMN * len(whole):
         return selected

@@ -15,6 +15,7 @@ from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, 
 from balance_cli.calibration.gross_outliers import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.math_model import student_widening
 from balance_cli.calibration.robust_scale import robust_sigma
+from balance_cli.calibration.term_choice import LINEAR_TERMS, TermChoice
 from balance_cli.calibration.terms import term_values
 from balance_cli.signals import distributions as stats
 
@@ -58,25 +59,25 @@ class SuspectLoadSeries:
 
 
 def exclude_suspect_series(
-    points: CalibrationPoints, search: bool
+    points: CalibrationPoints, choice: TermChoice
 ) -> tuple[CalibrationPoints, CalibrationModelFit, tuple[SuspectLoadSeries, ...], tuple[str, ...]]:
     """Exclude load series until the rest agree; returns the remaining points, their fit, the series and notes."""
     suspect_series: list[SuspectLoadSeries] = []
-    included, fit, worst = points, *_fit_and_find_worst(points, search)
+    included, fit, worst = points, *_fit_and_find_worst(points, choice)
     while worst is not None and len({suspect.load_series for suspect in suspect_series}) < MAX_SUSPECT_SERIES:
         rows, suspect_channels = worst
         suspect_series += suspect_channels
         included = included.exclude_rows(rows)
-        fit, worst = _fit_and_find_worst(included, search)
+        fit, worst = _fit_and_find_worst(included, choice)
     notes = () if worst is None else (f"{MAX_SUSPECT_SERIES} load series were excluded, and more disagree",)
     return included, fit, tuple(suspect_series), notes
 
 
 def _fit_and_find_worst(
-    points: CalibrationPoints, search: bool
+    points: CalibrationPoints, choice: TermChoice
 ) -> tuple[CalibrationModelFit, tuple[NDArray[np.bool_], list[SuspectLoadSeries]] | None]:
-    fit = fit_calibration_model(points, search)
-    return fit, _worst_series(points, fit, fit_calibration_model(points, search=False) if search else fit)
+    fit = fit_calibration_model(points, choice)
+    return fit, _worst_series(points, fit, fit if choice.is_linear else fit_calibration_model(points, LINEAR_TERMS))
 
 
 def _worst_series(
@@ -127,7 +128,7 @@ def _series_names(names: Index, fit: CalibrationModelFit) -> list[tuple[int, str
 
 def _cross_validation_misfit(points: CalibrationPoints, rows: NDArray[np.bool_]) -> float:
     """Mean square cross-validation error without these rows (m,), in units of the noise, large errors clipped."""
-    errors = fit_calibration_model(points.exclude_rows(rows), search=False).cross_validation_errors
+    errors = fit_calibration_model(points.exclude_rows(rows), LINEAR_TERMS).cross_validation_errors
     scaled = (errors / robust_sigma(errors)) ** 2
     return float(np.mean(np.minimum(scaled[np.isfinite(scaled)], MAX_SCALED_SQUARE)))
 
@@ -202,7 +203,7 @@ def find_swapped_channels(points: CalibrationPoints, expected: Array) -> tuple[s
     `expected` (c, k) [V]: declared response to loads of the calibrated range. In a swapped pair both channels of the
     linear fit resemble the declared sensitivities of the other channel far more than their own.
     """
-    C = fit_calibration_model(points, search=False).model.coefficients[: len(points.components)].T
+    C = fit_calibration_model(points, LINEAR_TERMS).model.coefficients[: len(points.components)].T
     cosine = _unit_rows(C) @ _unit_rows(expected).T
     pairs = []
     for i in range(len(C)):

@@ -23,6 +23,7 @@ from scipy import linalg
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints
 from balance_cli.calibration.outliers import ScreenedFit, screen_outliers
+from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.campaign.rig.attitude import ATTITUDE_TOLERANCE
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.signals import distributions as stats
@@ -110,19 +111,19 @@ def weight_loads(gravity: Array, components: tuple[str, ...] = COMPONENTS) -> Ar
 
 
 def screen_outliers_with_tares(
-    points: CalibrationPoints, search: bool = True
+    points: CalibrationPoints, choice: TermChoice = SEARCHED
 ) -> tuple[CalibrationPoints, ScreenedFit, Tares | None]:
     """Screen outliers with the weight of the metric part added to the applied loads.
 
     Returns the points with these loads, their screened fit, and the tares; the given points and None where the
     attitudes do not determine the weight.
     """
-    screened = screen_outliers(points, search)
+    screened = screen_outliers(points, choice)
     tares, total = estimate_tares(points, screened.fit), points
     for _ in range(TARE_ITERATIONS if tares is not None else 0):
         assert tares is not None
         total = add_weight_loads(points, tares)
-        screened = screen_outliers(total, search)
+        screened = screen_outliers(total, choice)
         updated = estimate_tares(total, screened.fit, tares.w)
         if updated is None:
             break

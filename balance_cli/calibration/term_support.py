@@ -29,11 +29,13 @@ class TermSupport:
     unsupported: dict[Term, str]
 
 
-def find_supported_terms(terms: Sequence[Term], x: Array, block: Index, loads: Sequence[str]) -> TermSupport:
+def find_supported_terms(
+    terms: Sequence[Term], x: Array, block: Index, loads: Sequence[str], jointly: bool = False
+) -> TermSupport:
     """Find the terms that loads x (m, n) support, in units of the calibrated range, with a zero for each block (m,).
 
     A term is not supported where the zeros and the loads themselves explain it, or where it is collinear with an
-    earlier term in this schedule.
+    earlier term in this schedule; `jointly`, where the earlier terms together explain it.
     """
     basis = _orthonormal_basis(subtract_block_means(term_values(linear_terms(x.shape[1]), x), block))
     values = term_values(terms, x)
@@ -56,7 +58,26 @@ def find_supported_terms(terms: Sequence[Term], x: Array, block: Index, loads: S
                 unsupported[term] = f"does what {terms[int(np.argmax(earlier))].name(loads)} does in these loads"
                 continue
         is_supported[number] = True
+    if jointly:
+        _drop_jointly_dependent(terms, columns, is_supported, unsupported)
     return TermSupport(tuple(compress(terms, is_supported)), unsupported)
+
+
+def _drop_jointly_dependent(
+    terms: Sequence[Term], columns: Array, is_supported: NDArray[np.bool_], unsupported: dict[Term, str]
+) -> None:
+    """Mark the terms whose columns (m, p) the earlier ones explain: a search would not add them, a list does."""
+    basis = np.zeros((len(columns), 0))
+    for number in np.flatnonzero(is_supported).tolist():
+        left = columns[:, number]
+        for _ in range(2):  # twice is enough against rounding (Kahan and Parlett)
+            left = left - basis @ (basis.T @ left)
+        size = np.linalg.norm(left)
+        if not terms[number].linear and size <= MIN_INDEPENDENT_SHARE * np.linalg.norm(columns[:, number]):
+            is_supported[number] = False
+            unsupported[terms[number]] = "the other terms together explain it in this schedule"
+        elif size > 0:
+            basis = np.column_stack([basis, left / size])
 
 
 def _orthonormal_basis(values: Array) -> Array:

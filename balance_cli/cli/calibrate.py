@@ -19,6 +19,7 @@ from balance_cli.cli.common import (
 )
 from balance_cli.cli.options import InputFile, OutputFile, deprecated_option, hold_out_option
 from balance_cli.cli.static_runs import moment_center_option, open_static_runs, table_reading, units_option
+from balance_cli.cli.term_options import significance_option, term_choice, terms_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import CALIBRATION_FORMAT
 
@@ -28,16 +29,18 @@ if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
 
 
+WITHOUT_MODEL = (
+    "no calibration model of all trims: within the load series, or by the channels that all trims have, the loads are "
+    "not told apart; C0 and T0 are linear, and --terms has no effect"
+)
+"""Warning where a calibration has the matrices of its trims alone."""
+
+
 @balance_command("calibrate")
 @geometry_option
 @click.argument("runs", type=InputFile(), nargs=-1, metavar="RUN...")
-@click.option(
-    "--terms",
-    type=click.Choice(["search", "linear"]),
-    default="search",
-    show_default=True,
-    help="Terms of the model of all trims: those that a search selects for each channel, or the loads alone.",
-)
+@terms_option
+@significance_option
 @click.option(
     "--non-iterative",
     "direct",
@@ -126,6 +129,7 @@ class _Choices:
     """The options of a call beside its inputs and output; `direct`: the non-iterative model is fitted too."""
 
     terms: str
+    significance: float | None
     direct: bool
     hold_out: tuple[Path, ...]
     matrix: Path | None
@@ -156,7 +160,7 @@ def _warn(session: Session, result: Calibration) -> None:
     for trim in result.trims.values():
         for name, reason in trim.excluded_channels.items():
             session.warn(f"trim {trim.trim}: channel {name} left out: {reason}")
-    for warning in math_model_warnings(result.all_trims) if result.all_trims else ():
+    for warning in math_model_warnings(result.all_trims) if result.all_trims else (WITHOUT_MODEL,):
         session.warn(warning)
 
 
@@ -168,8 +172,9 @@ def _check_options(runs: tuple[Path, ...], choices: _Choices) -> None:
     if from_matrix is not None and runs:
         fault = "the calibration comes from runs or from a matrix, not from both"
         raise UserError(fault, "RUN..., --from-matrix", remedy="Give one of them; --hold-out RUN checks a matrix")
-    if from_matrix is not None and choices.terms != "search":
-        raise UserError("a matrix has its own terms", "--terms, --from-matrix", remedy="Leave --terms out")
+    if from_matrix is not None and (choices.terms != "search" or choices.significance is not None):
+        option = "--terms" if choices.significance is None else "--significance"
+        raise UserError("a matrix has its own terms", f"{option}, --from-matrix", remedy=f"Leave {option} out")
     if from_matrix is not None and choices.direct:
         fault = "a matrix has no rows to fit"
         raise UserError(fault, "--non-iterative, --from-matrix", remedy="Leave --non-iterative out")
@@ -189,7 +194,8 @@ def _calibrate_from_runs(
         if run.kind != "static":
             session.report_left_out(run.name, f"a {run.kind} run; only static runs are used")
     checks = _select_static_hold_out(session, hold_out)
-    return calibrate(runs, rig, choices.terms == "search", checks, choices.direct)
+    choice = term_choice(session, choices.terms, choices.significance, rig)
+    return calibrate(runs, rig, choice, checks, choices.direct)
 
 
 def _select_static_hold_out(session: Session, hold_out_runs: Sequence[Run]) -> list[Run]:

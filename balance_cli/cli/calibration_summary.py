@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from balance_cli.calibration.result import Calibration, TrimCalibration
     from balance_cli.calibration.suspect_series import SuspectLoadSeries
     from balance_cli.calibration.tares import Tares
+    from balance_cli.calibration.term_choice import TermChoice
 
 FORMER_KEYS = {
     "calibrated_range": "full_range",
@@ -102,6 +103,7 @@ def math_model_summary(all_trims: AllTrimsCalibration) -> dict[str, Any]:
         },
         "calibrated_range": dict(zip(model.components, model.calibrated_range, strict=True)),
         "unsupported_terms": model.unsupported_terms,
+        "term_choice": _term_choice_summary(all_trims.term_choice),
         "residual": dict(zip(channels, np.sqrt(np.diag(model.residual_covariance)), strict=True)),
         "press": dict(zip(channels, model.press, strict=True)),
         "cross_validation": dict(zip(channels, model.cross_validation_rms, strict=True)),
@@ -127,6 +129,14 @@ def math_model_summary(all_trims: AllTrimsCalibration) -> dict[str, Any]:
             for check in all_trims.checks
         },
     }
+
+
+def _term_choice_summary(choice: TermChoice | None) -> dict[str, Any] | None:
+    """Which terms the model could have; None where the artefact is older, or a matrix states its terms."""
+    if choice is None:
+        return None
+    significance = choice.significance if choice.is_search else None
+    return {"kind": choice.kind, "significance": significance, "all": choice.listed, "by_channel": choice.by_channel}
 
 
 def nonlinear_terms_summary(all_trims: AllTrimsCalibration, channel: int) -> dict[str, Mapping[str, float]]:

@@ -36,8 +36,21 @@ def math_model_warnings(all_trims: AllTrimsCalibration) -> Iterator[str]:
     for pair in all_trims.swapped_channels:
         yield f"{pair} read each other's loads in all runs: their cables seem to be swapped"
     yield from all_trims.screening_notes
+    yield from _missing_terms(all_trims)
     if not all_trims.model.contraction().proved:
         yield "the load iteration is not proved to converge over the calibrated range; reduce refuses this model"
+
+
+def _missing_terms(all_trims: AllTrimsCalibration) -> Iterator[str]:
+    """What was asked for by `--terms` and is not in the model."""
+    choice, unsupported = all_trims.term_choice, all_trims.model.unsupported_terms
+    if choice is None or choice.is_search:
+        return
+    reasons: dict[str, list[str]] = {}
+    for name, reason in unsupported.items():
+        reasons.setdefault(reason, []).append(name)
+    for reason, names in reasons.items():
+        yield f"--terms: {', '.join(f'`{name}`' for name in names)} not fitted: {reason}"
 
 
 def outlier_text(outlier: Outlier) -> str:

@@ -12,9 +12,9 @@ from balance_cli.calibration.convergence import Contraction
 from balance_cli.calibration.noniterative import NonIterativeModel
 from balance_cli.calibration.outliers import Outlier
 from balance_cli.calibration.result import Calibration
-from balance_cli.calibration.selection import TERM_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.suspect_series import SuspectLoadSeries
 from balance_cli.calibration.tares import Tares
+from balance_cli.calibration.term_choice import LISTED, QUADRATIC, TERM_SIGNIFICANCE_LEVEL
 from balance_cli.campaign.rig.load_components import component_units
 from balance_cli.report.blocks import Details, Heading, PageBlock, Paragraph, Picture, WarningText
 from balance_cli.report.diagnosis_tables import PLUS_MINUS
@@ -41,6 +41,12 @@ MATRIX_ONLY_TEXT = (
     "Calibration model of all channels, read from a matrix: load points and errors of its coefficients are not known."
 )
 LINEAR_TERMS_TEXT = "All channels have linear terms only; no others were searched for."
+FIXED_TERMS_TEXT = {
+    QUADRATIC: "All channels have all squares and products of the loads that the schedule supports; no others were "
+    "searched for.",
+    LISTED: "The channels have the terms that were listed, as far as the schedule supports them; no others were "
+    "searched for.",
+}
 
 
 def math_model_blocks(source: Source[Calibration], named: bool, suffix: str) -> Iterator[PageBlock]:
@@ -92,13 +98,16 @@ def _overview_text(all_trims: AllTrimsCalibration, with_search: bool) -> str:
 
 
 def _selection_text(all_trims: AllTrimsCalibration) -> str:
-    names = all_trims.model.channel_names
+    names, choice = all_trims.model.channel_names, all_trims.term_choice
+    level = TERM_SIGNIFICANCE_LEVEL if choice is None else choice.significance
+    if choice is not None and choice.kind in FIXED_TERMS_TEXT:
+        return FIXED_TERMS_TEXT[choice.kind]
     nonlinear = [name for c, name in enumerate(names) if nonlinear_terms(all_trims, c)]
     verb = "have" if len(nonlinear) > 1 else "has"
     result = f"{join_names(nonlinear)} {verb} such terms" if nonlinear else "no channel has such terms"
     return (
         "Beside the linear terms a channel has those nonlinear terms that are significant (probability of any spurious "
-        f"term in the balance {TERM_SIGNIFICANCE_LEVEL:g}) and that reduce the cross-validation error of the load "
+        f"term in the balance {level:g}) and that reduce the cross-validation error of the load "
         f"series: {result}."
     )
 

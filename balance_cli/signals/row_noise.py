@@ -94,8 +94,9 @@ def _em_step(
 
 def _difference_covariances(sigma: Array, load_variance: Array, columns: Array, row_power: Array) -> Array:
     """Covariance (t, c, c) of each difference: noise of the channels, and that of the loads through their columns."""
-    covariance = row_power[:, None, None] * sigma + (columns * load_variance[:, None, :]) @ columns.T
-    covariance[:, *np.diag_indices(len(sigma))] *= 1.0 + OWN_VARIANCE_SHARE
+    covariance: Array = row_power[:, None, None] * sigma + np.matmul(columns * load_variance[:, None, :], columns.T)
+    own = np.arange(len(sigma))
+    covariance[:, own, own] *= 1.0 + OWN_VARIANCE_SHARE
     return np.asarray(covariance, float)
 
 

@@ -24,6 +24,7 @@ from balance_cli.calibration.static_matrices import (
     standard_errors,
     zeros_differ,
 )
+from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import attitude_segments
 from balance_cli.campaign.rig.geometry import Geometry
@@ -48,16 +49,16 @@ MIN_NULL_SHARE = 0.1
 def calibrate(
     runs: Iterable[Run],
     geometry: Geometry,
-    search: bool = True,
+    choice: TermChoice = SEARCHED,
     hold_out: Sequence[Run] = (),
     non_iterative: bool = False,
 ) -> Calibration:
     """Calibrate from the static runs among `runs`: C0 and T0 for each trim, and one model of all trims.
 
-    The model has the loads alone, or with `search` the terms selected for each channel. The static runs of `hold_out`
-    are not fitted, but check the model. With `non_iterative` the loads are also fitted as functions of the readings.
-    Matrices and model use the same rows: those that the model calls outliers enter neither. The calibrated range of a
-    component is the largest load applied to it in these rows.
+    `choice`: the terms of the model, by default those that a search selects for each channel. The static runs of
+    `hold_out` are not fitted, but check the model. With `non_iterative` the loads are also fitted as functions of the
+    readings. Matrices and model use the same rows: those that the model calls outliers enter neither. The calibrated
+    range of a component is the largest load applied to it in these rows.
 
     Raises UserError where there is no static run, a run has no loads, a trim does not load a component that the balance
     carries, or the usable channels do not determine the loads.
@@ -73,7 +74,7 @@ def calibrate(
     tasks = trim_tasks(load_point_rows(static), geometry, components)
     for task in tasks.values():
         _check_task(task)
-    all_trims = fit_all_trims(rows_of_tasks(static, tasks), geometry, hold_out, search, non_iterative)
+    all_trims = fit_all_trims(rows_of_tasks(static, tasks), geometry, hold_out, choice, non_iterative)
     trims, notes = {}, []
     for label, task in fitted_tasks(static, tasks, all_trims).items():
         try:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.calibration.all_trims import AllTrimsCalibration, calibrate_all_trims, read_load_points
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import CollinearError
+from balance_cli.calibration.term_choice import TermChoice
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.geometry import Geometry
@@ -41,7 +42,7 @@ def fit_all_trims(
     members: AllTrimRows,
     geometry: Geometry,
     hold_out: Sequence[Run],
-    search: bool,
+    choice: TermChoice,
     non_iterative: bool = False,
 ) -> AllTrimsCalibration | None:
     """Fit one calibration model to the runs of all trims.
@@ -62,7 +63,7 @@ def fit_all_trims(
     try:
         declared, by_run = _declared_response(geometry, points), _gravity_by_run(hold_out)
         check_points = np.concatenate([rows.is_check for rows in members.rows])
-        return calibrate_all_trims(points, checks, search, declared, non_iterative, by_run, check_points)
+        return calibrate_all_trims(points, checks, choice, declared, non_iterative, by_run, check_points)
     except CollinearError:
         return None
 

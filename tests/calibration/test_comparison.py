@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.comparison import compare_calibrations
+from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.cli.comparison_summary import comparison_summary, comparison_text
 from balance_cli.io.errors import UserError
@@ -19,7 +20,7 @@ def calibrated(seed: int, gain: float = 1.0):
     made = run(rig, seed=seed)
     block = made.read()
     source = MemorySource(block.channels * [gain, 1.0, 1.0], block.loads)
-    return calibrate([replace(made, source=source)], rig, search=False)
+    return calibrate([replace(made, source=source)], rig, choice=LINEAR_TERMS)
 
 
 def test_an_unchanged_balance_has_not_changed() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.load_residuals import LINEAR, NON_ITERATIVE, load_residuals
+from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.rig.geometry_file import geometry_from_dict
 from balance_cli.cli.calibration_summary import calibration_summary
@@ -43,7 +44,7 @@ def run(rig, seed=1, noise=1e-6, name="cal") -> Run:
 @pytest.fixture(scope="module")
 def calibration():
     rig = geometry(rated_loads={"N1": 400.0, "A": 100.0})
-    return calibrate([run(rig)], rig, search=False, hold_out=[run(rig, seed=2, name="again")])
+    return calibrate([run(rig)], rig, choice=LINEAR_TERMS, hold_out=[run(rig, seed=2, name="again")])
 
 
 def test_they_are_the_noise_of_the_readings_as_loads(calibration) -> None:
@@ -91,7 +92,7 @@ def test_the_page_opens_with_them(calibration) -> None:
 
 def test_the_non_iterative_method_is_named_where_it_is_used() -> None:
     rig = geometry()
-    made = calibrate([run(rig)], rig, search=False, non_iterative=True)
+    made = calibrate([run(rig)], rig, choice=LINEAR_TERMS, non_iterative=True)
     assert load_residuals(made).method == NON_ITERATIVE
 
 

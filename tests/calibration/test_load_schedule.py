@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.calibration.load_schedule import review_load_schedule
+from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.report.blocks import BulletList
 from balance_cli.report.load_schedule import load_schedule_blocks
 from balance_cli.steps.calibrate import calibrate
@@ -15,7 +16,7 @@ from tests.calibration.test_load_residuals import FULL, geometry, run
 @pytest.fixture(scope="module")
 def calibration():
     """Nine points of each of three loads, one load at a time."""
-    return calibrate([run(geometry())], geometry(), search=False)
+    return calibrate([run(geometry())], geometry(), choice=LINEAR_TERMS)
 
 
 def test_counts_of_one_load_at_a_time(calibration) -> None:

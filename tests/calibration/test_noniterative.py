@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from balance_cli.calibration.fit import fit_calibration_model
 from balance_cli.calibration.noniterative import fit_noniterative_model
+from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.cli import balance
@@ -40,7 +41,7 @@ def check_errors(noise):
 
 def test_it_is_about_as_good_as_the_iteration_and_far_better_than_a_straight_matrix():
     iterated, non_iterative = check_errors(NOISE)
-    math_model = fit_calibration_model(stand_points(), search=False).model
+    math_model = fit_calibration_model(stand_points(), choice=LINEAR_TERMS).model
     rng = np.random.default_rng(3)
     applied = rng.uniform(-0.6, 0.6, (300, 6)) * FULL_RANGE
     read = fit_calibration_model(stand_points(noise=1e-9)).model.readings(applied)
@@ -51,7 +52,7 @@ def test_it_is_about_as_good_as_the_iteration_and_far_better_than_a_straight_mat
 
 def test_of_a_straight_balance_it_is_the_straight_inverse():
     points = stand_points()
-    straight = fit_calibration_model(points, search=False).model
+    straight = fit_calibration_model(points, choice=LINEAR_TERMS).model
     points = replace(points, channels=straight.readings(points.loads))
     math_model, non_iterative = fitted(points)
     assert not math_model.is_nonlinear and not non_iterative.model.is_nonlinear

@@ -9,6 +9,7 @@ from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import fit_calibration_model
 from balance_cli.calibration.outliers import screen_outliers
 from balance_cli.calibration.suspect_series import _find_suspect_series, find_swapped_channels
+from balance_cli.calibration.term_choice import LINEAR_TERMS, SEARCHED
 from balance_cli.calibration.terms import term_values
 from balance_cli.campaign.rig.components import COMPONENTS
 from tests.support.calibration_stand import CHANNELS, NOISE, NONLINEAR_TERMS, stand_points, true_model
@@ -37,14 +38,14 @@ def test_nothing_in_a_sound_calibration(seed, search):
     if not search:
         terms, b = true_model()
         points = replace(points, channels=points.channels - term_values(terms, points.x)[:, 6:] @ b[6:])
-    found = screen_outliers(points, search)
+    found = screen_outliers(points, SEARCHED if search else LINEAR_TERMS)
     assert found.outliers == () and found.suspect_series == ()
 
 
 def test_curved_terms_are_no_fault_of_the_sequences_they_show_in():
     """By the loads alone many sequences are off; the terms explain them."""
     points = stand_points()
-    straight = fit_calibration_model(points, search=False)
+    straight = fit_calibration_model(points, choice=LINEAR_TERMS)
     assert any(_find_suspect_series(points, straight).values())
     assert screen_outliers(points).suspect_series == ()
 
@@ -89,7 +90,7 @@ def test_two_channels_swapped_in_one_load_series():
 
 def test_two_channels_swapped_in_all_runs():
     points = stand_points()
-    expected = fit_calibration_model(points, search=False).model.coefficients[:6].T
+    expected = fit_calibration_model(points, choice=LINEAR_TERMS).model.coefficients[:6].T
     assert find_swapped_channels(points, expected) == ()
     swapped = replace(points, channels=points.channels[:, [0, 4, 2, 3, 1, 5, 6, 7]])
     assert find_swapped_channels(swapped, expected) == ("g2 and g5",)

@@ -10,6 +10,7 @@ from balance_cli.calibration.few_rows import least_p_value_without_two_rows
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import solve_least_squares
 from balance_cli.calibration.repeated_rows import merge_repeated_rows
+from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.rig.components import COMPONENTS
 
 NOISE, SHIFT = 2e-4, 5e-3
@@ -39,7 +40,7 @@ def recorded(x, series, seed=0, change=lambda x, channels: None):
 @pytest.mark.parametrize("seed", range(3))
 def test_the_readings_tell_where_the_tare_points_stand(first, last, seed):
     C, points = recorded(*(rows := schedule(first, last)), seed)
-    whole = calibrate_all_trims(points, search=False)
+    whole = calibrate_all_trims(points, choice=LINEAR_TERMS)
     np.testing.assert_array_equal(whole.load_series, rows[1])
     np.testing.assert_allclose(whole.model.coefficients.T, C, atol=6 * NOISE)
     assert whole.outliers == ()
@@ -133,7 +134,7 @@ def test_an_exchange_that_makes_neighbors_equal_is_no_repetition():
     x, series = schedule(1, 0)
     _, points = recorded(x, series, 2, exchange)
     assert np.array_equal(points.loads[23], points.loads[24])
-    outliers = calibrate_all_trims(points, search=False).outliers
+    outliers = calibrate_all_trims(points, choice=LINEAR_TERMS).outliers
     assert {(outlier.row, outlier.exchanged_with) for outlier in outliers} == {(24, 27), (27, 24)}
 
 
@@ -164,6 +165,6 @@ def with_small_shares(seed):
 @pytest.mark.parametrize("seed", range(12))
 def test_a_series_that_the_others_hardly_predict_is_not_excluded(seed):
     _, points = with_small_shares(seed)
-    whole = calibrate_all_trims(points, search=True)
+    whole = calibrate_all_trims(points)
     assert whole.suspect_series == () and whole.outliers == ()
     assert set(whole.model.terms[6:]) == set(), "a family of terms that is not significant"

@@ -9,6 +9,7 @@ from balance_cli.calibration.least_squares import solve_least_squares, subtract_
 from balance_cli.calibration.load_series import describe_load_series, find_load_series
 from balance_cli.calibration.normal_equations import TermNormalEquations
 from balance_cli.calibration.selection import select_terms
+from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.calibration.term_support import find_supported_terms
 from balance_cli.calibration.terms import all_terms, term_from_name, term_values
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -148,8 +149,7 @@ def test_spurious_terms_are_as_rare_as_the_level_says(monkeypatch):
     for rule in ("_cross_validate", "_drop_terms_of_few_rows", "_best_predictor"):
         monkeypatch.setattr(selection, rule, lambda found, *_: tuple(found))
     strict = sum(len(one) > 6 for one in select_terms(X, Y, sequence, sequence, 6))
-    monkeypatch.setattr(selection, "TERM_SIGNIFICANCE_LEVEL", 40.0)
-    loose = sum(len(one) > 6 for one in select_terms(X, Y, sequence, sequence, 6))
+    loose = sum(len(one) > 6 for one in select_terms(X, Y, sequence, sequence, 6, significance=40.0))
     # Expected 0.01 and, by the bound of Bonferroni for terms that are alike in part, 20 to 40.
     assert strict == 0 and 10 <= loose <= 45
 
@@ -174,7 +174,7 @@ def test_fit_finds_the_terms_of_every_channel():
         for name, value in NONLINEAR_TERMS.get(channel, {}).items():
             row, c = model.terms.index(name), CHANNELS.index(channel)
             assert abs(model.coefficients[row, c] - value) < 5.0 * np.sqrt(model.covariance[c, row, row])
-    assert fit_calibration_model(stand_points(), search=False).model.terms == COMPONENTS
+    assert fit_calibration_model(stand_points(), choice=LINEAR_TERMS).model.terms == COMPONENTS
 
 
 def test_loads_that_change_at_once_are_one_load_series():

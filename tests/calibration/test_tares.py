@@ -13,6 +13,7 @@ from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.outliers import screen_outliers
 from balance_cli.calibration.tares import screen_outliers_with_tares, weight_loads
+from balance_cli.calibration.term_choice import LINEAR_TERMS, SEARCHED
 from balance_cli.calibration.terms import term_values
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.recording.run_file import open_run, read_run, write_run
@@ -100,7 +101,10 @@ def test_an_attitude_begins_a_segment_and_a_load_series():
 @pytest.mark.parametrize("curved", [False, True])
 def test_weight_centre_and_natural_zeros_come_out_with_honest_errors(curved):
     each = np.array(
-        [off(screen_outliers_with_tares(tilted_stand(seed, curved), search=curved)[2]) for seed in range(20)]
+        [
+            off(screen_outliers_with_tares(tilted_stand(seed, curved), SEARCHED if curved else LINEAR_TERMS)[2])
+            for seed in range(20)
+        ]
     )
     assert np.mean(np.abs(each) < 3) > 0.98 and np.max(np.abs(each)) < 4.5
     assert 0.8 < np.sqrt(np.mean(each[:, :4] ** 2)) < 1.25
@@ -127,7 +131,7 @@ def test_the_model_is_that_of_all_loads():
 
 
 def test_zeros_that_jump_widen_the_errors():
-    found = [screen_outliers_with_tares(tilted_stand(seed, False, jumps=1e-3), search=False)[2] for seed in range(20)]
+    found = [screen_outliers_with_tares(tilted_stand(seed, False, jumps=1e-3), LINEAR_TERMS)[2] for seed in range(20)]
     assert min(tares.chi2_per_dof for tares in found) > 5
     assert 0.7 < np.sqrt(np.mean([off(tares)[:4] ** 2 for tares in found])) < 1.4
 
@@ -151,9 +155,9 @@ def test_a_check_in_another_attitude_is_found_less_its_weight():
 )
 def test_too_few_attitudes_tell_nothing(attitudes):
     points = tilted_stand(0, False, attitudes)
-    total, found, tares = screen_outliers_with_tares(points, search=False)
+    total, found, tares = screen_outliers_with_tares(points, LINEAR_TERMS)
     assert tares is None and total is points
-    plain = screen_outliers(replace(points, gravity=None), search=False)
+    plain = screen_outliers(replace(points, gravity=None), LINEAR_TERMS)
     assert np.array_equal(found.fit.model.coefficients, plain.fit.model.coefficients)
 
 
@@ -166,7 +170,7 @@ def test_an_attitude_that_creeps_within_a_sequence_tells_no_zero():
     tilt[rows, 1] = SIX[1, 1] + np.linspace(0, 1.0, len(rows))
     crept = replace(points, gravity=gravity_directions(tilt))
     assert np.array_equal(crept.load_series, sequence)
-    tares = screen_outliers_with_tares(crept, search=False)[2]
+    tares = screen_outliers_with_tares(crept, LINEAR_TERMS)[2]
     assert tares.series_count == sequence[-1] and abs(tares.weight - W) < 4 * tares.weight_sigma
 
 
@@ -176,7 +180,7 @@ def test_what_took_no_part_in_the_fit_tells_no_zero():
     channels = points.channels.copy()
     channels[sequence == 5, 2] *= 1.5
     channels[np.flatnonzero(sequence == 9)[4], 1] += 0.008
-    all_trims = calibrate_all_trims(replace(points, channels=channels), search=False)
+    all_trims = calibrate_all_trims(replace(points, channels=channels), choice=LINEAR_TERMS)
     assert len(all_trims.suspect_series) == 1 and len(all_trims.outliers) == 1
     assert all_trims.tares.series_count == sequence[-1] and np.all(np.abs(off(all_trims.tares)) < 4)
 
@@ -206,7 +210,9 @@ def test_a_run_without_attitude_is_named():
     points = tilted_stand(0, False)
     run = (points.load_series > 30).astype(int)
     gravity = np.where(run[:, None] == 1, np.nan, points.gravity)
-    all_trims = calibrate_all_trims(replace(points, run=run, run_names=("a", "b"), gravity=gravity), search=False)
+    all_trims = calibrate_all_trims(
+        replace(points, run=run, run_names=("a", "b"), gravity=gravity), choice=LINEAR_TERMS
+    )
     assert (
         all_trims.tares is None
         and len(all_trims.screening_notes) == 1
@@ -302,7 +308,7 @@ def test_calibrate_tells_the_weight(tmp_path):
 
 
 def test_the_page_tells_the_weight():
-    calibration = calibrate([tilted_runs()], rotor_balance(), search=False)
+    calibration = calibrate([tilted_runs()], rotor_balance(), LINEAR_TERMS)
     made = section(group_sources([(Path("c.h5"), artefact("balance-calibration/1", calibration, "1" * 64))]))
     assert "Metric part, from the zeros of" in texts(made, "text")
     table = next(one for one in tables(made) if "Natural zeros" in one.caption)

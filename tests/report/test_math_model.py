@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.report import math_model_figures
@@ -305,7 +306,7 @@ def test_a_line_is_drawn_only_where_more_than_chance_is_left():
 
 
 def test_lines_appear_where_the_loads_alone_do_not_do():
-    straight = calibrate([curved(static("bare")), curved(static("trim"))], rotor_balance(), search=False)
+    straight = calibrate([curved(static("bare")), curved(static("trim"))], rotor_balance(), choice=LINEAR_TERMS)
     figure = load_figure(
         straight.all_trims, split_load_series(straight.all_trims), channel_ranges(straight, straight.all_trims)
     )
