@@ -7,7 +7,9 @@ line, divided by the load that drove it, is the error of the model's response th
 
 Around each frequency the mean of R_j R_j* over the lines less that of the noise estimates the covariance E_j(f) of the
 error. In hub loads the errors of all channels act together, so the leading directions of E_j are kept, not a standard
-deviation for each channel. Where a model describes its data to within their noise, E is zero.
+deviation for each channel. A model that misses its data somewhere may miss them elsewhere by less than their noise:
+what a few lines exceed their expected noise by counts in full, so that E is an upper value where noise dominates. A
+model that describes all of its data to within their noise has no E; `identify` does not ask for it.
 """
 
 from __future__ import annotations
@@ -34,8 +36,6 @@ FEWEST_LINES = 4
 """Lines of a band below which it takes in those of its neighbors."""
 RANK = 3
 """Directions of E that are kept: one for a wrong mode, and two for what else is wrong near it."""
-NOISE_MARGIN = 1.5
-"""Factor on the largest eigenvalue that noise alone gives, from which a direction counts as model error."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def response_error_of_residuals(
 ) -> ResponseError | None:
     """Return the error of the rows of a response from the residuals of runs, each with the index of its load.
 
-    None where there is no error beyond the noise.
+    None where no band exceeds its noise.
     """
     applied = sorted({component for component, _ in parts})
     if not applied:
@@ -113,26 +113,24 @@ def _join(parts: Sequence[Residuals]) -> Residuals:
 
 
 def _band_factor(part: Residuals, center: float) -> ComplexArray:
-    """Return the leading directions (c, r) of the error in the band about a frequency; zero where it is all noise."""
+    """Return the leading directions (c, r) of the error in the band about a frequency."""
     distance = np.abs(np.log(part.frequency / center))
     inside = distance <= max(0.5 * np.log(BAND_RATIO), float(np.sort(distance)[min(FEWEST_LINES, len(distance)) - 1]))
     response, variance = part.response[inside], part.variance[inside]
     lines = np.maximum((variance > 0).sum(axis=0), 1)
     sigma = np.sqrt(variance.sum(axis=0) / lines)
-    directions = _significant_directions(response / np.where(sigma > 0, sigma, np.inf), lines)
+    directions = _directions_beyond_noise(response / np.where(sigma > 0, sigma, np.inf), lines)
     return np.asarray(directions * sigma[:, None])
 
 
-def _significant_directions(whitened: ComplexArray, lines: Array) -> ComplexArray:
-    """Return the directions (c, r) in which lines (k, c) in units of their noise exceed it, and by how much.
+def _directions_beyond_noise(whitened: ComplexArray, lines: Array) -> ComplexArray:
+    """Return the directions (c, r) in which lines (k, c) in units of their noise exceed its mean, and by how much.
 
-    The eigenvalues of the covariance of noise alone reach (1 + sqrt(c / k))^2 (Marchenko and Pastur, 1967). Those
-    above, less the one of the noise itself, are kept.
+    The eigenvalues of noise alone reach (1 + sqrt(c / k))^2 (Marchenko and Pastur, 1967). To count from there would
+    leave out errors as large as the noise of a line, which hub loads then have without any sigma.
     """
     values, vectors = np.linalg.eigh(whitened.T @ whitened.conj() / np.sqrt(np.outer(lines, lines)))
-    channels = int(np.any(whitened, axis=0).sum())
-    limit = NOISE_MARGIN * (1.0 + np.sqrt(channels / len(whitened))) ** 2
-    size = np.sqrt(np.where(values > limit, values - 1.0, 0.0))[::-1][:RANK]
+    size = np.sqrt(np.maximum(values - 1.0, 0.0))[::-1][:RANK]
     directions = np.zeros((whitened.shape[1], RANK), complex)
     directions[:, : len(size)] = vectors[:, ::-1][:, :RANK] * size
     return directions

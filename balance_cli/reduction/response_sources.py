@@ -21,7 +21,8 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.plate import moment_reference_length
 from balance_cli.model.system import System
 from balance_cli.reduction.response_description import ResponseDescription, ResponseKind, response_text
-from balance_cli.signals.response.interpolation import interpolate_response, interpolate_values
+from balance_cli.signals.response.interpolation import interpolate_values
+from balance_cli.signals.response.interpolation_error import interpolate_with_error
 from balance_cli.signals.response.transfer import Transfer, response_to_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
@@ -176,7 +177,7 @@ class TransferSource:
         for measured in self.responses:
             columns = [COMPONENTS.index(name) for name in measured.components]
             rows = np.array([self.channel_names.index(name) for name in measured.channel_names])
-            at = interpolate_response(measured, frequency, self.interpolation)
+            at = interpolate_with_error(measured, frequency, self.interpolation)
             f = loads[:, columns]
             scale = np.real(np.einsum("hi,hij,hj->h", f.conj(), at.load_covariance, f))
             total[:, rows[:, None], rows] += scale[:, None, None] * at.channel_covariance

@@ -19,7 +19,6 @@ from balance_cli.signals.covariance_pooling import (
     outlier_bound,
     pooled_covariance,
     variance_floor,
-    window_sums,
 )
 from balance_cli.signals.periodic_transient import find_steady_start
 from balance_cli.signals.run_samples import (
@@ -31,6 +30,7 @@ from balance_cli.signals.run_samples import (
     sample_rate,
 )
 from balance_cli.signals.run_spectrum import RunSpectrum
+from balance_cli.signals.transient_decay import FEWEST_PERIODS, scatter_about_decay, transient_covariance
 from balance_cli.signals.waveform_types import AnalysisWindow
 
 __all__ = [
@@ -56,10 +56,6 @@ NOISE_LINES = 40
 """Lines beyond the excited band that are kept, for the noise to be pooled over."""
 INFLATION_PROBABILITY = 1e-4
 """Probability with which noise alone exceeds the bound from which a line has its own, larger covariance."""
-DECAY_LINES = 11
-"""Neighboring lines whose transient is taken to decay by one factor; in their width a mode changes little."""
-DIFFERENCE_DOF = 2.0 / 3.0
-"""Degrees of freedom of a difference of neighboring lines: each line is in two of them (Rice, Ann. Stat. 12, 1984)."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +98,13 @@ def periodic_record(
     frequency = number * sample_rate(run) / samples
     start = find_steady_start(spectra)
     mean, covariance, dof = _mean_and_covariance(spectra, start.first)
-    noise = (
-        (covariance, dof) if start.steady.all() or len(spectra) < 3 else _covariance_about_decay(spectra, start.first)
-    )
+    noise = (covariance, dof)
     covariance = covariance * (1.0 + start.bias)[:, None, None]
+    if len(spectra) >= FEWEST_PERIODS and not start.steady.all():
+        scatter, counts = scatter_about_decay(spectra)
+        pooled, noise_dof = _pool_scatter(scatter, counts, variance_floor(spectra))
+        noise = (pooled / (len(spectra) - start.first)[:, None, None], noise_dof)
+        covariance = covariance + transient_covariance(spectra, start)
     excited = _excited_lines(mean, covariance, len(components))
     selected = _select_lines(run, excited, frequency, band)
     lines = RunSpectrum(
@@ -195,36 +194,6 @@ def _pool_scatter(scatter: ComplexArray, counts: Array, floor: Array) -> tuple[C
     """Covariance (K, n, n) of one period and its dof; larger where a line scatters more than its neighbors."""
     covariance, dof = pooled_covariance(scatter, counts, floor=floor)
     return covariance * _scatter_inflation(scatter, covariance, counts, dof)[:, None, None], dof
-
-
-def _covariance_about_decay(spectra: ComplexArray, first: Counts) -> tuple[ComplexArray, float]:
-    """Covariance (K, n, n) of the mean over the periods used, and its dof, without the scatter of a transient."""
-    counts = np.full(spectra.shape[1], DIFFERENCE_DOF)
-    covariance, dof = _pool_scatter(_scatter_about_decay(spectra), counts, variance_floor(spectra))
-    return covariance / (len(spectra) - first)[:, None, None], dof
-
-
-def _scatter_about_decay(spectra: ComplexArray) -> ComplexArray:
-    """Scatter (K, n, n) of the last periods about a transient, of DIFFERENCE_DOF degrees of freedom.
-
-    From one period to the next the transient decays by the same complex factor r at neighboring lines, so that
-    x_2 - x_1 - r (x_1 - x_0) is noise alone, with 1 + |1 + r|^2 + |r|^2 times the variance of one period. Where there
-    are enough periods, an earlier difference with independent noise is the instrumental variable for r. The transient
-    of several modes far from their peaks is smooth in frequency, and is removed by differences of neighboring lines.
-    """
-    differences = np.diff(spectra, axis=0)
-    early, late = differences[-2:]
-    instrument = differences[-4] if len(differences) > 3 else early
-    weight = 1.0 / np.maximum(np.median(np.abs(late) ** 2, axis=0), 1e-300)
-    width = min(DECAY_LINES, len(late))
-    common = window_sums(np.sum(instrument.conj() * late * weight, axis=1), width)
-    power = window_sums(np.sum(instrument.conj() * early * weight, axis=1), width)
-    r = common / np.where(power == 0, 1.0, power)
-    r = r / np.maximum(np.abs(r), 1.0)
-    noise = (late - r[:, None] * early) / np.sqrt(1.0 + np.abs(1.0 + r) ** 2 + np.abs(r) ** 2)[:, None]
-    k = np.minimum(np.arange(len(noise)), len(noise) - 2)
-    noise = (noise[k + 1] - noise[k]) * np.sqrt(DIFFERENCE_DOF / 2.0)
-    return np.asarray(noise[:, :, None] * noise[:, None, :].conj())
 
 
 def _scatter_inflation(scatter: ComplexArray, covariance: ComplexArray, counts: Array, dof: float) -> Array:

@@ -185,3 +185,18 @@ def test_recovery_of_one_channel_is_seen():
     bias = (40.0 * np.exp(-4 / 3 * first)) / (7 - first) / (1 - np.exp(-4 / 3))
     assert np.median(bias * np.sqrt((7 - first) / 2)) < 0.7
     assert np.mean(first <= 5) == 1.0
+
+
+def test_sigma_contains_the_transient_of_a_record_that_does_not_settle():
+    """Six periods of a quarter of a second; the slowest mode decays by a seventh in each of them."""
+    ratios = []
+    for seed in SEEDS:
+        record = periodic_record(RIG.multisine(seed, period=0.25, periods=6), RIG.names)
+        assert not record.steady
+        lines = record.spectrum
+        T = RIG.response(lines.frequency)
+        error = lines.channels - np.einsum("kcu,ku->kc", T, lines.loads)
+        variance = np.diagonal(lines.covariance, axis1=1, axis2=2).real[:, :5]
+        ratios.append(np.mean(np.abs(error) ** 2 / variance, axis=1))
+    assert np.median(ratios) > 0.15
+    assert np.mean(np.concatenate(ratios) > 4.0) < 0.05

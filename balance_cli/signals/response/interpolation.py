@@ -68,15 +68,19 @@ class _LineWeights:
 
 
 def interpolate_response(
-    response: FrequencyResponse, frequency: float | Array, method: str = "local"
+    response: FrequencyResponse,
+    frequency: float | Array,
+    method: str = "local",
+    left_out: Index | None = None,
 ) -> InterpolatedResponse:
     """Interpolate the response at `frequency` [Hz], a number or (h,), by one of INTERPOLATION_METHODS.
 
-    Raises UserError outside the measured lines.
+    `left_out` (h,) is the index of a line that is not used at each frequency. Raises UserError outside the measured
+    lines.
     """
     query_frequency = np.atleast_1d(np.asarray(frequency, float))
     _check_frequency_range(response, query_frequency)
-    weights = _WEIGHT_FUNCTIONS[method](response, query_frequency)
+    weights = _WEIGHT_FUNCTIONS[method](response, query_frequency, left_out)
     results = [_apply_weights(response, line_weights) for line_weights in weights]
     arrays = [np.stack(parts) for parts in zip(*results, strict=True)]
     return InterpolatedResponse(*arrays) if np.ndim(frequency) else InterpolatedResponse(*(part[0] for part in arrays))
@@ -119,17 +123,25 @@ def _check_frequency_range(response: FrequencyResponse, query_frequency: Array) 
         )
 
 
-def _neighboring_lines(response: FrequencyResponse, query_frequency: Array, count: int) -> Index:
+def _neighboring_lines(
+    response: FrequencyResponse, query_frequency: Array, count: int, left_out: Index | None = None
+) -> Index:
     """The `count` lines (h, count) around each frequency; at the ends of the band the outermost lines."""
-    K = len(response.frequency)
+    K = len(response.frequency) - (left_out is not None)
     count = min(count, K)
     above = np.searchsorted(response.frequency, query_frequency)
-    start = np.clip(above - count // 2, 0, K - count)
-    return np.asarray(start[:, None] + np.arange(count))
+    if left_out is None:
+        return np.asarray(np.clip(above - count // 2, 0, K - count)[:, None] + np.arange(count))
+    above = above - (above > left_out)
+    index = np.clip(above - count // 2, 0, K - count)[:, None] + np.arange(count)
+    return np.asarray(index + (index >= left_out[:, None]))
 
 
-def _nearest_line(response: FrequencyResponse, query_frequency: Array) -> Index:
-    return np.asarray(np.argmin(np.abs(response.frequency - query_frequency[:, None]), axis=1))
+def _nearest_line(response: FrequencyResponse, query_frequency: Array, left_out: Index | None) -> Index:
+    distance = np.abs(response.frequency - query_frequency[:, None])
+    if left_out is not None:
+        distance[np.arange(len(distance)), left_out] = np.inf
+    return np.asarray(np.argmin(distance, axis=1))
 
 
 def _weights_without_spread(response: FrequencyResponse, index: Index, value: Array, derivative: Array) -> _LineWeights:
@@ -137,18 +149,22 @@ def _weights_without_spread(response: FrequencyResponse, index: Index, value: Ar
     return _LineWeights(index, value.astype(complex), derivative.astype(complex), none)
 
 
-def _nearest_line_weights(response: FrequencyResponse, query_frequency: Array) -> list[_LineWeights]:
+def _nearest_line_weights(
+    response: FrequencyResponse, query_frequency: Array, left_out: Index | None = None
+) -> list[_LineWeights]:
     return [
         _weights_without_spread(response, np.array([k]), np.ones(1), np.zeros(1))
-        for k in _nearest_line(response, query_frequency)
+        for k in _nearest_line(response, query_frequency, left_out)
     ]
 
 
-def _first_order_weights(response: FrequencyResponse, query_frequency: Array) -> list[_LineWeights]:
-    K = len(response.frequency)
+def _first_order_weights(
+    response: FrequencyResponse, query_frequency: Array, left_out: Index | None = None
+) -> list[_LineWeights]:
     result = []
-    for k, f in zip(_nearest_line(response, query_frequency), query_frequency, strict=True):
-        index = np.clip(k - 1, 0, max(K - 3, 0)) + np.arange(min(3, K))
+    nearest = _nearest_line(response, query_frequency, left_out)
+    around = _neighboring_lines(response, response.frequency[nearest], 3, left_out)
+    for k, index, f in zip(nearest, around, query_frequency, strict=True):
         at_line = np.asarray(index == k, float)
         derivative = _lagrange_derivative(response.frequency[index], response.frequency[k])
         value = at_line + (f - response.frequency[k]) * derivative
@@ -162,11 +178,14 @@ def _lagrange_derivative(x: Array, at: float) -> Array:
     return np.asarray(np.linalg.inv(powers)[1] if len(x) > 1 else np.zeros(1))
 
 
-def _spline_weights(response: FrequencyResponse, query_frequency: Array) -> list[_LineWeights]:
+def _spline_weights(
+    response: FrequencyResponse, query_frequency: Array, left_out: Index | None = None
+) -> list[_LineWeights]:
     from scipy.interpolate import make_interp_spline
 
     result = []
-    for index, f in zip(_neighboring_lines(response, query_frequency, SPLINE_LINES), query_frequency, strict=True):
+    around = _neighboring_lines(response, query_frequency, SPLINE_LINES, left_out)
+    for index, f in zip(around, query_frequency, strict=True):
         degree = min(3, len(index) - 1)
         spline = make_interp_spline(response.frequency[index], np.eye(len(index)), k=degree)
         derivative = spline.derivative()(f) if degree else np.zeros(1)
@@ -174,11 +193,13 @@ def _spline_weights(response: FrequencyResponse, query_frequency: Array) -> list
     return result
 
 
-def _local_model_weights(response: FrequencyResponse, query_frequency: Array) -> list[_LineWeights]:
+def _local_model_weights(
+    response: FrequencyResponse, query_frequency: Array, left_out: Index | None = None
+) -> list[_LineWeights]:
     """Rational functions, with orders selected by Akaike's criterion for known noise, V + 2 p."""
-    index = _neighboring_lines(response, query_frequency, LOCAL_LINES)
+    index = _neighboring_lines(response, query_frequency, LOCAL_LINES, left_out)
     if index.shape[1] < 5:
-        return _spline_weights(response, query_frequency)
+        return _spline_weights(response, query_frequency, left_out)
     fits, half, sigma = _best_window_fits(response, index, query_frequency)
     return [_window_weights(response, index[h], fits[h], half[h], sigma[h]) for h in range(len(query_frequency))]
 
@@ -258,7 +279,7 @@ def _covariance_shares(response: FrequencyResponse, weights: ComplexArray) -> Ar
     return size**2 if response.estimator.startswith("periodic") else size / size.sum()
 
 
-_WEIGHT_FUNCTIONS: dict[str, Callable[[FrequencyResponse, Array], list[_LineWeights]]] = {
+_WEIGHT_FUNCTIONS: dict[str, Callable[[FrequencyResponse, Array, Index | None], list[_LineWeights]]] = {
     "local": _local_model_weights,
     "spline": _spline_weights,
     "first-order": _first_order_weights,

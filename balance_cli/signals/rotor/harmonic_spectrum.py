@@ -38,9 +38,11 @@ class HarmonicLines:
 def harmonic_lines(azimuth: Azimuth, spectra: Harmonics, n: int, decay_time: float) -> HarmonicLines:
     """Compute the lines of harmonic n over the interval of `spectra`.
 
-    `decay_time` [s] is the time in which the response of the balance decays. Outside the pulses the rotor is assumed to
-    turn at the speed that it has at the first or the last one.
+    `decay_time` [s] is the time in which the response of the balance decays; a mode without damping has no end of it,
+    and the length of the record takes its place. Outside the pulses the rotor is assumed to turn at the speed that it
+    has at the first or the last one.
     """
+    decay_time = min(decay_time, azimuth.last - azimuth.first)
     rate = SAMPLES_PER_HZ_OF_SPEED * azimuth.mean_rate
     carrier = float(spectra.frequency_hz[n])
     start, stop = azimuth.first - 2 * decay_time, azimuth.last + 2 * decay_time

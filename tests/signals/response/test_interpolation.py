@@ -5,6 +5,7 @@ import pytest
 
 from balance_cli.io.errors import UserError
 from balance_cli.signals.response.interpolation import INTERPOLATION_METHODS, interpolate_response, interpolate_values
+from balance_cli.signals.response.interpolation_error import interpolate_with_error
 from balance_cli.signals.run_spectrum import FrequencyResponse
 from tests.support.swept_rig import LOAD_NOISE, MODES, NOISE, SweptRig, relative_error
 
@@ -118,3 +119,34 @@ def test_few_lines_will_do():
 def test_outside_the_lines():
     with pytest.raises(UserError, match=r"measured from 2 to 150 Hz, not at 157\.5 Hz"):
         interpolate_response(measured(), np.array([17.5, 157.5]))
+
+
+def squared_errors(at, frequency: np.ndarray) -> np.ndarray:
+    """Squared error over stated variance (h,), mean over the channels."""
+    variance = np.einsum("hcc,huu->hcu", at.channel_covariance, at.load_covariance).real
+    return np.mean(np.abs(at.value - RIG.response(frequency)) ** 2 / variance, axis=(1, 2))
+
+
+def test_sigma_holds_where_lines_are_too_far_apart():
+    """Lines ten half widths of a mode apart: sigma from noise is too small at a fifth of the frequencies."""
+    response = measured(lines=np.arange(2.0, 150.1, 2.0))
+    frequency = places(count=100)
+    plain = squared_errors(interpolate_response(response, frequency), frequency)
+    assert np.mean(plain > 4.0) > 0.15
+    with_error = squared_errors(interpolate_with_error(response, frequency, "local"), frequency)
+    assert np.mean(with_error > 4.0) < 0.02
+
+
+@pytest.mark.parametrize("method", ["spline", "first-order", "nearest"])
+def test_sigma_holds_for_curves_that_are_too_simple(method):
+    response, frequency = measured(), places(count=100)
+    assert np.mean(squared_errors(interpolate_response(response, frequency, method), frequency) > 4.0) > 0.2
+    assert np.mean(squared_errors(interpolate_with_error(response, frequency, method), frequency) > 4.0) < 0.08
+
+
+def test_sigma_of_a_well_resolved_response_hardly_grows():
+    response, frequency = measured(), places(count=40)
+    plain = interpolate_response(response, frequency)
+    with_error = interpolate_with_error(response, frequency, "local")
+    growth = np.einsum("hcc->h", with_error.channel_covariance).real / np.einsum("hcc->h", plain.channel_covariance).real
+    assert np.median(growth) < 1.05

@@ -1,0 +1,69 @@
+"""What is left of a start transient in the last periods of a record, by its decay from period to period.
+
+From one period to the next a transient decays by the same complex factor r at neighboring lines of its spectrum:
+differences of consecutive periods d_p = x_(p+1) - x_p decay by it too. So d_2 - r d_1 is noise alone, and the transient
+that is still in period p is d_p / (r - 1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.signals.covariance_pooling import window_sums
+from balance_cli.signals.periodic_transient import SteadyStart
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+FEWEST_PERIODS = 3
+"""Periods whose differences tell a decay."""
+DECAY_LINES = 11
+"""Neighboring lines whose transient is taken to decay by one factor; in their width a mode changes little."""
+DIFFERENCE_DOF = 2.0 / 3.0
+"""Degrees of freedom of a difference of neighboring lines: each line is in two of them (Rice, Ann. Stat. 12, 1984)."""
+LEAST_LOSS = 0.1
+"""Least |1 - r|: a smaller one is not told from that of noise, and would make the remainder boundless."""
+
+
+def scatter_about_decay(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
+    """Return the scatter (K, n, n) of the last periods (P, K, n) about a transient, and its degrees of freedom (K,).
+
+    The difference d_2 - r d_1 has 1 + |1 + r|^2 + |r|^2 times the variance of one period. The transient of several
+    modes far from their peaks is smooth in frequency, and is removed by differences of neighboring lines.
+    """
+    early, late = np.diff(spectra, axis=0)[-2:]
+    r = _decay_factors(spectra)
+    noise = (late - r[:, None] * early) / np.sqrt(1.0 + np.abs(1.0 + r) ** 2 + np.abs(r) ** 2)[:, None]
+    k = np.minimum(np.arange(len(noise)), len(noise) - 2)
+    noise = (noise[k + 1] - noise[k]) * np.sqrt(DIFFERENCE_DOF / 2.0)
+    return np.asarray(noise[:, :, None] * noise[:, None, :].conj()), np.full(len(noise), DIFFERENCE_DOF)
+
+
+def transient_covariance(spectra: ComplexArray, start: SteadyStart) -> ComplexArray:
+    """Return the square (K, n, n) of what is left of the transient in the mean of the periods used; zero where steady.
+
+    Lines that are not steady are the mean of the last two periods: it contains half of what these two have,
+    d (1 + r) / 2 (r - 1).
+    """
+    r = _decay_factors(spectra)
+    loss = 1.0 - r
+    loss = loss * np.maximum(LEAST_LOSS / np.maximum(np.abs(loss), 1e-12), 1.0)
+    left = (spectra[-2] - spectra[-1]) * ((1.0 + r) / (2.0 * loss) * ~start.steady)[:, None]
+    return np.asarray(left[:, :, None] * left[:, None, :].conj())
+
+
+def _decay_factors(spectra: ComplexArray) -> ComplexArray:
+    """Return r (K,), at most one in size, by least squares over DECAY_LINES lines.
+
+    Where there are enough periods, an earlier difference with independent noise is the instrumental variable.
+    """
+    differences = np.diff(spectra, axis=0)
+    early, late = differences[-2:]
+    instrument = differences[-4] if len(differences) > 3 else early
+    weight = 1.0 / np.maximum(np.median(np.abs(late) ** 2, axis=0), 1e-300)
+    width = min(DECAY_LINES, len(late))
+    common = window_sums(np.sum(instrument.conj() * late * weight, axis=1), width)
+    power = window_sums(np.sum(instrument.conj() * early * weight, axis=1), width)
+    r = common / np.where(power == 0, 1.0, power)
+    return np.asarray(r / np.maximum(np.abs(r), 1.0))
