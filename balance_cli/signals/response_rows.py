@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
-from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.campaign.recording.run import Run, pick_channels
 from balance_cli.campaign.rig.components import COMPONENTS
 
 Array = NDArray[np.float64]
@@ -84,10 +84,9 @@ def _static_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | Non
 
 
 def _read(run: Run, channel_names: tuple[str, ...], start: int) -> tuple[Array, Array]:
-    channels = read_channels(run, channel_names, start)
-    loads = run.read(start).loads
-    assert loads is not None
-    return channels, np.nan_to_num(loads)
+    block = run.read(start)
+    assert block.loads is not None
+    return pick_channels(block.channels, run.channel_names, channel_names), np.nan_to_num(block.loads)
 
 
 def _dynamic_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | None:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigvals
 
-from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.channel_gains import channel_gains
 from balance_cli.model.system import System
@@ -156,25 +155,26 @@ def with_references(runs: Sequence[Evidence]) -> list[Evidence]:
     return [replace(run, reference=_reference(run, sweeps, measured)) for run in runs]
 
 
-def _apparent_response(run: Evidence) -> dict[int, ComplexArray]:
-    """Return the forces (c,) per unit of the excited load in each band of a sweep."""
-    j = run.applied[0]
-    ratio = _divide(run.forces, run.loads[:, j, None])
-    return dict(zip(run.rows.band.tolist(), ratio, strict=True))
+def _apparent_response(run: Evidence) -> ComplexArray:
+    """Return the forces (k, c) per unit of the excited load in the bands of a sweep, which rise."""
+    return _divide(run.forces, run.loads[:, run.applied[0], None])
 
 
-def _reference(run: Evidence, sweeps: Sequence[Evidence], measured: dict[str, dict[int, ComplexArray]]) -> ComplexArray:
+def _reference(run: Evidence, sweeps: Sequence[Evidence], measured: dict[str, ComplexArray]) -> ComplexArray:
     """Return the mean response (k, c, 6) of the other sweeps at the rows of a run; NaN where no other run has it."""
-    reference = np.full((*run.forces.shape, 6), np.nan, complex)
-    if run.rows.is_static:
-        return reference
-    for j in range(len(COMPONENTS)):
-        bands = [measured[sweep.run] for sweep in sweeps if sweep.run != run.run and sweep.applied == (j,)]
-        for k, band in enumerate(run.rows.band.tolist()):
-            values = [responses[band] for responses in bands if band in responses]
-            if values:
-                reference[k, :, j] = np.mean(values, axis=0)
-    return reference
+    total = np.zeros((*run.forces.shape, 6), complex)
+    count = np.zeros((len(run.forces), 6))
+    if not run.rows.is_static:
+        for sweep in sweeps:
+            if sweep.run == run.run:
+                continue
+            (j,) = sweep.applied
+            place = np.minimum(np.searchsorted(sweep.rows.band, run.rows.band), len(sweep.rows.band) - 1)
+            common = sweep.rows.band[place] == run.rows.band
+            total[common, :, j] += measured[sweep.run][place[common]]
+            count[common, j] += 1.0
+    with np.errstate(invalid="ignore"):
+        return np.asarray(total / np.where(count > 0, count, np.nan)[:, None, :])
 
 
 def alike_channels(run: Evidence) -> Bools:
