@@ -40,9 +40,7 @@ def interpolate_with_error(response: FrequencyResponse, frequency: Array, method
     return replace(value, channel_covariance=value.channel_covariance + 0.5 * (below[0] + below[1]))
 
 
-def _form_error(
-    response: FrequencyResponse, line: Index, value: InterpolatedResponse, method: str
-) -> ComplexArray:
+def _form_error(response: FrequencyResponse, line: Index, value: InterpolatedResponse, method: str) -> ComplexArray:
     """Return the covariance (h, c, c) of what the prediction of each `line` (h,) from the others misses."""
     predicted = interpolate_response(response, response.frequency[line], method, left_out=line)
     missed = predicted.value - response.response[line]

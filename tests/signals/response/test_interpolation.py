@@ -148,5 +148,5 @@ def test_sigma_of_a_well_resolved_response_hardly_grows():
     response, frequency = measured(), places(count=40)
     plain = interpolate_response(response, frequency)
     with_error = interpolate_with_error(response, frequency, "local")
-    growth = np.einsum("hcc->h", with_error.channel_covariance).real / np.einsum("hcc->h", plain.channel_covariance).real
-    assert np.median(growth) < 1.05
+    traces = [np.trace(at.channel_covariance, axis1=1, axis2=2).real for at in (plain, with_error)]
+    assert np.median(traces[1] / traces[0]) < 1.05
