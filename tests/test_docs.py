@@ -226,6 +226,7 @@ def summaries(tmp_path_factory):
         "report": [cal, "-o", str(folder / "report.html")],
         "run": [str(data), *g, "-o", str(folder / "results"), "--dry-run"],
         "export": [out, "-o", str(folder / "loads.csv")],
+        "watch": [str(folder / "campaign"), "--model", model, "-o", str(folder / "watched"), "--once"],
     }
     found = {}
     for name, words in calls.items():

@@ -24,6 +24,7 @@ COMMANDS = (
     "check",
     "report",
     "run",
+    "watch",
     "export",
 )
 MODULES = {"import": "import_runs"}

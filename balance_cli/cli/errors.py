@@ -114,10 +114,15 @@ def _usage_message(error: click.ClickException) -> str:
 def _report_internal_error(error: BaseException, verbose: bool) -> int:
     if verbose:
         click.echo("".join(traceback.format_exception(error)), err=True)
-    text = " ".join(str(error).split())
     hint = "" if verbose else " (`--verbose` shows the traceback)"
-    _echo_error(f"internal error, {type(error).__name__}: {text}. Please report it with the call and its inputs{hint}")
+    _echo_error(f"{internal_error_text(error)}{hint}")
     return EXIT_INTERNAL_ERROR
+
+
+def internal_error_text(error: BaseException) -> str:
+    """Return the message for an error that is not one of the input, in one line."""
+    text = " ".join(str(error).split())
+    return f"internal error, {type(error).__name__}: {text}. Please report it with the call and its inputs"
 
 
 def _echo_error(message: str) -> None:

@@ -1,0 +1,147 @@
+"""The loads of the runs of a watched folder: each run is reduced by harmonics as it appears."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.recording.run_file import open_runs
+from balance_cli.cli.common import Session
+from balance_cli.cli.consistency import require_consistent_runs
+from balance_cli.cli.load_text import blade_harmonic
+from balance_cli.cli.reduce_runs import Reduction
+from balance_cli.diagnosis.consistency.severity import known_anyway
+from balance_cli.io.artefacts import Artefact, Input, Provenance
+from balance_cli.io.errors import UserError
+from balance_cli.io.formats import RUN_FORMAT
+from balance_cli.io.sniff import sniff_format
+from balance_cli.reduction.polar import polar_sigma
+from balance_cli.reduction.result import HubLoads, RunLoads
+from balance_cli.steps.reduction_inputs import default_harmonics, harmonics_within_band, zero_reference
+
+ROTOR_KINDS = ("check", "wind")
+
+
+class NoRotorLoadsError(Exception):
+    """A file that is no fault and has no loads: a run of another kind, or a result; with the name and kind of a run."""
+
+    def __init__(self, reason: str, run: str = "", kind: str = "") -> None:
+        super().__init__(reason)
+        self.run, self.kind = run, kind
+
+
+@dataclass
+class QuickLook:
+    """The reduction of all runs of a folder, and the loads so far {run: loads}.
+
+    `harmonics`: None for the default of each run. `has_own_zero`: the zero record was given, so those in the folder are
+    not used. `files` {run: file} tells two files with one run name. `run_inputs` {run: digest}. `is_changed`: the loads
+    changed since they were written, for the caller to reset.
+    """
+
+    session: Session
+    reduction: Reduction
+    harmonics: int | None
+    has_own_zero: bool
+    runs: dict[str, RunLoads] = field(default_factory=dict)
+    files: dict[str, Path] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    run_inputs: dict[str, Input] = field(default_factory=dict)
+    is_changed: bool = False
+
+    def restore(self, artefact: Artefact, files: Mapping[str, Path]) -> None:
+        """Take over the loads of an earlier call, of the runs in `files`."""
+        loads: HubLoads = artefact.content
+        self.runs = {name: run for name, run in loads.runs.items() if name in files}
+        self.files = {name: path for name, path in files.items() if name in self.runs}
+        self.warnings = list(loads.warnings or ())
+        self.run_inputs = {item.name: item for item in artefact.provenance.inputs if item.role == "run"}
+
+    def add_file(self, path: Path) -> tuple[RunLoads, tuple[str, ...]]:
+        """Reduce the run of a file, and return its loads and the warnings about it.
+
+        Raises UserError where the file cannot be used, NoRotorLoadsError for a run of another kind or a result.
+        """
+        before = len(self.session.warnings)
+        self._forget_file(path)
+        declared = sniff_format(path)
+        if declared not in (None, RUN_FORMAT):
+            raise NoRotorLoadsError(f"is a file of format `{declared}`")
+        run = open_runs((path,), self.reduction.geometry)[0][0]
+        self._check_name(run, path)
+        require_consistent_runs(self.session, self.reduction.geometry, (run,), False, known_anyway)
+        if run.kind not in ROTOR_KINDS:
+            self._take_other_kind(run)
+        loads = self._reduction_of(run).reduce_run(self.session, run)
+        for channel, reason in loads.left_out.items():
+            self.session.warn(f"{run.name}: channel {channel} left out: {reason}")
+        self.runs[run.name], self.files[run.name], self.is_changed = loads, path, True
+        self.run_inputs[run.name] = Input(run.name, "run", run.digest)
+        new_warnings = tuple(self.session.warnings[before:])
+        self.warnings += [text for text in new_warnings if text not in self.warnings]
+        return loads, new_warnings
+
+    def use_zero(self, run: Run) -> None:
+        """Let the mean loads of the following runs count from this wind-off record, unless one was given."""
+        calibration = self.reduction.calibration
+        if calibration is not None and not self.has_own_zero:
+            self.reduction = replace(self.reduction, zero=zero_reference([run], calibration))
+
+    def hub_loads(self, names: Iterable[str] | None = None) -> HubLoads:
+        """Return the loads of these runs, or of all."""
+        reduction = self.reduction
+        selected = {name: self.runs[name] for name in names} if names is not None else dict(self.runs)
+        warnings = tuple(self.warnings) or None
+        return HubLoads(reduction.method.name, reduction.source.description, reduction.geometry, selected, warnings)
+
+    def provenance(self) -> Provenance:
+        """Return the provenance of the loads: the response, the calibration, the zero record and all runs."""
+        fixed = self.session.provenance()
+        return replace(fixed, inputs=(*fixed.inputs, *(self.run_inputs[name] for name in self.runs)))
+
+    def summarize(self, loads: RunLoads) -> dict[str, dict[str, Any]]:
+        """Return mean and blade harmonic of each component, with sigma."""
+        harmonic = blade_harmonic(self.reduction.geometry, len(loads.frequency_hz) - 1)
+        amplitude_sigma = polar_sigma(loads.amplitude, loads.sigma_cosine, loads.sigma_sine)[0]
+        return {
+            component: {
+                "mean": float(loads.amplitude[0, m].real),
+                "mean_sigma": float(loads.sigma_cosine[0, m]),
+                "harmonic": harmonic,
+                "amplitude": float(abs(loads.amplitude[harmonic, m])),
+                "amplitude_sigma": float(amplitude_sigma[harmonic, m]),
+            }
+            for m, component in enumerate(loads.components)
+        }
+
+    def _forget_file(self, path: Path) -> None:
+        """Drop the loads of the run that a file held before it changed."""
+        for name in [name for name, file in self.files.items() if file == path]:
+            del self.files[name], self.runs[name]
+            self.is_changed = True
+
+    def _check_name(self, run: Run, path: Path) -> None:
+        other = self.files.get(run.name)
+        if other is not None and other.is_file():
+            fault = f"has the run name `{run.name}`, as {other.name} has"
+            raise UserError(fault, str(path), "attribute `run`", "Give each run its own name")
+
+    def _take_other_kind(self, run: Run) -> None:
+        if run.kind == "zero":
+            self.use_zero(run)
+            reason = "--zero is used" if self.has_own_zero else "zero of the mean loads"
+            raise NoRotorLoadsError(reason, run.name, run.kind)
+        raise NoRotorLoadsError(f"a {run.kind} run contains no rotor loads", run.name, run.kind)
+
+    def _reduction_of(self, run: Run) -> Reduction:
+        """Return the reduction with the harmonics that this run permits."""
+        if self.harmonics is not None:
+            return self.reduction
+        wanted = default_harmonics(self.reduction.geometry)
+        harmonics = harmonics_within_band(run, self.reduction.source, wanted)
+        if harmonics < wanted:
+            self.session.warn(f"{run.name}: {harmonics} harmonics in place of {wanted}: its band ends there")
+        return replace(self.reduction, method=replace(self.reduction.method, harmonics=harmonics))
