@@ -1,0 +1,1 @@
+"""Blind campaigns: a simulator that shares no code with balance_cli, and what the commands make of its files."""

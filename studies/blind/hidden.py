@@ -1,0 +1,297 @@
+"""What nobody declared: effects of the library by their published laws, and causes that no effect describes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from studies.blind.physics import Law, Mechanics, add_coordinate
+from studies.blind.records import COMPONENTS, Record, Truth
+from studies.blind.rigs import cross, mass_matrix
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A cause: the label that is right (empty: none is), true parameters by name, and the truth with it."""
+
+    label: str
+    parameters: dict[str, float]
+    truth: Truth
+
+
+Cause = Callable[[Truth, np.random.Generator], Hidden]
+
+
+def _draw_channel(truth: Truth, rng: np.random.Generator) -> int:
+    cells = [i for i, channel in enumerate(truth.rig.channels) if channel.cell >= 0]
+    return int(rng.choice(cells))
+
+
+def _point_rows(p: Array) -> Array:
+    return np.hstack([np.eye(3), -cross(p)])
+
+
+def _padded(matrix: Array, size: int) -> Array:
+    left = size - len(matrix)
+    return np.pad(matrix, ((0, left), (0, left)))
+
+
+def _largest_elongation(truth: Truth) -> float:
+    """Static elongation of a cell under 2 % of the weight, about what the sweeps reach."""
+    return 0.06 * truth.rig.mass * 9.81 / float(np.mean(truth.rig.stiffness))
+
+
+def nothing(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """No cause."""
+    return Hidden("", {}, truth)
+
+
+def channel_gain(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A wrong sensitivity."""
+    i, gain = _draw_channel(truth, rng), 1 + rng.choice([-1, 1]) * rng.uniform(0.01, 0.05)
+    dynamics = {**truth.dynamics, i: lambda f: np.full(len(f), gain, complex)}
+    return Hidden(
+        f"channel-gain@{truth.rig.channels[i].name}", {"gain": gain}, replace(truth, dynamics=dynamics)
+    )
+
+
+def time_delay(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """One channel late."""
+    i, delay = _draw_channel(truth, rng), rng.uniform(0.1, 0.8) / truth.rig.sample_rate
+    dynamics = {**truth.dynamics, i: lambda f: np.exp(-2j * np.pi * f * delay)}
+    return Hidden(f"time-delay@{truth.rig.channels[i].name}", {"delay": delay}, replace(truth, dynamics=dynamics))
+
+
+def low_pass(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A long cable."""
+    i, cutoff = _draw_channel(truth, rng), truth.rig.modes[-1] * rng.uniform(2, 6)
+    dynamics = {**truth.dynamics, i: lambda f: 1 / (1 + 1j * f / cutoff)}
+    return Hidden(f"low-pass@{truth.rig.channels[i].name}", {"cutoff": cutoff}, replace(truth, dynamics=dynamics))
+
+
+def crosstalk(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """One channel in another."""
+    a, b = (int(i) for i in rng.choice(len(truth.rig.channels), 2, replace=False))
+    fraction = rng.uniform(0.01, 0.04)
+    label = f"crosstalk@{truth.rig.channels[a].name},{truth.rig.channels[b].name}"
+    return Hidden(label, {"fraction": fraction}, replace(truth, mix={**truth.mix, (a, b): fraction}))
+
+
+def channel_offset(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A bridge that does not read zero."""
+    dc = [i for i, channel in enumerate(truth.rig.channels) if channel.time_constant is None and channel.cell >= 0]
+    i = int(rng.choice(dc))
+    offset = 0.02 * truth.rig.channels[i].sensitivity * truth.rig.mass * 9.81 * rng.uniform(0.2, 1)
+    return Hidden(
+        f"channel-offset@{truth.rig.channels[i].name}",
+        {"offset": offset},
+        replace(truth, offset={**truth.offset, i: offset}),
+    )
+
+
+def exciter_misalignment(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A shaker that also pulls sideways."""
+    a, b = ((0, 2), (2, 0), (1, 2), (2, 1), (0, 1))[rng.integers(0, 5)]
+    fraction = rng.choice([-1, 1]) * rng.uniform(0.01, 0.05)
+    exciter = truth.exciter.copy()
+    exciter[b, a] += fraction
+    label = f"exciter-misalignment@{COMPONENTS[a]},{COMPONENTS[b]}"
+    return Hidden(label, {"fraction": fraction}, replace(truth, exciter=exciter))
+
+
+def added_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A mass far from the center."""
+    m = truth.rig.mass * rng.uniform(0.05, 0.15)
+    p = truth.rig.radius * rng.uniform([-1, -1, 0.5], [1, 1, 2])
+    M = truth.mechanics.M + _padded(mass_matrix(m, p, np.zeros((3, 3))), truth.mechanics.size)
+    return Hidden("added-mass", {"mass": m}, replace(truth, mechanics=replace(truth.mechanics, M=M)))
+
+
+def parallel_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A hose."""
+    k = np.mean(truth.rig.stiffness) * rng.uniform(0.005, 0.05, 3)
+    N = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))
+    K = truth.mechanics.K + _padded(N.T @ np.diag(k) @ N, truth.mechanics.size)
+    parameters = {f"stiffness_{axis}": float(value) for axis, value in zip("xyz", k, strict=True)}
+    return Hidden("parallel-stiffness", parameters, replace(truth, mechanics=replace(truth.mechanics, K=K)))
+
+
+def transverse_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Every cell also holds the plate sideways."""
+    k = float(np.mean(truth.rig.stiffness) * rng.uniform(0.005, 0.03))
+    K = np.zeros((6, 6))
+    for p, a in zip(truth.rig.position, truth.rig.axis, strict=True):
+        N = _point_rows(p)
+        K += k * N.T @ (np.eye(3) - np.outer(a, a)) @ N
+    mechanics = replace(truth.mechanics, K=truth.mechanics.K + _padded(K, truth.mechanics.size))
+    return Hidden("transverse-stiffness@all", {"stiffness": k}, replace(truth, mechanics=mechanics))
+
+
+def structural_damping(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Every cell dissipates a fixed share in each cycle."""
+    loss = rng.uniform(0.005, 0.03)
+    mechanics = replace(truth.mechanics, loss_factor=loss)
+    return Hidden("structural-damping@all", {"loss_factor": loss}, replace(truth, mechanics=mechanics))
+
+
+def gyroscopic_coupling(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A rotor with angular momentum in every record but the zero (the rotor turns in check and wind runs only)."""
+    polar = truth.rig.inertia[2, 2] * rng.uniform(0.02, 0.1)
+    G = np.zeros((truth.mechanics.size, truth.mechanics.size))
+    G[3, 4], G[4, 3] = polar, -polar
+    mechanics = replace(truth.mechanics, G=G)
+    return Hidden("gyroscopic-coupling", {"polar_inertia": polar}, replace(truth, mechanics=mechanics))
+
+
+def support_flexibility(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """The floor under the cells yields along one axis."""
+    axis = int(rng.integers(0, 3))
+    mass = truth.rig.mass * rng.uniform(1, 4)
+    stiffness = mass * (2 * np.pi * truth.rig.modes[-1] * rng.uniform(0.6, 1.5)) ** 2
+    mechanics = add_coordinate(truth.mechanics, mass, 2 * 0.02 * np.sqrt(mass * stiffness), stiffness)
+    E = mechanics.E.copy()
+    E[: len(truth.rig.axis), -1] = -truth.rig.axis[:, axis]
+    # The plate's own damping acts on the motion relative to the floor.
+    T = np.zeros((6, mechanics.size))
+    T[:, :6] = np.eye(6)
+    T[axis, -1] = -1
+    D = mechanics.D.copy()
+    D[:6, :6] -= truth.mechanics.D[:6, :6]
+    D += T.T @ truth.mechanics.D[:6, :6] @ T
+    label = f"support-flexibility@{'xyz'[axis]}"
+    parameters = {f"compliance_{'xyz'[axis]}": 1 / stiffness}
+    return Hidden(label, parameters, replace(truth, mechanics=replace(mechanics, E=E, D=D)))
+
+
+def tuned_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A cable that swings along one axis at a point of the plate."""
+    axis, m = int(rng.integers(0, 3)), truth.rig.mass * rng.uniform(0.003, 0.02)
+    f = float(np.exp(rng.uniform(*np.log(truth.rig.modes[[0, -1]]))))
+    row = _point_rows(truth.rig.radius * rng.uniform(-1, 1, 3))[axis]
+    k, d = m * (2 * np.pi * f) ** 2, 2 * 0.03 * m * 2 * np.pi * f
+    mechanics = add_coordinate(truth.mechanics, m, 0.0, 0.0)
+    across = np.zeros(mechanics.size)
+    across[:6], across[-1] = row, -1
+    mechanics = replace(
+        mechanics, K=mechanics.K + k * np.outer(across, across), D=mechanics.D + d * np.outer(across, across)
+    )
+    return Hidden("extra-mode", {"frequency": f}, replace(truth, mechanics=mechanics))
+
+
+def mains_pickup(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Hum in one channel."""
+    i = _draw_channel(truth, rng)
+    amplitude = 1e-4 * truth.rig.channels[i].sensitivity * truth.rig.mass * 9.81 * rng.uniform(0.5, 3)
+    frequency = 50 + rng.uniform(-0.1, 0.1)
+    return Hidden(
+        f"mains-pickup@{truth.rig.channels[i].name}",
+        {"amplitude": amplitude, "frequency": frequency},
+        replace(truth, mains={**truth.mains, i: (amplitude, frequency)}),
+    )
+
+
+def cubic_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A spring beside a cell that hardens."""
+    i, d = int(rng.integers(0, len(truth.rig.stiffness))), _largest_elongation(truth)
+    k3 = truth.rig.stiffness[i] / d**2 * rng.uniform(0.01, 0.05)
+    law = Law(i, lambda d, state: k3 * d**3)
+    return _beside(truth, law, f"cubic-stiffness@c{i + 1},beside", {"k3": k3})
+
+
+def dry_friction(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """A seal beside a cell that slips."""
+    i, d = int(rng.integers(0, len(truth.rig.stiffness))), _largest_elongation(truth)
+    force = truth.rig.stiffness[i] * d * rng.uniform(0.01, 0.05)
+    kappa = 0.1 * truth.rig.stiffness[i]
+
+    def advance(elongation: Array, slider: Array) -> Array:
+        return np.clip(slider, elongation - force / kappa, elongation + force / kappa)
+
+    law = Law(i, lambda d, slider: np.clip(kappa * (d - slider), -force, force), advance)
+    return _beside(truth, law, f"dry-friction@c{i + 1}", {"force": force})
+
+
+def free_play(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a stop beside a cell that is reached at large motions only."""
+    i, gap = int(rng.integers(0, len(truth.rig.stiffness))), _largest_elongation(truth) * rng.uniform(0.1, 0.3)
+    k = 0.2 * truth.rig.stiffness[i]
+    law = Law(i, lambda d, state: k * (np.maximum(d - gap, 0) + np.minimum(d + gap, 0)))
+    return _beside(truth, law, "", {})
+
+
+def _beside(truth: Truth, law: Law, label: str, parameters: dict[str, float]) -> Hidden:
+    mechanics = replace(truth.mechanics, laws=(*truth.mechanics.laws, law))
+    return Hidden(label, parameters, replace(truth, mechanics=mechanics))
+
+
+def drifting_stiffness(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: two cells soften from run to run."""
+    pair = rng.choice(len(truth.rig.stiffness), 2, replace=False)
+    share = rng.uniform(0.01, 0.05)
+
+    def per_run(mechanics: Mechanics, record: Record) -> Mechanics:
+        k = mechanics.stiffness.copy()
+        position = sum(map(ord, record.name)) % 11 / 10 if record.kind == "sweep" else 1.0
+        k[pair] *= 1 - share * position
+        return replace(mechanics, stiffness=k)
+
+    return Hidden("", {}, replace(truth, per_run=per_run))
+
+
+def exciter_mass(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a stinger's mass beyond the force cell, another in each set-up."""
+    masses = truth.rig.mass * rng.uniform(0.002, 0.02, 6)
+
+    def per_run(mechanics: Mechanics, record: Record) -> Mechanics:
+        if record.kind != "sweep":
+            return mechanics
+        B = mechanics.B
+        added = sum(masses[i] * np.outer(B[:6, i % 3], B[:6, i % 3]) for i in record.excited)
+        return replace(mechanics, M=mechanics.M + _padded(np.asarray(added), mechanics.size))
+
+    return Hidden("", {}, replace(truth, per_run=per_run))
+
+
+def drifting_gain(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: the gain of a channel changes within each record."""
+    i = _draw_channel(truth, rng)
+    return Hidden("", {}, replace(truth, drift={i: rng.uniform(0.01, 0.04)}))
+
+
+def late_clock(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: half of the channels run on another clock."""
+    ppm = rng.uniform(5e-6, 5e-5)
+    half = range(len(truth.rig.channels) // 2)
+    return Hidden("", {}, replace(truth, late_clock=dict.fromkeys(half, ppm)))
+
+
+def saturation(truth: Truth, rng: np.random.Generator) -> Hidden:
+    """Unknown: a channel saturates softly."""
+    i = _draw_channel(truth, rng)
+    limit = truth.rig.channels[i].sensitivity * 0.1 * truth.rig.mass * 9.81 * rng.uniform(1, 3)
+    return Hidden("", {}, replace(truth, saturation={i: limit}))
+
+
+LINEAR: tuple[Cause, ...] = (
+    channel_gain,
+    time_delay,
+    low_pass,
+    crosstalk,
+    channel_offset,
+    exciter_misalignment,
+    added_mass,
+    parallel_stiffness,
+    transverse_stiffness,
+    structural_damping,
+    gyroscopic_coupling,
+    support_flexibility,
+    tuned_mass,
+    mains_pickup,
+)
+NONLINEAR: tuple[Cause, ...] = (cubic_stiffness, dry_friction)
+UNKNOWN: tuple[Cause, ...] = (drifting_stiffness, free_play, saturation, exciter_mass, late_clock, drifting_gain)

@@ -1,0 +1,184 @@
+"""Equations of motion of the true rig, and their solution on a fine grid of time.
+
+Linear rigs are solved by convolution (exact for band-limited loads); rigs with a nonlinear force by Runge-Kutta steps.
+The first coordinates are the six motions of the origin, then the shaft, then whatever an effect brings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import fsolve
+from scipy.signal import butter, freqs
+
+from studies.blind.rigs import Rig, cell_rows, cross, eigen, mass_matrix
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Steps of Runge-Kutta per radian of the highest mode: its error per step is below 1e-7.
+STEP_ANGLE = 0.12
+
+
+@dataclass(frozen=True)
+class Law:
+    """A force beside a cell: `force(elongation, state)` and, with memory, what becomes of the state in a step."""
+
+    cell: int
+    force: Callable[[Array, Array], Array]
+    advance: Callable[[Array, Array], Array] = lambda d, state: state
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """M q'' + (D + spin G) q' + (K + cells) q = B loads; `E` has the cells' elongations and the shaft's twist."""
+
+    M: Array
+    D: Array
+    K: Array
+    E: Array
+    B: Array
+    stiffness: Array
+    G: Array
+    loss_factor: float = 0.0
+    laws: tuple[Law, ...] = field(default=())
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return len(self.M)
+
+    @property
+    def slowest_decay(self) -> float:
+        """Decay rate [1/s] of the slowest mode."""
+        A = self.state_matrix(0.0)
+        return float(np.min(-np.linalg.eigvals(A).real))
+
+    def state_matrix(self, spin: float) -> Array:
+        """Matrix of the state [q, q'] without nonlinear forces."""
+        K = self.K + (self.E.T * self.stiffness) @ self.E
+        low = np.hstack([-np.linalg.solve(self.M, K), -np.linalg.solve(self.M, self.D + spin * self.G)])
+        return np.vstack([np.hstack([np.zeros((self.size, self.size)), np.eye(self.size)]), low])
+
+    def responses(self, frequency: Array, spin: float) -> ComplexArray:
+        """Cell forces and shaft torque per unit load (k, n, 6) at frequencies [Hz]."""
+        w = 2 * np.pi * frequency
+        law = 1 + 1j * self.loss_factor * (w > 0)
+        Z = -(w[:, None, None] ** 2) * self.M + 1j * w[:, None, None] * (self.D + spin * self.G)
+        Z = Z + self.K + law[:, None, None] * ((self.E.T * self.stiffness) @ self.E)
+        force = law[:, None, None] * (self.stiffness[:, None] * self.E)
+        return np.asarray(force @ np.linalg.solve(Z, np.broadcast_to(self.B, (len(w), *self.B.shape))))
+
+
+def plate_mechanics(rig: Rig) -> Mechanics:
+    """The rig without effects; a shaft beside the plate where there is a torque meter."""
+    M = mass_matrix(rig.mass, rig.cg, rig.inertia)
+    w, shape = eigen(rig)
+    D = M @ shape @ np.diag(2 * rig.damping_ratio * w) @ shape.T @ M
+    B = np.vstack([np.hstack([np.eye(3), np.zeros((3, 3))]), np.hstack([cross(rig.hub), np.eye(3)])])
+    E, k = cell_rows(rig.position, rig.axis), rig.stiffness
+    G = np.zeros((6, 6))
+    mechanics = Mechanics(M, D, np.zeros((6, 6)), E, B, k, G)
+    if rig.torque is None:
+        return mechanics
+    stiffness, inertia, ratio = rig.torque
+    mechanics = add_coordinate(mechanics, inertia, 2 * ratio * np.sqrt(stiffness * inertia), 0.0)
+    B = mechanics.B.copy()
+    B[:, 5] = np.eye(7)[6]
+    twist = np.eye(7)[6:]
+    return replace(mechanics, B=B, E=np.vstack([mechanics.E, twist]), stiffness=np.append(k, stiffness))
+
+
+def add_coordinate(mechanics: Mechanics, mass: float, damping: float, stiffness: float) -> Mechanics:
+    """One more coordinate, not yet coupled to the others."""
+
+    def grown(matrix: Array, value: float) -> Array:
+        return np.block([[matrix, np.zeros((len(matrix), 1))], [np.zeros((1, len(matrix))), np.array([[value]])]])
+
+    return replace(
+        mechanics,
+        M=grown(mechanics.M, mass),
+        D=grown(mechanics.D, damping),
+        K=grown(mechanics.K, stiffness),
+        G=grown(mechanics.G, 0.0),
+        E=np.pad(mechanics.E, ((0, 0), (0, 1))),
+        B=np.pad(mechanics.B, ((0, 1), (0, 0))),
+    )
+
+
+def anti_alias(rig: Rig, frequency: Array) -> ComplexArray:
+    """Response of the anti-alias filter."""
+    b, a = butter(rig.filter_order, 2 * np.pi * rig.filter_cutoff, analog=True)
+    return np.asarray(freqs(b, a, 2 * np.pi * frequency)[1])
+
+
+def linear_forces(mechanics: Mechanics, loads: Array, rate: float, spin: float, band: float) -> Array:
+    """Cell forces (m, n) under loads (m, 6) that repeat; no load above `band` [Hz]."""
+    frequency = np.fft.rfftfreq(len(loads), 1 / rate)
+    spectrum = np.fft.rfft(loads, axis=0)
+    result = np.zeros((len(frequency), len(mechanics.E)), complex)
+    used = np.flatnonzero(frequency <= band)
+    for part in np.array_split(used, max(1, len(used) // 5000)):
+        result[part] = np.einsum("knc,kc->kn", mechanics.responses(frequency[part], spin), spectrum[part])
+    return np.asarray(np.fft.irfft(result, len(loads), axis=0))
+
+
+def nonlinear_forces(mechanics: Mechanics, loads: Array, rate: float, start: Array) -> Array:
+    """Cell forces (m, r, n) of runs at rest at `start` (r, n) at first, under loads (2 m, r, 6) given at half steps.
+
+    Runge-Kutta of fourth order.
+    """
+    A, n = mechanics.state_matrix(0.0).T, mechanics.size
+    inverse = np.linalg.inv(mechanics.M)
+    into = np.hstack([np.zeros((6, n)), (inverse @ mechanics.B).T])
+    pull = [np.concatenate([np.zeros(n), -inverse @ mechanics.E[law.cell]]) for law in mechanics.laws]
+    rows = [np.concatenate([mechanics.E[law.cell], np.zeros(n)]) for law in mechanics.laws]
+    h, x = 1 / rate, np.hstack([start, np.zeros_like(start)])
+    states = [np.zeros(len(x)) for _ in mechanics.laws]
+
+    def slope(x: Array, u: Array) -> Array:
+        result = x @ A + u
+        for law, row, p, state in zip(mechanics.laws, rows, pull, states, strict=True):
+            result += np.multiply.outer(law.force(x @ row, state), p)
+        return result
+
+    out = np.empty((len(loads) // 2, len(x), n))
+    for i in range(len(out)):
+        out[i] = x[:, :n]
+        u0, u1, u2 = loads[2 * i] @ into, loads[2 * i + 1] @ into, loads[min(2 * i + 2, len(loads) - 1)] @ into
+        k1 = slope(x, u0)
+        k2 = slope(x + h / 2 * k1, u1)
+        k3 = slope(x + h / 2 * k2, u1)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(x + h * k3, u2))
+        states = [law.advance(x @ row, s) for law, row, s in zip(mechanics.laws, rows, states, strict=True)]
+    return np.asarray(out @ mechanics.E.T * mechanics.stiffness)
+
+
+def equilibria(mechanics: Mechanics, loads: Array) -> Array:
+    """Coordinates (m, n) at rest under loads (m, 6), applied one after the other."""
+    K = mechanics.K + (mechanics.E.T * mechanics.stiffness) @ mechanics.E
+    states = [np.zeros(1) for _ in mechanics.laws]
+    q, out = np.zeros(mechanics.size), []
+    for load in loads:
+
+        def residual(q: Array, load: Array = load) -> Array:
+            total = K @ q - mechanics.B @ load
+            for law, state in zip(mechanics.laws, states, strict=True):
+                row = mechanics.E[law.cell]
+                total = total + row * law.force(np.array([row @ q]), state)[0]
+            return np.asarray(np.linalg.solve(K, total))
+
+        q = fsolve(residual, q, xtol=1e-13) if states else np.linalg.solve(K, mechanics.B @ load)
+        states = [
+            law.advance(np.array([mechanics.E[law.cell] @ q]), s) for law, s in zip(mechanics.laws, states, strict=True)
+        ]
+        out.append(q)
+    return np.array(out)
+
+
+def static_forces(mechanics: Mechanics, loads: Array) -> Array:
+    """Cell forces (m, n) under loads (m, 6) at rest, applied one after the other."""
+    return np.asarray(equilibria(mechanics, loads) @ mechanics.E.T * mechanics.stiffness)
