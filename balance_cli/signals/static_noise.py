@@ -39,18 +39,21 @@ def static_points(run: Run, channel_names: Sequence[str]) -> StaticPoints:
     """Rows of a static run in the order of loading, with the noise covariance of `channels - C0 loads`.
 
     First the linear dependence on the loads is eliminated, then the rows are differenced along the ramps of the
-    loading, then the differences of a quadratic or cubic misfit are eliminated.
+    loading, then the differences of a quadratic or cubic misfit are eliminated. Where the ramps are short (zero, half,
+    full), the differences of rows with equal loads count too; what hysteresis they contain counts as noise.
 
-    Raises UserError where there are no loads, or too few rows within a ramp.
+    Raises UserError where there are no loads, or too few rows within a ramp or at equal loads.
     """
     if not channel_names:
         raise run_error(run, "none of its channels can be used", "Repair the channels, or leave the run out")
     channels, loads = read_samples(run, channel_names)
     differences = second_differences(loads)
+    if _independent_differences(loads, differences) < len(channel_names) + 2:
+        differences = np.vstack([differences, repeated_differences(loads)])
     count = _independent_differences(loads, differences)
     if count < len(channel_names) + 2:
-        fault = f"only {count} rows within a ramp of the loading tell its noise"
-        raise run_error(run, fault, "Apply the loads in steps")
+        fault = f"only {count} rows within a ramp of the loading or at repeated loads tell its noise"
+        raise run_error(run, fault, "Apply the loads in steps, up and down")
     covariance, dof = difference_covariance(channels, loads, differences)
     parts = _noise_parts(channels, loads, differences, covariance, dof)
     names = tuple(channel_names)
@@ -85,6 +88,21 @@ def second_differences(loads: Array) -> Array:
     operator[rows, middle - 1] = share - 1.0
     operator[rows, middle + 1] = -share
     return np.asarray(operator / np.linalg.norm(operator, axis=1)[:, None], float)
+
+
+def repeated_differences(loads: Array) -> Array:
+    """Operator (t, m) that subtracts from each row the last row before it with the same loads, if there is one.
+
+    `loads` (m, 6). Each difference is scaled to the variance of one row.
+    """
+    size = np.ptp(loads, axis=0)
+    x = loads / np.where(size > 0, size, 1.0)
+    equal = np.linalg.norm(x[:, None] - x[None, :], axis=2) < MIN_STEP
+    pairs = [(i, np.flatnonzero(equal[i, :i])[-1]) for i in range(len(loads)) if equal[i, :i].any()]
+    operator = np.zeros((len(pairs), len(loads)))
+    for row, (later, earlier) in enumerate(pairs):
+        operator[row, later], operator[row, earlier] = np.sqrt(0.5), -np.sqrt(0.5)
+    return operator
 
 
 def _noise_parts(

@@ -54,6 +54,7 @@ def rigid_plate(rig: TrueRig) -> Mechanics:
         plate=np.eye(6)[:, free],
         non_metric_motion=np.zeros((6, n)),
         cg=rig.cg,
+        plate_damping=lambda changed_mass: modal_damping(changed_mass, stiffness, rig.damping_ratios),
     )
     return _with_shaft(plate, rig) if geometry.torque_meter else plate
 

@@ -6,6 +6,7 @@ extensions add.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -52,7 +53,8 @@ class Mechanics:
     `cell_rows` (c, n): elongations d = rows q [m]; `cell_stiffness` (c,) [N/m]; `torque_row` (n,): twist [N m] in the
     shaft per coordinate. `names` (n,) of the coordinates. `plate` (6, n): motion x y z psi theta phi of the plate at
     its center of gravity `cg` (3,); `non_metric_motion` (6, n): that of the non-metric side at the rig's origin, zero
-    where it is rigid.
+    where it is rigid. `plate_damping`: the damping of the plate by its damping ratios for a mass matrix of its f
+    motions, the first coordinates, both (f, f).
     """
 
     names: tuple[str, ...]
@@ -68,6 +70,7 @@ class Mechanics:
     cg: Array
     branches: tuple[MaxwellBranch, ...] = field(default=())
     forces: tuple[NonlinearCellForce, ...] = field(default=())
+    plate_damping: Callable[[Array], Array] | None = None
 
     @property
     def size(self) -> int:

@@ -51,7 +51,7 @@ def sweeps(rig: Rig, size: Size, excitation: str, rng: np.random.Generator) -> l
     rate = rig.sample_rate
     period = round(CYCLES_PER_PERIOD / rig.modes[0] * rate) / rate
     duration = PERIODS * period
-    kind = excitation.split("-several")[0]
+    kind = excitation.split("-several", maxsplit=1)[0]
     pairs = [(0, 4), (1, 3), (2, 5)] if "several" in excitation else [(i,) for i in range(6)]
     records = []
     for excited in pairs:

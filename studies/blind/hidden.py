@@ -55,9 +55,7 @@ def channel_gain(truth: Truth, rng: np.random.Generator) -> Hidden:
     """A wrong sensitivity."""
     i, gain = _draw_channel(truth, rng), 1 + rng.choice([-1, 1]) * rng.uniform(0.01, 0.05)
     dynamics = {**truth.dynamics, i: lambda f: np.full(len(f), gain, complex)}
-    return Hidden(
-        f"channel-gain@{truth.rig.channels[i].name}", {"gain": gain}, replace(truth, dynamics=dynamics)
-    )
+    return Hidden(f"channel-gain@{truth.rig.channels[i].name}", {"gain": gain}, replace(truth, dynamics=dynamics))
 
 
 def time_delay(truth: Truth, rng: np.random.Generator) -> Hidden:

@@ -88,7 +88,9 @@ def load_errors(table: Path, truth: dict[str, NDArray[np.complex128]]) -> pd.Dat
                 if not row[name]:
                     continue
                 error, sigma = float(row[name]) - value, float(row[f"sigma_{name}"] or "nan")
-                rows.append((row["flag"], n, error / sigma if sigma else np.nan, abs(error) / largest, row["component"]))
+                rows.append(
+                    (row["flag"], n, error / sigma if sigma else np.nan, abs(error) / largest, row["component"])
+                )
     return pd.DataFrame(rows, columns=["flag", "harmonic", "z", "share", "component"])
 
 

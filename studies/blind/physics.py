@@ -163,20 +163,22 @@ def equilibria(mechanics: Mechanics, loads: Array) -> Array:
     states = [np.zeros(1) for _ in mechanics.laws]
     q, out = np.zeros(mechanics.size), []
     for load in loads:
-
-        def residual(q: Array, load: Array = load) -> Array:
-            total = K @ q - mechanics.B @ load
-            for law, state in zip(mechanics.laws, states, strict=True):
-                row = mechanics.E[law.cell]
-                total = total + row * law.force(np.array([row @ q]), state)[0]
-            return np.asarray(np.linalg.solve(K, total))
-
-        q = fsolve(residual, q, xtol=1e-13) if states else np.linalg.solve(K, mechanics.B @ load)
+        linear = np.linalg.solve(K, mechanics.B @ load)
+        q = fsolve(_out_of_balance, q, (mechanics, K, linear, states), xtol=1e-13) if states else linear
         states = [
             law.advance(np.array([mechanics.E[law.cell] @ q]), s) for law, s in zip(mechanics.laws, states, strict=True)
         ]
         out.append(q)
     return np.array(out)
+
+
+def _out_of_balance(q: Array, mechanics: Mechanics, K: Array, linear: Array, states: list[Array]) -> Array:
+    """Distance of q from equilibrium, in motions of the linear rig."""
+    result = q - linear
+    for law, state in zip(mechanics.laws, states, strict=True):
+        row = mechanics.E[law.cell]
+        result = result + np.linalg.solve(K, row) * law.force(np.array([row @ q]), state)[0]
+    return np.asarray(result)
 
 
 def static_forces(mechanics: Mechanics, loads: Array) -> Array:

@@ -15,6 +15,7 @@ from studies.blind.physics import (
     STEP_ANGLE,
     Mechanics,
     anti_alias,
+    equilibria,
     linear_forces,
     nonlinear_forces,
     plate_mechanics,
@@ -118,7 +119,7 @@ def _grid(truth: Truth, record: Record, oversampling: int, shared: float = 0.0) 
     """Times of the fine grid, and the number of its points before the record."""
     rate = truth.rig.sample_rate
     before = int(np.ceil(SETTLED / truth.mechanics.slowest_decay * rate))
-    n = int(round(max(record.duration, shared) * rate)) + 8
+    n = round(max(record.duration, shared) * rate) + 8
     before += next_fast_len(before + n, real=True) - before - n
     return (np.arange((before + n) * oversampling) - before * oversampling) / (rate * oversampling), before
 
@@ -166,7 +167,7 @@ def _integrated(truth: Truth, records: list[Record]) -> dict[str, tuple[Array, A
 def _channels(truth: Truth, record: Record, forces: Array, loads: Array, before: int, fine: int) -> tuple[Array, Array]:
     """Volts (n, c) and recorded loads (n, 6) as sampled, without noise."""
     rig, rate = truth.rig, truth.rig.sample_rate
-    n = int(round(record.duration * rate))
+    n = round(record.duration * rate)
     longest = max(channel.time_constant or 0.0 for channel in rig.channels)
     count = len(forces) // fine
     pad = next_fast_len(count + int(np.ceil(SETTLED * longest * rate)), real=True) - count

@@ -90,7 +90,9 @@ def draw_declared(rng: np.random.Generator) -> Rig:
     position, axis = _draw_cells(rng, R)
     n = len(position)
     cg = R * np.array([rng.uniform(-0.08, 0.08), rng.uniform(-0.08, 0.08), rng.uniform(0.0, 0.4)])
-    inertia = np.diag(mass * R**2 * rng.uniform([0.2, 0.2, 0.3], [0.35, 0.35, 0.5]))
+    across = rng.uniform(0.2, 0.35, 2)
+    # No body has a moment above the sum of the two others; the largest ratio leaves room for the tolerances.
+    inertia = np.diag(mass * R**2 * np.append(across, across.sum() * rng.uniform(0.6, 0.8)))
     rig = Rig(
         hub=np.array([0.0, 0.0, R * rng.uniform(0.6, 1.6)]),
         mass=mass,

@@ -163,3 +163,18 @@ def test_a_load_that_no_difference_tells_of_is_unknown_but_for_a_bound():
     assert all(np.isfinite(part.size) and np.isfinite(part.error) for part in parts)
     shape, channels_alone = parts[-1].shape, parts[0].shape
     assert parts[-1].error == pytest.approx(1e3 / np.trace(np.linalg.solve(channels_alone, shape)))
+
+
+def test_short_ramps_up_and_down_tell_their_noise_from_repeated_loads():
+    cycle = np.array([0, 0.5, 1, 0.5, 0, -0.5, -1, -0.5, 0])
+    loads = np.concatenate([np.outer(cycle, np.eye(6)[j] * AMPLITUDE[j]) for j in range(6)])
+    # Weights are never equal to the last digit.
+    rng = np.random.default_rng(7)
+    loads *= 1 + 1e-5 * rng.normal(size=loads.shape)
+    square = (loads / AMPLITUDE) ** 2 @ rng.normal(size=(6, 4))
+    ratios = []
+    for _ in range(REPEATS):
+        noise = rng.multivariate_normal(np.zeros(4), COVARIANCE, size=len(loads))
+        points = static_points(run_of(loads, loads / AMPLITUDE @ np.ones((6, 4)) + 0.05 * square + noise), CHANNELS)
+        ratios.append(np.diag(points.covariance) / np.diag(COVARIANCE))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)

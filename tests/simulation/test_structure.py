@@ -6,9 +6,10 @@ from scipy.linalg import eigh
 
 from balance_cli.campaign.rig.geometry import Body, Cell
 from balance_cli.io.errors import UserError
+from balance_cli.model.effects import EFFECTS
 from balance_cli.simulation import NO_NOISE, RotorPlan, SweepPlan, simulate_run, true_rig
 from balance_cli.simulation.assembly import equations_of_motion
-from balance_cli.simulation.extensions.library import extension
+from balance_cli.simulation.extensions.library import EXTENSIONS, extension, parameter_names
 from balance_cli.simulation.mechanics import displacement_rows
 from balance_cli.simulation.response import state_matrix
 from balance_cli.simulation.rig import apply_effects
@@ -89,6 +90,29 @@ def test_added_mass_is_another_body():
     np.testing.assert_allclose(
         undamped_frequencies(motion(GEOMETRY, effect)), undamped_frequencies(motion(heavier)), rtol=1e-9
     )
+
+
+def test_the_damping_of_a_plate_follows_an_added_mass_by_its_share():
+    inertia = {"xx": 0, "yy": 0, "zz": 0}
+    body = Body.model_validate({"name": "hose", "mass": 7.0, "position": (0.2, -0.1, 0.3), "inertia": inertia})
+    heavier = equations_of_motion(true_rig(GEOMETRY.model_copy(update={"bodies": (*GEOMETRY.bodies, body)})))
+    rows = displacement_rows(np.subtract(motion(GEOMETRY).cg, heavier.cg))
+    # From the center of gravity of all bodies to that of the declared ones.
+    moved = np.vstack([rows, np.hstack([np.zeros((3, 3)), np.eye(3)])])
+    at = {"mass": 7.0, "x": 0.2, "y": -0.1, "z": 0.3}
+    stays, half, follows = (motion(GEOMETRY, extension("added-mass", damping_share=c, **at)) for c in (0.0, 0.5, 1.0))
+    np.testing.assert_allclose(moved.T @ follows.damping[:6, :6] @ moved, heavier.damping[:6, :6], rtol=1e-7, atol=1e-6)
+    np.testing.assert_allclose(stays.damping, motion(GEOMETRY).damping)
+    np.testing.assert_allclose(half.damping, (stays.damping + follows.damping) / 2)
+
+
+def test_every_effect_is_simulated_with_all_its_parameters():
+    for effect in EFFECTS:
+        if effect.name in EXTENSIONS:
+            kind = EXTENSIONS[effect.name]
+            for where in effect.places(GEOMETRY)[:1]:
+                names = {item.name for item in effect.parameters(GEOMETRY, where)}
+                assert names <= set(parameter_names(kind)), effect.name
 
 
 def test_springs_beside_the_cells_are_cells_without_channels():

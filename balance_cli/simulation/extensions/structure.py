@@ -116,18 +116,28 @@ class MastBending(Extension):
 
 @dataclass(frozen=True)
 class AddedMass(Extension):
-    """An undeclared point `mass` [kg] on the plate at x, y, z [m]."""
+    """An undeclared point `mass` [kg] on the plate at x, y, z [m].
+
+    `damping_share`: how far the plate's damping follows it, from 0 (it stays) to 1 (the damping ratios stay).
+    """
 
     name: ClassVar[str] = "added-mass"
     mass: float = 0.0
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
+    damping_share: float = 0.0
 
     def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
-        """The equations with the mass; the damping matrix does not change."""
+        """The equations with the mass, and with the damping that follows it."""
         rows = mechanics.plate_displacement((self.x, self.y, self.z))
-        return replace(mechanics, mass=mechanics.mass + self.mass * rows.T @ rows)
+        mass = mechanics.mass + self.mass * rows.T @ rows
+        damping = mechanics.damping.copy()
+        if self.damping_share and mechanics.plate_damping is not None:
+            plate = (slice(len(geometry.freedom)),) * 2
+            change = mechanics.plate_damping(mass[plate]) - mechanics.plate_damping(mechanics.mass[plate])
+            damping[plate] += self.damping_share * change
+        return replace(mechanics, mass=mass, damping=damping)
 
 
 @dataclass(frozen=True)
