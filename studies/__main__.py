@@ -29,6 +29,7 @@ from studies.filters_picture import filters_picture
 from studies.filters_table import filters_table, page_table
 from studies.lacking import lacking_table
 from studies.maneuver import maneuver_chunk, maneuver_table
+from studies.planning import planning_chunk, planning_table
 from studies.recovery import recovery_chunk, recovery_table
 
 TABLES = Path(__file__).parent / "tables"
@@ -84,6 +85,16 @@ def recovery(campaigns: int = 20, jobs: int = 2) -> None:
     """Responses and hub loads from whole simulated campaigns against the truth."""
     table = recovery_table(run_chunks("recovery", _recovery, range(campaigns), jobs))
     _write("recovery", table)
+    click.echo(table.to_string(index=False))
+
+
+@studies.command()
+@click.option("--campaigns", default=40, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def planning(campaigns: int = 40, jobs: int = 2) -> None:
+    """Detection rate and sigma that `plan` predicts, against those of simulated campaigns."""
+    table = planning_table(run_chunks("planning", planning_chunk, range(campaigns), jobs))
+    _write("planning", table)
     click.echo(table.to_string(index=False))
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from balance_cli.cli.common import Session, balance_command, geometry_option, output_option, skip_bad_option
+from balance_cli.cli.common import Session, balance_command, geometry_option, skip_bad_option
 from balance_cli.cli.options import InputFile, OutputFile
 from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
 from balance_cli.io.errors import UserError
@@ -21,12 +21,13 @@ if TYPE_CHECKING:
     from balance_cli.estimation.identified_model import IdentifiedModel
     from balance_cli.estimation.measured_spectra import Spectra
     from balance_cli.planning.hall import Hall
+    from balance_cli.steps.plan import PlanOptions
 
 
 @balance_command("plan")
 @geometry_option
 @click.argument("files", type=InputFile(), nargs=-1, metavar="[MODEL] [RUN...]")
-@click.option("--minutes", type=click.FloatRange(min=0, min_open=True), required=True, help="Hall time to be planned.")
+@click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Hall time to be planned.")
 @click.option(
     "--hall", type=InputFile(), metavar="HALL", help="What the hall allows: exciters, ranges, times (YAML, see files)."
 )
@@ -46,45 +47,103 @@ if TYPE_CHECKING:
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the rehearsals.")
 @click.option("--sheets", type=OutputFile(), metavar="FILE", help="Also write a sheet for each run, in Markdown.")
+@click.option(
+    "--compare",
+    type=InputFile(),
+    metavar="PLAN",
+    help="Plan nothing: compare the runs given with this plan, run by run.",
+)
 @skip_bad_option
-@output_option("PLAN", "YAML file for the plan, which `balance simulate --plan` takes.")
+@click.option(
+    "-o",
+    "--output",
+    type=OutputFile(),
+    metavar="PLAN",
+    help="YAML file for the plan, which `balance simulate --plan` takes; needed without --compare.",
+)
 def command(
     session: Session,
     geometry: Path,
     files: tuple[Path, ...],
-    minutes: float,
+    minutes: float | None,
     hall: Path | None,
     aim: Aim,
     level: float,
     seed: int,
     sheets: Path | None,
+    compare: Path | None,
     skip_bad: bool,
-    output: Path,
+    output: Path | None,
 ) -> None:
     """Plan the sweeps that tell most of effects and hub loads in the time of a hall.
 
     MODEL is a model of `identify` or `diagnose`, RUN... are runs already made: their information counts, and their
     noise is that of the plan. Without them the geometry is taken as declared. Every run that could be made is simulated
-    once, and its information on all parameters computed as `identify` and `diagnose` do.
+    once, and its information on all parameters computed as `identify` and `diagnose` do. With --compare the runs are
+    those of a plan that was carried out.
     """
-    from balance_cli.cli.plan_text import plan_file_text, plan_summary, plan_text
     from balance_cli.planning.detectability import DetectionLevel
-    from balance_cli.planning.sheets import sheets_text
-    from balance_cli.steps.plan import PlanOptions, plan_campaign
+    from balance_cli.steps.plan import PlanOptions
 
+    _check_call(minutes, sheets, compare, output)
     rig = session.geometry(geometry)
     constraints = _read_hall(session, hall)
     model, records = _read_files(session, files, rig, skip_bad)
-    options = PlanOptions(minutes, aim, DetectionLevel(level), constraints, seed)
+    options = PlanOptions(minutes or 0.0, aim, DetectionLevel(level), constraints, seed)
     try:
         spectra = _spectra(session, records, model.geometry if model else rig)
-        planned = plan_campaign(rig, options, model, spectra, lambda runs, text, n: session.progress(runs, text, n))
+        if compare is not None:
+            _compare(session, rig, compare, options, spectra, model)
+        elif output is not None:
+            _plan(session, rig, options, spectra, model, output, sheets)
     except UserError as error:
         raise error.with_location(str(hall or geometry)) from error
+
+
+def _check_call(minutes: float | None, sheets: Path | None, compare: Path | None, output: Path | None) -> None:
+    """Raise UserError where an option is missing, or has no meaning together with --compare."""
+    if compare is None and (minutes is None or output is None):
+        missing = "--minutes" if minutes is None else "-o"
+        raise UserError("is missing", missing, remedy="Give the hall time and the file of the plan, or --compare")
+    if compare is not None and (output is not None or sheets is not None or minutes is not None):
+        given = "-o" if output is not None else "--sheets" if sheets is not None else "--minutes"
+        raise UserError("has no meaning with --compare", given, remedy="Leave it out; --json writes the comparison")
+
+
+def _plan(
+    session: Session,
+    rig: Geometry,
+    options: PlanOptions,
+    spectra: Spectra,
+    model: IdentifiedModel | None,
+    output: Path,
+    sheets: Path | None,
+) -> None:
+    from balance_cli.cli.plan_text import plan_file_text, plan_summary, plan_text
+    from balance_cli.planning.sheets import sheets_text
+    from balance_cli.steps.plan import plan_campaign
+
+    planned = plan_campaign(rig, options, model, spectra, lambda runs, text, n: session.progress(runs, text, n))
     session.write_text(output, plan_file_text(planned))
     if sheets is not None:
         session.write_text(sheets, sheets_text(planned))
     session.finish(plan_summary(planned), plan_text(planned))
+
+
+def _compare(
+    session: Session,
+    rig: Geometry,
+    compare: Path,
+    options: PlanOptions,
+    spectra: Spectra,
+    model: IdentifiedModel | None,
+) -> None:
+    from balance_cli.cli.plan_comparison import comparison_summary, comparison_text
+    from balance_cli.simulation.files import read_plan
+    from balance_cli.steps.compare_plan import compare_plan
+
+    comparison = compare_plan(rig, read_plan(compare), options, spectra, model)
+    session.finish(comparison_summary(comparison), comparison_text(comparison))
 
 
 def _read_hall(session: Session, path: Path | None) -> Hall:

@@ -87,8 +87,7 @@ def effect_worth(diagonal: Array, model: ExtendedModel) -> float:
     """The part of the worth that comes from the effects, by the diagonal (t,) of V; zero without any."""
     if not model.candidates:
         return 0.0
-    scale = np.concatenate([[item.fitted_scale for item in model.items(each)] for each in model.candidates])
-    value = 0.5 * np.log(diagonal * scale**2 + COARSEST_SIZE**-2)
+    value = 0.5 * np.log(diagonal * model.scales**2 + COARSEST_SIZE**-2)
     names = np.array([each.effect.name for each in model.candidates for _ in model.items(each)])
     return float(np.mean([value[names == name].mean() for name in dict.fromkeys(names)]))
 

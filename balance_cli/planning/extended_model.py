@@ -50,6 +50,11 @@ class ExtendedModel:
         sigma = self.model.parameters.sigma[self.model.parameters.free]
         return np.diag(1.0 / sigma**2)
 
+    @property
+    def scales(self) -> Array:
+        """The size (t,) of a change that matters, of every tested parameter in the order of the candidates."""
+        return np.array([item.fitted_scale for each in self.candidates for item in self.items(each)])
+
     def items(self, candidate: Candidate) -> tuple[EffectParameter, ...]:
         """The parameters of interest of a candidate, in the order of its indices."""
         return parameters_of_interest(candidate.placed_effect.parameters)

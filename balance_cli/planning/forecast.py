@@ -69,7 +69,7 @@ def _detectable_effect(
     forecast: LoadForecast | None,
 ) -> DetectableEffect:
     rows = [item for item in tables[-1] if item.effect == name]
-    scale = _scales(model)
+    scale = model.scales
     shown = [item for item in rows if np.isfinite(item.size)]
     hardest = max(shown or rows, key=lambda item: item.size / scale[item.index])
     easiest = min(rows, key=lambda item: item.size / scale[item.index])
@@ -89,11 +89,6 @@ def _detectable_effect(
         share=share,
         missing=missing,
     )
-
-
-def _scales(model: ExtendedModel) -> Array:
-    """The size (t,) of a change that matters, of every tested parameter."""
-    return np.array([item.fitted_scale for each in model.candidates for item in model.items(each)])
 
 
 def load_sigma(

@@ -9,7 +9,7 @@ formula for any of them. The information of independent runs adds up (Fedorov, T
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,11 +80,13 @@ def planned_information(
     records = (rehearse(plan, rig, noise, seed) for seed in random_seeds)
     spectra = (rehearsed_spectra(record, rig.geometry) for record in records)
     parts = [add_information(spectra_information(each, model), model) for each in spectra]
-    return RunInformation(
-        plan.run,
-        np.asarray(sum(part.information for part in parts) / len(parts)),
-        sum(part.noise_dof for part in parts) / len(parts),
-    )
+    return mean_information(parts, plan.run)
+
+
+def mean_information(parts: Sequence[RunInformation], name: str) -> RunInformation:
+    """The mean of several rehearsals of one run."""
+    information = np.mean([part.information for part in parts], axis=0)
+    return RunInformation(name, information, sum(part.noise_dof for part in parts) / len(parts))
 
 
 def add_information(parts: Iterable[RunInformation], model: ExtendedModel, name: str = "") -> RunInformation:

@@ -80,3 +80,46 @@ def test_constraints_that_cannot_hold_end_with_one_message(call, tmp_path, hall,
     assert result.exit_code == 2
     assert message in result.output and ("hall.yaml" in result.output or "--minutes" in result.output)
     assert "Traceback" not in result.output and not (tmp_path / "plan.yaml").exists()
+
+
+@pytest.fixture
+def made(call, tmp_path):
+    """A plan, and the run files of its simulation with four times the noise."""
+    assert call("--minutes", 2).exit_code == 0
+    words = ["simulate", "-g", tmp_path / "g.yaml", "--plan", tmp_path / "plan.yaml", "--noise", 4]
+    assert CliRunner().invoke(balance, list(map(str, [*words, "-o", tmp_path / "made"]))).exit_code == 0
+    return sorted((tmp_path / "made").glob("*.h5"))
+
+
+def compare(tmp_path, *words):
+    files = ["plan", "-g", tmp_path / "g.yaml", "--hall", tmp_path / "hall.yaml", "--compare", tmp_path / "plan.yaml"]
+    return CliRunner().invoke(balance, list(map(str, (*files, *words))))
+
+
+def test_runs_are_compared_with_their_plan(made, tmp_path):
+    result = compare(tmp_path, *made[1:], "--json", tmp_path / "c.json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "c.json").read_text())
+    assert len(summary["compared"]) == len(made) - 1 and len(summary["not_made"]) == 1
+    for run in summary["compared"]:
+        # A sixteenth; the weights of so few lines beside the resonance scatter by tens of percent between records.
+        assert 0.6 < 16 * run["information_ratio"] < 1.6
+        assert run["level_ratio"] == pytest.approx(1.0, abs=0.02)
+        assert run["noise_ratio"] == pytest.approx(4.0, rel=0.1)
+        assert any("noise" in cause for cause in run["causes"])
+    for item in summary["sizes"]:
+        ratio = item["achieved"] / item["planned"]
+        assert 3.3 < (1.0 / ratio if item["parameter"] == "cutoff" else ratio) < 4.2
+
+
+@pytest.mark.parametrize("words", [("--minutes", 3), ("--sheets", "s.md"), ("-o", "p.yaml")])
+def test_options_of_a_plan_have_no_meaning_in_a_comparison(call, tmp_path, words):
+    assert call("--minutes", 2).exit_code == 0
+    result = compare(tmp_path, *words)
+    assert result.exit_code == 2 and words[0] in result.output
+
+
+def test_a_comparison_needs_runs_of_the_plan(call, tmp_path):
+    assert call("--minutes", 2).exit_code == 0
+    result = compare(tmp_path)
+    assert result.exit_code == 2 and "no run has the name of a planned sweep" in result.output
