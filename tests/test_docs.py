@@ -219,6 +219,7 @@ def summaries(tmp_path_factory):
         "identify": [*g, sweep, static, "--method", "computed", "-o", model],
         "diagnose": [model, sweep, "--hold-out", check, "-o", out, "--model-out", str(folder / "closed.h5")],
         "reduce": ["--calibration", cal, "--model", model, "--method", "smoother", check, "-o", out],
+        "merge": [out, "-o", str(folder / "merged.h5")],
         "modes": g,
         "plan": [*g, "--hall", str(folder / "hall.yaml"), "--minutes", "3", "-o", str(folder / "planned.yaml")],
         "simulate": [*g, "--plan", str(folder / "plan.yaml"), "-o", str(folder / "campaign")],

@@ -38,6 +38,7 @@ import click
 
 from balance_cli.cli.errors import BalanceCommand
 from balance_cli.cli.log_messages import log_to_stderr
+from balance_cli.cli.messages import Messages
 from balance_cli.cli.options import (
     InputFile,
     OutputFile,
@@ -76,22 +77,20 @@ __all__ = [
 T = TypeVar("T")
 
 
-class Session:
+class Session(Messages):
     """One call of one command: its inputs, outputs, warnings and summary."""
 
     def __init__(self, context: click.Context, json_path: Path | None) -> None:
+        super().__init__()
         self.status = 0
         self._context = context
         self._json_path = json_path
         self._staged = StagedOutputs()
         self._inputs: list[tuple[str, str, str]] = []
         self._outputs: list[Path] = []
-        self.warnings: list[str] = []
-        self._skipped: dict[str, str] = {}
-        self._left_out: dict[str, str] = {}
-        self._gaps: dict[str, dict[str, dict[str, int]]] = {}
         self._summary: Mapping[str, Any] = {}
         self._text: tuple[str, ...] = ()
+        self._after_close: list[Callable[[], None]] = []
         self.extra_summary: dict[str, Any] = {}
 
     def geometry(self, path: Path, mechanics: bool = True) -> Geometry:
@@ -157,11 +156,11 @@ class Session:
         inputs = tuple(Input(*entry) for entry in self._inputs)
         return make_provenance(self._context.info_name or "", non_default_options(self._context), inputs)
 
-    def save(self, path: Path, format: str, content: Any) -> None:
-        """Stage an artefact of this format for `path`, with the provenance of all inputs read so far."""
+    def save(self, path: Path, format: str, content: Any, provenance: Provenance | None = None) -> None:
+        """Stage an artefact of this format for `path`, by default with the provenance of all inputs read so far."""
         from balance_cli.io.artefacts import save_artefact
 
-        save_artefact(self.stage(path), format, content, self.provenance())
+        save_artefact(self.stage(path), format, content, provenance or self.provenance())
 
     def write_text(self, path: Path, text: str) -> None:
         """Stage a text file for `path`."""
@@ -184,24 +183,20 @@ class Session:
         """As `stage`, for the file `name` in an output folder, which is created if necessary."""
         return self.stage(self._staged.stage_folder(folder) / name)
 
+    def unstage(self, part: Path) -> None:
+        """Withdraw an output by its temporary path."""
+        path = self._staged.target_of(part)
+        if path is not None:
+            self._staged.unstage(path)
+            self._outputs = [output for output in self._outputs if output.resolve() != path]
+
+    def after_close(self, action: Callable[[], None]) -> None:
+        """Call `action` when the outputs are in place, or removed."""
+        self._after_close.append(action)
+
     def echo(self, line: str) -> None:
         """Print a line now: on stdout, or on stderr where the JSON goes to stdout."""
         click.echo(line, err=self.json_to_stdout)
-
-    def warn(self, text: str) -> None:
-        """Print a warning on stderr and add it to the summary."""
-        self.warnings.append(text)
-        self._echo_warning(text)
-
-    def report_skipped(self, file: str, reason: str) -> None:
-        """Report that a run is not used although the command goes on (`--skip-bad`)."""
-        self._skipped[file] = reason
-        self._echo_warning(f"skipped: {reason}")
-
-    def report_left_out(self, name: str, reason: str) -> None:
-        """Report that a run (or channel) was read but not used, and why."""
-        self._left_out[name] = reason
-        self._echo_warning(f"{name} left out: {reason}")
 
     @contextmanager
     def skip_if_unusable(self, run: Run, skip_bad: bool) -> Iterator[None]:
@@ -231,6 +226,8 @@ class Session:
                 self._echo_result()
         finally:
             self._staged.discard()
+            for action in self._after_close:
+                action()
 
     def _full_summary(self) -> dict[str, Any]:
         return {
@@ -264,9 +261,6 @@ class Session:
     def json_to_stdout(self) -> bool:
         """Whether the summary goes to stdout, and the text therefore to stderr."""
         return self._json_path is not None and str(self._json_path) == "-"
-
-    def _echo_warning(self, text: str) -> None:
-        click.echo(f"balance: warning: {text}", err=True)
 
 
 def balance_command(name: str, **attributes: Any) -> Callable[[Callable[..., None]], click.Command]:

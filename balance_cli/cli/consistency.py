@@ -25,22 +25,38 @@ def require_consistent_runs(
     Raises UserError for a fault; with `skip_bad` the runs that show it are skipped, unless all runs do.
     """
     from balance_cli.diagnosis.consistency.campaign import campaign_findings
+
+    paths = {run.name: str(run.path or run.name) for run in runs}
+    bad = inconsistent_runs(session, campaign_findings(geometry, runs), paths, skip_bad, is_harmless)
+    for name, reason in bad.items():
+        session.report_skipped(paths[name], f"{paths[name]}: {reason}")
+    return tuple(run for run in runs if run.name not in bad)
+
+
+def inconsistent_runs(
+    session: Session,
+    findings: Sequence[ConsistencyFinding],
+    paths: dict[str, str],
+    skip_bad: bool,
+    is_harmless: ConsequenceRule,
+) -> dict[str, str]:
+    """Report the findings on the runs {name: path} of a command, and return {name: reason} of those to be skipped.
+
+    Raises UserError for a fault; with `skip_bad` the runs that show it are returned, unless all runs do.
+    """
     from balance_cli.diagnosis.consistency.severity import findings_for_command
 
-    findings = findings_for_command(campaign_findings(geometry, runs), is_harmless)
+    findings = findings_for_command(findings, is_harmless)
     session.extra_summary["consistency"] = [finding_summary(finding) for finding in findings]
-    paths = {run.name: str(run.path or run.name) for run in runs}
     bad: dict[str, str] = {}
     for finding in findings:
         if not finding.is_fault:
             session.warn(finding.sentence)
-        elif finding.in_all_runs or not skip_bad or len(bad) == len(runs):
+        elif finding.in_all_runs or not skip_bad or len(bad) == len(paths):
             raise _error(finding, paths)
         else:
             bad.update(dict.fromkeys(finding.runs, finding.sentence))
-    for name, reason in bad.items():
-        session.report_skipped(paths[name], f"{paths[name]}: {reason}")
-    return tuple(run for run in runs if run.name not in bad)
+    return bad
 
 
 def _error(finding: ConsistencyFinding, paths: dict[str, str]) -> UserError:

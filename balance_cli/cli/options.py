@@ -152,16 +152,18 @@ def check_band(option: str, lowest: float, highest: float) -> None:
         raise UserError(fault, option, remedy="Give the lowest frequency first, then the highest")
 
 
+EXECUTION_OPTIONS = ("json_path", "verbose", "strict", "jobs", "executor", "shard")
+"""Options of how a command is carried out and reported; results do not depend on them."""
 STORED_OPTION_NAMES = {"load_model": "loads-as"}
 """Names under which artefacts store options that were renamed later, so that digests stay."""
 
 
 def non_default_options(context: click.Context) -> dict[str, Any]:
-    """The options of the call that differ from their defaults, without paths, `--json` and `--verbose`."""
+    """The options of the call that differ from their defaults, without paths and EXECUTION_OPTIONS."""
     settings = {}
     for parameter in context.command.params:
         name = parameter.name or ""
-        if name in ("json_path", "verbose") or isinstance(parameter.type, click.Path):
+        if name in EXECUTION_OPTIONS or isinstance(parameter.type, click.Path):
             continue
         value = context.params.get(name)
         if value != parameter.get_default(context) and value not in ((), None):

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.common import Session, balance_command, output_option, skip_bad_option
+from balance_cli.cli.batch.options import EXIT_RUNS_SKIPPED, BatchOptions, batch_options, gather_batch_options
+from balance_cli.cli.common import Session, balance_command, output_option
+from balance_cli.cli.load_table_file import check_table_suffix, write_loads
 from balance_cli.cli.options import InputFile, OutputFolder, deprecated_option
-from balance_cli.cli.reduce_inputs import parse_frequencies, read_calibration, read_response, read_zero
+from balance_cli.cli.reduce_inputs import parse_frequencies, read_calibration, read_response
 from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.cli.reduce_spectra import check_band_options, reduce_to_spectra
 from balance_cli.io.errors import UserError
-from balance_cli.io.formats import LOADS_FORMAT
-from balance_cli.io.spreadsheet import text_cell
-from balance_cli.reduction.choices import FREQUENCIES, INTERPOLATIONS, LOAD_MODELS, METHODS, TABLE_SUFFIXES
+from balance_cli.reduction.choices import FREQUENCIES, INTERPOLATIONS, LOAD_MODELS, METHODS
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.reduction.response_sources import ResponseSource
-    from balance_cli.reduction.result import HubLoads, RunLoads
+    from balance_cli.reduction.result import RunLoads
 
 
 @balance_command("reduce")
@@ -91,7 +90,7 @@ if TYPE_CHECKING:
 @click.option("--zero", type=InputFile(), metavar="RUN", help="Wind-off record, the zero of the mean loads.")
 @click.option("--history", type=OutputFolder(), metavar="DIR", help="Also write load histories RUN.h5 to this folder.")
 @click.argument("runs", type=InputFile(readable=False), nargs=-1, required=True, metavar="RUN...")
-@skip_bad_option
+@batch_options
 @output_option("LOADS", "Table of loads, .csv or .h5.")
 def command(
     session: Session,
@@ -109,8 +108,8 @@ def command(
     zero: Path | None,
     history: Path | None,
     runs: tuple[Path, ...],
-    skip_bad: bool,
     output: Path,
+    **batch_parameters: Any,
 ) -> None:
     """Reduce runs to rotor-harmonic hub loads, with the dynamics of the balance removed.
 
@@ -122,10 +121,12 @@ def command(
 
     Loads that change in time are estimated sample by sample by --method kalman and --method smoother, from all channels
     through a model of the physical form. --history writes them; the table contains their harmonics.
-    """
-    from balance_cli.cli.consistency import require_consistent_runs
-    from balance_cli.diagnosis.consistency.severity import known_anyway
 
+    Of several runs, those that cannot be used are listed and skipped, with exit status 4. The loads do not depend on
+    the number of processes. After an interruption the same call goes on where it stopped.
+    """
+    batch = gather_batch_options(batch_parameters)
+    skips = batch.skips(len(runs))
     _check_options(model, transfer, static, calibration is not None, zero is not None, output)
     method_options = MethodOptions(
         method, load_model if _is_given("load_model") else None, lag, harmonics or 0, frequencies
@@ -135,15 +136,35 @@ def command(
     cal = read_calibration(session, calibration)
     geometry, source = read_response(session, cal, model, transfer, interpolation)
     method_options.check_source(source, model)
-    records = session.runs(runs, geometry, skip_bad)
-    records = require_consistent_runs(session, geometry, records, skip_bad, known_anyway)
     if band is not None:
-        reduce_to_spectra(session, geometry, source, _rotor_runs(session, records), band, skip_bad, output)
+        _reduce_to_spectra(session, geometry, source, band, runs, batch, output)
         return
-    if harmonics is None and not frequencies:
-        method_options = replace(method_options, harmonics=_default_harmonics(session, geometry, source, records))
-    reduction = Reduction(method_options, geometry, cal, source, read_zero(session, cal, zero, records), history)
-    _finish(session, reduction, _reduce_runs(session, reduction, records, skip_bad), output)
+    from balance_cli.cli.batch.reduction import BatchReduction
+
+    reduction = Reduction(method_options, geometry, cal, source, None, history)
+    reduction, loads = BatchReduction(session, batch, skips).reduce(reduction, runs, zero, output)
+    _finish(session, reduction, loads, output)
+
+
+def _reduce_to_spectra(
+    session: Session,
+    geometry: Geometry,
+    source: ResponseSource,
+    band: tuple[float, float],
+    paths: tuple[Path, ...],
+    batch: BatchOptions,
+    output: Path,
+) -> None:
+    """Reduce runs to spectra, in this process."""
+    from balance_cli.cli.consistency import require_consistent_runs
+    from balance_cli.diagnosis.consistency.severity import known_anyway
+
+    skips = batch.skips(len(paths))
+    records = session.runs(paths, geometry, skips)
+    records = require_consistent_runs(session, geometry, records, skips, known_anyway)
+    reduce_to_spectra(session, geometry, source, _rotor_runs(session, records), band, skips, output)
+    if session.skipped and not batch.skip_bad:
+        session.status = EXIT_RUNS_SKIPPED
 
 
 def _finish(session: Session, reduction: Reduction, runs: dict[str, RunLoads], output: Path) -> None:
@@ -153,37 +174,10 @@ def _finish(session: Session, reduction: Reduction, runs: dict[str, RunLoads], o
 
     options = reduction.method
     method = FREQUENCIES if options.frequencies and not options.in_time else options.name
-    loads = HubLoads(method, reduction.source.description, reduction.geometry, runs, tuple(session.warnings) or None)
-    _write_load_table(session, output, loads)
+    warnings = tuple(sorted(set(session.warnings)))  # in one order, whoever reduced which run first
+    loads = HubLoads(method, reduction.source.description, reduction.geometry, runs, warnings or None)
+    write_loads(session, output, loads)
     session.finish(summary(loads), reduction_text(loads))
-
-
-def _default_harmonics(session: Session, geometry: Geometry, source: ResponseSource, records: tuple[Run, ...]) -> int:
-    """Return the harmonics that all runs permit of those that are the default, with a warning where they are fewer."""
-    from balance_cli.steps.reduction_inputs import default_harmonics, harmonics_within_band
-
-    wanted = default_harmonics(geometry)
-    runs = [run for run in records if run.kind in ("check", "wind")]
-    possible = {run.name: harmonics_within_band(run, source, wanted) for run in runs}
-    fewest = min(possible.values(), default=wanted)
-    if fewest < wanted:
-        name = min(possible, key=lambda run: possible[run])
-        session.warn(f"{fewest} harmonics in place of {wanted}: those above are beyond the band of run {name}")
-    return fewest
-
-
-def _reduce_runs(
-    session: Session, reduction: Reduction, records: tuple[Run, ...], skip_bad: bool
-) -> dict[str, RunLoads]:
-    """Reduce the check and wind runs among the records."""
-    runs = _rotor_runs(session, records)
-    run_loads: dict[str, RunLoads] = {}
-    for run in session.progress(runs, "runs", len(runs)):
-        with session.skip_if_unusable(run, skip_bad):
-            run_loads[run.name] = reduction.reduce_run(session, run)
-            for channel, reason in run_loads[run.name].left_out.items():
-                session.warn(f"{run.name}: channel {channel} left out: {reason}")
-    return run_loads
 
 
 def _rotor_runs(session: Session, records: tuple[Run, ...]) -> list[Run]:
@@ -210,8 +204,7 @@ def _check_options(
     if not has_calibration and (static or has_zero):
         option = "--static" if static else "--zero"
         raise UserError("needs a static calibration", option, remedy="Add --calibration CAL, or leave it out")
-    if output.suffix not in TABLE_SUFFIXES:
-        raise UserError("the table is written as .csv or .h5", str(output), remedy="End its name with .csv or .h5")
+    check_table_suffix(output)
 
 
 def _accept_run(session: Session, run: Run) -> bool:
@@ -220,14 +213,3 @@ def _accept_run(session: Session, run: Run) -> bool:
     if run.kind != "zero":
         session.report_left_out(run.name, f"a {run.kind} run contains no rotor loads")
     return False
-
-
-def _write_load_table(session: Session, output: Path, loads: HubLoads) -> None:
-    if output.suffix == ".h5":
-        session.save(output, LOADS_FORMAT, loads)
-        return
-    from balance_cli.reduction.result import load_table
-
-    table = load_table(loads)
-    table["run"] = table["run"].map(text_cell)
-    session.write_text(output, table.to_csv(index=False, lineterminator="\n"))

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from balance_cli.cli.common import Session
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.choices import HARMONIC, KALMAN, LOAD_MODELS, SMOOTHER
 
@@ -93,7 +92,8 @@ class MethodOptions:
 class Reduction:
     """Method, geometry, response and calibration of one call, and the folder of the histories (None: not written).
 
-    Without a calibration the mean loads are not measured.
+    Without a calibration the mean loads are not measured. `compare_runs`: whether the call has runs with known loads,
+    which are compared with each other.
     """
 
     method: MethodOptions
@@ -102,12 +102,12 @@ class Reduction:
     source: ResponseSource
     zero: ZeroRecord | None
     histories: Path | None
+    compare_runs: bool = False
 
-    def reduce_run(self, session: Session, run: Run) -> RunLoads:
-        """Reduce one run and prepare its history. UserError where it cannot be reduced."""
-        _check_name(run, self.histories)
+    def reduce_run(self, run: Run, history_file: Path | None = None) -> RunLoads:
+        """Reduce one run and write its history, if a file is given. UserError where it cannot be reduced."""
         with ExitStack() as stack:
-            history = _HistoryWriter(session, stack, self.histories, run.name, self.calibration is not None)
+            history = _HistoryWriter(stack, history_file, run.name, self.calibration is not None)
             if self.method.in_time:
                 return self._reduce_in_time(run, history)
             return self._reduce_tones(run) if self.method.frequencies else self._reduce_harmonics(run, history)
@@ -155,25 +155,25 @@ def _check_lag(run: Run, lag: float | None) -> None:
         raise UserError(fault, "--lag", remedy="Give a shorter lag, or use --method smoother")
 
 
-def _check_name(run: Run, folder: Path | None) -> None:
-    is_long = len(run.name.encode("utf-8", "replace")) > LONGEST_NAME
-    if folder is not None and (Path(run.name).name != run.name or is_long):
-        fault = f"run name `{run.name[:LONGEST_NAME]}` cannot be a file name"
-        raise UserError(fault, str(run.path), "attribute `run`", "Rename the run")
+def check_name(name: str, path: Path, folder: Path | None) -> None:
+    """Raise UserError where the name of the run in a file cannot be that of its history in a folder."""
+    is_long = len(name.encode("utf-8", "replace")) > LONGEST_NAME
+    if folder is not None and (Path(name).name != name or is_long):
+        fault = f"run name `{name[:LONGEST_NAME]}` cannot be a file name"
+        raise UserError(fault, str(path), "attribute `run`", "Rename the run")
 
 
 class _HistoryWriter:
     """The history file of a run, created with its first block: until then the run may still be refused."""
 
-    def __init__(self, session: Session, stack: ExitStack, folder: Path | None, run: str, has_mean: bool) -> None:
-        self._session, self._stack, self._folder, self._run = session, stack, folder, run
-        self._has_mean = has_mean
+    def __init__(self, stack: ExitStack, path: Path | None, run: str, has_mean: bool) -> None:
+        self._stack, self._path, self._run, self._has_mean = stack, path, run, has_mean
         self._file: HistoryFile | None = None
 
     @property
     def is_enabled(self) -> bool:
         """Whether histories are written."""
-        return self._folder is not None
+        return self._path is not None
 
     @property
     def sink(self) -> Callable[[LoadHistory], None] | None:
@@ -186,7 +186,6 @@ class _HistoryWriter:
         from balance_cli.reduction.history_file import HistoryFile
 
         if self._file is None:
-            assert self._folder is not None
-            part = self._session.stage_in(self._folder, f"{self._run}.h5")
-            self._file = self._stack.enter_context(HistoryFile(part, self._run, self._has_mean))
+            assert self._path is not None
+            self._file = self._stack.enter_context(HistoryFile(self._path, self._run, self._has_mean))
         return self._file

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from balance_cli.cli.pipeline.execution import Execution, Outcome
     from balance_cli.cli.pipeline.inventory import Inventory
 
-EXIT_RUNS_SKIPPED = 4
-
 
 @balance_command("run")
 @click.argument("campaign", type=InputFolder(), metavar="CAMPAIGN")
@@ -82,6 +80,7 @@ class _ProgressLines:
 
 def _finish(session: Session, execution: Execution, inventory: Inventory) -> None:
     """Set summary, text and exit status: that of the worst step, or 4 where only files were left out."""
+    from balance_cli.cli.pipeline.execution import EXIT_RUNS_SKIPPED
     from balance_cli.cli.pipeline.loads import best_loads, loads_summary, loads_text, spectra_lines
 
     loads = best_loads(execution.results, execution.made)
@@ -89,7 +88,7 @@ def _finish(session: Session, execution: Execution, inventory: Inventory) -> Non
     statuses = [outcome.status for outcome in execution.outcomes.values() if outcome.result == "failed"]
     if statuses:
         session.status = EXIT_USER_ERROR if set(statuses) == {EXIT_USER_ERROR} else 1
-    elif inventory.left_out:
+    elif inventory.left_out or any(outcome.status == EXIT_RUNS_SKIPPED for outcome in execution.outcomes.values()):
         session.status = EXIT_RUNS_SKIPPED
     session.finish(summary, [*loads_text(loads), *spectra_lines(execution.results, execution.made)])
 

@@ -40,6 +40,9 @@ class ModelSource:
 
     model: IdentifiedModel
 
+    def __getstate__(self) -> dict[str, IdentifiedModel]:
+        return {"model": self.model}  # the system holds functions, which have no pickle
+
     @property
     def description(self) -> str:
         """Form, method and effects of the model."""

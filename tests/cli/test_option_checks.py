@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.cli.common import OutputFolder, balance_command, runs_argument
 from balance_cli.cli.options import check_band
-from balance_cli.cli.reduce_runs import _check_lag, _check_name
+from balance_cli.cli.reduce_runs import _check_lag, check_name
 from balance_cli.cli.summary import json_text
 from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import is_hdf5
@@ -44,9 +44,9 @@ def test_a_lag_is_at_most_the_record():
 
 @pytest.mark.parametrize("name", ["../x", "/tmp/x", "n" * 300])
 def test_a_history_has_the_name_of_a_file(name, tmp_path):
-    _check_name(a_run(name), None)
+    check_name(name, Path("r.h5"), None)
     with pytest.raises(UserError, match="cannot be a file name"):
-        _check_name(a_run(name), tmp_path)
+        check_name(name, Path("r.h5"), tmp_path)
 
 
 @balance_command("copy")

@@ -13,7 +13,7 @@ import numpy as np
 from balance_cli.campaign.recording.additions_file import read_additions, write_additions
 from balance_cli.campaign.recording.gaps import bridge_gaps
 from balance_cli.campaign.recording.point_loads import with_hub_loads
-from balance_cli.campaign.recording.run import Array, Run, SampleBlock, have_same_samples, run_digest
+from balance_cli.campaign.recording.run import Array, Run, SampleBlock, have_same_samples, hold_samples, run_digest
 from balance_cli.campaign.recording.run_checks import load_sample_faults, run_file_faults
 from balance_cli.campaign.recording.run_contents import read_contents, report_damage
 from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileContents, run_from_contents
@@ -46,22 +46,23 @@ class Hdf5Source:
             return SampleBlock(start, channels, np.asarray(file["loads"][start:stop], np.float64)[:, self.load_order])
 
 
-def open_run(path: Path) -> Run:
+def open_run(path: Path, hold: bool = False) -> Run:
     """Open a run file.
 
-    Its samples are read once for their digest, then on demand. Raises UserError for its first fault.
+    Its samples are read once for their digest, then on demand; with `hold` they stay in memory, if they are not too
+    many. Raises UserError for its first fault.
     """
-    run, faults = read_run(path)
+    run, faults = read_run(path, hold)
     if run is None or faults:
         raise faults[0]
     return run
 
 
-def read_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
+def read_run(path: Path, hold: bool = False) -> tuple[Run | None, tuple[UserError, ...]]:
     """Return the run in a file, None where it cannot be read, and all faults of the file."""
     path = Path(path)
     try:
-        run, faults = _read_whole_run(path)
+        run, faults = _read_whole_run(path, hold)
         if run is not None:
             run = bridge_gaps(run)
             faults = tuple(load_sample_faults(run))
@@ -71,16 +72,44 @@ def read_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
 
 
 @read_in_child
-def _read_whole_run(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
+def _read_whole_run(path: Path, hold: bool) -> tuple[Run | None, tuple[UserError, ...]]:
+    run, faults = _read_header(path)
+    if run is None:
+        return None, faults
+    with report_damage(path):
+        run = replace(run, additions=read_additions(path, run.samples))
+    run = hold_samples(run) if hold else run
+    return replace(run, digest=run_digest(run)), ()
+
+
+def _read_header(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
+    """The run in a file without its additions and its digest, and the faults that show without its samples."""
     contents = read_contents(path)
     faults = tuple(run_file_faults(contents))
     if faults:
         return None, faults
     order = None if contents.loads is None else tuple(contents.loads.names.index(name) for name in COMPONENTS)
-    run = run_from_contents(contents, Hdf5Source(path, order), path)
-    with report_damage(path):
-        run = replace(run, additions=read_additions(path, run.samples))
-    return replace(run, digest=run_digest(run)), ()
+    return run_from_contents(contents, Hdf5Source(path, order), path), ()
+
+
+@read_in_child
+def _read_header_alone(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
+    return _read_header(path)
+
+
+def run_header(path: Path, geometry: Geometry) -> Run:
+    """Return a run of this rig by what its file holds beside the samples, without digest and additions.
+
+    Raises UserError for the first fault that shows so.
+    """
+    try:
+        run, faults = _read_header_alone(path)
+    except UserError as error:
+        raise error.with_location(file=str(path)) from None
+    if run is None:
+        raise faults[0].with_location(file=str(path))
+    _require_match(run, geometry)
+    return run
 
 
 def open_runs(
@@ -96,7 +125,7 @@ def open_runs(
     skipped: dict[Path, str] = {}
     for path in map(Path, paths):
         try:
-            run = _matching_run(path, geometry)
+            run = open_matching_run(path, geometry)
         except UserError as error:
             if not skip_bad:
                 raise
@@ -105,19 +134,27 @@ def open_runs(
         first = runs.setdefault(run.name, run)
         if first is not run:
             if not skip_bad or run.digest != first.digest:
-                raise _duplicate_run_error(run, first)
-            skipped[path] = str(_duplicate_run_error(run, first))
+                raise duplicate_run_error(run, first)
+            skipped[path] = str(duplicate_run_error(run, first))
     if skipped and not runs:
         raise UserError("all runs were skipped", remedy=f"First reason: {next(iter(skipped.values()))}")
     return tuple(runs.values()), skipped
 
 
-def _matching_run(path: Path, geometry: Geometry) -> Run:
-    run = open_run(path)
+def open_matching_run(path: Path, geometry: Geometry, hold: bool = False) -> Run:
+    """Open a run file of this rig, with the loads at its hub.
+
+    Raises UserError where it cannot be read, or is of another rig.
+    """
+    run = open_run(path, hold)
+    _require_match(run, geometry)
+    return with_hub_loads(run, geometry.hub)
+
+
+def _require_match(run: Run, geometry: Geometry) -> None:
     mismatch = next(geometry_mismatches(run, geometry), None)
     if mismatch:
         raise mismatch
-    return with_hub_loads(run, geometry.hub)
 
 
 def geometry_mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
@@ -131,7 +168,8 @@ def geometry_mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
         yield UserError(fault, file, "channels", f"It should have {', '.join(geometry.channel_names)}")
 
 
-def _duplicate_run_error(run: Run, first: Run) -> UserError:
+def duplicate_run_error(run: Run, first: Run) -> UserError:
+    """Return the error of a run that has the name of another one."""
     if run.digest == first.digest:
         return UserError(f"is a second copy of {first.path}", str(run.path), "run", "Give it once")
     remedy = f"Rename one of them (attribute `run`, now `{run.name}`)"

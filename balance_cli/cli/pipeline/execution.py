@@ -29,6 +29,7 @@ WARNING_PREFIX = "balance: warning: "
 TERMINATION_WAIT = 5.0
 """[s]. A command that is terminated removes its staged files within milliseconds."""
 EXIT_REFUSED = 2
+EXIT_RUNS_SKIPPED = 4
 
 DONE, CURRENT, REFUSED, FAILED, NOT_DONE, TO_DO = (
     "done",
@@ -134,10 +135,10 @@ class Execution:
         (self.results / LOGS / f"{step.name}.txt").write_text(text, encoding="utf-8")
         warnings = sum(line.startswith(WARNING_PREFIX) for line in text.splitlines())
         sign, outputs = self._signature(step), {}
-        if status == 0:
+        if status in (0, EXIT_RUNS_SKIPPED):
             self.made.extend(step.writes)
             outputs = {str(path.relative_to(self.results)): RememberedOutput.of(path) for path in step.writes}
-            outcome = Outcome(step.name, DONE, seconds, warnings)
+            outcome = Outcome(step.name, DONE, seconds, warnings, status=status)
         else:
             result = REFUSED if step.optional and status == EXIT_REFUSED else FAILED
             outcome = Outcome(step.name, result, seconds, warnings, _error_text(text), status)

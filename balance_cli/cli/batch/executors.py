@@ -1,0 +1,123 @@
+"""Where the runs of a batch are reduced: in this process, in processes of this machine, or on a Dask cluster.
+
+All three are `concurrent.futures.Executor`. Results do not depend on which is used: BLAS has one thread everywhere, so
+that sums have the same order.
+"""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import wait
+from typing import Any, ParamSpec, TypeVar
+
+from balance_cli.io.errors import UserError
+from balance_cli.io.reader_process import reader_process
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+DASK_SCHEME = "dask://"
+THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+WORKER_MODULE = "balance_cli.cli.batch.work"
+"""Imported once, by the server that forks the workers: a worker then starts in milliseconds."""
+DASK_CONNECTION_TIME = 10.0
+"""[s] after which a scheduler that does not answer is reported."""
+
+
+@dataclass(frozen=True)
+class Workers:
+    """How to open an executor; `window` runs are submitted at a time.
+
+    `lost` are the exceptions of an executor that lost a worker.
+    """
+
+    open: Callable[[], Executor]
+    window: int
+    lost: tuple[type[BaseException], ...] = (BrokenExecutor,)
+
+
+class InlineExecutor(Executor):
+    """Runs each call at once, in this process."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Run the call, and return a future that is done."""
+        future: Future[T] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def batch_workers(jobs: int, address: str | None) -> Workers:
+    """Return the workers that the options ask for.
+
+    Raises UserError for an address that is not `dask://HOST:PORT`, and where Dask is not installed.
+    """
+    if address is not None:
+        return _dask_workers(address)
+    if jobs == 1:
+        return Workers(InlineExecutor, 1)
+    # Twice as many as workers: one is in work, and the next is there when it ends.
+    return Workers(lambda: _process_pool(jobs), 2 * jobs)
+
+
+def _process_pool(jobs: int) -> ProcessPoolExecutor:
+    """Processes that are started afresh: a fork of this process would inherit its threads and its BLAS."""
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(jobs, context, initializer=_start_worker)
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload([WORKER_MODULE])
+    return ProcessPoolExecutor(jobs, server, initializer=_start_worker)
+
+
+def _start_worker() -> None:
+    """Leave signals of the terminal to the parent, end with it, and read files in a child of this worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    reader_process().__enter__()  # it lasts as long as the worker
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent was killed: nobody else would tell it."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def _dask_workers(address: str) -> Workers:
+    host = address.removeprefix(DASK_SCHEME)
+    if not address.startswith(DASK_SCHEME) or ":" not in host:
+        fault = f"`{address}` is not the address of a Dask scheduler"
+        raise UserError(fault, "--executor", remedy=f"Write {DASK_SCHEME}HOST:PORT")
+    try:
+        distributed: Any = importlib.import_module("distributed")
+    except ImportError:
+        remedy = "Install it: pip install 'balance-cli[dask]'"
+        raise UserError("Dask is not installed", "--executor", remedy=remedy) from None
+    client: list[Any] = []
+
+    def open_executor() -> Executor:
+        with suppress(IndexError):
+            client.pop().close()
+        try:
+            client.append(distributed.Client(f"tcp://{host}", timeout=DASK_CONNECTION_TIME, set_as_default=False))
+        except (OSError, TimeoutError) as error:
+            remedy = "Start it (`dask scheduler`, `dask worker`), or correct the address"
+            raise UserError(f"no Dask scheduler answers at {host}", "--executor", remedy=remedy) from error
+        executor: Executor = client[0].get_executor(pure=False)
+        return executor
+
+    return Workers(open_executor, 64, (BrokenExecutor, distributed.KilledWorker))

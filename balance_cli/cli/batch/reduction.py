@@ -1,0 +1,242 @@
+"""`balance reduce` over any number of runs: survey, reduction, comparison of the runs, and what is skipped."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from balance_cli import __version__
+from balance_cli.campaign.recording.run_file import duplicate_run_error, open_matching_run
+from balance_cli.campaign.rig.geometry_checks import missing_mechanics
+from balance_cli.cli.batch.executors import batch_workers
+from balance_cli.cli.batch.journal import Journal, journal_path
+from balance_cli.cli.batch.options import EXIT_RUNS_SKIPPED, BatchOptions
+from balance_cli.cli.batch.ordered import WorkerPool, worker_pool
+from balance_cli.cli.batch.work import ROTOR_KINDS, Item, RunResult, RunSurvey, pickled, reduce_file, survey_run
+from balance_cli.cli.common import Session
+from balance_cli.cli.consistency import inconsistent_runs
+from balance_cli.cli.reduce_inputs import read_zero
+from balance_cli.cli.reduce_runs import Reduction, check_name
+from balance_cli.diagnosis.consistency.campaign import findings_from_rows
+from balance_cli.diagnosis.consistency.severity import known_anyway
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.result import RunLoads
+from balance_cli.signals.response_rows import ResponseRows
+from balance_cli.steps.reduction_inputs import default_harmonics
+
+FEWEST_JOURNALED = 8
+"""Runs from which a journal is kept; fewer are reduced again in a second."""
+
+
+@dataclass
+class BatchReduction:
+    """The reduction of the runs of one call.
+
+    `skips`: whether runs that cannot be used are listed and left out, or end the call.
+    """
+
+    session: Session
+    options: BatchOptions
+    skips: bool
+    surveys: dict[Path, RunSurvey] = field(default_factory=dict)
+    loads: dict[str, RunLoads] = field(default_factory=dict)
+    rows: list[ResponseRows] = field(default_factory=list)
+    levels: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    paths: dict[str, str] = field(default_factory=dict)
+    errors: dict[Path, UserError] = field(default_factory=dict)
+    zero_digests: tuple[str, ...] = ()
+
+    def reduce(
+        self, reduction: Reduction, paths: tuple[Path, ...], zero: Path | None, output: Path
+    ) -> tuple[Reduction, dict[str, RunLoads]]:
+        """Return the reduction with its harmonics and its zero, and the loads of the check and wind runs by name.
+
+        Raises UserError where no run is left, and for the first bad run unless bad runs are skipped.
+        """
+        with worker_pool(batch_workers(self.options.jobs, self.options.executor)) as pool:
+            self._survey(pool, reduction, paths)
+            reduction = self._complete(reduction, zero)
+            self._reduce_runs(pool, reduction, output)
+        self._finish(reduction)
+        if not self.loads:
+            raise self._all_skipped()
+        if self.session.skipped and not self.options.skip_bad:
+            self.session.status = EXIT_RUNS_SKIPPED
+        return reduction, self.loads
+
+    def _survey(self, pool: WorkerPool, reduction: Reduction, paths: tuple[Path, ...]) -> None:
+        """Learn the kind of every run, and require names to be unique."""
+        data = pickled(reduction)
+        by_name: dict[str, Path] = {}
+        items = (Item(path, data) for path in paths)
+        for item, survey in self.session.progress(pool.results(survey_run, items), "reading", len(paths)):
+            if not isinstance(survey, UserError):
+                first = by_name.setdefault(survey.name, item.path)
+                survey = survey if first is item.path else self._duplicate(reduction, item.path, first)
+            if isinstance(survey, UserError):
+                self._skip(item.path, survey)
+            else:
+                self.surveys[item.path] = survey
+        if not self.surveys:
+            raise self._all_skipped()
+        for survey in self.surveys.values():
+            if survey.kind not in (*ROTOR_KINDS, "zero"):
+                self.session.report_left_out(survey.name, f"a {survey.kind} run contains no rotor loads")
+        if not any(survey.kind in ROTOR_KINDS for survey in self.surveys.values()):
+            remedy = "Give the runs that are to be reduced"
+            raise UserError("no check or wind run among the runs", "RUN...", remedy=remedy)
+
+    def _duplicate(self, reduction: Reduction, path: Path, first: Path) -> UserError:
+        """Return the error of a second run of one name. Raises it where the two runs differ: neither is the right one.
+
+        A copy is skipped like a bad run.
+        """
+        runs = [open_matching_run(item, reduction.geometry) for item in (path, first)]
+        error = duplicate_run_error(*runs)
+        if runs[0].digest != runs[1].digest:
+            raise error
+        return error
+
+    def _complete(self, reduction: Reduction, zero: Path | None) -> Reduction:
+        """Return the reduction with what is the same for all runs: the number of harmonics, and the wind-off record."""
+        method = reduction.method
+        if not method.harmonics and not method.frequencies:
+            reduction = replace(reduction, method=replace(method, harmonics=self._harmonics(reduction)))
+        zeros = [path for path, survey in self.surveys.items() if survey.kind == "zero"] if zero is None else []
+        records = tuple(open_matching_run(path, reduction.geometry) for path in zeros)
+        self.zero_digests = tuple(run.digest for run in records)
+        record = read_zero(self.session, reduction.calibration, zero, records)
+        comparable = any(survey.kind not in ("wind", "zero") for survey in self.surveys.values())
+        compares = comparable and not missing_mechanics(reduction.geometry)
+        return replace(reduction, zero=record, compare_runs=compares)
+
+    def _harmonics(self, reduction: Reduction) -> int:
+        """Return the harmonics that all runs permit of those that are the default; a warning where they are fewer."""
+        wanted = default_harmonics(reduction.geometry)
+        run = min(self.surveys.values(), key=lambda survey: survey.harmonics)
+        if run.harmonics < wanted:
+            text = f"{run.harmonics} harmonics in place of {wanted}"
+            self.session.warn(f"{text}: those above are beyond the band of run {run.name}")
+        return run.harmonics
+
+    def _reduce_runs(self, pool: WorkerPool, reduction: Reduction, output: Path) -> None:
+        chosen = [path for path in self._shard() if self._may_have_history(path, reduction)]
+        with self._journal(reduction, output, len(chosen)) as journal:
+            data = pickled(reduction)
+            done = {path for path in chosen if journal is not None and journal.find(path) is not None}
+            if done:
+                self.session.echo(f"{len(done)} of {len(chosen)} runs were reduced before an interruption")
+            rest = (self._item(path, reduction, data) for path in chosen if path not in done)
+            results = pool.results(reduce_file, rest)
+            for path in self.session.progress(chosen, "runs", len(chosen)):
+                kept = journal.find(path) if journal is not None and path in done else None
+                item, result = (Item(path, b""), kept) if kept is not None else next(results)
+                self._keep_history(item, result)
+                if isinstance(result, UserError):
+                    self._add_error(path, result, reduction)
+                    continue
+                if journal is not None and kept is None and result.error is None:
+                    journal.add(path, result)
+                self._take(path, result)
+                if result.error is not None:
+                    self._add_error(path, result.error, reduction)
+
+    def _shard(self) -> list[Path]:
+        """Return the runs of this call; those that are compared with others, and the zero, belong to every shard."""
+        if self.options.shard is None:
+            return list(self.surveys)
+        index, count = self.options.shard
+        rotor = [path for path, survey in self.surveys.items() if survey.kind in ROTOR_KINDS]
+        mine = set(rotor[index - 1 :: count])
+        if not mine:
+            fault = f"shard {index} of {count} holds none of {len(rotor)} runs"
+            raise UserError(fault, "--shard", remedy="Make fewer shards")
+        return [path for path, survey in self.surveys.items() if path in mine or survey.kind not in ROTOR_KINDS]
+
+    @contextmanager
+    def _journal(self, reduction: Reduction, output: Path, count: int) -> Iterator[Journal[RunResult] | None]:
+        """Yield the journal of the call; None for a few runs, and where histories are written, which it does not keep.
+
+        It is removed when the outputs are in place, or the call was refused.
+        """
+        if count < FEWEST_JOURNALED or reduction.histories is not None:
+            yield None
+            return
+        provenance = self.session.provenance()
+        inputs = [*((item.role, item.digest) for item in provenance.inputs), *self.zero_digests]
+        compared = [reduction.method.harmonics, reduction.compare_runs]
+        asked = json.dumps([__version__, provenance.options, inputs, compared])
+        journal = Journal(journal_path(output), hashlib.sha256(asked.encode()).hexdigest(), RunResult)
+        self.session.after_close(journal.close)
+        yield journal
+
+    def _item(self, path: Path, reduction: Reduction, data: bytes) -> Item:
+        survey = self.surveys[path]
+        if reduction.histories is None or survey.kind not in ROTOR_KINDS:
+            return Item(path, data)
+        return Item(path, data, self.session.stage_in(reduction.histories, f"{survey.name}.h5"))
+
+    def _may_have_history(self, path: Path, reduction: Reduction) -> bool:
+        """Whether the name of a run can be that of its history; else the run is skipped."""
+        try:
+            check_name(self.surveys[path].name, path, reduction.histories)
+        except UserError as error:
+            self._skip(path, error)
+            return False
+        return True
+
+    def _keep_history(self, item: Item, result: RunResult | UserError) -> None:
+        """Withdraw the history of a run that was not reduced, or has none."""
+        reduced = not isinstance(result, UserError) and result.error is None
+        if item.history is not None and not (reduced and item.history.exists()):
+            self.session.unstage(item.history)
+
+    def _take(self, path: Path, result: RunResult) -> None:
+        """Keep what the end of the batch needs of a run."""
+        self.session.record_input(result.name, "run", result.digest)
+        self.session.record_gaps(result.name, result.gaps, result.gap_text)
+        self.paths[result.name] = str(path)
+        if result.loads is not None:
+            self.loads[result.name] = result.loads
+        if result.rows is not None:
+            self.rows.append(result.rows)
+            self.levels[result.name] = result.level
+
+    def _add_error(self, path: Path, error: UserError, reduction: Reduction) -> None:
+        """Keep the error of a run, or raise it; an error that the comparison of the runs explains comes first."""
+        if not self.skips:
+            self._compare(reduction)
+            raise error
+        self.errors[path] = error
+
+    def _finish(self, reduction: Reduction) -> None:
+        """Cross-check the runs, and report those that are skipped and the channels left out of the others."""
+        self._compare(reduction)
+        for path, error in self.errors.items():
+            if str(path) not in self.session.skipped:
+                self._skip(path, error)
+        for name, loads in self.loads.items():
+            for channel, reason in loads.left_out.items():
+                self.session.warn(f"{name}: channel {channel} left out: {reason}")
+
+    def _compare(self, reduction: Reduction) -> None:
+        """Cross-check the runs with known loads, and skip those that contradict the others."""
+        findings = findings_from_rows(reduction.geometry, self.rows, self.levels)
+        bad = inconsistent_runs(self.session, findings, self.paths, self.skips, known_anyway)
+        for name, reason in bad.items():
+            self.loads.pop(name, None)
+            self.session.report_skipped(self.paths[name], f"{self.paths[name]}: {reason}")
+
+    def _skip(self, path: Path, error: UserError) -> None:
+        if not self.skips:
+            raise error
+        self.session.report_skipped(str(path), str(error))
+
+    def _all_skipped(self) -> UserError:
+        reasons = self.session.skipped
+        remedy = f"First reason: {next(iter(reasons.values()))}" if reasons else "Give check or wind runs"
+        return UserError("all runs were skipped", remedy=remedy)

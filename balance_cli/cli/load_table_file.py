@@ -1,0 +1,34 @@
+"""The file of the loads of `reduce` and `merge`: an artefact, or the table as CSV."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from balance_cli.cli.common import Session
+from balance_cli.io.errors import UserError
+from balance_cli.io.formats import LOADS_FORMAT
+from balance_cli.io.spreadsheet import text_cell
+from balance_cli.reduction.choices import TABLE_SUFFIXES
+
+if TYPE_CHECKING:
+    from balance_cli.io.artefacts import Provenance
+    from balance_cli.reduction.result import HubLoads
+
+
+def check_table_suffix(output: Path) -> None:
+    """Raise UserError unless the name says which of the two is wanted."""
+    if output.suffix not in TABLE_SUFFIXES:
+        raise UserError("the table is written as .csv or .h5", str(output), remedy="End its name with .csv or .h5")
+
+
+def write_loads(session: Session, output: Path, loads: HubLoads, provenance: Provenance | None = None) -> None:
+    """Write loads in the form that the name of the output says, an artefact with a provenance other than the usual."""
+    if output.suffix == ".h5":
+        session.save(output, LOADS_FORMAT, loads, provenance)
+        return
+    from balance_cli.reduction.result import load_table
+
+    table = load_table(loads)
+    table["run"] = table["run"].map(text_cell)
+    session.write_text(output, table.to_csv(index=False, lineterminator="\n"))

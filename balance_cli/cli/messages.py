@@ -1,0 +1,46 @@
+"""What a command says of its inputs: warnings, runs that are skipped or left out, gaps; on stderr and in the JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import click
+
+
+class Messages:
+    """The messages of one call, printed at once and kept for its summary."""
+
+    def __init__(self) -> None:
+        self.warnings: list[str] = []
+        self._skipped: dict[str, str] = {}
+        self._left_out: dict[str, str] = {}
+        self._gaps: dict[str, dict[str, dict[str, int]]] = {}
+
+    def warn(self, text: str) -> None:
+        """Print a warning on stderr and add it to the summary."""
+        self.warnings.append(text)
+        self._echo_warning(text)
+
+    @property
+    def skipped(self) -> Mapping[str, str]:
+        """The runs that were skipped {file: reason}."""
+        return self._skipped
+
+    def record_gaps(self, run: str, gaps: Mapping[str, Mapping[str, int]], text: str) -> None:
+        """Record the bridged gaps of a run, if it has any, with a warning."""
+        if gaps:
+            self._gaps[run] = {name: dict(counts) for name, counts in gaps.items()}
+            self.warn(f"{run}: {text}")
+
+    def report_skipped(self, file: str, reason: str) -> None:
+        """Report that a run is not used although the command goes on (`--skip-bad`)."""
+        self._skipped[file] = reason
+        self._echo_warning(f"skipped: {reason}")
+
+    def report_left_out(self, name: str, reason: str) -> None:
+        """Report that a run (or channel) was read but not used, and why."""
+        self._left_out[name] = reason
+        self._echo_warning(f"{name} left out: {reason}")
+
+    def _echo_warning(self, text: str) -> None:
+        click.echo(f"balance: warning: {text}", err=True)

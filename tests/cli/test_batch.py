@@ -1,0 +1,239 @@
+"""Batches: bad runs are skipped, workers may die, an interruption loses nothing, and the results stay the same."""
+
+import json
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.cli import balance
+from balance_cli.cli.batch import reduction as batch_reduction
+from balance_cli.cli.batch.executors import InlineExecutor, Workers, batch_workers
+from balance_cli.cli.batch.journal import Journal, journal_path
+from balance_cli.cli.batch.ordered import worker_pool
+from balance_cli.cli.batch.work import RunResult
+from balance_cli.io.errors import UserError
+from studies.wind_runs import write_wind_runs
+
+ROOT = Path(__file__).parents[2]
+GEOMETRY = ROOT / "configs" / "rts-6.yaml"
+COUNT = 9
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("batch")
+    write_wind_runs(path, load_geometry(GEOMETRY), COUNT, duration=4.0)
+    words = ["identify", "-g", str(GEOMETRY), *map(str, sorted((ROOT / "sample_data").glob("sweep-*-low.h5")))]
+    done = CliRunner().invoke(balance, [*words, "--method", "computed", "-o", str(path / "model.h5")])
+    assert done.exit_code == 0, done.stderr
+    return path
+
+
+def runs_of(folder):
+    return sorted(folder.glob("wind-*.h5"))
+
+
+def reduce(folder, output, *words, runs=None):
+    paths = map(str, runs_of(folder) if runs is None else runs)
+    words = ["reduce", "--model", str(folder / "model.h5"), *paths, "-o", str(output), *map(str, words)]
+    return CliRunner().invoke(balance, words)
+
+
+def digest(path):
+    with h5py.File(path) as file:
+        return file.attrs["digest"]
+
+
+@pytest.fixture(scope="module")
+def reference(folder):
+    output = folder / "reference.h5"
+    done = reduce(folder, output)
+    assert done.exit_code == 0, done.stderr
+    return digest(output)
+
+
+# ---- bad runs --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def with_bad(folder, tmp_path):
+    bad = tmp_path / "bad.h5"
+    bad.write_bytes(runs_of(folder)[0].read_bytes()[:20_000])
+    return [bad, *runs_of(folder)[:2]]
+
+
+def test_a_bad_run_of_a_batch_is_listed_and_the_status_says_so(folder, with_bad, tmp_path):
+    done = reduce(folder, tmp_path / "l.csv", "--json", tmp_path / "s.json", runs=with_bad)
+    assert done.exit_code == 4
+    assert "skipped:" in done.stderr and "bad.h5" in done.stderr
+    summary = json.loads((tmp_path / "s.json").read_text())
+    assert list(summary["skipped"]) == [str(with_bad[0])]
+    assert list(summary["runs"]) == ["wind-00000", "wind-00001"]
+
+
+def test_whoever_expects_bad_runs_gets_status_zero(folder, with_bad, tmp_path):
+    assert reduce(folder, tmp_path / "l.csv", "--skip-bad", runs=with_bad).exit_code == 0
+
+
+@pytest.mark.parametrize("words", [("--strict",), ("--strict", "--jobs", "2")])
+def test_strict_ends_at_the_first_bad_run(folder, with_bad, tmp_path, words):
+    done = reduce(folder, tmp_path / "l.csv", *words, runs=with_bad)
+    assert done.exit_code == 2
+    assert "bad.h5" in done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.h5"]
+
+
+def test_a_single_bad_run_is_an_error(folder, with_bad, tmp_path):
+    assert reduce(folder, tmp_path / "l.csv", runs=with_bad[:1]).exit_code == 2
+
+
+def test_a_batch_of_bad_runs_only_is_an_error(folder, with_bad, tmp_path):
+    (tmp_path / "other.h5").write_text("nothing")
+    done = reduce(folder, tmp_path / "l.csv", runs=[with_bad[0], tmp_path / "other.h5"])
+    assert done.exit_code == 2 and "all runs were skipped" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        (("--strict", "--skip-bad"), "--strict"),
+        (("--shard", "3/2"), "--shard"),
+        (("--shard", "one"), "--shard"),
+        (("--shard", "30/30"), "--shard"),
+        (("--executor", "localhost:8786"), "--executor"),
+        (("--executor", "dask://h:1", "--jobs", "2"), "--executor"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(folder, tmp_path, words, place):
+    done = reduce(folder, tmp_path / "l.csv", *words)
+    assert done.exit_code == 2 and place in done.stderr and not list(tmp_path.iterdir())
+
+
+# ---- the same results ------------------------------------------------------------------------------------------------
+
+
+def test_loads_are_the_same_from_processes_in_any_order(folder, reference, tmp_path):
+    done = reduce(folder, tmp_path / "l.h5", "--jobs", 2, runs=runs_of(folder)[::-1])
+    assert done.exit_code == 0, done.stderr
+    assert digest(tmp_path / "l.h5") == reference
+
+
+def test_merged_shards_are_the_loads_of_one_call(folder, reference, tmp_path):
+    for index in (1, 2, 3):
+        assert reduce(folder, tmp_path / f"{index}.h5", "--shard", f"{index}/3").exit_code == 0
+    words = ["merge", *(str(tmp_path / f"{index}.h5") for index in (3, 1, 2)), "-o", str(tmp_path / "l.h5")]
+    assert CliRunner().invoke(balance, words).exit_code == 0
+    assert digest(tmp_path / "l.h5") == reference
+
+
+def test_shards_of_two_reductions_are_not_merged(folder, tmp_path):
+    assert reduce(folder, tmp_path / "1.h5", "--shard", "1/9").exit_code == 0
+    assert reduce(folder, tmp_path / "2.h5", "--shard", "2/9", "--harmonics", "4").exit_code == 0
+    files = [str(tmp_path / "1.h5"), str(tmp_path / "2.h5")]
+    done = CliRunner().invoke(balance, ["merge", *files, "-o", str(tmp_path / "l.h5")])
+    assert done.exit_code == 2 and "an option of the reduction" in done.stderr and "2.h5" in done.stderr
+    done = CliRunner().invoke(balance, ["merge", files[0], files[0], "-o", str(tmp_path / "l.h5")])
+    assert done.exit_code == 2 and "wind-00000" in done.stderr
+
+
+# ---- interruptions ---------------------------------------------------------------------------------------------------
+
+
+def test_an_interrupted_batch_goes_on_where_it_stopped(folder, reference, tmp_path, monkeypatch):
+    output, done_before, work = tmp_path / "l.h5", [], batch_reduction.reduce_file
+
+    def interrupt_at_the_sixth(item):
+        if len(done_before) == 5:
+            raise KeyboardInterrupt  # as a power cut: the journal is left as it is
+        done_before.append(item.path)
+        return work(item)
+
+    monkeypatch.setattr(batch_reduction, "reduce_file", interrupt_at_the_sixth)
+    monkeypatch.setattr(Journal, "close", lambda journal, remove=True: journal._file.close())
+    assert reduce(folder, output).exit_code != 0
+    monkeypatch.undo()
+    kept = journal_path(output)
+    kept.write_bytes(kept.read_bytes()[:-40])  # the last line was not written whole
+    again = []
+    monkeypatch.setattr(batch_reduction, "reduce_file", lambda item: (again.append(item.path), work(item))[1])
+    done = reduce(folder, output)
+    assert done.exit_code == 0 and "4 of 9 runs" in done.stdout
+    assert again == runs_of(folder)[4:]
+    assert digest(output) == reference
+    assert [path.name for path in tmp_path.iterdir()] == ["l.h5"]
+
+
+def test_a_journal_of_another_call_is_not_used(tmp_path):
+    result = RunResult("a", "wind", "d", {"x": {"samples": 1}}, "text", None, None, (1.0, float("nan")))
+    file = tmp_path / "run.h5"
+    file.write_text("samples")
+    journal = Journal(tmp_path / "j", "key", RunResult)
+    journal.add(file, result)
+    journal.close(remove=False)
+    same = Journal(tmp_path / "j", "key", RunResult)
+    restored = same.find(file)
+    assert restored is not None and restored.gaps == result.gaps and np.isnan(restored.level[1])
+    os.utime(file, ns=(1, 1))
+    assert same.find(file) is None  # the file has changed
+    same.close(remove=False)
+    other = Journal(tmp_path / "j", "other key", RunResult)
+    assert len(other) == 0
+    other.close()
+    assert not (tmp_path / "j").exists()
+
+
+# ---- workers ---------------------------------------------------------------------------------------------------------
+
+
+def _double(number):
+    return 2 * number
+
+
+def _kill_worker_once(marker):
+    """Kill this process where the marker is there; without it return."""
+    if marker.exists():
+        if marker.suffix == ".once":
+            marker.unlink()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return marker.name
+
+
+def test_results_have_the_order_of_the_items_and_few_are_in_work():
+    begun = []
+
+    def items():
+        for number in range(50):
+            begun.append(number)
+            yield number
+
+    with ThreadPoolExecutor(4) as threads, worker_pool(Workers(lambda: threads, 8)) as pool:
+        for number, result in pool.results(_double, items()):
+            assert result == 2 * number
+            assert len(begun) <= number + 9
+    assert len(begun) == 50
+
+
+def test_a_killed_worker_costs_nothing_and_one_that_dies_again_is_named(tmp_path):
+    names = ["a", "b.once", "c", "d.always", "e"]
+    for name in (names[1], names[3]):
+        (tmp_path / name).touch()
+    with worker_pool(batch_workers(2, None)) as pool:
+        results = dict(pool.results(_kill_worker_once, [tmp_path / name for name in names]))
+    outcome = {path.name: result for path, result in results.items()}
+    assert [outcome[name] for name in ("a", "b.once", "c", "e")] == ["a", "b.once", "c", "e"]
+    assert isinstance(outcome["d.always"], UserError) and "d.always" in str(outcome["d.always"])
+
+
+def test_errors_come_with_their_item():
+    def refuse(number):
+        raise UserError(f"number {number}")
+
+    with worker_pool(Workers(InlineExecutor, 1)) as pool:
+        assert [str(error) for _, error in pool.results(refuse, [1, 2])] == ["number 1", "number 2"]
