@@ -17,6 +17,7 @@ from balance_cli.io.errors import UserError
 
 EXIT_USER_ERROR = 2
 EXIT_INTERNAL_ERROR = 1
+EXIT_RUNS_SKIPPED = 4
 EXIT_INTERRUPTED = 130
 """Exit statuses; shells report 130 for a process that was interrupted from the keyboard."""
 

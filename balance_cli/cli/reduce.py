@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from balance_cli.cli.batch.options import EXIT_RUNS_SKIPPED, BatchOptions, batch_options, gather_batch_options
+from balance_cli.cli.batch.options import BatchOptions, batch_options, gather_batch_options
 from balance_cli.cli.common import Session, balance_command, output_option
+from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
 from balance_cli.cli.load_table_file import check_table_suffix, write_loads
 from balance_cli.cli.options import InputFile, OutputFolder, deprecated_option
 from balance_cli.cli.reduce_inputs import parse_frequencies, read_calibration, read_response

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from balance_cli.cli.common import InputFile, OutputFolder, Session, balance_command
-from balance_cli.cli.errors import EXIT_USER_ERROR
+from balance_cli.cli.errors import EXIT_RUNS_SKIPPED, EXIT_USER_ERROR
 from balance_cli.cli.options import InputFolder
 from balance_cli.io.errors import UserError
 
@@ -80,7 +80,6 @@ class _ProgressLines:
 
 def _finish(session: Session, execution: Execution, inventory: Inventory) -> None:
     """Set summary, text and exit status: that of the worst step, or 4 where only files were left out."""
-    from balance_cli.cli.pipeline.execution import EXIT_RUNS_SKIPPED
     from balance_cli.cli.pipeline.loads import best_loads, loads_summary, loads_text, spectra_lines
 
     loads = best_loads(execution.results, execution.made)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from balance_cli.cli.common import InputFile, OutputFolder, Session, balance_command
+from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
 from balance_cli.cli.options import InputFolder
 from balance_cli.cli.reduce_inputs import read_calibration, read_response, read_zero
-from balance_cli.cli.run import EXIT_RUNS_SKIPPED
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:

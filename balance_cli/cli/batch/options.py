@@ -13,7 +13,6 @@ from balance_cli.io.errors import UserError
 
 F = TypeVar("F", bound=Callable[..., Any])
 MOST_JOBS = 256
-EXIT_RUNS_SKIPPED = 4
 
 
 @dataclass(frozen=True)

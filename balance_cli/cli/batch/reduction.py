@@ -14,11 +14,12 @@ from balance_cli.campaign.recording.run_file import duplicate_run_error, open_ma
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.cli.batch.executors import batch_workers
 from balance_cli.cli.batch.journal import Journal, journal_path
-from balance_cli.cli.batch.options import EXIT_RUNS_SKIPPED, BatchOptions
+from balance_cli.cli.batch.options import BatchOptions
 from balance_cli.cli.batch.ordered import WorkerPool, worker_pool
 from balance_cli.cli.batch.work import ROTOR_KINDS, Item, RunResult, RunSurvey, pickled, reduce_file, survey_run
 from balance_cli.cli.common import Session
 from balance_cli.cli.consistency import inconsistent_runs
+from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
 from balance_cli.cli.reduce_inputs import read_zero
 from balance_cli.cli.reduce_runs import Reduction, check_name
 from balance_cli.diagnosis.consistency.campaign import findings_from_rows

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
+from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
 from balance_cli.cli.pipeline.folder import LOGS
 from balance_cli.cli.pipeline.state import RememberedOutput, RememberedStep, State, signature
 from balance_cli.cli.pipeline.steps import Plan, Step
@@ -29,7 +30,6 @@ WARNING_PREFIX = "balance: warning: "
 TERMINATION_WAIT = 5.0
 """[s]. A command that is terminated removes its staged files within milliseconds."""
 EXIT_REFUSED = 2
-EXIT_RUNS_SKIPPED = 4
 
 DONE, CURRENT, REFUSED, FAILED, NOT_DONE, TO_DO = (
     "done",

@@ -75,7 +75,7 @@ class QuickLook:
         require_consistent_runs(self.session, self.reduction.geometry, (run,), False, known_anyway)
         if run.kind not in ROTOR_KINDS:
             self._take_other_kind(run)
-        loads = self._reduction_of(run).reduce_run(self.session, run)
+        loads = self._reduction_of(run).reduce_run(run)
         for channel, reason in loads.left_out.items():
             self.session.warn(f"{run.name}: channel {channel} left out: {reason}")
         self.runs[run.name], self.files[run.name], self.is_changed = loads, path, True
