@@ -23,6 +23,7 @@ from balance_cli.model.system import System, dynamic_stiffness
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 # Least arm of a coordinate per unit load [m/rad or 1]: keeps the weight of an unloaded coordinate finite.
 MIN_ARM = 1e-3
@@ -34,24 +35,28 @@ MAX_REGRESSION_LINES = 2000
 
 @dataclass(frozen=True)
 class MeasuredForces:
-    """Spring forces (K, e) [N, N m] that the channels of a batch measured, with loads (K, 6).
+    """Forces (K, r) [N, N m] of the r springs `rows` that the channels of a batch measured, with loads (K, 6).
 
-    `weight` (K, n + e) is the inverse of the size by which the errors of the equations are scaled.
+    `weight` (K, n + r) is the inverse of the size by which the errors of the equations are scaled.
     """
 
     spin: float
     frequency: Array
+    rows: Index
     forces: ComplexArray
     loads: ComplexArray
     weight: Array
 
 
 def measured_forces(batch: Batch, system: System) -> MeasuredForces:
-    """Spring forces by weighted least squares over the channels of each spring; each needs a live channel."""
+    """Spring forces by weighted least squares over the channels of each spring.
+
+    Springs without a live channel are left out, and so are the motions that accelerometers measure.
+    """
     gains = channel_gains(system.equations.paths, batch.frequency)[batch.lines.index]
     weight = batch.lines.channel_precision
-    springs = np.array([path.spring for path in system.equations.paths])
-    selection = (springs[:, None] == np.arange(system.readings.value.shape[0])).astype(float)
+    springs, rows = np.array(system.springs_of_channels), _measured_springs(system, weight, gains)
+    selection = (springs[:, None] == rows).astype(float)
     numerator = (weight * gains.conj() * batch.lines.channels) @ selection
     denominator = (weight * np.abs(gains) ** 2) @ selection
     is_measured = denominator > 0
@@ -59,15 +64,31 @@ def measured_forces(batch: Batch, system: System) -> MeasuredForces:
     loads = np.zeros((len(forces), 6), complex)
     np.put_along_axis(loads, batch.lines.components, batch.lines.loads, axis=1)
     frequency = batch.line_frequency
-    return MeasuredForces(batch.spin, frequency, forces, loads, _row_weight(system, frequency, loads))
+    row_weight = _row_weight(system, frequency, loads, len(rows))
+    return MeasuredForces(batch.spin, frequency, rows, forces, loads, row_weight)
+
+
+def _measured_springs(system: System, weight: Array, gains: ComplexArray) -> Index:
+    """Springs that read a force, and that a channel measures at some line: `weight` and `gains` are (K, c)."""
+    motions = {item.spring for item in system.equations.point_motions}
+    is_live = np.any((weight > 0) & (gains != 0), axis=0)
+    springs = {path.spring for path, live in zip(system.equations.paths, is_live, strict=True) if live}
+    return np.array(sorted(springs - motions), np.intp)
+
+
+def determines_motion(system: System, measured: MeasuredForces) -> bool:
+    """Whether the measured forces determine every motion of the balance."""
+    R = system.readings.value[measured.rows]
+    size = np.linalg.norm(R, axis=0)
+    return bool(np.all(size > 0)) and np.linalg.matrix_rank(R / size) == R.shape[1]
 
 
 def equation_error(system: System, measured: MeasuredForces) -> tuple[ComplexArray, ComplexArray]:
-    """Errors (K, n + e) and derivatives (K, n + e, p): A q - F u, and the forces that no motion explains.
+    """Errors (K, n + r) and derivatives (K, n + r, p): A q - F u, and the forces that no motion explains.
 
     Each is multiplied by the fixed weight of the measurement.
     """
-    R = system.readings
+    R = system.readings[measured.rows]
     inverse = (R.T @ R).inverse() @ R.T
     q = measured.forces @ inverse.value.T
     dq = multiply_derivatives(inverse.derivative, measured.forces)
@@ -90,8 +111,8 @@ def _pencil_derivatives_times(system: System, measured: MeasuredForces, q: Compl
     return stiffness + viscous - multiply_derivatives(pencil.mass.derivative, w**2 * q)
 
 
-def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
-    """Weights (K, n + e): the inverse of the load of the line times the arm of each coordinate.
+def _row_weight(system: System, frequency: Array, loads: ComplexArray, forces: int) -> Array:
+    """Weights (K, n + r): the inverse of the load of the line times the arm of each coordinate.
 
     Runs of all levels and components then have equal weight. The size grows as k + w^2 m; otherwise the highest
     frequencies, where inertia dominates, would decide alone.
@@ -102,16 +123,16 @@ def _row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
     level = np.where(level > 0, level, np.inf)
     ratio = np.diag(system.pencil.mass.value) / np.diag(system.pencil.stiffness.value)
     growth = 1.0 + (2 * np.pi * frequency[:, None]) ** 2 * ratio
-    redundancy = np.repeat(level, system.readings.value.shape[0], axis=1)
+    redundancy = np.repeat(level, forces, axis=1)
     return np.asarray(1.0 / np.concatenate([level * arms * growth, redundancy], axis=1))
 
 
 def fit_equation_error(
     parameters: ParameterSet, batches: Sequence[Batch], system: Callable[[Array], System], band: tuple[float, float]
-) -> Minimum:
+) -> Minimum | None:
     """Fit the equation error with the priors, from the declared values; its noise is estimated from its residual.
 
-    Lines outside `band` [Hz] are left out. Every spring of the plate needs a live channel.
+    Lines outside `band` [Hz] are left out. Returns None where the measured forces do not determine the motion.
     """
     start = parameters.value
     stride = 1 + sum(len(batch.lines.index) for batch in batches) // MAX_REGRESSION_LINES
@@ -120,6 +141,8 @@ def fit_equation_error(
     def error(theta: Array) -> float:
         return float(sum(np.sum(np.abs(equation_error(system(theta), item)[0]) ** 2) for item in data))
 
+    if not all(determines_motion(system(start), item) for item in data):
+        return None
     count = 2 * sum(item.forces.size for item in data)
     minimum = None
     for _ in range(VARIANCE_ROUNDS):

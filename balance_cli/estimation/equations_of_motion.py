@@ -22,6 +22,7 @@ from balance_cli.model.system import System, dynamic_stiffness, log_frequency_ra
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 
 # Least load of a line relative to the median of its run: a line below it would weigh noise as much as signal.
 MIN_LOAD_RATIO = 0.05
@@ -29,7 +30,7 @@ MIN_LOAD_RATIO = 0.05
 
 @dataclass(frozen=True)
 class _MotionLines:
-    """Lines of one rotor speed: frequency (K,) [Hz], spring forces (K, e), loads (K, 6), weights (K, n + e).
+    """Lines of one rotor speed: frequency (K,) [Hz], forces (K, r) of springs `rows`, loads (K, 6), weights (K, n + r).
 
     `is_static`: no exciter applied the loads.
     """
@@ -37,6 +38,7 @@ class _MotionLines:
     spin: float
     is_static: bool
     frequency: Array
+    rows: Index
     forces: ComplexArray
     loads: ComplexArray
     weight: Array
@@ -72,8 +74,9 @@ def _build_motion_residual(
     selection = selection[_loaded_lines(batch)[selection]]
     measured = measured_forces(batch, start)
     frequency, loads = measured.frequency[selection], measured.loads[selection]
-    weight = _motion_row_weight(start, frequency, loads)
-    lines = _MotionLines(measured.spin, batch.is_static, frequency, measured.forces[selection], loads, weight)
+    weight = _motion_row_weight(start, frequency, loads, len(measured.rows))
+    forces = measured.forces[selection]
+    lines = _MotionLines(measured.spin, batch.is_static, frequency, measured.rows, forces, loads, weight)
     return lambda system: _motion_residual(system, lines)
 
 
@@ -86,8 +89,10 @@ def _loaded_lines(batch: Batch) -> NDArray[np.bool_]:
 
 def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
     A = dynamic_stiffness(system.pencil, lines.frequency, lines.spin)
-    R = system.readings.value + lines.quadrature[:, :, None] * system.readings_loss.value
-    R = R + lines.log_frequency_ratio[:, :, None] * system.readings_frequency_stiffness.value
+    of_forces, of_loss = system.readings[lines.rows], system.readings_loss[lines.rows]
+    of_frequency_stiffness = system.readings_frequency_stiffness[lines.rows]
+    R = of_forces.value + lines.quadrature[:, :, None] * of_loss.value
+    R = R + lines.log_frequency_ratio[:, :, None] * of_frequency_stiffness.value
     matrix = np.concatenate([A, R], axis=1) * lines.weight[:, :, None]
     cross_axis = system.equations.cross_axis(lines.is_static)
     true_loads = lines.loads @ cross_axis.value.T
@@ -100,12 +105,9 @@ def _motion_residual(system: System, lines: _MotionLines) -> RegressionResidual:
         excitation = excitation + np.matmul(
             system.inputs.value, multiply_derivatives(cross_axis.derivative, lines.loads)
         )
-        readings = multiply_derivatives(system.readings.derivative, x) + multiply_derivatives(
-            system.readings_loss.derivative, lines.quadrature * x
-        )
-        readings = readings + multiply_derivatives(
-            system.readings_frequency_stiffness.derivative, lines.log_frequency_ratio * x
-        )
+        readings = multiply_derivatives(of_forces.derivative, x)
+        readings = readings + multiply_derivatives(of_loss.derivative, lines.quadrature * x)
+        readings = readings + multiply_derivatives(of_frequency_stiffness.derivative, lines.log_frequency_ratio * x)
         change = (
             np.concatenate([excitation - _pencil_derivative_product(system, lines, x), -readings], axis=1)
             * lines.weight[:, :, None]
@@ -130,8 +132,8 @@ def _pencil_derivative_product(system: System, lines: _MotionLines, x: ComplexAr
     return multiply_derivatives(np.concatenate(matrices, axis=2), np.concatenate(vectors, axis=1))
 
 
-def _motion_row_weight(system: System, frequency: Array, loads: ComplexArray) -> Array:
-    """Weights (K, n + e): the inverse of the size by which the error of each row is scaled.
+def _motion_row_weight(system: System, frequency: Array, loads: ComplexArray, forces: int) -> Array:
+    """Weights (K, n + r): the inverse of the size by which the error of each row is scaled.
 
     For the plate the size is the load of the line times the arm of each coordinate, growing as k + w^2 m (otherwise the
     highest frequencies, where inertia dominates, would decide alone). The equation of a flexible part is one of its own
@@ -145,6 +147,4 @@ def _motion_row_weight(system: System, frequency: Array, loads: ComplexArray) ->
     ratio = np.abs(np.diag(system.pencil.mass.value) / np.diag(system.pencil.stiffness.value))
     growth = 1.0 + (2 * np.pi * frequency[:, None]) ** 2 * ratio
     size = np.where(flexible, np.maximum(deflection, system.equations.row_factor.value), arms * growth)
-    return np.asarray(
-        1.0 / np.concatenate([level * size, np.repeat(level, len(system.readings.value), axis=1)], axis=1)
-    )
+    return np.asarray(1.0 / np.concatenate([level * size, np.repeat(level, forces, axis=1)], axis=1))

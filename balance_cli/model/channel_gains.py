@@ -14,14 +14,14 @@ ComplexArray = NDArray[np.complex128]
 
 
 def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
-    """The gains g (k, c), volts per unit force of each channel's spring at `frequency` (k,) [Hz]."""
+    """The gains g (k, c), volts per unit of what each channel's spring reads at `frequency` (k,) [Hz]."""
     s = 2j * np.pi * np.asarray(frequency, float)
     return np.stack([path.gain.value * channel_dynamics(path, s) for path in paths], axis=1)
 
 
 def channel_dynamics(path: ChannelPath, s: ComplexArray) -> ComplexArray:
     """First-order filters and delay of one channel at s (k,) = j omega, or any other complex s."""
-    value = np.ones_like(s)
+    value = s**path.differentiations if path.differentiations else np.ones_like(s)
     for tau in path.low_pass:
         value = value / (1 + s * tau.value)
     for rate in path.high_pass:

@@ -121,7 +121,6 @@ def _sensitivity_rows(geometry: Geometry) -> list[_ParameterRow]:
     tolerance = geometry.tolerances.sensitivity
     rows = []
     for channel in geometry.channels:
-        unit = "V/(N m)" if channel.torque_meter else "V/N"
         sigma = tolerance * abs(channel.sensitivity)
-        rows.append(_ParameterRow(f"sensitivity.{channel.name}", unit, channel.sensitivity, sigma))
+        rows.append(_ParameterRow(f"sensitivity.{channel.name}", channel.sensitivity_unit, channel.sensitivity, sigma))
     return rows

@@ -103,6 +103,18 @@ def parallel(parts: Sequence[Realization]) -> Realization:
     return Realization(*(_block_diagonal_array([getattr(part, name) for part in parts]) for name in "ABCD"))
 
 
+def differentiate_twice(system: Realization, outputs: Sequence[int]) -> Realization:
+    """The same system with some outputs, motions of masses, replaced by their second derivatives.
+
+    y'' = C A^2 x + C A B u, because a force moves no mass at once (C B = 0 and D = 0). What a part without mass would
+    contribute to C B and D has been neglected: it is beyond `FASTEST_FINITE_POLE`.
+    """
+    C, D = system.C.copy(), system.D.copy()
+    rows = list(outputs)
+    C[rows], D[rows] = system.C[rows] @ system.A @ system.A, system.C[rows] @ system.A @ system.B
+    return replace(system, C=C, D=D)
+
+
 def _block_diagonal_array(blocks: Sequence[Array]) -> Array:
     return np.asarray(block_diag(*blocks), float)
 

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.campaign.rig.channel import Channel
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack
-from balance_cli.model.mechanics.equations import SHAFT, TORQUE, ChannelPath, Equations
+from balance_cli.model.mechanics.equations import (
+    SHAFT,
+    TORQUE,
+    ChannelPath,
+    Equations,
+    PointMotion,
+    SpringSum,
+)
 from balance_cli.model.parameters import INERTIA_NAMES
 from balance_cli.model.plate import free_index, load_matrix
 
@@ -30,6 +38,8 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
     if geometry.torque_meter:
         mass, damping, B, k, F = _with_shaft(value, mass, damping, B, k, F)
         springs, coordinates = (*springs, TORQUE), (*coordinates, SHAFT)
+    sums, point_motions = _springs_without_stiffness(geometry, len(springs))
+    springs, B, k = _with_unstiff_springs(springs, B, k, [item.source for item in _further_sources(geometry)])
     n = len(coordinates)
     nothing = constant(np.zeros((n, n)), p)
     return Equations(
@@ -56,6 +66,8 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         own_stiffness=np.zeros(n),
         channel_offset=constant(np.zeros(len(geometry.channels)), p),
         load_offset=constant(np.zeros(6), p),
+        sums=sums,
+        point_motions=point_motions,
         plate_damping=lambda changed_mass: modal_damping(changed_mass, plate_stiffness, zeta),
     )
 
@@ -102,8 +114,44 @@ def _with_shaft(
     )
 
 
+def _further_sources(geometry: Geometry) -> list[Channel]:
+    """One channel of each sum of cells and of each accelerometer, in declared order: each reads a spring of its own."""
+    first: dict[str, Channel] = {}
+    for channel in geometry.channels:
+        if channel.cells is not None or channel.accelerometer is not None:
+            first.setdefault(channel.source, channel)
+    return list(first.values())
+
+
+def _springs_without_stiffness(geometry: Geometry, stiff: int) -> tuple[tuple[SpringSum, ...], tuple[PointMotion, ...]]:
+    """What the springs without stiffness read, which follow the `stiff` ones."""
+    sums, motions = [], []
+    for spring, channel in enumerate(_further_sources(geometry), stiff):
+        if channel.accelerometer is None:
+            weights = {geometry.cell_names.index(name): weight for name, weight in channel.cell_weights.items()}
+            sums.append(SpringSum(spring, weights))
+        else:
+            sensor = channel.accelerometer
+            position, on_metric_side = np.asarray(sensor.position, float), sensor.side == "metric"
+            motions.append(PointMotion(spring, position, sensor.direction, on_metric_side))
+    return tuple(sums), tuple(motions)
+
+
+def _with_unstiff_springs(
+    springs: tuple[str, ...], B: Dual, k: Dual, names: Sequence[str]
+) -> tuple[tuple[str, ...], Dual, Dual]:
+    """The springs, their elongations and stiffness with further springs that exert no force."""
+    if not names:
+        return springs, B, k
+    p, e, n = B.parameters, len(names), B.value.shape[1]
+    unstiff = constant(np.zeros((e, n)), p), constant(np.zeros(e), p)
+    return (*springs, *names), concatenate([B, unstiff[0]]), concatenate([k, unstiff[1]])
+
+
 def _channel_path(channel: Channel, springs: tuple[str, ...], value: Mapping[str, Dual], p: int) -> ChannelPath:
-    spring = springs.index(TORQUE if channel.torque_meter else str(channel.cell))
+    spring = springs.index(TORQUE if channel.torque_meter else channel.cell or channel.source)
     low = () if channel.lowpass is None else (constant(1.0 / (2 * np.pi * channel.lowpass), p),)
     high = () if channel.time_constant is None else (constant(1.0 / channel.time_constant, p),)
-    return ChannelPath(channel.name, spring, value[f"sensitivity.{channel.name}"], low, high)
+    differentiations = 0 if channel.accelerometer is None else 2
+    gain = value[f"sensitivity.{channel.name}"]
+    return ChannelPath(channel.name, spring, gain, low, high, differentiations=differentiations)

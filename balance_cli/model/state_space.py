@@ -22,6 +22,7 @@ from balance_cli.model.mechanics.equations import ChannelPath
 from balance_cli.model.realization import (
     Descriptor,
     Realization,
+    differentiate_twice,
     modal_form,
     parallel,
     proper_part,
@@ -71,6 +72,8 @@ def state_space(system: System, spin: float = 0.0) -> StateSpace:
     """
     read = sorted({path.spring for path in system.equations.paths})
     forces = modal_form(proper_part(_structural_descriptor(system, spin, read)))
+    motions = {item.spring for item in system.equations.point_motions}
+    forces = differentiate_twice(forces, [i for i, spring in enumerate(read) if spring in motions])
     volts = parallel([_channel_filters(path) for path in system.equations.paths])
     of_spring = static_gain_system(
         np.array([[float(path.spring == spring) for spring in read] for path in system.equations.paths])

@@ -86,6 +86,14 @@ def assemble_system(equations: Equations) -> System:
     springs = equations.stiffness.insert_axis(-1) * E
     springs_loss = equations.loss.insert_axis(-1) * springs
     springs_frequency_stiffness = equations.frequency_stiffness.insert_axis(-1) * springs
+    readings = springs + equations.extra_readings
+    readings_loss, readings_frequency_stiffness = springs_loss, springs_frequency_stiffness
+    if equations.sums:
+        S = equations.summation
+        readings, readings_loss = S @ readings, S @ readings_loss
+        readings_frequency_stiffness = S @ readings_frequency_stiffness
+    if equations.point_motions:
+        readings = readings + equations.motion_readings()
     factor = equations.row_factor.insert_axis(-1)
     pencil = Pencil(
         mass=factor * equations.mass,
@@ -99,9 +107,9 @@ def assemble_system(equations: Equations) -> System:
         equations=equations,
         pencil=pencil,
         inputs=factor * equations.inputs,
-        readings=springs + equations.extra_readings,
-        readings_loss=springs_loss,
-        readings_frequency_stiffness=springs_frequency_stiffness,
+        readings=readings,
+        readings_loss=readings_loss,
+        readings_frequency_stiffness=readings_frequency_stiffness,
         reactions=-(factor * E.T),
     )
 

@@ -69,7 +69,8 @@ def spring_forces(
 def extra_forces(system: System, solution: Solution, index: Index, extra: SpringInputs) -> ComplexArray:
     """The part (K, e) of the springs' forces, as read, that is due to the extra ones."""
     through = (solution.force_influence @ system.reactions.value)[index]
-    return np.asarray(np.matmul(through, extra.acting[:, :, None])[:, :, 0] + extra.read)
+    read = extra.read @ system.equations.summation.T
+    return np.asarray(np.matmul(through, extra.acting[:, :, None])[:, :, 0] + read)
 
 
 def volts_of_forces(system: System, solution: Solution) -> tuple[ComplexArray, ComplexArray]:
@@ -77,5 +78,5 @@ def volts_of_forces(system: System, solution: Solution) -> tuple[ComplexArray, C
     springs = system.springs_of_channels
     gains, mixing = solution.gains[:, :, None], system.equations.mixing.value
     acting = gains * (solution.force_influence @ system.reactions.value)[:, springs]
-    read = gains * np.eye(len(system.equations.stiffness.value))[springs]
+    read = gains * system.equations.summation[springs]
     return np.asarray(mixing @ acting), np.asarray(mixing @ read)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution

@@ -106,12 +106,12 @@ def _power_gain(record: RotorRecord, source: ResponseSource) -> Callable[[Array]
 
 
 def sensor_count(geometry: Geometry, live: tuple[str, ...]) -> int:
-    """Return how many cells and torque meters the channels measure.
+    """Return how many cells, sums of cells, torque meters and accelerometers the channels measure.
 
-    Two channels of one cell test each other, not the mechanics of the balance: they count once.
+    Two channels of one source test each other, not the mechanics of the balance: they count once.
     """
     channels = [channel for channel in geometry.channels if channel.name in live]
-    return len({channel.cell for channel in channels})
+    return len({channel.source for channel in channels})
 
 
 def _model_error_matters(solution: SolvedLoads) -> Mask:

@@ -9,8 +9,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
 from balance_cli.estimation.paper.fit import response as paper_response
 from balance_cli.estimation.paper.spectra import channel_response

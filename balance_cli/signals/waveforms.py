@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
-from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.campaign.rig.channel import Channel
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.signals.anti_alias import anti_alias_response
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_record
 from balance_cli.signals.periodic import samples_per_period
@@ -161,7 +162,7 @@ def channel_shares(geometry: Geometry, names: Sequence[str], frequency: Array, v
     gains = np.stack([_declared_gain(channel, frequency) for channel in channels], axis=1)
     weight = np.abs(gains) ** 2 / np.where(variance > 0, variance, 1.0)
     weight = weight * np.stack([_high_pass_weights(channel, frequency) for channel in channels], axis=1)
-    springs = [channel.cell for channel in channels]
+    springs = [channel.source for channel in channels]
     same_spring = np.array([[a == b for b in springs] for a in springs], float)
     total = weight @ same_spring
     return np.asarray(weight / np.where(total > 0, total, 1.0))

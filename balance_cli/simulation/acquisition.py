@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
-from balance_cli.campaign.rig.geometry import Channel
+from balance_cli.campaign.rig.channel import Channel
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Signals
 from balance_cli.simulation.filters import anti_alias

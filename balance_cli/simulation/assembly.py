@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -87,4 +89,12 @@ def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0) -> Mechanics:
         raise UserError(
             "the cells do not hold every degree of freedom", place="cells", remedy="Add cells or reduce `freedom`"
         )
-    return mechanics
+    return replace(mechanics, accelerometer_rows=_accelerometer_rows(mechanics, rig))
+
+
+def _accelerometer_rows(mechanics: Mechanics, rig: TrueRig) -> Array:
+    """Motion (a, n) along the axis of each accelerometer, of the side on which it stands."""
+    sensors = [channel.accelerometer for channel in rig.geometry.channels if channel.accelerometer is not None]
+    moving = {"metric": mechanics.plate_displacement, "non-metric": mechanics.non_metric_displacement}
+    rows = [sensor.direction @ moving[sensor.side](sensor.position) for sensor in sensors]
+    return np.array(rows).reshape(-1, mechanics.size)

@@ -50,6 +50,7 @@ class Mechanics:
     """Equations of motion in n coordinates, six hub loads and c cells.
 
     `mass`, `damping`, `stiffness` (n, n), the stiffness without that of the cells; `loads` (n, 6) [1, m];
+    `accelerometer_rows` (a, n): the motion [m] that each accelerometer follows;
     `cell_rows` (c, n): elongations d = rows q [m]; `cell_stiffness` (c,) [N/m]; `torque_row` (n,): twist [N m] in the
     shaft per coordinate. `names` (n,) of the coordinates. `plate` (6, n): motion x y z psi theta phi of the plate at
     its center of gravity `cg` (3,); `non_metric_motion` (6, n): that of the non-metric side at the rig's origin, zero
@@ -71,6 +72,12 @@ class Mechanics:
     branches: tuple[MaxwellBranch, ...] = field(default=())
     forces: tuple[NonlinearCellForce, ...] = field(default=())
     plate_damping: Callable[[Array], Array] | None = None
+    accelerometer_rows: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def sensors(self) -> int:
+        """Number of cells, shaft and accelerometers."""
+        return len(self.cell_rows) + 1 + len(self.accelerometer_rows)
 
     @property
     def size(self) -> int:

@@ -29,25 +29,25 @@ class RigDynamics:
         return cls(mechanics, full_system(mechanics))
 
     @property
-    def cells(self) -> int:
-        """Number of outputs before the elongations: cells and shaft."""
-        return len(self.mechanics.cell_rows) + 1
+    def sensors(self) -> int:
+        """Number of outputs before the elongations: cells, shaft and accelerometers."""
+        return self.mechanics.sensors
 
     def elongations(self, loads: Array, step: float) -> Array:
         """Elongations (n, m) where nonlinear forces act, under the hub loads (n, 6) alone."""
-        return self.system.subsystem(slice(self.cells, None), slice(0, 6)).response(loads, step)
+        return self.system.subsystem(slice(self.sensors, None), slice(0, 6)).response(loads, step)
 
     def forces(self, loads: Array, extra: Array, step: float) -> Array:
-        """Cell forces and torque (n, c+1) under hub loads (n, 6) and nonlinear forces (n, m)."""
+        """Cell forces, torque and accelerations (n, c+1+a) under hub loads (n, 6) and nonlinear forces (n, m)."""
         inputs = np.hstack([loads, extra])
-        linear = self.system.subsystem(slice(0, self.cells), slice(None)).response(inputs, step)
+        linear = self.system.subsystem(slice(0, self.sensors), slice(None)).response(inputs, step)
         return linear + forces_read_by_channels(self.mechanics, extra)
 
 
 def nonlinear_forces(motion: RigDynamics, runs: Iterable[Array], step: float) -> list[Array]:
     """Nonlinear forces (n, m) of several runs, from their hub loads (n, 6), integrated for all runs at once."""
     forces = NonlinearForces.from_cell_forces(motion.mechanics.forces)
-    gain = motion.system.static_gain()[motion.cells :]
+    gain = motion.system.static_gain()[motion.sensors :]
     starts, linear = [], []
     for loads in runs:
         starts.append(solve_rest_state(forces, gain, loads[:1]))
@@ -57,6 +57,6 @@ def nonlinear_forces(motion: RigDynamics, runs: Iterable[Array], step: float) ->
     start = RestState(
         *(np.vstack(rows) for rows in zip(*((s.elongation, s.force, s.contact) for s in starts), strict=True))
     )
-    driven = motion.system.subsystem(slice(motion.cells, None), slice(6, None))
+    driven = motion.system.subsystem(slice(motion.sensors, None), slice(6, None))
     result = integrate_nonlinear_forces(forces, driven, start, padded, step)
     return [result[: len(run), i] for i, run in enumerate(linear)]

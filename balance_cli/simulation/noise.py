@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.rig.geometry import Channel
+from balance_cli.campaign.rig.channel import Channel
 
 Array = NDArray[np.float64]
 

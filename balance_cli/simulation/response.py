@@ -59,14 +59,18 @@ def elongation_matrix(mechanics: Mechanics) -> Array:
 
 
 def full_system(mechanics: Mechanics) -> ModalSystem:
-    """Cell forces, torque and elongations (c+1+m) from hub loads and the m nonlinear forces (6+m)."""
-    outputs = np.vstack([force_matrix(mechanics), elongation_matrix(mechanics)])
-    return modal_system(state_matrix(mechanics), input_matrix(mechanics), outputs)
+    """Cell forces, torque, accelerations and elongations (c+1+a+m) from hub loads and m nonlinear forces (6+m)."""
+    A, B = state_matrix(mechanics), input_matrix(mechanics)
+    n, rows = mechanics.size, mechanics.accelerometer_rows.reshape(-1, mechanics.size)
+    forces, elongations = force_matrix(mechanics), elongation_matrix(mechanics)
+    direct = np.zeros((len(forces) + len(rows) + len(elongations), B.shape[1]))
+    direct[len(forces) : len(forces) + len(rows)] = rows @ B[n : 2 * n]
+    return modal_system(A, B, np.vstack([forces, rows @ A[n : 2 * n], elongations]), direct)
 
 
 def forces_read_by_channels(mechanics: Mechanics, extra: Array) -> Array:
-    """The part (n, c+1) of the nonlinear forces (n, m) that the cells' channels read beside their linear force."""
-    read_by_channels = np.zeros((len(extra), len(mechanics.cell_rows) + 1))
+    """The part (n, c+1+a) of the nonlinear forces (n, m) that the cells' channels read beside their linear force."""
+    read_by_channels = np.zeros((len(extra), mechanics.sensors))
     for force, column in zip(mechanics.forces, extra.T, strict=True):
         if force.read_by_channels:
             read_by_channels[:, force.cell] += column

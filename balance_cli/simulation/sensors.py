@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.simulation.filters import high_pass, low_pass
 from balance_cli.simulation.rig import TrueRig
 
@@ -15,18 +16,32 @@ Array = NDArray[np.float64]
 
 
 def sensor_volts(rig: TrueRig, forces: Array, step: float | None) -> Array:
-    """Volts (n, channels) before the acquisition, from cell forces and torque (n, cells+1) sampled every `step` s.
+    """Volts (n, channels) before the acquisition, from what the sensors measure, sampled every `step` s.
 
+    `forces` (n, cells+1+a) are those of the cells, the torque, and the accelerations [m/s2] at the accelerometers.
     Without a `step` the rows are readings at rest: the output of a high-pass is zero.
     """
     geometry = rig.geometry
     volts = np.empty((len(forces), len(geometry.channels)))
+    weights = _sensor_weights(geometry)
     for i, (channel, sensitivity) in enumerate(zip(geometry.channels, rig.sensitivities, strict=True)):
-        source = -1 if channel.cell is None else geometry.cell_names.index(channel.cell)
-        signal = forces[:, source] * sensitivity
+        signal = forces @ weights[i] * sensitivity
         if channel.lowpass is not None and step is not None:
             signal = low_pass(signal, channel.lowpass, step)
         if channel.time_constant is not None:
             signal = high_pass(signal, channel.time_constant, step) if step is not None else np.zeros(len(signal))
         volts[:, i] = signal
     return volts
+
+
+def _sensor_weights(geometry: Geometry) -> Array:
+    """Weights (channels, cells+1+a) of the sensors in each channel's reading."""
+    accelerometers = [i for i, channel in enumerate(geometry.channels) if channel.accelerometer is not None]
+    cells = len(geometry.cells)
+    weights = np.zeros((len(geometry.channels), cells + 1 + len(accelerometers)))
+    for i, channel in enumerate(geometry.channels):
+        for name, weight in channel.cell_weights.items():
+            weights[i, geometry.cell_names.index(name)] = weight
+        weights[i, cells] = float(channel.torque_meter)
+    weights[accelerometers, cells + 1 + np.arange(len(accelerometers))] = 1.0
+    return weights

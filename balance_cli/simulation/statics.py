@@ -33,9 +33,9 @@ def static_load_points(plan: StaticPlan) -> Array:
 
 
 def static_forces(mechanics: Mechanics, loads: Array) -> Array:
-    """Cell forces and torque (rows, c+1) at rest under `loads` (rows, 6), applied in this order."""
+    """Cell forces, torque and accelerations (rows, c+1+a) at rest under `loads` (rows, 6), applied in this order."""
     gain = full_system(mechanics).static_gain()
-    cells = len(mechanics.cell_rows) + 1
+    cells = mechanics.sensors
     if not mechanics.forces:
         return np.asarray(loads @ gain.T)
     extra = solve_rest_state(NonlinearForces.from_cell_forces(mechanics.forces), gain[cells:], loads).force

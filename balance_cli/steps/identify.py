@@ -150,6 +150,9 @@ def _fit_model(
         return fit_maximum_likelihood(model, batches, declared), "geometry"
     first = _fit_rigid_equation_error(model, loaded)
     if options.method == "ls":
+        if first is None:
+            fault = "least squares need channels of cells that determine every motion of the plate"
+            raise UserError(fault, "--method", remedy="Use ml")
         data = data_curvature(batches, model.system(first.theta))
         total = data + prior_curvature(model.parameters, first.theta)
         return Minimum(first.theta, data, total, first.iterations, first.converged), "geometry"
@@ -157,7 +160,10 @@ def _fit_model(
         points = find_starting_values(model.parameters, loaded, model.system, declared)
         return _fit_with_effects(model, batches, points)
     motion = start_from_equations_of_motion(model.parameters, loaded, model.system, declared)
-    starts = {"equations of motion": motion, "least squares": first.theta, "geometry": declared}
+    starts = {"equations of motion": motion}
+    if first is not None:
+        starts["least squares"] = first.theta
+    starts["geometry"] = declared
     best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
     return fit_maximum_likelihood(model, batches, starts[best]), best
 
@@ -179,7 +185,7 @@ def _fit_with_effects(model: BalanceModel, batches: Sequence[Batch], points: Sta
             raise UserError(fault, place="effects", remedy=remedy) from error
 
 
-def _fit_rigid_equation_error(model: BalanceModel, batches: Sequence[Batch]) -> Minimum:
+def _fit_rigid_equation_error(model: BalanceModel, batches: Sequence[Batch]) -> Minimum | None:
     """Fit the rigid balance by its equation error: the cells' forces do not determine the motion of a flexible part."""
     rigid = balance_model(without_effects(model.geometry))
     return fit_equation_error(rigid.parameters, batches, rigid.system, DYNAMIC_BAND)

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from balance_cli.campaign.recording.run import MemorySource
-from balance_cli.campaign.rig.geometry import Channel
+from balance_cli.campaign.rig.channel import Channel
 from balance_cli.cli import balance
 from balance_cli.io.artefacts import load_artefact
 from balance_cli.io.errors import UserError

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, Run, pick_channels
+from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 
 Integers = NDArray[np.int64]
 

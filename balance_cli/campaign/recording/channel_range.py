@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from balance_cli.campaign.recording.run import Array, Run, read_channels
-from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.campaign.rig.channel import Channel
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 
 BEYOND_FULL_RANGE = 5.0
@@ -31,11 +32,11 @@ def full_range_faults(run: Run, geometry: Geometry) -> Iterator[UserError]:
 
 
 def _largest_reading(channel: Channel, geometry: Geometry) -> float | None:
-    """The reading at full range of the cell [V], None for a channel of no cell."""
-    cells = {cell.name: cell for cell in geometry.cells}
-    if channel.cell not in cells:
+    """The reading at full range of its cells [V], None for a channel of no cell."""
+    ranges = {cell.name: cell.full_range for cell in geometry.cells}
+    if not channel.cell_weights:
         return None
-    return abs(channel.sensitivity) * cells[channel.cell].full_range
+    return abs(channel.sensitivity) * sum(abs(weight) * ranges[name] for name, weight in channel.cell_weights.items())
 
 
 def _typical_magnitudes(run: Run, names: list[str]) -> Array:

@@ -9,11 +9,11 @@ from pydantic import (
     BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
-    field_validator,
     model_serializer,
     model_validator,
 )
 
+from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.declared_values import (
     MOST_PARTS,
@@ -29,7 +29,6 @@ from balance_cli.campaign.rig.declared_values import (
 from balance_cli.campaign.rig.load_component import LoadComponent, name_component
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
-from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, parse_unit
 
 
 class Inertia(FrozenModel):
@@ -103,56 +102,6 @@ class TorqueMeter(FrozenModel):
     inertia: Positive
 
 
-class Channel(FrozenModel):
-    """A recorded channel: what it measures, sensitivity [V/N or V/(N m)] and its own first-order dynamics.
-
-    A channel without `cell` and `torque_meter`, such as a bridge of an internal balance, can be calibrated only.
-    `unit` is that of its readings: V (the default), a ratio to the excitation (mV/V), or a number (counts).
-    """
-
-    name: Name
-    cell: str | None = None
-    torque_meter: bool = False
-    sensitivity: Number = 1.0
-    unit: str | None = None
-    lowpass: Positive | None = None
-    time_constant: Positive | None = None
-    range: Positive | None = None
-
-    @model_validator(mode="after")
-    def _check_one_source(self) -> Channel:
-        if self.cell is not None and self.torque_meter:
-            raise ValueError("give either `cell: NAME` or `torque_meter: true`, not both")
-        if self.sensitivity == 0.0:
-            raise ValueError("`sensitivity` is zero")
-        if self.measures_mechanics and "sensitivity" not in self.model_fields_set:
-            raise ValueError("`sensitivity` is missing")
-        return self
-
-    @field_validator("unit")
-    @classmethod
-    def _check_unit(cls, text: str | None) -> str | None:
-        try:
-            return None if text is None else parse_unit(text, VOLTAGE, RATIO, NUMBER).dimension
-        except UserError as error:
-            raise ValueError(f"{error.fault} ({error.remedy})") from None
-
-    @property
-    def reading_unit(self) -> str:
-        """Base unit of the readings: `V`, `V/V` or `1`."""
-        return self.unit or VOLTAGE
-
-    @property
-    def measures_mechanics(self) -> bool:
-        """Whether the channel measures a declared part of the rig: a cell or the torque meter."""
-        return self.cell is not None or self.torque_meter
-
-    @property
-    def measures_dc(self) -> bool:
-        """Whether the channel passes a constant load (no high-pass)."""
-        return self.time_constant is None
-
-
 class AnalogFilter(FrozenModel):
     """The anti-alias filter of the acquisition: Butterworth low-pass of `order` at `cutoff` [Hz]."""
 
@@ -175,6 +124,19 @@ class Acquisition(FrozenModel):
         """Without groups where none is declared, as before there were any."""
         plain: dict[str, Any] = serialize(self)
         return {key: value for key, value in plain.items() if value or key != "groups"}
+
+
+class DeclaredLoadPoint(FrozenModel):
+    """A point of the metric side at which forces act: `position` [m] and, where it is fixed, their `direction`."""
+
+    position: Vector
+    direction: Vector | None = None
+
+    @model_validator(mode="after")
+    def _check_direction(self) -> DeclaredLoadPoint:
+        if self.direction is not None and float(np.linalg.norm(self.direction)) == 0.0:
+            raise ValueError("`direction` has no length")
+        return self
 
 
 class Tolerances(FrozenModel):
@@ -228,6 +190,7 @@ class Geometry(FrozenModel):
         Annotated[tuple[Annotated[LoadComponent, BeforeValidator(name_component)], ...], Field(min_length=1)] | None
     ) = None
     rated_loads: dict[Name, Positive] | None = None
+    load_points: dict[Name, DeclaredLoadPoint] | None = None
 
     @model_serializer(mode="wrap")
     def _leave_out_absent_parts(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -50,6 +51,12 @@ def _extent_faults(geometry: Geometry) -> Iterator[UserError]:
         "hub": geometry.hub,
         **{f"bodies[{index}].position": body.position for index, body in enumerate(geometry.bodies)},
         **{f"cells[{index}].position": cell.position for index, cell in enumerate(geometry.cells)},
+        **{
+            f"channels[{index}].accelerometer.position": channel.accelerometer.position
+            for index, channel in enumerate(geometry.channels)
+            if channel.accelerometer is not None
+        },
+        **{f"load_points.{name}.position": point.position for name, point in (geometry.load_points or {}).items()},
     }
     positions = np.array(list(points.values()), float)
     remedy = "Positions are in m"
@@ -115,9 +122,10 @@ def _inertia_faults(index: int, body: Body) -> Iterator[UserError]:
 def _channel_reference_faults(geometry: Geometry) -> Iterator[UserError]:
     cells = geometry.cell_names
     for index, channel in enumerate(geometry.channels):
-        if channel.cell is not None and channel.cell not in cells:
-            remedy = f"The cells are {', '.join(cells)}"
-            yield UserError(f"there is no cell `{channel.cell}`", place=f"channels[{index}].cell", remedy=remedy)
+        for name in channel.cell_weights:
+            if name not in cells:
+                place = f"channels[{index}].{'cell' if channel.cells is None else f'cells.{name}'}"
+                yield UserError(f"there is no cell `{name}`", place=place, remedy=_known("cells", name, cells))
         if channel.torque_meter and geometry.torque_meter is None:
             place = f"channels[{index}].torque_meter"
             yield UserError("no torque meter is declared", place=place, remedy="Add the key `torque_meter`")
@@ -131,9 +139,14 @@ def _channel_group_faults(geometry: Geometry) -> Iterator[UserError]:
             yield UserError("a channel or a cell has this name", place=place, remedy="Give the group a name of its own")
         for member in members:
             if member not in geometry.channel_names:
-                remedy = f"The channels are {', '.join(geometry.channel_names)}"
+                remedy = _known("channels", member, geometry.channel_names)
                 yield UserError(f"there is no channel `{member}`", place=place, remedy=remedy)
         yield from _duplicate_name_faults(place, members)
+
+
+def _known(kind: str, name: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"Did you mean `{near[0]}`?" if near else f"The {kind} are {', '.join(known)}"
 
 
 def _restraint_faults(geometry: Geometry) -> Iterator[UserError]:

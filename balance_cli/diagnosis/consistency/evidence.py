@@ -87,18 +87,23 @@ def rig_size(geometry: Geometry) -> float:
 
 
 def force_scale(geometry: Geometry) -> Array:
-    """Return the divisors (c,) of the channels' readings: 1 for forces, the size of the rig for torques."""
-    return np.array([rig_size(geometry) if channel.torque_meter else 1.0 for channel in geometry.channels])
+    """Return the divisors (c,) of the channels' readings, as forces: 1, of torques the size of the rig.
+
+    Of accelerations it is the reciprocal of the mass.
+    """
+    mass = sum(body.mass for body in geometry.bodies)
+    divisors = np.array([rig_size(geometry) if channel.torque_meter else 1.0 for channel in geometry.channels])
+    return np.where([channel.accelerometer is not None for channel in geometry.channels], 1.0 / mass, divisors)
 
 
 def same_source_pairs(geometry: Geometry) -> tuple[tuple[int, int], ...]:
-    """Return the indices of channels that read the same cell or the torque meter: each with the first of its source."""
+    """Return the indices of channels that read the same source: each with the first of its source."""
     first: dict[str, int] = {}
     pairs = []
     for index, channel in enumerate(geometry.channels):
-        if channel.cell is None and not channel.torque_meter:
+        source = channel.source
+        if not source:
             continue
-        source = "torque meter" if channel.torque_meter else f"cell {channel.cell}"
         if source in first:
             pairs.append((first[source], index))
         first.setdefault(source, index)

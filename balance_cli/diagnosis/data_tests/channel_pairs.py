@@ -64,10 +64,10 @@ def declared_paths(geometry: Geometry) -> tuple[ChannelPath, ...]:
 
 
 def channel_pairs(geometry: Geometry) -> list[tuple[str, str]]:
-    """The first channel of each cell and of the torque meter, paired with each of its other channels."""
-    groups: dict[str | None, list[str]] = {}
+    """The first channel of each source (a cell, the torque meter), paired with each of its other channels."""
+    groups: dict[str, list[str]] = {}
     for channel in geometry.channels:
-        groups.setdefault(channel.cell, []).append(channel.name)
+        groups.setdefault(channel.source, []).append(channel.name)
     return [(names[0], name) for names in groups.values() for name in names[1:]]
 
 

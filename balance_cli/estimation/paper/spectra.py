@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.paper.sensors import SensorRule
 from balance_cli.io.errors import UserError
 from balance_cli.model.plate import plate_matrices

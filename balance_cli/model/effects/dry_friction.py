@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Cell, Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
-from balance_cli.model.effects.places import Where, each_cell
+from balance_cli.model.effects.places import Where, each_measured_cell
 from balance_cli.model.effects.search_hints import SearchHints, Start
 from balance_cli.model.mechanics.dual_numbers import Dual, stack
 from balance_cli.model.mechanics.equations import CellForce, Equations
@@ -121,7 +121,7 @@ EFFECT = Effect(
     separated_by="Sweeps at a very low level, where the contact sticks, or a slow static loop. Structural damping "
     "does not depend on level.",
     place="a cell",
-    places=each_cell,
+    places=each_measured_cell,
     parameters=_parameters,
     apply=_apply,
     needs_mean=True,

@@ -144,6 +144,8 @@ def _add_load_mode(
         compliance=constant(np.ones(2), p),
     )
     shape = stack([values[f"shape_{name}"] for name in _springs(geometry)]).insert_axis(-1)
+    unread = constant(np.zeros((len(equations.springs) - shape.value.shape[0], 1)), p)
+    shape = concatenate([shape, unread])
     nothing = constant(np.zeros((len(equations.springs), n + 1)), p)
     return replace(wide, extra_readings=wide.extra_readings + concatenate([nothing, shape], axis=1))
 

@@ -72,9 +72,13 @@ def load_range(geometry: Geometry, component: str) -> float:
 
 
 def channel_range(geometry: Geometry, channel_name: str) -> float:
-    """The reading [V] of a channel where its cell is at its range, or, of another channel, that of a mean cell."""
+    """The reading [V] of a channel where its cells are at their range, or, of another channel, that of a mean cell."""
     channel = next(item for item in geometry.channels if item.name == channel_name)
     ranges = {cell.name: cell.full_range for cell in geometry.cells}
     mean = sum(ranges.values()) / len(ranges)
-    arm = rig_length(geometry) if channel.torque_meter else 1.0
-    return abs(channel.sensitivity) * arm * ranges.get(channel.cell or "", mean)
+    if channel.accelerometer is not None:
+        return abs(channel.sensitivity) * mean / sum(body.mass for body in geometry.bodies)
+    if channel.torque_meter:
+        return abs(channel.sensitivity) * rig_length(geometry) * mean
+    of_cells = sum(abs(weight) * ranges[name] for name, weight in channel.cell_weights.items())
+    return abs(channel.sensitivity) * (of_cells or mean)

@@ -40,8 +40,14 @@ def each_cell_or_all(geometry: Geometry) -> tuple[Where, ...]:
 
 
 def each_cell_and_side(geometry: Geometry) -> tuple[Where, ...]:
-    """Two places per cell: inside it and beside it."""
-    return tuple((cell.name, side) for cell in geometry.cells for side in SIDE.words)
+    """Two places per measured cell: inside it and beside it."""
+    return tuple((cell, side) for (cell,) in each_measured_cell(geometry) for side in SIDE.words)
+
+
+def each_measured_cell(geometry: Geometry) -> tuple[Where, ...]:
+    """One place per cell that has a channel of its own, which tells its elongation at every instant."""
+    measured = {channel.cell for channel in geometry.channels}
+    return tuple((cell.name,) for cell in geometry.cells if cell.name in measured)
 
 
 def each_channel(geometry: Geometry) -> tuple[Where, ...]:

@@ -2,8 +2,10 @@
 
     M q'' + (D + Omega G) q' + (E' diag(k (1 + j eta)) E + K_extra) q = F u,        force of spring i: k_i E_i q
 
-E has one row per spring that a channel can read: the cells in their declared order, then the torque meter. All matrices
-are dual numbers and carry the derivatives with respect to all parameters.
+E has one row per spring that a channel can read: the cells in their declared order, then the torque meter. Channels
+that sum the forces of several cells, and accelerometers, read springs of their own, without stiffness: their readings
+follow from the forces of the others (`SpringSum`) or from the motion of a point (`PointMotion`). All matrices are dual
+numbers and carry the derivatives with respect to all parameters.
 
 The cells stand on the non-metric side. Its motion is `non_metric_motion`, zero where it is rigid; cells are elongated
 by the motion of the plate relative to it.
@@ -18,14 +20,14 @@ d is known: the spring's channels measure it (`CellForce`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.kinematics import MOTION_AT_CENTER, MOTION_PER_ARM, motion_at
-from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant
+from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack
 
 Array = NDArray[np.float64]
 
@@ -39,6 +41,7 @@ class ChannelPath:
 
     `low_pass` are time constants tau [s]: 1/(1 + j omega tau); `high_pass` are rates r [1/s]: 1/(1 + r/(j omega)).
     In this form each is regular where it does nothing (0). `delay` is in s, positive if the channel is late.
+    `differentiations` of the reading come first: two for an accelerometer, whose spring reads the motion of a point.
     """
 
     channel: str
@@ -47,6 +50,28 @@ class ChannelPath:
     low_pass: tuple[Dual, ...] = ()
     high_pass: tuple[Dual, ...] = ()
     delay: Dual | None = None
+    differentiations: int = 0
+
+
+@dataclass(frozen=True)
+class SpringSum:
+    """A spring that reads the sum of the forces of others, each times its weight (by index); it exerts none itself."""
+
+    spring: int
+    weights: Mapping[int, float]
+
+
+@dataclass(frozen=True)
+class PointMotion:
+    """A spring that reads the motion [m] of a point at `position` (3,) [m] along `direction` (3,); it exerts no force.
+
+    The point belongs to the metric side, or to the non-metric one.
+    """
+
+    spring: int
+    position: Array
+    direction: Array
+    on_metric_side: bool
 
 
 @dataclass(frozen=True)
@@ -88,6 +113,7 @@ class Equations:
     - `row_factor` and `own_stiffness` (n,): one and zero except for flexible parts.
     - `forces` act along springs, `interference_tones` in channels; `channel_offset` (c,) [V] and `load_offset` (6,)
       [N, N m] are added to the readings of the channels and of the exciters' force cells.
+    - `sums` and `point_motions` are the springs without stiffness.
     - `plate_damping`: the damping of the plate by its damping ratios for a mass matrix of its motions, both (f, f).
     """
 
@@ -116,6 +142,8 @@ class Equations:
     load_offset: Dual
     forces: tuple[CellForce, ...] = ()
     interference_tones: tuple[InterferenceTone, ...] = ()
+    sums: tuple[SpringSum, ...] = ()
+    point_motions: tuple[PointMotion, ...] = ()
     plate_damping: Callable[[Dual], Dual] | None = None
 
     @property
@@ -131,6 +159,23 @@ class Equations:
     def cross_axis(self, is_static: bool) -> Dual:
         """The matrix (6, 6) from recorded loads to true ones, of static runs or of those with exciters."""
         return self.weight_cross_axis if is_static else self.exciter_cross_axis
+
+    @property
+    def summation(self) -> Array:
+        """The matrix (e, e) from the springs' own forces to what their channels read: rows of sums have weights."""
+        matrix = np.eye(len(self.springs))
+        for item in self.sums:
+            matrix[item.spring, list(item.weights)] = list(item.weights.values())
+        return matrix
+
+    def motion_readings(self) -> Dual:
+        """Rows (e, n) of the motions that springs read, zero where a spring reads a force."""
+        rows = [constant(np.zeros(len(self.coordinates)), self.parameters)] * len(self.springs)
+        for item in self.point_motions:
+            on_ground = motion_at(item.position) @ self.non_metric_motion
+            motion = self.motion(item.position) if item.on_metric_side else on_ground
+            rows[item.spring] = item.direction @ motion
+        return stack(rows)
 
     def motion(self, point: Dual | Array) -> Dual:
         """Motion (..., 3, n) of points (..., 3) [m] of the metric side, in rig axes, per unit of each coordinate."""
