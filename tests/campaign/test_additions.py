@@ -17,6 +17,8 @@ from balance_cli.campaign.recording.additions import (
 from balance_cli.campaign.recording.point_loads import with_hub_loads
 from balance_cli.campaign.recording.run import MemorySource, Run, excerpt_run, run_digest
 from balance_cli.campaign.recording.run_file import open_run, open_runs, read_run, write_run
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict, geometry_to_dict
+from balance_cli.io.errors import UserError
 from tests.support.rigs import rotor_balance
 
 RNG = np.random.default_rng(4)
@@ -58,7 +60,7 @@ def test_they_come_back_from_a_file(tmp_path, moving):
 def test_forces_at_points_are_hub_loads(moving):
     run = run_with(additions(moving), loads=np.ones((ROWS, 6)))
     hub = np.array([0.0, 0.0, 0.4])
-    loads = with_hub_loads(run, tuple(hub)).read().loads
+    loads = with_hub_loads(run, rotor_balance().model_copy(update={"hub": tuple(hub)})).read().loads
     force = run.additions.read(FORCE, 0, ROWS)
     vectors = force[:, :, None] * np.array([[0, 0, 1.0], [np.sqrt(0.5), np.sqrt(0.5), 0]])
     place = run.additions.read(POSITION, 0, ROWS) if moving else run.additions.load_points.position
@@ -70,6 +72,45 @@ def test_a_sweep_without_hub_loads_has_those_of_its_points(tmp_path):
     write_run(tmp_path / "r.h5", run_with(additions()))
     (run,), _ = open_runs([tmp_path / "r.h5"], rotor_balance())
     assert run.has_loads and np.abs(run.read().loads[:, 2]).max() > 0.0
+
+
+DECLARED = {
+    "stinger": {"position": [0.1, 0.2, 0.3], "direction": [0.0, 0.0, 1.0]},
+    "hammer": {"position": [0.0, -0.5, 0.1], "direction": [1.0, 1.0, 0.0]},
+}
+
+
+def rig_with_points(**changes):
+    points = {name: {**point, **changes.get(name, {})} for name, point in DECLARED.items()}
+    return geometry_from_dict({**geometry_to_dict(rotor_balance()), "load_points": points})
+
+
+def test_points_are_those_of_the_geometry_where_the_file_names_them_only(tmp_path):
+    full = run_with(additions())
+    nowhere = np.full((2, 3), np.nan)
+    points = LoadPoints(("stinger", "hammer"), nowhere, nowhere)
+    write_run(tmp_path / "r.h5", replace(full, additions=replace(full.additions, load_points=points)))
+    with h5py.File(tmp_path / "r.h5") as file:
+        assert "load_points/position" not in file and "load_points/direction" not in file
+    (run,), _ = open_runs([tmp_path / "r.h5"], rig_with_points())
+    assert np.allclose(run.read().loads, with_hub_loads(full, rig_with_points()).read().loads, atol=1e-12)
+    with pytest.raises(UserError, match=r"neither position nor direction, and is not declared"):
+        open_runs([tmp_path / "r.h5"], rotor_balance())
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"hammer": {"position": [0.0, -0.5, 0.2]}}, "lies 0.1 m from the point"),
+        ({"stinger": {"direction": [0.0, 0.0, -1.0]}}, "has another direction"),
+    ],
+)
+def test_a_point_elsewhere_than_declared_is_refused(tmp_path, changes, words):
+    write_run(tmp_path / "r.h5", run_with(additions()))
+    open_runs([tmp_path / "r.h5"], rig_with_points())
+    with pytest.raises(UserError, match=words) as caught:
+        open_runs([tmp_path / "r.h5"], rig_with_points(**changes))
+    assert caught.value.file.endswith("r.h5") and "load_points" in caught.value.place
 
 
 def test_an_excerpt_takes_them_along():

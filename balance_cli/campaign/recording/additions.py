@@ -29,12 +29,18 @@ class AdditionSource(Protocol):
 class LoadPoints:
     """Points at which p forces act: names, `direction` (p, 3) in rig axes, `position` (p, 3) [m].
 
-    The position is None where points move; it is then a dataset with a row for each sample.
+    The position is None where points move; it is then a dataset with a row for each sample. Both are NaN where the
+    file has neither: the points are then those of the geometry, by name.
     """
 
     names: tuple[str, ...]
     direction: Array
     position: Array | None
+
+    @property
+    def are_named_only(self) -> bool:
+        """Whether the file has no directions and positions."""
+        return bool(np.isnan(self.direction).any())
 
     @property
     def unit_directions(self) -> Array:

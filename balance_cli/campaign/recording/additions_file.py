@@ -76,11 +76,15 @@ def _numbers(file: h5py.File, name: str) -> Any:
 
 
 def _read_points(file: h5py.File, rows: int) -> LoadPoints:
-    force, direction, position = (_numbers(file, name) for name in (FORCE, DIRECTION, POSITION))
+    force = _numbers(file, FORCE)
     count = force.shape[1] if len(force.shape) == 2 else 0
     if force.shape != (rows, count) or not 0 < count <= MOST_POINTS:
         fault = f"has the shape {force.shape}"
         raise UserError(fault, place=FORCE, remedy=f"It should be {rows} rows, as the channels, by points")
+    names = _names(force, count)
+    if names and DIRECTION not in file and POSITION not in file:
+        return LoadPoints(names, np.full((count, 3), np.nan), np.full((count, 3), np.nan))
+    direction, position = _numbers(file, DIRECTION), _numbers(file, POSITION)
     if direction.shape != (count, 3):
         raise UserError(f"has the shape {direction.shape}", place=DIRECTION, remedy=f"It should be ({count}, 3)")
     if position.shape not in ((count, 3), (rows, count, 3)):
@@ -92,7 +96,7 @@ def _read_points(file: h5py.File, rows: int) -> LoadPoints:
     fixed = np.asarray(position[()], float) if len(position.shape) == 2 else None
     if fixed is not None and not np.all(np.abs(fixed) <= LARGEST_MAGNITUDE):
         raise UserError("a position is not a finite number", place=POSITION, remedy="Give positions in m")
-    return LoadPoints(_names(force, count) or tuple(f"point {k + 1}" for k in range(count)), directions, fixed)
+    return LoadPoints(names or tuple(f"point {k + 1}" for k in range(count)), directions, fixed)
 
 
 def _names(dataset: Any, count: int) -> tuple[str, ...]:
@@ -155,7 +159,7 @@ def write_additions(file: Any, additions: RunAdditions, rows: int) -> None:
     for number, times in enumerate(additions.further_pulse_times, 2):
         file[f"rotor{number}/pulse_times"] = times
     points = additions.load_points
-    if points is not None:
+    if points is not None and not points.are_named_only:
         file[DIRECTION] = points.direction
         if points.position is not None:
             file[POSITION] = points.position
@@ -163,7 +167,9 @@ def write_additions(file: Any, additions: RunAdditions, rows: int) -> None:
         _write_sampled(file, name, additions, rows)
     if points is not None:
         file[FORCE].attrs.create("names", points.names, dtype=h5py.string_dtype())
-        file[FORCE].attrs["unit"], file[POSITION].attrs["unit"] = "N", "m"
+        file[FORCE].attrs["unit"] = "N"
+        if POSITION in file:
+            file[POSITION].attrs["unit"] = "m"
     if additions.temperature_names:
         file[TEMPERATURE].attrs.create("names", additions.temperature_names, dtype=h5py.string_dtype())
         file[TEMPERATURE].attrs["unit"] = "degC"

@@ -12,7 +12,7 @@ import numpy as np
 
 from balance_cli.campaign.recording.additions_file import read_additions, write_additions
 from balance_cli.campaign.recording.gaps import bridge_gaps
-from balance_cli.campaign.recording.point_loads import with_hub_loads
+from balance_cli.campaign.recording.point_loads import load_point_faults, with_hub_loads
 from balance_cli.campaign.recording.run import Array, Run, SampleBlock, have_same_samples, hold_samples, run_digest
 from balance_cli.campaign.recording.run_checks import load_sample_faults, run_file_faults
 from balance_cli.campaign.recording.run_contents import read_contents, report_damage
@@ -148,7 +148,7 @@ def open_matching_run(path: Path, geometry: Geometry, hold: bool = False) -> Run
     """
     run = open_run(path, hold)
     _require_match(run, geometry)
-    return with_hub_loads(run, geometry.hub)
+    return with_hub_loads(run, geometry)
 
 
 def _require_match(run: Run, geometry: Geometry) -> None:
@@ -166,6 +166,7 @@ def geometry_mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
     if not set(run.channel_names) & set(geometry.channel_names):
         fault = f"has none of the channels that the geometry `{geometry.name}` declares"
         yield UserError(fault, file, "channels", f"It should have {', '.join(geometry.channel_names)}")
+    yield from load_point_faults(run, geometry)
 
 
 def duplicate_run_error(run: Run, first: Run) -> UserError:

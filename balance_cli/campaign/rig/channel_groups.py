@@ -15,7 +15,7 @@ def channel_groups(geometry: Geometry) -> dict[str, tuple[str, ...]]:
 
     The latter are `strain`, `piezo` and `all`; one whose name or members are already taken is left out.
     """
-    of_cells = [channel for channel in geometry.channels if channel.cell is not None]
+    of_cells = [channel for channel in geometry.channels if channel.cell_weights]
     usual = {
         STRAIN: tuple(channel.name for channel in of_cells if channel.measures_dc),
         PIEZO: tuple(channel.name for channel in of_cells if not channel.measures_dc),
