@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.campaign.rig.declared_values import FrozenModel, Name, Positive
 from balance_cli.campaign.rig.channel import Channel
+from balance_cli.campaign.rig.declared_values import FrozenModel, Name, Positive
 from balance_cli.signals.run_spectrum import RunSpectrum
 from balance_cli.simulation.noise import Noise
 
