@@ -87,8 +87,8 @@ def rig_with_points(**changes):
 
 def test_points_are_those_of_the_geometry_where_the_file_names_them_only(tmp_path):
     full = run_with(additions())
-    nowhere = np.full((2, 3), np.nan)
-    points = LoadPoints(("stinger", "hammer"), nowhere, nowhere)
+    unknown = np.full((2, 3), np.nan)
+    points = LoadPoints(("stinger", "hammer"), unknown, unknown)
     write_run(tmp_path / "r.h5", replace(full, additions=replace(full.additions, load_points=points)))
     with h5py.File(tmp_path / "r.h5") as file:
         assert "load_points/position" not in file and "load_points/direction" not in file

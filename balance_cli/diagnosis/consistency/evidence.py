@@ -98,16 +98,8 @@ def force_scale(geometry: Geometry) -> Array:
 
 def same_source_pairs(geometry: Geometry) -> tuple[tuple[int, int], ...]:
     """Return the indices of channels that read the same source: each with the first of its source."""
-    first: dict[str, int] = {}
-    pairs = []
-    for index, channel in enumerate(geometry.channels):
-        source = channel.source
-        if not source:
-            continue
-        if source in first:
-            pairs.append((first[source], index))
-        first.setdefault(source, index)
-    return tuple(pairs)
+    sources = [channel.source for channel in geometry.channels]
+    return tuple((sources.index(name), i) for i, name in enumerate(sources) if name and sources.index(name) < i)
 
 
 def gather_evidence(rows: Sequence[ResponseRows], geometry: Geometry, system: System) -> list[Evidence]:
