@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +39,9 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
     if geometry.torque_meter:
         mass, damping, B, k, F = _with_shaft(value, mass, damping, B, k, F)
         springs, coordinates = (*springs, TORQUE), (*coordinates, SHAFT)
-    sums, point_motions = _springs_without_stiffness(geometry, len(springs))
-    springs, B, k = _with_unstiff_springs(springs, B, k, [item.source for item in _further_sources(geometry)])
     n = len(coordinates)
     nothing = constant(np.zeros((n, n)), p)
-    return Equations(
+    equations = Equations(
         coordinates=tuple(coordinates),
         springs=tuple(springs),
         mass=mass,
@@ -55,7 +54,7 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         frequency_stiffness=constant(np.zeros(len(springs)), p),
         extra_readings=constant(np.zeros((len(springs), n)), p),
         inputs=F,
-        paths=tuple(_channel_path(channel, springs, value, p) for channel in geometry.channels),
+        paths=_channel_paths(geometry, springs, value, p),
         exciter_cross_axis=constant(np.eye(6), p),
         weight_cross_axis=constant(np.eye(6), p),
         mixing=constant(np.eye(len(geometry.channels)), p),
@@ -66,10 +65,9 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         own_stiffness=np.zeros(n),
         channel_offset=constant(np.zeros(len(geometry.channels)), p),
         load_offset=constant(np.zeros(6), p),
-        sums=sums,
-        point_motions=point_motions,
         plate_damping=lambda changed_mass: modal_damping(changed_mass, plate_stiffness, zeta),
     )
+    return _with_unstiff_springs(equations, _further_sources(geometry), geometry.cell_names)
 
 
 def _plate(geometry: Geometry, value: Mapping[str, Dual]) -> tuple[Dual, Dual, Dual]:
@@ -123,29 +121,39 @@ def _further_sources(geometry: Geometry) -> list[Channel]:
     return list(first.values())
 
 
-def _springs_without_stiffness(geometry: Geometry, stiff: int) -> tuple[tuple[SpringSum, ...], tuple[PointMotion, ...]]:
-    """What the springs without stiffness read, which follow the `stiff` ones."""
+def _with_unstiff_springs(equations: Equations, sources: Sequence[Channel], cells: Sequence[str]) -> Equations:
+    """The equations with a spring without stiffness for each source: a sum of cells, or the motion of a point."""
+    if not sources:
+        return equations
+    p, stiff, n = equations.parameters, len(equations.springs), len(equations.coordinates)
     sums, motions = [], []
-    for spring, channel in enumerate(_further_sources(geometry), stiff):
+    for spring, channel in enumerate(sources, stiff):
         if channel.accelerometer is None:
-            weights = {geometry.cell_names.index(name): weight for name, weight in channel.cell_weights.items()}
-            sums.append(SpringSum(spring, weights))
+            sums.append(SpringSum(spring, {cells.index(name): w for name, w in channel.cell_weights.items()}))
         else:
             sensor = channel.accelerometer
-            position, on_metric_side = np.asarray(sensor.position, float), sensor.side == "metric"
-            motions.append(PointMotion(spring, position, sensor.direction, on_metric_side))
-    return tuple(sums), tuple(motions)
+            position = np.asarray(sensor.position, float)
+            motions.append(PointMotion(spring, position, sensor.direction, sensor.side == "metric"))
+    rows, nothing = constant(np.zeros((len(sources), n)), p), constant(np.zeros(len(sources)), p)
+    return replace(
+        equations,
+        springs=(*equations.springs, *(channel.source for channel in sources)),
+        elongation=concatenate([equations.elongation, rows]),
+        extra_readings=concatenate([equations.extra_readings, rows]),
+        stiffness=concatenate([equations.stiffness, nothing]),
+        loss=concatenate([equations.loss, nothing]),
+        frequency_stiffness=concatenate([equations.frequency_stiffness, nothing]),
+        sums=tuple(sums),
+        point_motions=tuple(motions),
+    )
 
 
-def _with_unstiff_springs(
-    springs: tuple[str, ...], B: Dual, k: Dual, names: Sequence[str]
-) -> tuple[tuple[str, ...], Dual, Dual]:
-    """The springs, their elongations and stiffness with further springs that exert no force."""
-    if not names:
-        return springs, B, k
-    p, e, n = B.parameters, len(names), B.value.shape[1]
-    unstiff = constant(np.zeros((e, n)), p), constant(np.zeros(e), p)
-    return (*springs, *names), concatenate([B, unstiff[0]]), concatenate([k, unstiff[1]])
+def _channel_paths(
+    geometry: Geometry, springs: tuple[str, ...], value: Mapping[str, Dual], p: int
+) -> tuple[ChannelPath, ...]:
+    """The path of each channel; springs without stiffness follow the others."""
+    names = (*springs, *(channel.source for channel in _further_sources(geometry)))
+    return tuple(_channel_path(channel, names, value, p) for channel in geometry.channels)
 
 
 def _channel_path(channel: Channel, springs: tuple[str, ...], value: Mapping[str, Dual], p: int) -> ChannelPath:
