@@ -14,6 +14,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.steps.diagnose import diagnose as run_diagnosis
 from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation
 from balance_cli.steps.hold_out import choose_hold_out, hold_out_errors, require_known_loads
+from balance_cli.steps.hold_out_model_error import add_hold_out_error
 
 
 def diagnose(
@@ -53,4 +54,5 @@ def diagnose(
     task = SimulationTask(model, spectra, fitted, (*checks, *kept_aside))
     diagnosis, updated = diagnose_with_free_simulation(task, partial(run_diagnosis, progress=progress), settings)
     errors = {run.name: hold_out_errors(run, model, updated) for run in task.hold_out}
+    updated = add_hold_out_error(updated, task.hold_out, errors, settings)
     return judge_hold_out(diagnosis, errors, [run.name for run in kept_aside]), updated

@@ -82,12 +82,10 @@ def command(
 
     Sweeps and static runs among RUN... are fitted; runs of other kinds are left out and named. The runs of --hold-out
     are used once, after the last decision; without any, the check runs among RUN... or one of the sweeps are kept aside
-    for it. MODEL is a physical model: computed, identified, or updated before. So is
-    the updated model.
+    for it. MODEL is a physical model: computed, identified, or updated before. So is the updated model.
     """
     from balance_cli.cli.consistency import require_consistent_runs
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text
-    from balance_cli.diagnosis.conclusions import judge_hold_out
     from balance_cli.diagnosis.consistency.severity import identified_anyway
     from balance_cli.diagnosis.result import NOTHING_MISSING
     from balance_cli.estimation.measured_spectra import measured_spectra
@@ -106,11 +104,12 @@ def command(
     hold_out_runs = _warn_about_hold_out(session, before, (*hold_out_runs, *kept_aside), kept_aside)
     diagnosis, updated_model = _run_diagnosis(before, spectra, records, hold_out_runs, settings)
     errors = _hold_out_run_errors(session, hold_out_runs, before, updated_model, skip_bad)
-    diagnosis = judge_hold_out(diagnosis, errors, [run.name for run in kept_aside])
+    diagnosis, updated_model = _judge_by_hold_out(diagnosis, updated_model, hold_out_runs, kept_aside, errors)
     session.save(output, DIAGNOSIS_FORMAT, diagnosis)
     session.save(model_out, MODEL_FORMAT, updated_model)
-    if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING:
-        session.status = EXIT_DISCREPANCY
+    session.status = (
+        EXIT_DISCREPANCY if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING else session.status
+    )
     session.finish(diagnosis_summary(diagnosis, updated_model), diagnosis_text(diagnosis))
 
 
@@ -206,3 +205,17 @@ def _hold_out_run_errors(
         with session.skip_if_unusable(run, skip_bad):
             errors[run.name] = hold_out_errors(run, before, after)
     return errors
+
+
+def _judge_by_hold_out(
+    diagnosis: Diagnosis,
+    updated: IdentifiedModel,
+    hold_out_runs: tuple[Run, ...],
+    kept_aside: tuple[Run, ...],
+    errors: dict[str, HoldOut],
+) -> tuple[Diagnosis, IdentifiedModel]:
+    from balance_cli.diagnosis.conclusions import judge_hold_out
+    from balance_cli.steps.hold_out_model_error import add_hold_out_error
+
+    judged = judge_hold_out(diagnosis, errors, [run.name for run in kept_aside])
+    return judged, add_hold_out_error(updated, hold_out_runs, errors)

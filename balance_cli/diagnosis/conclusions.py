@@ -51,16 +51,44 @@ def decide_verdict(
 def judge_hold_out(diagnosis: Diagnosis, hold_out: Mapping[str, HoldOut], kept_aside: Sequence[str] = ()) -> Diagnosis:
     """Return the diagnosis with the errors of its hold-out runs, which may contradict what was found.
 
+    Where the model does not describe one of them, something is missing, whatever the fitted runs say.
     `kept_aside`: names of those runs that were not given as hold-out runs.
     """
-    notes = diagnosis.notes
+    notes, verdict, settings = diagnosis.notes, diagnosis.verdict, diagnosis.settings or DEFAULT_SETTINGS
     if kept_aside:
         notes = (*notes, f"no hold-out run was given: {', '.join(kept_aside)} kept aside, which no fit has used")
-    worse = [name for name, errors in hold_out.items() if is_worse(errors, diagnosis.settings or DEFAULT_SETTINGS)]
-    if not worse or not diagnosis.effects:
-        return replace(diagnosis, hold_out=dict(hold_out), notes=notes)
-    notes = (*notes, f"the update makes {', '.join(worse)} worse: do not use the updated model")
-    return replace(diagnosis, hold_out=dict(hold_out), notes=notes, verdict=CONTRADICTED)
+    undescribed = [name for name, errors in hold_out.items() if not is_described(errors, settings)]
+    if undescribed and verdict in (NOTHING_MISSING, EXPLAINED):
+        # The fitted runs are described: what is missing acts in the hold-out runs alone.
+        verdict = PARTLY_EXPLAINED if diagnosis.effects else UNEXPLAINED
+        notes = (*notes, *(_describe_misfit(name, hold_out[name]) for name in undescribed))
+    worse = [name for name, errors in hold_out.items() if is_worse(errors, settings)]
+    if worse and diagnosis.effects:
+        notes, verdict = (
+            (*notes, f"the update makes {', '.join(worse)} worse: do not use the updated model"),
+            CONTRADICTED,
+        )
+    return replace(diagnosis, hold_out=dict(hold_out), notes=notes, verdict=verdict)
+
+
+def is_described(errors: HoldOut, settings: SearchSettings) -> bool:
+    """Return whether the updated model describes a run, response and loads, to within its noise or a small error."""
+    limits = settings.hold_out
+    pairs = (
+        (errors.after.frf_error, errors.noise.frf_error),
+        (_rms(errors.after.load_error.values()), _rms(errors.noise.load_error.values())),
+    )
+    return not any(
+        error > limits.undescribed_error and error > limits.undescribed_noise_ratio * noise for error, noise in pairs
+    )
+
+
+def _describe_misfit(name: str, errors: HoldOut) -> str:
+    error, noise = errors.after.frf_error, errors.noise.frf_error
+    return (
+        f"{name} is not described, although the fitted runs are: its response is off by {100 * error:.3g} %, by noise "
+        f"alone {100 * noise:.2g} %. Find what acts in it and not in the fitted runs: a turning rotor, another set-up"
+    )
 
 
 def is_worse(errors: HoldOut, settings: SearchSettings) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from balance_cli.diagnosis.data_test_settings import DataTestSettings
+from balance_cli.diagnosis.hold_out_settings import FreeSimulationSettings, HoldOutSettings
 from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
 
 
@@ -229,30 +230,6 @@ class ResidualMapSettings:
     """Share of the largest excess that makes a run, band or channel worth naming."""
     max_named: int = 3
     """Runs, bands or channels named at most."""
-
-
-@dataclass(frozen=True)
-class FreeSimulationSettings:
-    """Simulations by the loads alone, which test nonlinear effects."""
-
-    max_samples: int = 8192
-    """Samples of a run that are simulated: some seconds of computing, and tens of periods of the slowest mode."""
-    max_hold_out: int = 2
-    """Hold-out runs that are simulated."""
-    max_sweeps: int = 3
-    """Fitted sweeps that are simulated: the effect may not show in what the hold-out runs excite."""
-    max_error_ratio: float = 1.02
-    """Error with the effects over that without, above which they are rejected: noise changes it by less."""
-
-
-@dataclass(frozen=True)
-class HoldOutSettings:
-    """Comparison of a model with its update on runs that no fit has seen."""
-
-    max_error_ratio: float = 1.05
-    """Error after over error before, above which a run contradicts the update: a right one leaves what it was."""
-    min_noise_ratio: float = 1.5
-    """Error after over that of the noise alone, below which the run cannot contradict: it is described."""
 
 
 @dataclass(frozen=True)

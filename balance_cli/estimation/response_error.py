@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,3 +29,10 @@ class ResponseError:
         band = np.argmin(np.abs(np.log(frequency[:, None] / self.frequency)), axis=1)
         weighted = self.factor[band] * np.abs(loads)[:, :, None, None]
         return np.asarray(np.einsum("kjcr,kjdr->kcd", weighted, weighted.conj()))
+
+    def combine(self, other: ResponseError | None) -> ResponseError:
+        """Return the sum of two independent errors of the same rows, in the bands of this one."""
+        if other is None:
+            return self
+        nearest = np.argmin(np.abs(np.log(self.frequency[:, None] / other.frequency)), axis=1)
+        return replace(self, factor=np.concatenate([self.factor, other.factor[nearest]], axis=-1))

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.diagnosis.hold_out_settings import FreeSimulationSettings
 from balance_cli.diagnosis.result import Diagnosis, Trial
-from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, FreeSimulationSettings, SearchSettings
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.model.balance import balance_model

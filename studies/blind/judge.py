@@ -34,21 +34,23 @@ class Outcome:
     text: str
 
 
+# Peak memory of a process includes that of the one which started it: a small process stands between.
+LAUNCHER = """
+import json, os, subprocess, sys
+process = subprocess.Popen(sys.argv[2:], stdout=open("log.txt", "w"), stderr=subprocess.STDOUT)
+_, status, usage = os.wait4(process.pid, 0)
+status = os.waitstatus_to_exitcode(status)
+json.dump([status, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024], open(sys.argv[1], "w"))
+"""
+
+
 def run_command(folder: Path, *arguments: str) -> Outcome:
     """Run `balance ARGUMENTS` in a folder."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "OPENBLAS_NUM_THREADS": "1"}
-    log = folder / "log.txt"
-    with log.open("w") as stream:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "balance_cli", *arguments],
-            cwd=folder,
-            stdout=stream,
-            stderr=subprocess.STDOUT,
-            env=environment,
-        )
-        _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return Outcome(process.returncode, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, log.read_text())
+    command = [sys.executable, "-m", "balance_cli", *arguments]
+    launch = [sys.executable, "-c", LAUNCHER, "usage.json", *command]
+    subprocess.run(launch, cwd=folder, env=environment, check=True)
+    return Outcome(*json.loads((folder / "usage.json").read_text()), (folder / "log.txt").read_text())
 
 
 def chain(folder: Path) -> dict[str, Outcome]:

@@ -160,25 +160,32 @@ def nonlinear_forces(mechanics: Mechanics, loads: Array, rate: float, start: Arr
 def equilibria(mechanics: Mechanics, loads: Array) -> Array:
     """Coordinates (m, n) at rest under loads (m, 6), applied one after the other."""
     K = mechanics.K + (mechanics.E.T * mechanics.stiffness) @ mechanics.E
+    rows = mechanics.E[[law.cell for law in mechanics.laws]]
+    compliance = np.linalg.solve(K, rows.T)
     states = [np.zeros(1) for _ in mechanics.laws]
-    q, out = np.zeros(mechanics.size), []
+    out = []
     for load in loads:
-        linear = np.linalg.solve(K, mechanics.B @ load)
-        q = fsolve(_out_of_balance, q, (mechanics, K, linear, states), xtol=1e-13) if states else linear
-        states = [
-            law.advance(np.array([mechanics.E[law.cell] @ q]), s) for law, s in zip(mechanics.laws, states, strict=True)
-        ]
+        q = np.linalg.solve(K, mechanics.B @ load)
+        if states:
+            d = _elongations(mechanics, rows @ q, rows @ compliance, states)
+            q = q - compliance @ _law_forces(mechanics, d, states)
+            states = [law.advance(d[i : i + 1], states[i]) for i, law in enumerate(mechanics.laws)]
         out.append(q)
     return np.array(out)
 
 
-def _out_of_balance(q: Array, mechanics: Mechanics, K: Array, linear: Array, states: list[Array]) -> Array:
-    """Distance of q from equilibrium, in motions of the linear rig."""
-    result = q - linear
-    for law, state in zip(mechanics.laws, states, strict=True):
-        row = mechanics.E[law.cell]
-        result = result + np.linalg.solve(K, row) * law.force(np.array([row @ q]), state)[0]
-    return np.asarray(result)
+def _law_forces(mechanics: Mechanics, d: Array, states: list[Array]) -> Array:
+    return np.array([law.force(d[i : i + 1], states[i])[0] for i, law in enumerate(mechanics.laws)])
+
+
+def _elongations(mechanics: Mechanics, linear: Array, compliance: Array, states: list[Array]) -> Array:
+    """Elongations of the cells with nonlinear forces; `linear` are those without these forces."""
+    size = np.abs(linear).max() + np.finfo(float).tiny
+
+    def residual(x: Array) -> Array:
+        return np.asarray(x - (linear - compliance @ _law_forces(mechanics, size * x, states)) / size)
+
+    return np.asarray(size * fsolve(residual, linear / size, xtol=1e-12))
 
 
 def static_forces(mechanics: Mechanics, loads: Array) -> Array:

@@ -7,7 +7,15 @@ import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
 from balance_cli.diagnosis.conclusions import judge_hold_out
-from balance_cli.diagnosis.result import CONTRADICTED, EXPLAINED, NOTHING_MISSING, HoldOut, RunErrors
+from balance_cli.diagnosis.result import (
+    CONTRADICTED,
+    EXPLAINED,
+    NOTHING_MISSING,
+    PARTLY_EXPLAINED,
+    UNEXPLAINED,
+    HoldOut,
+    RunErrors,
+)
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.likelihood import data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
@@ -120,7 +128,7 @@ def test_the_least_level_of_a_repeated_sweep_is_kept_aside_unless_there_are_chec
 
 @pytest.mark.parametrize(
     ("before", "after", "noise", "worse"),
-    [(0.3, 0.1, 0.01, False), (0.3, 0.6, 0.01, True), (0.01, 0.012, 0.011, False), (0.3, 0.301, 0.01, False)],
+    [(0.3, 0.01, 0.01, False), (0.3, 0.6, 0.01, True), (0.01, 0.012, 0.011, False), (0.03, 0.031, 0.01, False)],
     ids=["better", "worse", "described", "as it was"],
 )
 def test_a_model_that_is_worse_on_runs_left_out_is_contradicted(before, after, noise, worse):
@@ -133,8 +141,23 @@ def test_a_model_that_is_worse_on_runs_left_out_is_contradicted(before, after, n
         assert made.verdict == (CONTRADICTED if worse else EXPLAINED)
         assert made.hold_out == {"check-1": errors}
         assert any("check-1" in note for note in made.notes) == worse
+        # What was not accepted cannot be contradicted, but a run may show that something is missing.
         nothing = diagnosis(NOTHING_MISSING, effects=())
-        assert judge_hold_out(nothing, {"check-1": errors}).verdict == NOTHING_MISSING
+        assert judge_hold_out(nothing, {"check-1": errors}).verdict == (UNEXPLAINED if worse else NOTHING_MISSING)
+
+
+def test_a_run_that_the_model_does_not_describe_shows_that_something_is_missing():
+    errors = HoldOut(*(RunErrors({}, {}, error) for error in (0.301, 0.3, 0.01)))
+    for verdict, effects, expected in (
+        (NOTHING_MISSING, {"effects": ()}, UNEXPLAINED),
+        (EXPLAINED, {}, PARTLY_EXPLAINED),
+        (PARTLY_EXPLAINED, {}, PARTLY_EXPLAINED),
+    ):
+        made = judge_hold_out(diagnosis(verdict, **effects), {"check-1": errors})
+        assert made.verdict == expected
+        assert any("check-1 is not described" in note for note in made.notes) == (verdict != PARTLY_EXPLAINED)
+    small = HoldOut(*(RunErrors({}, {}, error) for error in (0.0015, 0.0015, 1e-5)))
+    assert judge_hold_out(diagnosis(), {"check-1": small}).verdict == EXPLAINED
 
 
 def test_runs_kept_aside_are_named():

@@ -1,0 +1,64 @@
+"""What an updated model misses of check runs that it does not describe: its error in wind-on runs too."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.diagnosis.conclusions import is_described
+from balance_cli.diagnosis.result import HoldOut
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
+from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
+from balance_cli.estimation.response_error import ResponseError
+from balance_cli.reduction.harmonic_loads import harmonic_response, rotor_record
+from balance_cli.reduction.model_sources import model_source
+
+
+def add_hold_out_error(
+    model: IdentifiedModel,
+    runs: Sequence[Run],
+    errors: Mapping[str, HoldOut],
+    settings: SearchSettings = DEFAULT_SETTINGS,
+) -> IdentifiedModel:
+    """Return the model with the error of its response in the check runs that it does not describe.
+
+    What acts with a turning rotor alone (a gyroscopic moment) is in no sweep at rest, but in check runs as in wind-on
+    runs. The error widens the standard deviations of the loads that `reduce` gives; that of a load which no such run
+    applied stays unknown. Without such runs the model stays.
+    """
+    undescribed = [run for run in runs if run.kind == "check" and run.name in errors]
+    undescribed = [run for run in undescribed if not is_described(errors[run.name], settings)]
+    if not undescribed:
+        return model
+    error = model.response_error
+    for run in undescribed:
+        error = _response_error(run, model).combine(error)
+    return replace(model, response_error=error)
+
+
+def _response_error(run: Run, model: IdentifiedModel) -> ResponseError:
+    """Return the error of the response at the rotor harmonics of a check run: its residual over the loads.
+
+    Where several loads act at once, the residual is divided among them in proportion to what each contributes.
+    """
+    source, geometry = model_source(model), model.geometry
+    record = rotor_record(run, geometry, source)
+    spectra, live = record.spectra, record.health.live
+    rows = [geometry.channel_names.index(name) for name in live]
+    T = (
+        harmonic_response(record, geometry, source)[:, rows]
+        @ identified_system(model).equations.exciter_cross_axis.value
+    )
+    amplitude = spectra.amplitude[1:, spectra.columns((*live, *COMPONENTS))]
+    channels, loads = amplitude[:, : len(live)], amplitude[:, len(live) :]
+    residual = channels - np.einsum("hcj,hj->hc", T, loads)
+    contribution = np.linalg.norm(T, axis=1) * np.abs(loads)
+    tiny = np.finfo(float).tiny
+    share = contribution / np.maximum(np.linalg.norm(contribution, axis=1, keepdims=True), tiny)
+    factor = np.zeros((len(T), len(COMPONENTS), len(geometry.channel_names), 1), complex)
+    factor[:, :, rows, 0] = residual[:, None, :] * (share / np.maximum(np.abs(loads), tiny))[:, :, None]
+    return ResponseError(geometry.channel_names, spectra.frequency_hz[1:], factor)
