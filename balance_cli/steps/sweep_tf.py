@@ -25,6 +25,9 @@ from balance_cli.signals.run_spectrum import FrequencyResponse
 
 __all__ = ["ESTIMATORS", "estimate_responses"]
 
+SAME_LEVEL = 0.05
+"""Relative difference of two declared levels that are the same set-up: an exciter does not repeat its level exactly."""
+
 
 def estimate_responses(
     runs: Iterable[Run], geometry: Geometry, estimator: str = AUTO, band: tuple[float, float] = (0.0, np.inf)
@@ -86,11 +89,15 @@ def _nonperiodic_response(
 
 def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[FrequencyResponse]:
     """Responses of periodic runs; those that excite several components are solved together where there are enough."""
-    groups: dict[tuple[object, ...], list[tuple[Run, PeriodicRecord]]] = {}
-    for run, record in records:
-        groups.setdefault(_group_key(run, record), []).append((run, record))
+    groups: list[list[tuple[Run, PeriodicRecord]]] = []
+    for item in records:
+        same = [members for members in groups if _can_be_solved_together(item, members[0])]
+        if same:
+            same[0].append(item)
+        else:
+            groups.append([item])
     responses = []
-    for members in groups.values():
+    for members in groups:
         inputs = len(members[0][1].spectrum.components)
         if inputs == 1:
             responses += [joint_response([record]) for _, record in members]
@@ -103,11 +110,15 @@ def _periodic_responses(records: Sequence[tuple[Run, PeriodicRecord]]) -> list[F
     return responses
 
 
-def _group_key(run: Run, record: PeriodicRecord) -> tuple[object, ...]:
-    """The properties that runs must share to be solved together."""
-    spectrum = record.spectrum
-    level = run.level if set(run.excited) == set(spectrum.components) else ()
-    return (spectrum.components, level, spectrum.rotor_speed, spectrum.channel_names, spectrum.frequency.tobytes())
+def _can_be_solved_together(one: tuple[Run, PeriodicRecord], other: tuple[Run, PeriodicRecord]) -> bool:
+    """Whether two runs have the same lines and components, and declare the same levels up to `SAME_LEVEL`."""
+    keys, levels = [], []
+    for run, record in (one, other):
+        spectrum = record.spectrum
+        keys.append((spectrum.components, spectrum.rotor_speed, spectrum.channel_names, spectrum.frequency.tobytes()))
+        levels.append(np.array(run.level if set(run.excited) == set(spectrum.components) else (), float))
+    same_levels = levels[0].shape == levels[1].shape and np.allclose(levels[0], levels[1], rtol=SAME_LEVEL, atol=0.0)
+    return keys[0] == keys[1] and bool(same_levels)
 
 
 def _with_levels(response: FrequencyResponse, members: Sequence[tuple[Run, PeriodicRecord]]) -> FrequencyResponse:

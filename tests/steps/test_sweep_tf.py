@@ -195,3 +195,29 @@ def test_command_without_a_sweep(tmp_path):
     assert "sweep" in result.output
     assert not (tmp_path / "tf.h5").exists()
     assert call(sample("sweep-Mz-low"), "--from", 90, "--to", 20, "-o", tmp_path / "tf.h5").exit_code == 2
+
+
+THREE = SweptRig(components=("Fx", "Fz", "My"))
+
+
+def six_runs(spread):
+    """Six runs of three components; the readings of each are wrong by a factor of its own."""
+    rng = np.random.default_rng(3)
+    for seed in range(6):
+        # Declared levels differ in the last digit, as a program writes them.
+        run = replace(THREE.multisine(seed), name=f"run-{seed}", level=tuple(40.0 + 1e-9 * seed for _ in range(3)))
+        block = run.read()
+        yield replace(run, source=MemorySource(block.channels * (1 + spread * rng.standard_normal()), block.loads))
+
+
+@pytest.mark.parametrize("spread", [0.0, 3e-3])
+def test_surplus_runs_are_solved_together_and_their_differences_enter_sigma(spread):
+    (response,) = estimate_responses(six_runs(spread), GEOMETRY).responses
+    assert response.run.count("+") == 5
+    assert np.sqrt(scatter(response, THREE)) == pytest.approx(1.0, abs=0.05 if spread == 0.0 else 0.25)
+
+
+def test_runs_of_other_levels_are_solved_apart():
+    runs = [replace(THREE.multisine(seed), name=f"run-{seed}") for seed in range(3)]
+    low = [replace(run, name=f"low-{run.name}", level=(20.0, 40.0, 40.0)) for run in runs]
+    assert len(estimate_responses([*runs, *low], GEOMETRY).responses) == 2

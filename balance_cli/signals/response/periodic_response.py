@@ -28,6 +28,10 @@ ComplexArray = NDArray[np.complex128]
 LINE_MODEL_ORDERS = tuple(ModelOrders(degree, -1, poles) for degree in (1, 2) for poles in (0, 1, 2, 3))
 FEWEST_WINDOW_LINES = 21
 """Lines in a window: more than three for each of the six parameters of the largest model with one input."""
+LEAST_SURPLUS = 40
+"""Complex degrees of freedom over which the variance of surplus runs is averaged: it is then known to a sixth."""
+CLEAR_SURPLUS_SIGMA = 4.0
+"""Standard deviations of that variance from which the runs differ by more than their noise: p = 3e-5."""
 LARGEST_LOAD_CONDITION = 1e3
 """Condition number of the loads of several runs, from which their noise is amplified a thousandfold."""
 
@@ -36,7 +40,8 @@ def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
     """Estimate the response from R periodic runs with the same lines and u <= R components.
 
     At every line it solves Y = T U over the runs, which have equal weights; the noise of the channels is the mean over
-    the runs. Raises UserError where the loads of the runs are proportional to each other.
+    the runs. Where R > u and the runs differ by more than that noise, it is raised to what they differ by. Raises
+    UserError where the loads of the runs are proportional to each other.
     """
     spectra = [record.spectrum for record in records]
     first = spectra[0]
@@ -52,6 +57,8 @@ def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
     inverse = np.linalg.pinv(U)
     response = Y @ inverse
     noise = np.mean([equation_error_noise(spectrum, response) for spectrum in spectra], axis=0)
+    excess = np.sqrt(surplus_variance_ratio(Y - response @ U, noise, len(spectra) - len(first.components)))
+    noise = noise * excess[:, :, None] * excess[:, None, :]
     power = U @ U.conj().swapaxes(1, 2) / len(spectra)
     periods = np.mean([record.periods - record.first for record in records], axis=0)
     ordinary, multiple = coherences(response, noise * periods[:, None, None], power)
@@ -69,6 +76,25 @@ def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
         rotor_speed=first.rotor_speed,
         level=first.level,
     )
+
+
+def surplus_variance_ratio(residual: ComplexArray, noise: ComplexArray, surplus: int) -> Array:
+    """Return the variance (k, c) of residuals (k, c, R) of R runs over that of `noise` (k, c, c), at least one.
+
+    The solution has left `surplus` of R values of each channel, which are averaged over neighboring lines. A ratio that
+    chance could make, or that of a channel without noise, counts as one.
+    """
+    variance = np.maximum(np.diagonal(noise, axis1=1, axis2=2).real, 0.0)
+    power = np.sum(np.abs(residual) ** 2, axis=2)
+    if surplus < 1 or not np.any(power):
+        return np.ones(variance.shape)
+    size = min(2 * -(-LEAST_SURPLUS // (2 * surplus)) + 1, len(power))
+    ratio = power / np.maximum(surplus * variance, np.finfo(float).tiny)
+    kernel = np.ones(size)
+    lines = np.convolve(np.ones(len(ratio)), kernel, "same")
+    mean = np.stack([np.convolve(column, kernel, "same") for column in ratio.T], axis=1) / lines[:, None]
+    limit = 1.0 + CLEAR_SURPLUS_SIGMA / np.sqrt(surplus * lines)[:, None]
+    return np.where((mean > limit) & (variance > 0.0), mean, 1.0)
 
 
 def equation_error_noise(lines: RunSpectrum, response: ComplexArray) -> ComplexArray:
