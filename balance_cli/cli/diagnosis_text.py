@@ -40,6 +40,7 @@ def diagnosis_summary(diagnosis: Diagnosis, updated_model: IdentifiedModel) -> d
         "trials": [_trial_summary(trial) for trial in diagnosis.trials],
         "tests": [asdict(test) for test in diagnosis.data_tests],
         "location": diagnosis.location,
+        "left_out_of_fit": None if diagnosis.left_out is None else asdict(diagnosis.left_out),
         "notes": diagnosis.notes,
         "converged": updated_model.converged,
     }
@@ -91,6 +92,8 @@ def diagnosis_text(diagnosis: Diagnosis) -> Iterator[str]:
     yield f"chi2/dof {chi2} against the measured noise, error of the responses {error} %"
     if diagnosis.location:
         yield f"Remaining residual: {diagnosis.location}"
+    if diagnosis.left_out is not None:
+        yield f"Left out: {diagnosis.left_out.description}"
     if diagnosis.effects and diagnosis.chi2_per_dof_after > GOOD_FIT_CHI2_PER_DOF:
         yield "The updated model does not describe these data: the uncertainties below are underestimated"
     for effect in diagnosis.effects:

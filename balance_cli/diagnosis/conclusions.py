@@ -16,6 +16,7 @@ from balance_cli.diagnosis.result import (
     Evidence,
     FoundEffect,
     HoldOut,
+    LeftOut,
     Trial,
 )
 from balance_cli.diagnosis.selection.fit import Fit
@@ -31,14 +32,20 @@ from balance_cli.model.placed_effects import PlacedEffect
 
 
 def decide_verdict(
-    effects: Sequence[FoundEffect], update: UpdateResult, updated: IdentifiedModel, settings: SearchSettings
+    effects: Sequence[FoundEffect],
+    update: UpdateResult,
+    updated: IdentifiedModel,
+    settings: SearchSettings,
+    left_out: LeftOut | None = None,
 ) -> str:
     """Return the verdict, as docs/json.md defines it.
 
     Without a good fit it is never `nothing missing`; with an empirical effect it is never `explained`. A parameter that
     departs from its declared tolerance is a misfit too: the declaration is a measurement that the model contradicts.
-    Effects of no consequence do not change the verdict.
+    Effects of no consequence do not change the verdict. Data of which something is left out are explained in part.
     """
+    if left_out is not None:
+        return PARTLY_EXPLAINED
     good = is_good_fit(update.confirmation, updated.quality, settings) and not declared_agreement(updated).departures
     if not effects:
         return NOTHING_MISSING if good else UNEXPLAINED

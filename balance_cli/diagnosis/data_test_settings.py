@@ -98,6 +98,14 @@ class MainsDetectionSettings:
 
 
 @dataclass(frozen=True)
+class ExclusionSettings:
+    """Channels and runs that are left out where no effect describes all data."""
+
+    min_excess_share: float = 0.2
+    """Share of all residual beyond the noise from which a channel or run is suspected: with fewer, many are wrong."""
+
+
+@dataclass(frozen=True)
 class DataTestSettings:
     """All tests of the data."""
 
@@ -107,3 +115,4 @@ class DataTestSettings:
     run_pairs: RunPairSettings = field(default_factory=RunPairSettings)
     static_pairs: StaticPairSettings = field(default_factory=StaticPairSettings)
     mains: MainsDetectionSettings = field(default_factory=MainsDetectionSettings)
+    exclusions: ExclusionSettings = field(default_factory=ExclusionSettings)

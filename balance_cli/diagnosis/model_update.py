@@ -29,7 +29,7 @@ from balance_cli.estimation.identified_model import FitQuality
 from balance_cli.estimation.likelihood import data_curvature
 from balance_cli.estimation.maximum_likelihood import TOLERANCE
 from balance_cli.estimation.measured_spectra import Spectra
-from balance_cli.estimation.model_error import add_model_error
+from balance_cli.estimation.model_error import add_model_error, estimate_model_error
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.placed_effects import declared_effects
 
@@ -113,9 +113,15 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     trials, alternatives = search_result.trials, _search_alternatives(search_result, settings)
     for number in range(settings.selection.max_passes):
         confirmation = confirm(fit, batches, noise_alone, last_round(trials) + 1, task.announce, settings)
-        over = task.announce("effect selection")
         trials = (*trials, *confirmation.trials)
         alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
+        refit = None if noise_alone else _refit_against_noise(confirmation.fit, task)
+        if refit is not None:
+            noise_alone, batches, fit = True, list(task.batches), refit
+            confirmation = confirm(fit, batches, noise_alone, last_round(trials) + 1, task.announce, settings)
+            trials = (*trials, *confirmation.trials)
+            alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
+        over = task.announce("effect selection")
         fit, merged = merge_common_causes(
             confirmation.fit, batches, task.given_labels, last_round(trials) + 1, settings
         )
@@ -134,6 +140,18 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     fit = fit_all_lines(fit.model, fit.theta, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
     support = {**comparison.effect_support, **tested.support}
     return UpdateResult(fit, support, (*trials, *tested.trials), confirmation)
+
+
+def _refit_against_noise(fit: Fit, task: _UpdateTask) -> Fit | None:
+    """The fit against the noise alone, where effects just found have taken away the error that the weights carry."""
+    settings = task.settings
+    if effect_labels(fit.model) == effect_labels(task.start):
+        return None
+    fit = fit_all_lines(fit.model, fit.theta, task.batches, settings.fit)
+    fit = refit_at_best_frequency(fit, declared_effects(fit.model.geometry), task.batches, settings)
+    shares = estimate_model_error(task.batches, fit.model.system(fit.theta), None, settings.residual_map.sigma)
+    error = float(np.sqrt(np.mean(np.square(list(shares.values())))))
+    return fit if error <= settings.rounds.large_error else None
 
 
 def _search_alternatives(search_result: SearchResult, settings: SearchSettings) -> dict[str, tuple[str, ...]]:

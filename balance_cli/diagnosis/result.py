@@ -149,6 +149,27 @@ class HoldOut:
     noise: RunErrors
 
 
+CHANNEL, RUN = "channel", "run"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A `channel` or `run` (`kind`) without which the data need no effect, and chi2/dof without it."""
+
+    kind: str
+    name: str
+    chi2_per_dof: float
+
+    @property
+    def description(self) -> str:
+        """One sentence, with what to do."""
+        remedy = "check its range, zero and cable" if self.kind == CHANNEL else "record it again"
+        return (
+            f"without {self.kind} {self.name} the model before the search describes all other data within their noise "
+            f"(chi2/dof {self.chi2_per_dof:.3g}): the updated model is fitted without it; leave it out, and {remedy}"
+        )
+
+
 @dataclass(frozen=True)
 class ResidualMap:
     """Rms whitened residual before and after (runs, bands, channels); the noise alone gives one.
@@ -169,7 +190,8 @@ class Diagnosis(ResultView):
 
     `verdict` as in docs/json.md; `effects` strongest first; `trials` in the order of the decisions; chi2/dof and
     response error before and after; eigenmodes before and after; `location`: where a residual remains, in words.
-    `settings` with which it was made (None: an artefact that was written without them).
+    `settings` with which it was made (None: an artefact that was written without them). `left_out`: what the updated
+    model was fitted without.
     """
 
     geometry: Geometry
@@ -190,6 +212,7 @@ class Diagnosis(ResultView):
     hold_out: dict[str, HoldOut] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     settings: SearchSettings | None = None
+    left_out: LeftOut | None = field(default=None, metadata={"omit_if_none": True})
 
     def summary_lines(self) -> Iterator[str]:
         """Verdict, chi2/dof before and after, the effects, what is not testable, hold-out runs."""
@@ -199,6 +222,8 @@ class Diagnosis(ResultView):
             shown = ", ".join(effect.label for effect in self.effects[:4])
             more = f" and {len(self.effects) - 4} more" if len(self.effects) > 4 else ""
             yield f"  {plural(len(self.effects), 'effect')}: {shown}{more}"
+        if self.left_out is not None:
+            yield f"  fitted without {self.left_out.kind} {self.left_out.name}"
         if self.untestable_effects:
             yield f"  {plural(len(self.untestable_effects), 'effect')} not testable with these runs"
         if self.hold_out:

@@ -122,7 +122,10 @@ class MainsTone:
         missing = max(full - 0.25 * ratio**2 * self.n, 0.0)
         quadrature = self.columns @ np.array([[-unit[1]], [unit[0]]])
         phase = self.form(quadrature, derivatives)[0]
-        of_phase = self.mean_resultant_length**2 / self.n * np.outer(phase, phase)
+        # The columns are orthogonal and of equal size but for the eliminated transient. By their own size the
+        # information stays positive.
+        size = max(self.n, float(self.form(quadrature, quadrature)[0, 0]))
+        of_phase = self.mean_resultant_length**2 / size * np.outer(phase, phase)
         return gradient, missing * np.outer(power, power) - of_phase
 
     def _direction(self) -> Array:

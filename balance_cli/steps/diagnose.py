@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,23 +11,26 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.conclusions import decide_verdict, describe_added_effects, diagnosis_notes
 from balance_cli.diagnosis.data_tests.model_free import model_free_tests
-from balance_cli.diagnosis.model_update import UpdateResult, effect_labels, model_quality, update_model
+from balance_cli.diagnosis.exclusions import ExclusionResult, find_exclusion
+from balance_cli.diagnosis.model_update import UpdateResult, effect_labels, is_good_fit, model_quality, update_model
 from balance_cli.diagnosis.residual_map import describe_residual_location, residual_map
-from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, Diagnosis, FoundEffect, ResidualMap
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, Diagnosis, FoundEffect, LeftOut, ResidualMap
 from balance_cli.diagnosis.search.mass_region import mass_intervals
 from balance_cli.diagnosis.selection.testability import find_untestable_effects
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
+from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identified_model import FitQuality, IdentifiedModel
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
-from balance_cli.model.balance import balance_model
+from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.effects.geometry_scales import rig_frequency
 from balance_cli.model.placed_effects import declared_effects
 from balance_cli.steps.identify import build_identified_model, identified_effects
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+Announce = Callable[[str], bool]
 
 
 def diagnose(
@@ -46,10 +49,15 @@ def diagnose(
     before = (balance_model(model.geometry), np.array(model.parameters.value, float))
     quality = model_quality(*before, batches)
     update = update_model(*before, spectra, batches, announce, settings)
+    exclusion = _exclusion(before, spectra, batches, update, announce, settings)
+    if exclusion is not None:
+        trials = (*update.trials, *exclusion.update.trials)
+        spectra, batches, update = exclusion.spectra, exclusion.batches, replace(exclusion.update, trials=trials)
     fit = update.fit
     after = (fit.model, fit.theta)
     updated = build_identified_model(fit.model, batches, fit.minimum, "ml", "diagnosis", spectra.channels_left_out)
-    if effect_labels(fit.model) == effect_labels(before[0]) and updated.quality.chi2 > quality.chi2:
+    same_effects = effect_labels(fit.model) == effect_labels(before[0])
+    if same_effects and exclusion is None and updated.quality.chi2 > quality.chi2:
         # The effects are the same, and a fit that had to carry a model error describes the data worse.
         updated, after = model, before
     residual = residual_map(batches, before, after, settings.residual_map)
@@ -57,7 +65,8 @@ def diagnose(
     effects = describe_added_effects(
         declared_effects(updated.geometry), identified_effects(updated), update, intervals, batches
     )
-    diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings)
+    left_out = None if exclusion is None else exclusion.left_out
+    diagnosis = _build_diagnosis(model, quality, updated, effects, update, residual, spectra, settings, left_out)
     if announce.is_over:
         note = f"the time limit of {settings.time_limit:g} s was reached: this is the best model up to then"
         diagnosis = replace(diagnosis, notes=(*diagnosis.notes, note))
@@ -74,9 +83,10 @@ def _build_diagnosis(
     residual: ResidualMap,
     spectra: Spectra,
     settings: SearchSettings,
+    left_out: LeftOut | None,
 ) -> Diagnosis:
     """The diagnosis of `model`, which describes the data with `quality`, from its update."""
-    verdict = decide_verdict(effects, update, updated, settings)
+    verdict = decide_verdict(effects, update, updated, settings, left_out)
     explained = verdict in (NOTHING_MISSING, EXPLAINED)
     scores, updated_geometry = update.confirmation.scores, update.fit.model.geometry
     return Diagnosis(
@@ -97,7 +107,24 @@ def _build_diagnosis(
         location="" if explained else describe_residual_location(residual, settings.residual_map),
         notes=diagnosis_notes(spectra, update.fit, updated, settings),
         settings=settings,
+        left_out=left_out,
     )
+
+
+def _exclusion(
+    before: tuple[BalanceModel, Array],
+    spectra: Spectra,
+    batches: Sequence[Batch],
+    update: UpdateResult,
+    announce: Announce,
+    settings: SearchSettings,
+) -> ExclusionResult | None:
+    """The channel or run without which there is nothing to explain, where the update does not explain all data."""
+    after = (update.fit.model, update.fit.theta)
+    if is_good_fit(update.confirmation, model_quality(*after, batches), settings):
+        return None
+    residual = residual_map(batches, before, after, settings.residual_map)
+    return find_exclusion(*before, spectra, residual, announce, settings)
 
 
 def _lowest_mode(model: IdentifiedModel) -> float:

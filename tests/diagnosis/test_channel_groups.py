@@ -8,6 +8,7 @@ import pytest
 from balance_cli.campaign.rig.channel_groups import channel_groups
 from balance_cli.campaign.rig.geometry import Acquisition, DeclaredEffect
 from balance_cli.campaign.rig.geometry_checks import geometry_faults
+from balance_cli.diagnosis.exclusions import without_channel, without_run
 from balance_cli.diagnosis.search.candidates import candidates, check_exclusion, suspected_candidates
 from balance_cli.diagnosis.search.initial_candidates import initial_candidates
 from balance_cli.diagnosis.selection.common_causes import merge_common_causes
@@ -135,3 +136,16 @@ def test_words_of_the_user_name_effects_and_places():
             check_exclusion(word, RIG)
         with pytest.raises(UserError):
             suspected_candidates(word, RIG)
+
+
+def test_a_cell_keeps_its_force_without_one_of_its_channels(late):
+    rest = without_channel(late, "x.piezo", RIG)
+    for run, less in zip(late.lines, rest.lines, strict=True):
+        assert less.channel_names == tuple(name for name in run.channel_names if name != "x.piezo")
+        assert less.covariance.shape[1] == run.covariance.shape[1] - 1 == less.window.covariance.shape[1]
+        np.testing.assert_allclose(less.waveform.share[:, less.channel_names.index("x.strain")], 1.0)
+        others = less.channel_names.index("z1.strain"), run.channel_names.index("z1.strain")
+        np.testing.assert_array_equal(less.waveform.share[:, others[0]], run.waveform.share[:, others[1]])
+    assert "x.piezo" not in rest.statics[0].channel_names
+    assert set(rest.channels_left_out) == {run.run for run in (*late.lines, *late.statics)}
+    assert [run.run for run in without_run(late, "sweep-Fx").lines] == ["sweep-Fz", "sweep-Mz"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED, UNEXPLAINED
+from balance_cli.diagnosis.result import EXPLAINED, NOTHING_MISSING, PARTLY_EXPLAINED
 from balance_cli.diagnosis.search.bounded_gain import best_gain
 from balance_cli.diagnosis.search.candidates import candidate_at, candidates, smaller_places
 from balance_cli.diagnosis.search.candidates import parameters_of_interest as acting
@@ -424,14 +424,15 @@ def test_beside_large_friction_small_effects_are_confounded(stiff):
     assert confounding_limit(beside, batches) == (pytest.approx(1e-4 * worth[0]), friction.label)
 
 
-def test_what_no_effect_describes_stays_unexplained():
+def test_a_channel_that_no_effect_describes_is_left_out():
     spectra = simulated_spectra(BENDS)
     before = identify(spectra, RIG)
     found, updated = diagnose(before, spectra)
-    assert found.verdict == UNEXPLAINED
+    assert found.verdict == PARTLY_EXPLAINED
     assert not found.effects
-    assert "z1.piezo" in found.location
-    assert found.chi2_per_dof_after <= found.chi2_per_dof_before
+    assert (found.left_out.kind, found.left_out.name) == ("channel", "z1.piezo")
+    assert found.left_out.chi2_per_dof == pytest.approx(1.0, abs=0.1)
+    assert found.chi2_per_dof_after < 1.1 < found.chi2_per_dof_before
     assert not updated.geometry.effects
 
 

@@ -211,7 +211,7 @@ def six_runs(spread):
 
 
 @pytest.mark.parametrize("spread", [0.0, 3e-3])
-def test_surplus_runs_are_solved_together_and_their_differences_enter_sigma(spread):
+def test_more_runs_than_components_are_solved_together_and_their_differences_enter_sigma(spread):
     (response,) = estimate_responses(six_runs(spread), GEOMETRY).responses
     assert response.run.count("+") == 5
     assert np.sqrt(scatter(response, THREE)) == pytest.approx(1.0, abs=0.05 if spread == 0.0 else 0.25)

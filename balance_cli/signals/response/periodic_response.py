@@ -28,9 +28,9 @@ ComplexArray = NDArray[np.complex128]
 LINE_MODEL_ORDERS = tuple(ModelOrders(degree, -1, poles) for degree in (1, 2) for poles in (0, 1, 2, 3))
 FEWEST_WINDOW_LINES = 21
 """Lines in a window: more than three for each of the six parameters of the largest model with one input."""
-LEAST_SURPLUS = 40
-"""Complex degrees of freedom over which the variance of surplus runs is averaged: it is then known to a sixth."""
-CLEAR_SURPLUS_SIGMA = 4.0
+LEAST_REDUNDANT_DOF = 40
+"""Complex degrees of freedom over which the variance of redundant runs is averaged: it is then known to a sixth."""
+CLEAR_DIFFERENCE_SIGMA = 4.0
 """Standard deviations of that variance from which the runs differ by more than their noise: p = 3e-5."""
 LARGEST_LOAD_CONDITION = 1e3
 """Condition number of the loads of several runs, from which their noise is amplified a thousandfold."""
@@ -57,7 +57,7 @@ def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
     inverse = np.linalg.pinv(U)
     response = Y @ inverse
     noise = np.mean([equation_error_noise(spectrum, response) for spectrum in spectra], axis=0)
-    excess = np.sqrt(surplus_variance_ratio(Y - response @ U, noise, len(spectra) - len(first.components)))
+    excess = np.sqrt(run_difference_ratio(Y - response @ U, noise, len(spectra) - len(first.components)))
     noise = noise * excess[:, :, None] * excess[:, None, :]
     power = U @ U.conj().swapaxes(1, 2) / len(spectra)
     periods = np.mean([record.periods - record.first for record in records], axis=0)
@@ -78,22 +78,22 @@ def joint_response(records: Sequence[PeriodicRecord]) -> FrequencyResponse:
     )
 
 
-def surplus_variance_ratio(residual: ComplexArray, noise: ComplexArray, surplus: int) -> Array:
+def run_difference_ratio(residual: ComplexArray, noise: ComplexArray, redundant: int) -> Array:
     """Return the variance (k, c) of residuals (k, c, R) of R runs over that of `noise` (k, c, c), at least one.
 
-    The solution has left `surplus` of R values of each channel, which are averaged over neighboring lines. A ratio that
+    Of the R values of a channel `redundant` are left, averaged over neighboring lines. A ratio that
     chance could make, or that of a channel without noise, counts as one.
     """
     variance = np.maximum(np.diagonal(noise, axis1=1, axis2=2).real, 0.0)
     power = np.sum(np.abs(residual) ** 2, axis=2)
-    if surplus < 1 or not np.any(power):
+    if redundant < 1 or not np.any(power):
         return np.ones(variance.shape)
-    size = min(2 * -(-LEAST_SURPLUS // (2 * surplus)) + 1, len(power))
-    ratio = power / np.maximum(surplus * variance, np.finfo(float).tiny)
+    size = min(2 * -(-LEAST_REDUNDANT_DOF // (2 * redundant)) + 1, len(power))
+    ratio = power / np.maximum(redundant * variance, np.finfo(float).tiny)
     kernel = np.ones(size)
     lines = np.convolve(np.ones(len(ratio)), kernel, "same")
     mean = np.stack([np.convolve(column, kernel, "same") for column in ratio.T], axis=1) / lines[:, None]
-    limit = 1.0 + CLEAR_SURPLUS_SIGMA / np.sqrt(surplus * lines)[:, None]
+    limit = 1.0 + CLEAR_DIFFERENCE_SIGMA / np.sqrt(redundant * lines)[:, None]
     return np.where((mean > limit) & (variance > 0.0), mean, 1.0)
 
 

@@ -1,0 +1,58 @@
+"""Mains interference between the lines of a rig with as many cells as loads: information, and a whole diagnosis."""
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.result import EXPLAINED
+from balance_cli.estimation.likelihood import batch_curvature
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.model.balance import balance_model
+from balance_cli.simulation import simulate_campaign, true_rig
+from balance_cli.simulation.rig import apply_effects
+from balance_cli.steps.diagnose import diagnose
+from balance_cli.steps.identify import identify
+from tests.support.other_rigs import other_rig, short_campaign
+
+RIG = other_rig("A")
+CHANNEL, AMPLITUDE, FREQUENCY = "l3.piezo", 5e-2, 49.97
+
+
+def tone(amplitude, frequency):
+    return DeclaredEffect(
+        name="mains-pickup", where=(CHANNEL,), parameters={"amplitude": amplitude, "frequency": frequency}
+    )
+
+
+@pytest.fixture(scope="module")
+def spectra():
+    """Static runs and three sweeps, whose lines are 7 Hz apart: the tone lies between two of them."""
+    plan = short_campaign("A", sweeps=30.0).select_runs(
+        ["static-bare", "static-trim", "sweep-Fx", "sweep-Fz", "sweep-Mz"]
+    )
+    runs, _ = simulate_campaign(apply_effects(true_rig(RIG), [tone(AMPLITUDE, FREQUENCY)]), plan, seed=2)
+    return measured_spectra(runs, RIG, means=True)
+
+
+def test_the_information_about_a_tone_is_never_negative(spectra):
+    batches = stack_runs(spectra.lines, (), RIG.channel_names)
+    for frequency in np.linspace(49.5, 50.5, 5):
+        effects = (tone(AMPLITUDE, float(frequency)),)
+        model = balance_model(RIG.model_copy(update={"effects": effects})).free_all_parameters()
+        own = [i for i, name in enumerate(model.parameters.names) if name.startswith("mains")]
+        for batch in batches:
+            information = batch_curvature(batch, model.system(model.parameters.value)).information[np.ix_(own, own)]
+            size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+            assert np.diag(information).min() >= 0.0
+            assert np.linalg.eigvalsh(information / np.outer(size, size))[0] > -1e-6
+
+
+def test_a_tone_that_the_lines_of_the_search_cannot_show_is_kept(spectra):
+    diagnosis, _ = diagnose(identify(spectra, RIG), spectra)
+    assert diagnosis.verdict == EXPLAINED
+    (found,) = diagnosis.effects
+    assert found.label == f"mains-pickup@{CHANNEL}"
+    amplitude, frequency = found.parameters
+    assert amplitude.value == pytest.approx(AMPLITUDE, rel=0.2)
+    assert abs(frequency.value - FREQUENCY) < 4.0 * frequency.sigma
