@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import calibrate_all_trims
-from balance_cli.calibration.check_loads import CheckLoads, evaluate_check_loads
+from balance_cli.calibration.check_loads import CheckLoads, CheckModels, evaluate_check_loads
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import solve_least_squares
 from balance_cli.calibration.math_model import CalibrationModel
@@ -180,7 +180,7 @@ def _check_true_model(balance: TrueBalance, model: CalibrationModel, run: tuple[
         covariance=np.zeros((len(CHANNELS), len(kept), len(kept))),
         residual_covariance=noise,
     )
-    return evaluate_check_loads(truth, CalibrationNoise(noise, np.zeros(LOADS)), *run)
+    return evaluate_check_loads(CheckModels(truth, CalibrationNoise(noise, np.zeros(LOADS))), *run)[0]
 
 
 def calibration_table(rows: pd.DataFrame) -> pd.DataFrame:

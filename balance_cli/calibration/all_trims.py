@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.check_loads import CheckLoads, evaluate_check_loads, evaluate_check_points
+from balance_cli.calibration.check_loads import CheckLoads, CheckModels, evaluate_check_loads, evaluate_check_points
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, refit_terms
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.noise import CalibrationNoise, estimate_calibration_noise
@@ -114,6 +114,8 @@ def calibrate_all_trims(
     fit, model = screened.fit, screened.fit.model
     used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
     noise = _estimate_noise(points, fit, used)
+    direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
+    models = CheckModels(model, noise, direct)
     return AllTrimsCalibration(
         model=model,
         runs=points.run_names,
@@ -127,12 +129,15 @@ def calibrate_all_trims(
         suspect_series=screened.suspect_series,
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
         screening_notes=_screening_notes(points, screened),
-        non_iterative=fit_noniterative_model(total, model, used, choice) if non_iterative else None,
+        non_iterative=direct,
         checks=tuple(
-            evaluate_check_loads(model, noise, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0])))
+            result
             for check in checks
+            for result in evaluate_check_loads(
+                models, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0]))
+            )
         )
-        + tuple(_check_points_by_run(total, fit, noise, check_points)),
+        + tuple(_check_points_by_run(total, fit, models, check_points)),
         tares=tares,
         attitude_segment=None if points.gravity is None else points.attitude_segment,
         load_series=points.load_series,
@@ -175,7 +180,7 @@ def _with_final_range(
 
 
 def _check_points_by_run(
-    total: CalibrationPoints, fit: CalibrationModelFit, noise: CalibrationNoise, is_check: NDArray[np.bool_] | None
+    total: CalibrationPoints, fit: CalibrationModelFit, models: CheckModels, is_check: NDArray[np.bool_] | None
 ) -> Iterator[CheckLoads]:
     """Check points of each run whose load series were fitted."""
     if is_check is None:
@@ -186,7 +191,7 @@ def _check_points_by_run(
         rows = known & (total.run == run)
         series = np.searchsorted(fitted, total.load_series[rows])
         name = f"{total.run_names[run]}, check points"
-        yield evaluate_check_points(fit.model, noise, name, total.channels[rows], total.loads[rows], series)
+        yield from evaluate_check_points(models, name, total.channels[rows], total.loads[rows], series)
 
 
 def _tare_loads(tares: Tares | None, model: CalibrationModel, gravity: Array | None) -> Array | None:

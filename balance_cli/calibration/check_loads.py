@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.convergence import EXTRAPOLATION_MARGIN
 from balance_cli.calibration.load_series import MIN_LOAD_CHANGE
-from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
+from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel, estimated_weight_widening
 from balance_cli.calibration.noise import APPLIED_SHARE, CalibrationNoise
+from balance_cli.calibration.noniterative import NonIterativeModel
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -18,6 +19,8 @@ Mask = NDArray[np.bool_]
 
 SAME_LOAD_TOLERANCE = 1e-3
 """Share of the calibrated range within which two loads count as the same: a tenth of the smallest load step."""
+NON_ITERATIVE = "non-iterative method"
+"""Name of the other method; stored in artefacts."""
 MAX_ZERO_SHIFT = 4.0
 """Standard errors by which the zero of a run without tare point may differ from that of the calibration to equal it."""
 
@@ -26,7 +29,8 @@ MAX_ZERO_SHIFT = 4.0
 class CheckLoads:
     """Loads of a held-out run: applied (m, k) and computed (m, k) [N, N m], with half the prediction interval (m, k).
 
-    `is_valid` (m,): rows within the calibrated loads for which the iteration converged.
+    `is_valid` (m,): rows within the calibrated loads for which the iteration converged. `method`: the model that
+    computed them, None for the calibration model.
     """
 
     run: str
@@ -34,6 +38,12 @@ class CheckLoads:
     computed: Array = field(metadata={"stored_as": "found"})
     prediction_interval: Array = field(metadata={"stored_as": "interval"})
     is_valid: NDArray[np.bool_] = field(metadata={"stored_as": "solved"})
+    method: str | None = field(default=None, metadata={"omit_if_none": True})
+
+    @property
+    def label(self) -> str:
+        """The run and, where it is not the calibration model, the method."""
+        return self.run if self.method is None else f"{self.run}, {self.method}"
 
     @property
     def interval_coverage(self) -> Array:
@@ -58,21 +68,26 @@ class _Zero:
     variance: Array
 
 
+@dataclass(frozen=True)
+class CheckModels:
+    """The models that held-out loads check: the calibration model with its noise, and the other method where fitted."""
+
+    model: CalibrationModel
+    noise: CalibrationNoise
+    non_iterative: NonIterativeModel | None = None
+
+
 def evaluate_check_loads(
-    model: CalibrationModel,
-    noise: CalibrationNoise,
-    run: str,
-    channels: Array,
-    loads: Array,
-    weight: Array | None = None,
-) -> CheckLoads:
+    models: CheckModels, run: str, channels: Array, loads: Array, weight: Array | None = None
+) -> tuple[CheckLoads, ...]:
     """Compute the loads of a held-out run from its readings (m, c) [V], with their prediction intervals.
 
     The rows at the load (m, k) [N, N m] with which the run begins determine its zero: their mean reading less that of
     the model. Where that load is one of many and no tare point, a zero that does not differ from that of the
     calibration equals it. The interval includes the noise of a load reading where that load was applied. `weight`
-    (m, k): loads of the metric part in addition to those applied.
+    (m, k): loads of the metric part in addition to those applied. One result for each of the models.
     """
+    model, noise = models.model, models.noise
     added = np.zeros_like(loads) if weight is None else weight
     tare = np.all(np.abs(loads - loads[0]) <= SAME_LOAD_TOLERANCE * model.calibrated_range, axis=1)
     variance = np.diag(noise.reading_covariance) / np.count_nonzero(tare)
@@ -82,19 +97,59 @@ def evaluate_check_loads(
         shift = (zero - model.zeros[0]) / np.sqrt(np.diag(model.residual_covariance) + model.zero_sigma[0] ** 2)
         if np.all(np.abs(shift) <= MAX_ZERO_SHIFT):
             zero, variance = model.zeros[0], model.zero_sigma[0] ** 2
-    return _computed_loads(model, noise, run, channels, loads, added, _Zero(zero[None], variance))
+    return _by_all_models(models, run, channels, loads, added, _Zero(zero[None], variance))
 
 
 def evaluate_check_points(
-    model: CalibrationModel, noise: CalibrationNoise, run: str, channels: Array, loads: Array, series: NDArray[np.intp]
-) -> CheckLoads:
+    models: CheckModels, run: str, channels: Array, loads: Array, series: NDArray[np.intp]
+) -> tuple[CheckLoads, ...]:
     """Compute the loads of check points among the load series of the fit, whose zeros they share.
 
     `series` (m,): index of the zero of each row; `loads` (m, k) [N, N m] include the weight of the metric part where
     the model does.
     """
-    zero = _Zero(model.zeros[series], np.mean(model.zero_sigma[series] ** 2, axis=0))
-    return _computed_loads(model, noise, run, channels, loads, np.zeros_like(loads), zero)
+    zero = _Zero(models.model.zeros[series], np.mean(models.model.zero_sigma[series] ** 2, axis=0))
+    return _by_all_models(models, run, channels, loads, np.zeros_like(loads), zero)
+
+
+def _by_all_models(
+    models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: _Zero
+) -> tuple[CheckLoads, ...]:
+    first = _computed_loads(models.model, models.noise, run, channels, loads, added, zero)
+    if models.non_iterative is None:
+        return (first,)
+    return first, _non_iterative_loads(models, run, channels, loads, added, zero)
+
+
+def _non_iterative_loads(
+    models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: _Zero
+) -> CheckLoads:
+    """Check loads by the non-iterative method; its residuals contain the noise of readings and of applied loads."""
+    model, other = models.model, models.non_iterative
+    assert other is not None
+    change = channels - zero.readings
+    computed = other.loads(change)
+    covariance = _zero_covariance(models.noise.reading_covariance, zero.variance)
+    return CheckLoads(
+        run=run,
+        applied=loads,
+        computed=computed - added,
+        prediction_interval=other.prediction_interval(change, covariance),
+        is_valid=_within_calibrated_loads(model, computed),
+        method=NON_ITERATIVE,
+    )
+
+
+def _within_calibrated_loads(model: CalibrationModel, computed: Array) -> Mask:
+    beyond = (EXTRAPOLATION_MARGIN - 1.0) * model.calibrated_range
+    inside = (computed <= model.largest_load + beyond) & (computed >= model.smallest_load - beyond)
+    return np.asarray(np.all(inside, axis=1))
+
+
+def _zero_covariance(S: Array, zero_variance: Array) -> Array:
+    """Covariance (c, c) of a zero; its errors are correlated between the channels as the noise S of their readings."""
+    growth = np.sqrt(zero_variance / np.diag(S))
+    return np.asarray(S * growth[:, None] * growth)
 
 
 def _computed_loads(
@@ -107,8 +162,7 @@ def _computed_loads(
     zero: _Zero,
 ) -> CheckLoads:
     computed, is_valid = model.loads(channels - zero.readings)
-    beyond = (EXTRAPOLATION_MARGIN - 1.0) * model.calibrated_range
-    is_valid &= np.all((computed <= model.largest_load + beyond) & (computed >= model.smallest_load - beyond), axis=1)
+    is_valid &= _within_calibrated_loads(model, computed)
     interval = np.full(computed.shape, np.nan)
     if is_valid.any():
         interval[is_valid] = _prediction_interval(model, noise, computed[is_valid], loads[is_valid], zero.variance)
@@ -122,7 +176,9 @@ def _prediction_interval(
     S = noise.reading_covariance
     # The errors of the zero are correlated between the channels as their noise is.
     growth = np.sqrt(1.0 + zero_variance / np.diag(S))
-    reading_interval = model.interval(computed, S * growth[:, None] * growth)
+    redundancy = len(model.channel_names) - len(model.components)
+    widening = np.sqrt(estimated_weight_widening(float(model.dof.min()), redundancy))
+    reading_interval = widening * model.interval(computed, S * growth[:, None] * growth)
     applied = np.abs(loads) > APPLIED_SHARE * model.calibrated_range
     factor = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, float(model.dof.min())))
     return np.asarray(np.hypot(reading_interval, factor * applied * noise.load_sigma * model.calibrated_range))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.terms import term_from_name, term_values
 from balance_cli.io.errors import UserError
+from balance_cli.io.units import VOLTAGE
 
 Array = NDArray[np.float64]
 
@@ -20,7 +21,7 @@ SIGNIFICANCE_LEVEL = 0.01
 
 @dataclass(frozen=True)
 class TermChange:
-    """One coefficient of a channel in two calibrations, both as reading [V] at the newer calibrated range.
+    """One coefficient of a channel in two calibrations, both as reading [`unit`] at the newer calibrated range.
 
     `sigma` of the difference; `t` and `p_value` are NaN where neither calibration states its errors.
     """
@@ -33,6 +34,7 @@ class TermChange:
     t: float
     p_value: float
     is_significant: bool
+    unit: str = VOLTAGE
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,11 @@ def compare_calibrations(new: Calibration, old: Calibration) -> CalibrationCompa
     (new_value, new_variance), (old_value, old_variance) = tables
     sigma = np.sqrt(new_variance + old_variance)
     dof = float(min(np.min(a.dof), np.min(b.dof)))
-    changes = _term_changes(names, terms, (old_value, new_value, sigma), dof)
+    units = {channel.name: channel.reading_unit for channel in new.geometry.channels}
+    changes = tuple(
+        replace(change, unit=units[change.channel])
+        for change in _term_changes(names, terms, (old_value, new_value, sigma), dof)
+    )
     difference = (new_value - old_value)[: len(a.components)].T
     at = [b.channel_names.index(name) for name in names]
     return CalibrationComparison(

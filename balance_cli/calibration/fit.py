@@ -20,6 +20,7 @@ from balance_cli.calibration.term_support import find_supported_terms
 from balance_cli.calibration.terms import Term, linear_terms, term_values
 from balance_cli.campaign.rig.attitude import attitude_segments
 from balance_cli.io.errors import UserError
+from balance_cli.io.units import VOLTAGE
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -33,7 +34,7 @@ class CalibrationPoints:
     from the noise of the run, 0 excludes a row. `gravity` (m, 3): unit vectors in rig axes, NaN for runs that do not
     state their attitude; None where no run does. `stated_series` (m,): labels of the load series, empty where a run
     states none; `tare_points` (m,): rows stated to be tare points. `series` (m,): numbers of the load series where they
-    are known already.
+    are known already. `reading_units` (c,): base units of the readings, V where none are given.
     """
 
     channel_names: tuple[str, ...]
@@ -48,6 +49,11 @@ class CalibrationPoints:
     stated_series: tuple[str, ...] = ()
     tare_points: NDArray[np.bool_] | None = None
     series: Index | None = None
+    reading_units: tuple[str, ...] = ()
+
+    def reading_unit(self, channel: int) -> str:
+        """Base unit of the readings of a channel."""
+        return self.reading_units[channel] if self.reading_units else VOLTAGE
 
     @property
     def x(self) -> Array:

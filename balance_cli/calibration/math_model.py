@@ -158,6 +158,19 @@ def student_widening(dof: float) -> float:
     return float((stats.t.ppf(at, dof) / stats.norm.ppf(at)) ** 2)
 
 
+def estimated_weight_widening(dof: float, redundancy: int) -> float:
+    """Factor on the variance of loads whose weights and noise come from one covariance with so many degrees of freedom.
+
+    With r redundant channels the weights make the least of the covariance that they were estimated from: it tells
+    (n - r)/n of the variance of the best weights, and theirs is (n - 1)/(n - r - 1) times as large (Rao, Proc. 5th
+    Berkeley Symp. 1, 1967, 355). 1 where dof is not known; the widening ends at the least n for which it is finite.
+    """
+    if not np.isfinite(dof) or redundancy <= 0:
+        return 1.0
+    n = max(dof, redundancy + 2.0)
+    return float(n * (n - 1.0) / ((n - redundancy) * (n - redundancy - 1.0)))
+
+
 def weighted_inverse(C: Array, covariance: Array) -> Array:
     """Compute W (k, c) with W C = 1 for C (c, k), of least variance where there are more channels than loads."""
     if C.shape[0] == C.shape[1]:

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.signals import distributions as stats
+
 Array = NDArray[np.float64]
 
 APPLIED_SHARE = 1e-2
@@ -23,6 +25,8 @@ REWEIGHTING_ITERATIONS = 4
 """The weights depend on the result; they are settled to less than its own uncertainty after a few iterations."""
 MIN_OWN_SHARE = 0.05
 """Floor of a channel's own share of its residual variance: no channel is free of noise, and weights stay bounded."""
+LOAD_NOISE_P_VALUE = 0.01
+"""P-value below which residuals tell noise of the loads from noise of the channels."""
 MIN_EIGENVALUE_RATIO = 1e-3
 """Floor of the eigenvalues of the correlation matrix over the largest, so that it can be inverted as a weight."""
 
@@ -62,6 +66,8 @@ def estimate_calibration_noise(residuals: Array, x: Array, C: Array, covariance:
     for _ in range(REWEIGHTING_ITERATIONS):
         variance_components = nnls(columns * weight[:, None], squares.reshape(-1) * weight)[0]
         weight = 1.0 / np.maximum(columns @ variance_components, MIN_OWN_SHARE)
+    if not _loads_are_noisy(squares, (columns @ variance_components).reshape(m, c), k):
+        variance_components = np.r_[squares.mean(axis=0), np.zeros(k)]
     loads = np.sqrt(variance_components[c:] / size)
     share = np.maximum(variance_components[:c], MIN_OWN_SHARE)
     correlation = covariance / np.sqrt(scale[:, None] * scale)
@@ -70,6 +76,18 @@ def estimate_calibration_noise(residuals: Array, x: Array, C: Array, covariance:
     common = np.einsum("j,ij,lj->il", applied.mean(axis=0) * loads**2, C, C) / np.sqrt(scale[:, None] * scale)
     own_part = np.where(np.eye(c, dtype=bool), own_correlation, correlation - common)
     return CalibrationNoise(_nearest_positive_definite(own_part) * np.sqrt(scale[:, None] * scale), loads)
+
+
+def _loads_are_noisy(squares: Array, variance: Array, loads: int) -> bool:
+    """Whether noise of the loads explains squared residuals (m, c) significantly better than noise of the channels.
+
+    Otherwise all noise is attributed to the channels, so that loads computed from new readings get no sigma that is too
+    small. Likelihood ratio of normal residuals; what a load causes in all channels of a row is counted once.
+    """
+    explained = np.maximum(variance, MIN_OWN_SHARE)
+    alone = np.broadcast_to(squares.mean(axis=0), squares.shape)
+    deviances = [np.sum(np.mean(np.log(v) + squares / v, axis=1)) for v in (alone, explained)]
+    return bool(stats.chi2.sf(max(deviances[0] - deviances[1], 0.0), loads) < LOAD_NOISE_P_VALUE)
 
 
 def _nearest_positive_definite(matrix: Array) -> Array:

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.calibration.fit import CalibrationPoints, fit_calibration_model
-from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
 from balance_cli.calibration.terms import term_values
+from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
 
@@ -45,6 +46,18 @@ class NonIterativeModel:
         """Compute loads (m, k) [N, N m] from readings (m, c) [V] less the zero."""
         y = np.atleast_2d(np.asarray(change, float)) @ self.inverse.T
         return np.asarray(term_values(self.model.parsed_terms, y) @ self.model.coefficients * self.calibrated_range)
+
+    def prediction_interval(self, change: ArrayLike, zero_covariance: Array) -> Array:
+        """Half-width (m, k) [N, N m] of the prediction interval at the level CONFIDENCE.
+
+        `zero_covariance` (c, c) [V2] of the zero that was subtracted. The residuals of the fit contain the noise of the
+        readings and that of the loads.
+        """
+        y = np.atleast_2d(np.asarray(change, float)) @ self.inverse.T
+        own = np.diag(self.model.residual_covariance) + np.diag(self.inverse @ zero_covariance @ self.inverse.T)
+        coefficients = np.diagonal(self.model.model_covariance(y), axis1=1, axis2=2)
+        factor = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, float(self.model.dof.min())))
+        return np.asarray(factor * np.sqrt(own + coefficients) * self.calibrated_range)
 
 
 def fit_noniterative_model(

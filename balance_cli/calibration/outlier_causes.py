@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints
 from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.io.units import NUMBER, RATIO
 
 Array = NDArray[np.float64]
 
@@ -75,4 +76,7 @@ def _reading_causes(model: CalibrationModel, points: CalibrationPoints, row: int
     if len(rest) and np.max(np.abs(rest)) > max(MAX_LEFT_SIGMA, MAX_LEFT_SHARE * abs(error[c]) / sigma[c]):
         return []
     reading = points.channels[row, c]
-    return [f"{model.channel_names[c]} seems to read {reading - error[c]:.5g} V, not {reading:.5g} V"]
+    unit = points.reading_unit(c)
+    factor, symbol = (1e3, f"m{unit}") if unit == RATIO else (1.0, "" if unit == NUMBER else unit)
+    right, wrong = (f"{factor * value:.5g} {symbol}".strip() for value in (reading - error[c], reading))
+    return [f"{model.channel_names[c]} seems to read {right}, not {wrong}"]

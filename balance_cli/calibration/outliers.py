@@ -17,6 +17,7 @@ from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
 from balance_cli.calibration.robust_scale import robust_row_sigma
 from balance_cli.calibration.suspect_series import SuspectLoadSeries, exclude_suspect_series
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
+from balance_cli.io.units import VOLTAGE
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -38,7 +39,7 @@ class Outlier:
     """A row that the others do not predict: `row` from 1 in its run, `error` [V], and the error over its sigma.
 
     `exchanged_with`: row whose loads it seems to have; `cause`: what a single mistake would explain it. None where
-    neither is found.
+    neither is found. `unit`: base unit of the error, None for V.
     """
 
     run: str
@@ -48,6 +49,7 @@ class Outlier:
     over_sigma: float
     exchanged_with: int | None = field(default=None, metadata={"omit_if_none": True})
     cause: str | None = field(default=None, metadata={"omit_if_none": True})
+    unit: str | None = field(default=None, metadata={"omit_if_none": True})
 
 
 @dataclass(frozen=True)
@@ -192,6 +194,7 @@ def describe_outliers(points: CalibrationPoints, fit: CalibrationModelFit, exclu
             channel=points.channel_names[c],
             error=float(errors[row, c]),
             over_sigma=float(ratio[c]),
+            unit=points.reading_unit(c) if points.reading_unit(c) != VOLTAGE else None,
         )
         other = partner.get(row)
         cause = None if other is not None else likely_cause(fit.model, points, row, errors[row])

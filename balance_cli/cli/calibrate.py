@@ -13,12 +13,18 @@ import click
 from balance_cli.cli.common import (
     Session,
     balance_command,
-    geometry_option,
     output_option,
     skip_bad_option,
 )
 from balance_cli.cli.options import InputFile, OutputFile, deprecated_option, hold_out_option
-from balance_cli.cli.static_runs import moment_center_option, open_static_runs, table_reading, units_option
+from balance_cli.cli.static_runs import (
+    moment_center_option,
+    open_static_runs,
+    optional_geometry_option,
+    rig_of_inputs,
+    table_reading,
+    units_option,
+)
 from balance_cli.cli.term_options import significance_option, term_choice, terms_option
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import CALIBRATION_FORMAT
@@ -37,7 +43,7 @@ WITHOUT_MODEL = (
 
 
 @balance_command("calibrate")
-@geometry_option
+@optional_geometry_option
 @click.argument("runs", type=InputFile(), nargs=-1, metavar="RUN...")
 @terms_option
 @significance_option
@@ -80,7 +86,7 @@ WITHOUT_MODEL = (
 @moment_center_option
 @skip_bad_option
 @output_option("CAL")
-def command(session: Session, geometry: Path, runs: tuple[Path, ...], output: Path, **options: Any) -> None:
+def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], output: Path, **options: Any) -> None:
     """Calibrate: static matrices C0 and T0 for each trim, and one calibration model of all trims.
 
     The model has the terms of AIAA R-091: for each channel those that are significant and that reduce the
@@ -88,7 +94,7 @@ def command(session: Session, geometry: Path, runs: tuple[Path, ...], output: Pa
 
     RUN is a run file, or a point table as CSV with units in its head: a column for each load and each channel, and
     optionally `series`, `point`, `run` and `trim`. Calibration alone needs no masses, stiffness or damping in the
-    geometry.
+    geometry, and none at all for a point table of the hub loads Fx to Mz that states the units of its readings.
 
     With --from-matrix the model is read from a matrix made elsewhere, and no run is needed.
     """
@@ -100,8 +106,8 @@ def command(session: Session, geometry: Path, runs: tuple[Path, ...], output: Pa
 
     choices = _Choices(**options)
     _check_options(runs, choices)
-    rig = session.geometry(geometry, mechanics=False)
     reading = table_reading(choices.units, choices.moment_center)
+    rig = rig_of_inputs(session, geometry, (*runs, *choices.hold_out), reading)
     held_out = functools.partial(
         open_static_runs, session, choices.hold_out, rig, reading, choices.skip_bad, "hold-out"
     )

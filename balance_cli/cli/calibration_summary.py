@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from balance_cli.calibration.suspect_series import SuspectLoadSeries
     from balance_cli.calibration.tares import Tares
     from balance_cli.calibration.term_choice import TermChoice
+    from balance_cli.campaign.rig.geometry import Geometry
 
 FORMER_KEYS = {
     "calibrated_range": "full_range",
@@ -39,7 +40,7 @@ FORMER_SUSPECT_KEYS = {"load_series": "sequence", "resembled_channel": "like", "
 
 def calibration_summary(calibration: Calibration) -> dict[str, Any]:
     """The summary of a calibration, for JSON."""
-    summary = math_model_summary(calibration.all_trims) if calibration.all_trims else None
+    summary = math_model_summary(calibration.all_trims, calibration.geometry) if calibration.all_trims else None
     return {
         "geometry": calibration.geometry.name,
         "trims": {name: _trim_summary(trim) for name, trim in calibration.trims.items()},
@@ -92,10 +93,12 @@ def _matrix_summary(rows: tuple[str, ...], columns: tuple[str, ...], value: Any,
 # ---- calibration model -----------------------------------------------------------------------------------------------
 
 
-def math_model_summary(all_trims: AllTrimsCalibration) -> dict[str, Any]:
+def math_model_summary(all_trims: AllTrimsCalibration, geometry: Geometry) -> dict[str, Any]:
     """The summary of the calibration model, for JSON."""
+    from balance_cli.campaign.rig.load_components import full_scale
+
     model, channels, drift = all_trims.model, all_trims.model.channel_names, all_trims.drift
-    proof = model.contraction()
+    proof, scale = model.contraction(), full_scale(geometry, model.components, model.calibrated_range)
     return {
         "terms": {name: nonlinear_terms_summary(all_trims, c) for c, name in enumerate(channels)},
         "linear": {
@@ -125,8 +128,7 @@ def math_model_summary(all_trims: AllTrimsCalibration) -> dict[str, Any]:
         "screening_notes": all_trims.screening_notes,
         "suspect_series": [_suspect_series_summary(suspect) for suspect in all_trims.suspect_series],
         "checks": {
-            check.run: _check_load_summary(check, model.components, model.calibrated_range)
-            for check in all_trims.checks
+            check.label: _check_load_summary(check, model.components, scale.values) for check in all_trims.checks
         },
     }
 
@@ -192,11 +194,12 @@ def _suspect_series_summary(suspect: SuspectLoadSeries) -> dict[str, Any]:
     }
 
 
-def _check_load_summary(check: CheckLoads, components: tuple[str, ...], calibrated_range: Any) -> dict[str, Any]:
+def _check_load_summary(check: CheckLoads, components: tuple[str, ...], full_scale: Any) -> dict[str, Any]:
     return {
+        "method": check.method or "calibration model",
         "rows": len(check.applied),
         "valid_rows": int(np.count_nonzero(check.is_valid)),
-        "error_percent_fs": dict(zip(components, 100.0 * check.error / calibrated_range, strict=True)),
+        "error_percent_fs": dict(zip(components, 100.0 * check.error / full_scale, strict=True)),
         "within_interval": dict(zip(components, check.interval_coverage, strict=True)),
     }
 

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from balance_cli.campaign.rig.load_components import full_scale
 from balance_cli.cli.calibration_summary import nonlinear_terms_summary
 from balance_cli.cli.load_residual_summary import load_residual_text
+from balance_cli.io.units import VOLTAGE, short_reading
 
 if TYPE_CHECKING:
     from balance_cli.calibration.all_trims import AllTrimsCalibration
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from balance_cli.calibration.result import Calibration, TrimCalibration
     from balance_cli.calibration.suspect_series import SuspectLoadSeries
     from balance_cli.calibration.tares import Tares
+    from balance_cli.campaign.rig.geometry import Geometry
+    from balance_cli.campaign.rig.load_components import FullScale
 
 
 def calibration_text(calibration: Calibration) -> Iterator[str]:
@@ -25,7 +29,7 @@ def calibration_text(calibration: Calibration) -> Iterator[str]:
         yield from _trim_text(trim)
     yield from load_residual_text(calibration)
     if calibration.all_trims:
-        yield from _math_model_text(calibration.all_trims)
+        yield from _math_model_text(calibration.all_trims, calibration.geometry)
 
 
 def math_model_warnings(all_trims: AllTrimsCalibration) -> Iterator[str]:
@@ -60,16 +64,11 @@ def outlier_text(outlier: Outlier) -> str:
         what = f"rows {first} and {second} of run {outlier.run} look exchanged: "
     else:
         what = f"{outlier.cause}: " if outlier.cause else ""
+    error = short_reading(outlier.error, outlier.unit or VOLTAGE)
     return (
-        f"run {outlier.run} row {outlier.row}: {what}{outlier.channel} deviates by {_voltage_text(outlier.error)} from "
+        f"run {outlier.run} row {outlier.row}: {what}{outlier.channel} deviates by {error} from "
         f"the prediction of all other rows ({outlier.over_sigma:.1f} sigma); the row was excluded"
     )
-
-
-def _voltage_text(volts: float) -> str:
-    """A voltage with the unit in which it is short."""
-    factor, unit = next(((f, u) for f, u in ((1.0, "V"), (1e3, "mV")) if abs(volts) * f >= 1.0), (1e6, "uV"))
-    return f"{factor * volts:.3g} {unit}"
 
 
 def _suspect_series_text(suspect: SuspectLoadSeries) -> str:
@@ -98,7 +97,7 @@ def _trim_text(trim: TrimCalibration) -> Iterator[str]:
         yield f"  {name:9s} {full:11.1f} {trim.residual_percent_fs[name]:15.4f}   {width}"
 
 
-def _math_model_text(all_trims: AllTrimsCalibration) -> Iterator[str]:
+def _math_model_text(all_trims: AllTrimsCalibration, geometry: Geometry) -> Iterator[str]:
     model = all_trims.model
     proof = model.contraction()
     if all_trims.runs:
@@ -120,16 +119,16 @@ def _math_model_text(all_trims: AllTrimsCalibration) -> Iterator[str]:
         count, example = len(model.unsupported_terms), _first_unsupported_term_text(model.unsupported_terms)
         yield f"  {count} terms are not supported by these loads, such as {example}"
     for check in all_trims.checks:
-        yield from _check_text(check, all_trims)
+        yield from _check_text(check, model.components, full_scale(geometry, model.components, model.calibrated_range))
 
 
-def _check_text(check: CheckLoads, all_trims: AllTrimsCalibration) -> Iterator[str]:
-    model, rows = all_trims.model, len(check.is_valid)
+def _check_text(check: CheckLoads, components: tuple[str, ...], scale: FullScale) -> Iterator[str]:
+    rows = len(check.is_valid)
     outside = rows - int(np.count_nonzero(check.is_valid))
     note = f"; {outside} of {rows} rows outside the calibrated loads are left out" if outside else ""
-    yield f"  {check.run}: rms error in % of calibrated range, and share of loads within their 95 % interval{note}"
-    for j, component in enumerate(model.components):
-        error, share = 100.0 * check.error[j] / model.calibrated_range[j], 100.0 * check.interval_coverage[j]
+    yield f"  {check.label}: rms error in % of {scale.meaning}, and share of loads within their 95 % interval{note}"
+    for j, component in enumerate(components):
+        error, share = 100.0 * check.error[j] / scale.values[j], 100.0 * check.interval_coverage[j]
         known = np.isfinite(error)
         within = f"{share:6.1f} %" if np.isfinite(share) else "interval not known"
         yield f"    {component:4s} {error:9.4f} {within}" if known else f"    {component:4s} not known"

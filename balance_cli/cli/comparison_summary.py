@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from balance_cli.calibration.comparison import SIGNIFICANCE_LEVEL, CalibrationComparison, TermChange
+from balance_cli.io.units import NUMBER
 
 MOST_LINES = 12
 """Changes listed in the text; the JSON has them all."""
@@ -21,6 +22,7 @@ def comparison_summary(comparison: CalibrationComparison, name: str) -> dict[str
             {
                 "channel": change.channel,
                 "term": change.term,
+                "unit": change.unit,
                 "old": change.old,
                 "new": change.new,
                 "sigma": change.sigma,
@@ -52,8 +54,11 @@ def comparison_text(comparison: CalibrationComparison, name: str) -> Iterator[st
 
 
 def _change_text(change: TermChange) -> str:
+    old, new = (_coefficient_text(value, change.unit) for value in (change.old, change.new))
     share = f" ({100 * (change.new / change.old - 1):+.3g} %)" if change.old and change.new else ""
-    return (
-        f"{change.channel} {change.term}: {1e6 * change.old:.6g} -> {1e6 * change.new:.6g} uV at calibrated range"
-        f"{share}, t {change.t:.1f}"
-    )
+    return f"{change.channel} {change.term}: {old} -> {new} at calibrated range{share}, t {change.t:.1f}"
+
+
+def _coefficient_text(value: float, unit: str) -> str:
+    """A coefficient in millionths of its unit, counts as they are."""
+    return f"{value:.6g}" if unit == NUMBER else f"{1e6 * value:.6g} u{unit}"

@@ -10,8 +10,10 @@ from balance_cli.campaign.recording.channel_health import channel_faults, live_c
 from balance_cli.campaign.recording.channel_range import full_range_faults
 from balance_cli.campaign.recording.gaps import gap_summary
 from balance_cli.campaign.recording.import_map_file import read_import_map
+from balance_cli.campaign.recording.load_table import is_point_table, read_load_table
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.recording.run_file import geometry_mismatches, read_run
+from balance_cli.campaign.recording.table_geometry import read_table_head
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.campaign.rig.geometry_file import geometry_digest, read_geometry
@@ -22,6 +24,9 @@ from balance_cli.io.result_view import plural
 from balance_cli.io.sniff import describe_file, require_file, sniff_format
 
 LOADS_HEADER = "run,component,unit,harmonic,frequency_hz,cosine,sine,amplitude,phase_deg,sigma_cosine,sigma_sine,flag"
+
+POINT_LOADS_HEADER = "run,line,"
+"""How the tables begin that `balance apply` writes."""
 
 MATRIX_FAMILY = MATRIX_FORMAT.partition("/")[0] + "/"
 
@@ -75,7 +80,29 @@ def check_file(path: Path, geometry: Geometry | None) -> FileFinding:
         return _check_matrix_file(path, geometry)
     if declared is None and _first_line(path) == LOADS_HEADER:
         return FileFinding("loads", "table of harmonic loads")
-    return FileFinding("unknown", "not recognized", faults=(_unrecognized_fault(path),))
+    return _check_table(path, geometry) or FileFinding("unknown", "not recognized", faults=(_unrecognized_fault(path),))
+
+
+def _check_table(path: Path, geometry: Geometry | None) -> FileFinding | None:
+    """A table of load points, or of the loads that `balance apply` computed; None for anything else."""
+    try:
+        head = read_table_head(path) if is_point_table(path) else None
+    except UserError:
+        return None
+    if _first_line(path).startswith(POINT_LOADS_HEADER):
+        return FileFinding("point loads", "table of static loads made by `balance apply`")
+    if head is None or not (head.channels or head.hub_loads or head.loads):
+        return None
+    faults: tuple[UserError, ...] = ()
+    if geometry is not None:
+        try:
+            read_load_table(path, geometry)
+        except UserError as error:
+            faults = (error.with_location(file=str(path)),)
+    loads = ", ".join((*head.hub_loads, *head.loads)) or "none"
+    about = f"point table: {plural(head.rows, 'row')}, loads {loads}, channels {', '.join(head.channels) or 'none'}"
+    about += f", columns {', '.join(head.labels)}" if head.labels else ""
+    return FileFinding("point table", about, faults=faults)
 
 
 def _unrecognized_fault(path: Path) -> UserError:

@@ -56,7 +56,7 @@ def check_point_summary(calibration: Calibration) -> dict[str, list[dict[str, An
     if calibration.all_trims is None:
         return {}
     return {
-        check.run: [
+        check.label: [
             {"row": i + 1, "applied": applied, "computed": computed, "interval": interval, "valid": bool(valid)}
             for i, (applied, computed, interval, valid) in enumerate(
                 zip(

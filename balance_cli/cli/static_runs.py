@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from balance_cli.cli.common import Session
+from balance_cli.cli.options import InputFile
 from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -43,6 +44,40 @@ def table_reading(units: str | None, moment_center: tuple[float, float, float] |
     except UserError as error:
         raise error.with_location("--units") from None
     return TableReading(parsed, moment_center)
+
+
+optional_geometry_option: Callable[[F], F] = click.option(
+    "-g",
+    "--geometry",
+    "geometry",
+    type=InputFile(),
+    metavar="GEOMETRY",
+    help="Geometry of the rig. Point tables of hub loads, with the units of their readings in the head, need none.",
+)
+
+
+def rig_of_inputs(session: Session, geometry: Path | None, paths: Iterable[Path], reading: TableReading) -> Geometry:
+    """The geometry that is given, with units that tables state and it does not; without one that of the first table.
+
+    Raises UserError without a geometry where there is no table, or a run file that needs one.
+    """
+    from balance_cli.campaign.recording.load_table import is_point_table
+    from balance_cli.campaign.recording.table_geometry import declare_table_units, geometry_of_table
+    from balance_cli.campaign.rig.load_components import load_components
+
+    paths = tuple(paths)
+    tables = [path for path in paths if is_point_table(path)]
+    if geometry is not None:
+        return declare_table_units(session.geometry(geometry, mechanics=False), tables, reading)
+    if not tables or len(tables) < len(paths):
+        fault = "no geometry is given, and only point tables do without one"
+        raise UserError(fault, "-g", remedy="Give the geometry of the rig with -g GEOMETRY")
+    rig = geometry_of_table(tables[0])
+    session.echo(
+        f"without a geometry: {', '.join(rig.channel_names)} of {tables[0].name} are the channels, "
+        f"{', '.join(load_components(rig).names)} the loads"
+    )
+    return rig
 
 
 def open_static_runs(

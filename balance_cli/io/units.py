@@ -146,6 +146,16 @@ def split_unit(header: str) -> tuple[str, str | None]:
     return header.strip(), None
 
 
+def short_reading(value: float, base_unit: str) -> str:
+    """A reading with three digits, in the unit of its quantity in which it is short: V, mV or uV, mV/V or uV/V."""
+    usual = {VOLTAGE: (("V", 1.0), ("mV", 1e-3), ("uV", 1e-6)), RATIO: (("mV/V", 1e-3), ("uV/V", 1e-6))}
+    scales = usual.get(base_unit)
+    if scales is None:
+        return f"{value:.3g}"
+    symbol, factor = next(((s, f) for s, f in scales if abs(value) >= f), scales[-1])
+    return f"{value / factor:.3g} {symbol}"
+
+
 def unit_symbols(*dimensions: str) -> tuple[str, ...]:
     """Symbols of all units of some dimensions, in the order of the table."""
     units = dict.fromkeys(unit for _, unit in _all_units() if unit.dimension in dimensions)

@@ -60,11 +60,11 @@ def check_load_blocks(calibration: Calibration, suffix: str) -> Iterator[PageBlo
         scale = full_scale(calibration.geometry, model.components, model.calibrated_range)
         name = f"calibration-check-{n + 1}{suffix}"
         caption = (
-            f"Check loads of {check.run}: computed less applied load of each point in % of the {scale.meaning}, with "
+            f"Check loads of {check.label}: computed less applied load of each point in % of the {scale.meaning}, with "
             "its 95 % prediction interval; red: outside of it. Points for which the model is not valid are left out."
         )
         draw = partial(check_figure, check, model.components, scale.values)
-        yield Picture(name, caption, svg(name, f"Check loads of {check.run}", draw))
+        yield Picture(name, caption, svg(name, f"Check loads of {check.label}", draw))
 
 
 def check_figure(check: CheckLoads, components: tuple[str, ...], scale: Array) -> Figure:

@@ -15,7 +15,8 @@ from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.suspect_series import SuspectLoadSeries
 from balance_cli.calibration.tares import Tares
 from balance_cli.calibration.term_choice import LISTED, QUADRATIC, TERM_SIGNIFICANCE_LEVEL
-from balance_cli.campaign.rig.load_components import component_units
+from balance_cli.campaign.rig.load_components import component_units, full_scale
+from balance_cli.io.units import short_reading
 from balance_cli.report.blocks import Details, Heading, PageBlock, Paragraph, Picture, WarningText
 from balance_cli.report.diagnosis_tables import PLUS_MINUS
 from balance_cli.report.figure_style import svg
@@ -82,7 +83,8 @@ def _math_model_tables(calibration: Calibration, all_trims: AllTrimsCalibration,
         yield Paragraph(_metric_weight_text(all_trims.tares))
         yield tare_table(all_trims.model.channel_names, all_trims.tares)
     if all_trims.checks:
-        yield check_table(all_trims)
+        model = all_trims.model
+        yield check_table(all_trims, full_scale(calibration.geometry, model.components, model.calibrated_range))
 
 
 # ---- text ------------------------------------------------------------------------------------------------------------
@@ -177,14 +179,19 @@ def _suspect_series_warning(suspect: SuspectLoadSeries) -> str:
     )
 
 
+def _reading_text(value: float, unit: str | None) -> str:
+    """A reading in microvolt, or in the unit in which it is short where it is no voltage."""
+    return f"{format_significant(1e6 * value)} {MICROVOLT}" if unit is None else short_reading(value, unit)
+
+
 def _outlier_warning(outlier: Outlier) -> str:
-    size, direction = format_significant(abs(1e6 * outlier.error)), "above" if outlier.error > 0 else "below"
+    size, direction = _reading_text(abs(outlier.error), outlier.unit), "above" if outlier.error > 0 else "below"
     cause = f" {outlier.cause}." if outlier.cause else ""
     if outlier.exchanged_with is not None:
         first, second = sorted((outlier.row, outlier.exchanged_with))
         cause = f" Rows {first} and {second} look exchanged."
     return (
-        f"{outlier.run} row {outlier.row}: {outlier.channel} is {size} {MICROVOLT} {direction} the prediction of all "
+        f"{outlier.run} row {outlier.row}: {outlier.channel} is {size} {direction} the prediction of all "
         f"other rows ({format_significant(abs(outlier.over_sigma))} standard deviations).{cause} The row was excluded."
     )
 

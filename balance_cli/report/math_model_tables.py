@@ -12,6 +12,7 @@ from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.calibration.check_loads import CheckLoads
 from balance_cli.calibration.math_model import CONFIDENCE
 from balance_cli.calibration.tares import Tares
+from balance_cli.campaign.rig.load_components import FullScale
 from balance_cli.report.blocks import Row, Table, TableCell
 from balance_cli.report.diagnosis_tables import PLUS_MINUS, format_p_value
 from balance_cli.report.load_series_rows import channel_residual_sigma
@@ -164,22 +165,22 @@ def tare_table(channels: tuple[str, ...], tares: Tares) -> Table:
 # ---- check loads -----------------------------------------------------------------------------------------------------
 
 
-def check_table(all_trims: AllTrimsCalibration) -> Table:
+def check_table(all_trims: AllTrimsCalibration, scale: FullScale) -> Table:
     """Errors of held-out runs, and the share of their loads within the prediction interval."""
     head = tuple(TableCell(word) for word in ("run", *all_trims.model.components, "rows", "left out"))
     caption = (
-        "Held-out loads: rms error in % of the calibrated range; small: share of the rows within their 95 % prediction "
-        "interval. Left out: rows beyond the loads for which the model is valid. Marked: a share so small that chance "
-        "causes it once in 370 runs, and rows left out."
+        f"Held-out loads: rms error in % of the {scale.meaning}, by the calibration model where no other method is "
+        "named; small: share of the rows within their 95 % prediction interval. Left out: rows beyond the loads for "
+        "which the model is valid. Marked: a share so small that chance causes it once in 370 runs, and rows left out."
     )
-    return Table(caption, (head,), tuple(_check_row(all_trims, check) for check in all_trims.checks))
+    return Table(caption, (head,), tuple(_check_row(scale, check) for check in all_trims.checks))
 
 
-def _check_row(all_trims: AllTrimsCalibration, check: CheckLoads) -> Row:
+def _check_row(scale: FullScale, check: CheckLoads) -> Row:
     count, valid = len(check.is_valid), int(np.count_nonzero(check.is_valid))
-    errors = zip(check.error / all_trims.model.calibrated_range, check.interval_coverage, strict=True)
+    errors = zip(check.error / scale.values, check.interval_coverage, strict=True)
     return (
-        TableCell(check.run, mark="name"),
+        TableCell(check.label, mark="name"),
         *(_check_cell(float(error), float(share), valid) for error, share in errors),
         TableCell(str(count)),
         TableCell(str(count - valid), mark="bad" if valid < count else ""),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,8 @@ def fit_all_trims(
     runs = [rows.run for rows in members.rows]
     if len(names) < len(components.names) or any(_has_uncarried_loads(run, components) for run in runs):
         return None
-    points = _stack_points(members, components)
+    units = {channel.name: channel.reading_unit for channel in geometry.channels}
+    points = replace(_stack_points(members, components), reading_units=tuple(units[name] for name in names))
     for run in hold_out:
         _check_hold_out_channels(run, names)
     checks = [(run.name, *read_load_points(run, names, components)) for run in hold_out]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.all_trims import AllTrimsCalibration, Drift, read_load_points
-from balance_cli.calibration.check_loads import evaluate_check_loads
+from balance_cli.calibration.check_loads import CheckModels, evaluate_check_loads
 from balance_cli.calibration.math_model import CalibrationModel
 from balance_cli.calibration.matrix import model_from_matrix
 from balance_cli.calibration.matrix_reader import ParsedMatrix
@@ -136,5 +136,5 @@ def model_without_rows(
         noise=noise,
         outliers=(),
         suspect_series=(),
-        checks=tuple(evaluate_check_loads(model, noise, *check) for check in checks),
+        checks=tuple(evaluate_check_loads(CheckModels(model, noise), *check)[0] for check in checks),
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel
+from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel, estimated_weight_widening, student_widening
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.trim_model import WITHOUT_ZEROS, model_of_trim
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -114,7 +114,10 @@ def point_loads(
     covariance = np.stack([_covariance(model, row, share) for row, share in zip(safe, zero_share, strict=True)])
     redundancy, limit = _redundancy(model, change, safe, zero_share)
     covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
-    quantile = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, float(model.model.dof.min()))
+    # Estimated with few degrees of freedom: 1.96 standard deviations then cover 95 %, as those of `reduce` do.
+    dof, redundant = float(model.model.dof[model.rows].min()), len(model.rows) - len(model.model.components)
+    covariance *= student_widening(dof) * estimated_weight_widening(dof, redundant)
+    quantile = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)
     unknown = ~converged
     loads[unknown], covariance[unknown] = np.nan, np.nan
     return PointLoads(

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from click.testing import CliRunner
 
+from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.fit import fit_calibration_model
 from balance_cli.calibration.noniterative import fit_noniterative_model
 from balance_cli.calibration.term_choice import LINEAR_TERMS
@@ -123,3 +124,19 @@ def test_former_keys_of_suspect_series_tares_and_checks():
     assert former["bad_sequences"] == [{"sequence": "s", "channel": "c", "gain": 1, "like": "", "or_else": ()}]
     assert former["tares"] == {"centre": {}, "sequences": 3} and former["checks"] == {"r": {"rows": 2, "solved": 1}}
     assert former["zeros"] == {"sequences": ["s"], "drift_per_sequence": {}}
+
+
+def test_check_loads_are_checked_by_both_methods_and_say_which():
+    """New loads on the balance of the stand: both intervals cover them, and the labels name the method."""
+    points = stand_points()
+    truth = fit_calibration_model(stand_points(noise=1e-9)).model
+    rng = np.random.default_rng(8)
+    applied = np.vstack([np.zeros(6), rng.uniform(-0.6, 0.6, (300, 6)) * FULL_RANGE])
+    read = truth.readings(applied) + NOISE * rng.normal(size=(301, 8))
+    by_model, direct = calibrate_all_trims(points, [("again", read, applied)], non_iterative=True).checks
+    assert (by_model.label, direct.label) == ("again", "again, non-iterative method")
+    assert not np.array_equal(by_model.computed, direct.computed)
+    for check in (by_model, direct):
+        assert check.is_valid[1:].mean() > 0.95
+        assert 0.9 < np.mean(check.interval_coverage) < 0.995
+    assert np.all(direct.error < 1.5 * by_model.error)

@@ -12,6 +12,7 @@ from balance_cli.calibration.suspect_series import _find_suspect_series, find_sw
 from balance_cli.calibration.term_choice import LINEAR_TERMS, SEARCHED
 from balance_cli.calibration.terms import term_values
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.cli.calibration_text import outlier_text
 from tests.support.calibration_stand import CHANNELS, NOISE, NONLINEAR_TERMS, stand_points, true_model
 
 
@@ -101,3 +102,16 @@ def test_what_took_no_part_has_no_residuals_in_the_whole_calibration():
     whole = calibrate_all_trims(points)
     assert [one.row for one in whole.outliers] == [51]
     assert np.isnan(whole.residuals[50]).all() and np.isfinite(np.delete(whole.residuals, 50, axis=0)).all()
+
+
+def test_a_wrong_reading_is_named_in_the_unit_of_its_channel():
+    points = stand_points()
+    channels = points.channels.copy()
+    channels[30, 2] += 0.05
+    spoiled = replace(points, channels=channels, reading_units=("V/V",) * channels.shape[1])
+    (outlier,) = screen_outliers(spoiled).outliers
+    assert outlier.unit == "V/V" and outlier.row == 31
+    assert outlier.cause.endswith(f"not {1e3 * channels[30, 2]:.5g} mV/V")
+    assert " uV" not in outlier_text(outlier) and "50" in outlier_text(outlier) and "mV/V" in outlier_text(outlier)
+    (as_volts,) = screen_outliers(replace(spoiled, reading_units=())).outliers
+    assert as_volts.unit is None and as_volts.cause.endswith(f"not {channels[30, 2]:.5g} V")

@@ -19,6 +19,7 @@ from balance_cli.io.units import (
     Unit,
     _all_units,
     parse_unit,
+    short_reading,
     split_unit,
 )
 
@@ -141,3 +142,19 @@ def test_every_spelling_has_one_size_in_a_dimension() -> None:
 def test_conversion_and_back() -> None:
     for _, unit in _all_units():
         assert unit.from_base(unit.to_base([-3.0, 0.0, 17.0])) == pytest.approx([-3.0, 0.0, 17.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (1.5, VOLTAGE, "1.5 V"),
+        (-2.5e-3, VOLTAGE, "-2.5 mV"),
+        (4e-9, VOLTAGE, "0.004 uV"),
+        (1.25e-3, RATIO, "1.25 mV/V"),
+        (-3.2e-6, RATIO, "-3.2 uV/V"),
+        (0.0, RATIO, "0 uV/V"),
+        (812.0, NUMBER, "812"),
+    ],
+)
+def test_a_reading_in_its_unit(value, unit, text):
+    assert short_reading(value, unit) == text

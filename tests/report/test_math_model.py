@@ -9,6 +9,7 @@ import pytest
 from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.rig.load_components import FullScale
 from balance_cli.report import math_model_figures
 from balance_cli.report.blocks import Details, pictures
 from balance_cli.report.calibration import section
@@ -156,8 +157,9 @@ def test_check_rows_out_of_reach_and_intervals_that_do_not_hold_are_marked(sound
     solved = check.is_valid.copy()
     solved[:5] = False
     narrow = replace(check, is_valid=solved, prediction_interval=0.5 * check.prediction_interval, run="narrow")
+    calibrated = FullScale(sound.all_trims.model.calibrated_range, (False,) * 6)
     nothing = replace(check, is_valid=np.zeros_like(solved), run="nothing")
-    rows = check_table(replace(sound.all_trims, checks=(narrow, nothing))).rows
+    rows = check_table(replace(sound.all_trims, checks=(narrow, nothing)), calibrated).rows
     assert [cell.text for cell in rows[0][7:]] == ["121", "5"] and rows[0][8].mark == "bad"
     assert {cell.mark for cell in rows[0][1:7]} == {"bad"}
     assert {cell.text for cell in rows[1][1:7]} == {"–"} and rows[1][8].text == "121"

@@ -56,6 +56,14 @@ def _readings_of_head(head: str) -> Iterator[tuple[str, str | None]]:
             yield name.strip(), unit.strip()
 
 
+def name_and_unit(table: TextTable, index: int) -> tuple[str, str | None]:
+    """Name and unit of a column that is nothing known: of its head, or of the row of units."""
+    row_unit = table.units[index] if index < len(table.units) else ""
+    possible = [(name, unit) for name, unit in _readings_of_head(table.header[index]) if unit and is_unit(unit)]
+    # `B2 mV/V` can be split before V too: the longest unit is meant.
+    return max(possible, key=lambda pair: len(pair[1]), default=(table.header[index], row_unit or None))
+
+
 def _match_name(name: str, names: Sequence[str]) -> str | None:
     """The known name: the same, else the only one with the same letters and digits in any case."""
     if name in names:
