@@ -130,20 +130,27 @@ def calibrate_all_trims(
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
         screening_notes=_screening_notes(points, screened),
         non_iterative=direct,
-        checks=tuple(
-            result
-            for check in checks
-            for result in evaluate_check_loads(
-                models, *check, _tare_loads(tares, model, (check_gravity or {}).get(check[0]))
-            )
-        )
-        + tuple(_check_points_by_run(total, fit, models, check_points)),
+        checks=(
+            *_held_out_checks(models, checks, tares, check_gravity or {}),
+            *_check_points_by_run(total, fit, models, check_points),
+        ),
         tares=tares,
         attitude_segment=None if points.gravity is None else points.attitude_segment,
         load_series=points.load_series,
         series_notes=notes or None,
         term_choice=choice,
     )
+
+
+def _held_out_checks(
+    models: CheckModels,
+    checks: Sequence[tuple[str, Array, Array]],
+    tares: Tares | None,
+    gravity: Mapping[str, Array],
+) -> Iterator[CheckLoads]:
+    for name, channels, loads in checks:
+        weight = _tare_loads(tares, models.model, gravity.get(name))
+        yield from evaluate_check_loads(models, name, channels, loads, weight)
 
 
 def _screening_notes(points: CalibrationPoints, screened: ScreenedFit) -> tuple[str, ...]:
