@@ -12,8 +12,9 @@ from pathlib import Path
 
 from balance_cli.campaign.recording.load_table import TableReading
 from balance_cli.campaign.recording.load_table_columns import LABELS, identify_columns, name_and_unit
+from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.geometry import Channel, Geometry
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import GEOMETRY_FORMAT
 from balance_cli.io.table_text import TextTable, read_table
