@@ -15,12 +15,16 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.system import System
 from balance_cli.model.system_response import response, solve
 from balance_cli.planning.hall import Hall, RecordSettings, excitable_components
+from balance_cli.simulation.excitation import multisine
+from balance_cli.simulation.load_signals import OVERSAMPLING
 from balance_cli.simulation.plans import Component, Excitation, SweepPlan
 
 Array = NDArray[np.float64]
 
 CREST_FACTOR = 4.0
-"""Peak over rms of a signal of many lines with random phases: exceeded by one period of 600 lines in 25."""
+"""Peak over rms of a signal of many lines with random phases: exceeded by one period of 600 lines in 25.
+
+It is that of cells and channels, too: their resonances mix the phases of any excitation."""
 LINES = 2000
 """Frequencies at which the response is summed for the level: several in the width of a mode of damping ratio 0.005."""
 MOST_CANDIDATES = 400
@@ -108,6 +112,7 @@ def _candidate(
         periods=periods,
         sample_rate=settings.sample_rate,
         rotor_speed=speed,
+        phases=hall.phases if excitation == "multisine" else "random",
     )
     return CandidateRun(plan, plan.duration / 60.0 + hall.overhead_minutes)
 
@@ -116,22 +121,49 @@ def level_limits(geometry: Geometry, hall: Hall, settings: RecordSettings, syste
     """The largest level of each component that can be excited, and what limits it."""
     frequency = np.linspace(*settings.band, LINES)
     solution = solve(system, frequency)
+    crest = excitation_crest_factor(geometry, hall, settings)
     volts = np.sqrt(np.mean(np.abs(response(system, solution)) ** 2, axis=0))
     forces = np.sqrt(np.mean(np.abs(solution.forces) ** 2, axis=0))[: len(geometry.cells)]
     return tuple(
-        min(_limits_of(name, geometry, hall, volts, forces), key=lambda item: item.level)
+        min(_limits_of(name, geometry, hall, crest, volts, forces), key=lambda item: item.level)
         for name in excitable_components(geometry, hall)
     )
 
 
-def _limits_of(name: Component, geometry: Geometry, hall: Hall, volts: Array, forces: Array) -> Iterator[LevelLimit]:
-    """Every limit of the level of one component; `volts` (c, 6) and `forces` (cells, 6) are rms per unit of level."""
+def excitation_crest_factor(geometry: Geometry, hall: Hall, settings: RecordSettings) -> float:
+    """The largest peak over rms of any excitation that the hall can choose.
+
+    That of a multisine with fixed phases is computed, for each band and each number of components at once.
+    """
+    if hall.phases == "random" or set(hall.excitations) != {"multisine"}:
+        return CREST_FACTOR
+    time = np.arange(round(OVERSAMPLING * settings.period * settings.sample_rate)) / (
+        OVERSAMPLING * settings.sample_rate
+    )
+    counts = {len(names) for names in component_sets(geometry, hall)}
+    rng = np.random.default_rng(0)  # not used by fixed phases
+    waves = [
+        multisine(time, settings.period, band, 1.0, rng, count, shift, hall.phases)
+        for band in (settings.band, *hall.bands)
+        for count in counts
+        for shift in range(count)
+    ]
+    return max(float(np.abs(wave).max()) for wave in waves)
+
+
+def _limits_of(
+    name: Component, geometry: Geometry, hall: Hall, crest: float, volts: Array, forces: Array
+) -> Iterator[LevelLimit]:
+    """Every limit of the level of one component; `volts` (c, 6) and `forces` (cells, 6) are rms per unit of level.
+
+    `crest` is the peak over rms of the excitation.
+    """
     column = COMPONENTS.index(name)
     exciter = hall.exciters[name] if hall.exciters else None
     if exciter is not None and exciter.rms is not None:
         yield LevelLimit(name, exciter.rms, "rms of the exciter")
     if exciter is not None and exciter.peak is not None:
-        yield LevelLimit(name, exciter.peak / CREST_FACTOR, "peak of the exciter")
+        yield LevelLimit(name, exciter.peak / crest, "peak of the exciter")
     share = min(hall.margin, 1.0 if exciter else hall.cell_share)
     for cell, force in zip(geometry.cells, forces[:, column], strict=True):
         if force > 0:

@@ -15,7 +15,7 @@ from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
 from balance_cli.model.plate import carried_components
 from balance_cli.planning.channel_noise import DeclaredNoise
-from balance_cli.simulation.plans import MOST_SAMPLES, Component, Excitation
+from balance_cli.simulation.plans import MOST_SAMPLES, Component, Excitation, Phases
 
 HALL_FORMAT = "balance-hall/1"
 COMPONENT_NAMES: tuple[Component, ...] = get_args(Component)
@@ -59,9 +59,9 @@ class Hall(FrozenModel):
     `change_minutes`: time for another set-up (other components, another rotor speed); `overhead_minutes`: time that
     each run takes besides its record. `band` [Hz], `sample_rate` [Hz], `period` [s] and `periods` (numbers of periods
     to choose from) describe the records; `bands` and `excitations` are further choices, `levels` shares of the largest
-    level, `rotor_speeds` [Hz] those at which sweeps can be made. `loads`: amplitude [N, N m] of the hub loads for which
-    their sigma counts; `record_seconds`: length of a record with the rotor turning. `effects`: names of those that the
-    plan considers, by default all.
+    level, `rotor_speeds` [Hz] those at which sweeps can be made; `phases` are those of the multisines. `loads`:
+    amplitude [N, N m] of the hub loads for which their sigma counts; `record_seconds`: length of a record with the
+    rotor turning. `effects`: names of those that the plan considers, by default all.
     """
 
     format: Literal["balance-hall/1"]
@@ -76,6 +76,7 @@ class Hall(FrozenModel):
     levels: Annotated[tuple[Annotated[float, Field(gt=0, le=1)], ...], Field(min_length=1)] = (1.0, 0.4)
     rotor_speeds: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = (0.0,)
     excitations: Annotated[tuple[Excitation, ...], Field(min_length=1)] = ("multisine",)
+    phases: Phases = "schroeder"
     bands: tuple[tuple[Positive, Positive], ...] = ()
     cell_share: Annotated[float, Field(gt=0, le=1)] = 0.05
     margin: Annotated[float, Field(gt=0, le=1)] = 0.8

@@ -42,6 +42,8 @@ def _sheet(planned: PlannedCampaign, index: int) -> Iterator[str]:
     for name, level in zip(plan.excited, plan.level, strict=True):
         yield f"| level of {name} | {level:.4g} {UNITS[name]} rms |"
     yield f"| excitation | {plan.excitation}, {plan.band[0]:.4g} to {plan.band[1]:.4g} Hz |"
+    if plan.phases == "schroeder":
+        yield "| phases | of line k = 1, 2 ... K (equal amplitudes, cosines): -180 k (k - 1) / K degrees |"
     yield f"| period | {plan.period:.6g} s, {plan.periods} times: {plan.duration:.1f} s |"
     yield f"| sample rate | {plan.sample_rate:g} Hz |"
     yield f"| rotor | {_rotor(plan)} |"

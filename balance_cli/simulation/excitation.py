@@ -29,17 +29,35 @@ def _synthesize(numbers: NDArray[np.int_], amplitudes: NDArray[np.complex128], b
     return signal
 
 
+def schroeder_phases(count: int) -> Array:
+    """Phases (count,) [rad] of equal lines with a small peak: -pi k (k - 1) / count for line k = 1, 2 ...
+
+    M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85. The peak of the sum is less than twice its rms, that of
+    random phases three to four times.
+    """
+    k = np.arange(1.0, count + 1.0)
+    return np.asarray(-np.pi * k * (k - 1.0) / count)
+
+
 def multisine(
-    time: Array, period: float, band: Band, level: float, rng: np.random.Generator, every: int = 1, shift: int = 0
+    time: Array,
+    period: float,
+    band: Band,
+    level: float,
+    rng: np.random.Generator,
+    every: int = 1,
+    shift: int = 0,
+    phases: str = "random",
 ) -> Array:
-    """Random-phase multisine (n,) with equal amplitudes and rms `level`, repeating every `period` s.
+    """Multisine (n,) with equal amplitudes and rms `level`, repeating every `period` s.
 
     Its lines are the multiples of 1/period within `band` [Hz]; of these every `every`-th, starting with `shift`
-    (with interleaved lines several components can be excited at once).
+    (with interleaved lines several components can be excited at once). `phases`: `random` or `schroeder`.
     """
     numbers = _line_numbers(band, 1 / period)[shift::every]
-    phases = np.exp(2j * np.pi * rng.random(len(numbers)))
-    return _synthesize(numbers, level * np.sqrt(2 / len(numbers)) * phases, 1 / period, time)
+    angles = schroeder_phases(len(numbers)) if phases == "schroeder" else 2 * np.pi * rng.random(len(numbers))
+    phases_of_lines = np.exp(1j * angles)
+    return _synthesize(numbers, level * np.sqrt(2 / len(numbers)) * phases_of_lines, 1 / period, time)
 
 
 def random_noise(time: Array, band: Band, level: float, rng: np.random.Generator) -> Array:

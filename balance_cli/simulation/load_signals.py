@@ -62,7 +62,7 @@ def _sweep_component(plan: SweepPlan, index: int, time: Array, rng: np.random.Ge
     ahead = index * plan.period / len(plan.excited)
     frequencies = np.roll(np.geomspace(*band, plan.steps), index * plan.steps // len(plan.excited))
     wave: dict[str, Callable[[], Array]] = {
-        "multisine": lambda: multisine(time, plan.period, band, level, rng, every, shift),
+        "multisine": lambda: multisine(time, plan.period, band, level, rng, every, shift, plan.phases),
         "random": lambda: random_noise(time, band, level, rng),
         "sine-sweep": lambda: sine_sweep(time + ahead, plan.period, band, level),
         "stepped": lambda: stepped_sine(time, frequencies, plan.duration / plan.steps, level),

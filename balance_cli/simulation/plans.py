@@ -14,6 +14,7 @@ from balance_cli.campaign.rig.declared_values import FrozenModel, NonNegative, P
 
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 Excitation = Literal["multisine", "random", "sine-sweep", "stepped"]
+Phases = Literal["random", "schroeder"]
 LoadValues = Mapping[Component, float]
 assert get_args(Component) == COMPONENTS
 
@@ -89,7 +90,8 @@ class SweepPlan(RecordPlan):
     """Exciters on one or more components; `level` is the rms of each [N, N m], `band` in Hz.
 
     `periods` periods of `period` s. Several components excited at once by multisines get interleaved lines (each its
-    own) or, without `interleaved`, all lines each. A random excitation has no period, but the same duration.
+    own) or, without `interleaved`, all lines each. Their phases are random, or with `schroeder` those of a small peak.
+    A random excitation has no period, but the same duration.
     """
 
     kind: Literal["sweep"] = "sweep"
@@ -101,6 +103,7 @@ class SweepPlan(RecordPlan):
     band: tuple[Positive, Positive] = (2.0, 150.0)
     steps: Annotated[int, Field(ge=2)] = 149
     interleaved: bool = True
+    phases: Phases = "random"
 
     @model_validator(mode="after")
     def _check(self) -> SweepPlan:
@@ -110,6 +113,8 @@ class SweepPlan(RecordPlan):
             raise ValueError("give one `level` for each of `excited`")
         _check_record(self)
         _check_band("band", self.band, self.sample_rate)
+        if self.phases == "schroeder" and len(self.excited) > 1 and not self.interleaved:
+            raise ValueError("with `phases: schroeder` components excited together need `interleaved` lines")
         if self.period * self.sample_rate < 2.0:
             raise ValueError(f"`period` {self.period:g} s is shorter than two samples")
         if self.excitation == "multisine" and self._lines < len(self.excited):

@@ -2,19 +2,20 @@
 
 import json
 
+import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
 
 from balance_cli.campaign.rig.geometry_file import save_geometry
 from balance_cli.cli import balance
-from balance_cli.simulation import CampaignPlan
+from balance_cli.simulation import NO_NOISE, CampaignPlan, simulate_run, true_rig
 from balance_cli.simulation.files import read_plan
 from tests.support.rigs import one_degree_of_freedom
 
 HALL = {
     "format": "balance-hall/1",
-    "exciters": {"Fz": {"rms": 20.0, "peak": 60.0}},
+    "exciters": {"Fz": {"rms": 20.0, "peak": 30.0}},
     "change_minutes": 0.5,
     "overhead_minutes": 0.1,
     "periods": [3, 5],
@@ -41,8 +42,10 @@ def test_plan_is_one_of_simulate_with_sheets_and_summary(call, tmp_path):
     plan, summary = read_plan(tmp_path / "plan.yaml"), json.loads((tmp_path / "s.json").read_text())
     assert isinstance(plan, CampaignPlan)
     assert [run.run for run in plan.runs] == [run["run"] for run in summary["runs"]]
-    # A peak of 60 N at four times the rms is the limit, not the rms of 20 N.
-    assert all(run.level[0] == pytest.approx(15.0) for run in plan.runs)
+    # The peak of 30 N is the limit, not the rms of 20 N, and is reached.
+    run, _ = simulate_run(true_rig(one_degree_of_freedom()), plan.runs[0], NO_NOISE)
+    assert np.abs(run.read().loads).max() == pytest.approx(30.0, rel=0.02)
+    assert 16.0 < plan.runs[0].level[0] < 19.0
     assert summary["minutes"] <= 3.0
     sheets = (tmp_path / "sheets.md").read_text()
     assert all(f"## Run {run.run}" in sheets for run in plan.runs)
