@@ -13,6 +13,7 @@ from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import ZeroRecord
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.reduction.response_description import text_with_rotor
 from balance_cli.reduction.response_sources import ResponseSource, static_source, transfer_source
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.signals.response.transfer import Transfer
@@ -36,6 +37,7 @@ def reduce(
     *,
     zero: RunLike | None = None,
     harmonics: int | None = None,
+    rotor: int = 1,
     interpolation: str = "local",
     method: Literal["harmonic", "kalman", "smoother"] = "harmonic",
     load_model: str = "harmonics",
@@ -43,7 +45,8 @@ def reduce(
 ) -> HubLoads:
     """Reduce check and wind runs to hub loads at the rotor harmonics, as `balance reduce` does.
 
-    Without a `calibration` (None) the mean loads are not measured. `harmonics` is by default a multiple of the blades.
+    Without a `calibration` (None) the mean loads are not measured. `harmonics` is by default a multiple of the blades,
+    of `rotor` 1, 2 and so on (method `harmonic`); the lines of further rotors are taken out.
     `response` is an identified model, measured responses, or `"static"` for the static matrix at every harmonic (no
     dynamics removed). A `zero` run among `runs`, or given, is subtracted from the mean loads. `interpolation` is for
     measured responses; `load_model` and `lag` [s] are for the methods in time, which need a model of the physical form.
@@ -70,14 +73,16 @@ def reduce(
     reference = None if calibration is None else zero_reference(zeros, calibration)
     if harmonics is None:
         wanted = default_harmonics(geometry)
-        harmonics = min(harmonics_within_band(run, source, wanted) for run in used)
+        harmonics = min(harmonics_within_band(run, source, wanted, rotor) for run in used)
     if method == "harmonic":
-        options = ReduceOptions(harmonics)
+        options = ReduceOptions(harmonics, rotor)
         loads = [reduce_run(run, geometry, calibration, source, reference, options) for run in used]
     else:
+        if rotor != 1:
+            raise UserError("does not go with a method in time", "rotor", remedy="Use method `harmonic`")
         in_time = TimeOptions(method == "smoother", load_model, lag, harmonics)
         loads = [_reduce_in_time(run, geometry, calibration, source, reference, in_time) for run in used]
-    return HubLoads(method, source.description, geometry, {run.run: run for run in loads})
+    return HubLoads(method, text_with_rotor(source.description, rotor), geometry, {run.run: run for run in loads})
 
 
 def _geometry_of(response: Response) -> Geometry:

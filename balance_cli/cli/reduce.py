@@ -76,6 +76,13 @@ if TYPE_CHECKING:
     help="Highest rotor harmonic.  [default: a multiple of the blades, at least two, at least 8, within the band]",
 )
 @click.option(
+    "--rotor",
+    type=click.IntRange(1),
+    default=1,
+    show_default=True,
+    help="The rotor whose harmonics are reduced, where runs have pulses of several. Lines of the others are taken out.",
+)
+@click.option(
     "--frequencies",
     callback=parse_frequencies,
     metavar="F,F,...",
@@ -104,6 +111,7 @@ def command(
     load_model: str,
     lag: float | None,
     harmonics: int | None,
+    rotor: int,
     frequencies: tuple[float, ...],
     band: tuple[float, float] | None,
     zero: Path | None,
@@ -130,7 +138,7 @@ def command(
     skips = batch.skips(len(runs))
     _check_options(model, transfer, static, calibration is not None, zero is not None, output)
     method_options = MethodOptions(
-        method, load_model if _is_given("load_model") else None, lag, harmonics or 0, frequencies
+        method, load_model if _is_given("load_model") else None, lag, harmonics or 0, frequencies, rotor
     )
     method_options.check(model is not None, history is not None, harmonics is not None)
     check_band_options(band, _is_given)
@@ -171,12 +179,14 @@ def _reduce_to_spectra(
 def _finish(session: Session, reduction: Reduction, runs: dict[str, RunLoads], output: Path) -> None:
     """Write the loads and set summary and text."""
     from balance_cli.cli.reduce_text import reduction_text, summary
+    from balance_cli.reduction.response_description import text_with_rotor
     from balance_cli.reduction.result import HubLoads
 
     options = reduction.method
     method = FREQUENCIES if options.frequencies and not options.in_time else options.name
     warnings = tuple(sorted(set(session.warnings)))  # in one order, whoever reduced which run first
-    loads = HubLoads(method, reduction.source.description, reduction.geometry, runs, warnings or None)
+    response = text_with_rotor(reduction.source.description, options.rotor)
+    loads = HubLoads(method, response, reduction.geometry, runs, warnings or None)
     write_loads(session, output, loads)
     session.finish(summary(loads), reduction_text(loads))
 

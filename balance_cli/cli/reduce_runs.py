@@ -35,7 +35,7 @@ class MethodOptions:
     """The method and its options as given.
 
     `name` of METHODS, `load_model` of LOAD_MODELS, `lag` [s]; None: not given. `frequencies` [Hz] of tones in place of
-    rotor harmonics; in time, the one whose multiples the loads are.
+    rotor harmonics; in time, the one whose multiples the loads are. `rotor` is that of the harmonics.
     """
 
     name: str
@@ -43,6 +43,7 @@ class MethodOptions:
     lag: float | None
     harmonics: int
     frequencies: tuple[float, ...] = ()
+    rotor: int = 1
 
     @property
     def in_time(self) -> bool:
@@ -55,6 +56,9 @@ class MethodOptions:
             option = "--history" if has_history else "--harmonics"
             fault = "does not go with loads at given frequencies"
             raise UserError(fault, option, remedy="Leave one out, or add --method smoother")
+        if self.rotor != 1 and (self.in_time or self.frequencies):
+            option = f"--method {self.name}" if self.in_time else "--frequencies"
+            raise UserError(f"does not go with {option}", "--rotor", remedy="Leave one out")
         if self.in_time and len(self.frequencies) > 1:
             fault = f"{len(self.frequencies)} frequencies, where a filter follows the multiples of one"
             raise UserError(fault, "--frequencies", remedy="Give one, or use --method harmonic")
@@ -120,12 +124,14 @@ class Reduction:
 
     def _reduce_harmonics(self, run: Run, history: _HistoryWriter) -> RunLoads:
         from balance_cli.reduction.history_file import harmonic_history
+        from balance_cli.signals.rotor.other_rotors import rotor_azimuth
         from balance_cli.steps.reduce import ReduceOptions, reduce_run
 
-        options = ReduceOptions(self.method.harmonics)
+        options = ReduceOptions(self.method.harmonics, self.method.rotor)
         loads = reduce_run(run, self.geometry, self.calibration, self.source, self.zero, options)
         if history.is_enabled:
-            for block in harmonic_history(run, loads):
+            of_rotor = replace(run, pulse_times=rotor_azimuth(run, self.method.rotor).pulse_times)
+            for block in harmonic_history(of_rotor, loads):
                 history.file.add(block)
         return loads
 

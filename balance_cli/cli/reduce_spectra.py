@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from balance_cli.reduction.spectra_result import LoadSpectra, RunSpectra
 
 
-OTHER_WAYS = ("method", "zero", "frequencies", "harmonics", "history")
+OTHER_WAYS = ("rotor", "method", "zero", "frequencies", "harmonics", "history")
 """Options that do not apply to a spectrum."""
 
 

@@ -28,6 +28,7 @@ from balance_cli.signals.rotor.harmonics import (
     estimate_harmonics,
 )
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines, tones_beside
+from balance_cli.signals.rotor.other_rotors import ConfoundedLine, other_azimuths, rotor_azimuth, without_other_rotors
 from balance_cli.signals.rotor.pulse_consistency import pulse_faults
 from balance_cli.signals.transient_end import transient_end
 
@@ -50,7 +51,8 @@ class RotorRecord:
     """A record over azimuth: its usable channels, and their harmonics and those of the loads after the transient.
 
     `components` are those that the balance carries. At a `fixed_frequency` the azimuth is that of a tone, which turns
-    with no rotor. `confounded` are lines that cannot be told from the harmonics, in words.
+    with no rotor. `rotor` is the number of the rotor whose azimuth it is. The lines of the others have been taken out
+    of `run`, but for those that are `confounded` with its harmonics.
     """
 
     run: Run
@@ -59,31 +61,48 @@ class RotorRecord:
     spectra: Harmonics
     components: tuple[str, ...]
     fixed_frequency: bool = False
-    confounded: tuple[str, ...] = ()
+    rotor: int = 1
+    other_rotors: tuple[Azimuth, ...] = ()
+    confounded: tuple[ConfoundedLine, ...] = ()
 
     @property
     def spin(self) -> float:
-        """Rotor speed [Hz] over the interval; 0 at rest."""
-        if self.fixed_frequency:
+        """Speed [Hz] of the first rotor over the interval; 0 at rest."""
+        if self.fixed_frequency or self.rotor != 1:
             return self.run.rotor_speed
         return self.run.rotor_speed and float(self.spectra.frequency_hz[1])
 
 
-def rotor_record(run: Run, geometry: Geometry, source: ResponseSource, max_harmonic: int = 8) -> RotorRecord:
+def rotor_record(
+    run: Run,
+    geometry: Geometry,
+    source: ResponseSource,
+    max_harmonic: int = 8,
+    rotor: int = 1,
+    remove_other_rotors: bool = True,
+) -> RotorRecord:
     """Return harmonics 0 to `max_harmonic` of one `check` or `wind` run, from the end of its start transient on.
 
-    Raises UserError where no channel is usable or the 1/rev pulses are not.
+    The harmonics are those of `rotor`; the lines of further rotors are taken out first (unless they are to be found as
+    lines that no harmonic describes). Raises UserError where no channel is usable or the 1/rev pulses are not.
     """
     health = live_channels(run, geometry)
     if not health.live:
         raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
     for contradiction in pulse_faults(run):
         raise contradiction
-    azimuth = _azimuth(run)
+    azimuth = rotor_azimuth(run, rotor)
     if azimuth.turns < FEWEST_REVOLUTIONS:
         fault = f"holds {azimuth.turns} revolutions; at least {FEWEST_REVOLUTIONS} are needed"
         raise UserError(fault, _place(run), "rotor/pulse_times", "Record more revolutions")
-    return _record(run, azimuth, max_harmonic, geometry, source, health)
+    confounded: tuple[ConfoundedLine, ...] = ()
+    if remove_other_rotors:
+        alone, _ = without_other_rotors(run, azimuth, rotor, max_harmonic, 0)
+        start = _steady_revolution(alone, azimuth, source, health) if alone is not run else 0
+        run, confounded = without_other_rotors(run, azimuth, rotor, max_harmonic, start)
+    record = _record(run, azimuth, max_harmonic, geometry, source, health)
+    others = other_azimuths(run, rotor) if remove_other_rotors else ()
+    return replace(record, rotor=rotor, other_rotors=others, confounded=confounded)
 
 
 def _record(
@@ -97,11 +116,16 @@ def _record(
 ) -> RotorRecord:
     """Return the harmonics of a run over an azimuth, from the end of its start transient on."""
     run = source.remove_nonlinear_contribution(run, health.live)
-    limit = max(TRANSIENT_TIME_CONSTANTS * source.slowest_decay, MIN_TRANSIENT_TIME)
-    start = transient_end(run, azimuth, limit, health.live).first_revolution
+    start = _steady_revolution(run, azimuth, source, health)
     signals = health.live + (COMPONENTS if run.has_loads else ())
     spectra = estimate_harmonics(run, azimuth, max_harmonic, names=signals, first_revolution=start, other=other)
     return RotorRecord(run, health, azimuth, spectra, carried_components(geometry))
+
+
+def _steady_revolution(run: Run, azimuth: Azimuth, source: ResponseSource, health: ChannelHealth) -> int:
+    """Return the revolution at which the start transient has ended."""
+    limit = max(TRANSIENT_TIME_CONSTANTS * source.slowest_decay, MIN_TRANSIENT_TIME)
+    return transient_end(run, azimuth, limit, health.live).first_revolution
 
 
 def tone_record(
@@ -130,13 +154,6 @@ def tone_record(
 
 def _place(run: Run) -> str:
     return str(run.path or run.name)
-
-
-def _azimuth(run: Run) -> Azimuth:
-    if run.pulse_times is None:
-        remedy = "Reduce it with --frequencies or --band, or record the pulses"
-        raise UserError("no 1/rev pulses", _place(run), "rotor/pulse_times", remedy)
-    return azimuth_from_pulses(run.pulse_times)
 
 
 def harmonic_loads(record: RotorRecord, geometry: Geometry, source: ResponseSource) -> SolvedLoads:

@@ -64,3 +64,8 @@ def parse_response_text(text: str) -> ResponseDescription | None:
         effects=tuple(match["effects"].split(", ")) if match["effects"] else (),
         interpolation=detail if measured else "",
     )
+
+
+def text_with_rotor(response: str, rotor: int) -> str:
+    """Return the text of a response with the rotor whose harmonics were reduced, unless it is the first."""
+    return response if rotor == 1 else f"{response}, rotor {rotor}"

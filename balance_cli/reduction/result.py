@@ -79,7 +79,8 @@ class RunLoads(ResultView):
     frequency_hz (n+1,): n times the mean pulse rate of the record; amplitude (n+1, m) = cosine - j sine; sigma_cosine,
     sigma_sine (n+1, m); flags (n+1, m) words, empty where nothing is wrong; redundancy (chi-square per degree of
     freedom of the residual test), redundancy_limit, condition (n+1,), NaN where they do not exist; interval [s] that
-    was used; `in_time`: of a reduction by a filter or smoother.
+    was used; `in_time`: of a reduction by a filter or smoother; `rotor`: the number of the rotor whose harmonics they
+    are, None for the first.
     """
 
     run: str
@@ -100,6 +101,7 @@ class RunLoads(ResultView):
     notes: tuple[str, ...] = ()
     check: CheckErrors | None = None
     in_time: TimeDomainResult | None = None
+    rotor: int | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def flag_counts(self) -> dict[str, int]:
@@ -111,7 +113,8 @@ class RunLoads(ResultView):
         """Run, harmonics, error of a check run, flags."""
         last = len(self.frequency_hz) - 1
         yield f"Hub loads of {self.kind} run {self.run} by {self.response}"
-        yield f"  {' '.join(self.components)}, harmonics 0 to {last} of {self.frequency_hz[1]:.4g} Hz"
+        of_rotor = "" if self.rotor is None else f" (rotor {self.rotor})"
+        yield f"  {' '.join(self.components)}, harmonics 0 to {last} of {self.frequency_hz[1]:.4g} Hz{of_rotor}"
         if self.check is not None:
             errors = ", ".join(f"{name} {100 * error:.2g} %" for name, error in self.check.load_error.items())
             yield f"  error over harmonics 1 to 8: {errors}"

@@ -47,13 +47,17 @@ does not grow with the length of the record.
 
 @dataclass(frozen=True)
 class Trust:
-    """Findings about the loads (n+1, m) of a record: which are untested, unsteady, or contradicted by the model."""
+    """Findings about the loads (n+1, m) of a record: which are untested, unsteady, or contradicted by the model.
+
+    `confounded` are the harmonics beside which another rotor has a line.
+    """
 
     untested: Mask
     unsteady: Mask
     contradicted: Mask
     rejected: Mask
     lines: tuple[UnmodelledLine, ...]
+    confounded: frozenset[int] = frozenset()
 
     def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
         """Return the flags (n+1, m) of the findings added to those given."""
@@ -66,7 +70,7 @@ class Trust:
             UNTESTED if self.untested[h, j] else "",
             REDUNDANCY if self.rejected[h, j] else "",
             NOT_STEADY if self.unsteady[h, j] else "",
-            UNMODELLED_LINE if self.lines and h else "",
+            UNMODELLED_LINE if (self.lines and h) or h in self.confounded else "",
             MODEL_CONTRADICTED if self.contradicted[h, j] else "",
         )
 
@@ -92,8 +96,12 @@ def assess_trust(
     lines: tuple[UnmodelledLine, ...] = ()
     if not record.fixed_frequency:  # whoever names the frequencies knows that there are others
         gain = _power_gain(record, source)
-        lines = unmodelled_lines(record.run, record.azimuth, record.health.live, n, record.spectra.interval, gain)
-    return Trust(untested, unsteady_loads(record, geometry, source, static, sigma), contradicted, rejected, lines)
+        lines = unmodelled_lines(
+            record.run, record.azimuth, record.health.live, n, record.spectra.interval, gain, record.other_rotors
+        )
+    unsteady = unsteady_loads(record, geometry, source, static, sigma)
+    shared = frozenset(line.order for line in record.confounded)
+    return Trust(untested, unsteady, contradicted, rejected, lines, shared)
 
 
 def _power_gain(record: RotorRecord, source: ResponseSource) -> Callable[[Array], Array] | None:

@@ -32,9 +32,10 @@ ERRORS_UNKNOWN = "sigma of the mean loads contains noise and the residuals state
 
 @dataclass(frozen=True)
 class ReduceOptions:
-    """Options of a reduction: harmonics 0 to `harmonics` are reduced."""
+    """Options of a reduction: harmonics 0 to `harmonics` of `rotor` 1, 2 and so on are reduced."""
 
     harmonics: int = 8
+    rotor: int = 1
 
 
 def reduce_run(
@@ -50,7 +51,7 @@ def reduce_run(
     Raises UserError where the pulses are unusable or the usable channels do not determine the loads.
     """
     options = options or ReduceOptions()
-    record = rotor_record(hold_samples(run), geometry, source, options.harmonics)
+    record = rotor_record(hold_samples(run), geometry, source, options.harmonics, options.rotor)
     return reduce_record(record, geometry, calibration, source, zero)
 
 
@@ -79,7 +80,8 @@ def reduce_record(
     sigma = np.maximum(loads.sigma_cosine, loads.sigma_sine)
     static = None if calibration is None else nearest_trim(calibration, loads)
     trust = assess_trust(record, geometry, source, static, harmonic_solution, sigma)
-    lines = (*filter(None, [describe_gaps(record.run)]), *(line.description for line in trust.lines))
+    shared = (line.description for line in record.confounded)
+    lines = (*filter(None, [describe_gaps(record.run)]), *shared, *(line.description for line in trust.lines))
     suspect_note = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *filter(None, [suspect_note])))
     if not record.run.has_loads or record.run.kind != "check":
@@ -122,4 +124,5 @@ def _combine_loads(
         condition=np.concatenate([[mean_solution.condition], harmonic_solution.condition]),
         left_out=record.health.left_out,
         interval=spectra.interval,
+        rotor=None if record.rotor == 1 else record.rotor,
     )

@@ -196,11 +196,12 @@ def _steady_record(
 ) -> tuple[RotorRecord, float]:
     """Return the record over azimuth of the longest part without a gap, and the time [s] at which it begins."""
     if not data_quality.gaps:
-        return rotor_record(run, geometry, source, max_harmonic), 0.0
+        return rotor_record(run, geometry, source, max_harmonic, remove_other_rotors=False), 0.0
     edges = [0, *(edge for gap in data_quality.gaps for edge in (gap.start, gap.stop)), run.samples]
     start, stop = max(zip(edges[::2], edges[1::2], strict=True), key=lambda part: part[1] - part[0])
     assert run.sample_rate is not None
-    return rotor_record(excerpt_run(run, start, stop), geometry, source, max_harmonic), start / run.sample_rate
+    part = excerpt_run(run, start, stop)
+    return rotor_record(part, geometry, source, max_harmonic, remove_other_rotors=False), start / run.sample_rate
 
 
 def _measured_system(

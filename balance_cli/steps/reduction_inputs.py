@@ -19,8 +19,8 @@ from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import ZeroRecord, zero_record
 from balance_cli.reduction.response_sources import ResponseSource, highest_frequency
 from balance_cli.reduction.result import RunLoads, TimeDomainResult
-from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.signals.rotor.harmonics import BELOW_NYQUIST
+from balance_cli.signals.rotor.other_rotors import rotor_azimuth
 
 if TYPE_CHECKING:
     from balance_cli.steps.reduce_in_time import TimeOptions, TimeReduction
@@ -40,12 +40,12 @@ def default_harmonics(geometry: Geometry) -> int:
     return blades * max(BLADE_MULTIPLES, ceil(LEAST_HARMONICS / blades))
 
 
-def harmonics_within_band(run: Run, source: ResponseSource, harmonics: int) -> int:
-    """Return how many of the harmonics of a run lie below half its sample rate and within the measured response."""
-    if run.pulse_times is None or run.sample_rate is None:
+def harmonics_within_band(run: Run, source: ResponseSource, harmonics: int, rotor: int = 1) -> int:
+    """Return how many harmonics of a rotor lie below half the sample rate of a run and within the measured response."""
+    if run.sample_rate is None:
         return harmonics
     try:
-        azimuth = azimuth_from_pulses(run.pulse_times)
+        azimuth = rotor_azimuth(run, rotor)
     except UserError:
         return harmonics  # the reduction reports it
     fastest = float(np.max(azimuth.speed(np.linspace(azimuth.first, azimuth.last, 2048))))

@@ -63,7 +63,11 @@ def survey_run(item: Item) -> RunSurvey:
     reduction = _reduction(item.reduction)
     run = run_header(item.path, reduction.geometry)
     wanted = default_harmonics(reduction.geometry)
-    possible = harmonics_within_band(run, reduction.source, wanted) if run.kind in ROTOR_KINDS else wanted
+    possible = (
+        harmonics_within_band(run, reduction.source, wanted, reduction.method.rotor)
+        if run.kind in ROTOR_KINDS
+        else wanted
+    )
     return RunSurvey(run.name, run.kind, possible)
 
 

@@ -6,7 +6,7 @@ constant frequency (mains, a pump, another rotor) is one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,11 +65,13 @@ def unmodelled_lines(
     n: int,
     interval: tuple[float, float],
     power_gain: PowerGain | None = None,
+    other_rotors: Sequence[Azimuth] = (),
 ) -> tuple[UnmodelledLine, ...]:
     """Return the lines of the named channels in an interval [s] that harmonics 0 to `n` do not contain.
 
     `power_gain` returns |T|^2 (k, c, m) of the channels at frequencies (k,) [Hz]: a light mode that gusts excite is as
     narrow as a line in a record of a few of its time constants, and is not one as far as the response explains it.
+    `other_rotors` are those whose lines were taken out of the run: what is left beside their harmonics is known.
     """
     assert run.sample_rate is not None
     first, last = (int(t * run.sample_rate) for t in interval)
@@ -86,7 +88,7 @@ def unmodelled_lines(
     order, over_azimuth = _spectrum_over_azimuth(turns, values)
     largest = _largest_harmonic(order, over_azimuth, n)
     frequency, over_time = _spectrum(values, run.sample_rate)
-    slowest, fastest = _speed_range(azimuth, time)
+    ranges = [_speed_range(item, time) for item in (azimuth, *other_rotors)]
     highest = BELOW_NYQUIST * 0.5 * run.sample_rate / speed
     rotor_lines = [
         UnmodelledLine(o * speed, round(o), names[c], a, True)
@@ -96,7 +98,7 @@ def unmodelled_lines(
     fixed_lines = [
         UnmodelledLine(f, f / speed, names[c], a, False)
         for f, c, a in _peaks(frequency, over_time, largest)
-        if f < highest * speed and not _beside_harmonic(f, slowest, fastest, SIDEBAND_BINS * frequency[1])
+        if f < highest * speed and not any(_beside_harmonic(f, *span, SIDEBAND_BINS * frequency[1]) for span in ranges)
     ]
     found = sorted(rotor_lines + fixed_lines, key=lambda line: -line.amplitude)
     if power_gain is not None:
@@ -146,7 +148,8 @@ def _resonance(line: UnmodelledLine, names: tuple[str, ...], width: float, power
 
 def _speed_range(azimuth: Azimuth, time: Array) -> tuple[float, float]:
     """Return the slowest and the fastest rotor speed [Hz] in the record."""
-    speed = azimuth.speed(np.linspace(time[0], time[-1], 1024))
+    first, last = max(time[0], azimuth.first), min(time[-1], azimuth.last)
+    speed = azimuth.speed(np.linspace(first, last, 1024))
     return float(np.min(speed)), float(np.max(speed))
 
 
