@@ -6,10 +6,15 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
+from click.testing import CliRunner
 
 from balance_cli.campaign.recording.additions import RunAdditions
 from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.recording.run_file import write_run
+from balance_cli.campaign.rig.geometry_file import save_geometry
+from balance_cli.cli import balance
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import UNMODELLED_LINE
@@ -95,3 +100,23 @@ def test_a_record_of_one_rotor_is_left_as_it_is():
     run = replace(two_rotor_run()[0], additions=None)
     same, confounded = without_other_rotors(run, azimuth_from_pulses(run.pulse_times), 1, 8, 0)
     assert same is run and confounded == ()
+
+
+def test_the_command_reduces_either_rotor(tmp_path):
+    geometry, run = other_rig("A"), two_rotor_run()[0]
+    save_geometry(tmp_path / "rig.yaml", geometry)
+    write_run(tmp_path / "wind.h5", run)
+
+    def call(*words):
+        return CliRunner().invoke(balance, [str(word) for word in words])
+
+    made = call("identify", "-g", tmp_path / "rig.yaml", "--method", "computed", "-o", tmp_path / "model.h5")
+    assert made.exit_code == 0, made.output
+    for rotor in (1, 2):
+        words = ("--model", tmp_path / "model.h5", tmp_path / "wind.h5", "--rotor", rotor, "--harmonics", 3)
+        result = call("reduce", *words, "-o", tmp_path / f"loads-{rotor}.csv", "--history", tmp_path / f"{rotor}")
+        assert result.exit_code == 0, result.output
+        table = pd.read_csv(tmp_path / f"loads-{rotor}.csv")
+        assert table["frequency_hz"].max() == pytest.approx(3 * SPEEDS[rotor - 1], rel=0.03)
+    refused = call("reduce", *words, "--method", "smoother", "-o", tmp_path / "loads.csv")
+    assert refused.exit_code == 2 and "--rotor" in refused.output

@@ -61,7 +61,9 @@ class RunResult:
 def survey_run(item: Item) -> RunSurvey:
     """Read what a run file holds beside its samples. Raises UserError where it is no run of this rig."""
     reduction = _reduction(item.reduction)
-    run = run_header(item.path, reduction.geometry)
+    # The header alone has no pulses of further rotors.
+    read = run_header if reduction.method.rotor == 1 else open_matching_run
+    run = read(item.path, reduction.geometry)
     wanted = default_harmonics(reduction.geometry)
     possible = (
         harmonics_within_band(run, reduction.source, wanted, reduction.method.rotor)

@@ -74,9 +74,7 @@ def unmodelled_lines(
     `other_rotors` are those whose lines were taken out of the run: what is left beside their harmonics is known.
     """
     assert run.sample_rate is not None
-    first, last = (int(t * run.sample_rate) for t in interval)
-    excess = max(0, last - first - LONGEST_RECORD) // 2
-    first, last = first + excess, last - excess
+    first, last = _examined_samples(run.sample_rate, interval)
     values = read_channels(run, names, first, last)
     time = np.arange(first, last) / run.sample_rate
     inside = (time >= azimuth.first) & (time <= azimuth.last)
@@ -105,6 +103,13 @@ def unmodelled_lines(
         spectra = _Spectra(names, order * speed, over_azimuth, frequency, over_time)
         found = [line for line in found if not _is_resonance(line, spectra, power_gain)]
     return tuple(found[:MOST_LINES])
+
+
+def _examined_samples(rate: float, interval: tuple[float, float]) -> tuple[int, int]:
+    """Return first sample and end of the middle of an interval [s], as far as it is examined."""
+    first, last = (int(t * rate) for t in interval)
+    excess = max(0, last - first - LONGEST_RECORD) // 2
+    return first + excess, last - excess
 
 
 @dataclass(frozen=True)
