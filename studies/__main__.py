@@ -14,6 +14,7 @@ from balance_cli.report.figure_style import save_picture
 from balance_cli.simulation import Noise, draw_rig, simulate_campaign
 from studies.attribution import attribution_chunk
 from studies.attribution_tables import attribution_table
+from studies.blind.judge import blind_chunk, blind_table
 from studies.calibration import calibration_chunk, calibration_table
 from studies.calibration_schedules import schedules_chunk, schedules_table
 from studies.cases import KINDS, case, count
@@ -179,6 +180,17 @@ def coverage_by_fault(seeds: int = 4, jobs: int = 1) -> None:
     table = fault_table(run_chunks("coverage-by-fault", fault_chunk, range(seeds), jobs))
     _write("coverage_by_fault", table)
     click.echo(table.to_string(index=False))
+
+
+@studies.command()
+@click.option("--campaigns", default=30, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def blind(campaigns: int = 30, jobs: int = 2) -> None:
+    """The commands on campaigns of drawn rigs, from a simulator that shares no code with the package."""
+    rows = run_chunks("blind", blind_chunk, range(campaigns), jobs)
+    _write("blind_campaigns", rows)
+    _write("blind", blind_table(rows))
+    click.echo(blind_table(rows).to_string(index=False))
 
 
 @studies.command()

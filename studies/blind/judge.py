@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -204,3 +205,33 @@ def causes_of(seed: int) -> tuple[Cause, ...]:
         count = 2 + kind % 2
         return tuple(LINEAR[i] for i in rng.choice(len(LINEAR), count, replace=False))
     return (UNKNOWN[kind - 24],)
+
+
+def blind_chunk(seed: int) -> pd.DataFrame:
+    """The row of one campaign, made and judged in a folder of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        return pd.DataFrame([blind_case(seed, causes_of(seed), Path(folder))])
+
+
+def blind_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Figures by kind of campaign: nothing hidden, one effect, several, an unknown cause."""
+    kinds = pd.cut(rows["seed"] % 30, [-1, 3, 19, 23, 29], labels=["nothing", "one effect", "several", "unknown cause"])
+    parts = []
+    for kind, part in rows.groupby(kinds, observed=True):
+        weight = part["unflagged"].fillna(0)
+        parts.append(
+            {
+                "kind": kind,
+                "campaigns": len(part),
+                "failed": int(part["failed"].fillna("").ne("").sum()),
+                "labels_right": f"{part['right'].sum():.0f} of {part['of'].sum():.0f}",
+                "explained": int(part["verdict"].isin(["explained", "nothing missing"]).sum()),
+                "unflagged": float(weight.sum() / part["rows"].sum()),
+                "coverage": float((part["coverage"].fillna(0) * weight).sum() / max(weight.sum(), 1)),
+                "worst_z": float(part["worst_z"].max()),
+                "median_cpu": float(part["cpu"].median()),
+                "largest_cpu": float(part["cpu"].max()),
+                "largest_memory": float(part["memory"].max()),
+            }
+        )
+    return pd.DataFrame(parts)

@@ -31,7 +31,7 @@ UNITS = ("N", "N", "N", "N m", "N m", "N m")
 # Loads have no content above half the rate; the ramp of a start leaves some up to the whole of it.
 OVERSAMPLING = 4
 # Time constants of the slowest mode before a record, so that nothing of the start is left in it.
-SETTLED = 11.0
+SETTLED = 16.0
 
 
 @dataclass(frozen=True)
