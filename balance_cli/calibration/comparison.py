@@ -60,15 +60,11 @@ def compare_calibrations(new: Calibration, old: Calibration) -> CalibrationCompa
 
     Raises UserError where one has no model of all trims, or they have other components or no channel in common.
     """
-    a, b = _model(new), _model(old)
-    if a.components != b.components:
-        fault = f"has the components {', '.join(b.components)}, not {', '.join(a.components)}"
-        raise UserError(fault, "--against", remedy="Give a calibration of the same balance")
+    a, b = calibration_model(new), calibration_model(old)
+    require_same_balance(a, b)
     names = tuple(name for name in a.channel_names if name in b.channel_names)
-    if not names:
-        raise UserError("has none of the channels", "--against", remedy="Give a calibration of the same balance")
     terms = tuple(dict.fromkeys((*a.terms, *b.terms)))
-    tables = [_at_range(model, terms, names, a.calibrated_range) for model in (a, b)]
+    tables = [coefficients_at_range(model, terms, names, a.calibrated_range) for model in (a, b)]
     (new_value, new_variance), (old_value, old_variance) = tables
     sigma = np.sqrt(new_variance + old_variance)
     dof = float(min(np.min(a.dof), np.min(b.dof)))
@@ -86,14 +82,24 @@ def compare_calibrations(new: Calibration, old: Calibration) -> CalibrationCompa
     )
 
 
-def _model(calibration: Calibration) -> CalibrationModel:
+def require_same_balance(new: CalibrationModel, old: CalibrationModel) -> None:
+    """Raise UserError where an older model has other components, or no channel of the newer one."""
+    if new.components != old.components:
+        fault = f"has the components {', '.join(old.components)}, not {', '.join(new.components)}"
+        raise UserError(fault, "--against", remedy="Give a calibration of the same balance")
+    if not set(new.channel_names) & set(old.channel_names):
+        raise UserError("has none of the channels", "--against", remedy="Give a calibration of the same balance")
+
+
+def calibration_model(calibration: Calibration) -> CalibrationModel:
+    """The model of all trims of a calibration; raises UserError where it has none."""
     if calibration.all_trims is None:
         fault = f"the calibration of {calibration.geometry.name} has no calibration model of all trims"
         raise UserError(fault, "--against", remedy="Give calibrations whose channels determine the loads in all trims")
     return calibration.all_trims.model
 
 
-def _at_range(
+def coefficients_at_range(
     model: CalibrationModel, terms: tuple[str, ...], names: tuple[str, ...], calibrated_range: Array
 ) -> tuple[Array, Array]:
     """Contributions (p, c) [V] of all terms at a calibrated range, and their variances; zero where a term is absent."""

@@ -16,6 +16,7 @@ from balance_cli.cli.common import (
     output_option,
     skip_bad_option,
 )
+from balance_cli.cli.earlier_calibrations import compare_with_earlier
 from balance_cli.cli.options import InputFile, OutputFile, deprecated_option, hold_out_option
 from balance_cli.cli.static_runs import (
     moment_center_option,
@@ -79,8 +80,10 @@ WITHOUT_MODEL = (
     "--against",
     "against",
     type=InputFile(),
+    multiple=True,
     metavar="OLD_CAL",
-    help="Say what changed since this calibration, coefficient by coefficient, with significance.",
+    help="Say what changed since this calibration, coefficient by coefficient, with significance. Repeatable, the "
+    "oldest first: then also a control chart over all of them, with a test for drift.",
 )
 @units_option
 @moment_center_option
@@ -125,8 +128,8 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
     if choices.linear_matrix is not None:
         session.write_text(choices.linear_matrix, linear_matrix_text(result, choices.linear_matrix))
     summary, text = calibration_summary(result), list(calibration_text(result))
-    if choices.against is not None:
-        summary["against"] = _compare(session, result, choices.against, text)
+    if choices.against:
+        summary |= compare_with_earlier(session, result, choices.against, output.name, text)
     session.finish(summary, text)
 
 
@@ -144,20 +147,7 @@ class _Choices:
     units: str | None
     moment_center: tuple[float, float, float] | None
     skip_bad: bool
-    against: Path | None
-
-
-def _compare(session: Session, result: Calibration, path: Path, text: list[str]) -> dict[str, Any]:
-    """Compare with an earlier calibration, add lines to the text, and return the summary."""
-    from balance_cli.calibration.comparison import compare_calibrations
-    from balance_cli.calibration.result import Calibration
-    from balance_cli.cli.comparison_summary import comparison_summary, comparison_text
-
-    # After the result was saved: it does not depend on what it is compared with.
-    old = session.artefact(path, {CALIBRATION_FORMAT: Calibration}, "calibration")
-    comparison = compare_calibrations(result, old.content)
-    text += comparison_text(comparison, path.name)
-    return comparison_summary(comparison, path.name)
+    against: tuple[Path, ...]
 
 
 def _warn(session: Session, result: Calibration) -> None:

@@ -1,0 +1,173 @@
+"""Control chart of the coefficients of a balance over many calibrations: scatter, drift, and the newest against limits.
+
+Each coefficient has a value and a standard error in every calibration. Three questions are answered for it
+(NIST/SEMATECH e-Handbook of Statistical Methods, sections 2.2 and 6.3; Shewhart, 1931):
+
+- Do the calibrations differ by more than their errors? Chi-square about the weighted mean.
+- Does it drift? A weighted straight line over the calibrations in their order. Where the scatter about it exceeds the
+  errors, its standard error is that of the scatter.
+- Is the newest within the limits of the earlier ones? Mean and standard deviation of these, with the probability of the
+  three-sigma limits of Shewhart for as few as there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.comparison import calibration_model, coefficients_at_range, require_same_balance
+from balance_cli.calibration.result import Calibration
+from balance_cli.signals import distributions as stats
+
+Array = NDArray[np.float64]
+
+MIN_CALIBRATIONS = 3
+"""Calibrations that a drift with a residual needs: a line through two leaves no degree of freedom."""
+SIGNIFICANCE_LEVEL = 0.01
+"""Probability that any coefficient of an unchanged balance is said to drift (Bonferroni over all of them)."""
+EXCESS_SCATTER_P_VALUE = 0.05
+"""P-value of the scatter about the line below which it replaces the stated errors."""
+LIMIT_P_VALUE = 0.0027
+"""Probability that an unchanged coefficient is beyond its limits: that of three standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientHistory:
+    """One coefficient of a channel over n calibrations, as reading at the newest calibrated range.
+
+    `values` (n,) and `sigma` (n,), NaN where the calibration does not state its errors; `mean`: weighted. `scatter_p`:
+    p-value of chi-square about the mean. `drift` per calibration with `drift_sigma` and `drift_p`. `low` and `high`:
+    limits of the newest by the earlier ones. NaN where the calibrations do not tell.
+    """
+
+    channel: str
+    term: str
+    unit: str
+    values: Array
+    sigma: Array
+    mean: float
+    scatter_p: float
+    drift: float
+    drift_sigma: float
+    drift_p: float
+    low: float
+    high: float
+
+    @property
+    def is_out_of_control(self) -> bool:
+        """Whether the newest value is beyond its limits."""
+        return bool(self.values[-1] < self.low or self.values[-1] > self.high)
+
+
+@dataclass(frozen=True)
+class ControlChart:
+    """All coefficients over the calibrations `names`, the oldest first, by rising p-value of their drift."""
+
+    names: tuple[str, ...]
+    coefficients: tuple[CoefficientHistory, ...]
+
+    @property
+    def drifting(self) -> tuple[CoefficientHistory, ...]:
+        """The coefficients whose drift is significant."""
+        limit = SIGNIFICANCE_LEVEL / max(len(self.coefficients), 1)
+        return tuple(each for each in self.coefficients if each.drift_p < limit)
+
+    @property
+    def out_of_control(self) -> tuple[CoefficientHistory, ...]:
+        """The coefficients whose newest value is beyond the limits of the earlier ones."""
+        return tuple(each for each in self.coefficients if each.is_out_of_control)
+
+
+def control_chart(named: Sequence[tuple[str, Calibration]]) -> ControlChart:
+    """Make the control chart of calibrations of one balance, by name, the oldest first.
+
+    Raises UserError where one has no model of all trims, or is of another balance.
+    """
+    models = [calibration_model(calibration) for _, calibration in named]
+    newest = models[-1]
+    for model in models:
+        require_same_balance(newest, model)
+    channels = tuple(name for name in newest.channel_names if all(name in model.channel_names for model in models))
+    terms = tuple(dict.fromkeys(term for model in models for term in model.terms))
+    tables = [coefficients_at_range(model, terms, channels, newest.calibrated_range) for model in models]
+    values, variances = (np.stack(part) for part in zip(*tables, strict=True))
+    units = {channel.name: channel.reading_unit for channel in named[-1][1].geometry.channels}
+    dof = min(float(np.min(model.dof)) for model in models)
+    histories = [
+        _history((channel, terms[i], units[channel]), values[:, i, c], variances[:, i, c], dof)
+        for c, channel in enumerate(channels)
+        for i in range(len(terms))
+        if np.any(values[:, i, c] != 0.0)
+    ]
+    ranked = sorted(histories, key=lambda each: np.nan_to_num(each.drift_p, nan=2.0))
+    return ControlChart(tuple(name for name, _ in named), tuple(ranked))
+
+
+def _history(key: tuple[str, str, str], values: Array, variance: Array, dof: float) -> CoefficientHistory:
+    """Statistics of one coefficient (n,); a calibration without a term has the value 0 and the errors of the others."""
+    absent, known = values == 0.0, variance > 0
+    typical = float(np.mean(variance[known])) if known.any() else float("nan")
+    variance = np.where(known, variance, np.where(absent, typical, np.nan))
+    if np.isfinite(variance).all() and len(values) >= MIN_CALIBRATIONS:
+        mean, scatter_p = _scatter(values, variance)
+        drift = _drift(values, variance, dof)
+        limits = _limits(values[:-1], variance)
+    else:
+        mean, scatter_p, drift, limits = float(np.mean(values)), float("nan"), (float("nan"),) * 3, (float("nan"),) * 2
+    return CoefficientHistory(*key, values, np.sqrt(variance), mean, scatter_p, *drift, *limits)
+
+
+def _scatter(values: Array, variance: Array) -> tuple[float, float]:
+    """Weighted mean, and p-value of the chi-square about it."""
+    mean = float(np.average(values, weights=1.0 / variance))
+    chi2 = float(np.sum((values - mean) ** 2 / variance))
+    return mean, float(stats.chi2.sf(chi2, len(values) - 1))
+
+
+def _drift(values: Array, variance: Array, dof: float) -> tuple[float, float, float]:
+    """Slope per calibration, its standard error, and the p-value of no drift."""
+    n = len(values)
+    line = np.column_stack([np.ones(n), np.arange(n)]) / np.sqrt(variance)[:, None]
+    inverse = np.linalg.inv(line.T @ line)
+    coefficients = inverse @ (line.T @ (values / np.sqrt(variance)))
+    chi2 = float(np.sum((values / np.sqrt(variance) - line @ coefficients) ** 2))
+    exceeds = float(stats.chi2.sf(chi2, n - 2)) < EXCESS_SCATTER_P_VALUE
+    sigma = float(np.sqrt(inverse[1, 1] * (chi2 / (n - 2) if exceeds else 1.0)))
+    t = abs(float(coefficients[1])) / sigma
+    return float(coefficients[1]), sigma, float(2.0 * stats.t.sf(t, n - 2 if exceeds else dof))
+
+
+def _limits(earlier: Array, variance: Array) -> tuple[float, float]:
+    """Limits of the newest value by the earlier ones (n - 1,), for its own error and their scatter."""
+    n = len(earlier)
+    mean, scatter = float(np.mean(earlier)), float(np.var(earlier, ddof=1))
+    own = float(np.mean(variance[:-1]))
+    exceeds = float(stats.chi2.sf((n - 1) * scatter / own, n - 1)) < EXCESS_SCATTER_P_VALUE
+    factor = float(stats.t.isf(0.5 * LIMIT_P_VALUE, n - 1)) if exceeds else float(stats.norm.isf(0.5 * LIMIT_P_VALUE))
+    # Beside the scatter from calibration to calibration the newest has its own error.
+    new = max(scatter - own, 0.0) + float(variance[-1]) if exceeds else float(variance[-1])
+    half = factor * float(np.sqrt(new + (scatter if exceeds else own) / n))
+    return mean - half, mean + half
+
+
+def chart_rows(chart: ControlChart) -> Iterator[dict[str, object]]:
+    """The coefficients as rows of plain values, for JSON and tables."""
+    for each in chart.coefficients:
+        yield {
+            "channel": each.channel,
+            "term": each.term,
+            "unit": each.unit,
+            "values": each.values.tolist(),
+            "sigma": each.sigma.tolist(),
+            "mean": each.mean,
+            "scatter_p": each.scatter_p,
+            "drift": each.drift,
+            "drift_sigma": each.drift_sigma,
+            "drift_p": each.drift_p,
+            "low": each.low,
+            "high": each.high,
+            "out_of_control": each.is_out_of_control,
+        }
