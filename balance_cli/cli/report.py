@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,8 +10,11 @@ import click
 
 from balance_cli.cli.common import InputFile, OutputFile, Session, balance_command, output_option
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import RUN_FORMAT
+from balance_cli.io.sniff import sniff_format
 
 if TYPE_CHECKING:
+    from balance_cli.campaign.recording.run import Run
     from balance_cli.report.page import Page
     from balance_cli.report.sources import Sources
 
@@ -19,43 +22,87 @@ PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 @balance_command("report")
-@click.argument("artefacts", type=InputFile(), nargs=-1, required=True, metavar="ARTEFACT...")
+@click.argument("artefacts", type=InputFile(), nargs=-1, required=True, metavar="ARTEFACT... [RUN...]")
 @click.option(
     "--picture",
     type=OutputFile(),
     metavar="FILE",
-    help="Also write the comparison of the methods on the check runs as .png, .svg or .pdf.",
+    help="Also write one picture: NAME.svg of a figure of the page (--json lists the names); any other name, as .png, "
+    ".svg or .pdf: the comparison of the methods on the check runs.",
 )
+@click.option("--pdf", type=OutputFile(), metavar="FILE", help="Also print the page to a PDF, with Chromium or Chrome.")
+@click.option("--open", "open_page", is_flag=True, help="Show the page in the browser when it is written.")
 @output_option("REPORT.html", "The page, one self-contained file.")
-def command(session: Session, artefacts: tuple[Path, ...], picture: Path | None, output: Path) -> None:
+def command(
+    session: Session,
+    artefacts: tuple[Path, ...],
+    picture: Path | None,
+    pdf: Path | None,
+    open_page: bool,
+    output: Path,
+) -> None:
     """One self-contained page with pictures, from artefacts alone.
 
     Any artefacts can be given; each adds its sections to the page. Models, measured responses and loads given together
-    are compared with each other.
+    are compared with each other. Run files among them add their channels and spectra.
     """
+    from balance_cli.cli.browser import print_pdf, show_page
     from balance_cli.report.page import build_page
     from balance_cli.report.sources import ARTEFACT_TYPES, group_sources
 
-    _check_names(output, picture)
-    paths = session.progress(artefacts, "artefacts", len(artefacts))
-    report_sources = group_sources([(path, session.artefact(path, ARTEFACT_TYPES)) for path in paths])
+    _check_names(output, picture, pdf)
+    run_paths = [path for path in artefacts if sniff_format(path) == RUN_FORMAT]
+    paths = session.progress([path for path in artefacts if path not in run_paths], "artefacts", len(artefacts))
+    read_artefacts = [(path, session.artefact(path, ARTEFACT_TYPES)) for path in paths]
+    report_sources = group_sources(read_artefacts, _open_runs(session, run_paths))
     html_page = build_page(report_sources)
     session.stage(output).write_text(html_page.html, encoding="utf-8")
     if picture is not None:
-        _draw_comparison(session, picture, report_sources)
+        _write_picture(session, picture, html_page, report_sources)
+    if pdf is not None:
+        session.stage(pdf).write_bytes(print_pdf(html_page.html))
+    if open_page:
+        # The page is moved to its place when the command has returned.
+        click.get_current_context().call_on_close(lambda: show_page(output))
     session.finish(
         {"sections": html_page.sections, "figures": html_page.pictures, "artefacts": _source_labels(report_sources)},
         _report_text(html_page, report_sources),
     )
 
 
-def _check_names(output: Path, picture: Path | None) -> None:
+def _open_runs(session: Session, paths: Sequence[Path]) -> list[Run]:
+    """Open run files of one name each and record them as inputs."""
+    from balance_cli.campaign.recording.run_file import open_run, require_disjoint
+
+    runs: list[Run] = []
+    for path in paths:
+        run = open_run(path)
+        require_disjoint([run], runs)
+        session.record_input(run.name, "run", run.digest)
+        runs.append(run)
+    return runs
+
+
+def _check_names(output: Path, picture: Path | None, pdf: Path | None) -> None:
     if output.suffix.lower() not in (".html", ".htm"):
         raise UserError("the page is written as .html", str(output), remedy="Give a name that ends in .html")
     if picture is not None and picture.suffix.lower() not in PICTURE_SUFFIXES:
         raise UserError(
             "a picture is written as .png, .svg or .pdf", str(picture), remedy="Give a name with one of these endings"
         )
+    if pdf is not None and pdf.suffix.lower() != ".pdf":
+        raise UserError("the printed page is a .pdf", str(pdf), remedy="Give a name that ends in .pdf")
+
+
+def _write_picture(session: Session, picture: Path, html_page: Page, report_sources: Sources) -> None:
+    """Write the figure of the page that has the name of the file; otherwise the comparison of the methods."""
+    from balance_cli.report.single_picture import picture_svg
+
+    named = next((block for block in html_page.picture_blocks if block.name == picture.stem), None)
+    if named is None or picture.suffix.lower() != ".svg":
+        _draw_comparison(session, picture, report_sources)
+    else:
+        session.write_text(picture, picture_svg(named))
 
 
 def _draw_comparison(session: Session, picture: Path, report_sources: Sources) -> None:

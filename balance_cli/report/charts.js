@@ -31,11 +31,15 @@ function drawMarks(u, marks) {
   ctx.beginPath(); ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height); ctx.clip();
   ctx.strokeStyle = ctx.fillStyle = css("--soft");
   ctx.lineWidth = k * 0.8; ctx.setLineDash([4 * k, 4 * k]); ctx.font = `${10 * k}px sans-serif`;
+  ctx.textAlign = "left"; ctx.textBaseline = "alphabetic";
+  let free = 0;  // a label that would cover another is left out
   for (const [x, label] of marks) {
     const at = Math.round(u.valToPos(x, "x", true));
     if (at < bbox.left || at > bbox.left + bbox.width) continue;
     ctx.beginPath(); ctx.moveTo(at, bbox.top); ctx.lineTo(at, bbox.top + bbox.height); ctx.stroke();
-    if (label) ctx.fillText(label, at + 3 * k, bbox.top + 10 * k);
+    if (!label || at < free) continue;
+    ctx.fillText(label, at + 3 * k, bbox.top + 10 * k);
+    free = at + 6 * k + ctx.measureText(label).width;
   }
   ctx.restore();
 }
@@ -61,30 +65,46 @@ function tickNumbers(u, splits) {
   return splits.map(v => v == null ? "" : Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(0) : text(v));
 }
 function axis(label, log) {
-  return {label, labelSize: 18, labelFont: "12px sans-serif", font: "11px sans-serif", stroke: () => css("--soft"),
+  // uPlot takes an undefined option for a given one; its own logarithmic ticks need limits at powers of ten.
+  const splits = log ? {splits: decades} : {};
+  return {...(/^phase/.test(label) ? {incrs: [10, 30, 90, 180]} : {}), ...splits,
+    label, labelSize: 18, labelFont: "12px sans-serif", font: "11px sans-serif", stroke: () => css("--soft"),
     grid: {stroke: () => css("--line"), width: 1}, ticks: {stroke: () => css("--line"), width: 1},
-    size: log === null ? 34 : 62, gap: 3, values: tickNumbers,
-    filter: log ? (u, splits) => {
-      const few = Math.log10(u.scales.y.max / u.scales.y.min) < 2;
-      return splits.map(v => { const m = v / 10 ** Math.floor(Math.log10(v) + 1e-9);
-        return Math.abs(m - 1) < 1e-6 || (few && (Math.abs(m - 2) < 1e-6 || Math.abs(m - 5) < 1e-6)) ? v : null; });
-    } : undefined};
+    size: log === null ? 34 : 62, gap: 3, values: tickNumbers};
 }
-function range(plot) {
+function decades(u, axis, low, high) {  // 1, or 1, 2 and 5 where there are few decades
+  const factors = high / low < 100 ? [1, 2, 5] : [1], out = [];
+  for (let p = Math.floor(Math.log10(low)); p <= Math.ceil(Math.log10(high)); p++)
+    for (const f of factors) { const v = f * 10 ** p; if (v >= low && v <= high) out.push(v); }
+  return out;
+}
+function range(plot, get) {
   if (plot.lim) return () => plot.lim;
-  if (!plot.log) return (u, low, high) => low == null ? [0, 1] : low === high ? [low - 1, high + 1]
-    : [low - 0.05 * (high - low), high + 0.05 * (high - low)];
-  return (u, low, high) => low == null ? [0.1, 1] : [Math.max(low, high * 1e-6) / 1.2, high * 1.2];
+  if (!plot.log) return (u, low, high) => {
+    if (low == null) return [0, 1];
+    const [from, to] = u.series[0].idxs || [0, u.data[0].length - 1];
+    plot.traces.forEach((t, i) => {
+      if (!t.b || !u.series[i + 1].show) return;
+      const below = get(t.b[0]), above = get(t.b[1]);
+      for (let j = from; j <= to; j++) {
+        if (below[j] != null) low = Math.min(low, below[j]);
+        if (above[j] != null) high = Math.max(high, above[j]);
+      }
+    });
+    const spare = low === high ? Math.abs(low) * 0.01 || 1 : 0.05 * (high - low);
+    return [low - spare, high + spare];
+  };
+  return (u, low, high) => low == null || !(high > 0) ? [0.1, 1] : [Math.max(low, high * 1e-6) / 1.2, high * 1.2];
 }
 function options(plot, width, chart, get) {
   const unit = /\[(.*)\]/.exec(plot.yl), suffix = unit ? ` ${unit[1]}` : "";
-  return {width, height: plot.h, scales: {x: {time: false}, y: {distr: plot.log ? 3 : 1, range: range(plot)}},
+  return {width, height: plot.h, scales: {x: {time: false}, y: {distr: plot.log ? 3 : 1, range: range(plot, get)}},
     axes: [axis(plot.xl, null), axis(plot.yl, plot.log)],
-    cursor: {drag: {x: true, y: true, uni: 24}, sync: chart.link ? {key: chart.link, scales: ["x", null]} : undefined,
+    cursor: {drag: {x: true, y: true, uni: 24}, ...(chart.link ? {sync: {key: chart.link, scales: ["x", null]}} : {}),
       points: {size: 6}},
     legend: {live: true},
     series: [{label: plot.xl.replace(/ \[.*/, ""), value: (u, v) => v == null ? "–" : text(v) + ((/\[(.*)\]/.exec(plot.xl) || ["", ""])[1] ? ` ${/\[(.*)\]/.exec(plot.xl)[1]}` : "")},
-      ...plot.traces.map(t => ({label: t.l, stroke: () => theme(t.c), width: t.p ? 0 : t.w, dash: t.d, spanGaps: false,
+      ...plot.traces.map(t => ({label: t.l, stroke: () => theme(t.c), width: t.p ? 0 : t.w, ...(t.d ? {dash: t.d} : {}), spanGaps: false,
         points: t.p ? {show: true, size: 6, fill: theme(t.c)} : {show: false},
         value: (u, v) => v == null ? "–" : text(v) + suffix}))],
     hooks: {drawAxes: [u => { drawMarks(u, plot.marks); drawBands(u, plot, get); }],

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +15,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from balance_cli.report.inline_svg import inline_svg
+
 # Colors of Okabe and Ito (Color Universal Design, 2008); EXTRA_COLORS are from Tol's muted scheme.
 BLACK, GRAY, ORANGE, SKY, GREEN = "#222222", "#8a8a8a", "#e69f00", "#56b4e9", "#009e73"
 YELLOW, BLUE, VERMILION, PURPLE = "#d6c61a", "#0072b2", "#d55e00", "#cc79a7"
 EXTRA_COLORS = ("#882255", "#999933", "#44aa99", "#332288", "#aa4499")
-SCREEN_PIXELS = 192
-"""Resolution of rasterized curves [1/inch]: about twice that of a screen."""
+SCREEN_PIXELS = 130
+"""Resolution of rasterized curves [1/inch]: between one and two times that of a screen."""
 
 PICTURE_PIXELS = 180
 """Resolution of a picture in its own file [1/inch]: fits the width of a page at screen size."""
@@ -97,7 +97,7 @@ def svg(name: str, description: str, draw: Callable[[], Figure]) -> str:
         figure = draw()
         buffer = io.StringIO()
         figure.savefig(buffer, format="svg", dpi=SCREEN_PIXELS, metadata=dict.fromkeys(("Date", "Creator", "Format")))
-    return _inline_svg(buffer.getvalue(), description)
+    return inline_svg(buffer.getvalue(), name, description)
 
 
 def save_picture(path: Path, name: str, draw: Callable[[], Figure], file_format: str) -> None:
@@ -105,29 +105,6 @@ def save_picture(path: Path, name: str, draw: Callable[[], Figure], file_format:
     date_field = {"png": "Software", "pdf": "CreationDate"}.get(file_format, "Date")
     with figure_style(name):
         draw().savefig(path, format=file_format, dpi=PICTURE_PIXELS, metadata={date_field: None}, facecolor="white")
-
-
-LONG_DECIMALS = re.compile(r"(\d+\.\d{2})\d+")
-COORDINATES = re.compile(r'\b(?:d|x|y|width|height|transform|points)="[^"]*"')
-UNUSED_ID = re.compile(
-    r' id="(?:figure|axes|patch|line2d|text|matplotlib\.axis|xtick|ytick|legend|Line|Fill|image)[^"]*"'
-)
-
-
-def _inline_svg(text: str, description: str) -> str:
-    """The `svg` element alone: no prologue, metadata or unused ids; coordinates to hundredths of a point."""
-    text = text[text.index("<svg") :]
-    text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r"<!--.*?-->\s*", "", text)
-    text = UNUSED_ID.sub("", text)
-    text = COORDINATES.sub(lambda match: LONG_DECIMALS.sub(r"\1", match.group()), text)
-    text = re.sub(r"\n\s*", "\n", text)
-    box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text)
-    assert box is not None
-    width = 4.0 / 3.0 * float(box.group(1))
-    opening = f'<svg viewBox="{box.group(0)[9:-1]}" style="width:{width:.0f}px" role="img"'
-    names = ' xmlns:xlink="http://www.w3.org/1999/xlink" xmlns="http://www.w3.org/2000/svg"'
-    return f'{opening} aria-label="{escape(description)}"{names}>{text[text.index(">") + 1 :]}'
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from balance_cli.reduction.choices import LOAD_MODEL_TEXTS
 from balance_cli.reduction.kalman.load_history import LoadTrack
 from balance_cli.reduction.result import HubLoads, RunLoads, TimeDomainResult
 from balance_cli.report.blocks import (
+    Chart,
     Details,
     Heading,
     PageBlock,
     Paragraph,
-    Picture,
     Row,
     Section,
     Table,
     TableCell,
     group_heading_row,
 )
-from balance_cli.report.figure_style import svg
 from balance_cli.report.number_format import MISSING_VALUE, format_fixed, format_significant
 from balance_cli.report.sources import Source, Sources
-from balance_cli.report.track_figures import HARMONICS_SHOWN, track_figure
+from balance_cli.report.track_plots import HARMONICS_SHOWN, track_plots
 
 LARGE_NIS_FACTOR = 1.25
 """Factor by which NIS may differ from one before it is marked: sigma is then wrong by an eighth."""
@@ -103,21 +101,16 @@ def _track_pictures(load_sources: Sequence[Source[HubLoads]]) -> Iterator[PageBl
     for source, run, track in _tracks(load_sources):
         title = f"{run.run} by {source.label}"
         name = f"in-time-{load_sources.index(source) + 1}-{run.run}"
-        picture = Picture(
-            name,
-            f"{title}. Above: mean of each revolution, with one sigma of the load at an instant. Below: amplitudes of "
-            f"the {HARMONICS_SHOWN} strongest harmonics of each component with one sigma, less their means, which the "
-            "legend states. Dashed: limits of the steady part, to which the table of loads refers.",
-            svg(name, f"Mean loads and amplitudes over time, {title}", _draw_track(run, track)),
+        caption = (
+            f"{title}. Mean of each revolution, with one sigma of the load at an instant; then amplitudes of the "
+            f"{HARMONICS_SHOWN} strongest harmonics of each component with one sigma, less their means, which the "
+            "legend states. Dashed: limits of the steady part, to which the table of loads refers."
         )
+        picture = Chart.single(name, caption, track_plots(run, track), f"time-{run.run}")
         if first:
             yield Heading("Loads from revolution to revolution")
         yield picture if first else Details(title, (picture,))
         first = False
-
-
-def _draw_track(run: RunLoads, track: LoadTrack) -> Callable[[], Figure]:
-    return lambda: track_figure(run, track)
 
 
 def _tracks(load_sources: Sequence[Source[HubLoads]]) -> Iterator[tuple[Source[HubLoads], RunLoads, LoadTrack]]:

@@ -17,6 +17,7 @@ from balance_cli.report import (
     in_time,
     parameters,
     provenance,
+    raw_runs,
     responses,
     summary,
     transfer,
@@ -36,6 +37,7 @@ SCRIPTS = ("vendor/uPlot.iife.min.js", "charts.js", "tables.js")
 SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
     summary.section,
     wind_on.section,
+    raw_runs.section,
     in_time.section,
     diagnosis.section,
     frequencies.section,

@@ -22,6 +22,7 @@ from balance_cli.report.blocks import (
     TableCell,
     group_heading_row,
 )
+from balance_cli.report.bode_chart import bode_chart
 from balance_cli.report.figure_style import svg
 from balance_cli.report.force_responses import (
     ERROR_BAND,
@@ -36,7 +37,9 @@ from balance_cli.report.force_responses import (
     sensors,
 )
 from balance_cli.report.number_format import format_percent, join_names
+from balance_cli.report.plots import Marker, rotor_markers
 from balance_cli.report.response_figures import Panel, component_figure, detail_figure
+from balance_cli.report.source_roles import SourceRole
 from balance_cli.report.sources import Source, Sources
 from balance_cli.signals.response.transfer import Transfer, response_components, response_to_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
@@ -47,6 +50,8 @@ RESPONSE_NOISE_FACTOR = 1.5
 """An error up to this factor times the noise counts as noise."""
 MAX_RELATIVE_NOISE = 0.5
 """A channel whose relative noise is above this is not informative and printed in gray."""
+CHART_ROLES = (SourceRole.COMPUTED, SourceRole.IDENTIFIED, SourceRole.UPDATED, SourceRole.PAPER, SourceRole.LS)
+"""Models of the interactive chart, those that tell most first."""
 PAPER_PAIRS = (("x", "Fx"), ("x", "My"), ("y1", "Fy"), ("z1", "Fz"))
 """Pairs of cell and component in figure 14 of the paper."""
 
@@ -93,7 +98,7 @@ def section(sources: Sources) -> Section | None:
     compared = comparisons(sources)
     blocks: list[PageBlock] = [Paragraph(_introduction(compared))]
     if sources.models:
-        blocks += [*_paper_picture(compared), error_table(compared)]
+        blocks += [*_bode_blocks(sources, compared), error_table(compared)]
     blocks.append(Heading("All cells and components"))
     blocks += [_component_picture(comparison) for comparison in compared]
     if sources.models:
@@ -138,14 +143,28 @@ def _component_picture(comparison: Comparison) -> Picture:
     return Picture(name, caption, svg(name, caption, lambda: component_figure(panels)))
 
 
-def _paper_picture(compared: Sequence[Comparison]) -> Iterator[Picture]:
-    """The pairs of figure 14 of the paper where this rig has them, else the strongest cell of each component."""
+def _bode_blocks(sources: Sources, compared: Sequence[Comparison]) -> Iterator[PageBlock]:
+    """Yield the chart of all pairs.
+
+    First, and in print, come the pairs of figure 14 of the paper where this rig has them, else the strongest cell of
+    each component.
+    """
     panels = {(panel.sensor, panel.component): panel for comparison in compared for panel in _panels(comparison)}
     pairs = [pair for pair in PAPER_PAIRS if pair in panels] or _strongest_pairs(panels)
     if pairs:
         shown_panels = tuple(panels[pair] for pair in pairs)
         caption = "Fit of " + join_names([f"{sensor}/{component}" for sensor, component in pairs]) + "."
-        yield Picture("fit", caption, svg("fit", caption, lambda: detail_figure(shown_panels)))
+        markup = svg("fit", caption, lambda: detail_figure(shown_panels))
+        ordered = [*shown_panels, *(panel for pair, panel in panels.items() if pair not in pairs)]
+        by_role = [source.label for role in CHART_ROLES for source in sources.models if source.role is role]
+        yield bode_chart(ordered, by_role, rotor_lines(compared[0].geometry, *PLOT_BAND), markup)
+
+
+def rotor_lines(geometry: Geometry, low: float, high: float) -> tuple[Marker, ...]:
+    """Return the multiples of the nominal rotor speed within low to high [Hz]; empty where no rotor is declared."""
+    if geometry.rotor is None:
+        return ()
+    return rotor_markers(geometry.rotor.speed, low, high, geometry.rotor.blades)
 
 
 def _strongest_pairs(panels: dict[tuple[str, str], Panel]) -> list[tuple[str, str]]:

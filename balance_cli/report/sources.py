@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.result import Diagnosis
 from balance_cli.estimation.identified_model import IdentifiedModel
@@ -50,13 +51,14 @@ class Source(Generic[T]):
 
 @dataclass(frozen=True)
 class Sources:
-    """All artefacts of a page, each kind in the order in which it is shown."""
+    """All artefacts of a page, each kind in the order in which it is shown, and the run files given with them."""
 
     calibrations: tuple[Source[Calibration], ...] = ()
     transfers: tuple[Source[Transfer], ...] = ()
     models: tuple[Source[IdentifiedModel], ...] = ()
     diagnoses: tuple[Source[Diagnosis], ...] = ()
     loads: tuple[Source[HubLoads], ...] = ()
+    runs: tuple[Run, ...] = ()
 
     @property
     def all_sources(self) -> tuple[Source[Any], ...]:
@@ -74,7 +76,7 @@ class Sources:
         return tuple(different)
 
 
-def group_sources(artefacts: Sequence[tuple[Path, Artefact]]) -> Sources:
+def group_sources(artefacts: Sequence[tuple[Path, Artefact]], runs: Sequence[Run] = ()) -> Sources:
     """Sort artefacts by kind and give each its label; equal labels are completed by the names of the files."""
     by_format: dict[str, list[Source[Any]]] = {format: [] for format in ARTEFACT_TYPES}
     for path, artefact in artefacts:
@@ -89,6 +91,7 @@ def group_sources(artefacts: Sequence[tuple[Path, Artefact]]) -> Sources:
         models=tuple(replace(source, plot_style=plot_styles[source.label]) for source in models),
         diagnoses=_label_sources(by_format[DIAGNOSIS_FORMAT], "diagnosis"),
         loads=tuple(replace(source, plot_style=plot_styles[source.label]) for source in loads),
+        runs=tuple(runs),
     )
 
 

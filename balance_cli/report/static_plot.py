@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 
 WIDTH, HEIGHT = 380.0, 200.0
 LEFT, RIGHT, TOP, BOTTOM = 54.0, 8.0, 20.0, 34.0
-STATIC_BINS = 190
-"""Bins of a static curve: with minimum and maximum of each, as many points as the plot is wide."""
+STATIC_BINS = 120
+"""Bins of a static curve: with minimum and maximum of each, a point for every 1.5 px of the plot."""
 LETTER = 5.2
 """Mean width of a letter of the legend [px at a font of 10 px]."""
 
@@ -77,11 +77,13 @@ def _grid(plot: Plot, x: Scale, y: Scale, box: tuple[float, float, float, float]
 
 
 def _markers(plot: Plot, x: Scale, box: tuple[float, float, float, float]) -> Iterator[str]:
+    free = 0.0
     for marker in plot.markers:
         if x.low <= marker.x <= x.high:
             place = x.at(marker.x)
             yield f'<path class="mark" stroke-dasharray="3 3" d="M{place:.1f} {box[1]:g}V{box[3]:g}"/>'
-            if marker.label:
+            if marker.label and place >= free:
+                free = place + 4 + LETTER * len(marker.label)
                 yield f'<text x="{place + 2:.1f}" y="{box[1] + 8:g}" font-size="8">{escape(marker.label)}</text>'
 
 

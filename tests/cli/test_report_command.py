@@ -2,9 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.cli import balance
 from balance_cli.io.artefacts import Provenance, save_artefact
 from tests.support.report_content import campaign, loads, model
@@ -82,3 +85,30 @@ def test_other_names_than_html_are_refused(files, tmp_path):
 def test_a_picture_without_check_runs_is_refused(files, tmp_path):
     result = call(files[0], "-o", tmp_path / "r.html", "--picture", tmp_path / "r.png")
     refused(result, tmp_path, "--picture", "check runs")
+
+
+def write_wind_run(path, rate=512.0, speed=10.0):
+    time = np.arange(2048) / rate
+    samples = np.stack([np.sin(2 * np.pi * speed * time), 0.5 + 0.1 * np.cos(2 * np.pi * 4 * speed * time)], axis=1)
+    source = MemorySource(samples, None)
+    pulses = np.arange(0.0, time[-1], 1.0 / speed)
+    run = Run("wind-9", "any", "wind", ("a", "b"), len(time), source, False, rate, speed, pulse_times=pulses)
+    write_run(path, run)
+
+
+def test_run_files_add_their_channels_and_spectra(files, tmp_path):
+    write_wind_run(tmp_path / "run.h5")
+    summary, figure = tmp_path / "s.json", tmp_path / "run-spectra.svg"
+    result = call(*files, tmp_path / "run.h5", "-o", tmp_path / "r.html", "--json", summary, "--picture", figure)
+    assert result.exit_code == 0, result.output
+    assert "runs" in json.loads(summary.read_text())["sections"]
+    drawn = figure.read_text(encoding="utf-8")
+    assert ">1/rev<" in drawn and "amplitude [V]" in drawn
+    twice = call(files[0], tmp_path / "run.h5", tmp_path / "run.h5", "-o", tmp_path / "t.html")
+    assert twice.exit_code == 2 and "wind-9" in twice.output
+
+
+def test_a_pdf_without_a_browser_is_refused(files, tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    result = call(files[0], "-o", tmp_path / "r.html", "--pdf", tmp_path / "r.pdf")
+    refused(result, tmp_path, "--pdf", "Install Chromium")

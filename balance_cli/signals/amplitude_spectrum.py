@@ -1,0 +1,31 @@
+"""The amplitude spectrum of a record: what a sine of each frequency in it measures."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
+
+Array = NDArray[np.float64]
+
+
+def amplitude_spectrum(samples: Array, sample_rate: float, longest: int = 16384) -> tuple[Array, Array]:
+    """Return frequencies (k,) [Hz] and amplitudes (k, c) of samples (n, c), without their mean.
+
+    Root mean square over half-overlapping segments of at most `longest` samples with a Hann window, scaled so that a
+    sine of amplitude A gives a line of height A (Heinzel, Ruediger, Schilling 2002, eq. 20, times sqrt 2). Missing
+    samples (NaN) count as the mean of their channel. Raises ValueError for fewer than two samples.
+    """
+    count = len(samples)
+    if count < 2:
+        raise ValueError("a spectrum needs at least two samples")
+    length = min(count, longest)
+    centered = samples - np.nanmean(samples, axis=0)
+    centered = np.where(np.isfinite(centered), centered, 0.0)
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
+    starts = range(0, count - length + 1, max(length // 2, 1))
+    power = np.zeros((length // 2 + 1, samples.shape[1]))
+    for start in starts:
+        power += np.abs(rfft(centered[start : start + length] * window[:, None], axis=0)) ** 2
+    frequency = np.asarray(np.fft.rfftfreq(length, 1.0 / sample_rate), float)
+    return frequency, np.asarray(2.0 / window.sum() * np.sqrt(power / len(starts)))
