@@ -200,7 +200,8 @@ def summaries(tmp_path_factory):
     (folder / "plan.yaml").write_text(yaml.safe_dump(plan))
     hall = {"exciters": {"Fz": {"rms": 80}}, "change_minutes": 1, "periods": [2], "effects": ["low-pass", "time-delay"]}
     (folder / "hall.yaml").write_text(yaml.safe_dump({"format": "balance-hall/1", **hall}))
-    static, sweep, check = (str(data / f"{name}.h5") for name in ("static-bare", "sweep-Fz-high", "check-1"))
+    names = ("static-bare", "sweep-Fz-high", "check-1", "wind-1")
+    static, sweep, check, wind = (str(data / f"{name}.h5") for name in names)
     cal, out, model = (str(folder / name) for name in ("cal.h5", "out.h5", "model.h5"))
     (folder / "table.csv").write_text("a [V],Fz [N],t [s]\n" + "".join(f"{k % 7},{k % 5},{k / 8}\n" for k in range(99)))
     import_map = {
@@ -218,8 +219,9 @@ def summaries(tmp_path_factory):
         "sweep-tf": [*g, sweep, "--to", "20", "-o", out],
         "identify": [*g, sweep, static, "--method", "computed", "-o", model],
         "diagnose": [model, sweep, "--hold-out", check, "-o", out, "--model-out", str(folder / "closed.h5")],
-        "reduce": ["--calibration", cal, "--model", model, "--method", "smoother", check, "-o", out],
+        "reduce": ["--calibration", cal, "--model", model, "--method", "smoother", check, wind, "-o", out],
         "merge": [out, "-o", str(folder / "merged.h5")],
+        "trend": [out],
         "modes": g,
         "plan": [*g, "--hall", str(folder / "hall.yaml"), "--minutes", "3", "-o", str(folder / "planned.yaml")],
         "simulate": [*g, "--plan", str(folder / "plan.yaml"), "-o", str(folder / "campaign")],

@@ -19,6 +19,7 @@ COMMANDS = (
     "diagnose",
     "reduce",
     "merge",
+    "trend",
     "modes",
     "plan",
     "simulate",

@@ -22,7 +22,6 @@ def command(session: Session, loads: tuple[Path, ...], output: Path) -> None:
     LOADS are the .h5 files of `reduce --shard 1/N` to `N/N`, in any order. The result is that of one call for all runs,
     with the same content digest. Shards of different reductions, and a run in two shards, are refused.
     """
-    from balance_cli.cli.reduce_text import summary
     from balance_cli.reduction.result import HubLoads
     from balance_cli.steps.merge_loads import Shard, merge_loads, merged_inputs
 
@@ -34,5 +33,7 @@ def command(session: Session, loads: tuple[Path, ...], output: Path) -> None:
     merged = merge_loads(shards)
     provenance = replace(session.provenance(), options=shards[0].provenance.options, inputs=merged_inputs(shards))
     write_loads(session, output, merged, provenance)
-    counts = ", ".join(f"{shard.file} {len(shard.loads.runs)}" for shard in shards)
-    session.finish(summary(merged), [f"{len(merged.runs)} runs: {counts}"])
+    counts = [{"file": shard.file, "runs": len(shard.loads.runs)} for shard in shards]
+    summary = {"method": merged.method, "response": merged.response, "shards": counts}
+    text = ", ".join(f"{count['file']} {count['runs']}" for count in counts)
+    session.finish(summary, [f"{len(merged.runs)} runs: {text}"])

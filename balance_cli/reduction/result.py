@@ -72,6 +72,16 @@ class TimeDomainResult:
     gap_notes: tuple[str, ...] = field(metadata={"stored_as": "bridged"})
 
 
+@dataclass(frozen=True)
+class RunConditions:
+    """Under which conditions a run was made: nominal rotor speed [Hz], time, note, and attributes of its file."""
+
+    rotor_speed: float
+    recorded: str | None = None
+    note: str | None = None
+    attributes: dict[str, float] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, repr=False)
 class RunLoads(ResultView):
     """Hub loads of one run: m components, harmonics 0 to n.
@@ -80,7 +90,7 @@ class RunLoads(ResultView):
     sigma_sine (n+1, m); flags (n+1, m) words, empty where nothing is wrong; redundancy (chi-square per degree of
     freedom of the residual test), redundancy_limit, condition (n+1,), NaN where they do not exist; interval [s] that
     was used; `in_time`: of a reduction by a filter or smoother; `rotor`: the number of the rotor whose harmonics they
-    are, None for the first.
+    are, None for the first; `conditions`: None in artefacts of former versions.
     """
 
     run: str
@@ -102,6 +112,7 @@ class RunLoads(ResultView):
     check: CheckErrors | None = None
     in_time: TimeDomainResult | None = None
     rotor: int | None = field(default=None, metadata={"omit_if_none": True})
+    conditions: RunConditions | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def flag_counts(self) -> dict[str, int]:

@@ -17,7 +17,7 @@ from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, ro
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
 from balance_cli.reduction.response_sources import ResponseSource
-from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.suspect_channels import describe_suspect_channels
 from balance_cli.reduction.trust import assess_trust, flag_all, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
@@ -125,4 +125,7 @@ def _combine_loads(
         left_out=record.health.left_out,
         interval=spectra.interval,
         rotor=None if record.rotor == 1 else record.rotor,
+        conditions=RunConditions(
+            record.run.rotor_speed, record.run.recorded, record.run.note, dict(record.run.conditions)
+        ),
     )

@@ -416,3 +416,20 @@ def test_nothing_is_left_of_a_run_that_could_not_be_written(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(UserError, match="its folder does not exist"):
         write_run(tmp_path / "no" / "run.h5", a_run())
+
+
+def test_numbers_among_unknown_attributes_are_conditions_of_the_run(path: Path) -> None:
+    write_run(path, a_run())
+    plain = open_run(path)
+    with h5py.File(path, "a") as file:
+        file.attrs["collective"] = np.float32(4.5)
+        file.attrs["point"] = np.array([12])
+        file.attrs["operator"] = "text"
+        file.attrs["bad"] = np.nan
+        file.attrs["several"] = [1.0, 2.0]
+        file.attrs["link"] = file["channels"].ref
+    read = open_run(path)
+    assert read.conditions == {"collective": 4.5, "point": 12.0}
+    assert read.digest != plain.digest  # results keep them
+    write_run(path, read)
+    assert open_run(path).conditions == read.conditions and open_run(path).digest == read.digest

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -108,7 +108,8 @@ class Run:
     `pulse_times` (n_rev,) [s from the first sample]; `attitude` (n, 2) of a static run: pitch and roll [deg] as in
     balance_cli.campaign.rig.attitude; `series_labels` and `point_kinds` (n,) of a static run: the load series of each
     row and the kind of its load point, None where the file states none; `digest` is the hex SHA-256 of the content;
-    `bridged`: signals with short gaps, which `source` fills.
+    `bridged`: signals with short gaps, which `source` fills. `conditions`: further numbers among the attributes of
+    the file, such as the collective pitch or the wind speed, over which results can be compared.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Run:
     digest: str = ""
     bridged: tuple[BridgedSamples, ...] = ()
     additions: RunAdditions | None = None
+    conditions: dict[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         channels = plural(len(self.channel_names), "channel")
@@ -210,7 +212,7 @@ def have_same_samples(first: Run, second: Run) -> bool:
     return True
 
 
-_HASHED_APART = {"pulse_times", "attitude", "additions", "series_labels", "point_kinds"}
+_HASHED_APART = {"pulse_times", "attitude", "additions", "series_labels", "point_kinds", "conditions"}
 _DIGESTED_FIELDS = {item.name for item in fields(Run)} - {"source", "path", "digest", "bridged"} - _HASHED_APART
 
 
@@ -226,6 +228,8 @@ def run_digest(run: Run) -> str:
     for name, labels in (("series", run.series_labels), ("point", run.point_kinds)):
         if labels is not None:
             hashed.update(json.dumps([name, labels]).encode())
+    if run.conditions:
+        hashed.update(json.dumps(["conditions", run.conditions], sort_keys=True).encode())
     for block in run.blocks():
         hashed.update(np.ascontiguousarray(block.channels, "<f8").tobytes())
         if block.loads is not None:

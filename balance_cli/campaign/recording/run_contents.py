@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from balance_cli.campaign.recording.conditions import RUN_ATTRIBUTES, read_conditions
 from balance_cli.campaign.recording.dataset_checks import MOST_PULSES, PULSE_DATASET, is_loadable
 from balance_cli.campaign.recording.point_labels import MOST_LABELS, LabelDataset, label_texts
 from balance_cli.campaign.recording.run import Array
@@ -21,10 +22,6 @@ from balance_cli.io.sniff import attribute_text, describe_file, is_hdf5, require
 
 MOST_ATTRIBUTE_ENTRIES = 10_000
 """Entries of an attribute; no rig has so many channels."""
-RUN_ATTRIBUTES = (
-    *("format", "kind", "run", "rig", "sample_rate", "rotor_speed", "excited", "excitation", "level", "period", "trim"),
-    *("recorded", "note"),
-)
 
 
 @contextmanager
@@ -64,6 +61,7 @@ def read_contents(path: Path) -> RunFileContents:
             has_load_points="load_points" in file,
             series=_read_labels(file, "series"),
             point=_read_labels(file, "point"),
+            conditions=read_conditions(file),
         )
 
 

@@ -265,7 +265,7 @@ def _attributes(run: Run) -> dict[str, Any]:
         "recorded": run.recorded,
         "note": run.note,
     }
-    return {name: value for name, value in values.items() if value is not None}
+    return run.conditions | {name: value for name, value in values.items() if value is not None}
 
 
 def _fits_float32(samples: Array | None) -> bool:

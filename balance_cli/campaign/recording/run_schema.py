@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,7 @@ class RunFileContents:
     has_load_points: bool = False
     series: LabelDataset | None = None
     point: LabelDataset | None = None
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
 
 def run_from_contents(contents: RunFileContents, source: SampleSource, path: Path) -> Run:
@@ -86,6 +87,7 @@ def run_from_contents(contents: RunFileContents, source: SampleSource, path: Pat
         recorded=_optional_text(attributes.get("recorded")),
         note=_optional_text(attributes.get("note")),
         path=path,
+        conditions=dict(contents.conditions),
     )
 
 

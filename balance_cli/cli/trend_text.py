@@ -1,0 +1,155 @@
+"""All trends of a set of runs, and what `balance trend` says of them: text and JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.steps.trend import (
+    FEWEST_DRIFT_RUNS,
+    FEWEST_REPEATS,
+    SIGNIFICANCE,
+    LoadTrend,
+    Outlier,
+    RedundancyDrift,
+    find_outliers,
+    load_trends,
+    mean_redundancy,
+    redundancy_drift,
+    require_runs,
+)
+from balance_cli.steps.trend_points import TrendPoint, attribute_values, repeats, sequence
+
+Array = NDArray[np.float64]
+
+MOST_OUTLIERS = 20
+"""Outliers of the text; the JSON has all."""
+
+
+@dataclass(frozen=True)
+class TrendResult:
+    """The points, their places in the campaign and attribute values, and what was found."""
+
+    points: Sequence[TrendPoint]
+    attribute: str
+    values: Array
+    place: Array
+    place_unit: str
+    redundancy: Array
+    trends: tuple[LoadTrend, ...]
+    groups: list[list[int]]
+    outliers: tuple[Outlier, ...]
+    drift: RedundancyDrift | None
+
+    @property
+    def order(self) -> list[int]:
+        """Indices of the points in the order of the campaign."""
+        return [int(index) for index in np.argsort(self.place, kind="stable")]
+
+    @property
+    def repeated(self) -> list[list[int]]:
+        """The groups of repeats that are large enough to tell an outlier."""
+        return [group for group in self.groups if len(group) >= FEWEST_REPEATS]
+
+
+def find_trends(points: Sequence[TrendPoint], attribute: str) -> TrendResult:
+    """Return all trends. Raises UserError for an attribute that no run has, and for too few or mixed runs."""
+    require_runs(points)
+    values = attribute_values(points, attribute)
+    place, unit = sequence(points)
+    redundancy = np.array([mean_redundancy(point.loads) for point in points])
+    groups = repeats(points)
+    return TrendResult(
+        points,
+        attribute,
+        values,
+        place,
+        unit,
+        redundancy,
+        load_trends(points, values),
+        groups,
+        find_outliers(points, groups),
+        redundancy_drift(redundancy, place, values),
+    )
+
+
+def trend_summary(result: TrendResult) -> dict[str, Any]:
+    """Return the summary (docs/json.md)."""
+    points = [result.points[index] for index in result.order]
+    drift = result.drift
+    return {
+        "by": result.attribute,
+        "place_unit": result.place_unit,
+        "trends": [asdict(trend) for trend in result.trends],
+        "repeats": [[result.points[index].run for index in group] for group in result.repeated],
+        "outliers": [asdict(item) for item in result.outliers],
+        "redundancy_drift": None if drift is None else asdict(drift) | {"is_significant": drift.is_significant},
+        "runs": {
+            point.run: {
+                "file": point.file,
+                "place": result.place[index],
+                "value": result.values[index],
+                "redundancy": result.redundancy[index],
+            }
+            for index, point in zip(result.order, points, strict=True)
+        },
+    }
+
+
+def trend_text(result: TrendResult) -> Iterator[str]:
+    """Yield the text for the user."""
+    yield f"{len(result.points)} runs over {result.attribute} ({_span(result.values)})"
+    head = ("", "quantity", "slope", "sigma", "p-value", "scatter/sigma")
+    yield "   {:10}{:>10}{:>13}{:>11}{:>10}{:>15}".format(*head)
+    for trend in result.trends:
+        name = f"{trend.component} {trend.unit}"
+        numbers = f"{trend.slope:13.4g}{trend.sigma_slope:11.2g}{trend.p_value:10.2g}{trend.scatter:15.3g}"
+        yield f"   {name:10}{trend.quantity:>10}{numbers}"
+    yield from _outlier_text(result)
+    yield from _drift_text(result)
+
+
+def _span(values: Array) -> str:
+    known = values[np.isfinite(values)]
+    return f"{known.min():.5g} to {known.max():.5g}"
+
+
+def _outlier_text(result: TrendResult) -> Iterator[str]:
+    groups = result.repeated
+    if not groups:
+        yield f"repeats: no {FEWEST_REPEATS} runs of the same attributes and speed; outliers are not testable"
+        return
+    runs = sum(map(len, groups))
+    yield f"repeats: {runs} runs in {len(groups)} groups of the same attributes and speed; {_count(result.outliers)}"
+    for item in result.outliers[:MOST_OUTLIERS]:
+        change = f"{item.value:.5g}, mean of {item.others} others {item.mean_of_others:.5g}"
+        yield f"   {item.run}: {item.component} {item.quantity} {change} (p = {item.bonferroni_p_value:.1g})"
+    if len(result.outliers) > MOST_OUTLIERS:
+        yield f"   and {len(result.outliers) - MOST_OUTLIERS} more (--json lists all)"
+
+
+def _count(outliers: Sequence[Outlier]) -> str:
+    return f"{len(outliers)} outliers" if outliers else "no outlier"
+
+
+def _drift_text(result: TrendResult) -> Iterator[str]:
+    drift = result.drift
+    if drift is None:
+        yield f"residual test: fewer than {FEWEST_DRIFT_RUNS} runs with redundant channels; its drift is not testable"
+        return
+    span = "in the order given" if result.place_unit == "runs" else f"over {np.ptp(result.place):.3g} days"
+    change = f"from {drift.first:.3g} (first third) to {drift.last:.3g} (last third)"
+    yield f"residual test {span}: mean redundancy {change}, tau {drift.tau:.2f}, p = {drift.p_value:.2g}"
+    if not drift.is_significant:
+        explained = drift.p_value < drift.p_value_given and not math.isnan(drift.p_value_given)
+        reason = f"; {result.attribute} explains it" if explained and drift.p_value < SIGNIFICANCE else ""
+        yield f"   no significant drift{reason}"
+    elif drift.factor > 1.0:
+        yield f"   it grows by a factor of {drift.factor:.3g}: the model wears out; identify it anew"
+    else:
+        yield f"   it falls by a factor of {1.0 / drift.factor:.3g}"

@@ -1,0 +1,238 @@
+"""Loads of many runs against their conditions and against time: trends, outliers among repeats, and drift of the fit.
+
+- A trend is the weighted regression of a load on one attribute of the runs. Its standard error contains the scatter
+  about the line, which holds what the other conditions do.
+- Repeats are runs of the same conditions. The one that differs most from the mean of the others is tested with
+  Student's t (Grubbs, Technometrics 11, 1969, 1), then the next, corrected for the number of comparisons.
+- Whether the residual test of the redundant channels worsens in the course of the runs is asked of ranks (Mann,
+  Econometrica 13, 1945, 245; Kendall), so that neither its distribution nor the form of the drift matters; its rate
+  is the median of the slopes of all pairs (Theil, Sen, J. Am. Stat. Assoc. 63, 1968, 1379).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, stdtr
+
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.result import RunLoads
+from balance_cli.steps.trend_points import TrendPoint
+
+Array = NDArray[np.float64]
+
+SIGNIFICANCE = 0.01
+"""p-value, corrected for the number of comparisons, below which a run is an outlier or a drift is stated."""
+FEWEST_REPEATS = 4
+"""Runs of one condition from which an outlier can be told: Student's t of three has one degree of freedom."""
+FEWEST_DRIFT_RUNS = 8
+"""Runs in sequence from which a drift of ranks can have a p-value far below SIGNIFICANCE."""
+MOST_PAIRS_RUNS = 2000
+"""Runs of which all pairs are compared; of more, every k-th is taken."""
+
+
+@dataclass(frozen=True)
+class LoadTrend:
+    """Change of a quantity of a component with an attribute; the slope is NaN where that does not vary.
+
+    `scatter` is the rms about the line over that of the stated sigmas.
+    """
+
+    component: str
+    quantity: str
+    unit: str
+    runs: int
+    slope: float
+    sigma_slope: float
+    intercept: float
+    p_value: float
+    scatter: float
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A run that differs from its repeats: its value, the mean of the others, and how many there are."""
+
+    run: str
+    component: str
+    quantity: str
+    value: float
+    mean_of_others: float
+    others: int
+    bonferroni_p_value: float
+
+
+@dataclass(frozen=True)
+class RedundancyDrift:
+    """Course of the residual test over the runs.
+
+    `first` and `last` are medians over the first and the last third of the runs of the mean chi-square per degree of
+    freedom; `tau` is Kendall's; `factor` that of the change from the first run to the last; `p_value` is two-sided;
+    `p_value_given`: after what the attribute explains is taken out.
+    """
+
+    runs: int
+    first: float
+    last: float
+    tau: float
+    factor: float
+    p_value: float
+    p_value_given: float
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether there is a drift that the attribute does not explain."""
+        return max(self.p_value, self.p_value_given) < SIGNIFICANCE
+
+
+def load_trends(points: Sequence[TrendPoint], attribute: Array) -> tuple[LoadTrend, ...]:
+    """Return the trend of the mean and of the blade harmonic of each component over an attribute (n,)."""
+    trends = []
+    for component in points[0].components:
+        for quantity in points[0].quantities:
+            values, sigmas = _series(points, component, quantity)
+            known = np.isfinite(values) & np.isfinite(attribute)
+            unit = points[0].unit(component)
+            fit = _line(attribute[known], values[known], sigmas[known])
+            trends.append(LoadTrend(component, quantity, unit, int(known.sum()), *fit))
+    return tuple(trends)
+
+
+def _series(points: Sequence[TrendPoint], component: str, quantity: str) -> tuple[Array, Array]:
+    pairs = [point.value(component, quantity) for point in points]
+    return np.array([value for value, _ in pairs]), np.array([sigma for _, sigma in pairs])
+
+
+def _line(x: Array, y: Array, sigma: Array) -> tuple[float, float, float, float, float]:
+    """Return slope, its standard error, intercept, p-value of the slope, and scatter over stated sigma."""
+    nan = float("nan")
+    if len(x) < 3 or np.ptp(x) == 0:
+        return nan, nan, float(np.mean(y)) if len(y) else nan, nan, nan
+    weight = 1.0 / np.maximum(sigma, np.finfo(float).tiny) ** 2 if np.all(sigma > 0) else np.ones(len(x))
+    # Weights by stated noise alone would let one quiet run decide: the scatter between runs is added to each.
+    weight = 1.0 / (1.0 / weight + _excess_variance(x, y, weight))
+    center = np.sum(weight * x) / np.sum(weight)
+    spread = np.sum(weight * (x - center) ** 2)
+    mean = np.sum(weight * y) / np.sum(weight)
+    slope = np.sum(weight * (x - center) * (y - mean)) / spread
+    residual = y - mean - slope * (x - center)
+    dof = len(x) - 2
+    sigma_slope = np.sqrt(max(1.0, np.sum(weight * residual**2) / dof) / spread)
+    scatter = np.sqrt(np.mean(residual**2) / np.mean(sigma**2)) if np.all(sigma > 0) else nan
+    p_value = 2.0 * stdtr(dof, -abs(slope) / sigma_slope) if sigma_slope > 0 else nan
+    return float(slope), float(sigma_slope), float(mean - slope * center), float(p_value), float(scatter)
+
+
+def _excess_variance(x: Array, y: Array, weight: Array) -> float:
+    """Return the variance between runs beyond their stated one, about a straight line."""
+    basis = np.column_stack([np.ones(len(x)), x - x.mean()])
+    coefficients = np.linalg.lstsq(basis, y, rcond=None)[0]
+    variance = np.sum((y - basis @ coefficients) ** 2) / (len(x) - 2)
+    return float(max(0.0, variance - np.mean(1.0 / weight)))
+
+
+# ---- repeats ---------------------------------------------------------------------------------------------------------
+
+
+def find_outliers(points: Sequence[TrendPoint], groups: Sequence[Sequence[int]]) -> tuple[Outlier, ...]:
+    """Return the runs that differ from their repeats; `groups` are indices of runs of the same conditions."""
+    large = [group for group in groups if len(group) >= FEWEST_REPEATS]
+    kinds = [(component, quantity) for component in points[0].components for quantity in points[0].quantities]
+    comparisons = sum(map(len, large)) * len(kinds)
+    found = []
+    for group in large:
+        members = [points[index] for index in group]
+        for component, quantity in kinds:
+            values, sigmas = _series(members, component, quantity)
+            for index, mean, others, p_value in _outliers(values, sigmas, comparisons):
+                name = members[index].run
+                found.append(Outlier(name, component, quantity, float(values[index]), mean, others, p_value))
+    return tuple(sorted(found, key=lambda item: item.bonferroni_p_value))
+
+
+def _outliers(values: Array, sigmas: Array, comparisons: int) -> list[tuple[int, float, int, float]]:
+    """Return index, mean of the others, their number and corrected p-value of each outlier, the worst first."""
+    left = np.flatnonzero(np.isfinite(values))
+    found = []
+    while len(left) >= FEWEST_REPEATS:
+        x, n = values[left], len(left)
+        mean = (x.sum() - x) / (n - 1)
+        variance = np.maximum((np.sum((x - x.mean()) ** 2) - (x - mean) ** 2 * (n - 1) / n) / (n - 2), 0.0)
+        scale = np.sqrt(np.maximum(variance, np.nan_to_num(sigmas[left]) ** 2) * (1.0 + 1.0 / (n - 1)))
+        t = np.divide(np.abs(x - mean), scale, out=np.zeros(n), where=scale > 0)
+        worst = int(np.argmax(t))
+        p_value = min(1.0, comparisons * 2.0 * float(stdtr(n - 2, -t[worst])))
+        if p_value >= SIGNIFICANCE:
+            break
+        found.append((int(left[worst]), float(mean[worst]), n - 1, p_value))
+        left = np.delete(left, worst)
+    return found
+
+
+# ---- drift of the residual test --------------------------------------------------------------------------------------
+
+
+def mean_redundancy(loads: RunLoads) -> float:
+    """Return the mean over the harmonics of chi-square per degree of freedom; NaN without redundant channels."""
+    tested = loads.redundancy[1:][np.isfinite(loads.redundancy[1:])]
+    return float(np.mean(tested)) if len(tested) else float("nan")
+
+
+def redundancy_drift(redundancy: Array, place: Array, attribute: Array) -> RedundancyDrift | None:
+    """Return the drift of the residual test (n,) over `place` (n,), time or number; None with too few runs.
+
+    What a straight line over the attribute (n,) explains of its logarithm is taken out for `p_value_given`.
+    """
+    known = np.isfinite(redundancy) & (redundancy > 0)
+    order = np.flatnonzero(known)[np.argsort(place[known], kind="stable")]
+    if len(order) < FEWEST_DRIFT_RUNS:
+        return None
+    order = order[:: -(-len(order) // MOST_PAIRS_RUNS)]
+    level, x, given = np.log(redundancy[order]), place[order], attribute[order]
+    tau, p_value, rate = _mann_kendall(x, level)
+    rest = level
+    if np.isfinite(given).all() and np.ptp(given) > 0:
+        basis = np.column_stack([np.ones(len(given)), given - given.mean()])
+        rest = level - basis @ np.linalg.lstsq(basis, level, rcond=None)[0]
+    third = len(order) // 3
+    first, last = (float(np.exp(np.median(part))) for part in (level[:third], level[-third:]))
+    factor = float(np.exp(rate * np.ptp(x)))
+    return RedundancyDrift(len(order), first, last, tau, factor, p_value, _mann_kendall(x, rest)[1])
+
+
+def _mann_kendall(x: Array, y: Array) -> tuple[float, float, float]:
+    """Return Kendall's tau of y against x, its two-sided p-value without a trend, and the median slope of all pairs."""
+    i, j = np.triu_indices(len(x), 1)
+    run, rise = x[j] - x[i], y[j] - y[i]
+    concordance = np.sign(run) * np.sign(rise)
+    score, n = float(concordance.sum()), len(x)
+    ties = [_tie_term(np.unique(values, return_counts=True)[1]) for values in (x, y)]
+    whole = n * (n - 1) * (2 * n + 5)
+    variance = (whole - ties[0] - ties[1]) / 18.0
+    if variance <= 0 or not np.any(run != 0):
+        return 0.0, 1.0, 0.0
+    z = max(abs(score) - 1.0, 0.0) / np.sqrt(variance)  # continuity: the score changes in steps of two
+    slope = float(np.median(rise[run != 0] / run[run != 0]))
+    return score / len(run), float(2.0 * ndtr(-z)), slope
+
+
+def _tie_term(counts: NDArray[np.int64]) -> float:
+    return float(np.sum(counts * (counts - 1) * (2 * counts + 5)))
+
+
+def require_runs(points: Sequence[TrendPoint]) -> None:
+    """Raise UserError for fewer than two runs, for one name twice, and for runs of different components."""
+    if len(points) < 2:
+        raise UserError("one run has no trend", "LOADS...", remedy="Give the loads of several runs")
+    seen: dict[str, str] = {}
+    for point in points:
+        if point.run in seen:
+            fault = f"has the run `{point.run}`, which {seen[point.run]} has too"
+            raise UserError(fault, point.file, "runs", "Run names are unique: give each run once")
+        seen[point.run] = point.file
+        if point.components != points[0].components:
+            fault = f"has the components {', '.join(point.components)}, {points[0].file} has others"
+            raise UserError(fault, point.file, remedy="Give loads of one balance")
