@@ -124,12 +124,14 @@ class Calibration(ResultView):
 
     `all_trims` is None where the trims have too few channels in common, or loads were applied that the balance does not
     carry. A calibration from a matrix file has one trim, the linear part at zero load, without runs and errors:
-    standard errors, hysteresis and lack of fit are NaN, covariances of coefficients zero.
+    standard errors, hysteresis and lack of fit are NaN, covariances of coefficients zero. `consistency`: what the
+    cross-checks said of the runs, None where nothing.
     """
 
     geometry: Geometry
     trims: dict[str, TrimCalibration]
     all_trims: AllTrimsCalibration | None = field(default=None, metadata={"stored_as": "gage"})
+    consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def errors_known(self) -> bool:

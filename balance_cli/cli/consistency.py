@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from balance_cli.cli.common import Session
 from balance_cli.io.errors import UserError
@@ -13,6 +14,19 @@ if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
     from balance_cli.diagnosis.consistency.severity import ConsequenceRule
+    from balance_cli.reduction.result import RunLoads
+
+
+class ChecksRuns(Protocol):
+    """A result that keeps what the cross-checks said of the runs that it was made from."""
+
+    @property
+    def consistency(self) -> tuple[str, ...] | None:
+        """The findings in words; None where there is none."""
+        ...
+
+
+Result = TypeVar("Result", bound=ChecksRuns)
 
 REMEDY = "Correct the files, or the geometry; `balance check -g GEOMETRY RUN...` lists everything"
 
@@ -92,3 +106,34 @@ def check_findings(geometry: Geometry, runs: Sequence[Run]) -> tuple[Consistency
     from balance_cli.diagnosis.consistency.campaign import campaign_findings
 
     return campaign_findings(geometry, runs)
+
+
+def with_findings(session: Session, result: Result) -> Result:
+    """Return a result that keeps what the cross-checks of this command said of its runs, and of earlier ones."""
+    texts = [item["text"] for item in session.extra_summary.get("consistency", ())]
+    kept = tuple(dict.fromkeys((*(result.consistency or ()), *texts)))
+    return replace(result, consistency=kept or None)  # type: ignore[type-var]
+
+
+def repeat_findings(session: Session, *results: ChecksRuns | None) -> None:
+    """Warn of what the cross-checks said when the results were made, each finding once."""
+    for text in dict.fromkeys(text for result in results for text in (result and result.consistency) or ()):
+        session.warn(f"of the runs that calibration or response were made from: {text}")
+
+
+def flag_contradicted_runs(session: Session, runs: dict[str, RunLoads]) -> dict[str, RunLoads]:
+    """Return the loads with those of runs flagged that contradict the geometry or the other runs.
+
+    A factor of channels that all runs have is known to the calibration and the model, and changes no load.
+    """
+    from balance_cli.diagnosis.consistency.severity import contradicts_loads
+    from balance_cli.reduction.flags import MODEL_CONTRADICTED
+    from balance_cli.reduction.trust import flag_all
+
+    flagged = dict(runs)
+    for item in session.extra_summary.get("consistency", ()):
+        for name in item["runs"]:
+            if name in flagged and contradicts_loads(item["kind"], item["in_all_runs"]):
+                noted = (*flagged[name].notes, item["text"])
+                flagged[name] = replace(flag_all(flagged[name], MODEL_CONTRADICTED), notes=noted)
+    return flagged

@@ -84,7 +84,7 @@ def command(
     are used once, after the last decision; without any, the check runs among RUN... or one of the sweeps are kept aside
     for it. MODEL is a physical model: computed, identified, or updated before. So is the updated model.
     """
-    from balance_cli.cli.consistency import require_consistent_runs
+    from balance_cli.cli.consistency import require_consistent_runs, with_findings
     from balance_cli.cli.diagnosis_text import diagnosis_summary, diagnosis_text
     from balance_cli.diagnosis.consistency.severity import identified_anyway
     from balance_cli.diagnosis.result import NOTHING_MISSING
@@ -105,8 +105,8 @@ def command(
     diagnosis, updated_model = _run_diagnosis(before, spectra, records, hold_out_runs, settings)
     errors = _hold_out_run_errors(session, hold_out_runs, before, updated_model, skip_bad)
     diagnosis, updated_model = _judge_by_hold_out(diagnosis, updated_model, hold_out_runs, kept_aside, errors)
-    session.save(output, DIAGNOSIS_FORMAT, diagnosis)
-    session.save(model_out, MODEL_FORMAT, updated_model)
+    session.save(output, DIAGNOSIS_FORMAT, with_findings(session, diagnosis))
+    session.save(model_out, MODEL_FORMAT, with_findings(session, updated_model))
     session.status = (
         EXIT_DISCREPANCY if fail_on_discrepancy and diagnosis.verdict != NOTHING_MISSING else session.status
     )

@@ -83,7 +83,7 @@ def command(
 
     Runs of other kinds are left out and named. With --method computed no run is needed: the model is the geometry.
     """
-    from balance_cli.cli.consistency import require_consistent_runs
+    from balance_cli.cli.consistency import require_consistent_runs, with_findings
     from balance_cli.diagnosis.consistency.severity import identified_anyway
     from balance_cli.estimation.measured_spectra import measured_spectra
     from balance_cli.model.balance import check_effects
@@ -102,6 +102,7 @@ def command(
         session.report_left_out(name, reason)
     options = IdentifyOptions(method=method, form=form, damping=damping, band=band)
     model = identify(spectra, rig, options)
+    model = with_findings(session, model)
     session.save(output, MODEL_FORMAT, model)
     session.finish(model_summary(model), model_text(model))
 

@@ -178,10 +178,12 @@ def _reduce_to_spectra(
 
 def _finish(session: Session, reduction: Reduction, runs: dict[str, RunLoads], output: Path) -> None:
     """Write the loads and set summary and text."""
+    from balance_cli.cli.consistency import flag_contradicted_runs
     from balance_cli.cli.reduce_text import reduction_text, summary
     from balance_cli.reduction.response_description import text_with_rotor
     from balance_cli.reduction.result import HubLoads
 
+    runs = flag_contradicted_runs(session, runs)
     options = reduction.method
     method = FREQUENCIES if options.frequencies and not options.in_time else options.name
     warnings = tuple(sorted(set(session.warnings)))  # in one order, whoever reduced which run first

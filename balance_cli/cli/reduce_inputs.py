@@ -50,6 +50,7 @@ def read_response(
 
     Raises UserError where its geometry is not that of the calibration.
     """
+    from balance_cli.cli.consistency import repeat_findings
     from balance_cli.reduction.response_sources import static_source, transfer_source
     from balance_cli.steps.reduction_inputs import require_same_geometry
 
@@ -60,6 +61,7 @@ def read_response(
         identified: IdentifiedModel = session.artefact(model, {"balance-model/1": IdentifiedModel}, "model").content
         if calibration is not None:
             require_same_geometry(identified.geometry, calibration, str(model))
+        repeat_findings(session, calibration, identified)
         return _geometry(identified.geometry, calibration), model_sources.model_source(identified)
     if transfer is not None:
         from balance_cli.signals.response.transfer import Transfer
@@ -67,8 +69,10 @@ def read_response(
         measured: Transfer = session.artefact(transfer, {"balance-transfer/1": Transfer}, "transfer").content
         if calibration is not None:
             require_same_geometry(measured.geometry, calibration, str(transfer))
+        repeat_findings(session, calibration, measured)
         return _geometry(measured.geometry, calibration), transfer_source(measured, interpolation)
     assert calibration is not None
+    repeat_findings(session, calibration)
     return calibration.geometry, static_source(calibration)
 
 

@@ -50,7 +50,7 @@ def command(
     output: Path,
 ) -> None:
     """Estimate the frequency responses of the sweeps, with covariance."""
-    from balance_cli.cli.consistency import require_consistent_runs
+    from balance_cli.cli.consistency import require_consistent_runs, with_findings
     from balance_cli.diagnosis.consistency.severity import measured_anyway
     from balance_cli.steps.sweep_tf import estimate_responses
 
@@ -69,8 +69,9 @@ def command(
         if not part.steady:
             session.warn(
                 f"run {run}: the transient has not ended before the last two periods; "
-                "the covariance includes their difference"
+                "the covariance includes what is left of it"
             )
+    transfer = with_findings(session, transfer)
     session.save(output, TRANSFER_FORMAT, transfer)
     session.finish(_summary(transfer), _text(transfer))
 

@@ -191,7 +191,7 @@ class Diagnosis(ResultView):
     `verdict` as in docs/json.md; `effects` strongest first; `trials` in the order of the decisions; chi2/dof and
     response error before and after; eigenmodes before and after; `location`: where a residual remains, in words.
     `settings` with which it was made (None: an artefact that was written without them). `left_out`: what the updated
-    model was fitted without.
+    model was fitted without. `consistency`: what the cross-checks said of the runs, None where nothing.
     """
 
     geometry: Geometry
@@ -213,6 +213,7 @@ class Diagnosis(ResultView):
     notes: tuple[str, ...] = ()
     settings: SearchSettings | None = None
     left_out: LeftOut | None = field(default=None, metadata={"omit_if_none": True})
+    consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     def summary_lines(self) -> Iterator[str]:
         """Verdict, chi2/dof before and after, the effects, what is not testable, hold-out runs."""

@@ -88,7 +88,8 @@ class IdentifiedModel(ResultView):
 
     `form` is `physical` or `paper`; `method` is `computed`, `ls`, `ml` or `ls+ml`; `start` names the start of the
     maximum likelihood; `covariance` (p, p) is that of all parameters, with zero rows for exact ones; `unidentifiable`
-    describes the directions that the data alone do not determine; `channels_left_out` {run: {channel: why}}.
+    describes the directions that the data alone do not determine; `channels_left_out` {run: {channel: why}};
+    `consistency` is what the cross-checks said of the runs, None where nothing.
     """
 
     form: str
@@ -105,6 +106,7 @@ class IdentifiedModel(ResultView):
     converged: bool
     paper: PaperFit | None = None
     response_error: ResponseError | None = field(default=None, metadata={"omit_if_none": True})
+    consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def misfit_scale(self) -> float:

@@ -33,6 +33,14 @@ def known_anyway(finding: ConsistencyFinding) -> bool:
     return finding.kind in FACTOR_KINDS
 
 
+def contradicts_loads(kind: str, in_all_runs: bool) -> bool:
+    """Whether a warning of this kind makes the loads of the runs that show it doubtful.
+
+    What is not said of all runs has changed since the sweeps; a hub elsewhere changes moments.
+    """
+    return kind in (kinds.DIFFERENT_RIG, kinds.HUB_POSITION) or (kind in FACTOR_KINDS and not in_all_runs)
+
+
 def findings_for_command(
     findings: Sequence[ConsistencyFinding], is_harmless: ConsequenceRule
 ) -> tuple[ConsistencyFinding, ...]:

@@ -42,7 +42,7 @@ class Transfer(ResultView):
 
     `estimator` is the one that was requested; each response names the one that was used. `steady_parts` maps each
     periodic run to the part that was used, `channels_left_out` {run: {channel: reason}} and `unused_runs` {run: reason}
-    say what was not used.
+    say what was not used; `consistency` is what the cross-checks said of the runs, None where nothing.
     """
 
     geometry: Geometry
@@ -51,6 +51,7 @@ class Transfer(ResultView):
     steady_parts: dict[str, SteadyPart] = field(default_factory=dict, metadata={"stored_as": "steady"})
     channels_left_out: dict[str, dict[str, str]] = field(default_factory=dict)
     unused_runs: dict[str, str] = field(default_factory=dict, metadata={"stored_as": "unused"})
+    consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     def summary_lines(self) -> Iterator[str]:
         """Runs, components and band, least coherence, channels left out."""
