@@ -122,8 +122,7 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
         checks = _select_static_hold_out(session, held_out())
         result = read_matrix_calibration(session, rig, choices.from_matrix, checks)
     _warn(session, result)
-    result = with_findings(session, result)
-    session.save(output, CALIBRATION_FORMAT, result)
+    session.save(output, CALIBRATION_FORMAT, with_findings(session, result))
     if choices.matrix is not None:
         session.write_text(choices.matrix, matrix_file_text(result, choices.matrix))
     if choices.linear_matrix is not None:

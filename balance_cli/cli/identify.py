@@ -102,8 +102,7 @@ def command(
         session.report_left_out(name, reason)
     options = IdentifyOptions(method=method, form=form, damping=damping, band=band)
     model = identify(spectra, rig, options)
-    model = with_findings(session, model)
-    session.save(output, MODEL_FORMAT, model)
+    session.save(output, MODEL_FORMAT, with_findings(session, model))
     session.finish(model_summary(model), model_text(model))
 
 

@@ -71,8 +71,7 @@ def command(
                 f"run {run}: the transient has not ended before the last two periods; "
                 "the covariance includes what is left of it"
             )
-    transfer = with_findings(session, transfer)
-    session.save(output, TRANSFER_FORMAT, transfer)
+    session.save(output, TRANSFER_FORMAT, with_findings(session, transfer))
     session.finish(_summary(transfer), _text(transfer))
 
 

@@ -71,7 +71,10 @@ def findings_from_rows(
     for index, channel in enumerate(geometry.channels):
         if channel.cell is not None:
             groups.setdefault(channel.cell, []).append(index)
-    mistakes, corrected = find_mistakes(runs, tuple(map(tuple, groups.values())))
+    by_source = tuple(map(tuple, groups.values()))
+    mistakes, corrected = find_mistakes(runs, by_source)
+    if mistakes and _is_moved_hub(rows, runs, geometry, by_source):
+        mistakes, corrected = [], runs
     findings = [*describe_mistakes(mistakes, geometry)]
     if mismatch is None or mismatch.factor is None:  # the mistakes may have hidden it, or been taken for it
         mismatch = frequency_mismatch(corrected, geometry) if mistakes else mismatch
@@ -81,6 +84,18 @@ def findings_from_rows(
         findings += _level_findings(rows, levels)
     findings += _deviating_runs(corrected)
     return tuple(sorted(findings, key=lambda finding: finding.severity != FAULT))
+
+
+def _is_moved_hub(
+    rows: Sequence[ResponseRows], runs: Sequence[Evidence], geometry: Geometry, by_source: tuple[tuple[int, ...], ...]
+) -> bool:
+    """Whether a hub elsewhere explains all that looks like mistakes: a force beside it loads cells by other shares."""
+    shift = hub_shift(runs, rig_size(geometry))
+    if shift is None:
+        return False
+    moved = geometry.model_copy(update={"hub": tuple(np.asarray(geometry.hub) + shift)})
+    mistakes, _ = find_mistakes(gather_evidence(rows, moved, balance_model(moved).system()), by_source)
+    return not mistakes
 
 
 def _frequency_findings(mismatch: FrequencyMismatch | None) -> list[ConsistencyFinding]:
