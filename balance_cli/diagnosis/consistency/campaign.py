@@ -110,15 +110,16 @@ def _frequency_findings(mismatch: FrequencyMismatch | None) -> list[ConsistencyF
         ]
     cells = ", ".join(mismatch.cells)
     which = f"stiffness of {cells}" if cells else "ratio of stiffness to mass"
-    text = f"the {which} is {mismatch.factor:.4g} times what the geometry declares{_stiffness_hint(mismatch.factor)}"
+    text = f"the {which} is {mismatch.factor:.4g} times what the geometry declares{_unit_hint(mismatch.factor, bool(cells))}"
     kind = STIFFNESS if mismatch.cells or abs(np.log10(mismatch.factor)) > 2.5 else FREQUENCIES
     return [ConsistencyFinding(kind, FAULT, text, shown, True, cells=mismatch.cells, factor=mismatch.factor)]
 
 
-def _stiffness_hint(factor: float) -> str:
+def _unit_hint(factor: float, only_stiffness: bool) -> str:
+    """Return the unit that explains a factor of stiffness, or of its ratio to mass, of which either may be wrong."""
     if abs(np.log10(factor) - 3.0) < 0.15:
-        return ": given in N/mm? It is in N/m"
-    return ": masses in g, or stiffness multiplied twice?" if abs(np.log10(factor) + 3.0) < 0.15 else ""
+        return ": given in N/mm? It is in N/m" if only_stiffness else ": masses in g, or stiffness in N/mm?"
+    return ": masses in t, or stiffness multiplied twice?" if abs(np.log10(factor) + 3.0) < 0.15 else ""
 
 
 def _hub_findings(runs: Sequence[Evidence], geometry: Geometry) -> list[ConsistencyFinding]:
