@@ -22,6 +22,7 @@ from studies.chunks import run_chunks
 from studies.clean_campaigns import clean_chunk, clean_table
 from studies.consistency import consistency_table, table_in_page
 from studies.consistency_cases import CASES
+from studies.consistency_other_rigs import OTHER_RIGS, other_cases
 from studies.consistency_rigs import campaign_of, rigs
 from studies.coverage import CoverageTask, coverage_chunk, coverage_table
 from studies.coverage_by_fault import fault_chunk, fault_table
@@ -63,6 +64,20 @@ def consistency() -> None:
     table = consistency_table(geometry, runs, CASES)
     _write("consistency", table)
     table_in_page(table, CONSISTENCY_PAGE)
+    click.echo(f"{(table['named'] == 'yes').sum()} of {len(table)} campaigns named")
+
+
+@studies.command("consistency-other-rigs")
+def consistency_other_rigs() -> None:
+    """The same on rigs with one channel in each cell."""
+    tables = []
+    for name in OTHER_RIGS:
+        geometry = rigs()[name]
+        rig = draw_rig(geometry, np.random.default_rng(1))
+        runs = simulate_campaign(rig, campaign_of(name, geometry), Noise(), 1).runs
+        tables.append(consistency_table(geometry, runs, other_cases(name)).assign(rig=name))
+    table = pd.concat(tables, ignore_index=True)
+    _write("consistency_other_rigs", table)
     click.echo(f"{(table['named'] == 'yes').sum()} of {len(table)} campaigns named")
 
 

@@ -110,7 +110,8 @@ def _frequency_findings(mismatch: FrequencyMismatch | None) -> list[ConsistencyF
         ]
     cells = ", ".join(mismatch.cells)
     which = f"stiffness of {cells}" if cells else "ratio of stiffness to mass"
-    text = f"the {which} is {mismatch.factor:.4g} times what the geometry declares{_unit_hint(mismatch.factor, bool(cells))}"
+    hint = _unit_hint(mismatch.factor, bool(cells))
+    text = f"the {which} is {mismatch.factor:.4g} times what the geometry declares{hint}"
     kind = STIFFNESS if mismatch.cells or abs(np.log10(mismatch.factor)) > 2.5 else FREQUENCIES
     return [ConsistencyFinding(kind, FAULT, text, shown, True, cells=mismatch.cells, factor=mismatch.factor)]
 
