@@ -133,7 +133,7 @@ def flag_contradicted_runs(session: Session, runs: dict[str, RunLoads]) -> dict[
     flagged = dict(runs)
     for item in session.extra_summary.get("consistency", ()):
         for name in item["runs"]:
-            if name in flagged and contradicts_loads(item["kind"], item["in_all_runs"]):
+            if name in flagged and contradicts_loads(item["kind"], item["in_all_runs"], item["factor"]):
                 noted = (*flagged[name].notes, item["text"])
                 flagged[name] = replace(flag_all(flagged[name], MODEL_CONTRADICTED), notes=noted)
     return flagged

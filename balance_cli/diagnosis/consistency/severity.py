@@ -13,6 +13,8 @@ ConsequenceRule = Callable[[ConsistencyFinding], bool]
 
 LOAD_KINDS = (kinds.REVERSED_LOAD, kinds.EXCHANGED_LOADS, kinds.LOAD_FACTOR)
 FACTOR_KINDS = (kinds.CHANNEL_FACTOR, kinds.CHANNELS_FACTOR)
+LARGE_FACTOR = 2.0
+"""Factor from which a channel is named as wrong by `check`: no effect of a rig changes a channel so much in one run."""
 
 
 def measured_anyway(finding: ConsistencyFinding) -> bool:
@@ -33,12 +35,15 @@ def known_anyway(finding: ConsistencyFinding) -> bool:
     return finding.kind in FACTOR_KINDS
 
 
-def contradicts_loads(kind: str, in_all_runs: bool) -> bool:
+def contradicts_loads(kind: str, in_all_runs: bool, factor: float | None = None) -> bool:
     """Whether a warning of this kind makes the loads of the runs that show it doubtful.
 
-    What is not said of all runs has changed since the sweeps; a hub elsewhere changes moments.
+    A hub elsewhere changes moments. A large factor of channels that other runs do not have came after the sweeps; a
+    small one may be an effect that the model knows.
     """
-    return kind in (kinds.DIFFERENT_RIG, kinds.HUB_POSITION) or (kind in FACTOR_KINDS and not in_all_runs)
+    if kind in FACTOR_KINDS and not in_all_runs and factor:
+        return not 1.0 / LARGE_FACTOR <= abs(factor) <= LARGE_FACTOR
+    return kind in (kinds.DIFFERENT_RIG, kinds.HUB_POSITION)
 
 
 def findings_for_command(
