@@ -85,6 +85,15 @@ def test_every_rig_has_groups_among_its_candidates(letter):
     assert places == {(name,) for name in (*rig.channel_names, *channel_groups(rig))}
 
 
+def test_a_gain_of_all_cells_is_no_candidate():
+    """It is one of the declared masses and stiffnesses."""
+    places = {item.placed_effect.where for item in candidates(RIG) if item.effect.name == "channel-gain"}
+    assert places == {(name,) for name in (*RIG.channel_names, "strain", "piezo")}
+    strain = RIG.model_copy(update={"channels": tuple(c for c in RIG.channels if c.measures_dc)})
+    places = {item.placed_effect.where for item in candidates(strain) if item.effect.name == "channel-gain"}
+    assert places == {(name,) for name in strain.channel_names}
+
+
 def test_one_late_box_is_one_cause(late):
     (common,) = initial_candidates(late.lines, RIG, SETTINGS)
     starts = {item.label: item.starts[0]["delay"] for item in common.candidates}

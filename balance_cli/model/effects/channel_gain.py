@@ -15,6 +15,18 @@ from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
 
 
+def _places(geometry: Geometry) -> tuple[Where, ...]:
+    """Channels, and groups beside which some cell has another channel.
+
+    A gain of all channels of the cells is one of the declared masses and stiffnesses: only their tolerances tell.
+    """
+    of_cells = {channel.name for channel in geometry.channels if channel.cell is not None}
+    places = each_channel_or_group(geometry)
+    return tuple(
+        where for where in places if len(of_cells - set(channels_at(geometry, where))) > 0 or len(of_cells) < 2
+    )
+
+
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
     return (EffectParameter("gain", "1", 1.0, 0.01, "Ratio of the actual to the declared sensitivity.", lower=0.0),)
 
@@ -46,7 +58,7 @@ EFFECT = Effect(
     signature="The residual of one channel is a fixed real fraction of its reading in every run.",
     separated_by="Calibrate the channel, or compare it with the other channel of the same cell.",
     place="a channel, or a group of channels",
-    places=each_channel_or_group,
+    places=_places,
     parameters=_parameters,
     apply=_apply,
     search=SearchHints(channel_ratio=RATIO),
