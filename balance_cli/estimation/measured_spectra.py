@@ -13,6 +13,7 @@ from balance_cli.model.placed_effects import needs_mean
 from balance_cli.signals.local.nonperiodic_spectrum import nonperiodic_spectrum
 from balance_cli.signals.periodic import has_whole_periods, periodic_spectrum
 from balance_cli.signals.run_spectrum import RunSpectrum, StaticPoints
+from balance_cli.signals.single_force import single_force
 from balance_cli.signals.static_noise import static_points
 from balance_cli.signals.waveforms import (
     add_channel_shares,
@@ -70,6 +71,9 @@ def measured_spectra(runs: Iterable[Run], geometry: Geometry, means: bool | None
 
 
 def _sweep_lines(run: Run, channel_names: tuple[str, ...], geometry: Geometry, means: bool) -> RunSpectrum:
+    force = single_force(run)
+    if force is not None:
+        return force.expand(_sweep_lines(force.run, channel_names, geometry, means))
     if has_whole_periods(run):
         lines = periodic_spectrum(run, channel_names)
         return append_mean_and_waveform(run, lines, geometry) if means else lines

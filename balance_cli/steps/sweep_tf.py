@@ -22,11 +22,16 @@ from balance_cli.signals.response.choices import AUTO, AVERAGED_ESTIMATORS, ESTI
 from balance_cli.signals.response.periodic_response import joint_response, response_from_one_run
 from balance_cli.signals.response.transfer import SteadyPart, Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
+from balance_cli.signals.single_force import single_force
 
 __all__ = ["ESTIMATORS", "estimate_responses"]
 
 SAME_LEVEL = 0.05
 """Relative difference of two declared levels that are the same set-up: an exciter does not repeat its level exactly."""
+
+
+ONE_FORCE = "one force at one point drives several hub loads at once: no response to a single one of them can be told"
+"""Why a sweep gives no response, although `identify` uses it."""
 
 
 def estimate_responses(
@@ -42,8 +47,12 @@ def estimate_responses(
             f"the band from {band[0]:g} to {band[1]:g} Hz is empty", "--from, --to", remedy="Correct the band"
         )
     runs = tuple(runs)
-    sweeps = [run for run in runs if run.kind == "sweep"]
+    unused = {run.name: f"a {run.kind} run; only sweeps are used" for run in runs if run.kind != "sweep"}
+    unused |= {run.name: ONE_FORCE for run in runs if run.kind == "sweep" and single_force(run) is not None}
+    sweeps = [run for run in runs if run.name not in unused]
     if not sweeps:
+        if ONE_FORCE in unused.values():
+            raise UserError(ONE_FORCE, "RUN...", remedy="Use `identify`, or excite at the hub")
         raise UserError("none of the runs is a sweep", remedy="Give at least one run of kind `sweep`")
     live, left_out = _live_channels_by_run(sweeps, geometry)
     periodic = [run for run in sweeps if _is_periodic(run, estimator)]
@@ -58,7 +67,7 @@ def estimate_responses(
         estimator=estimator,
         steady_parts={run.name: _steady_part(record) for run, record in records},
         channels_left_out=left_out,
-        unused_runs={run.name: f"a {run.kind} run; only sweeps are used" for run in runs if run.kind != "sweep"},
+        unused_runs=unused,
     )
 
 
