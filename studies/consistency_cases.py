@@ -204,7 +204,7 @@ GEOMETRY_CASES = (
     ),
     WrongCampaign("masses in g", "masses", change_geometry(_masses)),
     WrongCampaign("sensitivity of the torque meter per mV", "torque reads|in mV", change_geometry(_torque)),
-    WrongCampaign("anti-alias cutoff of 100 Hz declared", "", change_geometry(_cutoff)),
+    WrongCampaign("anti-alias cutoff of 100 Hz declared", "beyond the cutoff", change_geometry(_cutoff)),
 )
 ROTOR_CASES = (
     WrongCampaign("pulses every second revolution", "once in 2 revolutions", _pulses(2)),

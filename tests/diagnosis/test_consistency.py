@@ -10,7 +10,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import geometry_faults
 from balance_cli.diagnosis.consistency.campaign import campaign_findings
-from balance_cli.diagnosis.consistency.findings import FAULT, HUB_POSITION, WARNING
+from balance_cli.diagnosis.consistency.findings import ANTI_ALIAS, FAULT, HUB_POSITION, WARNING
 from balance_cli.diagnosis.consistency.severity import findings_for_command, identified_anyway, measured_anyway
 from balance_cli.diagnosis.consistency.units import MOMENT_UNITS, suggest_units
 from balance_cli.simulation import CampaignPlan, Noise, SweepPlan, simulate_campaign, true_rig
@@ -106,3 +106,21 @@ def test_positions_in_millimeters_are_faults_of_the_geometry() -> None:
 
 def test_inch_pounds_are_recognized() -> None:
     assert "in lbf" in suggest_units(1.0 / 0.112985, MOMENT_UNITS)
+
+
+def cutoff_halved(content: dict[str, dict[str, dict[str, float]]]) -> None:
+    content["acquisition"]["filter"]["cutoff"] = 100.0
+
+
+def test_sweeps_beyond_the_declared_cutoff_show_a_filter_that_is_not_there() -> None:
+    """The sweeps go to 150 Hz. Through a filter of 100 Hz, a sixth of their loads would be left there."""
+    geometry, runs = change_geometry(cutoff_halved)(rotor_balance(), campaign())
+    (finding,) = campaign_findings(geometry, runs)
+    assert (finding.kind, finding.severity) == (ANTI_ALIAS, WARNING)
+    plan = CampaignPlan(runs=tuple(_sweep(name) for name in ("Fx", "Fy")))
+    filtered = simulate_campaign(true_rig(geometry), plan, Noise(), 3).runs
+    assert campaign_findings(geometry, filtered) == ()
+
+
+def _sweep(name: str) -> SweepPlan:
+    return SweepPlan(run=f"sweep-{name}", excited=(name,), level=(HIGH_SWEEP_LEVELS[name],), period=2.0, periods=4)

@@ -10,6 +10,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import missing_mechanics
+from balance_cli.diagnosis.consistency.anti_alias import filter_findings
 from balance_cli.diagnosis.consistency.descriptions import describe_mistakes
 from balance_cli.diagnosis.consistency.evidence import Evidence, gather_evidence, rig_size
 from balance_cli.diagnosis.consistency.findings import (
@@ -82,6 +83,7 @@ def findings_from_rows(
     if not any(finding.is_fault for finding in findings):
         findings += _hub_findings(corrected, geometry)
         findings += _level_findings(rows, levels)
+        findings += filter_findings(rows, geometry)
     findings += _deviating_runs(corrected)
     return tuple(sorted(findings, key=lambda finding: finding.severity != FAULT))
 

@@ -23,6 +23,7 @@ STIFFNESS = "stiffness"
 FREQUENCIES = "frequencies"
 LEVEL = "level"
 DIFFERENT_RIG = "different rig"
+ANTI_ALIAS = "anti-alias filter"
 
 KINDS = (
     EXCHANGED_CHANNELS,
@@ -39,6 +40,7 @@ KINDS = (
     FREQUENCIES,
     LEVEL,
     DIFFERENT_RIG,
+    ANTI_ALIAS,
 )
 
 
