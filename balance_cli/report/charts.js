@@ -227,6 +227,8 @@ function download(chart, name, group) {
 }
 window.addEventListener("DOMContentLoaded", () => {
   document.documentElement.classList.add("scripts");
+  if (matchMedia("(prefers-reduced-motion: reduce)").matches)
+    document.querySelectorAll(".shapes svg").forEach(svg => svg.pauseAnimations());
   const seen = new IntersectionObserver(entries => entries.forEach(e => {
     if (e.isIntersecting) { seen.unobserve(e.target); build(e.target); }
   }), {rootMargin: "300px"});

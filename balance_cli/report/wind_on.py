@@ -39,6 +39,7 @@ from balance_cli.report.number_format import (
     join_names,
     value_and_sigma_text,
 )
+from balance_cli.report.polar_picture import polar_picture
 from balance_cli.report.recommendation import rank_methods
 from balance_cli.report.sources import Source, Sources
 
@@ -88,6 +89,8 @@ def _azimuth_blocks(shown: Source[HubLoads]) -> Iterator[PageBlock]:
     """Yield the loads over azimuth; loads at given frequencies have none."""
     if shown.content.method != FREQUENCIES:
         yield azimuth_chart(wind_runs(shown.content), shown.label)
+        rotor = shown.content.geometry.rotor
+        yield polar_picture(wind_runs(shown.content), rotor.blades if rotor else 1, shown.label)
 
 
 def _sources_by_harmonics(load_sources: Sequence[Source[HubLoads]]) -> Sequence[Source[HubLoads]]:

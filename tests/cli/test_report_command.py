@@ -35,6 +35,7 @@ def test_page_summary_and_picture(files, tmp_path):
         "summary",
         "wind-on",
         "eigenfrequencies",
+        "shapes",
         "parameters",
         "check-runs",
         "provenance",
@@ -50,7 +51,7 @@ def test_every_artefact_survives_its_file(tmp_path):
         save_artefact(tmp_path / path.name, item.format, item.content, item.provenance)
     result = call(*sorted(tmp_path.glob("*.h5")), "-o", tmp_path / "r.html")
     assert result.exit_code == 0, result.output
-    assert "7 artefacts, 9 sections" in result.output
+    assert "7 artefacts, 10 sections" in result.output
 
 
 def refused(result, tmp_path, *words: str) -> None:

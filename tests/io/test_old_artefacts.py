@@ -82,6 +82,7 @@ def test_a_page_of_old_artefacts_has_all_sections():
         "in-time",
         "diagnosis",
         "eigenfrequencies",
+        "shapes",
         "responses",
         "parameters",
         "check-runs",

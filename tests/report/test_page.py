@@ -25,7 +25,7 @@ def whole():
 
 
 def test_every_section_of_a_campaign_is_there(whole):
-    expected = ["summary", "wind-on", "eigenfrequencies", "responses", "parameters", "check-runs", "sweeps"]
+    expected = ["summary", "wind-on", "eigenfrequencies", "shapes", "responses", "parameters", "check-runs", "sweeps"]
     assert list(whole.sections) == [*expected, "calibration", "provenance"]
     assert set(whole.pictures) >= {"check-runs", "redundancy", "harmonics", "eigenfrequencies", "fit", "coherence"}
     assert {"response-Fx", "response-Mz"} <= set(whole.pictures)
@@ -57,7 +57,7 @@ def test_provenance_names_files_digests_and_times_but_no_folders(whole):
 KINDS = {
     "balance-calibration/1": {"calibration"},
     "balance-transfer/1": {"responses", "sweeps"},
-    "balance-model/1": {"eigenfrequencies", "parameters"},
+    "balance-model/1": {"eigenfrequencies", "shapes", "parameters"},
     "balance-loads/1": {"check-runs", "wind-on"},
 }
 

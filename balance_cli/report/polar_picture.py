@@ -1,0 +1,83 @@
+"""Polar plots of the 1/rev and blade harmonic of each component: cosine to the right, sine down, a point a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from html import escape
+
+import numpy as np
+
+from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
+from balance_cli.reduction.result import RunLoads
+from balance_cli.report.blocks import Picture
+from balance_cli.report.load_figures import RUN_COLORS
+from balance_cli.report.number_format import format_fixed, value_and_sigma_text
+
+SIZE, RADIUS = 170.0, 62.0
+MOST_NAMES = 4
+"""Runs that the legend has room for; the pointer names the others."""
+SMALLEST_DOT = 2.6
+"""Radius of a point [px] where its sigma is smaller."""
+
+
+def polar_picture(runs: dict[str, RunLoads], blades: int, label: str) -> Picture:
+    """Return the plots of all components, at 1/rev and at the blade harmonic where it was reduced."""
+    last = min(len(run.frequency_hz) for run in runs.values()) - 1
+    orders = tuple(dict.fromkeys(n for n in (1, blades) if 1 <= n <= last))
+    drawn = "".join(
+        _polar_svg(f"{name} {n}/rev", UNIT_OF[name], list(_points(runs, name, n)))
+        for n in orders
+        for name in COMPONENTS
+        if any(name in run.components for run in runs.values())
+    )
+    caption = (
+        f"Harmonics by {label} as vectors A exp(j phase), load = A cos(n azimuth + phase): phase counts from the "
+        "right, anticlockwise. The disk of a point has the radius of one sigma, where that is large enough to be seen."
+    )
+    return Picture("polar", caption, f'<div class="shapes">{drawn}</div>')
+
+
+def _points(runs: dict[str, RunLoads], name: str, n: int) -> Iterator[tuple[str, str, complex, float]]:
+    """Yield name and color of each run, its harmonic, and the larger sigma of cosine and sine."""
+    for i, (run_name, run) in enumerate(runs.items()):
+        if name in run.components:
+            m = run.components.index(name)
+            sigma = max(float(run.sigma_cosine[n, m]), float(run.sigma_sine[n, m]))
+            yield run_name, RUN_COLORS[i % len(RUN_COLORS)], complex(run.amplitude[n, m]), sigma
+
+
+def _polar_svg(title: str, unit: str, points: list[tuple[str, str, complex, float]]) -> str:
+    largest = max((abs(value) for _, _, value, _ in points if np.isfinite(value)), default=0.0) or 1.0
+    scale, middle = RADIUS / largest, SIZE / 2
+    parts = [
+        f'<circle class="grid" fill="none" cx="{middle:g}" cy="{middle:g}" r="{share * RADIUS:g}"/>'
+        for share in (0.5, 1.0)
+    ]
+    start, length = middle - RADIUS, 2 * RADIUS
+    parts.append(f'<path class="grid" d="M{start:g} {middle:g}h{length:g}M{middle:g} {start:g}v{length:g}"/>')
+    for i, (run, color, value, sigma) in enumerate(points):
+        if not np.isfinite(value):
+            continue
+        x, y = middle + scale * value.real, middle - scale * value.imag
+        radius = max(scale * sigma, SMALLEST_DOT) if np.isfinite(sigma) else SMALLEST_DOT
+        size, spread = value_and_sigma_text(abs(value), sigma)
+        phase = format_fixed(float(np.degrees(np.angle(value))), 1)
+        words = f"{run}: {size} \N{PLUS-MINUS SIGN} {spread} {unit}, {phase}°"
+        parts.append(
+            f'<g stroke="{color}" fill="{color}"><path d="M{middle:g} {middle:g}L{x:.1f} {y:.1f}"/>'
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"><title>{escape(words)}</title></circle></g>'
+        )
+        if i < MOST_NAMES:
+            parts.append(_legend_entry(4.0 + i * 42.0, color, run))
+    return (
+        f'<svg class="plot" viewBox="0 0 {SIZE:g} {SIZE + 12:g}" role="img" aria-label="Polar plot of {escape(title)}" '
+        f'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" font-size="9">'
+        f'<text x="4" y="10" font-weight="600">{escape(title)}, radius {largest:.4g} {escape(unit)}</text>'
+        f"{''.join(parts)}</svg>"
+    )
+
+
+def _legend_entry(x: float, color: str, run: str) -> str:
+    y = SIZE + 8.0
+    square = f'<rect x="{x:g}" y="{y - 6:g}" width="5" height="5" fill="{color}"/>'
+    return f'{square}<text x="{x + 7:g}" y="{y:g}">{escape(run[:7])}</text>'

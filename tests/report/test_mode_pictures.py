@@ -1,0 +1,42 @@
+"""Mode shapes on the rig: displacements of its points, and the assurance of two models' shapes."""
+
+import re
+
+import numpy as np
+
+from balance_cli.model.balance import balance_model
+from balance_cli.report.mode_pictures import assurance_table, point_shapes, rig_points, shape_picture
+from balance_cli.report.polar_picture import polar_picture
+from balance_cli.report.sources import group_sources
+from tests.support.report_content import campaign, loads, model
+
+
+def test_points_move_with_the_plate_as_a_rigid_body():
+    made = model()
+    names, points = rig_points(made.geometry)
+    shapes = point_shapes(made)
+    center = balance_model(made.geometry).system().equations.center.value
+    assert shapes.shape == (len(made.modes.frequency), len(names), 3) and names[-1] == "hub"
+    for shape, q in zip(shapes, made.modes.shape[:, :6], strict=True):
+        rotation = np.array([q[5], q[4], q[3]])  # phi, theta, psi turn about x, y, z
+        np.testing.assert_allclose(shape, q[:3] + np.cross(rotation, points - center), atol=1e-12)
+
+
+def test_a_model_agrees_with_itself_and_the_animation_closes():
+    sources = group_sources(campaign()).models
+    table = assurance_table(sources[0], sources[0])
+    shaft = [i for i, row in enumerate(table.rows) if row[1 + i].text == "–"]
+    assert len(shaft) == 1  # the plate is at rest in the mode of the torque meter
+    others = [row[1 + i] for i, row in enumerate(table.rows) if i not in shaft]
+    assert {(cell.text, cell.mark) for cell in others} == {("1.00", "good")}
+    frames = re.search(r'values="([^"]*)"', shape_picture(sources[0]).markup).group(1).split(";")
+    assert frames[0] == frames[-1] != frames[3]
+
+
+def test_a_vector_of_the_polar_plot_points_along_its_phase():
+    run = loads().runs["wind-1"]
+    markup = polar_picture({"wind-1": run}, 3, "a").markup
+    x, y = map(float, re.search(r'<circle cx="([\d.]+)" cy="([\d.]+)" r="[\d.]+"><title>', markup).groups())
+    angle = np.angle(run.amplitude[1, 0])
+    np.testing.assert_allclose([x - 85.0, 85.0 - y], 62.0 * np.array([np.cos(angle), np.sin(angle)]), atol=0.06)
+    assert "Fx 3/rev" in markup and "Mz 1/rev" in markup
