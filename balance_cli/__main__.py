@@ -13,7 +13,7 @@ SWITCH_INTERVAL = 5e-4
 
 SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminal closed"}
 """Signals that end the program, and the message of each. Not every system has SIGHUP."""
-HELP_OPTIONS = {"-h", "--help", "--version"}
+HELP_OPTIONS = {"-h", "--help", "-V", "--version"}
 EXIT_INTERRUPTED = 130
 
 

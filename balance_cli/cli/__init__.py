@@ -54,7 +54,7 @@ class LazyGroup(BalanceCommand, click.Group):
 
 
 @click.group("balance", cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="balance")
+@click.version_option(__version__, "-V", "--version", prog_name="balance")
 def balance() -> None:
     """From raw volts of a rotor balance to rotor-harmonic hub loads.
 

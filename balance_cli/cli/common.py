@@ -28,7 +28,6 @@ from __future__ import annotations
 
 import functools
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -140,14 +139,10 @@ class Session(Messages):
         return artefact
 
     def progress(self, items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
-        """The same items, with a progress bar where stderr is a terminal."""
-        if not sys.stderr.isatty():
-            return items
-        from tqdm import tqdm
+        """The same items, with a progress bar where stderr is a terminal, else a line every ten seconds."""
+        from balance_cli.cli.progress import track
 
-        tqdm.monitor_interval = 0  # no thread, which would make the fork of the process that reads files unsafe
-        bar: Iterable[T] = tqdm(items, desc=description, total=total, file=sys.stderr, leave=False)
-        return bar
+        return track(items, description, total)
 
     def provenance(self) -> Provenance:
         """Command, non-default options, inputs read so far, package versions and time."""
