@@ -98,6 +98,7 @@ def calibrate_all_trims(
     non_iterative: bool = False,
     check_gravity: Mapping[str, Array] | None = None,
     check_points: NDArray[np.bool_] | None = None,
+    repeat_scatter: Array | None = None,
 ) -> AllTrimsCalibration:
     """Fit one calibration model to the points of all trims.
 
@@ -105,7 +106,8 @@ def calibrate_all_trims(
     gravity (m, 3) in rig axes of those that state their attitude, by name. With the `declared` response (c, k)
     [V/N, V/(N m)] swapped channels are identified. With `non_iterative` the loads are also fitted as functions of the
     readings. `check_points` (m,): rows of the points that check the model, and are not fitted. `choice`: the
-    terms that the model may have.
+    terms that the model may have. `repeat_scatter` (c, c) [V2]: what the covariance of one reading
+    exceeds that of a row by, where rows are means of repeated ones.
 
     Raises least_squares.CollinearError where a load was never applied without the others.
     """
@@ -113,7 +115,7 @@ def calibrate_all_trims(
     points, total, screened, tares = _with_final_range(points, *screen_outliers_with_tares(points, choice))
     fit, model = screened.fit, screened.fit.model
     used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
-    noise = _estimate_noise(points, fit, used)
+    noise = _estimate_noise(points, fit, used, repeat_scatter)
     direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
     models = CheckModels(model, noise, direct)
     return AllTrimsCalibration(
@@ -158,9 +160,15 @@ def _screening_notes(points: CalibrationPoints, screened: ScreenedFit) -> tuple[
     return (*screened.screening_notes, *alarms, *_runs_without_attitude(points))
 
 
-def _estimate_noise(points: CalibrationPoints, fit: CalibrationModelFit, used: NDArray[np.bool_]) -> CalibrationNoise:
+def _estimate_noise(
+    points: CalibrationPoints, fit: CalibrationModelFit, used: NDArray[np.bool_], repeat_scatter: Array | None
+) -> CalibrationNoise:
+    """Noise of one reading: that of a row, which may be a mean of several, and what each scatters beyond it."""
     C = fit.model.coefficients[: len(fit.model.components)].T
-    return estimate_calibration_noise(fit.residuals[used], points.x[used], C, fit.model.residual_covariance)
+    noise = estimate_calibration_noise(fit.residuals[used], points.x[used], C, fit.model.residual_covariance)
+    if repeat_scatter is None:
+        return noise
+    return replace(noise, reading_covariance=noise.reading_covariance + repeat_scatter)
 
 
 def _with_final_range(

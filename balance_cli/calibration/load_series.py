@@ -81,7 +81,10 @@ def split_rows(x: Array, position: str = TARE_LAST) -> Index:
     if position in (SPLIT_LAST, SPLIT_FIRST):
         starts = [_between_tares(x, start) for start in starts]
     if position in (EACH_TARE, EACH_RETURN):
-        starts = sorted({*starts, *_returns_to_first_load(x, LARGE_STEP_RATIO if position == EACH_TARE else 0.0)})
+        returns = _returns_to_first_load(x, LARGE_STEP_RATIO if position == EACH_TARE else 0.0)
+        # Of two tare points the loads may have taken the other one.
+        others = [start for start in starts if all(abs(start - row) >= MIN_SERIES_ROWS for row in returns)]
+        starts = sorted({0, *others, *returns})
     return np.asarray(np.searchsorted(starts, np.arange(len(x)), side="right") - 1, np.intp)
 
 
@@ -103,13 +106,16 @@ def _between_tares(x: Array, start: int) -> int:
 def _returns_to_first_load(x: Array, ratio: float) -> list[int]:
     """Rows at which all loads return to those of the first row in a step above `ratio` times the one that follows.
 
-    None where that would leave a load series too short.
+    Two such rows in succession are two tare points, whatever the steps: the second opens a series. None where a load
+    series would be too short.
     """
     at_base = np.all(np.abs(x - x[0]) <= MIN_LOAD_CHANGE, axis=1)
     step = np.linalg.norm(np.diff(x, axis=0), axis=1)
     returns = [row for row in range(1, len(x) - 1) if at_base[row] and not at_base[row - 1] and not at_base[row + 1]]
-    jumps = [row for row in returns if step[row - 1] > ratio * step[row]]
-    is_tare = len(returns) >= MIN_RETURNS and min(np.diff([0, *jumps, len(x)]), default=0) >= MIN_SERIES_ROWS
+    repeated = [row for row in range(2, len(x) - 1) if at_base[row - 1] and at_base[row] and not at_base[row + 1]]
+    jumps = sorted({*(row for row in returns if step[row - 1] > ratio * step[row]), *repeated})
+    shortest = min(np.diff([0, *jumps, len(x)]), default=0)
+    is_tare = len(returns) + len(repeated) >= MIN_RETURNS and shortest >= MIN_SERIES_ROWS
     return jumps if is_tare else []
 
 

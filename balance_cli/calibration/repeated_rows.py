@@ -43,6 +43,11 @@ class RepeatedRows:
         return np.asarray(self.first == np.arange(len(self.first)))
 
     @property
+    def samples(self) -> float:
+        """Mean number of rows of a load point."""
+        return len(self.first) / int(np.count_nonzero(self.is_first))
+
+    @property
     def dof(self) -> int:
         """Degrees of freedom of the scatter."""
         return len(self.first) - int(np.count_nonzero(self.is_first))
@@ -53,8 +58,7 @@ class RepeatedRows:
         The load readings vary from sample to sample too; what of it the channels follow is not noise of the channels.
         """
         deviations = self.channel_scatter - self.load_scatter @ C.T
-        samples = len(self.first) / np.count_nonzero(self.is_first)
-        return np.asarray(deviations.T @ deviations / self.dof / samples)
+        return np.asarray(deviations.T @ deviations / self.dof / self.samples)
 
 
 def merge_repeated_rows(

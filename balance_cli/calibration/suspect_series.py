@@ -15,6 +15,7 @@ from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, 
 from balance_cli.calibration.gross_outliers import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.math_model import student_widening
 from balance_cli.calibration.robust_scale import robust_sigma
+from balance_cli.calibration.series_causes import series_cause
 from balance_cli.calibration.term_choice import LINEAR_TERMS, TermChoice
 from balance_cli.calibration.terms import term_values
 from balance_cli.signals import distributions as stats
@@ -48,6 +49,7 @@ class SuspectLoadSeries:
 
     `gain` with `gain_sigma`: regression coefficient of its change on the prediction. `resembled_channel`: the channel
     whose prediction it follows instead, empty for none. `alternatives`: load series that may be wrong in its place.
+    `cause`: the single mistake that would explain it in all channels; None where there is none.
     """
 
     load_series: str = field(metadata={"stored_as": "sequence"})
@@ -56,6 +58,7 @@ class SuspectLoadSeries:
     gain_sigma: float
     resembled_channel: str = field(metadata={"stored_as": "like"})
     alternatives: tuple[str, ...] = field(default=(), metadata={"stored_as": "or_else"})
+    cause: str | None = field(default=None, metadata={"omit_if_none": True})
 
 
 def exclude_suspect_series(
@@ -66,9 +69,10 @@ def exclude_suspect_series(
     included, fit, worst = points, *_fit_and_find_worst(points, choice)
     while worst is not None and len({suspect.load_series for suspect in suspect_series}) < MAX_SUSPECT_SERIES:
         rows, suspect_channels = worst
-        suspect_series += suspect_channels
         included = included.exclude_rows(rows)
         fit, worst = _fit_and_find_worst(included, choice)
+        cause = series_cause(fit.model, points, rows)
+        suspect_series += [replace(suspect, cause=cause) for suspect in suspect_channels]
     notes = () if worst is None else (f"{MAX_SUSPECT_SERIES} load series were excluded, and more disagree",)
     return included, fit, tuple(suspect_series), notes
 

@@ -191,6 +191,7 @@ def _suspect_series_summary(suspect: SuspectLoadSeries) -> dict[str, Any]:
         "gain_sigma": suspect.gain_sigma,
         "resembled_channel": suspect.resembled_channel,
         "alternatives": suspect.alternatives,
+        "cause": suspect.cause,
     }
 
 

@@ -72,11 +72,12 @@ def outlier_text(outlier: Outlier) -> str:
 
 
 def _suspect_series_text(suspect: SuspectLoadSeries) -> str:
+    cause = f"{suspect.cause}: " if suspect.cause else ""
     resembled = f", as expected of {suspect.resembled_channel}" if suspect.resembled_channel else ""
     alternatives = f"; {' or '.join(suspect.alternatives)} may be wrong instead" if suspect.alternatives else ""
     return (
-        f"{suspect.load_series}: {suspect.channel} changes {suspect.gain:.4f} +- {suspect.gain_sigma:.4f} times as "
-        f"much as the other load series predict{resembled}; the load series was excluded{alternatives}"
+        f"{suspect.load_series}: {cause}{suspect.channel} changes {suspect.gain:.4f} +- {suspect.gain_sigma:.4f} times "
+        f"as much as the other load series predict{resembled}; the load series was excluded{alternatives}"
     )
 
 

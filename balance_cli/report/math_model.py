@@ -171,10 +171,11 @@ def _math_model_warnings(all_trims: AllTrimsCalibration, proof: Contraction) -> 
 
 def _suspect_series_warning(suspect: SuspectLoadSeries) -> str:
     gain = f" {PLUS_MINUS} ".join(value_and_sigma_text(suspect.gain, suspect.gain_sigma))
+    cause = f"{suspect.cause}; " if suspect.cause else ""
     resembled = f", as expected of {suspect.resembled_channel}" if suspect.resembled_channel else ""
     alternatives = f" {' or '.join(suspect.alternatives)} may be wrong instead." if suspect.alternatives else ""
     return (
-        f"{suspect.load_series}: {suspect.channel} changes {gain} times as much as the other load series "
+        f"{suspect.load_series}: {cause}{suspect.channel} changes {gain} times as much as the other load series "
         f"predict{resembled}. The load series was excluded.{alternatives}"
     )
 

@@ -20,7 +20,7 @@ from balance_cli.campaign.rig.load_components import LoadComponents, load_compon
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import response, solve
-from balance_cli.steps.load_point_rows import LoadPointRows
+from balance_cli.steps.load_point_rows import LoadPointRows, repeat_scatter
 
 Array = NDArray[np.float64]
 
@@ -63,8 +63,9 @@ def fit_all_trims(
     checks = [(run.name, *read_load_points(run, names, components)) for run in hold_out]
     try:
         declared, by_run = _declared_response(geometry, points), _gravity_by_run(hold_out)
+        scatter = repeat_scatter(members.rows, names)
         check_points = np.concatenate([rows.is_check for rows in members.rows])
-        return calibrate_all_trims(points, checks, choice, declared, non_iterative, by_run, check_points)
+        return calibrate_all_trims(points, checks, choice, declared, non_iterative, by_run, check_points, scatter)
     except CollinearError:
         return None
 

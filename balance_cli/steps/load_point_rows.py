@@ -126,6 +126,19 @@ def measure_row_noise(rows: Sequence[LoadPointRows], channel_names: Sequence[str
     return RowNoise(pooled, dof, np.array(relative))
 
 
+def repeat_scatter(rows: Sequence[LoadPointRows], channel_names: Sequence[str]) -> Array | None:
+    """What the covariance (c, c) [V2] of one reading exceeds that of a load point by, which is a mean of readings.
+
+    Pooled over the runs with repeated rows; None without any.
+    """
+    parts = []
+    for each in rows:
+        if each.repeats is not None and each.repeats.dof > 0:
+            of_mean, dof = _noise_of_repeats(each, each.repeats, channel_names)
+            parts.append((of_mean * (each.repeats.samples - 1.0), dof))
+    return np.asarray(sum(part * dof for part, dof in parts) / sum(dof for _, dof in parts)) if parts else None
+
+
 def _noise_of_run(rows: LoadPointRows, channel_names: Sequence[str]) -> tuple[Array, float]:
     """Noise covariance (c, c) [V2] of a row of a run, and its degrees of freedom, 0 where it is not known."""
     c = len(channel_names)

@@ -9,6 +9,7 @@ from balance_cli.calibration.all_trims import calibrate_all_trims
 from balance_cli.calibration.few_rows import least_p_value_without_two_rows
 from balance_cli.calibration.fit import CalibrationPoints
 from balance_cli.calibration.least_squares import solve_least_squares
+from balance_cli.calibration.load_series import split_rows
 from balance_cli.calibration.repeated_rows import merge_repeated_rows
 from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.rig.components import COMPONENTS
@@ -168,3 +169,12 @@ def test_a_series_that_the_others_hardly_predict_is_not_excluded(seed):
     whole = calibrate_all_trims(points)
     assert whole.suspect_series == () and whole.outliers == ()
     assert set(whole.model.terms[6:]) == set(), "a family of terms that is not significant"
+
+
+def test_each_direction_opens_and_closes_with_its_tare():
+    """Ramps of both directions, two tare points between them: the second opens a series."""
+    up = np.r_[np.arange(6), np.arange(4, -1, -1)] / 5.0
+    x = np.vstack([np.outer(sign * up, np.eye(3)[j]) for j in range(3) for sign in (1.0, -1.0)])
+    expected = np.repeat(np.arange(6), len(up))
+    np.testing.assert_array_equal(split_rows(x, "each-return"), expected)
+    np.testing.assert_array_equal(split_rows(x, "each"), expected)

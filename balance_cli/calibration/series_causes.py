@@ -1,0 +1,82 @@
+"""What seems to be wrong with a whole load series: its loads in another unit or of the other sign, exchanged, or in
+reverse order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.fit import CalibrationPoints
+from balance_cli.calibration.math_model import CalibrationModel
+from balance_cli.io.units import FOOT, INCH, POUND_FORCE, STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MAX_LEFT_SHARE = 0.15
+"""Share of the error of a load series that an explanation may leave, as amplitude, as of a row."""
+SAME_FACTOR = 0.02
+"""Relative difference of two factors that count as equal: the nearest two of the table are 4 % apart or more."""
+MIN_OTHER_LOAD = 0.02
+"""Share of the calibrated range by which two columns of loads must differ to be exchanged."""
+
+UNIT_FACTORS = {
+    -1.0: "of the other sign",
+    1e3: "in units of a thousand (kN, kN m)",
+    1e-3: "in thousandths (mN, N mm)",
+    POUND_FORCE: "in lbf",
+    STANDARD_GRAVITY: "in kgf or kgf m",
+    POUND_FORCE * INCH: "in in-lbf",
+    POUND_FORCE * FOOT: "in ft-lbf",
+}
+"""What the true loads are of the stated ones, and what the stated ones then seem to be."""
+
+
+def series_cause(model: CalibrationModel, points: CalibrationPoints, rows: Mask) -> str | None:
+    """What single mistake explains the readings in some rows (m,), by a model that was fitted without them.
+
+    In words that are stored in artefacts; None where no single one does.
+    """
+    loads, sigma = points.loads[rows], np.sqrt(np.diag(model.residual_covariance))
+    change = _centered(points.channels[rows]) / sigma
+
+    def left(other: Array) -> float:
+        return float(np.linalg.norm(change - _centered(model.readings(other)) / sigma))
+
+    stated = left(loads)
+    explained = [(left(other), words) for other, words in _other_loads(model, loads, change * sigma, sigma)]
+    least, words = min(explained, key=lambda pair: pair[0], default=(np.inf, ""))
+    return words if least <= MAX_LEFT_SHARE * stated else None
+
+
+def _centered(readings: Array) -> Array:
+    """Readings (r, c) less their mean: the zero of a series is its own."""
+    return np.asarray(readings - readings.mean(axis=0))
+
+
+def _other_loads(model: CalibrationModel, loads: Array, change: Array, sigma: Array) -> Iterator[tuple[Array, str]]:
+    """Loads (r, k) that the series could have had, and the mistake in words."""
+    yield loads[::-1], "its loads seem to stand in reverse order"
+    predicted = _centered(model.readings(loads)) / sigma
+    power = float(np.sum(predicted**2))
+    if power > 0:
+        factor = float(np.sum(predicted * change / sigma)) / power
+        yield factor * loads, _factor_words(factor)
+    for i, j in combinations(range(loads.shape[1]), 2):
+        if np.max(np.abs(loads[:, i] - loads[:, j])) > MIN_OTHER_LOAD * max(model.calibrated_range[[i, j]]):
+            other = loads.copy()
+            other[:, [i, j]] = loads[:, [j, i]]
+            yield other, f"its loads {model.components[i]} and {model.components[j]} seem to be exchanged"
+
+
+def _factor_words(factor: float) -> str:
+    for known, words in UNIT_FACTORS.items():
+        if abs(factor / known - 1.0) < SAME_FACTOR:
+            return f"its loads seem to be {words}, unlike those of the other series"
+        if abs(factor * known - 1.0) < SAME_FACTOR and known != -1.0:
+            return f"the loads of the other series seem to be {words}, unlike its own"
+    return f"its loads seem to be {factor:.3g} times as large as stated"
