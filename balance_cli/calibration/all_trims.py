@@ -116,8 +116,7 @@ def calibrate_all_trims(
     fit, model = screened.fit, screened.fit.model
     used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
     noise = _estimate_noise(points, fit, used, repeat_scatter)
-    direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
-    models = CheckModels(model, noise, direct)
+    models = CheckModels(model, noise, fit_noniterative_model(total, model, used, choice) if non_iterative else None)
     return AllTrimsCalibration(
         model=model,
         runs=points.run_names,
@@ -131,7 +130,7 @@ def calibrate_all_trims(
         suspect_series=screened.suspect_series,
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
         screening_notes=_screening_notes(points, screened),
-        non_iterative=direct,
+        non_iterative=models.non_iterative,
         checks=(
             *_held_out_checks(models, checks, tares, check_gravity or {}),
             *_check_points_by_run(total, fit, models, check_points),
