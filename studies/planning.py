@@ -101,6 +101,7 @@ def _hall(rig: str) -> Hall:
         period=None if rig == "D" else 1.0,
         periods=(5,),
         levels=(1.0,),
+        phases="random",
         effects=tuple({item.effect for item in CLASSES if item.rig == rig}),
     )
 

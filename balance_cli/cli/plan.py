@@ -10,10 +10,11 @@ import click
 
 from balance_cli.cli.common import Session, balance_command, geometry_option, skip_bad_option
 from balance_cli.cli.options import InputFile, OutputFile
+from balance_cli.cli.plan_static import plan_static
 from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import MODEL_FORMAT
-from balance_cli.planning.choices import AIMS, Aim
+from balance_cli.planning.choices import AIMS, TERM_SETS, Aim, TermSet
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
@@ -53,6 +54,17 @@ if TYPE_CHECKING:
     metavar="PLAN",
     help="Plan nothing: compare the runs given with this plan, run by run.",
 )
+@click.option("--points", type=click.IntRange(min=1), help="Plan a static schedule of so many load points instead.")
+@click.option(
+    "--terms",
+    type=click.Choice(TERM_SETS),
+    default="quadratic",
+    show_default=True,
+    help="Terms of the calibration model that a static schedule tells: loads; with squares and products; or all.",
+)
+@click.option(
+    "--together", type=click.IntRange(1, 6), default=2, show_default=True, help="Loads at a time in a static schedule."
+)
 @skip_bad_option
 @click.option(
     "-o",
@@ -72,6 +84,9 @@ def command(
     seed: int,
     sheets: Path | None,
     compare: Path | None,
+    points: int | None,
+    terms: TermSet,
+    together: int,
     skip_bad: bool,
     output: Path | None,
 ) -> None:
@@ -80,16 +95,19 @@ def command(
     MODEL is a model of `identify` or `diagnose`, RUN... are runs already made: their information counts, and their
     noise is that of the plan. Without them the geometry is taken as declared. Every run that could be made is simulated
     once, and its information on all parameters computed as `identify` and `diagnose` do. With --compare the runs are
-    those of a plan that was carried out.
+    those of a plan that was carried out. With --points the plan is a static schedule: load combinations that tell
+    the terms of the calibration model best, beside one load at a time.
     """
     from balance_cli.planning.detectability import DetectionLevel
     from balance_cli.steps.plan import PlanOptions
 
+    if points is not None:
+        _check_static_call(minutes, sheets, compare, output)
+        return plan_static(session, geometry, hall, points, terms, together, output)
     _check_call(minutes, sheets, compare, output)
     rig = session.geometry(geometry)
-    constraints = _read_hall(session, hall)
     model, records = _read_files(session, files, rig, skip_bad)
-    options = PlanOptions(minutes or 0.0, aim, DetectionLevel(level), constraints, seed)
+    options = PlanOptions(minutes or 0.0, aim, DetectionLevel(level), _read_hall(session, hall), seed)
     try:
         spectra = _spectra(session, records, model.geometry if model else rig)
         if compare is not None:
@@ -108,6 +126,15 @@ def _check_call(minutes: float | None, sheets: Path | None, compare: Path | None
     if compare is not None and (output is not None or sheets is not None or minutes is not None):
         given = "-o" if output is not None else "--sheets" if sheets is not None else "--minutes"
         raise UserError("has no meaning with --compare", given, remedy="Leave it out; --json writes the comparison")
+
+
+def _check_static_call(minutes: float | None, sheets: Path | None, compare: Path | None, output: Path | None) -> None:
+    """Raise UserError where an option has no meaning together with --points, or the output is missing."""
+    for option, value in (("--minutes", minutes), ("--sheets", sheets), ("--compare", compare)):
+        if value is not None:
+            raise UserError("has no meaning with --points", option, remedy="Leave it out")
+    if output is None:
+        raise UserError("is missing", "-o", remedy="Give the file of the plan")
 
 
 def _plan(

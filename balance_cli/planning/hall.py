@@ -61,7 +61,8 @@ class Hall(FrozenModel):
     to choose from) describe the records; `bands` and `excitations` are further choices, `levels` shares of the largest
     level, `rotor_speeds` [Hz] those at which sweeps can be made; `phases` are those of the multisines. `loads`:
     amplitude [N, N m] of the hub loads for which their sigma counts; `record_seconds`: length of a record with the
-    rotor turning. `effects`: names of those that the plan considers, by default all.
+    rotor turning. `effects`: names of those that the plan considers, by default all. `static_loads`: largest load of
+    each component in a static schedule.
     """
 
     format: Literal["balance-hall/1"]
@@ -81,6 +82,7 @@ class Hall(FrozenModel):
     cell_share: Annotated[float, Field(gt=0, le=1)] = 0.05
     margin: Annotated[float, Field(gt=0, le=1)] = 0.8
     loads: Mapping[Component, Positive] | None = None
+    static_loads: Annotated[Mapping[Component, Positive], Field(min_length=1)] | None = None
     record_seconds: Positive = 20.0
     noise: DeclaredNoise | None = None
     effects: tuple[Name, ...] | None = None

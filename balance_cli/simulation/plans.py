@@ -42,13 +42,20 @@ class Plan(FrozenModel):
 
 
 class StaticPlan(Plan):
-    """Each component in turn up to `largest`, down through zero and back, in `steps` steps, about the `trim_loads`."""
+    """Each component up to `largest`, through zero and back, in `steps` steps, about the `trim_loads`; or `points`."""
 
     kind: Literal["static"] = "static"
     trim: str = "bare"
     trim_loads: LoadValues = Field(default_factory=dict)
-    largest: Mapping[Component, Positive]
+    largest: Mapping[Component, Positive] = Field(default_factory=dict)
     steps: Annotated[int, Field(ge=1, le=MOST_STEPS)] = 5
+    points: Annotated[tuple[LoadValues, ...], Field(max_length=MOST_STEPS)] | None = None
+
+    @model_validator(mode="after")
+    def _check_loads(self) -> StaticPlan:
+        if bool(self.largest) == bool(self.points):
+            raise ValueError("give either `largest` or `points`")
+        return self
 
 
 class RecordPlan(Plan):

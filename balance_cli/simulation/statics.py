@@ -23,7 +23,10 @@ def load_row(loads: Mapping[Component, float]) -> Array:
 
 
 def static_load_points(plan: StaticPlan) -> Array:
-    """Load points (rows, 6) in order: the trim, then each component up, down through it, and back."""
+    """Load points (rows, 6) in order: the trim, then each component up, down through it, and back; or those listed."""
+    if plan.points is not None:
+        listed = np.vstack([np.zeros((1, len(COMPONENTS))), *(load_row(point) for point in plan.points)])
+        return np.asarray(listed + load_row(plan.trim_loads))
     up = np.arange(1, plan.steps + 1)
     ladder = np.concatenate([up, up[-2::-1], [0], -up, -up[-2::-1], [0]]) / plan.steps
     blocks: list[Array] = [np.outer(ladder, load_row({name: largest})) for name, largest in plan.largest.items()]

@@ -1,0 +1,90 @@
+"""`balance plan --points`: a static schedule, as a plan of `simulate`, as JSON keys and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from balance_cli.cli.common import Session
+from balance_cli.io.errors import UserError
+from balance_cli.planning.choices import TermSet
+
+if TYPE_CHECKING:
+    from balance_cli.planning.static_schedule import ScheduleDesign, StaticSchedule
+
+SAVED_DIGITS = 6
+"""Significant digits of a load in the plan: a weight is known to fewer."""
+
+
+def plan_static(
+    session: Session, geometry: Path, hall: Path | None, points: int, terms: TermSet, together: int, output: Path | None
+) -> None:
+    """Plan a static schedule, write it and report."""
+    from balance_cli.planning.static_schedule import plan_static_schedule
+
+    assert output is not None
+    largest = _largest_loads(session, geometry, hall)
+    schedule = plan_static_schedule(tuple(largest), tuple(largest.values()), points, terms, together)
+    session.write_text(output, _file_text(schedule))
+    session.finish(_summary(schedule), _text(schedule))
+
+
+def _largest_loads(session: Session, geometry: Path, hall: Path | None) -> Mapping[str, float]:
+    """The largest loads: of the hall, else the rated ones. Raises UserError where neither states any."""
+    from balance_cli.campaign.rig.components import COMPONENTS
+    from balance_cli.planning.hall_file import load_hall
+
+    rig = session.geometry(geometry, mechanics=False)
+    of_hall = load_hall(hall).static_loads if hall is not None else None
+    stated: dict[str, float] = dict((of_hall or rig.rated_loads or {}).items())
+    largest = {name: stated[name] for name in COMPONENTS if name in stated}
+    if not largest:
+        fault = "neither `static_loads` of the hall nor `rated_loads` of the geometry state the largest loads"
+        raise UserError(fault, str(hall or geometry), remedy="Add `static_loads: {Fx: ...}` to the hall file")
+    return largest
+
+
+def _file_text(schedule: StaticSchedule) -> str:
+    points = [
+        {
+            name: float(f"{share * largest:.{SAVED_DIGITS}g}")
+            for name, largest, share in zip(schedule.components, schedule.largest, row, strict=True)
+            if share
+        }
+        for row in schedule.optimal.points.tolist()
+    ]
+    plan = {"runs": [{"run": "static-optimal", "kind": "static", "points": points}]}
+    return yaml.safe_dump(plan, sort_keys=False, default_flow_style=None, width=120)
+
+
+def _summary(schedule: StaticSchedule) -> dict[str, Any]:
+    """The JSON keys of docs/json.md."""
+    return {
+        "points": len(schedule.optimal.points),
+        "efficiency": schedule.efficiency,
+        "optimal": _design_summary(schedule, schedule.optimal),
+        "one_at_a_time": _design_summary(schedule, schedule.one_at_a_time),
+    }
+
+
+def _design_summary(schedule: StaticSchedule, design: ScheduleDesign) -> dict[str, Any]:
+    sigma = dict(zip(schedule.terms, design.sigma.tolist(), strict=True))
+    return {
+        "term_sigma": {name: value if math.isfinite(value) else None for name, value in sigma.items()},
+        "aliased": [{"name": name, "why": why} for name, why in design.aliased.items()],
+    }
+
+
+def _text(schedule: StaticSchedule) -> Iterator[str]:
+    count = len(schedule.optimal.points)
+    yield f"{count} load points for {len(schedule.terms)} terms, D-optimal beside one load at a time:"
+    for label, design in (("D-optimal", schedule.optimal), ("one at a time", schedule.one_at_a_time)):
+        determined = len(schedule.terms) - len(design.aliased)
+        yield f"   {label:<14} {determined} terms determined, median sigma {design.median_sigma:.3g} of one reading"
+        if design.aliased:
+            yield f"      not determined: {', '.join(design.aliased)}"
+    yield f"   for the terms that both tell, one load at a time needs {schedule.efficiency:.2f} times as many points"
