@@ -11,10 +11,10 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import wait
 from typing import Any, ParamSpec, TypeVar
 
@@ -36,12 +36,14 @@ DASK_CONNECTION_TIME = 10.0
 class Workers:
     """How to open an executor; `window` runs are submitted at a time.
 
-    `lost` are the exceptions of an executor that lost a worker.
+    `lost` are the exceptions of an executor that lost a worker; `shutdown_options`: beyond those that every executor
+    has.
     """
 
     open: Callable[[], Executor]
     window: int
     lost: tuple[type[BaseException], ...] = (BrokenExecutor,)
+    shutdown_options: Mapping[str, bool] = field(default_factory=lambda: {"cancel_futures": True})
 
 
 class InlineExecutor(Executor):
@@ -120,4 +122,4 @@ def _dask_workers(address: str) -> Workers:
         executor: Executor = client[0].get_executor(pure=False)
         return executor
 
-    return Workers(open_executor, 64, (BrokenExecutor, distributed.KilledWorker))
+    return Workers(open_executor, 64, (BrokenExecutor, distributed.KilledWorker), {})

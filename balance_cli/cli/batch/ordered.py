@@ -53,7 +53,7 @@ class WorkerPool:
     def close(self) -> None:
         """End the workers; what was submitted and not begun is dropped."""
         if self._executor is not None:
-            self._executor.shutdown(wait=True, cancel_futures=True)
+            self._executor.shutdown(wait=True, **self._workers.shutdown_options)
             self._executor = None
 
     def _submit(self, function: Callable[[T], R], item: T) -> Future[R]:
@@ -81,7 +81,7 @@ class WorkerPool:
     def _reopen(self) -> None:
         executor, self._executor = self._executor, None
         if executor is not None:
-            executor.shutdown(wait=False, cancel_futures=True)
+            executor.shutdown(wait=False, **self._workers.shutdown_options)
 
 
 @contextmanager
