@@ -16,6 +16,8 @@ BEST_FIRST = ("closed", "rigid", "transfer", "computed")
 """Responses in the order in which their loads are preferred: updated, identified, measured, computed."""
 LOWEST_FREQUENCY = 1.0
 """[Hz] from which spectra are reduced: below lie the drift of channels and the high-pass of piezo channels."""
+MOST_RECORDS = 6
+"""Wind runs whose raw channels are on the page: each adds about 0.2 MB."""
 SHARE_OF_CUTOFF, SHARE_OF_RATE = 0.8, 0.4
 """Of the cut-off of the anti-alias filter, and of the sample rate: up to the smaller one spectra are reduced."""
 
@@ -179,7 +181,8 @@ class _Builder:
         outputs = [path for step in self.steps if step.name != "spectra" for path in step.writes]
         parts = [path for path in outputs if path.suffix == ".h5"]
         page = self._path("report.html")
-        self.add("report", "report", "-o", page, writes=(page,), if_there=tuple(parts))
+        records = _paths(self._campaign.of_kind("wind"))[:MOST_RECORDS]
+        self.add("report", "report", *records, "-o", page, writes=(page,), if_there=tuple(parts))
 
     def _add_table(self, name: str, loads: tuple[Path, ...]) -> None:
         table = self._path(Path(name).stem + ".csv")
