@@ -110,10 +110,13 @@ def _sweep_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunE
     """Relative error of the response of a sweep, as in the quality of a fit, and its noise floor.
 
     The contribution of nonlinear forces is removed from the record first. In a record that does not repeat it would
-    be taken for noise.
+    be taken for noise. Where a nonlinear force would be most of what its own cell reads, nothing is described.
     """
     system = identified_system(model)
-    run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
+    try:
+        run = remove_nonlinear_contribution(run, system, model.geometry, live_channels(run, model.geometry).live)
+    except np.linalg.LinAlgError:
+        return RunErrors({}, {}, 1.0), RunErrors({}, {}, 0.0)
     spectra = measured_spectra([run], model.geometry, means=False)
     batches = stack_runs(spectra.lines, (), model.geometry.channel_names)
     quality = fit_quality(batches, system, 0.0, frf_band(batches, model.geometry)).runs[run.name]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
-from balance_cli.diagnosis.conclusions import judge_hold_out
+from balance_cli.diagnosis.conclusions import is_described, judge_hold_out
 from balance_cli.diagnosis.result import (
     CONTRADICTED,
     EXPLAINED,
@@ -25,7 +25,7 @@ from balance_cli.model.balance import balance_model
 from balance_cli.simulation import CampaignPlan, SweepPlan, simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation, simulation_error
-from balance_cli.steps.hold_out import choose_hold_out
+from balance_cli.steps.hold_out import choose_hold_out, hold_out_errors
 from balance_cli.steps.identify import IdentifyOptions, identify
 from tests.support.diagnosis_content import delay_effect, diagnosis
 from tests.support.rigs import one_degree_of_freedom
@@ -111,6 +111,12 @@ def test_an_effect_without_a_physical_start_is_refused_by_its_name(runs):
     impossible = ONE.model_copy(update={"effects": (cubic(-1e13, "inside"),)})
     with pytest.raises(UserError, match="no start with `cubic-stiffness@z,inside` is physical"):
         identify(measured_spectra(runs[:1], impossible), impossible)
+
+
+def test_a_nonlinear_force_that_is_most_of_what_its_cell_reads_describes_nothing(runs):
+    errors = hold_out_errors(runs[0], knowing(), knowing(cubic(1e22, "inside")))
+    assert errors.after.frf_error == 1.0 > errors.before.frf_error
+    assert not is_described(errors, SETTINGS)
 
 
 # ---- runs kept aside, and the verdict --------------------------------------------------------------------------------
