@@ -98,7 +98,8 @@ def load_errors(table: Path, truth: dict[str, NDArray[np.complex128]]) -> pd.Dat
 
 
 def _label(effect: dict[str, Any]) -> str:
-    return effect["name"] + ("@" + ",".join(effect["where"]) if effect["where"] else "")
+    where = [*effect["where"], *([effect["parameters"]["side"]["value"]] if "side" in effect["parameters"] else [])]
+    return effect["name"] + ("@" + ",".join(where) if where else "")
 
 
 def label_is_right(label: str, effects: list[dict[str, Any]]) -> bool:

@@ -1,0 +1,38 @@
+"""A real mechanism with dry friction: the EMPS axis as a balance, at two time scales."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.rig.geometry_file import geometry_from_dict
+from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.steps.identify import IdentifyOptions, identify
+from tests.support.tools import tool as load_tool
+
+FOLDER = Path(__file__).parents[3] / "shared" / "measured" / "emps"
+TRAIN, PULSES = FOLDER / "DATA_EMPS.mat", FOLDER / "DATA_EMPS_PULSES.mat"
+pytestmark = pytest.mark.skipif(not PULSES.exists(), reason="the measured data are elsewhere")
+
+
+def test_the_published_model_explains_the_force_on_the_pulses():
+    tool = load_tool("emps_errors")
+    assert tool.force_residual(PULSES, tool.PUBLISHED) == pytest.approx(0.044, abs=0.001)
+    without_friction = replace(tool.PUBLISHED, friction=0.0, offset=0.0)
+    assert tool.force_residual(PULSES, without_friction) > 0.2
+
+
+@pytest.mark.parametrize("time_factor", [1.0, 10.0])
+def test_the_axis_is_the_same_at_another_time_scale(time_factor):
+    emps, errors = load_tool("emps"), load_tool("emps_errors")
+    geometry = geometry_from_dict(emps.geometry_content(time_factor))
+    model = identify(measured_spectra([], geometry), geometry, IdentifyOptions(method="computed"))
+    axis = errors.identified_axis(model, time_factor)
+    assert axis.mass == pytest.approx(emps.DECLARED_MASS)
+    assert axis.viscous == pytest.approx(2 * 0.5 * np.sqrt(emps.STIFFNESS * emps.DECLARED_MASS))
+    run = emps.emps_run("train", TRAIN, time_factor)
+    block = run.read()
+    assert run.sample_rate == 1000.0 * time_factor
+    # What is left of the load without the spring is the force of the drive, as large as its friction at least.
+    assert np.abs(block.loads[:, 0] - block.channels[:, 0]).max() > 20.0
