@@ -11,7 +11,7 @@ import click
 from balance_cli.cli.common import Session, balance_command, geometry_option, skip_bad_option
 from balance_cli.cli.options import InputFile, OutputFile
 from balance_cli.cli.plan_static import plan_static
-from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
+from balance_cli.diagnosis.choices import SIGNIFICANCE_LEVEL
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import MODEL_FORMAT
 from balance_cli.planning.choices import AIMS, TERM_SETS, Aim, TermSet

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from balance_cli.cli.common import Session
 from balance_cli.io.errors import UserError
 from balance_cli.planning.choices import TermSet
@@ -49,6 +47,8 @@ def _largest_loads(session: Session, geometry: Path, hall: Path | None) -> Mappi
 
 
 def _file_text(schedule: StaticSchedule) -> str:
+    import yaml
+
     points = [
         {
             name: float(f"{share * largest:.{SAVED_DIGITS}g}")

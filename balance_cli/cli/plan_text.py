@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 if TYPE_CHECKING:
     from balance_cli.planning.candidate_runs import CandidateRun
     from balance_cli.planning.result import DetectableEffect, LoadSigma, PlannedCampaign
@@ -22,6 +20,8 @@ MOST_LISTED = 10
 
 def plan_file_text(planned: PlannedCampaign) -> str:
     """The plan as `balance simulate --plan` reads it, with a head of comments."""
+    import yaml
+
     runs = [item.plan.model_dump(mode="json", exclude_none=True) for item in planned.chosen]
     head = f"# Plan for {planned.rig}: {len(runs)} runs in {planned.minutes:.1f} minutes\n"
     head += f"# noise {planned.noise_source}\n"

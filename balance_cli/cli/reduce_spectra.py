@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from balance_cli.reduction.spectra_result import LoadSpectra, RunSpectra
 
 
-OTHER_WAYS = ("rotor", "method", "zero", "frequencies", "harmonics", "history")
-"""Options that do not apply to a spectrum."""
+OTHER_WAYS = ("rotor", "method", "zero", "frequencies", "harmonics", "history", "jobs", "executor", "shard")
+"""Options that do not apply to spectra, which are reduced in one process."""
 
 
 def check_band_options(band: tuple[float, float] | None, is_given: Callable[[str], bool]) -> None:

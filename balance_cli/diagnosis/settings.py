@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from balance_cli.diagnosis.choices import SIGNIFICANCE_LEVEL
 from balance_cli.diagnosis.data_test_settings import DataTestSettings
 from balance_cli.diagnosis.hold_out_settings import FreeSimulationSettings, HoldOutSettings
-from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,6 @@ from balance_cli.signals.covariance_pooling import inverse_bias_factor
 
 Array = NDArray[np.float64]
 
-SIGNIFICANCE_LEVEL = 0.003
-"""Bonferroni-corrected p-value below which an effect is accepted: one false alarm in 300 campaigns."""
 DATA_TEST_LEVEL = 1e-3
 """p-value of a row of the data tests below which it has a finding: with a hundred rows, one campaign in ten has one."""
 MIN_F_DOF = 5.0

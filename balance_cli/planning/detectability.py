@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from balance_cli.diagnosis.choices import SIGNIFICANCE_LEVEL
 from balance_cli.diagnosis.search.projected_scores import remaining_information, solve_refined
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
-from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
 from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.model.effects import EffectParameter
 from balance_cli.planning.extended_model import ExtendedModel

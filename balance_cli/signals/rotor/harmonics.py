@@ -145,9 +145,11 @@ def estimate_harmonics(
 
     def error_amplitudes(index: NDArray[np.int64], errors: Array) -> ComplexArray:
         assert run.sample_rate is not None
-        psi = azimuth.psi(np.clip(index / run.sample_rate, azimuth.first, azimuth.last))
+        time = np.clip(index / run.sample_rate, azimuth.first, azimuth.last)
+        psi = azimuth.psi(time)
         weight = edge_weight(psi / (2 * np.pi), *revolutions)
-        moment = (_trigonometric_basis(psi, fitted_count) * weight[:, None]).T @ errors.T
+        columns = np.hstack([_trigonometric_basis(psi, fitted_count), other.basis(time)])
+        moment = (columns * weight[:, None]).T @ errors.T
         return _solve_amplitudes(replace(sums, moment=moment), n, fitted_count).T
 
     span = _sample_span(run, start, end)

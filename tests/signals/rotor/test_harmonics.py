@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from balance_cli.campaign.recording.gaps import bridge_gaps
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import azimuth_from_pulses
 from balance_cli.signals.rotor.harmonics import edge_weight, estimate_harmonics
+from balance_cli.signals.rotor.other_lines import OtherLines
 
 RATE, SAMPLE_RATE = 17.5, 800.0
 
@@ -183,3 +185,17 @@ def test_what_cannot_be_done_is_refused():
     with pytest.raises(UserError, match="channel c1"):
         estimate_harmonics(run_of(spoilt), azimuth)
     assert estimate_harmonics(run_of(spoilt), azimuth, names=["c0"]).names == ("c0",)
+
+
+def test_tones_beside_the_harmonics_are_removed_around_a_gap():
+    """A gap that is interpolated adds its error to the covariance, with other lines among the columns, too."""
+    truth, time = amplitudes(5, 8, 2), time_of(20)
+    azimuth = azimuth_from_pulses(pulse_times(20, 0.0))
+    tone = 0.3 * np.cos(2 * np.pi * 41.3 * time + 0.4)
+    noise = np.random.default_rng(6).normal(scale=1e-3, size=(len(time), 2))
+    channels = periodic(truth, 2 * np.pi * (count(time, 0.0) - 1)) + tone[:, None] + noise
+    channels[5000:5006, 0] = np.nan
+    harmonics = estimate_harmonics(bridge_gaps(run_of(channels)), azimuth, other=OtherLines((41.3,)))
+    sigma = np.sqrt(np.einsum("ncc->nc", harmonics.covariance).real / 2)
+    assert np.all(np.abs(harmonics.amplitude - truth)[1:] < 5 * sigma[1:])
+    assert np.median(sigma[1:]) < 1e-4
