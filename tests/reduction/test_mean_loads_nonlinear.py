@@ -149,7 +149,7 @@ def test_skip_bad_leaves_out_the_run_that_cannot_be_solved(tmp_path):
     words = ["calibrate", "-g", str(CONFIGS / "rts-6.yaml"), *static, "-o", str(cal)]
     assert CliRunner().invoke(balance, words).exit_code == 0
     words = ["reduce", "--calibration", str(cal), "--static", *(str(tmp_path / f"w{i}.h5") for i in (1, 2))]
-    refused = CliRunner().invoke(balance, [*words, "-o", str(out)])
+    refused = CliRunner().invoke(balance, [*words, "-o", str(out), "--strict"])
     assert refused.exit_code == 2 and not out.exists()
     assert "w2.h5, mean of Fz" in refused.stderr
     done = CliRunner().invoke(balance, [*words, "-o", str(out), "--skip-bad"])

@@ -11,6 +11,8 @@ RUN_ATTRIBUTES = (
     *("format", "kind", "run", "rig", "sample_rate", "rotor_speed", "excited", "excitation", "level", "period", "trim"),
     *("recorded", "note"),
 )
+KNOWN_ATTRIBUTES = (*RUN_ATTRIBUTES, "azimuth_error_deg")
+"""Attributes that the format knows, with those that are optional."""
 MOST_CONDITIONS = 64
 """Attributes that are kept, the first by name."""
 
@@ -18,7 +20,7 @@ MOST_CONDITIONS = 64
 def read_conditions(file: h5py.File) -> dict[str, float]:
     """Return the attributes with one number that the format does not know; texts are for people."""
     conditions: dict[str, float] = {}
-    for name in sorted(name for name in file.attrs if name not in RUN_ATTRIBUTES):
+    for name in sorted(name for name in file.attrs if name not in KNOWN_ATTRIBUTES):
         value = _condition(file, name)
         if value is not None and len(conditions) < MOST_CONDITIONS:
             conditions[name] = value

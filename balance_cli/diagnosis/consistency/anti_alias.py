@@ -24,6 +24,7 @@ lets pass, so that exciters would have to become twice as strong there, all of t
 FEWEST_BANDS = 4
 """Bands on either side from which a median is not that of one or two lines."""
 FEWEST_SWEEPS = 2
+"""Sweeps that must agree: one alone may have a faulty load cell."""
 
 
 def filter_findings(rows: Sequence[ResponseRows], geometry: Geometry) -> list[ConsistencyFinding]:
