@@ -101,6 +101,6 @@ def test_a_file_in_the_wrong_place_is_named(examples, out, calibration, option, 
     assert_refused(call(*words, "-o", out / "o.csv"), out, named)
 
 
-@pytest.mark.parametrize("name", ["geometry.yaml", "matrix.csv", "history.h5", "none.h5", ""])
-def test_only_artefacts_and_runs_are_reported(examples, out, name):
+@pytest.mark.parametrize("name", ["check.run.h5", "geometry.yaml", "matrix.csv", "history.h5", "none.h5", ""])
+def test_only_artefacts_are_reported(examples, out, name):
     assert_refused(call("report", examples / name, "-o", out / "r.html"), out)

@@ -35,8 +35,9 @@ INACCURACY = (0.01, 0.05)
 """Fractions of its force that noise makes uncertain in periodic and in other records: it reverses early or late."""
 SLIP_DISTANCES = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 """Slip distances at which a search scores a contact, relative to the cell's elongation at full range: half decades."""
-STIFFNESS_BOUNDS = (1e-3, 10.0)
-"""Bounds of the stiffness from which a search begins, relative to that of the cell."""
+STIFFNESS_BOUNDS = (1e-3, 1e4)
+"""Bounds of the stiffness from which a search begins, relative to that of the cell. A contact that always slips is far
+stiffer than a soft cell: a ball screw on a spring, four decades."""
 
 
 def _cell(geometry: Geometry, where: Where) -> Cell:
@@ -60,11 +61,10 @@ def _extra_starts(geometry: Geometry, where: Where) -> tuple[Start, ...]:
 
 def _start_from_score(geometry: Geometry, where: Where, start: Start, estimate: Start) -> Start:
     """The force that the score estimates, with the stiffness that gives the slip distance of the score."""
-    if "stick_stiffness" not in start:
-        return start
     cell = _cell(geometry, where)
-    distance = LEAST_FORCE_SHARE * cell.full_range / start["stick_stiffness"]
-    lower, upper = (share * cell.effective_stiffness for share in STIFFNESS_BOUNDS)
+    k = cell.effective_stiffness
+    distance = LEAST_FORCE_SHARE * cell.full_range / start.get("stick_stiffness", k)
+    lower, upper = (share * k for share in STIFFNESS_BOUNDS)
     return {"force": estimate["force"], "stick_stiffness": float(np.clip(estimate["force"] / distance, lower, upper))}
 
 
