@@ -54,9 +54,7 @@ def command(
     run_paths = [path for path in artefacts if sniff_format(path) == RUN_FORMAT]
     if len(run_paths) == len(artefacts):
         fault = "is a run file, and no artefact is among the files"
-        raise UserError(
-            fault, str(run_paths[0]), remedy="Add results, for example loads; `balance check` tells of runs"
-        )
+        raise UserError(fault, str(run_paths[0]), remedy="Add results, for example loads")
     paths = session.progress([path for path in artefacts if path not in run_paths], "artefacts", len(artefacts))
     read_artefacts = [(path, session.artefact(path, ARTEFACT_TYPES)) for path in paths]
     report_sources = group_sources(read_artefacts, _open_runs(session, run_paths))
