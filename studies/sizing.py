@@ -19,10 +19,10 @@ from scipy.stats import chi2, ncx2
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.diagnosis.choices import SIGNIFICANCE_LEVEL
 from balance_cli.diagnosis.search.candidates import Candidate, candidate_at, parameters_of_interest
 from balance_cli.diagnosis.search.score_statistics import scores
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
-from balance_cli.diagnosis.significance import SIGNIFICANCE_LEVEL
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.measured_spectra import Spectra, measured_spectra
 from balance_cli.estimation.measurements import stack_runs

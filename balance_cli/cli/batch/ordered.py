@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 
 from balance_cli.cli.batch.executors import Workers
@@ -13,6 +13,9 @@ from balance_cli.io.errors import UserError
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+ATTEMPTS = 2
+"""Times that an item may end a worker in which it is alone: once may be the lack of memory of a busy machine."""
 
 
 class WorkerPool:
@@ -26,7 +29,7 @@ class WorkerPool:
         """Yield each item with `function(item)`, or with the UserError that it raised, in the order of the items.
 
         Whatever their number, no more than a window of them is submitted, so that memory stays bounded. Where a worker
-        is lost, the items in work are repeated one at a time; the one that ends its worker again has an error.
+        is lost, the items in work are repeated one at a time; one that ends its worker again and again has an error.
         """
         rest = iter(items)
         pending: deque[tuple[T, Future[R]]] = deque()
@@ -64,14 +67,17 @@ class WorkerPool:
             return self._open().submit(function, item)
 
     def _repeat(self, function: Callable[[T], R], item: T) -> R | UserError:
-        """Return the result of an item that is in work alone."""
-        self._reopen()
-        try:
-            return _outcome(self._submit(function, item))
-        except self._workers.lost:
+        """Return the result of an item that is in work alone; one that ends its worker ATTEMPTS times has an error.
+
+        How its worker ended before does not count: all items in work are lost where one of them ends a worker.
+        """
+        for _ in range(ATTEMPTS):
             self._reopen()
-            fault = "the process that reduced it ended twice without a result (no memory?)"
-            return UserError(fault, str(getattr(item, "path", item)), remedy="Give it alone, with --jobs 1")
+            with suppress(*self._workers.lost):
+                return _outcome(self._submit(function, item))
+        self._reopen()
+        fault = "the process that reduced it ended twice without a result (no memory?)"
+        return UserError(fault, str(getattr(item, "path", item)), remedy="Give it alone, with --jobs 1")
 
     def _open(self) -> Executor:
         if self._executor is None:
