@@ -59,6 +59,5 @@ def balance() -> None:
     """From raw volts of a rotor balance to rotor-harmonic hub loads.
 
     Exit status: 0 done; 1 internal error; 2 the input or the call is wrong, and nothing was written; 3 `diagnose
-    --fail-on-discrepancy` found one; 4 done, but some runs were
-    skipped, which are listed.
+    --fail-on-discrepancy` found one; 4 done, but some runs were skipped, which are listed.
     """

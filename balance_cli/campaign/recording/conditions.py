@@ -7,11 +7,13 @@ import math
 import h5py
 import numpy as np
 
+from balance_cli.campaign.recording.additions_file import AZIMUTH_ERROR
+
 RUN_ATTRIBUTES = (
     *("format", "kind", "run", "rig", "sample_rate", "rotor_speed", "excited", "excitation", "level", "period", "trim"),
     *("recorded", "note"),
 )
-KNOWN_ATTRIBUTES = (*RUN_ATTRIBUTES, "azimuth_error_deg")
+KNOWN_ATTRIBUTES = (*RUN_ATTRIBUTES, AZIMUTH_ERROR)
 """Attributes that the format knows, with those that are optional."""
 MOST_CONDITIONS = 64
 """Attributes that are kept, the first by name."""
