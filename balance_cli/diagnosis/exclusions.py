@@ -23,6 +23,7 @@ from balance_cli.diagnosis.selection.fit import fit_all_lines
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
+from balance_cli.estimation.identified_model import CONTRADICTS_OTHERS
 from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.model.balance import BalanceModel
@@ -102,7 +103,7 @@ def without_channel(spectra: Spectra, name: str, geometry: Geometry) -> Spectra:
     lines = tuple(_lines_without(run, name, geometry) for run in spectra.lines)
     statics = tuple(_points_without(run, name, geometry) for run in spectra.statics)
     runs = [*(run.run for run in spectra.lines), *(points.run for points in spectra.statics)]
-    reason = {name: "does not agree with the others"}
+    reason = {name: CONTRADICTS_OTHERS}
     left_out = {run: {**spectra.channels_left_out.get(run, {}), **reason} for run in runs}
     return replace(spectra, lines=lines, statics=statics, channels_left_out=left_out)
 

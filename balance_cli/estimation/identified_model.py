@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+CONTRADICTS_OTHERS = "does not agree with the others"
+"""Why a diagnosis left a channel out of the fit: no other data need an effect without it."""
+
 
 @dataclass(frozen=True)
 class ParameterTable:
@@ -107,6 +110,12 @@ class IdentifiedModel(ResultView):
     paper: PaperFit | None = None
     response_error: ResponseError | None = field(default=None, metadata={"omit_if_none": True})
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
+
+    @property
+    def untrusted_channels(self) -> dict[str, str]:
+        """Channels that a diagnosis has left out of the fit because the others contradict them: {channel: reason}."""
+        reasons = (item for channels in self.channels_left_out.values() for item in channels.items())
+        return {name: reason for name, reason in reasons if reason == CONTRADICTS_OTHERS}
 
     @property
     def misfit_scale(self) -> float:

@@ -86,7 +86,7 @@ def rotor_record(
     The harmonics are those of `rotor`; the lines of further rotors are taken out first (unless they are to be found as
     lines that no harmonic describes). Raises UserError where no channel is usable or the 1/rev pulses are not.
     """
-    health = live_channels(run, geometry)
+    health = live_channels(run, geometry).without(source.untrusted_channels)
     if not health.live:
         raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
     for contradiction in pulse_faults(run):
@@ -136,7 +136,7 @@ def tone_record(
     The phase counts from the first sample. Raises UserError where the record holds too few cycles or no channel.
     """
     assert run.sample_rate is not None
-    health = live_channels(run, geometry)
+    health = live_channels(run, geometry).without(source.untrusted_channels)
     if not health.live:
         raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
     duration = (run.samples - 1) / run.sample_rate

@@ -63,7 +63,7 @@ def load_spectra(run: Run, geometry: Geometry, source: ResponseSource, band: tup
     Raises UserError where the band holds no frequency of the record or leaves the measured response, no channel is
     usable, or the usable channels do not determine the loads.
     """
-    health = live_channels(run, geometry)
+    health = live_channels(run, geometry).without(source.untrusted_channels)
     if not health.live:
         raise UserError("no channel is usable", _place(run), "channels", "Repair the channels, or leave the run out")
     run = source.remove_nonlinear_contribution(run, health.live)

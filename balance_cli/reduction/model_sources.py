@@ -62,6 +62,11 @@ class ModelSource:
         """Whether the model does not fit its data and nobody recorded by how much, as in artefacts of version 0.1."""
         return self.model.response_error is None and self.model.quality.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
 
+    @property
+    def untrusted_channels(self) -> dict[str, str]:
+        """Channels without which the diagnosis fitted the model."""
+        return self.model.untrusted_channels
+
     @cached_property
     def system(self) -> System:
         """The equations of motion of the model at its estimate, the same for all runs."""
@@ -119,6 +124,11 @@ class PaperSource:
     def is_contradicted(self) -> bool:
         """Whether the form does not fit its data and nobody recorded by how much, as in artefacts of before."""
         return self.model.response_error is None and self.fit.misfit.chi2_per_dof > GOOD_FIT_CHI2_PER_DOF
+
+    @property
+    def untrusted_channels(self) -> dict[str, str]:
+        """Channels without which the diagnosis fitted the model."""
+        return self.model.untrusted_channels
 
     @property
     def system(self) -> System | None:

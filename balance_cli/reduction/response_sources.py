@@ -73,6 +73,11 @@ class ResponseSource(Protocol):
         """Whether the data that the response was made from contradict it, and its error is not known."""
         ...
 
+    @property
+    def untrusted_channels(self) -> dict[str, str]:
+        """Channels that a diagnosis has found to contradict the others, with the reason; no load rests on them."""
+        ...
+
     def channel_combination(self, frequency: Array, live: tuple[str, ...]) -> ChannelCombination:
         """Return how the rows are formed from the live channels at `frequency` (h,) [Hz]."""
         ...
@@ -141,6 +146,11 @@ class TransferSource:
         return False
 
     @property
+    def untrusted_channels(self) -> dict[str, str]:
+        """None: no diagnosis has judged the channels."""
+        return {}
+
+    @property
     def system(self) -> System | None:
         """None: a measured response has no equations of motion."""
         return None
@@ -201,6 +211,11 @@ class StaticSource:
     def is_contradicted(self) -> bool:
         """Always: it leaves out the dynamics that every balance has at the harmonics."""
         return True
+
+    @property
+    def untrusted_channels(self) -> dict[str, str]:
+        """None: no diagnosis has judged the channels."""
+        return {}
 
     @property
     def system(self) -> System | None:

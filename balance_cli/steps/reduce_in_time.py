@@ -168,7 +168,8 @@ def _set_up_run(run: Run, geometry: Geometry, source: ResponseSource, options: T
     equations = source.system
     if equations is None:
         raise no_state_space_error(options.method)
-    data_quality = assess_data_quality(run, geometry, live_channels(run, geometry), 0, run.samples)
+    health = live_channels(run, geometry).without(source.untrusted_channels)
+    data_quality = assess_data_quality(run, geometry, health, 0, run.samples)
     record, start = _steady_record(run, geometry, source, data_quality, options.harmonics)
     if not data_quality.gaps and set(data_quality.names) == set(record.health.live):
         run = record.run  # without the contribution of nonlinear cell forces

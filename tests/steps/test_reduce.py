@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from balance_cli.estimation.identified_model import CONTRADICTS_OTHERS
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.history_file import harmonic_history
 from balance_cli.reduction.model_sources import model_source
@@ -84,6 +85,20 @@ def test_a_clipped_or_non_finite_channel_is_left_out(campaign, calibration, iden
     broken = with_channel(check, "z1.piezo", change)
     found = reduce_run(broken, campaign.geometry, calibration, model_source(identified))
     assert list(found.left_out) == ["z1.piezo"]
+
+
+def test_a_channel_that_a_diagnosis_left_out_of_the_fit_is_left_out_here_too(
+    campaign, calibration, identified, check, reduced
+):
+    """A reading that saturates softly, and passes every test of the samples, moves no load."""
+    run = with_channel(check, "z1.piezo", lambda v: v - 0.2 * v**3 / np.max(v**2))
+    everywhere = {run.name: {"z1.piezo": CONTRADICTS_OTHERS} for run in campaign.runs}
+    judged = replace(identified, channels_left_out=everywhere)
+    lost = reduce_run(run, campaign.geometry, calibration, model_source(judged))
+    assert lost.left_out == {"z1.piezo": CONTRADICTS_OTHERS}
+    used = reduce_run(run, campaign.geometry, calibration, model_source(identified))
+    error, harm = (np.abs(each.amplitude - reduced.amplitude)[1:].max() for each in (lost, used))
+    assert error < 0.1 * harm
 
 
 def test_loads_that_the_remaining_channels_do_not_determine_are_refused(campaign, calibration, identified, check):

@@ -42,6 +42,10 @@ class TruthSource:
         return False
 
     @property
+    def untrusted_channels(self):
+        return {}
+
+    @property
     def system(self) -> System | None:
         """None: the truth is known at frequencies only."""
         return None

@@ -69,6 +69,11 @@ class ChannelHealth:
     live: tuple[str, ...]
     left_out: dict[str, str]
 
+    def without(self, reasons: Mapping[str, str]) -> ChannelHealth:
+        """Return the health with further channels left out, each for its reason; one that is out keeps its own."""
+        further = {name: reason for name, reason in reasons.items() if name in self.live}
+        return ChannelHealth(tuple(name for name in self.live if name not in further), {**self.left_out, **further})
+
 
 def live_channels(run: Run, geometry: Geometry) -> ChannelHealth:
     """Test every channel that the geometry declares. Reads all samples of the run, block by block."""
