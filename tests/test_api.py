@@ -6,6 +6,7 @@ import pkgutil
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from click.testing import CliRunner
 
 import balance_cli as bal
 import balance_cli.api
+from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import write_run
 from balance_cli.campaign.rig.geometry_file import save_geometry
 from balance_cli.cli import balance
@@ -143,6 +145,47 @@ def test_responses_of_the_chain(runs, geometry):
     rows = table[table["run"] == first.run]
     assert np.array_equal(rows["response"].to_numpy(), first.response[:, 0, 0])
     assert np.array_equal(rows["frequency_hz"].to_numpy(), first.frequency)
+
+
+def with_scaled_channel(run, factor):
+    block = run.read()
+    return replace(run, source=MemorySource(factor * block.channels, block.loads))
+
+
+def test_runs_that_contradict_each_other_are_refused_as_by_the_commands(runs, geometry, calibration, model):
+    wrong = [with_scaled_channel(runs["sweep-low"], -1.0), runs["sweep-high"], runs["static"]]
+    calls = (
+        lambda: bal.calibrate(wrong, geometry),
+        lambda: bal.frequency_response(wrong, geometry),
+        lambda: bal.identify(wrong, geometry),
+        lambda: bal.diagnose(model, wrong),
+        lambda: bal.reduce([*wrong, runs["check"]], calibration, model),
+    )
+    for call in calls:
+        with pytest.raises(bal.UserError, match=r"reversed.* in sweep-low"):
+            call()
+
+
+def test_what_runs_contradict_reaches_results_and_flags(tmp_path, runs, geometry, calibration):
+    spoiled = with_scaled_channel(runs["check"], 4.0)
+    responses = bal.frequency_response([with_scaled_channel(runs["sweep-low"], 1.3), runs["sweep-high"]], geometry)
+    (text,) = responses.consistency
+    assert "times what the loads make" in text and "warning: " in repr(responses)
+    inputs = {"cal.h5": calibration, "tf.h5": responses}
+    for name, result in inputs.items():
+        bal.save_artefact(tmp_path / name, result)
+    names = ("sweep-high", "check")
+    for name, run in zip(names, (runs["sweep-high"], spoiled), strict=True):
+        write_run(tmp_path / f"{name}.h5", run)
+    files = [tmp_path / f"{name}.h5" for name in names]
+    loads = bal.reduce(files, calibration, responses, harmonics=4)
+    assert loads.to_frame()["flag"].str.contains("model contradicted").all()
+    words = ["--calibration", tmp_path / "cal.h5", "--transfer", tmp_path / "tf.h5", "--harmonics", 4]
+    done = CliRunner().invoke(balance, ["reduce", *map(str, [*words, *files, "-o", tmp_path / "loads.h5"])])
+    assert done.exit_code == 0, done.output
+    written = bal.load_artefact(tmp_path / "loads.h5")
+    assert written.warnings == loads.warnings and any(text in warning for warning in loads.warnings)
+    assert written.to_frame().equals(loads.to_frame())
 
 
 def results(calibration, model, diagnosis, loads, runs, geometry):

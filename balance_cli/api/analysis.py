@@ -1,4 +1,8 @@
-"""Calibration, frequency responses and identification."""
+"""Calibration, frequency responses and identification.
+
+Runs are cross-checked as the commands do it: what they contradict of the geometry and of each other ends the call, or
+stands in `consistency` of the result.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ from balance_cli.api.inputs import GeometryLike, RunLike, require_disjoint, to_g
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.term_choice import TERM_SIGNIFICANCE_LEVEL, choice_of_words, require_known_names
 from balance_cli.campaign.rig.load_components import load_components
+from balance_cli.diagnosis.consistency.severity import identified_anyway, measured_anyway
 from balance_cli.estimation.choices import Damping, Form, Method
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
@@ -19,6 +24,7 @@ from balance_cli.signals.response.transfer import Transfer
 from balance_cli.steps import calibrate as calibrate_step
 from balance_cli.steps import identify as identify_step
 from balance_cli.steps import sweep_tf as sweep_tf_step
+from balance_cli.steps.cross_checks import cross_check, keep_findings
 
 
 def calibrate(
@@ -37,7 +43,7 @@ def calibrate(
     the loads alone, with `"quadratic"` all squares and products, otherwise the listed terms (`["Fx^2", "Fx Fy"]`).
     Static runs of `hold_out` are not fitted and test the prediction intervals. With `non_iterative` the loads are also
     fitted as functions of the readings. Runs of other kinds are ignored. Raises UserError where the runs do not
-    determine the matrices.
+    determine the matrices, or contradict each other.
 
     >>> import balance_cli as bal
     >>> calibration = bal.calibrate("sample_data/static-bare.h5", "configs/rts-6.yaml")
@@ -55,7 +61,8 @@ def calibrate(
     usable = [run for run in checks if run.kind == "static" and run.has_loads]
     choice = choice_of_words(terms, significance)
     require_known_names(choice, rig.channel_names, load_components(rig).names, "")
-    return calibrate_step.calibrate(fitted, rig, choice, usable, non_iterative)
+    findings = cross_check(rig, fitted, measured_anyway)
+    return keep_findings(calibrate_step.calibrate(fitted, rig, choice, usable, non_iterative), findings)
 
 
 def frequency_response(
@@ -68,7 +75,8 @@ def frequency_response(
     """Estimate frequency responses from the sweeps, as `balance sweep-tf` does.
 
     `estimator` is one of those of the command, `band` [Hz] the spectral lines that are kept. The result has the
-    responses (output/input, exp(+j omega t)) with covariance and coherence. Raises UserError where no run is a sweep.
+    responses (output/input, exp(+j omega t)) with covariance and coherence. Raises UserError where no run is a sweep,
+    or runs contradict each other.
 
     >>> import balance_cli as bal
     >>> responses = bal.frequency_response("sample_data/sweep-Fz-high.h5", "configs/rts-6.yaml", band=(5, 150))
@@ -80,7 +88,9 @@ def frequency_response(
     True
     """
     rig = to_geometry(geometry)
-    return sweep_tf_step.estimate_responses(to_runs(runs, rig), rig, estimator, band)
+    records = to_runs(runs, rig)
+    findings = cross_check(rig, records, measured_anyway)
+    return keep_findings(sweep_tf_step.estimate_responses(records, rig, estimator, band), findings)
 
 
 def identify(
@@ -97,7 +107,7 @@ def identify(
 
     `effects` are fitted beside those that the geometry declares, each written NAME@PLACE,PLACE. With
     `method="computed"` the model is the geometry as declared, and no run is needed. Raises UserError where the runs do
-    not allow the fit.
+    not allow the fit, or contradict the geometry or each other.
 
     >>> import balance_cli as bal
     >>> bal.identify([], "configs/rts-6.yaml", method="computed")
@@ -113,4 +123,6 @@ def identify(
     check_effects(rig, rig.name)
     rig = add_effects(rig, effects)
     options = identify_step.IdentifyOptions(method=method, form=form, damping=damping, band=band)
-    return identify_step.identify(measured_spectra(to_runs(runs, rig), rig), rig, options)
+    records = to_runs(runs, rig)
+    findings = cross_check(rig, records, identified_anyway)
+    return keep_findings(identify_step.identify(measured_spectra(records, rig), rig, options), findings)

@@ -7,10 +7,12 @@ from functools import partial
 
 from balance_cli.api.inputs import RunLike, require_disjoint, to_runs
 from balance_cli.diagnosis.conclusions import judge_hold_out
+from balance_cli.diagnosis.consistency.severity import identified_anyway
 from balance_cli.diagnosis.result import Diagnosis
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.measured_spectra import measured_spectra
+from balance_cli.steps.cross_checks import cross_check, keep_findings
 from balance_cli.steps.diagnose import diagnose as run_diagnosis
 from balance_cli.steps.free_simulation import SimulationTask, diagnose_with_free_simulation
 from balance_cli.steps.hold_out import choose_hold_out, hold_out_errors, require_known_loads
@@ -30,8 +32,8 @@ def diagnose(
     Give the sweeps and static runs of the model. Check runs and sweeps of `hold_out` are read after the last decision
     and compared before and after the update; without any, check runs or one of the sweeps are kept aside for it and
     named in `notes`. `settings` holds the thresholds of the search; `progress` is called with a
-    description and the completed fraction. Raises UserError for a model in the paper's form, and where no run is a
-    sweep.
+    description and the completed fraction. Raises UserError for a model in the paper's form, where no run is a
+    sweep, and where the runs contradict the geometry or each other (`consistency` keeps what is no fault).
 
     On the sample campaign this takes about half a minute:
 
@@ -46,6 +48,7 @@ def diagnose(
     """
     fitted, checks = to_runs(runs, model.geometry), to_runs(hold_out, model.geometry)
     require_disjoint(fitted, checks)
+    findings = cross_check(model.geometry, fitted, identified_anyway)
     for run in checks:
         require_known_loads(run)
     kept_aside = () if checks else choose_hold_out(fitted)
@@ -55,4 +58,5 @@ def diagnose(
     diagnosis, updated = diagnose_with_free_simulation(task, partial(run_diagnosis, progress=progress), settings)
     errors = {run.name: hold_out_errors(run, model, updated) for run in task.hold_out}
     updated = add_hold_out_error(updated, task.hold_out, errors, settings)
-    return judge_hold_out(diagnosis, errors, [run.name for run in kept_aside]), updated
+    diagnosis = judge_hold_out(diagnosis, errors, [run.name for run in kept_aside])
+    return keep_findings(diagnosis, findings), keep_findings(updated, findings)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Literal
 
 from balance_cli.api.inputs import RunLike, to_runs
 from balance_cli.calibration.result import Calibration
+from balance_cli.campaign.recording.gaps import describe_gaps
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
+from balance_cli.diagnosis.consistency.severity import known_anyway
 from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import ZeroRecord
@@ -17,6 +20,7 @@ from balance_cli.reduction.response_description import text_with_rotor
 from balance_cli.reduction.response_sources import ResponseSource, static_source, transfer_source
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.signals.response.transfer import Transfer
+from balance_cli.steps.cross_checks import cross_check, earlier_warnings, flag_contradicted_runs
 from balance_cli.steps.reduce import ReduceOptions, reduce_run
 from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
 from balance_cli.steps.reduction_inputs import (
@@ -50,8 +54,10 @@ def reduce(
     `response` is an identified model, measured responses, or `"static"` for the static matrix at every harmonic (no
     dynamics removed). A `zero` run among `runs`, or given, is subtracted from the mean loads. `interpolation` is for
     measured responses; `load_model` and `lag` [s] are for the methods in time, which need a model of the physical form.
+    What the runs contradict of each other, of calibration, response or geometry stands in `warnings` of the result, and
+    flags the loads that it makes doubtful; sweeps and static runs among `runs` are compared only.
     Raises UserError where no run is a check or wind run, where calibration and response come from different
-    geometries, or where the channels do not determine the loads.
+    geometries, where the channels do not determine the loads, and for the contradictions that `balance reduce` refuses.
 
     >>> import balance_cli as bal
     >>> geometry = bal.read_geometry("configs/rts-6.yaml")
@@ -67,13 +73,14 @@ def reduce(
     records = to_runs(runs, geometry)
     zeros = to_runs(zero, geometry) if zero is not None else [run for run in records if run.kind == "zero"]
     source = response_source(calibration, response, interpolation)
+    findings = cross_check(geometry, records, known_anyway)
     used = [run for run in records if run.kind in ("check", "wind")]
     if not used:
         raise UserError("no check or wind run among the runs", remedy="Give the runs that are to be reduced")
     reference = None if calibration is None else zero_reference(zeros, calibration)
+    fewer = ""
     if harmonics is None:
-        wanted = default_harmonics(geometry)
-        harmonics = min(harmonics_within_band(run, source, wanted, rotor) for run in used)
+        harmonics, fewer = _harmonics(used, geometry, source, rotor)
     if method == "harmonic":
         options = ReduceOptions(harmonics, rotor)
         loads = [reduce_run(run, geometry, calibration, source, reference, options) for run in used]
@@ -82,7 +89,29 @@ def reduce(
             raise UserError("does not go with a method in time", "rotor", remedy="Use method `harmonic`")
         in_time = TimeOptions(method == "smoother", load_model, lag, harmonics)
         loads = [_reduce_in_time(run, geometry, calibration, source, reference, in_time) for run in used]
-    return HubLoads(method, text_with_rotor(source.description, rotor), geometry, {run.run: run for run in loads})
+    reduced = flag_contradicted_runs({run.run: run for run in loads}, findings)
+    earlier = earlier_warnings(calibration, None if isinstance(response, str) else response)
+    warnings = sorted({*earlier, *filter(None, [fewer]), *_warnings(findings, records, loads)})
+    return HubLoads(method, text_with_rotor(source.description, rotor), geometry, reduced, tuple(warnings) or None)
+
+
+def _harmonics(runs: Sequence[Run], geometry: Geometry, source: ResponseSource, rotor: int) -> tuple[int, str]:
+    """Return the harmonics that all runs permit of those that are the default, and a warning where they are fewer."""
+    wanted = default_harmonics(geometry)
+    possible = {run.name: harmonics_within_band(run, source, wanted, rotor) for run in runs}
+    name = min(possible, key=lambda name: possible[name])
+    text = f"{possible[name]} harmonics in place of {wanted}: those above are beyond the band of run {name}"
+    return possible[name], text if possible[name] < wanted else ""
+
+
+def _warnings(
+    findings: Sequence[ConsistencyFinding], records: Sequence[Run], loads: Sequence[RunLoads]
+) -> Iterator[str]:
+    """Yield what is to be known of the runs: findings, gaps that were bridged, channels left out."""
+    yield from (finding.sentence for finding in findings)
+    yield from (f"{run.name}: {describe_gaps(run)}" for run in records if run.bridged)
+    for run in loads:
+        yield from (f"{run.run}: channel {channel} left out: {reason}" for channel, reason in run.left_out.items())
 
 
 def _geometry_of(response: Response) -> Geometry:

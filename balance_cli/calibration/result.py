@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from balance_cli.calibration.all_trims import AllTrimsCalibration
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.io.result_view import ResultView, plural
+from balance_cli.io.result_view import ResultView, plural, warning_lines
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -151,14 +151,16 @@ class Calibration(ResultView):
         """One line for each trim, at most four."""
         trims = list(self.trims.values())
         yield f"Calibration of {self.geometry.rig}: {plural(len(trims), 'trim')}"
-        for trim in trims[:4]:
+        shown = trims[: 3 if self.consistency else 4]
+        for trim in shown:
             worst = max(trim.residual_percent_fs, key=lambda name: trim.residual_percent_fs[name])
             yield (
                 f"  {trim.trim or 'one trim'}: {plural(trim.rows, 'row')}, condition {trim.condition:.1f}, "
                 f"largest residual {trim.residual_percent_fs[worst]:.3g} % FS ({worst})"
             )
-        if len(trims) > 4:
-            yield f"  and {len(trims) - 4} more"
+        if len(trims) > len(shown):
+            yield f"  and {len(trims) - len(shown)} more"
+        yield from warning_lines(self.consistency)
 
     def to_frame(self) -> pd.DataFrame:
         """One row of C0 for each trim and channel: coefficients [V/N, V/(N m)], then their standard errors."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from balance_cli.cli.common import InputFile, Session, balance_command
-from balance_cli.cli.consistency import check_findings, finding_place, finding_summary
+from balance_cli.cli.consistency import check_findings, finding_summary
 from balance_cli.cli.errors import EXIT_USER_ERROR
 from balance_cli.cli.options import ListedFile
 from balance_cli.io.errors import UserError
@@ -75,6 +75,8 @@ def _cross_check(findings: Mapping[Path, FileFinding], geometry: Geometry | None
 
 def _campaign_faults(finding: FileFinding, consistency: Sequence[ConsistencyFinding]) -> list[UserError]:
     """The faults that concern a run; what all runs show is said of the first of them."""
+    from balance_cli.steps.cross_checks import finding_place
+
     if finding.run is None:
         return []
     name = finding.run.name

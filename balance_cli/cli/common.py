@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -59,6 +59,7 @@ from balance_cli.io.reader_process import reader_process
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
     from balance_cli.campaign.rig.geometry import Geometry
+    from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
     from balance_cli.io.artefacts import Artefact, Provenance
 
 __all__ = [
@@ -91,6 +92,7 @@ class Session(Messages):
         self._text: tuple[str, ...] = ()
         self._after_close: list[Callable[[], None]] = []
         self.extra_summary: dict[str, Any] = {}
+        self.findings: Sequence[ConsistencyFinding] = ()
 
     def geometry(self, path: Path, mechanics: bool = True) -> Geometry:
         """Read a geometry and record it as an input; without `mechanics` it need not have masses and stiffness."""

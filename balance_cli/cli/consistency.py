@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from balance_cli.cli.common import Session
-from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
@@ -15,20 +13,9 @@ if TYPE_CHECKING:
     from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
     from balance_cli.diagnosis.consistency.severity import ConsequenceRule
     from balance_cli.reduction.result import RunLoads
+    from balance_cli.steps.cross_checks import ChecksRuns
 
-
-class ChecksRuns(Protocol):
-    """A result that keeps what the cross-checks said of the runs that it was made from."""
-
-    @property
-    def consistency(self) -> tuple[str, ...] | None:
-        """The findings in words; None where there is none."""
-        ...
-
-
-Result = TypeVar("Result", bound=ChecksRuns)
-
-REMEDY = "Correct the files, or the geometry; `balance check -g GEOMETRY RUN...` lists everything"
+Result = TypeVar("Result", bound="ChecksRuns")
 
 
 def require_consistent_runs(
@@ -59,30 +46,19 @@ def inconsistent_runs(
     Raises UserError for a fault; with `skip_bad` the runs that show it are returned, unless all runs do.
     """
     from balance_cli.diagnosis.consistency.severity import findings_for_command
+    from balance_cli.steps.cross_checks import contradiction_error
 
-    findings = findings_for_command(findings, is_harmless)
+    session.findings = findings = findings_for_command(findings, is_harmless)
     session.extra_summary["consistency"] = [finding_summary(finding) for finding in findings]
     bad: dict[str, str] = {}
     for finding in findings:
         if not finding.is_fault:
             session.warn(finding.sentence)
         elif finding.in_all_runs or not skip_bad or len(bad) == len(paths):
-            raise _error(finding, paths)
+            raise contradiction_error(finding, paths)
         else:
             bad.update(dict.fromkeys(finding.runs, finding.sentence))
     return bad
-
-
-def _error(finding: ConsistencyFinding, paths: dict[str, str]) -> UserError:
-    file = paths[finding.runs[0]] if len(finding.runs) == 1 else "RUN..."
-    return UserError(finding.sentence, file, finding_place(finding), REMEDY)
-
-
-def finding_place(finding: ConsistencyFinding) -> str:
-    """Return the part of a run file, or the key of a geometry, that a finding is about."""
-    if finding.components:
-        return "loads"
-    return "channels" if finding.channels else "geometry"
 
 
 def finding_summary(finding: ConsistencyFinding) -> dict[str, Any]:
@@ -110,30 +86,21 @@ def check_findings(geometry: Geometry, runs: Sequence[Run]) -> tuple[Consistency
 
 def with_findings(session: Session, result: Result) -> Result:
     """Return a result that keeps what the cross-checks of this command said of its runs, and of earlier ones."""
-    texts = [item["text"] for item in session.extra_summary.get("consistency", ())]
-    kept = tuple(dict.fromkeys((*(result.consistency or ()), *texts)))
-    return replace(result, consistency=kept or None)  # type: ignore[type-var]
+    from balance_cli.steps.cross_checks import keep_findings
+
+    return keep_findings(result, session.findings)
 
 
 def repeat_findings(session: Session, *results: ChecksRuns | None) -> None:
     """Warn of what the cross-checks said when the results were made, each finding once."""
-    for text in dict.fromkeys(text for result in results for text in (result and result.consistency) or ()):
-        session.warn(f"of the runs that calibration or response were made from: {text}")
+    from balance_cli.steps.cross_checks import earlier_warnings
+
+    for text in earlier_warnings(*results):
+        session.warn(text)
 
 
 def flag_contradicted_runs(session: Session, runs: dict[str, RunLoads]) -> dict[str, RunLoads]:
-    """Return the loads with those of runs flagged that contradict the geometry or the other runs.
+    """Return the loads with those of runs flagged that contradict the geometry or the other runs."""
+    from balance_cli.steps import cross_checks
 
-    A factor of channels that all runs have is known to the calibration and the model, and changes no load.
-    """
-    from balance_cli.diagnosis.consistency.severity import contradicts_loads
-    from balance_cli.reduction.flags import MODEL_CONTRADICTED
-    from balance_cli.reduction.trust import flag_all
-
-    flagged = dict(runs)
-    for item in session.extra_summary.get("consistency", ()):
-        for name in item["runs"]:
-            if name in flagged and contradicts_loads(item["kind"], item["in_all_runs"], item["factor"]):
-                noted = (*flagged[name].notes, item["text"])
-                flagged[name] = replace(flag_all(flagged[name], MODEL_CONTRADICTED), notes=noted)
-    return flagged
+    return cross_checks.flag_contradicted_runs(runs, session.findings)

@@ -13,7 +13,7 @@ from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.estimation.paper.result import PaperFit
 from balance_cli.estimation.response_error import ResponseError
-from balance_cli.io.result_view import ResultView, plural
+from balance_cli.io.result_view import ResultView, plural, warning_lines
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system import System
 
@@ -138,6 +138,7 @@ class IdentifiedModel(ResultView):
             yield "  not converged"
         if self.geometry.effects:
             yield f"  effects: {', '.join(effect.name for effect in self.geometry.effects)}"
+        yield from warning_lines(self.consistency)
 
     def to_frame(self) -> pd.DataFrame:
         """One row for each parameter, then two for each mode (`kind` is `parameter` or `mode`)."""

@@ -11,7 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
-from balance_cli.importers.base import SNIFFED_BYTES, ForeignFile, Format, TextLayout, distinct_names
+from balance_cli.importers.base import (
+    SNIFFED_BYTES,
+    ChannelGroup,
+    ForeignFile,
+    Format,
+    TextLayout,
+    distinct_names,
+    impossible_size,
+)
 from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import describe_file, require_file
 
@@ -29,11 +37,18 @@ def open_foreign(path: Path, layout: TextLayout | None = None) -> ForeignFile:
         with path.open("rb") as file:
             head = file.read(SNIFFED_BYTES)
         opened = _format_of(path, head).open_file(path, layout or TextLayout())
+        groups = tuple(_with_possible_size(path, group) for group in opened.groups)
     except UserError as error:
         raise error.with_location(file=str(path)) from error
     except OSError as error:
         raise UserError(f"cannot be read: {error.strerror or error}", str(path), remedy="Check the file") from error
-    return replace(opened, groups=distinct_names(opened.groups))
+    return replace(opened, groups=distinct_names(groups))
+
+
+def _with_possible_size(path: Path, group: ChannelGroup) -> ChannelGroup:
+    """Return the group, unusable where the file cannot hold it."""
+    fault = impossible_size(path, group.samples, len(group.channels))
+    return replace(group, unusable=fault) if fault else group
 
 
 def _format_of(path: Path, head: bytes) -> Format:

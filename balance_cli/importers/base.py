@@ -76,6 +76,12 @@ class TextLayout:
     encoding: str | None = None
 
 
+COMPRESSION_TESTED = 2**28
+"""Bytes of samples from which their compression is tested; fewer are read in no time."""
+LARGEST_COMPRESSION = 200.0
+"""Ratio of declared to stored bytes. One bit of noise a sample, in numbers of 64, allows 64; constants give 1000."""
+
+
 class Format(Protocol):
     """A file format: a module of this package."""
 
@@ -102,6 +108,14 @@ def distinct_names(groups: Sequence[ChannelGroup]) -> tuple[ChannelGroup, ...]:
             channels.append(replace(channel, name=name if seen[name] == 1 else f"{name} #{seen[name]}"))
         renamed.append(replace(group, channels=tuple(channels)))
     return tuple(renamed)
+
+
+def impossible_size(path: Path, samples: int, channels: int) -> str:
+    """Return why a file cannot hold what a group declares, as `unusable` of the group; empty where it can."""
+    declared, stored = 8 * samples * channels, path.stat().st_size
+    if 0 <= declared <= max(COMPRESSION_TESTED, LARGEST_COMPRESSION * stored):
+        return ""
+    return f"damaged: {samples} samples of {channels} channels are declared in {stored} bytes"
 
 
 def missing_package(format_name: str, package: str) -> UserError:

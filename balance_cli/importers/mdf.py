@@ -17,6 +17,7 @@ from balance_cli.importers.base import (
     ForeignFile,
     TextLayout,
     damaged,
+    impossible_size,
     missing_package,
 )
 from balance_cli.importers.time_axis import read_time_axis
@@ -63,9 +64,11 @@ def _groups(path: Path, file: Any, index: int) -> list[ChannelGroup]:
     names = [(k, channel) for k, channel in enumerate(group.channels) if k != master]
     if samples < 2 or not names:
         return []
-    unusable, rate, start = "", None, 0.0
-    if master is not None:
+    unusable, rate, start = impossible_size(path, samples, len(names)), None, 0.0
+    if master is not None and not unusable:
         stamps = np.asarray(file.get_master(index), float)
+        if len(stamps) != samples:
+            raise damaged(f"{len(stamps)} times for {samples} samples")
         try:
             axis = read_time_axis(lambda _, first, last: stamps[first:last, None], samples)
             rate, start = axis.rate, axis.start

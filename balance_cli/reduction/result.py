@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.io.result_view import ResultView, plural
+from balance_cli.io.result_view import ResultView, plural, warning_lines
 from balance_cli.reduction.flags import FLAGS, SEPARATOR
 from balance_cli.reduction.kalman.innovations import InnovationTests
 from balance_cli.reduction.kalman.load_history import LoadTrack
@@ -158,6 +158,7 @@ class HubLoads(ResultView):
         yield f"Hub loads of {self.geometry.rig} by {self.response}, method {self.method}"
         yield f"  {plural(len(self.runs), 'run')}: {', '.join(self.runs)}"
         yield f"  {_flag_counts(self.runs.values())}"
+        yield from warning_lines(self.warnings)
 
     def to_frame(self) -> pd.DataFrame:
         """One row for each run, component and harmonic: the load table."""

@@ -16,6 +16,10 @@ from balance_cli.steps.import_timeline import Clock
 
 CONTRADICTION = 1e-3
 """Relative difference from which the sample rate of the map contradicts that of the file."""
+SLOWEST_RATE, FASTEST_RATE = 1e-5, 1e9
+"""[Hz]. One sample a day, and what no converter of a balance reaches."""
+LATEST_START = 1e12
+"""[s]. Clocks count from the year 0 at the earliest."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,7 @@ class ChannelFinder:
         key = id(channel.group)
         if key not in self._clocks:
             self._clocks[key] = self._read_clock(channel)
+            _require_possible_clock(self._clocks[key][0], channel)
         return self._clocks[key][0]
 
     @property
@@ -122,6 +127,14 @@ class ChannelFinder:
             place = f"time `{time.name}`" + (f", {error.place}" if error.place else "")
             raise UserError(error.fault, str(time.file.path), place, error.remedy) from error
         return Clock(axis.rate, axis.start, group.samples), axis.note
+
+
+def _require_possible_clock(clock: Clock, channel: FoundChannel) -> None:
+    """Raise UserError for a rate or a start that no record has."""
+    if not (SLOWEST_RATE <= clock.rate <= FASTEST_RATE and abs(clock.start) <= LATEST_START):
+        fault = f"was sampled at {clock.rate:g} Hz from {clock.start:g} s on"
+        remedy = "State `sample_rate` or `time_unit` in the map, or export the file again"
+        raise UserError(fault, str(channel.file.path), f"channel `{channel.name}`", remedy)
 
 
 def channel_signal(found: FoundChannel, mapped: MappedChannel) -> Signal:

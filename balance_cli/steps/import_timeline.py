@@ -10,6 +10,8 @@ from balance_cli.importers.base import ChannelGroup
 from balance_cli.io.errors import UserError
 from balance_cli.signals.resampling import PASSBAND, Resampler, kernel_half_length
 
+LARGEST_INTERPOLATION = 100.0
+"""Rate of the run files over the highest rate of the channels: more adds samples, and nothing that was measured."""
 EQUAL_PLACE = 1e-3
 """Samples by which two grids may differ and still be one: 0.2 deg of phase at half the rate, nothing below."""
 
@@ -62,6 +64,10 @@ def common_timeline(clocks: Sequence[Clock], rate: float | None) -> Timeline:
     """
     lowest = min(clocks, key=lambda clock: clock.rate)
     target = lowest.rate if rate is None else rate
+    fastest = max(clock.rate for clock in clocks)
+    if target > LARGEST_INTERPOLATION * fastest:
+        fault = f"{target:g} Hz is more than {LARGEST_INTERPOLATION:g} times the highest rate, {fastest:g} Hz"
+        raise UserError(fault, place="resample", remedy="Give a lower rate")
     anchor = next((clock for clock in clocks if same_rate(clock, target)), None)
     origin = clocks[0].start if anchor is None else anchor.start
 

@@ -16,6 +16,7 @@ import yaml
 from click.testing import CliRunner
 
 from balance_cli.cli import balance
+from studies.mutation.foreign import FORMATS, mutate_binary, mutate_universal, write_recordings
 from studies.mutation.hdf5 import mutate_hdf5
 from studies.mutation.text import mutate_table, mutate_yaml
 
@@ -90,6 +91,7 @@ def make_examples(folder: Path) -> None:
     outputs = ("-o", folder / "diagnosis.h5", "--model-out", folder / "updated.h5")
     _call("diagnose", folder / "model.h5", *sweeps, *hold_out, *outputs)
     _write_point_table(folder / "static.run.h5", folder / "points.csv")
+    write_recordings(folder)
 
 
 def _call(*words: str | Path) -> None:
@@ -135,6 +137,18 @@ def _report(base: Path, bad: Path, out: Path) -> Words:
 def _of_sweeps(command: str, *options: str) -> Callable[[Path, Path, Path], Words]:
     return lambda base, bad, out: [command, "-g", base / "geometry.yaml", *options, bad, "-o", out / "o.h5"]
 
+
+def _import(name: str) -> tuple[Callable[[Path, Path, Path], Words], ...]:
+    """Import a changed recording by its map, and print a map of it."""
+    return (
+        lambda base, bad, out: ["import", base / f"{name}.map.yaml", bad, "-o", out / "runs"],
+        lambda base, bad, out: ["import", base / f"{name}.map.yaml", bad, "-o", out / "runs"],
+        lambda base, bad, out: ["import", "--sketch", bad],
+    )
+
+
+MUTATIONS = {"csv": mutate_table, "uff58": mutate_universal, "uff58b": mutate_universal, "mat73": mutate_hdf5}
+"""How recordings are changed whose format is known; the others as binary files."""
 
 READERS: dict[str, Reader] = {
     "geometry": Reader(
@@ -189,4 +203,11 @@ READERS: dict[str, Reader] = {
     "model": Reader("model.h5", mutate_hdf5, (_check, _report)),
     "diagnosis": Reader("diagnosis.h5", mutate_hdf5, (_check, _report)),
     "loads": Reader("loads.h5", mutate_hdf5, (_check, _report)),
+    "import map": Reader(
+        "csv.map.yaml", mutate_yaml, (lambda base, bad, out: ["import", bad, base / "csv.csv", "-o", out / "runs"],)
+    ),
+    **{
+        f"import {name}": Reader(f"{name}{suffix}", MUTATIONS.get(name, mutate_binary), _import(name))
+        for name, (suffix, *_) in FORMATS.items()
+    },
 }

@@ -99,6 +99,11 @@ def _change_lines(data: bytes, rng: random.Random, changes: tuple[Change, ...]) 
     return data
 
 
+def change_lines(data: bytes, rng: random.Random) -> bytes:
+    """A text of any kind with its lines or bytes changed."""
+    return _change_lines(data, rng, COMMON)
+
+
 def _edit_lines(edit: Callable[[list[bytes], random.Random], None]) -> Change:
     def change(data: bytes, rng: random.Random) -> bytes:
         lines = data.split(b"\n")

@@ -11,7 +11,7 @@ import numpy as np
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
-from balance_cli.io.result_view import ResultView, plural
+from balance_cli.io.result_view import ResultView, plural, warning_lines
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ class Transfer(ResultView):
         lost = sorted({channel for channels in self.channels_left_out.values() for channel in channels})
         if lost:
             yield f"  channels left out: {', '.join(lost)}"
+        yield from warning_lines(self.consistency)
 
     def to_frame(self) -> pd.DataFrame:
         """One row for each run, component, channel and spectral line (long form).

@@ -1,0 +1,82 @@
+"""The cross-checks of the runs of a step: faults end it, warnings go with its result and flag its loads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Protocol, TypeVar
+
+from balance_cli.campaign.recording.run import Run
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.diagnosis.consistency.campaign import campaign_findings
+from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
+from balance_cli.diagnosis.consistency.severity import ConsequenceRule, contradicts_loads, findings_for_command
+from balance_cli.io.errors import UserError
+from balance_cli.reduction.flags import MODEL_CONTRADICTED
+from balance_cli.reduction.result import RunLoads
+from balance_cli.reduction.trust import flag_all
+
+REMEDY = "Correct the files, or the geometry; `balance check -g GEOMETRY RUN...` lists everything"
+
+
+class ChecksRuns(Protocol):
+    """A result that keeps what the cross-checks said of the runs that it was made from."""
+
+    @property
+    def consistency(self) -> tuple[str, ...] | None:
+        """The findings in words; None where there is none."""
+        ...
+
+
+Result = TypeVar("Result", bound=ChecksRuns)
+
+
+def cross_check(
+    geometry: Geometry, runs: Sequence[Run], is_harmless: ConsequenceRule
+) -> tuple[ConsistencyFinding, ...]:
+    """Cross-check the runs of a step and return what is not a fault for it. Raises UserError for the first fault."""
+    findings = findings_for_command(campaign_findings(geometry, runs), is_harmless)
+    for finding in findings:
+        if finding.is_fault:
+            raise contradiction_error(finding, {run.name: str(run.path or run.name) for run in runs})
+    return findings
+
+
+def contradiction_error(finding: ConsistencyFinding, paths: Mapping[str, str]) -> UserError:
+    """Return the error of a finding that is a fault; `paths` {run: file}."""
+    file = paths[finding.runs[0]] if len(finding.runs) == 1 else "RUN..."
+    return UserError(finding.sentence, file, finding_place(finding), REMEDY)
+
+
+def finding_place(finding: ConsistencyFinding) -> str:
+    """Return the part of a run file, or the key of a geometry, that a finding is about."""
+    if finding.components:
+        return "loads"
+    return "channels" if finding.channels else "geometry"
+
+
+def keep_findings(result: Result, findings: Iterable[ConsistencyFinding]) -> Result:
+    """Return a result that keeps what the cross-checks said of its runs, and of earlier ones."""
+    kept = tuple(dict.fromkeys((*(result.consistency or ()), *(finding.sentence for finding in findings))))
+    return replace(result, consistency=kept or None)  # type: ignore[type-var]
+
+
+def earlier_warnings(*results: ChecksRuns | None) -> tuple[str, ...]:
+    """Return what the cross-checks said when the results were made, each finding once."""
+    texts = dict.fromkeys(text for result in results for text in (result and result.consistency) or ())
+    return tuple(f"of the runs that calibration or response were made from: {text}" for text in texts)
+
+
+def flag_contradicted_runs(runs: Mapping[str, RunLoads], findings: Iterable[ConsistencyFinding]) -> dict[str, RunLoads]:
+    """Return the loads with those of runs flagged that contradict the geometry or the other runs.
+
+    A factor of channels that all runs have is known to the calibration and the model, and changes no load.
+    """
+    flagged = dict(runs)
+    for finding in findings:
+        if not contradicts_loads(finding.kind, finding.in_all_runs, finding.factor):
+            continue
+        for name in set(finding.runs) & set(flagged):
+            noted = (*flagged[name].notes, finding.sentence)
+            flagged[name] = replace(flag_all(flagged[name], MODEL_CONTRADICTED), notes=noted)
+    return flagged
