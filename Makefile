@@ -67,7 +67,7 @@ COMPARED := static transfer paper-full rigid closed
 figures: run
 	$(if $(filter sample_data,$(CAMPAIGN)),,$(error the pictures show the sample campaign: leave CAMPAIGN out))
 	$(BALANCE) report $(COMPARED:%=$(RESULTS)/loads-%.h5) $(wildcard $(RESULTS)/model-*.h5) $(RESULTS)/transfer.h5 \
-		-o $(RESULTS)/figures.html --picture docs/pictures/before-after.png
+		-o $(RESULTS)/figures.html --picture docs/pictures/check-runs.png
 	$(BIN)/python tools/error_table.py $(RESULTS)
 	$(BIN)/python tools/import_graph.py
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from balance_cli.report.sources import Sources
 
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
+COMPARISON = "check-runs"
+"""The figure that is drawn as .png and .pdf too, under any name."""
+LIKELY_MEANT = 0.8
+"""Likeness of names from which one figure is taken to be meant: one wrong letter in five."""
 
 
 @balance_command("report")
@@ -27,8 +32,8 @@ PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
     "--picture",
     type=OutputFile(),
     metavar="FILE",
-    help="Also write one picture: NAME.svg of a figure of the page (--json lists the names); any other name, as .png, "
-    ".svg or .pdf: the comparison of the methods on the check runs.",
+    help="Also write one picture: NAME.svg of a figure of the page, such as azimuth.svg (--json lists the names), or "
+    "a .png or .pdf of the comparison of the methods on the check runs.",
 )
 @click.option("--pdf", type=OutputFile(), metavar="FILE", help="Also print the page to a PDF, with Chromium or Chrome.")
 @click.option("--open", "open_page", is_flag=True, help="Show the page in the browser when it is written.")
@@ -98,14 +103,21 @@ def _check_names(output: Path, picture: Path | None, pdf: Path | None) -> None:
 
 
 def _write_picture(session: Session, picture: Path, html_page: Page, report_sources: Sources) -> None:
-    """Write the figure of the page that has the name of the file; otherwise the comparison of the methods."""
+    """Write the figure of the page that has the name of the file; as .png or .pdf the comparison of the methods."""
     from balance_cli.report.single_picture import picture_svg
 
-    named = next((block for block in html_page.picture_blocks if block.name == picture.stem), None)
-    if named is None or picture.suffix.lower() != ".svg":
-        _draw_comparison(session, picture, report_sources)
-    else:
+    names = f"Figures of this page: {', '.join(sorted(html_page.pictures))}"
+    if picture.suffix.lower() == ".svg":
+        named = next((block for block in html_page.picture_blocks if block.name == picture.stem), None)
+        if named is None:
+            raise UserError(f"the page has no figure `{picture.stem}`", f"--picture {picture}", remedy=names)
         session.write_text(picture, picture_svg(named))
+        return
+    others = [name for name in html_page.pictures if name != COMPARISON]
+    if difflib.get_close_matches(picture.stem, others, n=1, cutoff=LIKELY_MEANT):
+        fault = f"only the comparison of the methods is drawn as {picture.suffix.lower()}, all other figures as .svg"
+        raise UserError(fault, f"--picture {picture}", remedy=f"Give {picture.stem}.svg. {names}")
+    _draw_comparison(session, picture, report_sources)
 
 
 def _draw_comparison(session: Session, picture: Path, report_sources: Sources) -> None:

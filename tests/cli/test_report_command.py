@@ -88,6 +88,15 @@ def test_a_picture_without_check_runs_is_refused(files, tmp_path):
     refused(result, tmp_path, "--picture", "check runs")
 
 
+def test_a_mistyped_figure_is_refused_with_the_names_of_all(files, tmp_path):
+    page = tmp_path / "r.html"
+    wrong = call(*files, "-o", page, "--picture", tmp_path / "azimut.svg")
+    refused(wrong, tmp_path, "no figure `azimut`", "azimuth", "check-runs", "redundancy")
+    for name in ("azimuth.png", "azimut.pdf"):
+        refused(call(*files, "-o", page, "--picture", tmp_path / name), tmp_path, "as .svg", "check-runs")
+        assert not (tmp_path / name).exists()
+
+
 def write_wind_run(path, rate=512.0, speed=10.0):
     time = np.arange(2048) / rate
     samples = np.stack([np.sin(2 * np.pi * speed * time), 0.5 + 0.1 * np.cos(2 * np.pi * 4 * speed * time)], axis=1)
