@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.result import ResidualMap
 from balance_cli.diagnosis.settings import ResidualMapSettings
 from balance_cli.estimation.batch import Batch
@@ -19,6 +20,10 @@ from balance_cli.model.system_response import solve
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+
+LAGS = 20
+"""Lags of the correlation between lines, as many as of the innovations of a filter (see `kalman.innovations`)."""
 
 
 def residual_map(
@@ -30,12 +35,34 @@ def residual_map(
     """Return the residual of two models, each with its parameters, given the measured loads.
 
     Transients, offsets and nonlinear forces are removed from it. Its variance is that of the channel noise and of the
-    load noise through the model. Where there are means, the first band holds frequency zero.
+    load noise through the model. Where there are means, the first band holds frequency zero. White residuals have no
+    correlation between lines (Pintelon and Schoukens, System Identification, 2nd ed., chapter 11).
     """
     edges = _band_edges(batches, settings.bands)
     names = tuple(name for batch in batches for name in batch.run_names)
-    maps = [_rms(batches, model.system(theta), edges) for model, theta in (before, after)]
-    return ResidualMap(names, before[0].geometry.channel_names, edges, maps[0], maps[1])
+    stages = [_whiten(batches, model.system(theta)) for model, theta in (before, after)]
+    maps = [_rms(batches, whitened, edges) for whitened in stages]
+    correlations = [_line_correlation(batches, whitened) for whitened in stages]
+    return ResidualMap(
+        names,
+        before[0].geometry.channel_names,
+        edges,
+        before=maps[0],
+        after=maps[1],
+        excited=tuple(_excited_text(batch, part) for batch in batches for part in batch.parts),
+        correlation_before=correlations[0][0],
+        correlation_after=correlations[1][0],
+        pairs=correlations[1][1],
+    )
+
+
+def _excited_text(batch: Batch, lines: slice) -> str:
+    """The components that were excited in a run, joined by `+`; empty for a static run."""
+    if batch.is_static:
+        return ""
+    loaded = np.any(batch.lines.loads[lines] != 0, axis=0)
+    columns = batch.lines.components[lines][:1]
+    return "+".join(COMPONENTS[i] for i in columns[:, loaded].ravel())
 
 
 def _band_edges(batches: Sequence[Batch], bands: int) -> Array:
@@ -48,35 +75,65 @@ def _band_edges(batches: Sequence[Batch], bands: int) -> Array:
     return np.array([*at_rest, moving[0], *inner, np.nextafter(moving[-1], np.inf)])
 
 
-def _rms(batches: Sequence[Batch], system: System, edges: Array) -> Array:
+def _whiten(batches: Sequence[Batch], system: System) -> list[tuple[ComplexArray, Mask]]:
+    return [_whitened_residual(batch, system) for batch in batches]
+
+
+def _rms(batches: Sequence[Batch], whitened: Sequence[tuple[ComplexArray, Mask]], edges: Array) -> Array:
     """Rms (runs, bands, channels); NaN where there is nothing."""
     runs = sum(len(batch.run_names) for batch in batches)
-    bands, c = len(edges) - 1, len(system.channel_names)
+    bands, c = len(edges) - 1, whitened[0][0].shape[1]
     total, count = np.zeros((runs * bands, c)), np.zeros((runs * bands, c))
     first = 0
-    for batch in batches:
-        power, informed = _whitened_power(batch, system)
+    for batch, (residual, informed) in zip(batches, whitened, strict=True):
         band = np.searchsorted(edges, batch.line_frequency, side="right") - 1
         place = (first + batch.lines.run) * bands + band
-        np.add.at(total, place, power)
-        np.add.at(count, place, informed)
+        # A mean is real: the variance of a complex line is twice that of its real part.
+        real = np.where(batch.line_frequency == 0.0, 2.0, 1.0)[:, None]
+        np.add.at(total, place, real * np.abs(residual) ** 2)
+        np.add.at(count, place, informed.astype(float))
         first += len(batch.run_names)
     with np.errstate(invalid="ignore"):
         mean = np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
     return np.asarray(np.sqrt(mean).reshape(runs, bands, c))
 
 
-def _whitened_power(batch: Batch, system: System) -> tuple[Array, Array]:
-    """|residual|^2 over its variance (K, c), and which channels (K, c) carry information."""
+def _line_correlation(batches: Sequence[Batch], whitened: Sequence[tuple[ComplexArray, Mask]]) -> tuple[Array, Array]:
+    """Size of the correlation (c, LAGS) between lines of one run, and the number of pairs; static runs have none."""
+    c = whitened[0][0].shape[1]
+    products, squares, pairs = np.zeros((c, LAGS), complex), np.zeros((c, LAGS)), np.zeros((c, LAGS))
+    for batch, (residual, informed) in zip(batches, whitened, strict=True):
+        for part in [] if batch.is_static else batch.parts:
+            # An error of the model turns with the phase of the excitation, which a multisine draws by chance.
+            values, known = residual[part] * _excitation_phase(batch, part).conj()[:, None], informed[part]
+            for lag in range(1, min(LAGS, len(values) - 1) + 1):
+                both = known[lag:] & known[:-lag]
+                first, second = values[:-lag], values[lag:]
+                products[:, lag - 1] += np.sum(np.where(both, first.conj() * second, 0.0), axis=0)
+                power = 0.5 * (np.abs(first) ** 2 + np.abs(second) ** 2)
+                squares[:, lag - 1] += np.sum(np.where(both, power, 0.0), axis=0)
+                pairs[:, lag - 1] += both.sum(axis=0)
+    correlation = np.divide(np.abs(products), squares, out=np.full((c, LAGS), np.nan), where=squares > 0)
+    return correlation, pairs
+
+
+def _excitation_phase(batch: Batch, lines: slice) -> ComplexArray:
+    """Phase factor (k,) of the largest load of a run; loads in N and N m are compared as they are."""
+    loads = batch.lines.loads[lines]
+    largest = loads[:, int(np.argmax(np.sum(np.abs(loads) ** 2, axis=0)))]
+    size = np.abs(largest)
+    return np.asarray(np.where(size > 0, largest / np.where(size > 0, size, 1.0), 1.0))
+
+
+def _whitened_residual(batch: Batch, system: System) -> tuple[ComplexArray, Mask]:
+    """Residual over its standard deviation (K, c), and which channels (K, c) carry information."""
     solution = solve(system, batch.frequency, batch.spin)
     fit = evaluate_batch(batch, system, solution)
     informed = np.real(np.diagonal(batch.lines.precision, axis1=1, axis2=2)[:, : batch.lines.channels.shape[1]]) > 0
     columns = recorded_load_columns(batch, system, solution)
     variance = residual_variance(batch, columns, informed)
-    # A mean is real: the variance of a complex line is twice that of its real part.
-    real = np.where(batch.line_frequency == 0.0, 2.0, 1.0)[:, None]
-    power = np.where(informed, real * np.abs(fit.residual) ** 2 / np.where(informed, variance, 1.0), 0.0)
-    return power, informed.astype(float)
+    whitened = np.where(informed, fit.residual / np.sqrt(np.where(informed, variance, 1.0)), 0.0)
+    return np.asarray(whitened, complex), np.asarray(informed)
 
 
 def describe_residual_location(residual: ResidualMap, settings: ResidualMapSettings) -> str:

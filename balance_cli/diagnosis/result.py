@@ -174,7 +174,10 @@ class LeftOut:
 class ResidualMap:
     """Rms whitened residual before and after (runs, bands, channels); the noise alone gives one.
 
-    `edges` (bands + 1,) [Hz]; NaN where a run has no line in a band.
+    `edges` (bands + 1,) [Hz]; NaN where a run has no line in a band. `excited`: the components of each run, joined by
+    `+`, of static runs empty. `correlation_before` and `correlation_after` (channels, lags): size of the correlation of
+    the whitened residuals of lines 1, 2 and so on apart, of so many `pairs` (channels, lags) of lines. None in
+    artefacts that were written without them.
     """
 
     runs: tuple[str, ...]
@@ -182,6 +185,10 @@ class ResidualMap:
     edges: Array
     before: Array
     after: Array
+    excited: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    correlation_before: Array | None = field(default=None, metadata={"omit_if_none": True})
+    correlation_after: Array | None = field(default=None, metadata={"omit_if_none": True})
+    pairs: Array | None = field(default=None, metadata={"omit_if_none": True})
 
 
 @dataclass(frozen=True, repr=False)
@@ -191,7 +198,8 @@ class Diagnosis(ResultView):
     `verdict` as in docs/json.md; `effects` strongest first; `trials` in the order of the decisions; chi2/dof and
     response error before and after; eigenmodes before and after; `location`: where a residual remains, in words.
     `settings` with which it was made (None: an artefact that was written without them). `left_out`: what the updated
-    model was fitted without. `consistency`: what the cross-checks said of the runs, None where nothing.
+    model was fitted without. `consistency`: what the cross-checks said of the runs, None where nothing. `dof`: degrees
+    of freedom of the updated fit.
     """
 
     geometry: Geometry
@@ -214,6 +222,7 @@ class Diagnosis(ResultView):
     settings: SearchSettings | None = None
     left_out: LeftOut | None = field(default=None, metadata={"omit_if_none": True})
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    dof: float | None = field(default=None, metadata={"omit_if_none": True})
 
     def summary_lines(self) -> Iterator[str]:
         """Verdict, chi2/dof before and after, the effects, what is not testable, hold-out runs."""

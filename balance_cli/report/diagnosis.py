@@ -21,6 +21,15 @@ from balance_cli.report.blocks import (
     WarningText,
 )
 from balance_cli.report.diagnosis_figures import hold_out_figure, residual_figure
+from balance_cli.report.diagnosis_residual import residual_blocks
+from balance_cli.report.diagnosis_story import (
+    TEST_SIGNIFICANCE,
+    accepted_sentences,
+    open_question_blocks,
+    ruled_out_items,
+    worth_paragraphs,
+    worth_table,
+)
 from balance_cli.report.diagnosis_tables import (
     effect_table,
     format_p_value,
@@ -32,9 +41,6 @@ from balance_cli.report.diagnosis_tables import (
 from balance_cli.report.figure_style import svg
 from balance_cli.report.number_format import capitalize_first, format_percent, format_significant
 from balance_cli.report.sources import Source, Sources
-
-TEST_SIGNIFICANCE = 0.01
-"""p-value below which a test of the data is shown in full, the level of the verdicts."""
 
 
 def verdict_sentence(source: Source[Diagnosis]) -> str:
@@ -59,19 +65,48 @@ def section(sources: Sources) -> Section | None:
 
 def _diagnosis_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
     yield from _verdict_blocks(made)
-    if made.effects:
-        if not made.chi2_per_dof_after <= GOOD_FIT_CHI2_PER_DOF:
-            yield WarningText(
-                "The updated model does not describe these data to within their noise: the uncertainties of the "
-                "parameters below are underestimated."
-            )
-        yield from (effect_table(made.effects), parameter_table(made.effects))
-    yield from _hold_out_blocks(made, suffix)
-    yield from _residual_blocks(made, suffix)
+    yield Heading("What the residual looked like")
+    yield from residual_blocks(made, suffix)
+    yield _residual_picture(made, suffix)
+    yield from _effect_blocks(made)
+    yield Heading("What was ruled out, and why")
+    yield from _ruled_out_blocks(made)
+    yield Heading("What the effects are worth in hub loads")
+    yield from _worth_blocks(made, suffix)
+    yield Heading("What would settle what remains")
+    yield from open_question_blocks(made)
     yield Heading("Eigenfrequencies before and after")
     yield mode_table(made)
+
+
+def _effect_blocks(made: Diagnosis) -> Iterator[PageBlock]:
+    """How the effects were found, with their evidence and parameters."""
+    yield Heading("What explained it")
+    if not made.effects:
+        yield Paragraph(f"Nothing: of {made.candidate_count} candidates none was accepted.")
+        return
+    yield BulletList(tuple(accepted_sentences(made)))
+    if not made.chi2_per_dof_after <= GOOD_FIT_CHI2_PER_DOF:
+        yield WarningText(
+            "The updated model does not describe these data to within their noise: the uncertainties of the "
+            "parameters below are underestimated."
+        )
+    yield from (effect_table(made.effects), parameter_table(made.effects))
+
+
+def _ruled_out_blocks(made: Diagnosis) -> Iterator[PageBlock]:
+    items = tuple(capitalize_first(item) for item in ruled_out_items(made))
+    yield BulletList(items) if items else Paragraph("These runs rule out nothing by themselves.")
     yield from _trial_blocks(made.trials)
     yield from _model_free_test_blocks(made)
+
+
+def _worth_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
+    table = worth_table(made.effects)
+    if table is not None:
+        yield table
+    yield from worth_paragraphs(made)
+    yield from _hold_out_blocks(made, suffix)
 
 
 def _verdict_blocks(made: Diagnosis) -> Iterator[PageBlock]:
@@ -101,7 +136,6 @@ def _key_figures(made: Diagnosis) -> Iterator[tuple[str, str, str]]:
 
 
 def _hold_out_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
-    yield Heading("Errors before and after, on hold-out runs")
     if not made.hold_out:
         yield WarningText("No run was held out: the gain in accuracy is not verified.")
         return
@@ -113,14 +147,13 @@ def _hold_out_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
     yield Details("Each hold-out run", tuple(run_tables(made)))
 
 
-def _residual_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
-    yield Heading("Residual before and after")
+def _residual_picture(made: Diagnosis, suffix: str) -> Picture:
     caption = (
         "Whitened residual, rms within frequency bands: by run over all channels, and by channel over all runs. The "
         "noise alone gives 1; gray: no line in the band. All bands are drawn equally wide."
     )
     name = f"residual{suffix}"
-    yield Picture(name, caption, svg(name, caption, lambda: residual_figure(made.residual)))
+    return Picture(name, caption, svg(name, caption, lambda: residual_figure(made.residual)))
 
 
 def _trial_blocks(trials: Sequence[Trial]) -> Iterator[PageBlock]:
@@ -161,7 +194,7 @@ def _trial_row(trial: Trial) -> Row:
 
 
 def _model_free_test_blocks(made: Diagnosis) -> Iterator[PageBlock]:
-    """Significant tests of the data, the others in a folded table, and effects that are not testable."""
+    """Significant tests of the data, the others in a folded table."""
     if made.data_tests:
         yield Heading("Tests of the data without a model")
         differing = [test for test in made.data_tests if test.p_value < TEST_SIGNIFICANCE]
@@ -174,9 +207,6 @@ def _model_free_test_blocks(made: Diagnosis) -> Iterator[PageBlock]:
             yield Details(
                 f"{len(alike)} tests without a significant difference", (_test_table("Not significant.", alike),)
             )
-    if made.untestable_effects:
-        yield Heading("Not testable with these runs")
-        yield BulletList(tuple(f"{item.name}: {item.reason}" for item in made.untestable_effects))
 
 
 def _test_table(caption: str, tests: Sequence[ModelFreeTest]) -> Table:

@@ -108,6 +108,7 @@ def _build_diagnosis(
         notes=diagnosis_notes(spectra, update.fit, updated, settings),
         settings=settings,
         left_out=left_out,
+        dof=updated.quality.dof,
     )
 
 

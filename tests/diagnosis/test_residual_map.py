@@ -168,3 +168,15 @@ def test_a_rig_with_all_its_channels():
     residual = residual_map(batches, truth, truth, SETTINGS.residual_map)
     rms = np.sqrt(np.mean(residual.after[0] ** 2, axis=0))
     np.testing.assert_allclose(rms, 1.0, atol=0.1)
+
+
+def test_residuals_are_white_under_the_truth_and_alike_from_line_to_line_under_a_wrong_model(batches):
+    """Of white residuals 5 % of the correlations exceed sqrt(-ln 0.05 / pairs); 40 of them: at most 7 (p = 0.001)."""
+    wrong = select(**{"stiffness.a": 1.01, "stiffness.b": 1.01})
+    residual = residual_map(batches, wrong, select(), SETTINGS.residual_map)
+    by_run = dict(zip(residual.runs, residual.excited, strict=True))
+    assert by_run == {"heave": "Fz", "pitch": "My", "deaf": "Fz", "static": ""}
+    limit = np.sqrt(-np.log(0.05) / residual.pairs)
+    assert residual.correlation_after.shape == limit.shape == (2, 20)
+    assert np.count_nonzero(residual.correlation_after > limit) <= 7
+    assert np.all(residual.correlation_before[:, 0] > 0.5)

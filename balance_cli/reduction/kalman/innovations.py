@@ -24,6 +24,8 @@ class InnovationTests:
     """NIS per channel and sample, and `whiteness` (1 if white), with their standard deviations for a consistent filter.
 
     `channels` {name: mean square of its innovations, in units of their variance given the channels before it}.
+    `autocorrelation` {name: (LAGS,) of its innovations at lags from 1}, of so many `pairs` (LAGS,) of samples; None in
+    artefacts that were written without them.
     """
 
     nis: float
@@ -32,6 +34,8 @@ class InnovationTests:
     whiteness_sigma: float
     channels: dict[str, float]
     samples: int
+    autocorrelation: dict[str, Array] | None = field(default=None, metadata={"omit_if_none": True})
+    pairs: Array | None = field(default=None, metadata={"omit_if_none": True})
 
 
 @dataclass
@@ -68,4 +72,6 @@ class InnovationSums:
             whiteness_sigma=float(np.sqrt(2.0 / (LAGS * self.channels))),
             channels=dict(zip(names, mean_square.tolist(), strict=True)),
             samples=self.samples,
+            autocorrelation=dict(zip(names, rho.T, strict=True)),
+            pairs=self.pairs,
         )

@@ -1,0 +1,181 @@
+"""The story of a diagnosis in words: what the residual looked like, what explained it, and what was ruled out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.diagnosis.result import (
+    CONTRADICTED,
+    EXPLAINED,
+    NOTHING_MISSING,
+    Diagnosis,
+    FoundEffect,
+    ModelFreeTest,
+    Trial,
+)
+from balance_cli.report.blocks import BulletList, PageBlock, Paragraph, Row, Table, TableCell
+from balance_cli.report.diagnosis_errors import pooled_hold_out_errors
+from balance_cli.report.number_format import (
+    MISSING_VALUE,
+    capitalize_first,
+    format_percent,
+    format_significant,
+    join_names,
+)
+
+TEST_SIGNIFICANCE = 0.01
+"""p-value below which a test of the data found a difference, the level of the verdicts."""
+RULED_OUT_BY = {
+    "channels of a cell": "no gain, delay, filter or crosstalk of these channels",
+    "static against low frequency": "static and dynamic responses agree where frequency goes to zero",
+    "low against high level": "no effect that grows with the load: friction, play, cubic or quadratic stiffness",
+    "rest against spin": "no effect of the turning rotor",
+    "mains": "no mains interference",
+}
+"""What equal data say, by the name of the test."""
+TAKEN = ("accepted", "kept")
+
+
+def accepted_sentences(made: Diagnosis) -> Iterator[str]:
+    """Yield for each effect found how it came in, and the misfit without it."""
+    for effect in sorted(made.effects, key=lambda effect: effect.evidence.round):
+        yield f"{effect.label}: {_entry_text(made, effect)}.{_without_text(made, effect)}"
+
+
+def _entry_text(made: Diagnosis, effect: FoundEffect) -> str:
+    number = effect.evidence.round
+    trials = [trial for trial in made.trials if trial.round == number and trial.gain == trial.gain]
+    own = next((trial for trial in trials if trial.label == effect.label and trial.decision == "accepted"), None)
+    if own is None:
+        return f"added in round {number}"
+    others = [trial for trial in trials if trial.decision == "rejected" and trial.gain > 0]
+    words = f"accepted in round {number}" if number else "found before the search"
+    if own.reason:
+        words += f", because {own.reason}"
+    if not others or not own.gain > 0:
+        return words
+    listed = [f"{trial.label} {format_percent(trial.gain / own.gain)} %" for trial in _largest(others)]
+    return f"{words}; others gained less of chi-square in its place: {join_names(listed)} of what it gained"
+
+
+def _largest(trials: Sequence[Trial]) -> list[Trial]:
+    return sorted(trials, key=lambda trial: -trial.gain)[:3]
+
+
+def chi2_per_dof_without(made: Diagnosis, effect: FoundEffect) -> float:
+    """Return chi2/dof of the updated model without one of its effects; NaN where it cannot be told."""
+    if not made.dof:
+        return float("nan")
+    return made.chi2_per_dof_after + effect.evidence.gain / made.dof
+
+
+def _without_text(made: Diagnosis, effect: FoundEffect) -> str:
+    value = chi2_per_dof_without(made, effect)
+    if value != value:
+        return ""
+    before = format_significant(made.chi2_per_dof_after)
+    return f" Without it chi2/dof would be {format_significant(value)} in place of {before}."
+
+
+def ruled_out_items(made: Diagnosis) -> Iterator[str]:
+    """Yield what the data rule out by themselves, then the candidates that were refitted and not taken."""
+    names = dict.fromkeys(test.name for test in made.data_tests)
+    for name in names:
+        yield from _test_items([test for test in made.data_tests if test.name == name])
+    found = {effect.label for effect in made.effects}
+    reasons: dict[str, list[str]] = {}
+    for trial in made.trials:
+        refused = trial.decision in ("rejected", "removed") and trial.label not in found
+        if refused and trial.label not in reasons.setdefault(trial.reason or "no gain", []):
+            reasons[trial.reason or "no gain"].append(trial.label)
+    for reason, labels in reasons.items():
+        more = f" and {len(labels) - 6} more" if len(labels) > 6 else ""
+        yield f"{', '.join(labels[:6])}{more}: {reason}"
+    tried = {trial.label for trial in made.trials if trial.decision != "not refitted"}
+    left = made.candidate_count - len(found | tried)
+    if left > 0:
+        yield f"the score test ranked {left} further candidates lower; none of them was refitted"
+
+
+def _test_items(tests: Sequence[ModelFreeTest]) -> Iterator[str]:
+    equal = [test for test in tests if not test.p_value < TEST_SIGNIFICANCE]
+    if equal:
+        what = RULED_OUT_BY.get(tests[0].name, "no difference")
+        places = join_names([test.place for test in equal[:3]])
+        more = f" and {len(equal) - 3} more" if len(equal) > 3 else ""
+        yield f"{tests[0].name}, {len(equal)} of {len(tests)} without a significant difference ({places}{more}): {what}"
+
+
+def worth_table(effects: Sequence[FoundEffect]) -> Table | None:
+    """Return the worth of each effect for each load component; None where no effect has one."""
+    shown = [effect for effect in effects if effect.worth]
+    names = [name for name in COMPONENTS if any(name in (effect.worth or {}) for effect in shown)]
+    if not shown:
+        return None
+    head = (TableCell("effect"), *(TableCell(name) for name in names))
+    rows: list[Row] = []
+    for effect in shown:
+        worth = effect.worth or {}
+        most = max(worth.values())
+        cells = (
+            TableCell(
+                format_significant(worth[name], 2) if name in worth else MISSING_VALUE,
+                mark="best" if worth.get(name) == most else "",
+            )
+            for name in names
+        )
+        rows.append((TableCell(effect.label, mark="name"), *cells))
+    caption = (
+        "What each effect is worth: the largest error of a harmonic load at the rotor speed if the model had all other "
+        "effects and not this one, over the sigma of the load. Above 2 the load would be wrong beyond its stated "
+        "95 % interval; below 0.1 the effect is of no consequence. Bold: the largest of its row."
+    )
+    return Table(caption, (head,), tuple(rows))
+
+
+def worth_paragraphs(made: Diagnosis) -> Iterator[PageBlock]:
+    """Yield one sentence on all effects together: errors of known hub loads before and after."""
+    before, after = (pooled_hold_out_errors(made, stage, "load_error") for stage in ("before", "after"))
+    names = [name for name in after if name in before]
+    if names:
+        worst = max(names, key=lambda name: before[name].value)
+        yield Paragraph(
+            f"All together, on known loads that no fit has used: the error of {worst} goes from "
+            f"{format_percent(before[worst].value)} % to {format_percent(after[worst].value)} % (noise alone "
+            f"{format_percent(after[worst].noise)} %)."
+        )
+
+
+def open_question_items(made: Diagnosis) -> Iterator[str]:
+    """Yield what remains open, each with the measurement that would settle it."""
+    if made.verdict == CONTRADICTED:
+        yield "the update makes hold-out runs worse: do not use it; find what differs between these and the other runs"
+    if made.left_out is not None:
+        yield made.left_out.description
+    for effect in made.effects:
+        if effect.indistinguishable_from:
+            remedy = f": {effect.separated_by} separates them" if effect.separated_by else ""
+            others = join_names(effect.indistinguishable_from)
+            yield f"{effect.label} cannot be told from {others} with these runs{remedy}"
+        if effect.evidence.empirical:
+            yield f"{effect.label} describes a resonance without naming its cause: search for a part that moves there"
+    for item in made.untestable_effects:
+        yield f"{item.name} was not tested: {item.reason}"
+    if not made.hold_out:
+        yield "the gain is not verified: keep a run out of the fit (--hold-out), best one with known loads"
+
+
+def open_question_blocks(made: Diagnosis) -> Iterator[PageBlock]:
+    """Yield what would settle what remains, or that nothing remains."""
+    items = [capitalize_first(item) for item in open_question_items(made)]
+    if made.verdict in (EXPLAINED, NOTHING_MISSING):
+        yield Paragraph("Nothing remains in these data beyond their noise." + (" Open is:" if items else ""))
+    else:
+        where = made.location.rstrip(".") or "see the map of the residual above"
+        yield Paragraph(
+            f"Something remains that these effects do not explain ({where}). Sweeps with finer lines there, and at a "
+            "second level, show whether it is a resonance or grows with the load."
+        )
+    if items:
+        yield BulletList(tuple(items))
