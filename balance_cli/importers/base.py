@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import importlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +35,9 @@ class ChannelGroup:
     """Channels that were sampled together.
 
     `rate` [Hz] is None where the file states none (a time column may). `start` [s] is the time of the first sample on
-    the clock of the file. `unusable` says why the group is no record of samples in time (a spectrum, text), else empty.
+    the clock of the file. A group of a lower rate that shares the rows of a time column with others has its samples at
+    row `first_row` of them and every `stride` rows from there. `unusable` says why the group is no record of samples in
+    time (a spectrum, text), else empty.
     """
 
     channels: tuple[ForeignChannel, ...]
@@ -42,6 +46,8 @@ class ChannelGroup:
     rate: float | None = None
     start: float = 0.0
     unusable: str = ""
+    first_row: int = 0
+    stride: int = 1
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -53,7 +59,8 @@ class ChannelGroup:
 class ForeignFile:
     """An opened file of another program: its groups of channels, and `notes` on what was assumed in reading it.
 
-    `scalars` are single numbers that stand beside the channels, such as a sample rate.
+    `scalars` are single numbers that stand beside the channels, such as a sample rate. `labels` read columns of text by
+    name, one for each sample.
     """
 
     path: Path
@@ -62,6 +69,7 @@ class ForeignFile:
     notes: tuple[str, ...] = ()
     recorded: str | None = None
     scalars: dict[str, float] = field(default_factory=dict)
+    labels: dict[str, Callable[[], tuple[str, ...]]] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True)
@@ -118,10 +126,25 @@ def impossible_size(path: Path, samples: int, channels: int) -> str:
     return f"damaged: {samples} samples of {channels} channels are declared in {stored} bytes"
 
 
-def missing_package(format_name: str, package: str) -> UserError:
-    """The error where the package that reads a format is not installed."""
-    remedy = f"Install it: pip install {package}"
-    return UserError(f"is {format_name}, and the package `{package}` that reads it is not installed", remedy=remedy)
+def require_package(module: str, format_name: str, package: str) -> Any:
+    """The module that reads a format. Raises UserError, with what to install, where it is absent."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        remedy = f"Install it: pip install {package}"
+        fault = f"is {format_name}, and the package `{package}` that reads it is not installed"
+        raise UserError(fault, remedy=remedy) from error
+
+
+@contextmanager
+def errors_as_damage(path: Path | None = None, place: str = "") -> Iterator[None]:
+    """Turn what a foreign reader raises into the error of a damaged file: it raises whatever damaged bytes lead to."""
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        raise damaged(error).with_location(file="" if path is None else str(path), place=place) from error
 
 
 def damaged(reason: object) -> UserError:

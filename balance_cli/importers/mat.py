@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout, damaged
+from balance_cli.importers.base import Array, ChannelGroup, ForeignChannel, ForeignFile, TextLayout, errors_as_damage
 from balance_cli.importers.matrices import matrix_group, scalar_of
 from balance_cli.io.errors import UserError
 
 NAME = "MAT"
 VERSION_5 = b"MATLAB 5.0 MAT-file"
-DEEPEST = 4
-"""Levels of nested structures."""
+DEEPEST = 8
+"""Levels of nested structures and cell arrays."""
+MOST_ELEMENTS = 1000
+"""Elements of an array of structures or cells that are listed; a record has fewer channels."""
 NUMERIC_CLASSES = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
@@ -44,20 +46,20 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """List the variables; a matrix is read when its samples are."""
     from scipy.io import whosmat
 
-    try:
+    with errors_as_damage():
         listed = whosmat(str(path))
-    except Exception as error:  # scipy raises whatever damaged bytes lead to
-        raise damaged(error) from error
     load = cache(lambda name: _load(path, name))  # a compressed variable can only be read whole
     groups: list[ChannelGroup] = []
     scalars: dict[str, float] = {}
     for name, shape, kind in listed:
+        if name.startswith("__"):
+            continue  # what MATLAB keeps for itself, such as the workspace of functions
         if kind in NUMERIC_CLASSES and len(shape) == 2:
             if max(shape) > 1 and min(shape) > 0:
                 groups.append(_lazy_group(name, shape, load))
             elif shape == (1, 1) and (value := scalar_of(load(name))) is not None:
                 scalars[name] = value
-        elif kind == "struct":
+        elif kind in ("struct", "cell"):
             for member, values in _members(name, load(name)):
                 if (value := scalar_of(values)) is not None:
                     scalars[member] = value
@@ -71,14 +73,11 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
 def _load(path: Path, name: str) -> Any:
     from scipy.io import loadmat
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            value = loadmat(str(path), variable_names=[name], struct_as_record=True)[name]
-    except Exception as error:
-        raise damaged(f"variable {name}: {error}").with_location(file=str(path)) from error
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iufbV":
-        raise UserError("is sparse or complex", str(path), f"variable {name}", "Leave it out of the map")
+    with errors_as_damage(path, f"variable {name}"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        value = loadmat(str(path), variable_names=[name], struct_as_record=True)[name]
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "iufbVO":
+        raise UserError("is sparse, complex or empty", str(path), f"variable {name}", "Leave it out of the map")
     return value
 
 
@@ -97,12 +96,17 @@ def _lazy_group(name: str, shape: tuple[int, ...], load: Any) -> ChannelGroup:
 
 
 def _members(name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """The numeric members of a structure with their dotted names; of an array of structures only single ones."""
-    fields = getattr(getattr(value, "dtype", None), "names", None)
-    if fields is None:
+    """The numeric members of structures and cell arrays with their names: `rec.force`, `channel[2].data`, `runs[1]`."""
+    dtype = np.asarray(value).dtype if not isinstance(value, np.void) else value.dtype
+    fields = dtype.names
+    if fields is None and dtype.kind != "O":
         yield name, value
-        return
-    if getattr(value, "size", 1) == 1 and depth < DEEPEST:
-        record = value.reshape(-1)[0] if isinstance(value, np.ndarray) else value
-        for item in fields:
-            yield from _members(f"{name}.{item}", record[item], depth + 1)
+    elif depth < DEEPEST:
+        elements = value.ravel(order="F") if isinstance(value, np.ndarray) else [value]
+        for k, element in enumerate(elements[:MOST_ELEMENTS]):
+            own = name if len(elements) == 1 else f"{name}[{k + 1}]"
+            if fields is None:
+                yield from _members(own, element, depth + 1)
+            else:
+                for item in fields:
+                    yield from _members(f"{own}.{item}", element[item], depth + 1)

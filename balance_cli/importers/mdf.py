@@ -17,8 +17,9 @@ from balance_cli.importers.base import (
     ForeignFile,
     TextLayout,
     damaged,
+    errors_as_damage,
     impossible_size,
-    missing_package,
+    require_package,
 )
 from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.io.errors import UserError
@@ -36,21 +37,13 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """List the channels of every channel group; the rate is that of its master channel."""
-    try:
-        from asammdf import MDF
-    except ImportError as error:
-        raise missing_package("MDF4", "asammdf") from error
+    asammdf = require_package("asammdf", "MDF4", "asammdf")
     with path.open("rb") as stream:
         if stream.read(IDENTIFICATION + 4)[IDENTIFICATION:][:2] not in (b"##", b"HD"):
             raise damaged("no header block behind the identification")
-    try:
-        with MDF(path) as file:
-            begin = file.header.start_time
-            groups = [group for index in range(len(file.groups)) for group in _groups(path, file, index)]
-    except UserError:
-        raise
-    except Exception as error:  # asammdf raises whatever damaged bytes lead to
-        raise damaged(error) from error
+    with errors_as_damage(), asammdf.MDF(path) as file:
+        begin = file.header.start_time
+        groups = [group for index in range(len(file.groups)) for group in _groups(path, file, index)]
     if not groups:
         raise UserError("has no channels with samples", remedy="Give a file with channels")
     return ForeignFile(path, NAME, tuple(groups), recorded=begin.isoformat(timespec="seconds") if begin else None)
@@ -93,11 +86,8 @@ def _load_channel(path: Path, index: int, position: int) -> Any:
     """A whole channel, mapped from a temporary file: asammdf reads part of a channel no faster than all of it."""
     from asammdf import MDF
 
-    try:
-        with MDF(path) as file:
-            values = np.asarray(file.get(group=index, index=position, samples_only=True)[0])
-    except Exception as error:
-        raise damaged(error).with_location(file=str(path)) from error
+    with errors_as_damage(path), MDF(path) as file:
+        values = np.asarray(file.get(group=index, index=position, samples_only=True)[0])
     if values.dtype.kind not in "iufb" or values.ndim != 1:
         raise UserError("a channel holds no real numbers", str(path), remedy="Leave it out of the map")
     with tempfile.TemporaryFile() as scratch:

@@ -14,8 +14,8 @@ from balance_cli.importers.base import (
     ForeignChannel,
     ForeignFile,
     TextLayout,
-    damaged,
-    missing_package,
+    errors_as_damage,
+    require_package,
 )
 from balance_cli.io.errors import UserError
 from balance_cli.io.units import split_unit
@@ -30,21 +30,14 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """List the columns of numbers; a unit in brackets behind a name is its unit."""
-    try:
-        import pyarrow.parquet as parquet
-        import pyarrow.types as types
-    except ImportError as error:
-        raise missing_package(NAME, "pyarrow") from error
-    try:
-        with parquet.ParquetFile(path) as file:
-            fields = [
-                field.name
-                for field in file.schema_arrow
-                if types.is_integer(field.type) or types.is_floating(field.type) or types.is_timestamp(field.type)
-            ]
-            rows = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
-    except Exception as error:  # pyarrow raises whatever damaged bytes lead to
-        raise damaged(error) from error
+    parquet, types = (require_package(f"pyarrow.{part}", NAME, "pyarrow") for part in ("parquet", "types"))
+    with errors_as_damage(), parquet.ParquetFile(path) as file:
+        fields = [
+            field.name
+            for field in file.schema_arrow
+            if types.is_integer(field.type) or types.is_floating(field.type) or types.is_timestamp(field.type)
+        ]
+        rows = [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)]
     if not fields or sum(rows) < 2:
         raise UserError("has no columns of numbers with samples", remedy="Save one column for each channel")
     ends = np.cumsum([0, *rows])
@@ -61,12 +54,9 @@ def _read(path: Path, names: Sequence[str], row_groups: Sequence[int], start: in
     """`count` rows of some columns, from row `start` of the first of these row groups on."""
     import pyarrow.parquet as parquet
 
-    try:
-        with parquet.ParquetFile(path) as file:
-            table = file.read_row_groups(list(row_groups), columns=list(dict.fromkeys(names)), use_threads=False)
-            return np.column_stack([_numbers(table[name].slice(start, count)) for name in names])
-    except Exception as error:
-        raise damaged(error).with_location(file=str(path)) from error
+    with errors_as_damage(path), parquet.ParquetFile(path) as file:
+        table = file.read_row_groups(list(row_groups), columns=list(dict.fromkeys(names)), use_threads=False)
+        return np.column_stack([_numbers(table[name].slice(start, count)) for name in names])
 
 
 def _numbers(column: Any) -> Array:

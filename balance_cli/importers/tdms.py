@@ -16,8 +16,8 @@ from balance_cli.importers.base import (
     ForeignChannel,
     ForeignFile,
     TextLayout,
-    damaged,
-    missing_package,
+    errors_as_damage,
+    require_package,
 )
 from balance_cli.importers.written_numbers import whole_rate
 from balance_cli.io.errors import UserError
@@ -32,19 +32,9 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """List the channels; start times count from the earliest channel."""
-    try:
-        from nptdms import TdmsFile
-    except ImportError as error:
-        raise missing_package(NAME, "npTDMS") from error
-    try:
-        with TdmsFile.open(path) as file:
-            found = [
-                (group.name, channel.name, _facts(channel)) for group in file.groups() for channel in group.channels()
-            ]
-    except UserError:
-        raise
-    except Exception as error:  # npTDMS raises whatever damaged bytes lead to
-        raise damaged(error) from error
+    nptdms = require_package("nptdms", NAME, "npTDMS")
+    with errors_as_damage(), nptdms.TdmsFile.open(path) as file:
+        found = [(group.name, channel.name, _facts(channel)) for group in file.groups() for channel in group.channels()]
     if not found:
         raise UserError("has no channels", remedy="Give a file with channels")
     begins = [facts["begin"] for _, _, facts in found if facts["begin"] is not None]
@@ -91,10 +81,8 @@ class _OpenFile:
 
     def read(self, group: str, name: str, start: int, stop: int) -> Array:
         """Samples start to stop of a channel."""
-        try:
+        with errors_as_damage(self.path, name):
             return np.asarray(self._file[group][name].read_data(start, stop - start), np.float64)
-        except Exception as error:
-            raise damaged(error).with_location(file=str(self.path), place=name) from error
 
 
 def _group(opened: _OpenFile, group: str, name: str, facts: dict[str, Any], origin: Any, several: bool) -> ChannelGroup:

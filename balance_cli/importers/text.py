@@ -5,8 +5,9 @@ from __future__ import annotations
 import codecs
 import functools
 import io
+import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,8 +23,9 @@ from balance_cli.importers.base import (
     TextLayout,
     damaged,
 )
-from balance_cli.importers.text_layout import MISSING_WORDS, Columns, find_columns, find_encoding, split_cells
+from balance_cli.importers.text_layout import MISSING_WORDS, Columns, find_columns, split_cells
 from balance_cli.io.errors import UserError
+from balance_cli.io.text_cells import find_encoding, is_remark
 
 NAME = "text"
 INDEXED_ROWS = 8192
@@ -35,7 +37,7 @@ TEXT_CONTROLS = bytes(range(9)) + bytes(range(14, 27)) + b"\x7f"
 
 def sniff(path: Path, head: bytes) -> bool:
     """Whether it is text."""
-    if find_encoding(head).startswith("utf-16"):
+    if find_encoding(head, is_cut=True).startswith("utf-16"):
         return True
     return not any(byte in TEXT_CONTROLS for byte in head[:4096])
 
@@ -44,17 +46,48 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """Find the layout and the positions of the rows."""
     with path.open("rb") as file:
         head = file.read(SNIFFED_BYTES)
-    encoding = layout.encoding or find_encoding(head)
     is_whole = path.stat().st_size <= len(head)
+    encoding = layout.encoding or find_encoding(head, is_cut=not is_whole)
     text = _decode(head, encoding)
     columns = find_columns(text, is_whole, encoding, layout)
     rows, notes = _index_rows(path, columns)
-    used = (*columns.numeric, *columns.clock)
-    table = _Table(path, columns, rows, used)
-    channels = tuple(ForeignChannel(columns.names[k], "s" if k in columns.clock else columns.units[k]) for k in used)
     scalars = {} if columns.stated_rate is None else {"sample_rate": columns.stated_rate}
-    group = ChannelGroup(channels, rows.count, table.read)
-    return ForeignFile(path, NAME, (group,), tuple(notes), scalars=scalars)
+    dense = [k for k in (*columns.numeric, *columns.clock) if k not in columns.sparse]
+    groups = [_group(path, columns, rows, dense)] if dense else []
+    for place in dict.fromkeys(columns.sparse.values()):
+        together = [k for k, own in columns.sparse.items() if own == place]
+        groups.append(_sparse_group(_group(path, columns, rows, together), *place))
+    texts: dict[str, Callable[[], tuple[str, ...]]] = {
+        name: functools.partial(_read_labels, rows, columns, k)
+        for k, name in enumerate(columns.names)
+        if name and k not in (*columns.numeric, *columns.clock)
+    }
+    return ForeignFile(path, NAME, tuple(groups), tuple(notes), scalars=scalars, labels=texts)
+
+
+def _read_labels(rows: _Rows, columns: Columns, column: int) -> tuple[str, ...]:
+    """The cells of a column of text; static tables, which have such columns, fit in memory."""
+    encoding = "utf-8" if columns.encoding.startswith("utf-16") else columns.encoding
+    with rows.open() as file:
+        file.seek(int(rows.offsets[0]))
+        lines = file.read(rows.end - int(rows.offsets[0])).decode(encoding, "replace").splitlines()
+    cells = (split_cells(line, columns.separator) for line in lines[: rows.count])
+    return tuple(row[column] if column < len(row) else "" for row in cells)
+
+
+def _group(path: Path, columns: Columns, rows: _Rows, used: Sequence[int]) -> ChannelGroup:
+    channels = tuple(ForeignChannel(columns.names[k], "s" if k in columns.clock else columns.units[k]) for k in used)
+    return ChannelGroup(channels, rows.count, _Table(path, columns, rows, tuple(used)).read)
+
+
+def _sparse_group(group: ChannelGroup, first: int, stride: int) -> ChannelGroup:
+    """The group with the rows that have values: every `stride`-th from row `first` on."""
+
+    def read(columns: Sequence[int], start: int, stop: int) -> Array:
+        return group.read(columns, first + start * stride, first + (stop - 1) * stride + 1)[::stride]
+
+    samples = (group.samples - first + stride - 1) // stride
+    return replace(group, samples=samples, read=read, first_row=first, stride=stride)
 
 
 def _decode(head: bytes, encoding: str) -> str:
@@ -88,13 +121,19 @@ def _index_rows(path: Path, columns: Columns) -> tuple[_Rows, list[str]]:
         starts = np.concatenate([[first], ends + 1])
         starts = starts[starts < end]
         notes = []
-        file.seek(int(starts[-1]))
-        last = file.read(end - int(starts[-1])).decode("latin-1")
+        while is_remark(last := _read_text(file, int(starts[-1]), end)):
+            notes.append(f"row {columns.first_row + len(starts)} is a remark and was left out")
+            end, starts = int(starts[-1]), starts[:-1]
         file.seek(end)
         if len(split_cells(last, columns.separator)) < len(columns.names) and file.read(1) == b"":
             notes.append(f"row {columns.first_row + len(starts)} broke off and was left out")
             end, starts = int(starts[-1]), starts[:-1]
     return _Rows(open_stream, starts[::INDEXED_ROWS], end, len(starts)), notes
+
+
+def _read_text(file: IO[bytes], start: int, end: int) -> str:
+    file.seek(start)
+    return file.read(end - start).decode("latin-1")
 
 
 def _as_utf8(path: Path, encoding: str) -> bytes:
@@ -151,7 +190,7 @@ class _Table:
         values = self._parse(text, wanted, row, min(last * INDEXED_ROWS, self.rows.count) - row)
         return values[start - row : stop - row]
 
-    def _parse(self, text: bytes, wanted: Sequence[int], row: int, count: int) -> Array:
+    def _parse(self, text: bytes, wanted: Sequence[int], row: int, count: int, has_blanks: bool = True) -> Array:
         import pandas as pd
 
         clock = [k for k in wanted if k in self.columns.clock]
@@ -173,6 +212,8 @@ class _Table:
                 **options,
             )
         except (ValueError, pd.errors.ParserError) as error:
+            if has_blanks and (plain := _without_blanks(text, self.columns.separator)) != text:
+                return self._parse(plain, wanted, row, count, has_blanks=False)
             raise self._bad_row(text, numeric, row, error) from error
         if self._has_extra_cells(text, count):
             raise self._bad_row(text, (), row, "rows of different lengths")
@@ -180,16 +221,26 @@ class _Table:
             raise damaged(f"{len(table)} rows from row {self._file_row(row)} on, where {count} were expected")
         return np.column_stack([self._seconds(table[k]) if k in clock else table[k].to_numpy() for k in wanted])
 
-    def _seconds(self, texts: Any) -> Array:
-        """Clock times as seconds from the midnight before, or from 1970 where they have dates."""
+    def _seconds(self, texts: Any, is_american: bool = False) -> Array:
+        """Clock times as seconds from the midnight before, or from 1970 where they have dates.
+
+        Hours of half days are American, so that the month comes first.
+        """
         import pandas as pd
 
         plain = texts.str.replace(",", ".", regex=False)
+        if plain.str.contains("[AaPp][Mm]$").all():
+            clock = plain.str[:-2].str.strip()
+            half_days = plain.str[-2:].str.lower().eq("pm").astype(int) - clock.str.contains(r"(?:^|[ T])12:").astype(
+                int
+            )
+            return np.asarray(self._seconds(clock, is_american=True) + 43200.0 * half_days)
         if plain.str.contains(r"^\d{1,2}:").all():
             return np.asarray(
                 pd.to_timedelta(plain.where(plain.str.count(":") == 2, plain + ":00")) / pd.Timedelta("1s")
             )
-        times = pd.to_datetime(plain, dayfirst=not str(plain.iloc[0])[:4].isdigit(), utc=True)
+        day_first = not (str(plain.iloc[0])[:4].isdigit() or is_american)
+        times = pd.to_datetime(plain, dayfirst=day_first, utc=True)
         return np.asarray((times - pd.Timestamp(0, tz="UTC")) / pd.Timedelta("1s"))
 
     def _has_extra_cells(self, text: bytes, count: int) -> bool:
@@ -218,6 +269,13 @@ class _Table:
                     where = f"{place}, column `{self.columns.names[column]}`"
                     return UserError(f"`{cell[:40]}` is not a number", place=where, remedy="Correct or remove this row")
         return damaged(error)
+
+
+def _without_blanks(text: bytes, separator: str) -> bytes:
+    """The text without blanks beside separators: pandas takes `- ` and ` ` for words."""
+    sign = re.escape(separator.encode("latin-1"))
+    blanks = rb"(?:^|(?<=[\n" + sign + rb"])) +| +(?=[\r\n" + sign + rb"]|$)"
+    return re.sub(blanks, b"", text) if separator != " " else text
 
 
 def _is_number(cell: str) -> bool:

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
+from balance_cli.importers.written_numbers import plausible_rate
 from balance_cli.io.errors import UserError
-from balance_cli.io.units import parse_unit, split_unit
+from balance_cli.io.text_cells import SEPARATORS, is_remark
+from balance_cli.io.units import is_unit, split_unit
 
-SEPARATORS = ("\t", ";", ",", "|", " ")
-"""Candidates; the space stands for any run of spaces."""
 MISSING_WORDS = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "1.#ind", "-1.#ind", "1.#qnan")
 """Cells without a value, in lower case."""
 NUMERIC_SHARE = 0.5
 """Share of the cells of a row that must be numbers, times or empty for a row of data; a row of names has hardly any."""
 TYPICAL_ROWS = 50
 """Rows whose usual number of cells is that of the table."""
+FEWEST_SPARSE_ROWS = 4
+"""Values at even distances from which a column counts as one of a lower rate; two gaps alike can be chance."""
+NUMERIC_COLUMN_SHARE = 0.9
+"""Share of the cells of a column that must be numbers for a column of numbers: a word among them (`Max`, `overload`) is
+then a fault of its row, where a column of labels has hardly any number."""
 UNIT_SHARE = 0.5
 """Share of the cells of a row that must be units for a row of units; names such as `N` or `Mz` are rare."""
 
@@ -26,11 +32,22 @@ _NUMBER = {
     ".": re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$|^[-+]?inf(inity)?$", re.IGNORECASE),
     ",": re.compile(r"^[-+]?(\d+,?\d*|,\d+)([eEdD][-+]?\d+)?$|^[-+]?inf(inity)?$", re.IGNORECASE),
 }
-_CLOCK = re.compile(r"^(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[ T]?)?\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?(Z|[+-]\d\d:?\d\d)?$")
-_RATE = re.compile(
-    r"(?:sampl\w*[ _-]*(?:rate|freq\w*)|abtastrate|messrate|\bfs)\b[^0-9\n]*?([0-9]+(?:[.,][0-9]+)?)\s*(k?hz)?",
+_CLOCK = re.compile(
+    r"^(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[ T]?)?\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?( ?[AP]M|Z|[+-]\d\d:?\d\d)?$",
     re.IGNORECASE,
 )
+_RATE = re.compile(
+    r"(?:sampl\w*[ _-]*(?:rate|freq\w*)|abtastrate|messrate|\bfs)\b[^\w\n]*(?:(k?hz)\b[^\w\n]*)?"
+    r"([0-9]+(?:[.,][0-9]+)?)\s*(k?hz)?",
+    re.IGNORECASE,
+)
+"""Between the word and its number only signs and a unit: `default sample rate <tab> DMS_1` states none."""
+_STEP = re.compile(
+    r"^\W*(?:delta[ _]?[xt]|dt|time[ _]step|(?:sampl\w*|time)[ _]interval|abtastintervall)\b[^\w\n]*(?:s\b[^\w\n]*)?"
+    r"([0-9]*[.,]?[0-9]+(?:e[-+]?[0-9]+)?)(?=\s|$)",
+    re.IGNORECASE | re.MULTILINE,
+)
+"""A time step [s], as LabVIEW (`Delta_X`) and catman (`DT = `) state it."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +55,8 @@ class Columns:
     """The layout that was found.
 
     `first_row` counts from 0. `numeric` are the columns of numbers, `clock` those of dates or times of day; others are
-    text, or empty without a name.
+    text, or empty without a name. `sparse` are columns of a lower rate that share the rows of the others: the first row
+    of data with a value, and the rows from one to the next.
     """
 
     encoding: str
@@ -50,23 +68,7 @@ class Columns:
     numeric: tuple[int, ...]
     clock: tuple[int, ...]
     stated_rate: float | None = None
-
-
-def find_encoding(head: bytes) -> str:
-    """Encoding by byte order mark, by zero bytes of UTF-16, else UTF-8 where valid, else Windows-1252."""
-    if head.startswith(b"\xef\xbb\xbf"):
-        return "utf-8-sig"
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    if len(head) > 3 and head[1:64:2].count(0) > 0.8 * len(head[1:64:2]):
-        return "utf-16-le"
-    if len(head) > 3 and head[0:64:2].count(0) > 0.8 * len(head[0:64:2]):
-        return "utf-16-be"
-    try:
-        head[: len(head) - 4].decode("utf-8")  # the last character may be cut
-        return "utf-8"
-    except UnicodeDecodeError as error:
-        return "utf-8" if error.start > len(head) - 8 else "cp1252"
+    sparse: dict[int, tuple[int, int]] = field(default_factory=dict)
 
 
 def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -> Columns:
@@ -75,6 +77,8 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     Raises UserError where no columns of numbers are found.
     """
     lines = text.splitlines() if is_whole else text.splitlines()[:-1]
+    while is_whole and lines and is_remark(lines[-1]):
+        lines.pop()
     stated = re.match(r"^sep=(.)$", lines[0]) if lines else None
     separators = [layout.separator or stated[1]] if layout.separator or stated else list(SEPARATORS)  # type: ignore[index]
     decimals = [layout.decimal] if layout.decimal else [".", ","]
@@ -92,7 +96,20 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
     names, units = _names_and_units(rows[:first], rows[first:], layout)
     numeric, clock = _column_kinds(rows[first:], decimal, names)
     rate = _stated_rate(lines[:first])
-    return Columns(encoding, separator, decimal, first, names, units, numeric, clock, rate)
+    sparse = _sparse_columns(rows[first:], numeric)
+    return Columns(encoding, separator, decimal, first, names, units, numeric, clock, rate, sparse)
+
+
+def _sparse_columns(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> dict[int, tuple[int, int]]:
+    """Columns with a value in every k-th row only, and none in all others."""
+    sparse = {}
+    for column in numeric:
+        filled = [k for k, row in enumerate(rows) if len(row) > column and row[column].lower() not in MISSING_WORDS]
+        steps = {after - before for before, after in itertools.pairwise(filled)}
+        step = steps.pop() if len(steps) == 1 and len(filled) >= FEWEST_SPARSE_ROWS else 1
+        if step > 1 and filled[0] < step and filled[-1] + step >= len(rows):
+            sparse[column] = (filled[0], step)
+    return sparse
 
 
 def split_cells(line: str, separator: str) -> list[str]:
@@ -133,7 +150,8 @@ def _lay_out(
     used = sum(any(len(row) > column and row[column] for row in rows[first:]) for column in range(width))
     share = (len(numeric) + len(clock)) / used
     header = next((rows[k] for k in reversed(filled) if k < first), None)
-    matches = header is None or len(header) == width
+    has_empty_end = all(len(row) < width or not row[-1] for row in rows[first:])
+    matches = header is None or len(header) in (width, width - has_empty_end)
     # Integers are numbers with either decimal sign, and the point is then the usual one.
     return (count, int(matches), share, width, int(decimal == ".")), separator, decimal, first
 
@@ -152,7 +170,8 @@ def _column_kinds(
     numeric, clock = [], []
     for column, name in enumerate(names):
         cells = [row[column] for row in rows if len(row) > column and row[column].lower() not in MISSING_WORDS]
-        if all(_NUMBER[decimal].match(cell) for cell in cells) and (cells or name):
+        numbers = sum(bool(_NUMBER[decimal].match(cell)) for cell in cells)
+        if numbers >= NUMERIC_COLUMN_SHARE * len(cells) and (cells or name):
             numeric.append(column)
         elif cells and all(_CLOCK.match(cell) for cell in cells):
             clock.append(column)
@@ -192,20 +211,16 @@ def _strip_unit(text: str) -> str:
 
 def _are_units(row: Sequence[str]) -> bool:
     cells = [_strip_unit(cell.lstrip("#")) for cell in row if cell]
-    return bool(cells) and sum(_is_unit(cell) for cell in cells) > UNIT_SHARE * len(cells)
-
-
-def _is_unit(text: str) -> bool:
-    try:
-        parse_unit(text)
-    except UserError as error:
-        return "can be" in error.fault  # a unit with two meanings
-    return True
+    return bool(cells) and sum(is_unit(cell) for cell in cells) > UNIT_SHARE * len(cells)
 
 
 def _stated_rate(header: Sequence[str]) -> float | None:
-    """A sample rate [Hz] that the header states, for a sketch."""
-    match = _RATE.search("\n".join(header))
-    if not match:
+    """A sample rate [Hz] that the header states, itself or by its time step, for a sketch."""
+    text = "\n".join(header)
+    if rate := _RATE.search(text):
+        return float(rate[2].replace(",", ".")) * (1000.0 if (rate[1] or rate[3] or "").lower() == "khz" else 1.0)
+    step = _STEP.search(text)
+    try:
+        return plausible_rate(step[1].replace(",", "."))[0] if step else None
+    except ValueError:
         return None
-    return float(match[1].replace(",", ".")) * (1000.0 if (match[2] or "").lower() == "khz" else 1.0)

@@ -21,22 +21,19 @@ from numpy.typing import NDArray
 
 from balance_cli.io.errors import UserError
 from balance_cli.io.sniff import describe_file, is_hdf5, require_file
+from balance_cli.io.text_cells import SEPARATORS, find_encoding, is_remark, require_no_workbook
 from balance_cli.io.units import is_unit
 
 Array = NDArray[np.float64]
 
 MAX_BYTES = 100_000_000
 """Size from which a file is refused unread: a million load points of twenty columns have less."""
-SEPARATORS = "\t;|,"
-"""Tried in this order: a comma last, because it may be the decimal sign."""
-COMMENTS = ("#", "%", "//")
 MIN_NUMBER_SHARE = 0.5
 """Share of the cells of a line of data that are numbers at least: labels of runs and series are fewer."""
 MIN_EVEN_SHARE = 0.8
 """Share of the lines with the same number of columns from which a separator is credible; titles are few."""
 DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(e[+-]?\d+)?$", re.IGNORECASE)
 THOUSANDS = re.compile(r"^[+-]?\d{1,3}(,\d{3})+\.\d*$|^[+-]?\d{1,3}(\.\d{3})+,\d*$")
-WORKBOOK_SIGNATURE = b"PK\x03\x04"
 
 Row = tuple[int, tuple[str, ...]]
 
@@ -101,9 +98,7 @@ def read_table(path: Path) -> TextTable:
     """Read a table; raises UserError where the file is something else, or its lines have unequal columns."""
     content = _read_bytes(path)
     lines = [
-        (number, line)
-        for number, line in enumerate(_decode(path, content).splitlines(), 1)
-        if line.strip() and not line.lstrip().startswith(COMMENTS)
+        (number, line) for number, line in enumerate(_decode(path, content).splitlines(), 1) if not is_remark(line)
     ]
     rows = _split_lines(path, lines)
     first = _first_data_row(path, rows)
@@ -129,19 +124,13 @@ def _read_bytes(path: Path) -> bytes:
     except OSError as error:
         reason = error.strerror or str(error)
         raise UserError(f"cannot be read: {reason}", str(path), remedy="Check its permissions") from error
-    if content.startswith(WORKBOOK_SIGNATURE):
-        raise UserError("is a workbook (or another zip file)", str(path), remedy="Save the sheet as CSV")
+    require_no_workbook(content, path)
     return content
 
 
 def _decode(path: Path, content: bytes) -> str:
-    """The text in UTF-8 or UTF-16 with a mark, else in the code page of Western Europe."""
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return content.decode("utf-16", "replace")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("cp1252", "replace")
+    """The text, of the encoding that its bytes tell."""
+    text = content.decode(find_encoding(content), "replace")
     if "\0" in text:
         raise UserError("is not a text file", str(path), remedy="Give a table as CSV")
     return text
@@ -151,12 +140,13 @@ def _split_lines(path: Path, lines: Sequence[tuple[int, str]]) -> list[Row]:
     """Split all lines by the first separator that gives most of them the same number of columns, with numbers."""
     if not lines:
         raise UserError("has no rows", str(path), remedy="Give a table with a head and rows of numbers")
-    for separator in SEPARATORS:
+    *signs, space = SEPARATORS
+    for separator in signs:
         rows = [(number, _cells(path, number, line, separator)) for number, line in lines]
         width, count = Counter(len(cells) for _, cells in rows).most_common(1)[0]
         if width > 1 and count >= MIN_EVEN_SHARE * len(rows) and any(_is_data(cells) for _, cells in rows):
             return rows
-    rows = [(number, _cells(path, number, line, "")) for number, line in lines]
+    rows = [(number, _cells(path, number, line, space)) for number, line in lines]
     if any(len(cells) > 1 and _is_data(cells) for _, cells in rows):
         return rows
     remedy = "Separate the columns by commas, semicolons, tabs or spaces, in every line equally many"
@@ -164,7 +154,7 @@ def _split_lines(path: Path, lines: Sequence[tuple[int, str]]) -> list[Row]:
 
 
 def _cells(path: Path, number: int, line: str, separator: str) -> tuple[str, ...]:
-    if not separator:
+    if separator == " ":
         return tuple(line.split())
     try:
         return tuple(cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True)))

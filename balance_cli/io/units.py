@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 FORCE, MOMENT, VOLTAGE, RATIO, CHARGE = "N", "N m", "V", "V/V", "C"
 ACCELERATION, ANGLE, FREQUENCY, TIME, LENGTH = "m/s2", "rad", "Hz", "s", "m"
-TEMPERATURE, MASS, NUMBER = "degC", "kg", "1"
+TEMPERATURE, MASS, NUMBER, PRESSURE = "degC", "kg", "1", "Pa"
 
 POUND_FORCE = 4.4482216152605
 STANDARD_GRAVITY = 9.80665
@@ -49,6 +49,15 @@ _OTHERS: dict[str, dict[str, float]] = {
     ANGLE: {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi},
     FREQUENCY: {"Hz": 1.0, "kHz": 1e3, "rpm": 1 / 60, "rad/s": 0.5 / math.pi, "deg/s": 1 / 360},
     TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
+    PRESSURE: {
+        "Pa": 1.0,
+        "hPa": 100.0,
+        "kPa": 1e3,
+        "MPa": 1e6,
+        "mbar": 100.0,
+        "bar": 1e5,
+        "psi": POUND_FORCE / INCH**2,
+    },
     MASS: {"kg": 1.0, "g": 1e-3, "lb": 0.45359237},
     NUMBER: {"1": 1.0, "%": 1e-2, "um/m": 1e-6},
 }

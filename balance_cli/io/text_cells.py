@@ -1,0 +1,44 @@
+"""What all readers of text tables share: encodings, separators, remarks, and workbooks that are no text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from balance_cli.io.errors import UserError
+
+SEPARATORS = ("\t", ";", "|", ",", " ")
+"""In the order in which they are tried: the comma may be the decimal sign, the space stands for any run of spaces."""
+REMARKS = ("#", "%", "//")
+"""Signs with which remarks begin."""
+WORKBOOK_SIGNATURE = b"PK\x03\x04"
+
+
+def require_no_workbook(head: bytes, path: Path) -> None:
+    """Raise UserError where a file begins as the workbooks of spreadsheets do."""
+    if head.startswith(WORKBOOK_SIGNATURE):
+        raise UserError("is a workbook (or another zip file)", str(path), remedy="Save the sheet as CSV")
+
+
+def is_remark(line: str) -> bool:
+    """Whether a line is a remark, or empty."""
+    return not line.strip() or line.lstrip().startswith(REMARKS)
+
+
+def find_encoding(head: bytes, is_cut: bool = False) -> str:
+    """Encoding by byte order mark, by zero bytes of UTF-16, else UTF-8 where valid, else Windows-1252.
+
+    With `is_cut` the last character may be incomplete.
+    """
+    if head.startswith(b"\xef\xbb\xbf"):
+        return "utf-8-sig"
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if len(head) > 3 and head[1:64:2].count(0) > 0.8 * len(head[1:64:2]):
+        return "utf-16-le"
+    if len(head) > 3 and head[0:64:2].count(0) > 0.8 * len(head[0:64:2]):
+        return "utf-16-be"
+    try:
+        head.decode("utf-8")
+        return "utf-8"
+    except UnicodeDecodeError as error:
+        return "utf-8" if is_cut and error.start > len(head) - 4 else "cp1252"
