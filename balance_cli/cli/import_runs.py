@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +50,7 @@ def command(
     summaries, text = {}, []
     for declared in session.progress(runs, "runs"):
         imported = _import(declared, mapping, str(files[0]))
-        _write(session, output, imported)
+        imported = _write(session, output, imported)
         summaries[declared.name] = _summary(imported)
         text += _lines(imported)
     session.finish({"map": str(files[0]), "rig": mapping.rig, "runs": summaries}, text)
@@ -71,17 +72,18 @@ def _import(declared: DeclaredRun, mapping: ImportMap, map_file: str) -> Importe
     return imported
 
 
-def _write(session: Session, output: Path, imported: ImportedRun) -> None:
-    """Write the run file; the samples of its loads are checked on their way."""
-    from balance_cli.campaign.recording.run_checks import LoadCheck
+def _write(session: Session, output: Path, imported: ImportedRun) -> ImportedRun:
+    """Write the run file; its samples are checked on their way, and a note is made of those that are missing."""
+    from balance_cli.campaign.recording.run_checks import LoadCheck, MissingSamples
     from balance_cli.campaign.recording.run_file import write_run
 
     run = imported.run
-    check, size = LoadCheck(run), _block_rows(len(run.channel_names))
+    check, missing, size = LoadCheck(run), MissingSamples(run), _block_rows(len(run.channel_names))
     blocks = session.progress(run.blocks(size), run.name, -(-run.samples // size))
-    write_run(session.stage_in(output, f"{run.name}.h5"), run, check.watch(blocks))
+    write_run(session.stage_in(output, f"{run.name}.h5"), run, missing.watch(check.watch(blocks)))
     for fault in check.faults():
         raise fault.with_location(file=str(run.path))
+    return replace(imported, notes=(*imported.notes, *missing.notes()))
 
 
 def _block_rows(channels: int) -> int:

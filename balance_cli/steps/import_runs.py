@@ -20,10 +20,12 @@ from balance_cli.signals.impact import IMPACT, find_hits
 from balance_cli.signals.rotor.pulse_consistency import speed_fault
 from balance_cli.signals.rotor.tachometer import RotorReference
 from balance_cli.steps.import_additions import addition_signals, additions_of
+from balance_cli.steps.import_excitation import excitation_signals
+from balance_cli.steps.import_labels import point_labels
 from balance_cli.steps.import_rotor import rotor_reference
 from balance_cli.steps.import_signals import ANGLE_UNIT, ChannelFinder, Signal, mapped_signals, other_signal
 from balance_cli.steps.import_source import ImportedSource, SignalMatrix, signal_matrix
-from balance_cli.steps.import_timeline import Timeline, common_timeline, timeline_notes
+from balance_cli.steps.import_timeline import Clock, Timeline, common_timeline, timeline_notes
 
 Array = NDArray[np.float64]
 
@@ -57,7 +59,8 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
     has_loads = entry.kind in KINDS_WITH_LOADS
     loads = mapped_signals(finder, mapping.loads) if has_loads else []
     others = addition_signals(finder, mapping, has_loads)
-    signals = [*channels, *loads]
+    supplies = excitation_signals(finder, mapping.channels)
+    signals = [*channels, *loads, *supplies.signals]
     every = [*signals, *(signal for group in others.values() for signal in group)]
     timeline, notes = _timeline(finder, every, mapping) if entry.kind != "static" else (None, [])
     matrix = _matrix(finder, signals, timeline)
@@ -70,7 +73,7 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
         kind=entry.kind,
         channel_names=tuple(signal.target for signal in channels),
         samples=matrix.samples,
-        source=ImportedSource(matrix, len(channels), load_columns),
+        source=ImportedSource(matrix, len(channels), load_columns, supplies.of_columns(len(channels) + len(loads))),
         has_loads=load_columns is not None,
         sample_rate=None if timeline is None else timeline.rate,
         rotor_speed=entry.rotor_speed or 0.0,
@@ -84,9 +87,11 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
         note=entry.note,
         path=files[0].path,
         additions=additions_of(mapping, matrices),
+        **(point_labels(finder, mapping) if entry.kind == "static" else {}),
     )
     notes = [*(note for file in files for note in file.notes), *finder.clock_notes, *notes]
     notes += [signal.note for signal in every if signal.note]
+    notes += supplies.notes
     unused = [*mapping.loads, *(point.channel for point in mapping.load_points)]
     if unused and not has_loads:
         notes.append(f"a `{entry.kind}` run has no loads: {', '.join(unused)} left out")
@@ -98,11 +103,25 @@ def _timeline(finder: ChannelFinder, signals: Sequence[Signal], mapping: ImportM
     for signal in signals:
         names.setdefault(id(signal.source.group), []).append(signal.source.name)
     clocks = {id(signal.source.group): finder.clock(signal.source) for signal in signals}
-    timeline = common_timeline(list(clocks.values()), mapping.resample)
+    _require_common_part(clocks, names, str(finder.files[0].path))
+    try:
+        timeline = common_timeline(list(clocks.values()), mapping.resample)
+    except UserError as error:
+        raise error.with_location(file=str(finder.files[0].path)) from error
     notes = timeline_notes(timeline, [(names[key], clock) for key, clock in clocks.items()])
     if len(finder.files) > 1:
         notes.append(f"the clocks of {len(finder.files)} files are taken as one")
     return timeline, notes
+
+
+def _require_common_part(clocks: Mapping[int, Clock], names: Mapping[int, Sequence[str]], file: str) -> None:
+    """Raise UserError, with the channels and times, where one begins after another has ended."""
+    last = max(clocks, key=lambda key: clocks[key].start)
+    first = min(clocks, key=lambda key: clocks[key].end)
+    if clocks[last].start >= clocks[first].end:
+        begin = f"`{names[last][0]}` begins at {clocks[last].start:.6g} s"
+        fault = f"{begin}, where `{names[first][0]}` has ended at {clocks[first].end:.6g} s"
+        raise UserError(fault, file, "time", "Leave one of them out of the map, or import them as different runs")
 
 
 def _matrix(finder: ChannelFinder, signals: Sequence[Signal], timeline: Timeline | None) -> SignalMatrix:

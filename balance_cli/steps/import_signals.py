@@ -11,7 +11,7 @@ from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.importers.base import ChannelGroup, ForeignFile
 from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.io.errors import UserError
-from balance_cli.io.units import ANGLE, FORCE, TEMPERATURE, VOLTAGE, Unit, parse_unit
+from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, TEMPERATURE, VOLTAGE, Unit, parse_unit
 from balance_cli.steps.import_timeline import Clock
 
 CONTRADICTION = 1e-3
@@ -109,24 +109,38 @@ class ChannelFinder:
                 raise UserError(fault, file, place, "Correct or remove `sample_rate` (`resample` changes the rate)")
             return Clock(group.rate, group.start, group.samples), ""
         if stated is not None:
-            return Clock(stated, group.start, group.samples), ""
+            return _strided(Clock(stated, group.start, group.samples), group), ""
         if self._map.time is None:
             raise UserError("has no sample rate", file, place, "Add `time: CHANNEL` or `sample_rate: HZ` to the map")
-        return self._clock_by_time(group, self.find(self._map.time))
+        return self._clock_by_time(group, self._time_of(channel))
+
+    def _time_of(self, channel: FoundChannel) -> FoundChannel:
+        """The time in the file of a channel; a file without one is on the time of another."""
+        assert self._map.time is not None
+        key = " ".join(self._map.time.split())
+        for group in channel.file.groups:
+            if key in group.names:
+                return FoundChannel(key, channel.file, group, group.names.index(key))
+        return self.find(key)
 
     def _clock_by_time(self, group: ChannelGroup, time: FoundChannel) -> tuple[Clock, str]:
-        if time.group.samples != group.samples:
+        if time.group.samples != group.samples and group.stride == 1:
             fault = f"the time `{time.name}` has {time.group.samples} samples, channels have {group.samples}"
             raise UserError(fault, str(time.file.path), remedy="Give the time of these channels, or `sample_rate`")
         unit = parse_unit(self._map.time_unit or time.unit or "s", "s")
         try:
             axis = read_time_axis(
-                lambda columns, a, b: time.group.read([time.column], a, b), group.samples, unit.factor
+                lambda columns, a, b: time.group.read([time.column], a, b), time.group.samples, unit.factor
             )
         except UserError as error:
             place = f"time `{time.name}`" + (f", {error.place}" if error.place else "")
             raise UserError(error.fault, str(time.file.path), place, error.remedy) from error
-        return Clock(axis.rate, axis.start, group.samples), axis.note
+        return _strided(Clock(axis.rate, axis.start, group.samples), group), axis.note
+
+
+def _strided(clock: Clock, group: ChannelGroup) -> Clock:
+    """The clock of a group that has samples in every `stride`-th row of this clock only."""
+    return Clock(clock.rate / group.stride, clock.start + group.first_row / clock.rate, group.samples)
 
 
 def _require_possible_clock(clock: Clock, channel: FoundChannel) -> None:
@@ -139,7 +153,9 @@ def _require_possible_clock(clock: Clock, channel: FoundChannel) -> None:
 
 def channel_signal(found: FoundChannel, mapped: MappedChannel) -> Signal:
     """A channel in volts; of another unit than that of a voltage `scale` says how many volts it makes."""
-    unit, note = _unit(found, mapped.unit)
+    # `g` is an acceleration here: nothing that is sampled is a mass.
+    dimensions = (ACCELERATION,) if (mapped.unit or found.unit).strip() == "g" else ()
+    unit, note = _unit(found, mapped.unit, *dimensions)
     if unit.dimension != VOLTAGE and "scale" not in mapped.model_fields_set:
         fault = f"is in {unit.symbol}, not in volts"
         remedy = f"Add `scale` to its entry: volts for one {unit.dimension} (for V/V the excitation voltage)"

@@ -8,14 +8,18 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from balance_cli.campaign.recording.import_map_file import UNFINISHED
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.importers.base import ForeignChannel, ForeignFile
+from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import IMPORT_FORMAT
 from balance_cli.io.units import FORCE, MOMENT, TIME, Unit, parse_unit
 
 TIME_NAMES = {"time", "t", "zeit", "times", "timestamp", "date/time", "uhrzeit", "elapsed time", "x_value"}
+UNNAMED = "column 1"
+"""First column of a text without names."""
 TACHOMETER = re.compile(r"tach|rpm|puls|1/?rev|key ?phas|encoder|trigger|drehz|azimu|speed", re.IGNORECASE)
 YAML_WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
 """Words that YAML does not take for text."""
@@ -36,7 +40,8 @@ def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     """YAML of a map of these files: what could not be guessed has a comment with TODO."""
     first = files[0]
     channels = [channel for group in first.groups if not group.unusable for channel in group.channels]
-    time = next((channel for channel in channels if channel.name.lower() in TIME_NAMES), None)
+    time = next((channel for channel in channels if _last_name(channel) in TIME_NAMES), None) or _even_column(first)
+    _require_signals(first, channels, time)
     rest = [channel for channel in channels if channel is not time]
     tachometer = next((channel for channel in rest if TACHOMETER.search(channel.name)), None)
     rest = [channel for channel in rest if channel is not tachometer]
@@ -52,6 +57,32 @@ def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     )
     lines += _rotor_lines(tachometer, geometry)
     return "\n".join([*lines, "runs:", *_run_lines(files, geometry)]) + "\n"
+
+
+def _last_name(channel: ForeignChannel) -> str:
+    """The name in lower case, without those of the structures that hold it, numbers and unit."""
+    return re.sub(r"\[\d+\]$", "", channel.name.lower()).rpartition(".")[2]
+
+
+def _even_column(file: ForeignFile) -> ForeignChannel | None:
+    """The first of columns without names, where it holds even times."""
+    group = file.groups[0]
+    if group.rate is not None or group.unusable or group.names[0] != UNNAMED:
+        return None
+    try:
+        read_time_axis(group.read, group.samples)
+    except UserError:
+        return None
+    return group.channels[0]
+
+
+def _require_signals(file: ForeignFile, channels: Sequence[ForeignChannel], time: ForeignChannel | None) -> None:
+    """Raise UserError where a file has nothing beside its time that can be imported."""
+    if any(channel is not time for channel in channels):
+        return
+    unusable = next((group for group in file.groups if group.unusable), None)
+    what = f": `{unusable.names[0]}` is {unusable.unusable}" if unusable is not None else ""
+    raise UserError(f"has no records of samples in time{what}", str(file.path), remedy="Export the time records")
 
 
 def _rig(geometry: Geometry | None) -> str:
@@ -96,12 +127,11 @@ def _channel_lines(channels: Sequence[ForeignChannel], geometry: Geometry | None
         match = _nearest(channel.name, free)
         if match:
             free.remove(match)
-        unit = channel.unit or "V"
-        is_voltage = bool(_unit_of(unit, "V"))
+        is_voltage = not channel.unit or bool(_unit_of(channel.unit, "V"))
         entry = [f"name: {_quoted(match or ('TODO' if geometry is not None else channel.name))}"]
-        entry += [f"unit: {_quoted(unit)}"] + ([] if is_voltage else ["scale: TODO"])
-        comment = "" if channel.unit else "  # TODO: the file states no unit"
-        comment = comment if is_voltage else "  # TODO: volts for one unit, or remove it"
+        entry += [f"unit: {_quoted(channel.unit or UNFINISHED)}"] + ([] if is_voltage else ["scale: TODO"])
+        comment = "" if channel.unit else "  # the file states no unit: V, mV ..."
+        comment = comment if is_voltage else "  # volts for one unit, or remove it"
         yield f"  {_quoted(channel.name)}: {{{', '.join(entry)}}}{comment}"
     if free:
         yield f"  # channels of the geometry that were not found: {', '.join(free)}"
@@ -167,7 +197,9 @@ def _run_lines(files: Sequence[ForeignFile], geometry: Geometry | None) -> Itera
 
 def _kind(path: Path) -> str | None:
     stem = path.stem.lower()
-    return next((kind for kind, words in KIND_NAMES.items() if any(word in stem for word in words)), None)
+    return next(
+        (kind for kind, words in KIND_NAMES.items() if re.search(rf"(?<![a-z])({'|'.join(words)})", stem)), None
+    )
 
 
 def _unit_of(text: str, *dimensions: str) -> Unit | None:

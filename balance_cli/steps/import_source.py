@@ -17,6 +17,9 @@ from balance_cli.steps.import_timeline import Clock, Timeline
 
 Array = NDArray[np.float64]
 
+LEAST_SUPPLY = 0.01
+"""Of the nominal supply; with less the bridge is switched off."""
+
 
 @dataclass(frozen=True)
 class GroupSignals:
@@ -93,16 +96,24 @@ class ImportedAdditions:
 
 @dataclass(frozen=True)
 class ImportedSource:
-    """Samples of channels [V] and hub loads [N, N m]; the matrix holds the channels, then the loads."""
+    """Samples of channels [V] and hub loads [N, N m]; the matrix holds channels, loads, and supplies of bridges.
+
+    `supplies` are channel, supply (columns) and nominal supply [V] of channels that are ratios to a measured supply.
+    """
 
     matrix: SignalMatrix
     channels: int
     load_columns: tuple[int, ...] | None = field(default=None)
+    supplies: tuple[tuple[int, int, float], ...] = ()
 
     def read(self, start: int, stop: int) -> SampleBlock:
         """Return samples start to stop; loads that the map does not name are zero, which declares them so."""
         values = self.matrix.read(start, stop)
         channels = values[:, : self.channels]
+        for channel, supply, nominal in self.supplies:
+            volts = values[:, supply]
+            # Without a supply there is no ratio: the sample is missing.
+            channels[:, channel] *= nominal / np.where(np.abs(volts) > LEAST_SUPPLY * nominal, volts, np.nan)
         if self.load_columns is None:
             return SampleBlock(start, channels, None)
         loads = np.zeros((len(values), len(COMPONENTS)))

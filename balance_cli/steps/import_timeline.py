@@ -24,6 +24,11 @@ class Clock:
     start: float
     samples: int
 
+    @property
+    def end(self) -> float:
+        """Time of the last sample [s]."""
+        return self.start + (self.samples - 1) / self.rate
+
 
 @dataclass(frozen=True)
 class Timeline:
@@ -76,9 +81,7 @@ def common_timeline(clocks: Sequence[Clock], rate: float | None) -> Timeline:
 
     margins = [0.0 if on_grid(clock) else kernel_half_length(clock.rate, target) for clock in clocks]
     begin = max(clock.start + margin for clock, margin in zip(clocks, margins, strict=True))
-    end = min(
-        clock.start + (clock.samples - 1) / clock.rate - margin for clock, margin in zip(clocks, margins, strict=True)
-    )
+    end = min(clock.end - margin for clock, margin in zip(clocks, margins, strict=True))
     first = math.ceil((begin - origin) * target - EQUAL_PLACE)
     samples = math.floor((end - origin) * target + EQUAL_PLACE) - first + 1
     if samples < 2:

@@ -274,3 +274,55 @@ def test_a_missing_sample_of_a_channel_is_bridged_and_names_of_yaml_words_are_qu
     mapping = base_map(time="t", channels={"No": "z1"}, loads={"Fz": "Fz"}, runs=[run])
     run_import(tmp_path, mapping, tmp_path / "check-1.csv")
     assert abs(open_run(tmp_path / "runs" / "check-1.h5").read().channels[777, 0] - np.sin(0.3 * 777)) < 1e-3
+
+
+def test_series_and_kinds_of_points_are_read(tmp_path):
+    rows = [("A", "Null", 0.0), ("A", "Last", 10.0), ("A", "Last", 20.0), ("B", "Null", 0.0), ("B", "check", -10.0)]
+    lines = [f"{series};{kind};{0.1 * load};{load}".replace(".", ",") for series, kind, load in rows]
+    (tmp_path / "cal.csv").write_text("Reihe;Typ;z1 [mV];Fz [N]\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    mapping = base_map(
+        channels={"z1": "z1"},
+        loads={"Fz": "Fz"},
+        series="Reihe",
+        point_kind={"channel": "Typ", "words": {"Null": "tare", "Last": "load"}},
+        runs=[{"file": "*.csv", "kind": "static", "trim": "bare"}],
+    )
+    run_import(tmp_path, mapping, tmp_path / "cal.csv")
+    run = open_run(tmp_path / "runs" / "cal.h5")
+    assert run.series_labels == ("A", "A", "A", "B", "B")
+    assert run.point_kinds == ("tare", "load", "load", "tare", "check")
+    refused = run_import(tmp_path / "..", mapping | {"series": "Reine"}, tmp_path / "cal.csv", status=2)
+    assert "Did you mean `Reihe`?" in refused.stderr
+
+
+def test_a_bridge_is_read_as_a_ratio_to_its_measured_supply(tmp_path):
+    time = np.arange(500) / 100.0
+    supply, bridge = 9.8 + 0.1 * np.sin(time), 2e-3 * np.sin(7 * time)
+    supply[200] = 0.0
+    np.savetxt(
+        tmp_path / "wind.csv",
+        np.column_stack([time, 1e3 * bridge * supply, supply]),
+        "%.12g",
+        ",",
+        header="t [s],z1 [mV],U [V]",
+        comments="",
+    )
+    channel = {"name": "z1", "excitation": {"channel": "U", "nominal": 10.0}}
+    mapping = base_map(time="t", channels={"z1": channel}, runs=[{"file": "*.csv", "kind": "zero"}])
+    result = run_import(tmp_path, mapping, tmp_path / "wind.csv")
+    assert "divided by the supply `U`, times 10 V" in result.output and "no value in 1 of 500" in result.output
+    read = open_run(tmp_path / "runs" / "wind.h5").read().channels[:, 0]
+    keep = np.arange(500) != 200
+    assert np.allclose(read[keep], 10.0 * bridge[keep], rtol=1e-9, atol=1e-12)
+
+
+def test_files_of_one_run_have_each_their_own_time(tmp_path):
+    for name, rate in (("a", 1000.0), ("b", 500.0)):
+        time = np.arange(3000) / rate
+        table = np.column_stack([time, np.sin(20 * time)])
+        np.savetxt(tmp_path / f"rec-{name}.csv", table, "%.9g", ",", header=f"t [s],{name} [V]", comments="")
+    run = {"file": "rec-*.csv", "run": "rec", "kind": "zero"}
+    mapping = base_map(time="t", channels={"a": "a", "b": "b"}, runs=[run])
+    run_import(tmp_path, mapping, tmp_path / "rec-a.csv", tmp_path / "rec-b.csv")
+    read = open_run(tmp_path / "runs" / "rec.h5")
+    assert read.sample_rate == 500.0 and np.allclose(*read.read().channels.T, atol=1e-4)

@@ -29,6 +29,10 @@ def _component_as_mapping(value: object) -> object:
     return {"component": value} if isinstance(value, str) else value
 
 
+def _channel_as_mapping(value: object) -> object:
+    return {"channel": value} if isinstance(value, str) else value
+
+
 class TextSettings(FrozenModel):
     """How text files are read, where it is not to be found out; rows count from 1."""
 
@@ -55,10 +59,21 @@ class _Scaled(FrozenModel):
         return self
 
 
+class MappedExcitation(_Scaled):
+    """A channel of the file that is the supply of a bridge, and the `nominal` supply [V] of its sensitivity."""
+
+    channel: Name
+    nominal: Positive
+
+
 class MappedChannel(_Scaled):
-    """A channel of the file that is the channel `name` of the geometry, in volts."""
+    """A channel of the file that is the channel `name` of the geometry, in volts.
+
+    With `excitation` it is the ratio to the measured supply of its bridge, times the nominal one.
+    """
 
     name: Name
+    excitation: MappedExcitation | None = None
 
 
 class MappedLoad(_Scaled):
@@ -71,6 +86,13 @@ class MappedAngle(_Scaled):
     """A channel of the file that is an attitude angle, in deg by default."""
 
     angle: Literal["pitch", "roll"]
+
+
+class MappedPointKind(FrozenModel):
+    """A column of the file that says what kind of load point each row is, and its `words` for the kinds of ours."""
+
+    channel: Name
+    words: dict[str, Literal["tare", "load", "repeat", "check"]] = Field(default_factory=dict)
 
 
 class MappedTemperature(_Scaled):
@@ -157,6 +179,8 @@ class ImportMap(FrozenModel):
     resample: Rate | None = None
     channels: dict[str, Annotated[MappedChannel, BeforeValidator(_name_as_mapping)]]
     loads: dict[str, Annotated[MappedLoad, BeforeValidator(_component_as_mapping)]] = Field(default_factory=dict)
+    series: Name | None = None
+    point_kind: Annotated[MappedPointKind, BeforeValidator(_channel_as_mapping)] | None = None
     attitude: dict[str, MappedAngle] = Field(default_factory=dict)
     temperature: dict[str, Annotated[MappedTemperature, BeforeValidator(_name_as_mapping)]] = Field(
         default_factory=dict

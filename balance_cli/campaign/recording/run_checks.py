@@ -80,3 +80,22 @@ class LoadCheck:
             elif name in self._run.excited and peak == 0.0 and not self._has_points:
                 fault = "all samples are zero, which declares the load as not measured, but `excited` names it"
                 yield UserError(fault, place=place, remedy="Correct `excited`, or record this load")
+
+
+class MissingSamples:
+    """A count of the samples that each channel of a run lacks, while they pass block by block."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._missing = np.zeros(len(run.channel_names), int)
+
+    def watch(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
+        """The same blocks, counted."""
+        for block in blocks:
+            self._missing += (~np.isfinite(block.channels)).sum(axis=0)
+            yield block
+
+    def notes(self) -> list[str]:
+        """What to tell of channels with missing samples."""
+        pairs = zip(self._run.channel_names, self._missing, strict=True)
+        return [f"{name}: no value in {count} of {self._run.samples} samples" for name, count in pairs if count]

@@ -1,0 +1,95 @@
+"""Text and MAT files as data loggers write them: headers of their own, remarks, blanks, columns of a lower rate."""
+
+import numpy as np
+import pytest
+import scipy.io
+
+from balance_cli.importers import open_foreign
+from balance_cli.io.errors import UserError
+
+TIME = np.arange(400) / 1000.0
+X = np.random.default_rng(1).uniform(-1, 1, (400, 3))
+CATMAN = "HBM_CATMAN_DATAFILE_40\n\nT0 = 12.03.2024 12:34:56\nDT = 1,00000E-03\n\n"
+LABVIEW = "LabVIEW Measurement\t\nX_Columns\tNo\n***End_of_Header***\t\n\t\nChannels\t3\t\t\t\nDelta_X"
+LABVIEW += "\t0.002" * 3 + "\t\n"
+
+
+def opened(tmp_path, text, encoding="utf-8"):
+    (tmp_path / "record").write_bytes(text.encode(encoding))
+    return open_foreign(tmp_path / "record")
+
+
+def whole(file, name):
+    group = next(group for group in file.groups if name in group.names)
+    return group.read([group.names.index(name)], 0, group.samples)[:, 0]
+
+
+def test_a_header_names_no_channels_and_its_time_step_is_the_rate(tmp_path):
+    rows = [f"{t:.6f}\t{x:.6f}\t{y:.6f}\t\n".replace(".", ",") for t, (x, y, _) in zip(TIME, X, strict=True)]
+    names = "Zeit 1 - default sample rate\tDMS_1\tDMS_2\ns\tmV/V\tµm/m\n"
+    file = opened(tmp_path, CATMAN + names + "".join(rows), "cp1252")
+    assert file.groups[0].names == ("Zeit 1 - default sample rate", "DMS_1", "DMS_2")
+    assert [channel.unit for channel in file.groups[0].channels] == ["s", "mV/V", "µm/m"]
+    assert file.scalars == {"sample_rate": 1000.0}
+    assert np.allclose(whole(file, "DMS_2"), X[:, 1], atol=1e-6)
+
+
+def test_columns_without_times_have_the_step_of_the_header(tmp_path):
+    rows = ["\t" + "\t".join(f"{x:.6f}" for x in row) + "\t\n" for row in X]
+    file = opened(
+        tmp_path, LABVIEW + "***End_of_Header***\t\t\t\t\n\tVoltage_0\tVoltage_1\tVoltage_2\tComment\n" + "".join(rows)
+    )
+    assert file.scalars == {"sample_rate": 500.0} and np.allclose(whole(file, "Voltage_1"), X[:, 1], atol=1e-6)
+
+
+def test_a_summary_below_the_data_is_refused_and_a_remark_left_out(tmp_path):
+    rows = "".join(f"{t:.3f},{x:.6f}\n" for t, x in zip(TIME, X[:, 0], strict=True))
+    with pytest.raises(UserError, match="`Max` is not a number") as caught:
+        whole(opened(tmp_path, "time,a\n" + rows + "Max,1.0\nMin,0.0\n"), "time")
+    assert caught.value.place.startswith("row 402")
+    file = opened(tmp_path, "time,a\n" + rows + "# end of record\n\n# checked\n")
+    assert file.groups[0].samples == 400 and "remark" in file.notes[0]
+
+
+def test_blanks_and_dashes_in_cells_are_missing_values(tmp_path):
+    file = opened(tmp_path, "a,b\n" + "1, 2\n3, \n - ,4\n5 ,6\n" * 20)
+    read = np.column_stack([whole(file, "a"), whole(file, "b")])[:4]
+    assert np.array_equal(read, [[1, 2], [3, np.nan], [np.nan, 4], [5, 6]], equal_nan=True)
+
+
+def test_a_column_of_a_lower_rate_is_a_group_of_its_own(tmp_path):
+    rows = [
+        f"{t:.3f};{x:.6f};{y:.6f}" if k % 8 == 3 else f"{t:.3f};{x:.6f};"
+        for k, (t, (x, y, _)) in enumerate(zip(TIME, X, strict=True))
+    ]
+    file = opened(tmp_path, "t [s];fast [V];slow [V]\n" + "\n".join(rows) + "\n")
+    slow = file.groups[1]
+    assert (slow.names, slow.first_row, slow.stride, slow.samples) == (("slow",), 3, 8, 50)
+    assert np.allclose(slow.read([0], 7, 20)[:, 0], X[3::8, 1][7:20], atol=1e-6)
+
+
+def test_american_dates_with_half_days(tmp_path):
+    hours = [f"12:59:{58 + k} PM" for k in range(2)] + [f"1:00:{k:02d} PM" for k in range(6)]
+    clocks = [f"3/12/2024 {hour}" for hour in hours]
+    file = opened(tmp_path, "Date/Time,x\n" + "".join(f"{clock},{k}\n" for k, clock in enumerate(clocks)))
+    time = whole(file, "Date/Time")
+    assert np.allclose(np.diff(time), 1.0)
+    assert time[0] == np.datetime64("2024-03-12T12:59:58").astype(float)
+
+
+def test_a_workbook_is_named(tmp_path):
+    (tmp_path / "book.xlsx").write_bytes(b"PK\x03\x04" + bytes(100))
+    with pytest.raises(UserError, match="workbook"):
+        open_foreign(tmp_path / "book.xlsx")
+
+
+def test_arrays_of_structures_and_cells_of_matlab(tmp_path):
+    channels = np.zeros((1, 2), dtype=[("name", "O"), ("data", "O"), ("fs", "O")])
+    for k in range(2):
+        channels[0, k] = (f"cell{k + 1}", X[:, [k]], 1000.0)
+    cells = np.empty((1, 2), object)
+    cells[0, 0], cells[0, 1] = X[:, [1]], {"inner": X[:, [2]]}
+    scipy.io.savemat(tmp_path / "record", {"ch": channels, "c": cells}, appendmat=False)
+    file = open_foreign(tmp_path / "record")
+    assert np.array_equal(whole(file, "ch[2].data"), X[:, 1]) and file.scalars["ch[1].fs"] == 1000.0
+    assert np.array_equal(whole(file, "c[1]"), X[:, 1]) and np.array_equal(whole(file, "c[2].inner"), X[:, 2])
