@@ -89,13 +89,24 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
         additions=additions_of(mapping, matrices),
         **(point_labels(finder, mapping) if entry.kind == "static" else {}),
     )
-    notes = [*(note for file in files for note in file.notes), *finder.clock_notes, *notes]
-    notes += [signal.note for signal in every if signal.note]
-    notes += supplies.notes
+    notes = [*_file_notes(files, finder, mapping, every, has_loads), *notes, *supplies.notes]
+    return _complete(run, finder, mapping, timeline, notes, entry.rotor_speed)
+
+
+def _file_notes(
+    files: Sequence[ForeignFile],
+    finder: ChannelFinder,
+    mapping: ImportMap,
+    signals: Sequence[Signal],
+    has_loads: bool,
+) -> list[str]:
+    """What is to be told of the files, their times and units, and of loads that a run of this kind does not have."""
+    notes = [*(note for file in files for note in file.notes), *finder.clock_notes]
+    notes += [signal.note for signal in signals if signal.note]
     unused = [*mapping.loads, *(point.channel for point in mapping.load_points)]
     if unused and not has_loads:
-        notes.append(f"a `{entry.kind}` run has no loads: {', '.join(unused)} left out")
-    return _complete(run, finder, mapping, timeline, notes, entry.rotor_speed)
+        notes.append(f"a run of this kind has no loads: {', '.join(unused)} left out")
+    return notes
 
 
 def _timeline(finder: ChannelFinder, signals: Sequence[Signal], mapping: ImportMap) -> tuple[Timeline, list[str]]:
