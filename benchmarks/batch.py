@@ -1,58 +1,100 @@
 """Reduction by harmonics against reading: the processor time of one run of a batch, in the same process.
 
-The limit is the time to read a run file (decompress, check, digest). What is left beyond it: real matrix products for
-the lines beside the harmonics (a quarter), medians of their power, spectra and splines.
+Reading is the least that any program does with a run: all samples of all channels as an array of float64. A batch is
+timed as it is reduced, file by file, without the start of the program; every file is another recording.
+
+What a run costs at least: five FFTs of its length for each channel (two spectra that show other lines, one each for the
+pulses, the lines beside the harmonics and the noise), a spline, 50 products for each sample and channel (regression on
+azimuth), and some twenty passes over its samples.
 """
 
 from __future__ import annotations
 
+import cProfile
+import pstats
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import h5py
+import numpy as np
 
 from balance_cli.campaign.recording.run_file import open_run
 from balance_cli.campaign.rig.geometry_file import load_geometry
+from balance_cli.cli.batch.executors import keep_freed_memory
+from balance_cli.cli.batch.work import Item, pickled, reduce_file, survey_run
+from balance_cli.cli.reduce_runs import MethodOptions, Reduction
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import identify
-from balance_cli.steps.reduce import reduce_run
 from studies.wind_runs import write_wind_runs
 
 ROOT = Path(__file__).parents[1]
-REPEATS = 7
+RUNS = 24
+STAGES = {
+    "file, checks, digest": "open_matching_run",
+    "health of channels": "live_channels",
+    "pulses against lines": "line_spacing",
+    "transient end": "transient_end",
+    "regression, lines beside": "estimate_harmonics",
+    "response, least squares": "harmonic_loads",
+    "other lines": "unmodelled_lines",
+    "steadiness": "unsteady_loads",
+}
+"""Stages of a reduction, and the function whose time is theirs."""
 
 
 def run() -> str:
-    """Time both, and say the ratio."""
+    """Time reading and reduction side by side, then the stages, and say the ratios."""
+    keep_freed_memory()
     geometry = load_geometry(ROOT / "configs" / "rts-6.yaml")
     sweeps = [open_run(path) for path in sorted((ROOT / "sample_data").glob("sweep-*-low.h5"))]
+    statics = [open_run(path) for path in sorted((ROOT / "sample_data").glob("static-*.h5"))]
     source = model_source(identify(measured_spectra(sweeps, geometry, means=True), geometry))
+    options = MethodOptions("harmonic", None, None, 8)
+    data = pickled(Reduction(options, geometry, calibrate(statics, geometry), source, None, None))
     with TemporaryDirectory() as folder:
-        (path,) = write_wind_runs(Path(folder), geometry, 1)
-        raw = _shortest(lambda: _read_samples(path))
-        opened = _shortest(lambda: open_run(path, hold=True))
-        held = open_run(path, hold=True)
-        reduced = _shortest(lambda: reduce_run(held, geometry, None, source))
-    return (
-        f"samples alone {1e3 * raw:6.1f} ms\n"
-        f"open, checked {1e3 * opened:6.1f} ms, {opened / raw:.1f} times that\n"
-        f"reduction     {1e3 * reduced:6.1f} ms, {reduced / opened:.1f} times opening"
-    )
+        paths = write_wind_runs(Path(folder), geometry, RUNS)
+        read = _time_per_run(_read_samples, paths)
+        opened = _time_per_run(lambda path: open_run(path, hold=True), paths)
+        reduced = _time_per_run(lambda path: (survey_run(Item(path, data)), reduce_file(Item(path, data))), paths)
+        stages = _time_of_stages(lambda path: reduce_file(Item(path, data)), paths)
+    lines = [
+        f"samples as float64  {1e3 * read:6.1f} ms",
+        f"opened and checked  {1e3 * opened:6.1f} ms, {opened / read:.1f} times that",
+        f"surveyed, reduced   {1e3 * reduced:6.1f} ms, {reduced / read:.1f} times reading, "
+        f"{reduced / opened:.1f} times opening",
+    ]
+    return "\n".join(lines + [f"  {stage:<25} {100 * share:3.0f} %" for stage, share in stages.items()])
 
 
-def _read_samples(path: Path) -> None:
+def _read_samples(path: Path) -> object:
     with h5py.File(path) as file:
-        file["channels"][()]
+        return np.asarray(file["channels"][()], np.float64)
 
 
-def _shortest(call: Callable[[], object]) -> float:
-    """Return the least processor time of several calls [s], which others on the machine disturb least."""
+def _time_per_run(call: Callable[[Path], object], paths: Sequence[Path]) -> float:
+    """Return the processor time of a run [s], the median of all, after one run that loads what is loaded once."""
+    call(paths[0])
     times = []
-    for _ in range(REPEATS):
+    for path in paths:
         begin = time.process_time()
-        call()
+        call(path)
         times.append(time.process_time() - begin)
-    return min(times)
+    return float(np.median(times))
+
+
+def _time_of_stages(call: Callable[[Path], object], paths: Sequence[Path]) -> dict[str, float]:
+    """Return the share of each stage in the processor time of all runs, and what is left."""
+    profile = cProfile.Profile(time.process_time)
+    profile.enable()
+    for path in paths:
+        call(path)
+    profile.disable()
+    stats = pstats.Stats(profile)
+    cumulative = {name: entry[3] for (_, _, name), entry in stats.stats.items()}  # type: ignore[attr-defined]
+    total = cumulative["reduce_file"]
+    shares = {stage: cumulative[name] / total for stage, name in STAGES.items()}
+    return shares | {"flags, trust, the rest": 1.0 - sum(shares.values())}

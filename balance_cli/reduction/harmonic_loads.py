@@ -222,7 +222,7 @@ def harmonic_response(record: RotorRecord, geometry: Geometry, source: ResponseS
     """
     azimuth, spectra = record.azimuth, record.spectra
     orders = range(1, len(spectra.frequency_hz))
-    lines = [harmonic_lines(azimuth, spectra, n, SPEED_MEMORY * source.slowest_decay) for n in orders]
+    lines = harmonic_lines(azimuth, spectra, orders, SPEED_MEMORY * source.slowest_decay)
     at = source.at(np.concatenate([item.frequency for item in lines]), record.spin)
     parts = np.split(at, np.cumsum([len(item.frequency) for item in lines])[:-1])
     averages = []

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.geometry import Acquisition
-from balance_cli.signals.cross_spectra import MAIN_LOBE, cross_spectra, noise_variance
+from balance_cli.signals.cross_spectra import MAIN_LOBE, noise_variance_above
 
 Array = NDArray[np.float64]
 
@@ -58,6 +58,5 @@ def channel_noise(clean_record: CleanRecord, acquisition: Acquisition) -> Array:
     lowest = LOAD_FREE_CUTOFF_FACTOR * cutoff
     if lowest >= LOAD_FREE_NYQUIST_SHARE * nyquist:
         lowest = LOAD_FREE_NYQUIST_SHARE * nyquist
-    window = clean_record.window(WINDOW_TIME)
-    spectra = cross_spectra(clean_record.parts(), clean_record.step, window, lambda first, bins: bins > lowest)
-    return noise_variance(spectra, clean_record.step, np.ones(len(spectra.frequency), bool))
+    parts = (samples for _, samples in clean_record.parts())
+    return noise_variance_above(lowest, parts, clean_record.step, clean_record.window(WINDOW_TIME))

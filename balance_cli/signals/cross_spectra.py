@@ -69,8 +69,7 @@ def cross_spectra(
             count += selected
     bins = count > 0
     if total is None or not bins.any():
-        fault = f"no part of the record is as long as a window of {length * step:.2g} s with bins between harmonics"
-        raise UserError(fault, place="channels", remedy="Use --method harmonic, or record for longer")
+        raise _no_window_error(length * step)
     density = total[bins] * (step / np.sum(window**2) / count[bins])[:, None, None]
     return CrossSpectra(frequency[bins], density, np.maximum(INDEPENDENT_PER_WINDOW * count[bins], 1.0))
 
@@ -83,6 +82,40 @@ def noise_variance(spectra: CrossSpectra, step: float, load_free: NDArray[np.boo
     power = np.einsum("kcc->kc", spectra.density[load_free]).real
     averages = float(np.median(spectra.averages[load_free]))
     return np.asarray(np.median(power, axis=0) / (step * _median_of_mean(averages)))
+
+
+def noise_variance_above(lowest: float, parts: Iterable[Array], step: float, length: int) -> Array:
+    """Return the variance (c,) [V2] of one sample of white noise, from the bins above `lowest` [Hz].
+
+    As `noise_variance` of `cross_spectra` over the parts (n, c), but without the products of different channels. Raises
+    UserError where no part is as long as a window, or no bin is above.
+    """
+    window = _blackman_harris(length)
+    frequency = np.fft.rfftfreq(length, step)
+    bins = np.flatnonzero(frequency[: len(frequency) - MAIN_LOBE] > lowest)
+    bins = bins[bins >= MAIN_LOBE]
+    power, count = [], 0
+    for part in parts:
+        if len(part) < length:
+            continue
+        starts = np.lib.stride_tricks.sliding_window_view(np.ascontiguousarray(part.T), length, axis=1)
+        count += len(range(0, len(part) - length + 1, length // 3))
+        power.append([_summed_power(samples[:: length // 3], window, bins) for samples in starts])
+    if not count or not len(bins):
+        raise _no_window_error(length * step)
+    density = np.sum(power, axis=0) / (np.sum(window**2) * count)
+    return np.asarray(np.median(density, axis=1) / _median_of_mean(max(INDEPENDENT_PER_WINDOW * count, 1.0)))
+
+
+def _summed_power(windows: Array, taper: Array, bins: NDArray[np.int64]) -> Array:
+    """Return the power (k,) of the spectra of windows (w, n) of one channel without their means, summed."""
+    spectrum = np.fft.rfft((windows - windows.mean(axis=1, keepdims=True)) * taper, axis=1)[:, bins]
+    return np.asarray(np.sum(spectrum.real**2 + spectrum.imag**2, axis=0))
+
+
+def _no_window_error(seconds: float) -> UserError:
+    fault = f"no part of the record is as long as a window of {seconds:.2g} s with bins between harmonics"
+    return UserError(fault, place="channels", remedy="Use --method harmonic, or record for longer")
 
 
 def _median_of_mean(averages: float) -> float:

@@ -17,14 +17,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.outer_values import EXTREME_VALUES, Integers, merge_extremes, outer_values
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, Run, pick_channels
 from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
-
-Integers = NDArray[np.int64]
 
 FLATLINE_FACTOR = 5.0
 """Length of a flatline that makes a channel dead, over the expected longest one.
@@ -41,10 +39,6 @@ LEAST_FLATLINE = 20
 """Samples. A shorter flatline is never a fault: no sensor fails and recovers within so few samples."""
 LEAST_SAMPLES = 3
 """Samples below which a constant channel proves nothing: two load points may well have equal readings."""
-EXTREME_VALUES = 8
-"""Distinct values counted at either end of the range of a channel; the comparison below is made for eight."""
-OUTER_SAMPLES = 128
-"""Samples at either end of the range among which these distinct values are sought first."""
 PLATEAU_FACTOR = 1.5
 """A channel is clipped where its extreme occurs so many times as often as the other values counted at its end.
 
@@ -152,9 +146,26 @@ class _ChannelStatistics:
             if not self.nonfinite_count:
                 self.first_nonfinite = self.samples + int(np.argmin(finite))
             self.nonfinite_count += int((~finite).sum())
-        self._add_flatlines(values)
-        self._add_extremes(values[finite])
+        if finite.all() and values[0] != self.last and np.all(values[1:] != values[:-1]):
+            self._add_varying(values)
+        else:
+            self._add_flatlines(values)
+        self._add_extremes(values if finite.all() else values[finite])
         self.samples += len(values)
+
+    def _add_varying(self, values: Array) -> None:
+        """Samples without equal neighbors, as in most records: the general case takes four times as long."""
+        if not self.flatline_length:
+            self.flatline_length, self.flatline_start, self.flatline_value = 1, self.samples, float(values[0])
+        falls = np.r_[self.last, values[:-1]] > values
+        first = 1 if np.isnan(self.last) else 0
+        turns = int(np.count_nonzero(falls[first + 1 :] != falls[first:-1]))
+        if self.last_direction and len(falls) > first:
+            turns += int((self.last_direction < 0) != falls[first])
+        self.turning_points += turns
+        if len(falls) > first:
+            self.last_direction = -1.0 if falls[-1] else 1.0
+        self.current_start, self.last = self.samples + len(values) - 1, float(values[-1])
 
     def _add_flatlines(self, values: Array) -> None:
         """Flatlines; the one still open at the end of the last block is continued."""
@@ -180,43 +191,18 @@ class _ChannelStatistics:
         self.last_direction = float(directions[-1])
 
     def _add_extremes(self, values: Array) -> None:
-        new_values, counts = _outer_values(values)
-        self.lowest = _merge_extremes(*self.lowest, new_values[:EXTREME_VALUES], counts[:EXTREME_VALUES])
-        self.highest = _merge_extremes(
+        new_values, counts = outer_values(values)
+        self.lowest = merge_extremes(*self.lowest, new_values[:EXTREME_VALUES], counts[:EXTREME_VALUES])
+        self.highest = merge_extremes(
             *self.highest, new_values[-EXTREME_VALUES:], counts[-EXTREME_VALUES:], highest=True
         )
-
-
-def _outer_values(values: Array) -> tuple[Array, Integers]:
-    """The distinct values at both ends of the range, EXTREME_VALUES or more of each, and how often each occurs.
-
-    A sort of all samples would take ten times as long.
-    """
-    if len(values) > 4 * OUTER_SAMPLES:
-        low, high = np.partition(values, [OUTER_SAMPLES, len(values) - 1 - OUTER_SAMPLES])[
-            [OUTER_SAMPLES, -1 - OUTER_SAMPLES]
-        ]
-        ends = [np.unique(part, return_counts=True) for part in (values[values <= low], values[values >= high])]
-        if low < high and all(len(distinct) >= EXTREME_VALUES for distinct, _ in ends):
-            return np.concatenate([ends[0][0], ends[1][0]]), np.concatenate([ends[0][1], ends[1][1]])
-    return np.unique(values, return_counts=True)
-
-
-def _merge_extremes(
-    old_values: Array, old_counts: Integers, new_values: Array, new_counts: Integers, highest: bool = False
-) -> tuple[Array, Integers]:
-    """The distinct values nearest one end among old and new ones, outermost first, with their summed counts."""
-    values, place = np.unique(np.r_[old_values, new_values], return_inverse=True)
-    counts = np.bincount(place, np.r_[old_counts, new_counts], len(values)).astype(np.int64)
-    order = slice(None, -EXTREME_VALUES - 1, -1) if highest else slice(EXTREME_VALUES)
-    return values[order], counts[order]
 
 
 def _gather_statistics(run: Run, names: list[str]) -> list[_ChannelStatistics]:
     records = [_ChannelStatistics() for _ in names]
     for block in run.blocks():
-        samples = pick_channels(block.channels, run.channel_names, names)
-        for record, values in zip(records, samples.T, strict=True):
+        samples = np.ascontiguousarray(pick_channels(block.channels, run.channel_names, names).T)
+        for record, values in zip(records, samples, strict=True):
             record.add(values)
     return records
 

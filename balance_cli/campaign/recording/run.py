@@ -190,7 +190,12 @@ def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | No
 
 
 def pick_channels(channels: Array, present: Sequence[str], names: Sequence[str]) -> Array:
-    """Pick columns (n, len(names)) of `channels` (n, len(present)) in the order of `names`; NaN where one is absent."""
+    """Pick columns (n, len(names)) of `channels` (n, len(present)) in the order of `names`; NaN where one is absent.
+
+    Not a copy where all are picked in their order.
+    """
+    if tuple(names) == tuple(present):
+        return channels
     column = {name: index for index, name in enumerate(present)}
     picked = np.full((len(channels), len(names)), np.nan)
     available = [index for index, name in enumerate(names) if name in column]

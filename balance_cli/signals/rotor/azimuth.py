@@ -33,6 +33,8 @@ MISTIMING_SIGMAS = 10.0
 """Timing error over the median one, from which a pulse is mistimed where all pulses jitter."""
 JITTER_NOTED = 1.0
 """Degrees of jitter from which a note is made; at 8/rev the phase scatters by eight times as much."""
+CONVERGED_STEP = 1e-9
+"""Revolutions of a step of Newton's method after which the error is that of rounding."""
 MEDIAN_INTERVALS = 9
 """Intervals of the running median of the revolution time: it is not affected by four bad ones."""
 
@@ -107,11 +109,11 @@ class Azimuth:
         target = np.asarray(revolution, float)
         time = np.interp(target, self.revolutions, self.pulse_times)
         for _ in range(4):
-            time = np.clip(
-                time - (self.revolution_count(time) - target) / self.speed_curve(time),
-                self.first,
-                self.last,
-            )
+            step = (self.revolution_count(time) - target) / self.speed_curve(time)
+            time = np.clip(time - step, self.first, self.last)
+            # The next step is quadratic in this one, and in the share of a revolution by which the speed changes.
+            if np.max(np.abs(step), initial=0.0) * self.mean_rate < CONVERGED_STEP:
+                break
         return np.asarray(time, float)
 
     def _evaluate_within_pulses(self, time: ArrayLike, curve: BSpline) -> Array:

@@ -69,55 +69,59 @@ def line_correlation(offsets: Array) -> Array:
 
 @dataclass(frozen=True)
 class PooledNoise:
-    """Covariance (c, c) of tapered lines near one harmonic, with its complex degrees of freedom."""
+    """Covariance (..., c, c) of tapered lines near each harmonic, with its complex degrees of freedom (...)."""
 
     covariance: ComplexArray
-    dof: float
+    dof: Array
 
 
 def pooled_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:
     """Average z z* over the lines that hold noise alone.
 
-    `lines` (k, c) are the amplitudes at `offsets` (k,), on both sides or on one. Neighboring lines of a tapered record
-    are correlated: the degrees of freedom are k^2 over the sum of all |rho|^2.
+    `lines` (..., k, c) are the amplitudes at `offsets` (k,), on both sides or on one. Neighboring lines of a tapered
+    record are correlated: the degrees of freedom are k^2 over the sum of all |rho|^2.
     """
     keep = noise_only_lines(np.abs(lines) ** 2, offsets)
-    z = lines[keep]
-    dof = len(z) ** 2 / float(np.sum(line_correlation(offsets[keep])))
-    return PooledNoise(z.T @ z.conj() / len(z), dof)
+    z, count = lines * keep[..., None], np.count_nonzero(keep, axis=-1)
+    dof = count**2 / np.einsum("...i,ij,...j->...", keep.astype(float), line_correlation(offsets), keep.astype(float))
+    covariance = np.swapaxes(z, -1, -2) @ z.conj() / count[..., None, None]
+    return PooledNoise(covariance, np.asarray(dof))
 
 
 def noise_only_lines(power: Array, offsets: Array) -> Flags:
-    """Return which lines (k,) of `power` (k, c) hold noise alone.
+    """Return which lines (..., k) of `power` (..., k, c) hold noise alone.
 
     Others hold the mains, or the sidebands of a harmonic whose amplitude varies. A line is dropped where the power of
     any channel exceeds the median of the lines before it, or beyond it, on the same side. A resonance is wider than the
     lines of the comparison, and is kept. Where fewer than FEWEST_NOISE_LINES would remain, all lines are kept: the
     noise is then overestimated rather than underestimated.
     """
-    keep = np.ones(len(offsets), bool)
+    keep = np.ones(power.shape[:-1], bool)
     for side in (offsets < 0, offsets > 0):
         index = np.flatnonzero(side)
         outward = index[np.argsort(np.abs(offsets[index]))]
-        keep[outward] = ~_outlier_lines(power[outward])
-    return keep if np.count_nonzero(keep) >= min(FEWEST_NOISE_LINES, len(offsets)) else np.ones(len(offsets), bool)
+        keep[..., outward] = ~_outlier_lines(power[..., outward, :])
+    enough = np.count_nonzero(keep, axis=-1) >= min(FEWEST_NOISE_LINES, len(offsets))
+    return np.asarray(keep | ~enough[..., None], bool)
 
 
 def _outlier_lines(power: Array) -> Flags:
     """Outliers among the lines of one side, innermost first, with the two on either side into which the taper leaks."""
-    count = len(power)
+    count, channels = power.shape[-2:]
     if count < COMPARISON_LINES:
-        return np.zeros(count, bool)
-    limit = -np.log(LINE_FALSE_ALARM / power.size) / MEDIAN_OF_EXPONENTIAL
-    windows = np.median(np.lib.stride_tricks.sliding_window_view(power, COMPARISON_LINES, axis=0), axis=-1)
+        return np.zeros(power.shape[:-1], bool)
+    limit = -np.log(LINE_FALSE_ALARM / (count * channels)) / MEDIAN_OF_EXPONENTIAL
+    windows = np.lib.stride_tricks.sliding_window_view(power, COMPARISON_LINES, axis=-2)
+    medians = np.median(windows, axis=-1)
     line = np.arange(count)
-    beyond = windows[np.minimum(line + 3, count - COMPARISON_LINES)]
-    before = windows[np.maximum(line - 2 - COMPARISON_LINES, 0)]
+    beyond = medians[..., np.minimum(line + 3, count - COMPARISON_LINES), :]
+    before = medians[..., np.maximum(line - 2 - COMPARISON_LINES, 0), :]
     for j in range(COMPARISON_LINES // 2, min(COMPARISON_LINES + 2, count)):  # fewer lines lie before these
-        before[j] = np.median(power[: j - 2], axis=0)
-    before[: COMPARISON_LINES // 2] = np.inf
-    outliers = np.any(power > limit * np.minimum(beyond, before), axis=1)
-    return np.asarray(np.convolve(outliers, np.ones(5), mode="same") > 0, bool)
+        before[..., j, :] = np.median(power[..., : j - 2, :], axis=-2)
+    before[..., : COMPARISON_LINES // 2, :] = np.inf
+    outliers = np.any(power > limit * np.minimum(beyond, before), axis=-1)
+    spread = np.pad(outliers, [(0, 0)] * (outliers.ndim - 1) + [(2, 2)])
+    return np.asarray(np.any([spread[..., shift : shift + count] for shift in range(5)], axis=0))
 
 
 def mean_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:

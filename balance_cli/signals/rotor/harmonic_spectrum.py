@@ -10,6 +10,7 @@ the speed; where the speed varies near a lightly damped mode the two differ by s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.harmonics import Harmonics, edge_weight
+from balance_cli.signals.rotor.line_sums import unit_powers
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -35,8 +37,10 @@ class HarmonicLines:
     weight: ComplexArray
 
 
-def harmonic_lines(azimuth: Azimuth, spectra: Harmonics, n: int, decay_time: float) -> HarmonicLines:
-    """Compute the lines of harmonic n over the interval of `spectra`.
+def harmonic_lines(
+    azimuth: Azimuth, spectra: Harmonics, orders: Sequence[int], decay_time: float
+) -> tuple[HarmonicLines, ...]:
+    """Compute the lines of each of the harmonics over the interval of `spectra`.
 
     `decay_time` [s] is the time in which the response of the balance decays; a mode without damping has no end of it,
     and the length of the record takes its place. Outside the pulses the rotor is assumed to turn at the speed that it
@@ -44,17 +48,25 @@ def harmonic_lines(azimuth: Azimuth, spectra: Harmonics, n: int, decay_time: flo
     """
     decay_time = min(decay_time, azimuth.last - azimuth.first)
     rate = SAMPLES_PER_HZ_OF_SPEED * azimuth.mean_rate
-    carrier = float(spectra.frequency_hz[n])
     start, stop = azimuth.first - 2 * decay_time, azimuth.last + 2 * decay_time
     time = np.arange(start, stop, 1.0 / rate)
-    turns = azimuth.extrapolated_count(time)
-    baseband = np.exp(2j * np.pi * (n * turns - carrier * time)) * _end_taper(time, azimuth, decay_time)
+    turns, taper = azimuth.extrapolated_count(time), _end_taper(time, azimuth, decay_time)
     inside = (time >= spectra.interval[0]) & (time <= spectra.interval[1])
     weight = np.where(inside, edge_weight(turns, *spectra.revolutions), 0.0)
+    grid = np.asarray(np.fft.fftfreq(len(time), 1.0 / rate), float)
+    # The carrier of harmonic n is n times the mean rate, so that all harmonics are powers of one signal.
+    carrier = float(spectra.frequency_hz[1])
+    powers = unit_powers(2.0 * np.pi * (turns - carrier * time), max(orders))
+    return tuple(_lines(powers[n] * taper, weight, n * carrier, grid) for n in orders)
+
+
+def _lines(baseband: ComplexArray, weight: Array, carrier: float, grid: Array) -> HarmonicLines:
+    """Return the lines of a harmonic that was shifted from its carrier [Hz] to zero frequency."""
     B, W = np.fft.fft(baseband), np.fft.fft(weight * baseband)
     S = np.conj(W) * B
-    significant = np.abs(S) > LEAST_LINE_WEIGHT * np.abs(S).max()
-    frequency = carrier + np.fft.fftfreq(len(time), 1.0 / rate)[significant]
+    magnitude = np.abs(S)
+    significant = magnitude > LEAST_LINE_WEIGHT * magnitude.max()
+    frequency = carrier + grid[significant]
     order = np.argsort(frequency)
     return HarmonicLines(frequency[order], (S[significant] / S[significant].sum())[order])
 

@@ -14,7 +14,7 @@ from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.harmonic_noise import blackman_taper, line_offsets, mean_noise, pooled_noise
-from balance_cli.signals.rotor.line_sums import add_lines, unit_powers
+from balance_cli.signals.rotor.line_sums import LineSums, unit_powers
 from balance_cli.signals.rotor.other_lines import NO_OTHER_LINES, OtherLines
 
 Array = NDArray[np.float64]
@@ -85,7 +85,10 @@ class Harmonics:
 
 @dataclass(frozen=True)
 class _AzimuthBlock:
-    """A block of m samples: azimuth, speed [Hz], fraction of the interval, weight, `other` (m, e), signals (m, c)."""
+    """A block of m samples: azimuth, speed [Hz], fraction of the interval, weight, `other` (m, e), signals (m, c).
+
+    `turns` is the number of revolutions of the interval.
+    """
 
     psi: Array
     speed: Array
@@ -93,15 +96,21 @@ class _AzimuthBlock:
     weight: Array
     other: Array
     signals: Array
+    turns: int
 
 
 @dataclass
 class _NormalEquations:
-    """Sums over the blocks: normal equations of the regression, and lines of the tapered record."""
+    """Sums over the blocks: normal equations of the regression, and lines of the tapered record.
 
-    gram: Array
+    `turning` (2 F + 1,) are the sums of w exp(j k psi), k = 0 to 2 F, which hold every product of two columns of the
+    trigonometric basis; `border` (e, 2 F + 1 + e) are the products of the other columns with these and themselves.
+    """
+
+    turning: ComplexArray
+    border: Array
     moment: Array
-    lines: ComplexArray
+    lines: LineSums
     weight: Array  # sums of w, w^2, q, q^2
     samples: int = 0
 
@@ -137,19 +146,19 @@ def estimate_harmonics(
     start, end = (float(t) for t in azimuth.time_of(np.array(revolutions)))
     offsets = line_offsets(last - first_revolution)
     fitted_count = _harmonics_to_fit(run, azimuth, n, start, end)
-    sums = _empty_sums(n, 2 * fitted_count + 1 + other.columns, offsets, len(names))
+    sums = _empty_sums(n * (last - first_revolution) + int(offsets[-1]), fitted_count, other.columns, len(names))
     for samples in _weighted_blocks(run, azimuth, names, revolutions, other, block):
-        _accumulate_block(sums, samples, n, fitted_count, last - first_revolution)
+        _accumulate_block(sums, samples, fitted_count)
     amplitude = _solve_amplitudes(sums, n, fitted_count)
-    covariance, dof = _amplitude_covariance(sums, n, offsets)
+    covariance, dof = _amplitude_covariance(sums, n, last - first_revolution, offsets)
 
     def error_amplitudes(index: NDArray[np.int64], errors: Array) -> ComplexArray:
         assert run.sample_rate is not None
         time = np.clip(index / run.sample_rate, azimuth.first, azimuth.last)
         psi = azimuth.psi(time)
         weight = edge_weight(psi / (2 * np.pi), *revolutions)
-        columns = np.hstack([_trigonometric_basis(psi, fitted_count), other.basis(time)])
-        moment = (columns * weight[:, None]).T @ errors.T
+        columns = np.vstack([_trigonometric_basis(unit_powers(psi, fitted_count)), other.basis(time).T])
+        moment = columns @ (errors * weight).T
         return _solve_amplitudes(replace(sums, moment=moment), n, fitted_count).T
 
     span = _sample_span(run, start, end)
@@ -201,7 +210,7 @@ def _weighted_blocks(
         revolution = psi / (2 * np.pi)
         fraction = np.clip((revolution - first) / (last - first), 0.0, 1.0)
         weight = edge_weight(revolution, first, last)
-        yield _AzimuthBlock(psi, azimuth.speed(time), fraction, weight, other.basis(time), signals)
+        yield _AzimuthBlock(psi, azimuth.speed(time), fraction, weight, other.basis(time), signals, last - first)
 
 
 def _sample_span(run: Run, start: float, end: float) -> tuple[int, int]:
@@ -223,50 +232,60 @@ def _read_signals(run: Run, names: tuple[str, ...], low: int, high: int) -> Arra
     return signals
 
 
-def _empty_sums(n: int, columns: int, offsets: Array, count: int) -> _NormalEquations:
-    lines = np.zeros((n + 1, len(offsets), count), complex)
-    return _NormalEquations(np.zeros((columns, columns)), np.zeros((columns, count)), lines, np.zeros(4))
+def _empty_sums(highest_line: int, fitted_count: int, other: int, count: int) -> _NormalEquations:
+    columns = 2 * fitted_count + 1 + other
+    turning, border = np.zeros(2 * fitted_count + 1, complex), np.zeros((other, columns))
+    return _NormalEquations(turning, border, np.zeros((columns, count)), LineSums(highest_line, count), np.zeros(4))
 
 
-def _trigonometric_basis(psi: Array, fitted_count: int) -> Array:
-    """Basis (m, 2 F + 1) of the regression: cos(0 .. F psi), sin(1 .. F psi), F = `fitted_count`."""
-    turns = unit_powers(psi, fitted_count)
-    return np.hstack([turns.real, turns[:, 1:].imag])
+def _trigonometric_basis(powers: ComplexArray) -> Array:
+    """Basis (2 F + 1, m) of the regression, cos(0 .. F psi), sin(1 .. F psi), from exp(j k psi) (F + 1, m)."""
+    return np.concatenate([powers.real, powers[1:].imag])
 
 
-def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, n: int, fitted_count: int, turns: int) -> None:
+def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_count: int) -> None:
     """Add a block to the sums.
 
     Lines are integrals over azimuth, d psi = 2 pi speed dt, over which harmonics are orthogonal.
     """
-    basis = _trigonometric_basis(samples.psi, fitted_count)
-    columns = np.hstack([basis, samples.other])
-    weighted = columns * samples.weight[:, None]
-    sums.gram += weighted.T @ columns
-    sums.moment += weighted.T @ samples.signals
+    w, powers = samples.weight, unit_powers(samples.psi, fitted_count)
+    sums.turning += np.concatenate([powers @ w, powers[1:] @ (powers[-1] * w)])
+    basis = np.concatenate([_trigonometric_basis(powers), samples.other.T])
+    sums.border += (basis[2 * fitted_count + 1 :] * w) @ basis.T
+    sums.moment += basis @ (samples.signals * w[:, None])
     q = blackman_taper(samples.fraction) * samples.speed
-    harmonics = basis[:, [*range(n + 1), *range(fitted_count + 1, fitted_count + 1 + n)]]
-    add_lines(sums.lines, samples.psi / turns, q, samples.signals, harmonics)
-    w = samples.weight
+    sums.lines.add(samples.psi / (2.0 * np.pi * samples.turns), samples.signals * q[:, None])
     sums.weight += [np.sum(w), np.sum(w**2), np.sum(q), np.sum(q**2)]
     sums.samples += len(w)
 
 
+def _gram_matrix(sums: _NormalEquations, fitted_count: int) -> Array:
+    """Products of all columns of the basis with each other, weighted: cos a cos b = (cos(a - b) + cos(a + b)) / 2."""
+    k = np.arange(fitted_count + 1)
+    both, between = k[:, None] + k, k - k[:, None]
+    cosine, sine = sums.turning.real, sums.turning.imag
+    cosines = 0.5 * (cosine[np.abs(between)] + cosine[both])
+    sines = 0.5 * (cosine[np.abs(between)] - cosine[both])[1:, 1:]
+    mixed = 0.5 * (sine[both] + np.sign(between) * sine[np.abs(between)])[:, 1:]
+    own = np.block([[cosines, mixed], [mixed.T, sines]])
+    beside, others = np.split(sums.border, [len(own)], axis=1)
+    return np.block([[own, beside.T], [beside, others]])
+
+
 def _solve_amplitudes(sums: _NormalEquations, n: int, fitted_count: int) -> ComplexArray:
     """X_k = cosine_k - j sine_k (n+1, c) from the normal equations."""
-    coefficients = np.linalg.solve(sums.gram, sums.moment)
+    coefficients = np.linalg.solve(_gram_matrix(sums, fitted_count), sums.moment)
     amplitude = coefficients[: n + 1].astype(complex)
     amplitude[1:] -= 1j * coefficients[fitted_count + 1 : fitted_count + 1 + n]
     return amplitude
 
 
-def _amplitude_covariance(sums: _NormalEquations, n: int, offsets: Array) -> tuple[ComplexArray, Array]:
+def _amplitude_covariance(sums: _NormalEquations, n: int, turns: int, offsets: Array) -> tuple[ComplexArray, Array]:
     """Covariance (n+1, c, c) of the amplitudes and its degrees of freedom (n+1,)."""
     w, w2, q, q2 = sums.weight
     # A tapered sum over noise of density S has variance S sum q^2; so has the regression with w in place of q.
     variance_ratio = (w2 / w**2) / (q2 / q**2)
-    lines = sums.lines * (2.0 / q)
-    pooled = [mean_noise(lines[0], offsets)]
-    pooled += [pooled_noise(lines[k], offsets) for k in range(1, n + 1)]
-    covariance = variance_ratio * np.array([noise.covariance for noise in pooled])
-    return covariance, np.array([noise.dof for noise in pooled])
+    lines = sums.lines.at(turns * np.arange(n + 1)[:, None] + offsets.astype(np.int64)) * (2.0 / q)
+    mean, others = mean_noise(lines[0], offsets), pooled_noise(lines[1:], offsets)
+    covariance = variance_ratio * np.concatenate([mean.covariance[None], others.covariance])
+    return covariance, np.concatenate([mean.dof[None], others.dof])

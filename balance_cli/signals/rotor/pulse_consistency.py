@@ -145,7 +145,8 @@ def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array,
     if samples < 64:
         return np.zeros(0), np.zeros(0), 1.0
     values = np.nan_to_num(read_channels(run, run.channel_names, first, last))
-    spectrum = np.abs(np.fft.rfft((values - values.mean(axis=0)) * np.hanning(samples)[:, None], axis=0)) ** 2
+    windowed = np.ascontiguousarray((values - values.mean(axis=0)).T) * np.hanning(samples)
+    spectrum = np.abs(np.fft.rfft(windowed, axis=1)).T ** 2
     floor = spectral_floor(spectrum)
     relative = np.max(spectrum / np.maximum(floor, np.finfo(float).tiny), axis=1)
     relative[:3] = 0.0

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.signals.rotor.azimuth import Azimuth
+from balance_cli.signals.rotor.line_sums import unit_powers
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -32,6 +33,9 @@ CRITICAL_SUM = 2.6
 For the Brownian bridge P(sup |B| > x) = 2 exp(-2 x^2) (Kolmogorov). The level leaves room for records with hundreds of
 harmonics, components and runs.
 """
+LEAST_EIGENVALUE = 1e-8
+"""Of the normal equations of a window, over the largest: they then leave eight digits, else least squares by singular
+values are taken."""
 MATERIAL_CHANGE = 3.0
 """Change within the record, in stated standard deviations of the mean amplitude, that makes a flag worthwhile.
 
@@ -62,18 +66,27 @@ def windowed_amplitudes(
     times = azimuth.time_of(edges)
     samples = np.ceil(times * run.sample_rate).astype(int)
     time = np.clip(np.arange(samples[0], samples[-1]) / run.sample_rate, azimuth.first, azimuth.last)
-    psi, start = azimuth.psi(time), int(samples[0])
-    rows = [_amplitudes(run, psi[a - start : b - start], names, n, a, b) for a, b in pairwise(samples.tolist())]
+    powers = unit_powers(azimuth.psi(time), max(n, 1))[: n + 1]
+    basis, signals = np.concatenate([powers.real, powers[1:].imag]), read_channels(run, names, samples[0], samples[-1])
+    cuts = [slice(a, b) for a, b in pairwise((samples - samples[0]).tolist())]
     empty = np.zeros((0, n + 1, len(names)), complex)
-    return WindowedAmplitudes(np.array(rows) if rows else empty, tuple(names), length / np.diff(times))
+    values = _amplitudes([basis[:, cut] for cut in cuts], [signals[cut] for cut in cuts], n) if cuts else empty
+    return WindowedAmplitudes(values, tuple(names), length / np.diff(times))
 
 
-def _amplitudes(run: Run, psi: Array, names: Sequence[str], n: int, start: int, stop: int) -> ComplexArray:
-    """Return the amplitudes (n+1, c) between two samples; harmonics above half the samples of a window are left out."""
-    angle = np.outer(psi, np.arange(1, n + 1))
-    basis = np.column_stack([np.ones(len(psi)), np.cos(angle), np.sin(angle)])
-    solution = np.linalg.lstsq(basis, read_channels(run, names, start, stop), rcond=None)[0]
-    return np.concatenate([solution[:1].astype(complex), solution[1 : n + 1] - 1j * solution[n + 1 :]])
+def _amplitudes(bases: list[Array], signals: list[Array], n: int) -> ComplexArray:
+    """Return the amplitudes (w, n+1, c) of w windows; harmonics above half the samples of a window are left out."""
+    gram = np.array([basis @ basis.T for basis in bases])
+    moment = np.array([basis @ samples for basis, samples in zip(bases, signals, strict=True)])
+    spread = np.linalg.eigvalsh(gram)
+    regular = spread[:, 0] > LEAST_EIGENVALUE * spread[:, -1]
+    gram[~regular] = np.eye(gram.shape[1])
+    solution = np.linalg.solve(gram, moment)
+    for window in np.flatnonzero(~regular):
+        solution[window] = np.linalg.lstsq(bases[window].T, signals[window], rcond=None)[0]
+    amplitude = solution[:, : n + 1].astype(complex)
+    amplitude[:, 1:] -= 1j * solution[:, n + 1 :]
+    return np.asarray(amplitude)
 
 
 def unsteady(values: ComplexArray, sigma: Array) -> NDArray[np.bool_]:

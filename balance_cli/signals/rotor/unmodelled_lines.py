@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.signals.amplitude_spectrum import fast_length
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.spectral_floor import block_size, spectral_floor
 
 Array = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 LONGEST_RECORD = 65536
 """Samples that are examined at most, from the middle of the interval: a line of a minute is a line."""
@@ -83,9 +85,8 @@ def unmodelled_lines(
         return ()
     turns = azimuth.psi(time) / (2 * np.pi)
     speed = float((turns[-1] - turns[0]) / (time[-1] - time[0]))
-    order, over_azimuth = _spectrum_over_azimuth(turns, values)
+    order, over_azimuth, frequency, over_time = _both_spectra(turns, values, run.sample_rate)
     largest = _largest_harmonic(order, over_azimuth, n)
-    frequency, over_time = _spectrum(values, run.sample_rate)
     ranges = [_speed_range(item, time) for item in (azimuth, *other_rotors)]
     highest = BELOW_NYQUIST * 0.5 * run.sample_rate / speed
     rotor_lines = [
@@ -138,7 +139,7 @@ def _clearance(line: UnmodelledLine, names: tuple[str, ...], frequency: Array, a
     """Return the power of a line over the floor of its channel."""
     power = amplitude[:, [names.index(line.channel)]] ** 2
     at = int(np.argmin(np.abs(frequency - line.frequency)))
-    floor = float(spectral_floor(power)[at, 0])
+    floor = float(spectral_floor(power, np.array([at]))[0, 0])
     return float(power[max(0, at - 1) : at + 2].max()) / max(floor, float(np.finfo(float).tiny))
 
 
@@ -164,18 +165,47 @@ def _beside_harmonic(frequency: float, slowest: float, fastest: float, margin: f
     return bool(np.any((order * slowest - margin < frequency) & (frequency < order * fastest + margin)))
 
 
-def _spectrum_over_azimuth(turns: Array, values: Array) -> tuple[Array, Array]:
-    """Return orders [1/rev] and amplitudes (k, c) [V] of the channels, resampled evenly over azimuth."""
-    grid = np.linspace(turns[0], turns[-1], len(turns))
-    even = np.stack([np.interp(grid, turns, column) for column in values.T], axis=1)
-    return _spectrum(even, len(turns) / (turns[-1] - turns[0]))
+def _both_spectra(turns: Array, values: Array, rate: float) -> tuple[Array, Array, Array, Array]:
+    """Return orders and amplitudes (k, c) over azimuth, frequencies [Hz] and amplitudes over time."""
+    normalized, scale = _normalize(values)
+    order, over_azimuth = _spectrum(_resample_evenly(turns, normalized), (len(turns) - 1) / (turns[-1] - turns[0]))
+    frequency, over_time = _spectrum(normalized, rate)
+    return order, over_azimuth * scale, frequency, over_time * scale
 
 
-def _spectrum(values: Array, rate: float) -> tuple[Array, Array]:
-    """Return frequencies and amplitudes (k, c) under a Blackman window, whose side lobes lie 58 dB down."""
+def _normalize(values: Array) -> tuple[Singles, Array]:
+    """Return the channels (m, c) without their means, in single precision, over their largest values (c,).
+
+    Its rounding is far below the side lobes of the window.
+    """
+    deviation = values - values.mean(axis=0)
+    scale = np.maximum(np.abs(deviation).max(axis=0), np.finfo(float).tiny)
+    return (deviation / scale).astype(np.float32), scale
+
+
+def _resample_evenly(turns: Array, values: Singles) -> Singles:
+    """Return the values (m, c) at as many even steps of azimuth, by linear interpolation."""
+    last = len(turns) - 1
+    position = np.interp(np.linspace(turns[0], turns[-1], last + 1), turns, np.arange(last + 1))
+    index = np.minimum(position.astype(np.int64), last - 1)
+    below = values[index]
+    step = values[index + 1] - below
+    return np.asarray(below + (position - index).astype(np.float32)[:, None] * step)
+
+
+def _spectrum(values: Singles, rate: float) -> tuple[Array, Array]:
+    """Return frequencies and amplitudes (k, c) under a Blackman window, whose side lobes lie 58 dB down.
+
+    The last samples are left out where their number has a large prime factor.
+    """
+    from scipy.fft import rfft
+
+    values = values[: fast_length(len(values))]
     window = np.blackman(len(values))
-    amplitude = np.abs(np.fft.rfft((values - values.mean(axis=0)) * window[:, None], axis=0)) * 2.0 / window.sum()
-    return np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate)), np.asarray(amplitude)
+    mean = values.mean(axis=0, dtype=float).astype(np.float32)
+    spectrum = rfft(np.multiply((values - mean).T, window.astype(np.float32), order="C"), axis=1, overwrite_x=True)
+    amplitude = np.abs(spectrum).astype(float) * (2.0 / window.sum())
+    return np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate)), amplitude.T
 
 
 def _largest_harmonic(order: Array, amplitude: Array, n: int) -> Array:
@@ -186,13 +216,15 @@ def _largest_harmonic(order: Array, amplitude: Array, n: int) -> Array:
 
 def _peaks(frequency: Array, amplitude: Array, largest: Array) -> list[tuple[float, int, float]]:
     """Return frequency, channel and amplitude of the lines that stand out of their surroundings and matter."""
-    power = amplitude**2
-    floor = spectral_floor(power)
-    clear = power > LINE_TO_FLOOR * np.maximum(floor, np.finfo(float).tiny)
-    share = np.where(clear, amplitude / np.maximum(largest, np.finfo(float).tiny), 0.0)
-    strongest = share.max(axis=1)
-    top = (strongest == maximum_filter1d(strongest, 7)) & (strongest > MATERIAL_SHARE)
+    share = amplitude / np.maximum(largest, np.finfo(float).tiny)
+    material = np.flatnonzero(share.max(axis=1, initial=0.0) > MATERIAL_SHARE)
+    floor = spectral_floor(amplitude**2, material)
+    clear = amplitude[material] ** 2 > LINE_TO_FLOOR * np.maximum(floor, np.finfo(float).tiny)
+    of_line = np.where(clear, share[material], 0.0)
+    strongest = np.zeros(len(frequency))
+    strongest[material] = of_line.max(axis=1, initial=0.0)
+    top = (strongest == maximum_filter1d(strongest, 7))[material] & (strongest[material] > MATERIAL_SHARE)
     return [
-        (float(frequency[i]), int(np.argmax(share[i])), float(amplitude[i, np.argmax(share[i])]))
-        for i in np.flatnonzero(top)
+        (float(frequency[i]), int(np.argmax(shares)), float(amplitude[i, np.argmax(shares)]))
+        for i, shares in zip(material[top], of_line[top], strict=True)
     ]

@@ -22,6 +22,6 @@ def test_a_mode_without_damping_is_remembered_for_the_length_of_the_record():
         revolutions=(0, 100),
         samples=1000,
     )
-    endless, long = (harmonic_lines(azimuth, spectra, 1, decay) for decay in (np.inf, 10.0))
+    endless, long = (harmonic_lines(azimuth, spectra, (1,), decay)[0] for decay in (np.inf, 10.0))
     np.testing.assert_array_equal(endless.frequency, long.frequency)
     assert endless.weight.sum() == pytest.approx(1.0)

@@ -1,27 +1,38 @@
 """The sums over samples against their definition."""
 
 import numpy as np
+import pytest
 
 from balance_cli.signals.rotor.harmonic_noise import line_offsets
-from balance_cli.signals.rotor.line_sums import add_lines, unit_powers
+from balance_cli.signals.rotor.line_sums import LineSums, unit_powers
 
 
 def test_unit_powers_are_those_of_the_exponential_function() -> None:
     angle = np.linspace(-40.0, 3000.0, 501)
-    expected = np.exp(1j * np.outer(angle, np.arange(49)))
+    expected = np.exp(1j * np.outer(np.arange(49), angle))
     assert np.abs(unit_powers(angle, 48) - expected).max() < 48 * 3000.0 * np.finfo(float).eps
 
 
-def test_lines_beside_harmonics_are_the_sums_of_their_definition() -> None:
+@pytest.mark.parametrize("turns, blocks", [(61, 1), (61, 7), (10, 3)])
+@pytest.mark.parametrize("first", [0, 17])
+def test_lines_beside_harmonics_are_the_sums_of_their_definition(turns: int, blocks: int, first: int) -> None:
     rng = np.random.default_rng(3)
-    turns, n, samples = 61, 3, 2500
-    psi = np.sort(rng.uniform(0.0, 2 * np.pi * turns, samples))
-    taper, signals = rng.random(samples), rng.standard_normal((samples, 4))
-    orders = line_offsets(turns) / turns
-    lines = np.zeros((n + 1, len(orders), 4), complex)
-    k = np.arange(n + 1)
-    harmonics = np.hstack([np.cos(np.outer(psi, k)), np.sin(np.outer(psi, k[1:]))])
-    add_lines(lines, psi / turns, taper, signals, harmonics)
-    for harmonic in k:
-        expected = (np.exp(-1j * np.outer(harmonic + orders, psi)) * taper) @ signals
-        np.testing.assert_allclose(lines[harmonic], expected, atol=1e-10)
+    n, samples = 3, 2500
+    revolution = first + np.sort(rng.uniform(0.0, turns, samples))
+    signals = rng.standard_normal((samples, 4))
+    lines = turns * np.arange(n + 1)[:, None] + line_offsets(turns).astype(int)
+    sums = LineSums(int(lines.max()), 4)
+    for part in np.array_split(np.arange(samples), blocks):
+        sums.add(revolution[part] / turns, signals[part])
+    expected = np.exp(-2j * np.pi * lines[..., None] * revolution / turns) @ signals
+    np.testing.assert_allclose(sums.at(lines), expected, atol=1e-12 * np.abs(signals).sum())
+
+
+def test_a_weak_line_beside_a_strong_one_keeps_its_digits() -> None:
+    """Noise is a millionth of a harmonic beside it; the kernel must keep them apart."""
+    turns, samples = 400, 20000
+    revolution = np.linspace(0.0, turns, samples, endpoint=False)
+    signal = np.cos(2 * np.pi * revolution) + 1e-9 * np.cos(2 * np.pi * (turns + 5) / turns * revolution)
+    sums = LineSums(2 * turns, 1)
+    sums.add(revolution / turns, signal[:, None])
+    assert sums.at(np.array([turns + 5]))[0, 0].real == pytest.approx(0.5e-9 * samples, rel=1e-3)
