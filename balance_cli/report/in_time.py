@@ -21,6 +21,7 @@ from balance_cli.report.blocks import (
     TableCell,
     group_heading_row,
 )
+from balance_cli.report.innovation_chart import innovation_chart
 from balance_cli.report.number_format import MISSING_VALUE, format_fixed, format_significant
 from balance_cli.report.sources import Source, Sources
 from balance_cli.report.track_plots import HARMONICS_SHOWN, track_plots
@@ -43,6 +44,7 @@ def section(sources: Sources) -> Section | None:
             "not correlated. The small figures are the standard deviations of both for a consistent filter."
         ),
         innovation_tests_table(load_sources),
+        *([chart] if (chart := innovation_chart(load_sources)) is not None else []),
         *_track_pictures(load_sources),
         *(channel_noise_table(source) for source in load_sources),
         *_gap_note_texts(load_sources),

@@ -10,8 +10,8 @@ from collections import Counter
 from collections.abc import Iterator
 from html import escape
 
-RASTER_COLORS = 64
-"""Colors of a rasterized part: a dozen colors of curves with their smooth edges."""
+RASTER_COLORS = 32
+"""Colors of a rasterized part: half a dozen colors of curves with their smooth edges."""
 
 DECIMALS = re.compile(r"-?\d+\.\d+")
 NO_ROTATION = re.compile(r' transform="rotate\(-?0 [^"]*"')
@@ -73,7 +73,9 @@ def _shrink_raster(code: str) -> str:
 
     buffer = io.BytesIO()
     with Image.open(io.BytesIO(base64.b64decode(code))) as image:
-        reduced = image.convert("RGBA").quantize(RASTER_COLORS, method=Image.Quantize.FASTOCTREE)
+        reduced = image.convert("RGBA").quantize(
+            RASTER_COLORS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
+        )
         reduced.save(buffer, "png", optimize=True)
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 

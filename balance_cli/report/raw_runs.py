@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 MOST_RUNS = 12
 """Runs whose channels are drawn: each adds about 100 kB to the page."""
-BINS = 500
+BINS = 400
 """Bins of a record: minimum, mean and maximum of each."""
 REVOLUTIONS = 4
 """Revolutions of the excerpt in which every sample is drawn."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -36,7 +37,9 @@ from balance_cli.report.force_responses import (
     relative_noise,
     sensors,
 )
+from balance_cli.report.frequencies import reference_model
 from balance_cli.report.number_format import format_percent, join_names
+from balance_cli.report.nyquist import Evaluation, nyquist_picture
 from balance_cli.report.plots import Marker, rotor_markers
 from balance_cli.report.response_figures import Panel, component_figure, detail_figure
 from balance_cli.report.source_roles import SourceRole
@@ -158,6 +161,29 @@ def _bode_blocks(sources: Sources, compared: Sequence[Comparison]) -> Iterator[P
         ordered = [*shown_panels, *(panel for pair, panel in panels.items() if pair not in pairs)]
         by_role = [source.label for role in CHART_ROLES for source in sources.models if source.role is role]
         yield bode_chart(ordered, by_role, rotor_lines(compared[0].geometry, *PLOT_BAND), markup)
+        best = reference_model(sources.models) or sources.models[0]
+        others = [source for role in CHART_ROLES for source in sources.models if source.role is role]
+        curves = [(item.label, item.plot_style) for item in (best, *others) if item is best or item.label != best.label]
+        single = {sensor.name for item in compared for sensor in item.shown_sensors if len(sensor.channels) == 1}
+        shown = [panel for panel in panels.values() if panel.sensor in single]
+        picture = nyquist_picture(best, shown, _evaluation(sources, compared), curves)
+        if picture is not None:
+            yield picture
+
+
+def _evaluation(sources: Sources, compared: Sequence[Comparison]) -> Evaluation:
+    """The response of a model at any frequency, as the Nyquist plots need it."""
+    models = {source.label: source.content for source in sources.models}
+    by_component = {comparison.component: comparison for comparison in compared}
+
+    def evaluate(label: str, panel: Panel, frequency: NDArray[np.float64]) -> NDArray[np.complex128] | None:
+        item = by_component[panel.component]
+        speed = item.measured.rotor_speed
+        values = model_response(models[label], frequency, speed, item.shown_sensors, item.geometry).sensors
+        column = COMPONENTS.index(panel.component)
+        return values[panel.sensor][:, column] if panel.sensor in values else None
+
+    return evaluate
 
 
 def rotor_lines(geometry: Geometry, low: float, high: float) -> tuple[Marker, ...]:

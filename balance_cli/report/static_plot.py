@@ -17,6 +17,8 @@ WIDTH, HEIGHT = 380.0, 200.0
 LEFT, RIGHT, TOP, BOTTOM = 54.0, 8.0, 20.0, 34.0
 STATIC_BINS = 120
 """Bins of a static curve: with minimum and maximum of each, a point for every 1.5 px of the plot."""
+BAND_POINTS = 60
+"""Points of a band: it is drawn pale behind its curve."""
 LETTER = 5.2
 """Mean width of a letter of the legend [px at a font of 10 px]."""
 
@@ -106,7 +108,7 @@ def _trace(trace: Trace, x: Array, x_scale: Scale, y_scale: Scale) -> Iterator[s
 def _band(trace: Trace, x: Array, x_scale: Scale, y_scale: Scale) -> str:
     assert trace.band is not None
     low, high = trace.band
-    step = max(1, len(x) // STATIC_BINS)
+    step = max(1, len(x) // BAND_POINTS)
     index = [i for i in range(0, len(x), step) if np.isfinite(low[i]) and np.isfinite(high[i])]
     edge = [(x_scale.at(x[i]), y_scale.at(high[i])) for i in index]
     edge += [(x_scale.at(x[i]), y_scale.at(low[i])) for i in reversed(index)]

@@ -90,11 +90,10 @@ def test_a_picture_without_check_runs_is_refused(files, tmp_path):
 
 def test_a_mistyped_figure_is_refused_with_the_names_of_all(files, tmp_path):
     page = tmp_path / "r.html"
-    wrong = call(*files, "-o", page, "--picture", tmp_path / "azimut.svg")
+    wrong = call(files[1], "-o", page, "--picture", tmp_path / "azimut.svg")
     refused(wrong, tmp_path, "no figure `azimut`", "azimuth", "check-runs", "redundancy")
-    for name in ("azimuth.png", "azimut.pdf"):
-        refused(call(*files, "-o", page, "--picture", tmp_path / name), tmp_path, "as .svg", "check-runs")
-        assert not (tmp_path / name).exists()
+    refused(call(files[1], "-o", page, "--picture", tmp_path / "azimut.pdf"), tmp_path, "as .svg", "check-runs")
+    assert not (tmp_path / "azimut.pdf").exists()
 
 
 def write_wind_run(path, rate=512.0, speed=10.0):

@@ -5,16 +5,18 @@ import re
 import numpy as np
 
 from balance_cli.model.balance import balance_model
-from balance_cli.report.mode_pictures import assurance_table, point_shapes, rig_points, shape_picture
+from balance_cli.report.mode_pictures import assurance_table, point_shapes, shape_picture
 from balance_cli.report.polar_picture import polar_picture
+from balance_cli.report.rig_drawing import draw_rig
 from balance_cli.report.sources import group_sources
 from tests.support.report_content import campaign, loads, model
 
 
 def test_points_move_with_the_plate_as_a_rigid_body():
     made = model()
-    names, points = rig_points(made.geometry)
-    shapes = point_shapes(made)
+    drawing = draw_rig(made.geometry)
+    names, points = drawing.names, drawing.points
+    shapes = point_shapes(made).points
     center = balance_model(made.geometry).system().equations.center.value
     assert shapes.shape == (len(made.modes.frequency), len(names), 3) and names[-1] == "hub"
     for shape, q in zip(shapes, made.modes.shape[:, :6], strict=True):

@@ -74,3 +74,18 @@ def test_too_few_samples_are_not_tested():
     assert sums.tests(NAMES) is None
     sums.add(_white(6, LAGS))
     assert sums.tests(NAMES) is None
+
+
+def test_autocorrelations_are_those_of_the_test_of_whiteness():
+    """A first-order process with coefficient 0.6: rho_l = 0.6^l, with a standard error below 0.02 at 20 000 samples."""
+    rng = np.random.default_rng(4)
+    e = rng.normal(size=(20_000, 2))
+    for k in range(1, len(e)):
+        e[k, 1] = 0.6 * e[k - 1, 1] + 0.8 * e[k, 1]
+    sums = InnovationSums(2)
+    sums.add(e)
+    tests = sums.tests(("white", "colored"))
+    np.testing.assert_allclose(tests.autocorrelation["colored"], 0.6 ** np.arange(1, 21), atol=0.05)
+    assert np.abs(tests.autocorrelation["white"]).max() < 0.03
+    rho = np.array(list(tests.autocorrelation.values()))
+    assert tests.whiteness == pytest.approx(np.mean(tests.pairs * rho**2))
