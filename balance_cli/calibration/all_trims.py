@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from balance_cli.calibration.series_alarm import unpredicted_series
 from balance_cli.calibration.suspect_series import SuspectLoadSeries, find_swapped_channels
 from balance_cli.calibration.tares import Tares, screen_outliers_with_tares
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice
+from balance_cli.calibration.untested_products import UntestedProducts, find_untested_products
 from balance_cli.campaign.recording.run import Run, read_channels
 from balance_cli.campaign.rig.attitude import gravity_directions
 from balance_cli.campaign.rig.load_components import LoadComponents
@@ -84,6 +86,17 @@ class AllTrimsCalibration:
     term_choice: TermChoice | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
+    def used(self) -> NDArray[np.bool_]:
+        """Rows (m,) that were fitted."""
+        return np.asarray(np.isfinite(self.residuals).all(axis=1))
+
+    @cached_property
+    def untested_products(self) -> UntestedProducts | None:
+        """Products of two loads that the rows that were fitted could not tell; None where there are none."""
+        block = self.run if self.load_series is None else self.load_series
+        return find_untested_products(self.model, self.loads[self.used], block[self.used])
+
+    @property
     def level_weight_loads(self) -> Array:
         """Loads (k,) [N, N m] of the weight of the metric part on the level rig; zero where the tares are not known."""
         names = self.model.components
@@ -116,7 +129,10 @@ def calibrate_all_trims(
     fit, model = screened.fit, screened.fit.model
     used = np.asarray(np.isfinite(fit.residuals).all(axis=1))
     noise = _estimate_noise(points, fit, used, repeat_scatter)
-    models = CheckModels(model, noise, fit_noniterative_model(total, model, used, choice) if non_iterative else None)
+    direct = fit_noniterative_model(total, model, used, choice) if non_iterative else None
+    untested = find_untested_products(model, total.loads[used], points.load_series[used])
+    models = CheckModels(model, noise, direct, untested)
+    held_out = _held_out_checks(models, checks, tares, check_gravity or {})
     return AllTrimsCalibration(
         model=model,
         runs=points.run_names,
@@ -130,11 +146,8 @@ def calibrate_all_trims(
         suspect_series=screened.suspect_series,
         swapped_channels=() if declared is None else find_swapped_channels(points, declared * points.calibrated_range),
         screening_notes=_screening_notes(points, screened),
-        non_iterative=models.non_iterative,
-        checks=(
-            *_held_out_checks(models, checks, tares, check_gravity or {}),
-            *_check_points_by_run(total, fit, models, check_points),
-        ),
+        non_iterative=direct,
+        checks=(*held_out, *_check_points_by_run(total, fit, models, check_points)),
         tares=tares,
         attitude_segment=None if points.gravity is None else points.attitude_segment,
         load_series=points.load_series,

@@ -12,6 +12,7 @@ from balance_cli.calibration.load_series import MIN_LOAD_CHANGE
 from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel, estimated_weight_widening
 from balance_cli.calibration.noise import APPLIED_SHARE, CalibrationNoise
 from balance_cli.calibration.noniterative import NonIterativeModel
+from balance_cli.calibration.untested_products import UntestedProducts
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -70,11 +71,22 @@ class _Zero:
 
 @dataclass(frozen=True)
 class CheckModels:
-    """The models that held-out loads check: the calibration model with its noise, and the other method where fitted."""
+    """The models that held-out loads check: the calibration model with its noise, and the other method where fitted.
+
+    `untested`: products of two loads that the calibration could not tell.
+    """
 
     model: CalibrationModel
     noise: CalibrationNoise
     non_iterative: NonIterativeModel | None = None
+    untested: UntestedProducts | None = None
+
+    def add_untested(self, interval: Array, loads: Array) -> Array:
+        """The interval (m, k) [N, N m] widened by the untested products at loads (m, k)."""
+        if self.untested is None:
+            return interval
+        variance = np.diagonal(self.untested.load_covariance(self.model, loads), axis1=1, axis2=2)
+        return np.asarray(np.hypot(interval, stats.norm.ppf(0.5 + 0.5 * CONFIDENCE) * np.sqrt(variance)))
 
 
 def evaluate_check_loads(
@@ -115,7 +127,7 @@ def evaluate_check_points(
 def _by_all_models(
     models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: _Zero
 ) -> tuple[CheckLoads, ...]:
-    first = _computed_loads(models.model, models.noise, run, channels, loads, added, zero)
+    first = _computed_loads(models, run, channels, loads, added, zero)
     if models.non_iterative is None:
         return (first,)
     return first, _non_iterative_loads(models, run, channels, loads, added, zero)
@@ -134,7 +146,7 @@ def _non_iterative_loads(
         run=run,
         applied=loads,
         computed=computed - added,
-        prediction_interval=other.prediction_interval(change, covariance),
+        prediction_interval=models.add_untested(other.prediction_interval(change, covariance), computed),
         is_valid=_within_calibrated_loads(model, computed),
         method=NON_ITERATIVE,
     )
@@ -153,19 +165,15 @@ def _zero_covariance(S: Array, zero_variance: Array) -> Array:
 
 
 def _computed_loads(
-    model: CalibrationModel,
-    noise: CalibrationNoise,
-    run: str,
-    channels: Array,
-    loads: Array,
-    added: Array,
-    zero: _Zero,
+    models: CheckModels, run: str, channels: Array, loads: Array, added: Array, zero: _Zero
 ) -> CheckLoads:
+    model, noise = models.model, models.noise
     computed, is_valid = model.loads(channels - zero.readings)
     is_valid &= _within_calibrated_loads(model, computed)
     interval = np.full(computed.shape, np.nan)
     if is_valid.any():
-        interval[is_valid] = _prediction_interval(model, noise, computed[is_valid], loads[is_valid], zero.variance)
+        known = _prediction_interval(model, noise, computed[is_valid], loads[is_valid], zero.variance)
+        interval[is_valid] = models.add_untested(known, computed[is_valid])
     return CheckLoads(run, loads, computed - added, interval, is_valid)
 
 

@@ -61,6 +61,16 @@ class CalibrationModel:
         """The terms (p,), parsed from their names."""
         return tuple(term_from_name(name, self.components) for name in self.terms)
 
+    @property
+    def press_ratio(self) -> Array:
+        """Rms error of rows that the others predict over the residual standard deviation (c,), at least 1.
+
+        Terms are selected, and fitted, so that they follow what the model lacks: rows that are not fitted show more of
+        it than the residuals do. 1 where the error is not known.
+        """
+        sigma = np.sqrt(np.maximum(np.diag(self.residual_covariance), np.finfo(float).tiny))
+        return np.maximum(np.nan_to_num(self.press / sigma, nan=1.0, posinf=1.0), 1.0)
+
     def inverse(self, rows: NDArray[np.intp] | None = None) -> Array:
         """Weighted inverse W (k, c) of the linear part, loads in units of the calibrated range; rows: some channels."""
         k = len(self.components)

@@ -53,6 +53,7 @@ class MeanLoads:
 
     `trim`: label of the trim whose matrix was used. `flags` (m,): flags of each component, joined by `; `.
     `redundancy`: chi-square per degree of freedom of the residual test, with its limit; `condition` of the matrix.
+    `note`: what the flags do not say, in words; empty where there is nothing.
     """
 
     components: tuple[str, ...]
@@ -63,6 +64,7 @@ class MeanLoads:
     redundancy: float
     redundancy_limit: float
     condition: float
+    note: str = ""
 
 
 def unmeasured_mean_loads(components: tuple[str, ...]) -> MeanLoads:

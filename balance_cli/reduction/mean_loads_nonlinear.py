@@ -9,13 +9,19 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.convergence import Contraction
 from balance_cli.calibration.math_model import CalibrationModel, student_widening
+from balance_cli.calibration.noniterative import NonIterativeModel
 from balance_cli.calibration.result import Calibration
 from balance_cli.calibration.static_matrices import lack_of_fit
+from balance_cli.calibration.untested_products import (
+    describe_untested,
+    untested_components,
+)
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.mean_loads import (
     MeanLoads,
+    MeanReading,
     ZeroRecord,
     determines_loads,
     flag_extrapolated,
@@ -77,28 +83,60 @@ def nonlinear_mean_loads(
         raise undetermined_loads_error(health, spectra.run)
     left_out = {name: reason for name, reason in health.left_out.items() if name in model.channel_names}
     loads = _solve_loads(_UsableChannels(model, rows, spectra.run, left_out), reading.change)
-    non_iterative = None if all_trims is None else all_trims.non_iterative
-    if non_iterative is not None and len(rows) == len(model.channel_names):
-        loads = non_iterative.loads(reading.change)
+    direct = None if all_trims is None or len(rows) < len(model.channel_names) else all_trims.non_iterative
+    if direct is not None:
+        loads = direct.loads(reading.change)
+    return _describe_loads(calibration, model, reading, loads, (direct, zero))
+
+
+def _describe_loads(
+    calibration: Calibration,
+    model: CalibrationModel,
+    reading: MeanReading,
+    loads: Array,
+    origin: tuple[NonIterativeModel | None, ZeroRecord | None],
+) -> MeanLoads:
+    """Mean loads (1, k) with their errors and flags; `origin`: the other model where it gave them, and the zero."""
+    all_trims, (direct, zero) = calibration.all_trims, origin
+    assert all_trims is not None
+    rows = np.array(reading.rows, dtype=np.intp)
     J = model.jacobian(loads, rows)[0]
     coefficient_covariance = model.model_covariance(loads, rows)[0]
     noise = reading.covariance + _widened_covariance(calibration, rows, coefficient_covariance)
     total_covariance = noise + coefficient_covariance
+    tested = np.diag(model.load_covariance(loads, noise, rows)[0])
+    if direct is not None:
+        tested = _non_iterative_variance(direct, calibration, reading)
+    variance, untested = tested, all_trims.untested_products
+    if untested is not None:
+        total_covariance = total_covariance + untested.reading_covariance(loads, rows)
+        variance = tested + np.diag(untested.load_covariance(model, loads, rows)[0])
     redundancy, limit = mean_load_redundancy(reading.change - model.readings(loads)[0, rows], J, total_covariance)
-    variance = np.diag(model.load_covariance(loads, noise, rows)[0]) * (redundancy if redundancy > limit else 1.0)
-    return flag_extrapolated(
-        MeanLoads(
-            components=model.components,
-            loads=loads[0] - level,
-            sigma=np.sqrt(variance),
-            trim=ALL_TRIMS,
-            flags=run_flags(model.components, zero, redundancy > limit, len(rows) > len(model.components)),
-            redundancy=redundancy,
-            redundancy_limit=limit,
-            condition=_jacobian_condition(J, model.residual_covariance[np.ix_(rows, rows)]),
-        ),
-        model.extrapolated_components(loads[0]),
+    outside = untested_components(model.components, variance, tested)
+    mean_loads = MeanLoads(
+        components=model.components,
+        loads=loads[0] - all_trims.level_weight_loads,
+        sigma=np.sqrt(variance * (redundancy if redundancy > limit else 1.0)),
+        trim=ALL_TRIMS,
+        flags=run_flags(model.components, zero, redundancy > limit, len(rows) > len(model.components)),
+        redundancy=redundancy,
+        redundancy_limit=limit,
+        condition=_jacobian_condition(J, model.residual_covariance[np.ix_(rows, rows)]),
+        note="" if untested is None or not outside else describe_untested(untested, loads[0], outside),
     )
+    return flag_extrapolated(mean_loads, (*model.extrapolated_components(loads[0]), *outside))
+
+
+def _non_iterative_variance(direct: NonIterativeModel, calibration: Calibration, reading: MeanReading) -> Array:
+    """Variance (k,) [N2, (N m)2] of loads by the non-iterative method, with all that the iteration's contains.
+
+    The residuals of the method contain the noise of a row of the calibration; the rest is misfit, which does not
+    average out.
+    """
+    assert calibration.all_trims is not None
+    model = calibration.all_trims.model
+    row_noise = (1.0 - _misfit_share(calibration, model)) * model.residual_covariance
+    return direct.load_variance(reading.change, reading.covariance, row_noise)
 
 
 def _loads_determined(model: CalibrationModel, rows: Index) -> bool:
@@ -131,7 +169,10 @@ def _misfit_covariance(calibration: Calibration, rows: Index) -> Array:
     assert calibration.all_trims is not None
     model = calibration.all_trims.model
     share = _misfit_share(calibration, model)
-    return np.asarray(share * model.residual_covariance[np.ix_(rows, rows)])
+    predicted_errors = 1.0 + share * (model.press_ratio[rows] - 1.0)
+    return np.asarray(
+        share * model.residual_covariance[np.ix_(rows, rows)] * predicted_errors[:, None] * predicted_errors
+    )
 
 
 def _misfit_share(calibration: Calibration, model: CalibrationModel) -> float:

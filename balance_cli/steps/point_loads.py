@@ -12,9 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.math_model import CONFIDENCE, CalibrationModel, estimated_weight_widening, student_widening
+from balance_cli.calibration.math_model import (
+    CONFIDENCE,
+    CalibrationModel,
+    estimated_weight_widening,
+    student_widening,
+)
 from balance_cli.calibration.result import Calibration
-from balance_cli.calibration.trim_model import WITHOUT_ZEROS, model_of_trim
+from balance_cli.calibration.trim_model import model_of_trim
+from balance_cli.calibration.untested_products import (
+    UntestedProducts,
+    untested_components,
+)
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components, moment_transfer
@@ -22,42 +31,17 @@ from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, REDUNDANCY, SEPARATOR, UNTESTED
 from balance_cli.reduction.mean_loads import determines_loads, mean_load_redundancy
 from balance_cli.signals import distributions as stats
+from balance_cli.steps.point_zeros import CALIBRATION_ZERO, PointReadings, ZeroReading, change_from_zero
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-CALIBRATION_ZERO = "mean of the calibration"
 EXTRAPOLATION_SIGMAS = 2.0
 """Standard deviations of a load by which it must exceed the applied loads: the largest itself is read with noise."""
 NOT_CONVERGED = "not converged"
 """Flag of a row whose loads the iteration did not find; its loads are empty."""
 CONVERGENCE_SHARE = 1e-6
 """Of the calibrated range, within which the model must reproduce the readings: far below any noise."""
-
-
-@dataclass(frozen=True)
-class PointReadings:
-    """Rows of one run to be reduced: `channels` (n, c) of `channel_names`, in the base units of the geometry.
-
-    `zero_group` (n,): number of the group of rows that share a zero; `is_zero` (n,): rows of the unloaded balance.
-    `applied` (n, k): loads that are known, of the components of the calibration; None where the table has none.
-    """
-
-    run: str
-    channel_names: tuple[str, ...]
-    channels: Array
-    zero_group: Index
-    is_zero: NDArray[np.bool_]
-    applied: Array | None = None
-
-
-@dataclass(frozen=True)
-class ZeroReading:
-    """Reading (c,) of the unloaded balance, the mean of `rows` rows."""
-
-    channel_names: tuple[str, ...]
-    mean: Array
-    rows: int
 
 
 @dataclass(frozen=True)
@@ -95,6 +79,7 @@ class _Model:
     noise: Array
     level: Array
     calibration: Calibration
+    untested: UntestedProducts | None = None
 
 
 def point_loads(
@@ -108,10 +93,11 @@ def point_loads(
     Raises UserError where the channels of the readings do not determine the loads.
     """
     model = _usable_model(readings, calibration)
-    change, zero_share, zero_text = _change_from_zero(readings, model, zero)
+    change, zero_share, zero_text = change_from_zero(readings, model.model, model.rows, model.level, zero)
     loads, converged, method = _solve(model, change, non_iterative)
     safe = np.where(converged[:, None], loads, 0.0)
     covariance = np.stack([_covariance(model, row, share) for row, share in zip(safe, zero_share, strict=True)])
+    covariance, untested_names = _add_untested_products(model, safe, covariance)
     redundancy, limit = _redundancy(model, change, safe, zero_share)
     covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
     # Estimated with few degrees of freedom: 1.96 standard deviations then cover 95 %, as those of `reduce` do.
@@ -126,7 +112,7 @@ def point_loads(
         loads=loads - model.level,
         covariance=covariance,
         interval=np.asarray(quantile * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))),
-        flags=_flags(model, loads, covariance, (redundancy > limit, zero_text == CALIBRATION_ZERO)),
+        flags=_flags(model, loads, covariance, (redundancy > limit, zero_text == CALIBRATION_ZERO), untested_names),
         redundancy=redundancy,
         zero=zero_text,
         method=method,
@@ -151,7 +137,8 @@ def _usable_model(readings: PointReadings, calibration: Calibration) -> _Model:
         lost = [name for name in model.channel_names if name not in readings.channel_names]
         fault = f"its channels do not determine the loads (absent: {', '.join(lost) or 'none'})"
         raise UserError(fault, readings.run, "channels", f"Give columns of {', '.join(model.channel_names)}")
-    return _Model(model, rows, noise[np.ix_(rows, rows)], level, calibration)
+    untested = None if all_trims is None else all_trims.untested_products
+    return _Model(model, rows, noise[np.ix_(rows, rows)], level, calibration, untested)
 
 
 def move_moment_center(loads: PointLoads, geometry: Geometry, center: Sequence[float]) -> PointLoads:
@@ -173,50 +160,6 @@ def move_moment_center(loads: PointLoads, geometry: Geometry, center: Sequence[f
         interval=quantile * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)),
         applied=None if loads.applied is None else loads.applied @ move.T,
     )
-
-
-# ---- zeros -----------------------------------------------------------------------------------------------------------
-
-
-def _change_from_zero(readings: PointReadings, usable: _Model, zero: ZeroReading | None) -> tuple[Array, Array, str]:
-    """Readings (n, c) less the zero, variance (n,) of the zero in units of a reading's, and the zero in words."""
-    names = [usable.model.channel_names[i] for i in usable.rows]
-    values = readings.channels[:, [readings.channel_names.index(name) for name in names]]
-    if readings.is_zero.any():
-        unloaded = values - _tare_loads_reading(readings, usable)
-        zeros, counts = _zeros_by_group(unloaded, readings.zero_group, readings.is_zero)
-        return values - zeros, 1.0 / counts, "rows of the unloaded balance"
-    if zero is not None:
-        missing = [name for name in names if name not in zero.channel_names]
-        if missing:
-            fault = f"the zero has no channel {', '.join(missing)}"
-            raise UserError(fault, "--zero", remedy="Give a zero with all channels of the table")
-        mean = zero.mean[[zero.channel_names.index(name) for name in names]]
-        return values - mean, np.full(len(values), 1.0 / zero.rows), "zero record"
-    if usable.model.load_series == (WITHOUT_ZEROS,):
-        fault = "the calibration is a matrix without zeros, and no row is marked as that of the unloaded balance"
-        raise UserError(
-            fault, readings.run, "--zero", "Give `--zero first`, a table of unloaded rows, or a column `point`"
-        )
-    return values - usable.model.zeros.mean(axis=0)[usable.rows], np.zeros(len(values)), CALIBRATION_ZERO
-
-
-def _tare_loads_reading(readings: PointReadings, usable: _Model) -> Array:
-    """Readings (n, c) that known loads and the weight of the metric part cause."""
-    known = np.zeros((len(readings.channels), len(usable.model.components)))
-    known = known if readings.applied is None else readings.applied
-    return usable.model.readings(known + usable.level)[:, usable.rows]
-
-
-def _zeros_by_group(unloaded: Array, group: Index, is_zero: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Zero (n, c) of each row, the mean over its group or, where that has none, over all; and number of rows (n,)."""
-    zeros = np.tile(unloaded[is_zero].mean(axis=0), (len(unloaded), 1))
-    counts = np.full(len(unloaded), float(np.count_nonzero(is_zero)))
-    for number in np.unique(group[is_zero]):
-        members = group == number
-        zeros[members] = unloaded[members & is_zero].mean(axis=0)
-        counts[members] = np.count_nonzero(members & is_zero)
-    return zeros, counts
 
 
 def _zero_scatter(model: CalibrationModel) -> Array:
@@ -257,12 +200,26 @@ def _covariance(usable: _Model, loads: Array, zero_share: float) -> Array:
     return np.asarray(usable.model.load_covariance(loads, _reading_covariance(usable, zero_share), usable.rows)[0])
 
 
+def _add_untested_products(
+    usable: _Model, loads: Array, covariance: Array
+) -> tuple[Array, tuple[tuple[str, ...], ...]]:
+    """Covariance (n, k, k) with that by products that the calibration could not tell, and what they widen."""
+    if usable.untested is None:
+        return covariance, ((),) * len(loads)
+    total = covariance + usable.untested.load_covariance(usable.model, loads, usable.rows)
+    pairs = zip(total, covariance, strict=True)
+    names = usable.model.components
+    return total, tuple(untested_components(names, np.diag(wide), np.diag(tested)) for wide, tested in pairs)
+
+
 def _redundancy(usable: _Model, change: Array, loads: Array, zero_share: Array) -> tuple[Array, Array]:
     """Chi-square per degree of freedom (n,) of the redundant channels of each row, and its 99.9 % point (n,)."""
     model, rows = usable.model, usable.rows
     tests = []
     for row, reading, share in zip(loads, change, zero_share, strict=True):
         covariance = _reading_covariance(usable, share) + model.model_covariance(row, rows)[0]
+        if usable.untested is not None:
+            covariance = covariance + usable.untested.reading_covariance(row, rows)
         J = model.jacobian(row, rows)[0]
         tests.append(mean_load_redundancy(reading - model.readings(row[None])[0, rows], J, covariance))
     redundancy, limit = np.array(tests).T
@@ -276,12 +233,22 @@ def _extrapolated(model: CalibrationModel, loads: Array, covariance: Array) -> t
     return tuple(name for name, is_outside in zip(model.components, outside, strict=True) if is_outside)
 
 
-def _flags(usable: _Model, loads: Array, covariance: Array, tests: tuple[NDArray[np.bool_], bool]) -> tuple[str, ...]:
-    """Flags (n,); `tests`: rows whose redundant channels contradict, and whether the zero is the calibration's."""
+def _flags(
+    usable: _Model,
+    loads: Array,
+    covariance: Array,
+    tests: tuple[NDArray[np.bool_], bool],
+    untested_names: Sequence[tuple[str, ...]],
+) -> tuple[str, ...]:
+    """Flags (n,); `tests`: rows whose redundant channels contradict, and whether the zero is the calibration's.
+
+    `untested_names` (n): components that rest on products of loads that the calibration could not tell.
+    """
     untested = len(usable.rows) <= len(usable.model.components) or not np.isfinite(usable.noise).all()
     flags = []
-    for row, S, misfits in zip(loads, covariance, tests[0], strict=True):
-        outside = _extrapolated(usable.model, row, S) if np.isfinite(row).all() else ()
+    for row, S, misfits, names in zip(loads, covariance, tests[0], untested_names, strict=True):
+        found = {*_extrapolated(usable.model, row, S), *names} if np.isfinite(row).all() else set()
+        outside = [name for name in usable.model.components if name in found]
         words = (
             NO_ZERO if tests[1] else "",
             UNTESTED if untested else "",

@@ -12,7 +12,7 @@ from balance_cli.campaign.recording.run import Run, pick_channels
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
-from balance_cli.steps.point_loads import PointReadings, ZeroReading
+from balance_cli.steps.point_zeros import PointReadings, ZeroReading
 
 TARE = "tare"
 

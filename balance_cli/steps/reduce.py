@@ -83,7 +83,8 @@ def reduce_record(
     shared = (line.description for line in record.confounded)
     lines = (*filter(None, [describe_gaps(record.run)]), *shared, *(line.description for line in trust.lines))
     suspect_note = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
-    loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *filter(None, [suspect_note])))
+    further = filter(None, [suspect_note, mean_solution.note])
+    loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *further))
     if not record.run.has_loads or record.run.kind != "check":
         return loads
     check = check_errors(record.spectra, harmonic_solution, loads.components, geometry)

@@ -39,12 +39,17 @@ def values(term: Term, loads):
     return term_values([term], loads / AMPLITUDE)[:, 0]
 
 
-def static_runs(rng, curved=True):
-    """Each load by itself about zero and about a steady lift either way."""
+COMBINED_POSES = 40
+
+
+def static_runs(rng, curved=True, combined=True):
+    """Each load by itself about zero and about a steady lift either way; `combined`: and poses with all of them."""
     trims = {"bare": 0.0, "lift": 1500.0, "push": -1500.0}
     each = []
     for name, lift in trims.items():
         loads = loading((0, 0, lift, 0, 0, 0), scale=1.0 if not lift else 0.5)
+        if combined and not lift:
+            loads = np.vstack([loads, 0.8 * AMPLITUDE * rng.uniform(-1, 1, (COMBINED_POSES, 6))])
         volts = readings(loads) if curved else loads @ C0.T
         channels = ZERO + volts + NOISE * rng.normal(size=(len(loads), len(NAMES)))
         each.append(
@@ -54,8 +59,8 @@ def static_runs(rng, curved=True):
 
 
 @cache
-def calibration(curved=True):
-    return calibrate(static_runs(np.random.default_rng(1), curved), RIG)
+def calibration(curved=True, combined=True):
+    return calibrate(static_runs(np.random.default_rng(1), curved, combined), RIG)
 
 
 def record(name, loads, shift=0.0, noise=NOISE, seed=0, curved=True, kind="wind"):

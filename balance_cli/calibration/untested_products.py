@@ -1,0 +1,156 @@
+"""Products of two loads that a load schedule cannot tell, and how large they may be.
+
+Where each load was applied by itself, the readings tell how they curve with that load, and nothing of what two loads
+cause together. A channel that curves with its own signal s, by q s^2, has the squares q s_i^2 and the products
+2 q s_i s_j: twice the geometric mean of two squares. Therefore a product that was not tested has an unknown coefficient
+of zero mean, with PRODUCT_OVER_SQUARE times the rms of the channel's nonlinear parts as its standard deviation. What
+the schedule tells of it is combined with that by Bayes' rule; a product that would have been found is tested.
+A model without nonlinear terms has no such products: no load says that the balance is not linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from balance_cli.calibration.least_squares import subtract_block_means
+from balance_cli.calibration.math_model import CalibrationModel, weighted_inverse
+from balance_cli.calibration.terms import linear_terms, term_values
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+PRODUCT_OVER_SQUARE = 2.0
+"""Coefficient of a product over the geometric mean of the squares, for a quadratic function of one signal."""
+FOUND_FROM = 4.0
+"""Standard errors from which the search finds a term: the level 0.01 over some 100 terms and 8 channels is |t| of 4."""
+LEVELS = np.linspace(-1.0, 1.0, 9)
+"""Loads over their range at which the nonlinear part of a channel is taken: the steps of usual load series."""
+MOST_NAMED = 3
+"""Products that a sentence names."""
+MIN_SIGMA_GROWTH = 1.1
+"""Growth of sigma from which a load is outside the tested combinations: a tenth is what sigma itself is known to."""
+
+
+@dataclass(frozen=True)
+class UntestedProducts:
+    """Products of two loads with their `variance` (q, c) [V2] in each channel, both loads at their calibrated range.
+
+    `pairs` (q, 2): indices of the loads; `calibrated_range` (k,) [N, N m].
+    """
+
+    components: tuple[str, ...]
+    pairs: Index
+    variance: Array
+    calibrated_range: Array
+
+    def reading_variance(self, loads: ArrayLike) -> Array:
+        """Variance (m, c) [V2] of the readings at loads (m, k) [N, N m] by the products that were not tested."""
+        x = np.atleast_2d(np.asarray(loads, float)) / self.calibrated_range
+        products = x[:, self.pairs[:, 0]] * x[:, self.pairs[:, 1]]
+        return np.asarray(products**2 @ self.variance)
+
+    def reading_covariance(self, loads: ArrayLike, rows: Index) -> Array:
+        """Covariance (c, c) [V2] of some channels (rows) at loads (k,): products of two channels are independent."""
+        return np.diag(self.reading_variance(loads)[0, rows])
+
+    def load_covariance(self, model: CalibrationModel, loads: ArrayLike, rows: Index | None = None) -> Array:
+        """Covariance (m, k, k) of loads (m, k) [N, N m] that the model computes from some channels (rows)."""
+        at = np.arange(len(model.channel_names)) if rows is None else rows
+        S = model.residual_covariance[np.ix_(at, at)]
+        W = np.stack([weighted_inverse(J, S) for J in model.jacobian(loads, at)])
+        covariance = (W * self.reading_variance(loads)[:, None, at]) @ W.swapaxes(1, 2)
+        return np.asarray(covariance * model.calibrated_range[:, None] * model.calibrated_range)
+
+    def names(self, loads: ArrayLike) -> tuple[str, ...]:
+        """The products as terms are called, those first that cause most at loads (k,) [N, N m]; no others."""
+        x = np.asarray(loads, float) / self.calibrated_range
+        unit = np.maximum(self.variance.max(axis=0), np.finfo(float).tiny)
+        caused = (x[self.pairs[:, 0]] * x[self.pairs[:, 1]]) ** 2 * (self.variance / unit).sum(axis=1)
+        order = [place for place in np.argsort(-caused).tolist() if caused[place] > 0.0]
+        return tuple(f"{self.components[i]} {self.components[j]}" for i, j in self.pairs[order])
+
+
+def find_untested_products(model: CalibrationModel, loads: Array, load_series: Index) -> UntestedProducts | None:
+    """Find the products that a schedule of loads (m, k) [N, N m] could not tell; None where there are none.
+
+    `load_series` (m,): number of the load series of each row, with its own zero. None, too, for a linear model, and
+    for one that was read from a matrix, whose rows are not known.
+    """
+    if not model.is_nonlinear or not len(loads):
+        return None
+    pairs = np.array([*combinations(range(len(model.components)), 2)], np.intp).reshape(-1, 2)
+    information = _information(model, loads, load_series, pairs)
+    scale = np.maximum(np.diag(model.residual_covariance), np.finfo(float).tiny)
+    prior = np.maximum(_prior_sigma(model) ** 2, np.finfo(float).tiny)
+    gain = information[:, None] * prior / scale
+    is_open = (gain < FOUND_FROM**2) & ~_has_product(model, pairs)
+    variance = np.where(is_open, prior / (1.0 + gain), 0.0)
+    some = is_open.any(axis=1)
+    if not some.any():
+        return None
+    return UntestedProducts(model.components, pairs[some], variance[some], model.calibrated_range)
+
+
+def _prior_sigma(model: CalibrationModel) -> Array:
+    """Standard deviation (c,) [V] of an unknown product; channels alike share what is found of their curvature."""
+    k = len(model.components)
+    linear = np.maximum(np.max(np.abs(model.coefficients[:k]), axis=0), np.finfo(float).tiny)
+    share = _nonlinear_size(model) / linear
+    return np.asarray(PRODUCT_OVER_SQUARE * linear * np.maximum(share, np.sqrt(np.mean(share**2))))
+
+
+def _nonlinear_size(model: CalibrationModel) -> Array:
+    """Largest nonlinear part [V] that each channel (c,) has of a load, rms over the loads that were applied alone."""
+    k, parts = len(model.components), []
+    terms = model.parsed_terms
+    limits = np.stack([model.smallest_load, model.largest_load]) / model.calibrated_range
+    for j in range(k):
+        x = np.zeros((len(LEVELS), k))
+        x[:, j] = np.clip(LEVELS, limits[0, j], limits[1, j])
+        parts.append(np.max(np.abs(term_values(terms[k:], x) @ model.coefficients[k:]), axis=0))
+    products = [column for term, column in zip(terms, model.coefficients, strict=True) if not term.single_load]
+    sizes = np.array([*parts, *np.abs(products)])
+    return np.asarray(np.sqrt(np.sum(sizes**2, axis=0) / k))
+
+
+def _information(model: CalibrationModel, loads: Array, block: Index, pairs: Index) -> Array:
+    """Sum of squares (q,) of each product in the schedule, less what zeros and the terms of single loads explain."""
+    x = loads / model.calibrated_range
+    single = [term for term in model.parsed_terms if term.single_load]
+    basis = subtract_block_means(term_values((*linear_terms(x.shape[1]), *single), x), block)
+    products = subtract_block_means(x[:, pairs[:, 0]] * x[:, pairs[:, 1]], block)
+    left = products - basis @ np.linalg.lstsq(basis, products, rcond=None)[0]
+    return np.asarray(np.sum(left**2, axis=0))
+
+
+def _has_product(model: CalibrationModel, pairs: Index) -> NDArray[np.bool_]:
+    """Whether (q, c) the model of a channel has a term of both loads."""
+    has = np.zeros((len(pairs), len(model.channel_names)), bool)
+    place = {tuple(pair): number for number, pair in enumerate(pairs.tolist())}
+    for term, column in zip(model.parsed_terms, model.coefficients, strict=True):
+        if not term.single_load:
+            has[place[term.loads]] |= column != 0.0
+    return has
+
+
+def untested_components(components: Sequence[str], variance: Array, tested: Array) -> tuple[str, ...]:
+    """Components whose `variance` (k,) is larger than `tested` (k,), that without untested products, by what counts."""
+    grown = variance > MIN_SIGMA_GROWTH**2 * tested
+    return tuple(name for name, is_grown in zip(components, grown, strict=True) if is_grown)
+
+
+def describe_untested(untested: UntestedProducts, loads: Array, components: Sequence[str]) -> str:
+    """A sentence on the products that matter at loads (k,), and the components that they make uncertain."""
+    names = untested.names(loads)
+    named = ", ".join(names[:MOST_NAMED])
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return (
+        f"the calibration has nonlinear terms, but its load series do not tell the products {named}{more}: "
+        f"sigma of {', '.join(components)} at these combined loads includes their probable size. "
+        "Calibrate with combined loads"
+    )
