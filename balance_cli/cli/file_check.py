@@ -186,7 +186,10 @@ def _gap_faults(run: Run, path: Path) -> Iterator[UserError]:
     for name, about in gap_summary(run).items():
         gaps = f"{plural(about['gaps'], 'gap')}, longest {about['longest']}"
         fault = f"{plural(about['samples'], 'sample')} not finite, in {gaps}"
-        yield UserError(fault, str(path), f"channel {name}", "Commands interpolate them, and sigma contains the error")
+        remedy = "Commands interpolate them, and sigma contains the error"
+        if run.kind == "static":
+            remedy = "Commands leave these load points out"
+        yield UserError(fault, str(path), f"channel {name}", remedy)
 
 
 def _check_artefact_file(path: Path, geometry: Geometry | None) -> FileFinding:

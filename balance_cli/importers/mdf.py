@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from balance_cli.importers.base import (
 )
 from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.io.errors import UserError
+from balance_cli.io.reader_process import read_in_child
 
 NAME = "MDF"
 IDENTIFICATION = 64
@@ -37,26 +39,48 @@ def sniff(path: Path, head: bytes) -> bool:
 
 def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     """List the channels of every channel group; the rate is that of its master channel."""
-    asammdf = require_package("asammdf", "MDF4", "asammdf")
+    require_package("asammdf", "MDF4", "asammdf")
     with path.open("rb") as stream:
         if stream.read(IDENTIFICATION + 4)[IDENTIFICATION:][:2] not in (b"##", b"HD"):
             raise damaged("no header block behind the identification")
-    with errors_as_damage(), asammdf.MDF(path) as file:
-        begin = file.header.start_time
-        groups = [group for index in range(len(file.groups)) for group in _groups(path, file, index)]
-    if not groups:
+    listed, recorded = _list_groups(path)
+    if not listed:
         raise UserError("has no channels with samples", remedy="Give a file with channels")
-    return ForeignFile(path, NAME, tuple(groups), recorded=begin.isoformat(timespec="seconds") if begin else None)
+    return ForeignFile(path, NAME, tuple(_group(path, item) for item in listed), recorded=recorded)
 
 
-def _groups(path: Path, file: Any, index: int) -> list[ChannelGroup]:
+@dataclass(frozen=True)
+class _Listed:
+    """A channel group: its index, its channels with their positions in it, samples, rate [Hz] and start [s]."""
+
+    index: int
+    channels: tuple[ForeignChannel, ...]
+    positions: tuple[int, ...]
+    samples: int
+    rate: float | None
+    start: float
+    unusable: str
+
+
+@read_in_child
+def _list_groups(path: Path) -> tuple[list[_Listed], str | None]:
+    """The channel groups with samples, and the time of recording; in a child, since damaged files end asammdf."""
+    from asammdf import MDF
+
+    with errors_as_damage(), MDF(path) as file:
+        begin = file.header.start_time
+        listed = [_listed(path, file, index) for index in range(len(file.groups))]
+    return [item for item in listed if item is not None], begin.isoformat(timespec="seconds") if begin else None
+
+
+def _listed(path: Path, file: Any, index: int) -> _Listed | None:
     """The numeric channels of a channel group; one whose time steps differ cannot be used."""
     group = file.groups[index]
     master = file.masters_db.get(index)
     samples = int(group.channel_group.cycles_nr)
     names = [(k, channel) for k, channel in enumerate(group.channels) if k != master]
     if samples < 2 or not names:
-        return []
+        return None
     unusable, rate, start = impossible_size(path, samples, len(names)), None, 0.0
     if master is not None and not unusable:
         stamps = np.asarray(file.get_master(index), float)
@@ -68,13 +92,16 @@ def _groups(path: Path, file: Any, index: int) -> list[ChannelGroup]:
         except UserError as error:
             unusable = f"sampled at uneven times ({error.fault})"
     channels = tuple(ForeignChannel(channel.name, _unit(channel)) for _, channel in names)
-    positions = [k for k, _ in names]
-    load = cache(lambda position: _load_channel(path, index, position))
+    return _Listed(index, channels, tuple(k for k, _ in names), samples, rate, start, unusable)
+
+
+def _group(path: Path, listed: _Listed) -> ChannelGroup:
+    load = cache(lambda position: _map_channel(path, listed.index, position))
 
     def read(columns: Sequence[int], first: int, last: int) -> Array:
-        return np.column_stack([np.asarray(load(positions[k])[first:last], np.float64) for k in columns])
+        return np.column_stack([np.asarray(load(listed.positions[k])[first:last], np.float64) for k in columns])
 
-    return [ChannelGroup(channels, samples, read, rate, start, unusable)]
+    return ChannelGroup(listed.channels, listed.samples, read, listed.rate, listed.start, listed.unusable)
 
 
 def _unit(channel: Any) -> str:
@@ -82,15 +109,21 @@ def _unit(channel: Any) -> str:
     return str(getattr(channel, "unit", "") or getattr(conversion, "unit", "") or "")
 
 
-def _load_channel(path: Path, index: int, position: int) -> Any:
+def _map_channel(path: Path, index: int, position: int) -> Any:
     """A whole channel, mapped from a temporary file: asammdf reads part of a channel no faster than all of it."""
-    from asammdf import MDF
-
-    with errors_as_damage(path), MDF(path) as file:
-        values = np.asarray(file.get(group=index, index=position, samples_only=True)[0])
-    if values.dtype.kind not in "iufb" or values.ndim != 1:
-        raise UserError("a channel holds no real numbers", str(path), remedy="Leave it out of the map")
+    values = _load_channel(path, index, position)
     with tempfile.TemporaryFile() as scratch:
         mapped = np.memmap(scratch, values.dtype, "w+", shape=values.shape)
         mapped[:] = values
     return mapped
+
+
+@read_in_child
+def _load_channel(path: Path, index: int, position: int) -> Any:
+    from asammdf import MDF
+
+    with errors_as_damage(path), MDF(path) as file:
+        values = np.asarray(file.get(group=index, index=position, samples_only=True)[0])
+    if values.dtype.kind not in "iufb" or values.ndim != 1 or not len(values):
+        raise UserError("a channel holds no real numbers", str(path), remedy="Leave it out of the map")
+    return values

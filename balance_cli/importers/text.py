@@ -120,6 +120,9 @@ def _index_rows(path: Path, columns: Columns) -> tuple[_Rows, list[str]]:
         ends = _line_ends(file, first, end)
         starts = np.concatenate([[first], ends + 1])
         starts = starts[starts < end]
+        if not starts.size:
+            remedy = "Save it with a line for each sample, which ends with LF or CR LF"
+            raise UserError("has no rows of numbers behind its head", remedy=remedy)
         notes = []
         while is_remark(last := _read_text(file, int(starts[-1]), end)):
             notes.append(f"row {columns.first_row + len(starts)} is a remark and was left out")

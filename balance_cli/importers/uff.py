@@ -151,7 +151,8 @@ def _binary_place(file: BinaryIO, words: list[str], header: list[str], size: int
         raise UserError("holds numbers that are not IEEE 754", remedy="Export them in IEEE format, or as text")
     offset, order = file.tell(), "<" if words[1] == "1" else ">"
     needed = _data_form(header).bytes_needed
-    for count in dict.fromkeys((needed, int(words[4]))):
+    stated = int(words[4]) if words[4].isascii() and words[4].isdecimal() else needed
+    for count in dict.fromkeys((needed, stated)):
         if count >= needed and offset + count <= size and _ends_at(file, offset + count):
             return Layout58(order, offset, needed)
     raise damaged(f"binary data of {needed} bytes from byte {offset} do not end with a delimiter")

@@ -1,6 +1,6 @@
-"""HDF5 files are read in a process of their own, so that a damaged file cannot end or stop the program.
+"""HDF5 and MDF files are read in a process of their own, so that a damaged file cannot end or stop the program.
 
-Damage in the structure of an HDF5 file can make its library write beyond its memory or turn in circles. No check of the
+Damage in the structure of such a file can make its library write beyond its memory or turn in circles. No check of the
 file excludes that, so the function that reads a file whole for the first time runs in a child process:
 
     @read_in_child
@@ -151,7 +151,7 @@ def _fatal_error(number: int, budget: float, path: Path) -> UserError:
         fault = f"cannot be read within {budget:.0f} s of processor time: its structure is damaged"
     else:
         name = signal.Signals(number).name if number else "no signal"
-        fault = f"cannot be read, the HDF5 library fails on it ({name}): its structure is damaged"
+        fault = f"cannot be read, the library that reads it fails on it ({name}): its structure is damaged"
     return UserError(fault, str(path), remedy="Copy the file again from its source, or create it again")
 
 

@@ -89,7 +89,7 @@ def _uff_dataset(name: str, values: Array, binary: bool) -> bytes:
 
 def _write_mat5(path: Path, samples: Array) -> None:
     content = {"V": samples, "fs": RATE, "rec": {"force": samples[:, :1]}, "note": "wind"}
-    savemat(path, content, format="5", do_compression=True)
+    savemat(path, content, format="5", do_compression=False)
 
 
 def _write_mat73(path: Path, samples: Array) -> None:

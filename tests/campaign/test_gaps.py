@@ -156,6 +156,42 @@ def test_gaps_of_the_loads_are_left_for_the_check_of_the_run():
     assert [fault.place for fault in load_sample_faults(broken)] == ["loads, column Fz"]
 
 
-def test_static_runs_are_not_bridged():
-    run = with_gaps(rotor_run(0), (500, 501))
-    assert bridge_gaps(replace(run, kind="static")).bridged == ()
+# ---- load points -----------------------------------------------------------------------------------------------------
+
+
+def static_run(rows: int = 40) -> Run:
+    rng = np.random.default_rng(1)
+    loads = np.zeros((rows, 6))
+    loads[:, 2] = 10.0 * np.arange(rows)
+    channels = np.column_stack([loads[:, 2], -loads[:, 2], loads[:, 2]]) + rng.standard_normal((rows, 3))
+    labels = tuple(str(row // 10) for row in range(rows))
+    return Run("static", "rig", "static", ("a", "b", "c"), rows, MemorySource(channels, loads), trim="bare",
+               series_labels=labels, attitude=np.outer(np.arange(rows), [1.0, 0.1]))  # fmt: skip
+
+
+def unread(run: Run, *places: tuple[int, int]) -> Run:
+    block = run.read()
+    channels = block.channels.copy()
+    for row, column in places:
+        channels[row, column] = np.nan
+    return bridge_gaps(replace(run, source=MemorySource(channels, block.loads)))
+
+
+def test_a_load_point_that_a_channel_did_not_read_is_left_out_and_the_channel_is_not():
+    whole = static_run()
+    run = unread(whole, (17, 0), (17, 1))
+    kept = np.delete(np.arange(40), 17)
+    block, original = run.read(), whole.read()
+    assert run.samples == 39 and np.array_equal(block.channels, original.channels[kept])
+    assert np.array_equal(block.loads, original.loads[kept]) and np.array_equal(run.attitude, whole.attitude[kept])
+    assert run.series_labels == tuple(whole.series_labels[row] for row in kept)
+    assert channel_faults(run, dict.fromkeys("abc")) == {}
+    assert describe_gaps(run).startswith("load point 18 of the file is left out, where a, b is not finite")
+    assert gap_summary(run)["a"] == {"samples": 1, "gaps": 1, "longest": 1}
+
+
+def test_a_channel_that_misses_many_load_points_costs_no_rows():
+    run = unread(static_run(), (3, 0), *((row, 1) for row in range(10, 20)))
+    assert run.samples == 39 and [item.name for item in run.bridged] == ["a"]
+    assert list(channel_faults(run, dict.fromkeys("abc"))) == ["b"]
+    assert unread(static_run(8), (3, 0)).samples == 8

@@ -108,8 +108,9 @@ class Run:
     `pulse_times` (n_rev,) [s from the first sample]; `attitude` (n, 2) of a static run: pitch and roll [deg] as in
     balance_cli.campaign.rig.attitude; `series_labels` and `point_kinds` (n,) of a static run: the load series of each
     row and the kind of its load point, None where the file states none; `digest` is the hex SHA-256 of the content;
-    `bridged`: signals with short gaps, which `source` fills. `conditions`: further numbers among the attributes of
-    the file, such as the collective pitch or the wind speed, over which results can be compared.
+    `bridged`: signals with short gaps, which `source` fills; in a static run those for which rows were left out.
+    `conditions`: further numbers among the attributes of the file, such as the collective pitch or the wind speed, over
+    which results can be compared.
     """
 
     name: str
