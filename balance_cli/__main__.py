@@ -92,7 +92,9 @@ def _exit_on_signal(number: int, _frame: object) -> None:
     if outcome is None:
         return
     _ignore_signals()
-    _write_line(f"{_signal_numbers()[number]}, {outcome}")
+    describe_kept = getattr(sys.modules.get("balance_cli.cli.batch.journal"), "describe_kept_results", None)
+    kept = describe_kept() if describe_kept else ""
+    _write_line(f"{_signal_numbers()[number]}, {outcome}{kept and f'; {kept}'}")
     os._exit(128 + number)
 
 

@@ -255,6 +255,11 @@ class Session(Messages):
             click.echo(json_text(self._full_summary()))
 
     @property
+    def writes_json(self) -> bool:
+        """Whether the call asks for the summary."""
+        return self._json_path is not None
+
+    @property
     def json_to_stdout(self) -> bool:
         """Whether the summary goes to stdout, and the text therefore to stderr."""
         return self._json_path is not None and str(self._json_path) == "-"

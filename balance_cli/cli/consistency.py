@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from balance_cli.cli.common import Session
@@ -99,7 +99,7 @@ def repeat_findings(session: Session, *results: ChecksRuns | None) -> None:
         session.warn(text)
 
 
-def flag_contradicted_runs(session: Session, runs: dict[str, RunLoads]) -> dict[str, RunLoads]:
+def flag_contradicted_runs(session: Session, runs: Mapping[str, RunLoads]) -> Mapping[str, RunLoads]:
     """Return the loads with those of runs flagged that contradict the geometry or the other runs."""
     from balance_cli.steps import cross_checks
 

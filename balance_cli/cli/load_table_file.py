@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from balance_cli.cli.common import Session
+from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import LOADS_FORMAT
 from balance_cli.io.spreadsheet import text_cell
@@ -27,8 +28,9 @@ def write_loads(session: Session, output: Path, loads: HubLoads, provenance: Pro
     if output.suffix == ".h5":
         session.save(output, LOADS_FORMAT, loads, provenance)
         return
-    from balance_cli.reduction.result import load_table
-
-    table = load_table(loads)
-    table["run"] = table["run"].map(text_cell)
-    session.write_text(output, table.to_csv(index=False, lineterminator="\n"))
+    part = session.stage(output)
+    with os_errors_as_user_error(output), part.open("w", encoding="utf-8", newline="") as file:
+        for position, run in enumerate(loads.runs.values()):
+            table = run.to_frame()
+            table["run"] = table["run"].map(text_cell)
+            table.to_csv(file, index=False, header=position == 0, lineterminator="\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -176,7 +177,7 @@ def _reduce_to_spectra(
         session.status = EXIT_RUNS_SKIPPED
 
 
-def _finish(session: Session, reduction: Reduction, runs: dict[str, RunLoads], output: Path) -> None:
+def _finish(session: Session, reduction: Reduction, runs: Mapping[str, RunLoads], output: Path) -> None:
     """Write the loads and set summary and text."""
     from balance_cli.cli.consistency import flag_contradicted_runs
     from balance_cli.cli.reduce_text import reduction_text, summary
@@ -190,7 +191,7 @@ def _finish(session: Session, reduction: Reduction, runs: dict[str, RunLoads], o
     response = text_with_rotor(reduction.source.description, options.rotor)
     loads = HubLoads(method, response, reduction.geometry, runs, warnings or None)
     write_loads(session, output, loads)
-    session.finish(summary(loads), reduction_text(loads))
+    session.finish(summary(loads) if session.writes_json else {}, reduction_text(loads))
 
 
 def _rotor_runs(session: Session, records: tuple[Run, ...]) -> list[Run]:

@@ -8,7 +8,6 @@ Root attributes: `format`, `digest`, `command`, `options` (JSON), `inputs` (JSON
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import platform
 from collections.abc import Iterator, Mapping
@@ -25,6 +24,7 @@ from balance_cli import __version__
 from balance_cli.io.atomic import atomic_write
 from balance_cli.io.errors import UserError
 from balance_cli.io.formats import ARTEFACT_FORMATS
+from balance_cli.io.hdf5_output import Hdf5Output
 from balance_cli.io.hdf5_tree import Tree, from_tree, read_tree, to_tree, tree_digest, write_tree
 from balance_cli.io.reader_process import read_in_child
 from balance_cli.io.sniff import attribute_text, describe_file, is_hdf5, require_file, sniff_format
@@ -102,13 +102,10 @@ def save_artefact(path: Path, format: str, content: Any, provenance: Provenance)
         raise ValueError(f"unknown format {format}")
     tree = to_tree(content)
     digest = _artefact_digest(format, tree, provenance)
-    buffer = io.BytesIO()  # HDF5 crashes where it cannot write to a disk
-    with h5py.File(buffer, "w") as file:
+    with atomic_write(Path(path)) as part, Hdf5Output(part) as output:
         for name, text in _root_attributes(format, digest, provenance).items():
-            file.attrs[name] = text
-        write_tree(file.create_group("content", track_order=True), tree)
-    with atomic_write(Path(path)) as part:
-        part.write_bytes(buffer.getbuffer())
+            output.file.attrs[name] = text
+        write_tree(output.file.create_group("content", track_order=True), tree)
     return digest
 
 

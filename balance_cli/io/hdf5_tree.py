@@ -4,7 +4,7 @@ A tree is a dict whose values are trees, numpy arrays, strings, numbers, bools o
 
 - `ndarray` (real, complex or text), `str`, `int`, `float`, `complex`, `bool`, `None` and `X | None`: itself;
 - `tuple[X, ...]` of scalars: a one-dimensional array; of any other type: a tree with keys 0, 1, ...;
-- `dict[str, X]` (or with int keys): a tree with those keys, their order kept;
+- `dict[str, X]` (or with int keys): a tree with those keys, their order kept; of any other mapping, on demand;
 - a dataclass: a tree of its fields; a field that is missing in the tree takes its default;
 - a pydantic model such as `Geometry`: its JSON text.
 """
@@ -31,6 +31,21 @@ LARGEST_DEFLATION = 1100.0
 """Ratio of declared to stored bytes; deflate reaches 1032 at most."""
 MOST_TREE_BYTES = 2**30
 """Of all datasets of a tree together; the largest results have some hundred megabytes."""
+
+
+class TreeOnDemand(Tree):
+    """A tree of many parts, each of which is made from its value when it is asked for, and not kept."""
+
+    def __init__(self, values: Mapping[Any, Any]) -> None:
+        super().__init__({str(key): key for key in values})
+        self._values = values
+
+    def __getitem__(self, key: str) -> Any:
+        return to_tree(self._values[super().__getitem__(key)])
+
+    def items(self) -> Iterator[tuple[str, Any]]:  # type: ignore[override]
+        """Yield each key with its part."""
+        return ((key, self[key]) for key in self)
 
 
 # ---- dataclass -> tree -----------------------------------------------------------------------------------------------
@@ -63,8 +78,10 @@ def _container_to_tree(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         pairs = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
         return {stored_field_name(item): to_tree(part) for item, part in pairs if not _is_omitted(item, part)}
-    if isinstance(value, Mapping):
+    if isinstance(value, dict):
         return {str(key): to_tree(item) for key, item in value.items()}
+    if isinstance(value, Mapping):
+        return TreeOnDemand(value)
     if isinstance(value, tuple | list):
         return _sequence_to_tree(value)
     raise TypeError(f"{type(value).__name__} cannot be stored in an artefact")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -150,7 +150,7 @@ class HubLoads(ResultView):
     method: str
     response: str
     geometry: Geometry
-    runs: dict[str, RunLoads]
+    runs: Mapping[str, RunLoads]
     warnings: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
 
     def summary_lines(self) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol, TypeVar
@@ -67,16 +68,18 @@ def earlier_warnings(*results: ChecksRuns | None) -> tuple[str, ...]:
     return tuple(f"of the runs that calibration or response were made from: {text}" for text in texts)
 
 
-def flag_contradicted_runs(runs: Mapping[str, RunLoads], findings: Iterable[ConsistencyFinding]) -> dict[str, RunLoads]:
+def flag_contradicted_runs(
+    runs: Mapping[str, RunLoads], findings: Iterable[ConsistencyFinding]
+) -> Mapping[str, RunLoads]:
     """Return the loads with those of runs flagged that contradict the geometry or the other runs.
 
     A factor of channels that all runs have is known to the calibration and the model, and changes no load.
     """
-    flagged = dict(runs)
+    flagged: ChainMap[str, RunLoads] = ChainMap({}, runs)  # type: ignore[arg-type]  # which is only read
     for finding in findings:
         if not contradicts_loads(finding.kind, finding.in_all_runs, finding.factor):
             continue
         for name in set(finding.runs) & set(flagged):
             noted = (*flagged[name].notes, finding.sentence)
             flagged[name] = replace(flag_all(flagged[name], MODEL_CONTRADICTED), notes=noted)
-    return flagged
+    return flagged if flagged.maps[0] else runs

@@ -15,8 +15,9 @@ from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.cli import balance
 from balance_cli.cli.batch import reduction as batch_reduction
 from balance_cli.cli.batch.executors import InlineExecutor, Workers, batch_workers
-from balance_cli.cli.batch.journal import Journal, journal_path
+from balance_cli.cli.batch.journal import Journal, describe_kept_results, journal_path
 from balance_cli.cli.batch.ordered import worker_pool
+from balance_cli.cli.batch.reduction import BatchReduction
 from balance_cli.cli.batch.work import RunResult
 from balance_cli.io.errors import UserError
 from studies.wind_runs import write_wind_runs
@@ -146,8 +147,10 @@ def test_shards_of_two_reductions_are_not_merged(folder, tmp_path):
 # ---- interruptions ---------------------------------------------------------------------------------------------------
 
 
-def test_an_interrupted_batch_goes_on_where_it_stopped(folder, reference, tmp_path, monkeypatch):
+@pytest.mark.parametrize("histories", [False, True])
+def test_an_interrupted_batch_goes_on_where_it_stopped(folder, reference, tmp_path, monkeypatch, histories):
     output, done_before, work = tmp_path / "l.h5", [], batch_reduction.reduce_file
+    words = ("--history", tmp_path / "histories") if histories else ()
 
     def interrupt_at_the_sixth(item):
         if len(done_before) == 5:
@@ -157,17 +160,33 @@ def test_an_interrupted_batch_goes_on_where_it_stopped(folder, reference, tmp_pa
 
     monkeypatch.setattr(batch_reduction, "reduce_file", interrupt_at_the_sixth)
     monkeypatch.setattr(Journal, "close", lambda journal, remove=True: journal._file.close())
-    assert reduce(folder, output).exit_code != 0
+    assert reduce(folder, output, *words).exit_code != 0
+    assert "5 reduced runs are kept in " in describe_kept_results()
     monkeypatch.undo()
     kept = journal_path(output)
     kept.write_bytes(kept.read_bytes()[:-40])  # the last line was not written whole
     again = []
     monkeypatch.setattr(batch_reduction, "reduce_file", lambda item: (again.append(item.path), work(item))[1])
-    done = reduce(folder, output)
+    done = reduce(folder, output, *words)
     assert done.exit_code == 0 and "4 of 9 runs" in done.stdout
     assert again == runs_of(folder)[4:]
     assert digest(output) == reference
-    assert [path.name for path in tmp_path.iterdir()] == ["l.h5"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == (["histories"] if histories else []) + ["l.h5"]
+    if histories:
+        assert [path.name for path in sorted((tmp_path / "histories").iterdir())] == [p.name for p in runs_of(folder)]
+
+
+def test_a_history_that_is_gone_is_made_again(folder, tmp_path, monkeypatch):
+    words, work = ("--history", tmp_path / "histories"), batch_reduction.reduce_file
+    monkeypatch.setattr(BatchReduction, "_stage_histories", lambda batch, reduction: 1 / 0)
+    monkeypatch.setattr(Journal, "close", lambda journal, remove=True: journal._file.close())
+    assert reduce(folder, tmp_path / "l.h5", *words).exit_code == 1
+    monkeypatch.undo()
+    (tmp_path / ".l.h5.histories" / "wind-00003.h5").unlink()
+    again = []
+    monkeypatch.setattr(batch_reduction, "reduce_file", lambda item: (again.append(item.path.name), work(item))[1])
+    assert reduce(folder, tmp_path / "l.h5", *words).exit_code == 0
+    assert again == ["wind-00003.h5"] and len(list((tmp_path / "histories").iterdir())) == COUNT
 
 
 def test_a_journal_of_another_call_is_not_used(tmp_path):

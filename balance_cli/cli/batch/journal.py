@@ -2,7 +2,7 @@
 
 One line for each run: a checksum, then JSON with the stamp of the file and the result. The first line is the key of the
 call: what was asked, of which inputs, by which version. A line that was not written whole ends the journal; what
-follows is done again. The file is removed when the output is in place.
+follows is done again. The histories of runs lie in a folder beside it. Both are removed when the output is in place.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import base64
 import hashlib
 import json
 import os
+import shutil
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, TypeVar
@@ -22,6 +23,7 @@ from balance_cli.io.hdf5_tree import from_tree, to_tree
 
 R = TypeVar("R")
 
+JOURNAL_SUFFIX, HISTORIES_SUFFIX = ".unfinished", ".histories"
 CHECKSUM_LENGTH = 16
 """Hexadecimal digits: a line that is not whole passes with a probability of 5e-20."""
 
@@ -31,6 +33,7 @@ class Journal(Generic[R]):
 
     def __init__(self, path: Path, key: str, result_type: type[R]) -> None:
         self._path, self._type = path, result_type
+        self.histories = path.with_name(path.name.removesuffix(JOURNAL_SUFFIX) + HISTORIES_SUFFIX)
         self._done: dict[str, tuple[int, int]] = {}
         with os_errors_as_user_error(path):
             path.touch()
@@ -40,6 +43,11 @@ class Journal(Generic[R]):
             self._file.seek(0)
             self._file.truncate()
             self._write_line(key)
+            shutil.rmtree(self.histories, ignore_errors=True)
+        _open_journals.add(self)
+
+    def __str__(self) -> str:
+        return str(self._path)
 
     def __len__(self) -> int:
         return len(self._done)
@@ -69,7 +77,15 @@ class Journal(Generic[R]):
         if self.is_mine and remove:
             with suppress(OSError):
                 self._path.unlink()
+            shutil.rmtree(self.histories, ignore_errors=True)
+        _open_journals.discard(self)
         self._file.close()
+
+    def history(self, name: str) -> Path:
+        """Return where the history of a run is kept until the batch is done."""
+        with os_errors_as_user_error(self.histories):
+            self.histories.mkdir(exist_ok=True)
+        return self.histories / f"{name}.h5"
 
     def _read(self, key: str) -> bool:
         """Find the whole lines, cut off what follows them, and return whether they are of this call."""
@@ -97,9 +113,19 @@ class Journal(Generic[R]):
         return len(line)
 
 
+_open_journals: set[Journal[Any]] = set()
+
+
+def describe_kept_results() -> str:
+    """Return what an interruption of this process leaves for the next call, in words; empty where that is nothing."""
+    counts = [(len(journal), journal) for journal in _open_journals if journal.is_mine]
+    kept = [f"{count} reduced runs are kept in {journal}" for count, journal in counts if count]
+    return f"{', '.join(kept)}: the same call goes on from there" if kept else ""
+
+
 def journal_path(output: Path) -> Path:
     """Return the path of the journal of an output."""
-    return output.with_name(f".{output.name}.unfinished")
+    return output.with_name(f".{output.name}{JOURNAL_SUFFIX}")
 
 
 def _stamp(file: Path) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+import shutil
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,7 +25,9 @@ from balance_cli.cli.reduce_inputs import read_zero
 from balance_cli.cli.reduce_runs import Reduction, check_name
 from balance_cli.diagnosis.consistency.campaign import findings_from_rows
 from balance_cli.diagnosis.consistency.severity import known_anyway
+from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
+from balance_cli.io.stored_mapping import StoredMapping
 from balance_cli.reduction.result import RunLoads
 from balance_cli.signals.response_rows import ResponseRows
 from balance_cli.steps.reduction_inputs import default_harmonics
@@ -44,16 +47,17 @@ class BatchReduction:
     options: BatchOptions
     skips: bool
     surveys: dict[Path, RunSurvey] = field(default_factory=dict)
-    loads: dict[str, RunLoads] = field(default_factory=dict)
+    loads: StoredMapping[RunLoads] = field(default_factory=StoredMapping)
     rows: list[ResponseRows] = field(default_factory=list)
     levels: dict[str, tuple[float, ...]] = field(default_factory=dict)
     paths: dict[str, str] = field(default_factory=dict)
     errors: dict[Path, UserError] = field(default_factory=dict)
+    histories: list[Path] = field(default_factory=list)
     zero_digests: tuple[str, ...] = ()
 
     def reduce(
         self, reduction: Reduction, paths: tuple[Path, ...], zero: Path | None, output: Path
-    ) -> tuple[Reduction, dict[str, RunLoads]]:
+    ) -> tuple[Reduction, Mapping[str, RunLoads]]:
         """Return the reduction with its harmonics and its zero, and the loads of the check and wind runs by name.
 
         Raises UserError where no run is left, and for the first bad run unless bad runs are skipped.
@@ -128,15 +132,16 @@ class BatchReduction:
         chosen = [path for path in self._shard() if self._may_have_history(path, reduction)]
         with self._journal(reduction, output, len(chosen)) as journal:
             data = pickled(reduction)
-            done = {path for path in chosen if journal is not None and journal.find(path) is not None}
+            done = {path for path in chosen if self._is_done(path, journal, reduction)}
             if done:
                 self.session.echo(f"{len(done)} of {len(chosen)} runs were reduced before an interruption")
-            rest = (self._item(path, reduction, data) for path in chosen if path not in done)
+            items = {path: self._item(path, reduction, data, journal) for path in chosen}
+            rest = (items[path] for path in chosen if path not in done)
             results = pool.results(reduce_file, rest)
             for path in self.session.progress(chosen, "runs", len(chosen)):
                 kept = journal.find(path) if journal is not None and path in done else None
-                item, result = (Item(path, b""), kept) if kept is not None else next(results)
-                self._keep_history(item, result)
+                item, result = (items[path], kept) if kept is not None else next(results)
+                self._keep_history(item, result, journal)
                 if isinstance(result, UserError):
                     self._add_error(path, result, reduction)
                     continue
@@ -145,6 +150,8 @@ class BatchReduction:
                 self._take(path, result)
                 if result.error is not None:
                     self._add_error(path, result.error, reduction)
+            if journal is not None:
+                self._stage_histories(reduction)
 
     def _shard(self) -> list[Path]:
         """Return the runs of this call; those that are compared with others, and the zero, belong to every shard."""
@@ -160,25 +167,34 @@ class BatchReduction:
 
     @contextmanager
     def _journal(self, reduction: Reduction, output: Path, count: int) -> Iterator[Journal[RunResult] | None]:
-        """Yield the journal of the call; None for a few runs, and where histories are written, which it does not keep.
+        """Yield the journal of the call; None for a few runs.
 
         It is removed when the outputs are in place, or the call was refused.
         """
-        if count < FEWEST_JOURNALED or reduction.histories is not None:
+        if count < FEWEST_JOURNALED:
             yield None
             return
         provenance = self.session.provenance()
         inputs = [*((item.role, item.digest) for item in provenance.inputs), *self.zero_digests]
-        compared = [reduction.method.harmonics, reduction.compare_runs]
+        compared = [reduction.method.harmonics, reduction.compare_runs, reduction.histories is not None]
         asked = json.dumps([__version__, provenance.options, inputs, compared])
         journal = Journal(journal_path(output), hashlib.sha256(asked.encode()).hexdigest(), RunResult)
         self.session.after_close(journal.close)
         yield journal
 
-    def _item(self, path: Path, reduction: Reduction, data: bytes) -> Item:
+    def _is_done(self, path: Path, journal: Journal[RunResult] | None, reduction: Reduction) -> bool:
+        """Whether an interrupted call has reduced a run, and has left its history where one is asked for."""
+        kept = None if journal is None else journal.find(path)
+        if journal is None or kept is None:
+            return False
+        return reduction.histories is None or kept.loads is None or journal.history(kept.name).exists()
+
+    def _item(self, path: Path, reduction: Reduction, data: bytes, journal: Journal[RunResult] | None) -> Item:
         survey = self.surveys[path]
         if reduction.histories is None or survey.kind not in ROTOR_KINDS:
             return Item(path, data)
+        if journal is not None and journal.is_mine:
+            return Item(path, data, journal.history(survey.name))
         return Item(path, data, self.session.stage_in(reduction.histories, f"{survey.name}.h5"))
 
     def _may_have_history(self, path: Path, reduction: Reduction) -> bool:
@@ -190,11 +206,27 @@ class BatchReduction:
             return False
         return True
 
-    def _keep_history(self, item: Item, result: RunResult | UserError) -> None:
+    def _keep_history(self, item: Item, result: RunResult | UserError, journal: Journal[RunResult] | None) -> None:
         """Withdraw the history of a run that was not reduced, or has none."""
+        if item.history is None:
+            return
         reduced = not isinstance(result, UserError) and result.error is None
-        if item.history is not None and not (reduced and item.history.exists()):
+        kept_beside = journal is not None and journal.is_mine
+        if reduced and item.history.exists():
+            if kept_beside:
+                self.histories.append(item.history)
+        elif kept_beside:
+            item.history.unlink(missing_ok=True)
+        else:
             self.session.unstage(item.history)
+
+    def _stage_histories(self, reduction: Reduction) -> None:
+        """Move the histories that were kept during the batch to where the outputs of the call are."""
+        for kept in self.histories:
+            assert reduction.histories is not None
+            target = self.session.stage_in(reduction.histories, kept.name)
+            with os_errors_as_user_error(target):
+                shutil.move(kept, target)
 
     def _take(self, path: Path, result: RunResult) -> None:
         """Keep what the end of the batch needs of a run."""
