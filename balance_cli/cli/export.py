@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from balance_cli.cli.common import InputFile, OutputFile, Session, balance_command
 from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import HISTORY_FORMAT
+from balance_cli.io.sniff import sniff_format
+
+if TYPE_CHECKING:
+    from balance_cli.io.artefacts import Artefact
 
 FORMAT_NAMES = ("csv", "parquet", "mat", "uff", "nexus", "netcdf")
 
@@ -27,8 +33,9 @@ FORMAT_NAMES = ("csv", "parquet", "mat", "uff", "nexus", "netcdf")
 def command(session: Session, artefact: Path, format: str | None, wide: bool, output: Path) -> None:
     """Write a result in the format of another program.
 
-    Tables (CSV, Parquet) hold any result, with a row for each value. MAT has a struct for each run. UFF holds frequency
-    responses (datasets 151, 164, 58). HDF5 has NeXus attributes, so that viewers plot it. netCDF holds one run; it
+    ARTEFACT may be a history of `reduce --history`, too: a table then has a row for each sample. Other tables (CSV,
+    Parquet) have a row for each value. MAT has a struct for each run. UFF holds frequency responses and histories
+    (datasets 151, 164, 58). HDF5 has NeXus attributes, so that viewers plot it. netCDF holds one run; it
     needs xarray.
     """
     from balance_cli.api.artefacts import TYPES
@@ -41,7 +48,11 @@ def command(session: Session, artefact: Path, format: str | None, wide: bool, ou
         raise UserError(fault, str(output), remedy=f"End it with {', '.join(SUFFIXES)}, or give --format")
     if to_stdout and session.json_to_stdout:
         raise UserError("stdout cannot hold both", "-o - --json -", remedy="Write one of them to a file")
-    item = session.artefact(artefact, TYPES)
+    item = (
+        _read_history(session, artefact)
+        if sniff_format(artefact) == HISTORY_FORMAT
+        else session.artefact(artefact, TYPES)
+    )
     try:
         content = export_bytes(item, chosen, wide)
     except UserError as error:
@@ -55,3 +66,16 @@ def command(session: Session, artefact: Path, format: str | None, wide: bool, ou
         with os_errors_as_user_error(output):
             part.write_bytes(content)
     session.finish({"format": chosen, "bytes": len(content)})
+
+
+def _read_history(session: Session, path: Path) -> Artefact:
+    """Return the loads over time of a run as an artefact, and record them as an input."""
+    from hashlib import sha256
+
+    from balance_cli.io.artefacts import Artefact, make_provenance
+    from balance_cli.reduction.stored_history import read_history
+
+    history = read_history(path)
+    digest = sha256(history.time.tobytes() + history.loads.tobytes() + history.sigma.tobytes()).hexdigest()
+    session.record_input(history.run, "history", digest)
+    return Artefact(HISTORY_FORMAT, history, make_provenance("reduce", {}, ()), digest)

@@ -40,7 +40,8 @@ class FileFinding:
 
     `kind` is `geometry`, `run`, `loads`, `unknown` or a format; `about` describes the content in a line of text.
     `run_kind` is the kind of a run (`static`, `sweep`, ...), `has_pulses` whether it has 1/rev pulses,
-    `sample_rate` [Hz] that of its samples. `run` and `geometry` are what the file holds, where it can be read.
+    `sample_rate` [Hz] that of its samples, `has_points` whether forces act at points other than the hub. `run` and
+    `geometry` are what the file holds, where it can be read.
     """
 
     kind: str
@@ -52,6 +53,7 @@ class FileFinding:
     run_kind: str = ""
     has_pulses: bool = False
     sample_rate: float | None = None
+    has_points: bool = False
     run: Run | None = None
     geometry: Geometry | None = None
 
@@ -166,6 +168,7 @@ def _check_run_file(path: Path, geometry: Geometry | None) -> FileFinding:
         run.kind,
         run.pulse_times is not None,
         run.sample_rate,
+        run.additions is not None and run.additions.load_points is not None,
         run,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from balance_cli.cli.common import InputFile, OutputFolder, Session, balance_com
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED, EXIT_USER_ERROR
 from balance_cli.cli.options import InputFolder
 from balance_cli.io.errors import UserError
+from balance_cli.io.formats import CALIBRATION_FORMAT, MODEL_FORMAT
 
 if TYPE_CHECKING:
     from balance_cli.cli.pipeline.execution import Execution, Outcome
@@ -20,15 +22,27 @@ if TYPE_CHECKING:
 @balance_command("run")
 @click.argument("campaign", type=InputFolder(), metavar="CAMPAIGN")
 @click.option("-g", "--geometry", type=InputFile(), metavar="GEOMETRY", help="Geometry, if it is not in CAMPAIGN.")
+@click.option("--model", type=InputFile(), metavar="MODEL", help="A model made before; its loads are the first choice.")
+@click.option("--calibration", type=InputFile(), metavar="CAL", help="A static calibration made before.")
 @click.option("-j", "--jobs", type=click.IntRange(1, 64), default=1, show_default=True, help="Steps done at a time.")
 @click.option("-n", "--dry-run", is_flag=True, help="Only list the steps and their commands; nothing is written.")
 @click.option("-o", "--output", type=OutputFolder(), required=True, metavar="RESULTS", help="Folder of the results.")
-def command(session: Session, campaign: Path, geometry: Path | None, jobs: int, dry_run: bool, output: Path) -> None:
+def command(
+    session: Session,
+    campaign: Path,
+    geometry: Path | None,
+    model: Path | None,
+    calibration: Path | None,
+    jobs: int,
+    dry_run: bool,
+    output: Path,
+) -> None:
     """Do the whole chain on a campaign: from its run files to hub loads and a report.
 
-    CAMPAIGN is a folder with run files (*.h5) and a geometry (geometry.yaml or geometry.yml). Steps that the rig or the
-    runs do not allow are left out and named. A step is done again only if the content of its inputs changed; after an
-    interruption the same call goes on where it stopped. The messages of a step are in RESULTS/logs.
+    CAMPAIGN is a folder with run files (*.h5), or with folders of them, and a geometry (geometry.yaml or geometry.yml).
+    Steps that the rig or the runs do not allow are left out and named. A step is done again only if the content of its
+    inputs changed; after an interruption the same call goes on where it stopped. The messages of a step are in
+    RESULTS/logs.
 
     At the end stand the loads of each run by the best response, and whether to trust them.
     """
@@ -42,6 +56,7 @@ def command(session: Session, campaign: Path, geometry: Path | None, jobs: int, 
         raise UserError("is the campaign itself", str(output), remedy="Give another folder, for example one in it")
     state = load_state(output)
     inventory = take_inventory(campaign, geometry, state)
+    inventory = replace(inventory, given=_given(session, model, calibration))
     for path, reason in inventory.left_out.items():
         session.report_left_out(str(path), reason)
     plan = plan_steps(inventory, output)
@@ -57,6 +72,22 @@ def command(session: Session, campaign: Path, geometry: Path | None, jobs: int, 
         write_input_list(output, inventory)
         execution.run()
     _finish(session, execution, inventory)
+
+
+def _given(session: Session, model: Path | None, calibration: Path | None) -> dict[str, tuple[Path, str]]:
+    """Return the artefacts that were made before {role: (path, digest)}."""
+    from balance_cli.calibration.result import Calibration
+    from balance_cli.estimation.identified_model import IdentifiedModel
+
+    types: dict[str, tuple[Path | None, str, type[Any]]] = {
+        "model": (model, MODEL_FORMAT, IdentifiedModel),
+        "calibration": (calibration, CALIBRATION_FORMAT, Calibration),
+    }
+    return {
+        role: (path, session.artefact(path, {form: content}, role).digest)
+        for role, (path, form, content) in types.items()
+        if path is not None
+    }
 
 
 class _ProgressLines:

@@ -13,6 +13,7 @@ from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.reduction.spectra_result import LoadSpectra, RunSpectra
+from balance_cli.reduction.stored_history import StoredHistory
 from balance_cli.signals.response.transfer import Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
 
@@ -47,11 +48,13 @@ class Cube:
 
 
 def cubes_of(content: object) -> tuple[Cube, ...]:
-    """Return a result as arrays: one cube for each run. Other results than loads, spectra and responses have none."""
+    """Return loads, spectra, a history or responses as arrays, one cube for each run; none for any other result."""
     if isinstance(content, HubLoads):
         return tuple(_load_cube(run, content) for run in content.runs.values())
     if isinstance(content, LoadSpectra):
         return tuple(_spectrum_cube(run) for run in content.runs.values())
+    if isinstance(content, StoredHistory):
+        return (_history_cube(content),)
     if isinstance(content, Transfer):
         return tuple(_unique_names(_response_cube(response, content.geometry.rig) for response in content.responses))
     return ()
@@ -116,6 +119,25 @@ def _spectrum_cube(run: RunSpectra) -> Cube:
         abscissa="frequency",
         curves="component",
         about={"kind": run.kind, "response": run.response, "resolution_hz": run.resolution_hz},
+    )
+
+
+def _history_cube(history: StoredHistory) -> Cube:
+    axes = ("component", "time")
+    return Cube(
+        name=history.run,
+        coordinates={
+            "component": Variable(("component",), _text(history.components)),
+            "time": Variable(("time",), history.time, "s"),
+        },
+        variables={
+            "load": Variable(axes, history.loads.T, "N, N m", "load_sigma"),
+            "load_sigma": Variable(axes, history.sigma.T, "N, N m"),
+        },
+        signal="load",
+        abscissa="time",
+        curves="component",
+        about={"mean": "measured" if history.has_mean else "not measured"},
     )
 
 

@@ -69,10 +69,14 @@ def _mat(artefact: Artefact) -> bytes:
 
 def _uff(artefact: Artefact) -> bytes:
     from balance_cli.exporters.uff import uff_text
+    from balance_cli.exporters.uff_history import history_uff_text
+    from balance_cli.reduction.stored_history import StoredHistory
     from balance_cli.signals.response.transfer import Transfer
 
+    if isinstance(artefact.content, StoredHistory):
+        return history_uff_text(artefact.content, artefact.provenance.created).encode("ascii")
     if not isinstance(artefact.content, Transfer):
-        fault = f"a universal file holds frequency responses, not `{artefact.format}`"
+        fault = f"a universal file holds frequency responses or histories, not `{artefact.format}`"
         raise UserError(fault, "format uff", remedy="Give the result of `sweep-tf`, or choose another format")
     return uff_text(artefact.content, artefact.provenance.created).encode("ascii")
 
@@ -80,7 +84,7 @@ def _uff(artefact: Artefact) -> bytes:
 def _cubes(artefact: Artefact, format: str) -> tuple[Cube, ...]:
     cubes = cubes_of(artefact.content)
     if not cubes:
-        fault = f"holds loads, spectra and frequency responses, not `{artefact.format}`"
+        fault = f"holds histories, loads, spectra and frequency responses, not `{artefact.format}`"
         raise UserError(fault, f"format {format}", remedy="Write .csv, .parquet or .mat")
     return cubes
 

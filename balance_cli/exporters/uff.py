@@ -38,7 +38,7 @@ def uff_text(transfer: Transfer, created: str) -> str:
     0, a scalar) to the hub (node 1; directions 1 to 6: x, y, z and the rotations about them).
     """
     when = datetime.fromisoformat(created)
-    lines = [*_header(transfer, when), *_units()]
+    lines = [*header(transfer.geometry.rig, f"frequency responses, geometry {transfer.geometry.name}", when), *units()]
     for response in transfer.responses:
         for j in range(len(response.components)):
             for i in range(len(response.channel_names)):
@@ -46,35 +46,38 @@ def uff_text(transfer: Transfer, created: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _text(value: str) -> str:
+def printable_text(value: str) -> str:
     """Return a line of at most 80 printable ASCII characters, NONE for an empty one."""
     shown = "".join(c if c.isprintable() and c.isascii() else "?" for c in value)[:80]
     return shown.strip() or "NONE"
 
 
-def _date(when: datetime) -> tuple[str, str]:
+def date_and_time(when: datetime) -> tuple[str, str]:
+    """Return date and time as the format has them."""
     months = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
     return f"{when.day:02d}-{months[when.month - 1]}-{when.year % 100:02d}", f"{when:%H:%M:%S}"
 
 
-def _header(transfer: Transfer, when: datetime) -> list[str]:
-    date, time = _date(when)
+def header(name: str, description: str, when: datetime) -> list[str]:
+    """Return the lines of dataset 151 for a model of this name."""
+    date, time = date_and_time(when)
     program = f"balance-cli {__version__}"
     return [
         DELIMITER,
         "   151",
-        _text(transfer.geometry.rig),
-        _text(f"frequency responses, geometry {transfer.geometry.name}"),
-        _text(program),
+        printable_text(name),
+        printable_text(description),
+        printable_text(program),
         f"{date:<10}{time:<10}{0:10d}{0:10d}{0:10d}",
         f"{date:<10}{time:<10}",
-        _text(program),
+        printable_text(program),
         f"{date:<10}{time:<10}",
         DELIMITER,
     ]
 
 
-def _units() -> list[str]:
+def units() -> list[str]:
+    """Return the lines of dataset 164: SI units."""
     one = f"{1.0:25.17E}".replace("E", "D")
     kelvin = f"{273.15:25.17E}".replace("E", "D")
     return [DELIMITER, "   164", f"{1:10d}{SI_UNITS:<20}{2:10d}", one * 3, kelvin, DELIMITER]
@@ -84,31 +87,32 @@ def _function(transfer: Transfer, response: FrequencyResponse, i: int, j: int, w
     """Return the lines of one dataset 58: channel i over component j."""
     channel, component = response.channel_names[i], response.components[j]
     number, node, direction = i + 1, HUB_NODE + 1 + i, COMPONENTS.index(component) + 1
-    date, time = _date(when)
+    date, time = date_and_time(when)
     length = 0 if UNIT_OF[component] == "N" else 1
-    channel_name, load_name = _text(channel), component
+    channel_name, load_name = printable_text(channel), component
     value = response.response[:, i, j]
     return [
         DELIMITER,
         "    58",
-        _text(f"{channel} over {component}"),
-        _text(f"run {response.run}, estimator {response.estimator}"),
+        printable_text(f"{channel} over {component}"),
+        printable_text(f"run {response.run}, estimator {response.estimator}"),
         f"{date} {time}",
-        _text(f"rig {transfer.geometry.rig}, geometry {transfer.geometry.name}"),
+        printable_text(f"rig {transfer.geometry.rig}, geometry {transfer.geometry.name}"),
         "NONE",
         f"{FREQUENCY_RESPONSE:5d}{number:10d}{0:5d}{0:10d} {channel_name[:10]:<10}{node:10d}{0:4d}"
         f" {'hub':<10}{HUB_NODE:10d}{direction:4d}",
         _abscissa_record(response.frequency),
-        _axis(FREQUENCY, 0, 0, "Frequency", "Hz"),
-        _axis(UNKNOWN, 0, 0, channel_name, "V"),
-        _axis(EXCITATION_FORCE, length, 1, load_name, UNIT_OF[component]),
-        _axis(UNKNOWN, 0, 0, "NONE", "NONE"),
+        axis_record(FREQUENCY, 0, 0, "Frequency", "Hz"),
+        axis_record(UNKNOWN, 0, 0, channel_name, "V"),
+        axis_record(EXCITATION_FORCE, length, 1, load_name, UNIT_OF[component]),
+        axis_record(UNKNOWN, 0, 0, "NONE", "NONE"),
         *_values(response.frequency, value),
         DELIMITER,
     ]
 
 
-def _axis(kind: int, length: int, force: int, label: str, unit: str) -> str:
+def axis_record(kind: int, length: int, force: int, label: str, unit: str) -> str:
+    """Return a record of dataset 58 that describes an axis."""
     return f"{kind:10d}{length:5d}{force:5d}{0:5d} {label[:20]:<20} {unit[:20]:<20}"
 
 

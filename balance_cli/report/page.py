@@ -15,6 +15,7 @@ from balance_cli.report import (
     diagnosis,
     frequencies,
     in_time,
+    load_spectra,
     mode_section,
     parameters,
     provenance,
@@ -38,6 +39,7 @@ SCRIPTS = ("vendor/uPlot.iife.min.js", "charts.js", "tables.js")
 SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
     summary.section,
     wind_on.section,
+    load_spectra.section,
     raw_runs.section,
     in_time.section,
     diagnosis.section,

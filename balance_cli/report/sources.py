@@ -19,9 +19,11 @@ from balance_cli.io.formats import (
     DIAGNOSIS_FORMAT,
     LOADS_FORMAT,
     MODEL_FORMAT,
+    SPECTRA_FORMAT,
     TRANSFER_FORMAT,
 )
 from balance_cli.reduction.result import HubLoads
+from balance_cli.reduction.spectra_result import LoadSpectra
 from balance_cli.report.figure_style import DATA_STYLE, EXTRA_COLORS, PlotStyle
 from balance_cli.report.source_roles import PLOT_STYLES, ROLE_ORDER, SourceRole, loads_role, method_labels, model_role
 from balance_cli.signals.response.transfer import Transfer
@@ -32,6 +34,7 @@ ARTEFACT_TYPES: Mapping[str, type[Any]] = {
     MODEL_FORMAT: IdentifiedModel,
     DIAGNOSIS_FORMAT: Diagnosis,
     LOADS_FORMAT: HubLoads,
+    SPECTRA_FORMAT: LoadSpectra,
 }
 
 T = TypeVar("T")
@@ -58,12 +61,13 @@ class Sources:
     models: tuple[Source[IdentifiedModel], ...] = ()
     diagnoses: tuple[Source[Diagnosis], ...] = ()
     loads: tuple[Source[HubLoads], ...] = ()
+    spectra: tuple[Source[LoadSpectra], ...] = ()
     runs: tuple[Run, ...] = ()
 
     @property
     def all_sources(self) -> tuple[Source[Any], ...]:
         """All artefacts, in the order of a campaign."""
-        return (*self.calibrations, *self.transfers, *self.models, *self.diagnoses, *self.loads)
+        return (*self.calibrations, *self.transfers, *self.models, *self.diagnoses, *self.loads, *self.spectra)
 
     @property
     def geometries(self) -> tuple[Geometry, ...]:
@@ -91,6 +95,7 @@ def group_sources(artefacts: Sequence[tuple[Path, Artefact]], runs: Sequence[Run
         models=tuple(replace(source, plot_style=plot_styles[source.label]) for source in models),
         diagnoses=_label_sources(by_format[DIAGNOSIS_FORMAT], "diagnosis"),
         loads=tuple(replace(source, plot_style=plot_styles[source.label]) for source in loads),
+        spectra=_label_sources(by_format[SPECTRA_FORMAT], "spectra"),
         runs=tuple(runs),
     )
 

@@ -1,6 +1,7 @@
 """`balance export`: every format, read back by the programs that others use, says what the artefact says."""
 
 import io
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -21,6 +22,7 @@ from balance_cli.exporters.datasets import to_xarray
 from balance_cli.exporters.formats import FORMATS
 from balance_cli.exporters.tables import round_to_sigma
 from balance_cli.exporters.uff import uff_text
+from balance_cli.importers import open_foreign
 from balance_cli.reduction.polar import LARGEST_PHASE_SIGMA, polar_sigma
 from balance_cli.reduction.result import LOAD_TABLE_COLUMNS
 
@@ -43,7 +45,8 @@ def folder(tmp_path_factory):
     call("sweep-tf", "-g", RIG, *sweeps, "--to", 40, "-o", folder / "tf.h5")
     call("identify", "-g", RIG, "--method", "computed", "-o", folder / "model.h5")
     words = ("--calibration", folder / "cal.h5", "--model", folder / "model.h5")
-    call("reduce", *words, DATA / "wind-1.h5", DATA / "wind-2.h5", "-o", folder / "loads.h5")
+    history = ("--history", folder / "histories")
+    call("reduce", *words, DATA / "wind-1.h5", DATA / "wind-2.h5", *history, "-o", folder / "loads.h5")
     call("reduce", *words, DATA / "wind-1.h5", "--band", 5, 100, "-o", folder / "spectra.h5")
     return folder
 
@@ -214,3 +217,31 @@ def test_rounding_loses_less_than_a_hundredth_of_sigma(value, sigma):
     text = round_to_sigma(value, sigma)
     assert abs(float(text) - value) <= 0.0051 * sigma + 1e-15 * abs(value)
     assert len(text) <= 24
+
+
+def test_a_history_in_every_format(folder, tmp_path):
+    path = folder / "histories" / "wind-1.h5"
+    with h5py.File(path) as file:
+        time, loads, sigma = (file[name][:] for name in ("time", "loads", "sigma"))
+    for suffix in ("csv", "parquet", "mat", "uff", "nxs"):
+        call("export", path, "-o", tmp_path / f"h.{suffix}")
+    table = pd.read_parquet(tmp_path / "h.parquet")
+    assert np.array_equal(table["time_s"], time) and np.array_equal(table["Fz_sigma"], sigma[:, 2])
+    rounded = pd.read_csv(tmp_path / "h.csv")
+    assert np.all(np.abs(rounded["Fz"] - loads[:, 2]) <= 0.01 * sigma[:, 2])
+    (group,) = [group for group in open_foreign(tmp_path / "h.uff").groups if group.names == ("hub:1+Z",)]
+    assert group.rate == 800.0 and group.channels[0].unit == "N" and abs(group.start - time[0]) < 1e-5
+    assert np.allclose(group.read([0], 0, group.samples)[:, 0], loads[:, 2], rtol=1e-11)
+    with h5py.File(tmp_path / "h.nxs") as file:
+        assert np.array_equal(file["wind-1/Fz/load"], loads[:, 2])
+    refused = call("export", path, "--wide", "-o", tmp_path / "w.csv", status=2)
+    assert "only loads have a table" in refused.stderr
+
+
+def test_spectra_are_on_the_page(folder, tmp_path):
+    summary = tmp_path / "s.json"
+    call("report", folder / "spectra.h5", folder / "loads.h5", "-o", tmp_path / "p.html", "--json", summary)
+    assert "load-spectra" in json.loads(summary.read_text(encoding="utf-8"))["sections"]
+    run = load_artefact(folder / "spectra.h5").runs["wind-1"]
+    page = (tmp_path / "p.html").read_text(encoding="utf-8")
+    assert f"peak at {run.peak_hz['Fz']:.4g} Hz" in page and "Spectra of hub loads" in page

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from balance_cli.campaign.rig.geometry_file import load_geometry
-from balance_cli.cli.pipeline.inventory import Inventory, RunFile
+from balance_cli.cli.pipeline.inventory import Inventory, RunFile, find_geometry, run_files
 from balance_cli.cli.pipeline.steps import plan_steps
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -74,3 +74,37 @@ def test_without_a_rotor_run_there_are_no_loads():
     steps = plan("rts-6", "static", "sweep")
     assert "loads" in steps.left_out
     assert not any(name.startswith("loads") for name in names(steps))
+
+
+def test_given_results_reduce_wind_runs_alone():
+    runs = {"wind": (RunFile(Path("w.h5"), "w", "w", True, 4096.0),)}
+    given = {"model": (Path("m.h5"), "m"), "calibration": (Path("c.h5"), "c")}
+    geometry = load_geometry(CONFIGS / "rts-6.yaml")
+    inventory = Inventory(CONFIGS / "rts-6.yaml", geometry, "g", runs, given=given)
+    steps = plan_steps(inventory, Path("r"))
+    assert loads("static", "given", "computed") | {"loads"} <= names(steps)
+    step = next(step for step in steps.steps if step.name == "loads-given")
+    assert step.words[:5] == ("reduce", "--calibration", Path("c.h5"), "--model", Path("m.h5"))
+    table = next(step for step in steps.steps if step.name == "loads")
+    assert table.reads_first_of[0] == Path("r/loads-given.h5")
+    assert {Path("m.h5"), Path("c.h5")} <= set(inventory.digests)
+
+
+def test_sweeps_by_forces_beside_the_hub_may_give_no_response():
+    runs = {"sweep": (RunFile(Path("f.h5"), "f", "f", False, 4096.0, True),)}
+    geometry = load_geometry(CONFIGS / "dynamometer.yaml")
+    steps = plan_steps(Inventory(CONFIGS / "dynamometer.yaml", geometry, "g", runs), Path("r"))
+    assert [step.name for step in steps.steps if step.optional] == ["transfer"]
+
+
+def test_layouts_of_other_folders(tmp_path):
+    (tmp_path / "Geometry.YML").write_bytes((CONFIGS / "rts-6.yaml").read_bytes())
+    (tmp_path / "notes.yaml").write_text("operator: me\n", encoding="utf-8")
+    assert find_geometry(tmp_path).name == "Geometry.YML"
+    inner = tmp_path / "Tag 2, Läufe"
+    inner.mkdir()
+    sample = CONFIGS.parent / "sample_data" / "wind-1.h5"
+    (inner / "Hover 1.H5").write_bytes(sample.read_bytes())
+    assert [path.name for path in run_files(tmp_path)] == ["Hover 1.H5"]
+    (tmp_path / "own.hdf5").write_bytes(sample.read_bytes())
+    assert [path.name for path in run_files(tmp_path)] == ["own.hdf5"]

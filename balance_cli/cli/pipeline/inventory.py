@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,19 +21,24 @@ RUN_SUFFIXES = (".h5", ".hdf5")
 
 @dataclass(frozen=True)
 class RunFile:
-    """A run file that can be used: path, name of the run, content digest, whether it has 1/rev pulses, rate [Hz]."""
+    """A run file that can be used: path, name of the run, content digest, whether it has 1/rev pulses, rate [Hz].
+
+    `has_points`: forces at points other than the hub.
+    """
 
     path: Path
     name: str
     digest: str
     has_pulses: bool = True
     sample_rate: float | None = None
+    has_points: bool = False
 
 
 @dataclass(frozen=True)
 class Inventory:
     """The geometry and the runs {kind: files} of a campaign, and the files that are left out {path: reason}.
 
+    `given` {role: (path, digest)}: a `model` and a `calibration` that were made before, as artefacts.
     `channel_faults` {path: faults}: channels that the commands leave out of runs that are used.
     """
 
@@ -43,6 +48,7 @@ class Inventory:
     runs: Mapping[str, tuple[RunFile, ...]]
     left_out: Mapping[Path, str] = field(default_factory=dict)
     channel_faults: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
+    given: Mapping[str, tuple[Path, str]] = field(default_factory=dict)
 
     def of_kind(self, *kinds: str) -> tuple[RunFile, ...]:
         """Return the runs of these kinds."""
@@ -51,7 +57,12 @@ class Inventory:
     @property
     def digests(self) -> dict[Path, str]:
         """The content digest of each input."""
-        return {self.geometry_path: self.geometry_digest} | {run.path: run.digest for run in self.of_kind(*RUN_KINDS)}
+        runs = {run.path: run.digest for run in self.of_kind(*RUN_KINDS)}
+        return {self.geometry_path: self.geometry_digest} | runs | dict(self.given.values())
+
+    def given_path(self, role: str) -> Path | None:
+        """Return the artefact of this role that was given, if any."""
+        return self.given[role][0] if role in self.given else None
 
 
 def find_geometry(folder: Path) -> Path:
@@ -59,8 +70,8 @@ def find_geometry(folder: Path) -> Path:
 
     Raises UserError where there is none, or more than one.
     """
-    named = [folder / name for name in GEOMETRY_NAMES if (folder / name).is_file()]
-    texts = sorted(path for suffix in ("*.yaml", "*.yml") for path in folder.glob(suffix))
+    texts = sorted(path for path in folder.iterdir() if path.suffix.lower() in (".yaml", ".yml"))
+    named = [path for path in texts if path.name.lower() in GEOMETRY_NAMES and path.is_file()]
     found = named or [path for path in texts if path.is_file() and sniff_format(path) == GEOMETRY_FORMAT]
     if len(found) > 1:
         names = ", ".join(path.name for path in found)
@@ -82,12 +93,11 @@ def take_inventory(folder: Path, geometry_path: Path | None, state: State) -> In
     geometry = load_geometry(geometry_path)
     _check_effects(geometry, geometry_path)
     digest = geometry_digest(geometry)
-    files = sorted(path for path in folder.iterdir() if path.suffix in RUN_SUFFIXES and path.is_file())
-    findings = {
-        path: _finding(path, geometry, digest, state) for path in files if sniff_format(path) in (None, RUN_FORMAT)
-    }
+    files = run_files(folder)
+    findings = {path: _finding(path, geometry, digest, state) for path in files}
     if not findings:
-        raise UserError("holds no run file (*.h5)", str(folder), remedy="Give the folder with the run files")
+        fault = "holds no run file (*.h5), and no folder in it does"
+        raise UserError(fault, str(folder), remedy="Give the folder with the run files; `balance import` makes them")
     inventory = _sort_findings(Inventory(geometry_path, geometry, digest, {}), findings)
     if not inventory.of_kind(*RUN_KINDS):
         path, reason = next(iter(inventory.left_out.items()))
@@ -95,6 +105,18 @@ def take_inventory(folder: Path, geometry_path: Path | None, state: State) -> In
             f"none of its {len(findings)} run files can be used", str(folder), remedy=f"First: {path}: {reason}"
         )
     return inventory
+
+
+def run_files(folder: Path) -> list[Path]:
+    """Return the run files of a campaign folder; where it has none itself, those of the folders in it."""
+    own = _run_files_among(folder.iterdir())
+    return own or _run_files_among(path for inner in folder.iterdir() if inner.is_dir() for path in inner.iterdir())
+
+
+def _run_files_among(paths: Iterable[Path]) -> list[Path]:
+    """Return those that have the suffix of a run file and are no file of another format."""
+    files = sorted(path for path in paths if path.suffix.lower() in RUN_SUFFIXES and path.is_file())
+    return [path for path in files if sniff_format(path) in (None, RUN_FORMAT)]
 
 
 def _check_effects(geometry: Geometry, path: Path) -> None:
@@ -127,7 +149,8 @@ def _sort_findings(inventory: Inventory, findings: Mapping[Path, FileFinding]) -
             left_out[path] = f"has the same run name as {names[finding.name].name}, `{finding.name}`"
         else:
             names[finding.name] = path
-            run = RunFile(path, finding.name, finding.digest, finding.has_pulses, finding.sample_rate)
+            facts = (finding.digest, finding.has_pulses, finding.sample_rate, finding.has_points)
+            run = RunFile(path, finding.name, *facts)
             runs[finding.run_kind] = (*runs[finding.run_kind], run)
             if finding.faults:
                 channels[path] = tuple(f"{fault.place}: {fault.fault}" for fault in finding.faults)

@@ -12,8 +12,8 @@ from balance_cli.cli.pipeline.inventory import Inventory, RunFile
 from balance_cli.io.errors import UserError
 
 PAPER_FORMS = {"paper": ("--form", "paper"), "paper-full": ("--form", "paper", "--damping", "full")}
-BEST_FIRST = ("closed", "rigid", "transfer", "computed")
-"""Responses in the order in which their loads are preferred: updated, identified, measured, computed."""
+BEST_FIRST = ("given", "closed", "rigid", "transfer", "computed")
+"""Responses in the order in which their loads are preferred: given, updated, identified, measured, computed."""
 LOWEST_FREQUENCY = 1.0
 """[Hz] from which spectra are reduced: below lie the drift of channels and the high-pass of piezo channels."""
 MOST_RECORDS = 6
@@ -105,14 +105,19 @@ class _Builder:
     def add_calibration(self) -> None:
         """Add the static calibration and the frequency responses."""
         geometry = self._campaign.geometry
-        if not self._static:
+        if self._campaign.given_path("calibration") is not None:
+            self.left_out["calibration"] = "another one was given"
+        elif not self._static:
             self.left_out["calibration"] = "no static run: mean loads are not measured"
         elif not any(channel.measures_dc for channel in geometry.channels):
             self.left_out["calibration"] = "no channel passes a constant load: mean loads are not measured"
         else:
             self._add_from_runs("calibration", "calibrate", self._static)
+        campaign_sweeps = self._campaign.of_kind("sweep")
         if self._sweeps:
-            self._add_from_runs("transfer", "sweep-tf", self._sweeps)
+            # Forces beside the hub that drive several loads at once give no responses, but a model.
+            at_points = any(run.has_points for run in campaign_sweeps)
+            self._add_from_runs("transfer", "sweep-tf", self._sweeps, optional=at_points)
         else:
             self.left_out["transfer"] = "no sweep: no frequency response, and no model is identified"
 
@@ -149,7 +154,7 @@ class _Builder:
             return
         calibration = self._calibration()
         for name in self._responses(bool(calibration)):
-            self._add_reduction(name, name, rotor, optional=name not in ("closed", "rigid", "computed"))
+            self._add_reduction(name, name, rotor, optional=name not in ("given", "closed", "rigid", "computed"))
         loads = tuple(self._path(f"loads-{name}.h5") for name in BEST_FIRST if self._is_planned(f"loads-{name}"))
         self._add_table("loads", loads)
         zeros = self._campaign.of_kind("zero")
@@ -170,7 +175,9 @@ class _Builder:
         rate = min(run.sample_rate or math.inf for run in runs)
         declared = self._campaign.geometry.acquisition.filter
         highest = min(SHARE_OF_RATE * rate, SHARE_OF_CUTOFF * declared.cutoff if declared else math.inf)
-        spectra, response = self._path("spectra.h5"), self._response("closed" if self._sweeps else "computed")
+        own = "closed" if self._sweeps else "computed"
+        best = own if self._campaign.given_path("model") is None else "given"
+        spectra, response = self._path("spectra.h5"), self._response(best)
         words: tuple[str | Path, ...] = ("reduce", *response, *_paths(runs))
         band = ("--band", f"{LOWEST_FREQUENCY:g}", f"{highest:g}", "-o", spectra)
         self.add("spectra", *words, *band, writes=(spectra,), json=True)
@@ -178,7 +185,7 @@ class _Builder:
 
     def add_report(self) -> None:
         """Add the report of everything that was made."""
-        outputs = [path for step in self.steps if step.name != "spectra" for path in step.writes]
+        outputs = [path for step in self.steps for path in step.writes]
         parts = [path for path in outputs if path.suffix == ".h5"]
         page = self._path("report.html")
         records = _paths(self._campaign.of_kind("wind"))[:MOST_RECORDS]
@@ -200,15 +207,22 @@ class _Builder:
             return ("--static",)
         if name == "transfer":
             return ("--transfer", self._path("transfer.h5"))
+        given = self._campaign.given_path("model")
+        if name == "given" and given is not None:
+            return ("--model", given)
         return ("--model", self._path(f"model-{name}.h5"))
 
     def _responses(self, has_calibration: bool) -> list[str]:
         models = [step.name.removeprefix("model-") for step in self.steps if step.name.startswith("model-")]
         static = ["static"] if has_calibration else []
+        static += ["given"] if self._campaign.given_path("model") is not None else []
         return [*static, *(["transfer", *models, "closed"] if self._sweeps else models)]
 
     def _calibration(self) -> tuple[str | Path, ...]:
-        return ("--calibration", self._path("calibration.h5")) if self._is_planned("calibration") else ()
+        given = self._campaign.given_path("calibration")
+        own = self._path("calibration.h5") if self._is_planned("calibration") else None
+        calibration = given or own
+        return () if calibration is None else ("--calibration", calibration)
 
     def _add_from_runs(
         self, name: str, command: str, runs: tuple[Path, ...], *options: str, optional: bool = False
