@@ -35,6 +35,7 @@ LIKELY_MEANT = 0.8
     help="Also write one picture: NAME.svg of a figure of the page, such as azimuth.svg (--json lists the names), or "
     "a .png or .pdf of the comparison of the methods on the check runs.",
 )
+@click.option("--run", "names", multiple=True, metavar="NAME", help="Only the loads of this run. Repeatable.")
 @click.option("--pdf", type=OutputFile(), metavar="FILE", help="Also print the page to a PDF, with Chromium or Chrome.")
 @click.option("--open", "open_page", is_flag=True, help="Show the page in the browser when it is written.")
 @output_option("REPORT.html", "The page, one self-contained file.")
@@ -42,6 +43,7 @@ def command(
     session: Session,
     artefacts: tuple[Path, ...],
     picture: Path | None,
+    names: tuple[str, ...],
     pdf: Path | None,
     open_page: bool,
     output: Path,
@@ -63,6 +65,8 @@ def command(
     paths = session.progress([path for path in artefacts if path not in run_paths], "artefacts", len(artefacts))
     read_artefacts = [(path, session.artefact(path, ARTEFACT_TYPES)) for path in paths]
     report_sources = group_sources(read_artefacts, _open_runs(session, run_paths))
+    if names:
+        report_sources = _select_runs(report_sources, names)
     html_page = build_page(report_sources)
     session.stage(output).write_text(html_page.html, encoding="utf-8")
     if picture is not None:
@@ -76,6 +80,19 @@ def command(
         {"sections": html_page.sections, "figures": html_page.pictures, "artefacts": _source_labels(report_sources)},
         _report_text(html_page, report_sources),
     )
+
+
+def _select_runs(report_sources: Sources, names: Sequence[str]) -> Sources:
+    """Keep the loads of these runs alone."""
+    from balance_cli.report.few_runs import with_runs
+
+    known = list(dict.fromkeys(name for source in report_sources.loads for name in source.content.runs))
+    for name in names:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=3, cutoff=0.0)
+            remedy = f"The nearest runs are {', '.join(near)}" if near else "Give loads that were reduced from it"
+            raise UserError(f"no loads of a run `{name}`", f"--run {name}", remedy=remedy)
+    return with_runs(report_sources, set(names))
 
 
 def _open_runs(session: Session, paths: Sequence[Path]) -> list[Run]:

@@ -8,50 +8,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
-from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.flags import (
-    EXTRAPOLATED,
     NOT_MEASURED,
-    NOT_STEADY,
     SEPARATOR,
     TRUSTED,
-    UNMODELLED_LINE,
-    UNTESTED,
     trust_word,
 )
 from balance_cli.reduction.polar import polar_sigma
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict
-from balance_cli.report.blocks import Card, CardGrid, Details, PageBlock, Paragraph, Row, Table, TableCell
+from balance_cli.report.blocks import Card, CardGrid, PageBlock, Paragraph, Row, TableCell
 from balance_cli.report.number_format import MISSING_VALUE, value_and_sigma_text
-from balance_cli.report.recommendation import Recommendation, reason_sentence, recommend
+from balance_cli.report.recommendation import reason_sentence, recommend
+from balance_cli.report.run_index import run_index
 from balance_cli.report.sources import Source
+from balance_cli.report.trust_text import trust_text
 
 MOST_CARDS = 6
-"""Runs whose loads stand on the first screen; more are in the table of all runs and unfold below it."""
+"""Runs whose loads stand on the first screen; where there are more, all are in the index below it."""
 MOST_MULTIPLES = 2
 """Multiples of the blade harmonic that are shown; the table of all harmonics is below."""
 MOST_TONES = 3
 """Of loads at given frequencies, those that are shown."""
-DOUBTS = (NOT_STEADY, EXTRAPOLATED, UNMODELLED_LINE)
 CARD_MARKS = {USE: "good", DO_NOT_USE: "bad"}
 TRUST_MARKS = {TRUSTED: "good", "contradicted": "bad"}
 
 
 def answer_blocks(sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
-    """Yield the recommended method, a card of loads for each run, and a table of all runs where there are many."""
+    """Yield the recommended method, a card of loads for each run, and an index of all runs where there are many."""
     if not sources:
         return
     recommendations = recommend(sources)
-    cards = []
+    shown = [(item.source, run) for item in recommendations for run in item.runs.values()]
     for recommendation in recommendations:
         yield Paragraph(reason_sentence(recommendation, sources), "lead")
-        cards += [_card(recommendation.source, run) for run in recommendation.runs.values()]
-    yield CardGrid(tuple(cards[:MOST_CARDS]))
-    if len(cards) > MOST_CARDS:
-        yield index_table(recommendations)
-        yield Details(f"Loads of the other {len(cards) - MOST_CARDS} runs", (CardGrid(tuple(cards[MOST_CARDS:])),))
+    yield CardGrid(tuple(_card(source, run) for source, run in shown[:MOST_CARDS]))
+    if len(shown) > MOST_CARDS:
+        yield run_index(recommendations)
 
 
 def shown_rows(loads: HubLoads, run: RunLoads) -> tuple[int, ...]:
@@ -62,15 +56,6 @@ def shown_rows(loads: HubLoads, run: RunLoads) -> tuple[int, ...]:
     blades = loads.geometry.rotor.blades if loads.geometry.rotor else 0
     multiples = range(blades, last + 1, blades) if blades else range(2, last + 1)
     return tuple(dict.fromkeys(n for n in (0, 1, *list(multiples)[:MOST_MULTIPLES]) if n <= last))
-
-
-def trust_text(flags: str) -> str:
-    """Return one phrase of trust for the flags of a row: the worst of them."""
-    word = trust_word(flags)
-    given = flags.split(SEPARATOR)
-    if word == "doubtful":
-        return next((doubt for doubt in DOUBTS if doubt in given), word)
-    return {TRUSTED: "tested and good", UNTESTED: "not tested"}.get(word, word)
 
 
 def row_name(loads: HubLoads, run: RunLoads, n: int) -> str:
@@ -129,52 +114,3 @@ def trust_cell(loads: HubLoads, run: RunLoads, m: int, rows: Sequence[int]) -> T
     exceptions = [f"{', '.join(names)}: {phrase}" for phrase, names in groups.items() if phrase != most]
     full = "; ".join(f"{', '.join(names)}: {phrase}" for phrase, names in groups.items())
     return TableCell(most, "; ".join(exceptions), f"text {mark}".strip(), title=full)
-
-
-def index_table(recommendations: Sequence[Recommendation]) -> Table:
-    """Return the table of all runs, which sorts and filters: verdict, speed, means and blade harmonics."""
-    rows: list[Row] = []
-    names: list[str] = [
-        name
-        for name in COMPONENTS
-        if any(name in run.components for item in recommendations for run in item.runs.values())
-    ]
-    for item in recommendations:
-        rows += [_index_row(item.source.content, run, names) for run in item.runs.values()]
-    head = [
-        TableCell("run"),
-        TableCell("verdict", mark="text"),
-        TableCell("trust", mark="text"),
-        TableCell("1/rev [Hz]"),
-    ]
-    for name in names:
-        head += [TableCell(f"{name} mean [{UNIT_OF[name]}]"), TableCell(f"{name} blade harmonic")]
-    return Table("All runs. Click a heading to sort.", (tuple(head),), tuple(rows), sortable=True)
-
-
-def _index_row(loads: HubLoads, run: RunLoads, names: Sequence[str]) -> Row:
-    verdict = run_verdict(run)
-    worst = trust_text(SEPARATOR.join(word for row in run.flags for word in row))
-    cells = [
-        TableCell(run.run, mark="name"),
-        TableCell(verdict.word, mark=f"text {CARD_MARKS.get(verdict.word, '')}".strip(), title=verdict.sentence),
-        TableCell(worst, mark="text"),
-        TableCell(f"{run.frequency_hz[1]:.4g}" if len(run.frequency_hz) > 1 else ""),
-    ]
-    blade = _blade_row(loads.geometry, run)
-    for name in names:
-        if name not in run.components:
-            cells += [TableCell(""), TableCell("")]
-            continue
-        m = run.components.index(name)
-        mean, _ = value_and_sigma_text(float(run.amplitude[0, m].real), float(run.sigma_cosine[0, m]))
-        size, _ = value_and_sigma_text(abs(complex(run.amplitude[blade, m])), float(_amplitude_sigma(run)[blade, m]))
-        unmeasured = NOT_MEASURED in run.flags[0][m].split(SEPARATOR)
-        cells += [TableCell(MISSING_VALUE if unmeasured else mean), TableCell(size)]
-    return tuple(cells)
-
-
-def _blade_row(geometry: Geometry, run: RunLoads) -> int:
-    blades = geometry.rotor.blades if geometry.rotor else 1
-    last = len(run.frequency_hz) - 1
-    return blades if blades <= last else min(1, last)

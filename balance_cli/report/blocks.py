@@ -39,6 +39,19 @@ class Table:
 
 
 @dataclass(frozen=True)
+class RunIndex:
+    """A sortable table of runs with a small curve for each, and the loads of every run, which a click unfolds.
+
+    `curves`: paths for a box of 100 by 24, one for each row (empty: none). `data`: JSON of the page's script.
+    """
+
+    kind: ClassVar[str] = "index"
+    table: Table
+    curves: tuple[str, ...]
+    data: str
+
+
+@dataclass(frozen=True)
 class Card:
     """The answer for one run: its name, a note, a verdict (`badge`, with the style `mark`), a sentence and a table."""
 
@@ -149,7 +162,19 @@ class Details:
     blocks: tuple[PageBlock, ...]
 
 
-PageBlock = Table | CardGrid | Picture | Chart | Paragraph | WarningText | BulletList | Heading | KeyFigures | Details
+PageBlock = (
+    Table
+    | RunIndex
+    | CardGrid
+    | Picture
+    | Chart
+    | Paragraph
+    | WarningText
+    | BulletList
+    | Heading
+    | KeyFigures
+    | Details
+)
 
 
 @dataclass(frozen=True)

@@ -226,7 +226,6 @@ function download(chart, name, group) {
   setTimeout(() => URL.revokeObjectURL(a.href), 1000);
 }
 window.addEventListener("DOMContentLoaded", () => {
-  document.documentElement.classList.add("scripts");
   if (matchMedia("(prefers-reduced-motion: reduce)").matches)
     document.querySelectorAll(".shapes svg").forEach(svg => svg.pauseAnimations());
   const seen = new IntersectionObserver(entries => entries.forEach(e => {
@@ -238,5 +237,12 @@ window.addEventListener("DOMContentLoaded", () => {
     c.views.forEach(u => u.setSize({width: u.root.parentNode.clientWidth, height: u.height}))), 120); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => charts.forEach(c => c.views.forEach(u => u.redraw())));
   window.balanceCharts = charts;
+  let onDemand = null;
+  window.balanceShow = (place, plots, arrays) => {  // charts of values that another script has made
+    if (onDemand) charts.splice(charts.indexOf(onDemand), 1);
+    onDemand = {figure: place, data: {groups: [{plots}]}, get: i => arrays[i], link: "", views: [], place, made: new Map()};
+    charts.push(onDemand);
+    show(onDemand, 0);
+  };
 });
 })();

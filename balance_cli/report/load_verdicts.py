@@ -28,7 +28,7 @@ def verdict_blocks(sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
         more = (f"{left} more",) if left > 0 else ()
         if warnings:
             yield WarningText(f"Warnings of {source.label}: {'; '.join((*warnings[:MOST_WARNINGS], *more))}.")
-    yield Details("Flags and verdict of every run", (_verdict_table(shown),))
+    yield Details("Flags and verdict of each run shown", (_verdict_table(shown),))
     others = tuple(_verdict_table(source) for source in sources if source is not shown)
     if others:
         yield Details("Verdicts on the loads by other methods", others)

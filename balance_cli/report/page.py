@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 
 from jinja2 import Environment, StrictUndefined, select_autoescape
@@ -25,14 +25,15 @@ from balance_cli.report import (
     transfer,
     wind_on,
 )
-from balance_cli.report.blocks import Chart, Picture, Section, pictures
+from balance_cli.report.blocks import Chart, Paragraph, Picture, Section, pictures
 from balance_cli.report.data_tables import data_tables
+from balance_cli.report.few_runs import condense
 from balance_cli.report.plot_data import chart_json
 from balance_cli.report.sources import Sources
 from balance_cli.report.static_plot import plot_svg
 
 STYLES = ("page.css", "chart.css", "vendor/uPlot.min.css")
-SCRIPTS = ("vendor/uPlot.iife.min.js", "charts.js", "tables.js")
+SCRIPTS = ("vendor/uPlot.iife.min.js", "charts.js", "tables.js", "runs.js")
 """uPlot by Leon Sorokin, MIT license (vendor/uPlot-LICENSE.txt), then the page's own scripts."""
 
 # Results first, then the measurements and fits behind them, then the methods that are only compared.
@@ -84,8 +85,11 @@ def build_page(sources: Sources) -> Page:
 
 def build_sections(sources: Sources) -> Iterator[Section]:
     """Yield every section for which there are artefacts."""
+    condensed, words = condense(sources)
     for make in SECTIONS:
-        section = make(sources)
+        section = make(sources if make is summary.section else condensed)
+        if section is not None and words and section.key == "wind-on":
+            section = replace(section, blocks=(Paragraph(words), *section.blocks))
         if section is not None:
             yield section
 

@@ -45,7 +45,11 @@ def chart_json(chart: Chart) -> str:
     table = _ArrayTable()
     groups = [{"label": group.label, "plots": [_plot(plot, table) for plot in group.plots]} for group in chart.groups]
     data = {"link": chart.link, "groups": groups, "arrays": table.entries}
-    text = json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return script_json(json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False))
+
+
+def script_json(text: str) -> str:
+    """Return JSON in a form that can stand inside a script element."""
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 

@@ -11,6 +11,7 @@ from balance_cli.report.before_after import before_after_blocks
 from balance_cli.report.blocks import BulletList, Details, KeyFigures, PageBlock, Section, WarningText
 from balance_cli.report.check_errors import loads_with_check_runs, overall_error
 from balance_cli.report.diagnosis import verdict_sentence
+from balance_cli.report.few_runs import condense
 from balance_cli.report.frequencies import LARGE_FREQUENCY_DEVIATION, frequency_deviation, reference_model
 from balance_cli.report.load_verdicts import residual_test_figure, verdict_blocks
 from balance_cli.report.number_format import capitalize_first, format_percent, format_significant, join_names
@@ -18,6 +19,9 @@ from balance_cli.report.parameters import is_good_fit
 from balance_cli.report.recommendation import rank_methods
 from balance_cli.report.source_roles import SourceRole
 from balance_cli.report.sources import Sources
+
+MOST_NAMES = 20
+"""Runs that are named in the list of inputs."""
 
 
 def section(sources: Sources) -> Section:
@@ -27,7 +31,7 @@ def section(sources: Sources) -> Section:
     if figures:
         blocks.append(KeyFigures(figures))
     blocks += _verdict_blocks(sources)
-    blocks += verdict_blocks(sources.loads)
+    blocks += verdict_blocks(condense(sources)[0].loads)
     blocks.append(Details("Inputs of this page", (BulletList(tuple(_input_sentences(sources))),)))
     return Section("summary", "Hub loads" if sources.loads else "Summary", tuple(blocks))
 
@@ -55,7 +59,8 @@ def _input_sentences(sources: Sources) -> Iterator[str]:
     if sources.loads:
         runs = dict.fromkeys(name for source in sources.loads for name in source.content.runs)
         labels = join_names([f"{source.label} ({source.file})" for source in sources.loads])
-        yield f"Hub loads of {len(runs)} runs ({', '.join(runs)}), by {labels}."
+        more = f" and {len(runs) - MOST_NAMES} more" if len(runs) > MOST_NAMES else ""
+        yield f"Hub loads of {len(runs)} runs ({', '.join(list(runs)[:MOST_NAMES])}{more}), by {labels}."
 
 
 def _rig_sentence(geometry: Geometry) -> str:

@@ -96,6 +96,14 @@ def test_a_mistyped_figure_is_refused_with_the_names_of_all(files, tmp_path):
     assert not (tmp_path / "azimut.pdf").exists()
 
 
+def test_one_run_makes_a_page_of_its_own(files, tmp_path):
+    result = call(files[1], "-o", tmp_path / "one.html", "--run", "check-2")
+    assert result.exit_code == 0, result.output
+    html = (tmp_path / "one.html").read_text(encoding="utf-8")
+    assert "check-2" in html and "wind-1" not in html
+    refused(call(files[1], "-o", tmp_path / "r.html", "--run", "chek-2"), tmp_path, "--run chek-2", "check-2")
+
+
 def write_wind_run(path, rate=512.0, speed=10.0):
     time = np.arange(2048) / rate
     samples = np.stack([np.sin(2 * np.pi * speed * time), 0.5 + 0.1 * np.cos(2 * np.pi * 4 * speed * time)], axis=1)

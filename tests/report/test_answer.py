@@ -1,16 +1,20 @@
 """The first screen: which loads are recommended and why, and what it says of every load."""
 
+import base64
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from balance_cli.report.answer import MOST_CARDS, answer_blocks, trust_text
+from balance_cli.report.answer import MOST_CARDS, answer_blocks
 from balance_cli.report.azimuth import DEGREES, waveform, waveform_sigma
+from balance_cli.report.few_runs import RUNS_SHOWN, condense, with_runs
 from balance_cli.report.page import build_page
 from balance_cli.report.recommendation import rank_methods
 from balance_cli.report.sources import group_sources
+from balance_cli.report.trust_text import trust_text
 from tests.support.report_content import artefact, campaign, loads
 
 
@@ -71,18 +75,43 @@ def test_trust_names_the_worst_flag(flags, text):
     assert trust_text(flags) == text
 
 
-def test_many_runs_are_in_a_table_that_sorts_and_the_rest_unfolds():
+def test_many_runs_are_in_an_index_that_sorts_with_a_curve_and_the_loads_of_each():
     content = loads()
     runs = {f"w{i}": replace(content.runs["wind-1"], run=f"w{i}") for i in range(20)}
     blocks = list(answer_blocks(sources_of(replace(content, runs=runs))))
     assert len(cards(blocks)) == MOST_CARDS
-    (table,) = [block for block in blocks if block.kind == "table"]
-    assert table.sortable and len(table.rows) == 20 and {len(row) for row in table.rows} == {len(table.head[0])}
-    assert len(blocks[-1].blocks[0].cards) == 20 - MOST_CARDS
+    (index,) = [block for block in blocks if block.kind == "index"]
+    table = index.table
+    # The last column holds the curve.
+    assert table.sortable and len(table.rows) == 20 and {len(row) for row in table.rows} == {len(table.head[0]) - 1}
+    assert len(index.curves) == 20 and index.curves[3].count("L") == 30
+    data = json.loads(index.data)
+    values = np.frombuffer(base64.b64decode(data["runs"][7]["d"]), "<f4").reshape(4, 6, 4)
+    run = runs["w7"]
+    np.testing.assert_allclose(values[..., 0] - 1j * values[..., 1], run.amplitude, rtol=1e-6)
+    np.testing.assert_allclose(values[..., 2], run.sigma_cosine, rtol=1e-6)
+    flags = [data["flags"][int(data["runs"][7]["w"][i : i + 2], 36)] for i in range(0, 48, 2)]
+    assert flags == [flag for row in run.flags for flag in row]
+
+
+def test_of_very_many_runs_the_worst_are_shown_in_full_and_the_index_holds_all():
+    content = loads()
+    run = content.runs["wind-1"]
+    bad = replace(run, run="bad", flags=(("redundancy",) * 6,) * 4)
+    runs = {f"w{i:02}": replace(run, run=f"w{i:02}") for i in range(30)} | {"bad": bad}
+    sources = group_sources([(Path("l.h5"), artefact("balance-loads/1", replace(content, runs=runs), "1" * 64))])
+    few, words = condense(sources)
+    assert list(few.loads[0].content.runs) == [*(f"w{i:02}" for i in range(RUNS_SHOWN - 1)), "bad"]
+    assert f"{RUNS_SHOWN} of 31 runs" in words
+    html = build_page(sources).html
+    assert words in html and html.count("<tr data-run=") == 31
+    assert condense(with_runs(sources, {"bad"}))[1] == ""
+    alone = build_page(with_runs(sources, {"bad"})).html
+    assert "w03" not in alone and "do not use" in alone
 
 
 def test_wrong_methods_stand_below_the_answer():
-    html = build_page(group_sources(campaign())).html
+    html = build_page(group_sources([item for item in campaign() if item[1].format == "balance-loads/1"])).html
     assert html.index('class="cards"') < html.index('id="picture-azimuth"') < html.index('id="check-runs"')
 
 

@@ -60,14 +60,14 @@ def open_page(browser, page_file):
     """
     contexts, requests, messages = [], [], []
 
-    def visit(width=1280, height=800, file=page_file, **options):
+    def visit(width=1280, height=800, file=page_file, hash="", **options):
         context = browser.new_context(viewport={"width": width, "height": height}, bypass_csp=True, **options)
         contexts.append(context)
         tab = context.new_page()
         tab.on("request", lambda request: requests.append(request.url))
         tab.on("console", lambda message: messages.append(message.text))
         tab.on("pageerror", lambda error: messages.append(str(error)))
-        tab.goto(file.as_uri())
+        tab.goto(file.as_uri() + hash)
         return tab
 
     yield visit
@@ -179,11 +179,30 @@ def test_a_table_of_many_runs_sorts_and_filters(open_page, page_file):
     tab = open_page(file=page_file.with_name("many.html"))
     table = tab.locator("table.sortable")
     first = table.locator("thead button").first
+    assert table.locator("tbody td svg").count() == 9
     first.click()
     first.click()
     assert table.locator("tbody tr th").first.inner_text() == "w08"
     tab.locator(".filter input").fill("w03")
     assert table.locator("tbody tr:visible").count() == 1
+    assert "1 of 1 rows" in tab.locator(".filter").inner_text()
+
+
+def test_a_click_on_a_run_shows_its_loads_and_the_address_leads_back(open_page, page_file):
+    many = page_file.with_name("many.html")
+    tab = open_page(file=many)
+    tab.locator("#all-runs tbody tr[data-run='4'] button").click()
+    panel = tab.locator(".run-panel")
+    assert panel.locator("h3").inner_text() == "w04" and tab.url.endswith("#run=w04")
+    cells = [cell.replace("\n", " ") for cell in panel.locator("tbody tr").nth(1).locator("td").all_inner_texts()]
+    # Fx at 1/rev is 10 / 2 exp(0.5j).
+    assert cells[0].startswith("5.000 ± 0.020 28.6°")
+    assert "no zero" in panel.locator("tbody tr").nth(0).inner_text()
+    assert panel.locator(".axes").count() == 6
+    mean = tab.evaluate("balanceCharts.at(-1).views[2].data[1].slice(0, -1).reduce((a, b) => a + b) / 180")
+    assert mean == pytest.approx(12.0, rel=1e-5)
+    again = open_page(file=many, hash="#run=w07")
+    assert again.locator(".run-panel h3").inner_text() == "w07"
 
 
 def test_without_scripts_and_in_print_static_pictures_stand_in(open_page):
@@ -203,6 +222,7 @@ def test_contrast_and_labels_pass_axe(open_page, page_file, scheme):
     from axe_playwright_python.sync_playwright import Axe
 
     tab = open_page(color_scheme=scheme, file=page_file.with_name("many.html"))
+    tab.locator("#all-runs tbody button").first.click()
     tab.locator("#picture-azimuth").scroll_into_view_if_needed()
     tab.wait_for_selector("#picture-azimuth .u-legend")
     found = Axe().run(tab, options={"runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa"]}}).response["violations"]
