@@ -13,7 +13,8 @@ from balance_cli.diagnosis.result import ResidualMap
 from balance_cli.diagnosis.settings import ResidualMapSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.fit_quality import residual_variance
-from balance_cli.estimation.likelihood import evaluate_batch, recorded_load_columns
+from balance_cli.estimation.likelihood import evaluate_batch
+from balance_cli.estimation.recorded_loads import recorded_load_columns
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve

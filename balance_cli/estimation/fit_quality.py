@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identified_model import FitQuality, RunFit
-from balance_cli.estimation.likelihood import evaluate_batch, recorded_load_columns
+from balance_cli.estimation.likelihood import evaluate_batch
+from balance_cli.estimation.recorded_loads import recorded_load_columns
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
 from balance_cli.model.placed_effects import without_effects

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
 from balance_cli.estimation.mains_interference import MainsTone, mains_tones
+from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
 from balance_cli.estimation.transients import (
     RunTransient,
     TransientTerms,
@@ -30,6 +31,7 @@ from balance_cli.estimation.transients import (
     fit_transients,
     transient_derivatives,
 )
+from balance_cli.model.exciter_loads import true_load_derivatives, true_loads
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
 from balance_cli.model.system_response import Solution, response, solve
@@ -74,17 +76,6 @@ class Curvature:
 
     def __add__(self, other: Curvature) -> Curvature:
         return Curvature(self.chi2 + other.chi2, self.gradient + other.gradient, self.information + other.information)
-
-
-def exciter_response(system: System, solution: Solution) -> ComplexArray:
-    """T (f, c, 6) per unit of the loads that the exciter's force cell measures, its cross-axis matrix included."""
-    return np.asarray(response(system, solution) @ system.equations.exciter_cross_axis.value)
-
-
-def recorded_load_columns(batch: Batch, system: System, solution: Solution) -> ComplexArray:
-    """T (K, c, u) of each line per unit of its recorded loads, the cross-axis matrix of the batch included."""
-    T = response(system, solution) @ system.equations.cross_axis(batch.is_static).value
-    return np.asarray(T[batch.lines.index[:, None], :, batch.lines.components].swapaxes(1, 2))
 
 
 def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives: bool = False) -> BatchEvaluation:
@@ -163,14 +154,13 @@ def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray
 def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: BatchEvaluation) -> ComplexArray:
     """Derivatives dY (K, c, p) at the estimated exciter loads.
 
-    The cross-axis matrix, offsets and nonlinear forces are included.
+    What the exciters' force cells do not measure, offsets and nonlinear forces are included.
     """
-    loads = fit.loads
-    matrix = system.equations.cross_axis(batch.is_static)
-    derivatives = output_jacobian(system, solution, batch.lines.index, loads @ matrix.value.T)
-    if np.any(matrix.derivative):
-        true_load_change = np.einsum("pij,kj->kip", matrix.derivative, loads)
-        derivatives = derivatives + np.matmul(response(system, solution)[batch.lines.index], true_load_change)
+    place = (system, solution, batch.lines.index, fit.loads, attached_exciters(batch), batch.is_static)
+    derivatives = output_jacobian(system, solution, batch.lines.index, true_loads(*place))
+    change = true_load_derivatives(*place)
+    if change is not None:
+        derivatives = derivatives + np.matmul(response(system, solution)[batch.lines.index], change)
     for run in fit.forces:
         run.add_derivatives(system, derivatives[run.lines])
     _add_offset_derivatives(derivatives, batch, system, solution)

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.fit_quality import live_mask, residual_variance
-from balance_cli.estimation.likelihood import evaluate_batch, recorded_load_columns
+from balance_cli.estimation.likelihood import evaluate_batch
+from balance_cli.estimation.recorded_loads import recorded_load_columns
 from balance_cli.estimation.response_error import ResponseError
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve

@@ -35,6 +35,34 @@ def spring_force_jacobian(
     selection: Mask | slice = slice(None),
 ) -> ComplexArray:
     """Derivatives (K, e, p) of the spring forces for given loads (K, 6) and extra forces at lines `index` (K,)."""
+    x, change = _motion_and_change(system, solution, index, loads, extra, selection)
+    derivatives = solution.force_influence[index] @ change
+    derivatives = derivatives + multiply_derivatives(system.readings.derivative[selection], x)
+    if system.readings_loss.derivative.any():
+        frequency = solution.frequency[index][:, None]
+        quadrature, logarithmic = 1j * np.sign(frequency) * x, log_frequency_ratio(frequency) * x
+        derivatives += multiply_derivatives(system.readings_loss.derivative[selection], quadrature)
+        derivatives += multiply_derivatives(system.readings_frequency_stiffness.derivative[selection], logarithmic)
+    return np.asarray(derivatives)
+
+
+def hub_motion_jacobian(system: System, solution: Solution, index: Index, loads: ComplexArray) -> ComplexArray:
+    """Derivatives (K, 6, p) of the motion of the hub for given loads (K, 6) at lines `index` (K,)."""
+    x, change = _motion_and_change(system, solution, index, loads, None, slice(None))
+    rows = system.equations.inputs
+    derivatives = (rows.value.T @ solution.receptance)[index] @ change
+    return np.asarray(derivatives + multiply_derivatives(rows.derivative.swapaxes(1, 2), x))
+
+
+def _motion_and_change(
+    system: System,
+    solution: Solution,
+    index: Index,
+    loads: ComplexArray,
+    extra: SpringInputs | None,
+    selection: Mask | slice,
+) -> tuple[ComplexArray, ComplexArray]:
+    """The motion x (K, n) and the change (K, n, p) of its excitation, dF u - dA x, for the selected parameters."""
     pencil = system.pencil
     w = 2 * np.pi * solution.frequency[index][:, None]
     excitation = loads @ system.inputs.value.T
@@ -50,20 +78,14 @@ def spring_force_jacobian(
         -pencil.hysteresis.derivative,
     ]
     vectors = [loads, x, 1j * w * x, w**2 * x, quadrature]
-    lossy = system.readings_loss.derivative.any()
-    if lossy:
+    if system.readings_loss.derivative.any():
         matrices, vectors = [*matrices, -pencil.frequency_stiffness.derivative], [*vectors, logarithmic]
     change = multiply_derivatives(
         np.concatenate([part[selection] for part in matrices], axis=2), np.concatenate(vectors, axis=1)
     )
     if extra is not None:
         change += multiply_derivatives(system.reactions.derivative[selection], extra.acting)
-    derivatives = solution.force_influence[index] @ change
-    derivatives = derivatives + multiply_derivatives(system.readings.derivative[selection], x)
-    if lossy:
-        derivatives += multiply_derivatives(system.readings_loss.derivative[selection], quadrature)
-        derivatives += multiply_derivatives(system.readings_frequency_stiffness.derivative[selection], logarithmic)
-    return np.asarray(derivatives)
+    return x, change
 
 
 def output_jacobian(

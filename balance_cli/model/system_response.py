@@ -58,6 +58,14 @@ def response(system: System, solution: Solution) -> ComplexArray:
     return np.asarray(system.equations.mixing.value @ volts)
 
 
+def hub_motion(system: System, solution: Solution) -> ComplexArray:
+    """Motion (k, 6, 6) of the hub, x y z [m] and rotations about them, per unit of the true hub loads.
+
+    By the principle of virtual work it is that in which each load works.
+    """
+    return np.asarray(system.equations.inputs.value.T @ solution.receptance @ system.inputs.value)
+
+
 def spring_forces(
     system: System, solution: Solution, index: Index, loads: ComplexArray, extra: SpringInputs | None = None
 ) -> ComplexArray:

@@ -29,21 +29,21 @@ def check_errors(
     harmonic_solution: SolvedLoads,
     components: tuple[str, ...],
     geometry: Geometry,
-    exciter_cross_axis: Array | None = None,
+    load_matrices: ComplexArray | None = None,
 ) -> CheckErrors:
     """Compare complex amplitudes of harmonics 1 to 8 (`load_error` and `interaction` in docs/json.md).
 
-    A component was applied where its column of the loads is not all zeros. `exciter_cross_axis` (6, 6) are the loads
-    that act for each load that the exciter's force cells measure, where a model knows them; the error is that against
-    the loads that act.
+    A component was applied where its column of the loads is not all zeros. `load_matrices` (n+1, 6, 6) are the
+    loads that act for each load that the exciters' force cells record, where a model knows them; the error is that
+    against the loads that act.
     """
     H = anti_alias_response(geometry.acquisition, spectra.frequency_hz)
     columns = spectra.columns(components)
     was_applied = np.any(spectra.amplitude[:, columns] != 0, axis=0)
     applied = spectra.amplitude[:, columns]
     variance = np.real(np.diagonal(spectra.covariance, axis1=1, axis2=2))[:, columns]
-    if exciter_cross_axis is not None and np.any(exciter_cross_axis != np.eye(6)):
-        applied, variance = _applied_loads(spectra, exciter_cross_axis, components)
+    if load_matrices is not None and np.any(load_matrices != np.eye(6)):
+        applied, variance = _applied_loads(spectra, load_matrices, components)
     applied, variance = applied / H[:, None], variance / np.abs(H[:, None]) ** 2
     last = min(HARMONICS_COMPARED, len(spectra.frequency_hz) - 1)
     error = _rms(harmonic_solution.loads[:last] - applied[1 : last + 1])
@@ -62,13 +62,14 @@ def check_errors(
 
 
 def _applied_loads(
-    spectra: Harmonics, exciter_cross_axis: Array, components: tuple[str, ...]
+    spectra: Harmonics, load_matrices: ComplexArray, components: tuple[str, ...]
 ) -> tuple[ComplexArray, Array]:
     """Return the loads (n+1, m) that act, and their variance, from those that the force cells measure."""
     columns = spectra.columns(COMPONENTS)
-    rows = exciter_cross_axis[[COMPONENTS.index(name) for name in components]]
+    rows = load_matrices[:, [COMPONENTS.index(name) for name in components]]
     covariance = spectra.covariance[:, columns][:, :, columns]
-    return spectra.amplitude[:, columns] @ rows.T, np.real(np.einsum("mi,hij,mj->hm", rows, covariance, rows))
+    applied = np.einsum("hmi,hi->hm", rows, spectra.amplitude[:, columns])
+    return applied, np.real(np.einsum("hmi,hij,hmj->hm", rows, covariance, rows.conj()))
 
 
 def _rms(values: ComplexArray) -> Array:

@@ -51,10 +51,10 @@ def true_loads(rig: TrueRig, commanded_loads: Array, kind: str) -> Array:
     return _apply_hooks((partial(extension.true_loads, kind=kind) for extension in rig.extensions), commanded_loads)
 
 
-def _recorded_loads(rig: TrueRig, commanded_loads: Array, kind: str) -> Array:
+def _recorded_loads(rig: TrueRig, commanded_loads: Array, kind: str, step: float | None = None) -> Array:
     """Readings (n, 6) of the exciters' force cells; a component that is not applied is declared zero and stays zero."""
     recorded = _apply_hooks(
-        (partial(extension.recorded_loads, kind=kind) for extension in rig.extensions), commanded_loads
+        (partial(extension.recorded_loads, kind=kind, step=step) for extension in rig.extensions), commanded_loads
     )
     applied = commanded_loads != 0 if kind == "static" else np.any(commanded_loads != 0, axis=0)
     return np.where(applied, recorded, 0.0)
@@ -122,7 +122,7 @@ def record_samples(
     geometry, noise, rng = rig.geometry, acquisition.noise, acquisition.random_stream(plan, "noise")
     through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=grid.oversampling)
     volts = through(_channel_volts(rig, forces, grid.step, acquisition.random_stream(plan, "pickup")))[: grid.samples]
-    recorded = through(_recorded_loads(rig, commanded_loads, plan.kind))[: grid.samples]
+    recorded = through(_recorded_loads(rig, commanded_loads, plan.kind, grid.step))[: grid.samples]
     sigma = np.array([noise.sigma_of_channel(channel) for channel in geometry.channels])
     noisy = volts + sigma * rng.standard_normal(volts.shape)
     applied = np.any(commanded_loads != 0, axis=0)

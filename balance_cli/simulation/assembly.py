@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -73,14 +74,16 @@ def _with_shaft(plate: Mechanics, rig: TrueRig) -> Mechanics:
     return whole
 
 
-def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0) -> Mechanics:
-    """The rig with all its extensions, at `rotor_speed` [Hz].
+def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0, attached: Collection[str] = ()) -> Mechanics:
+    """The rig with all its extensions, at `rotor_speed` [Hz], the exciters of these components `attached` to its hub.
 
     Raises UserError where it is not restrained, or its inertia is not positive.
     """
     mechanics = rigid_plate(rig)
     for extension in rig.extensions:
         mechanics = extension.mechanics(mechanics, rig.geometry, rotor_speed)
+    for extension in rig.extensions:
+        mechanics = extension.exciter_mechanics(mechanics, attached)
     if np.linalg.eigvalsh(mechanics.mass)[0] <= 0:
         names = ", ".join(f"`{extension.name}`" for extension in rig.extensions) or "the bodies"
         fault = f"these parameters are not physical: the inertia with {names} is not positive"

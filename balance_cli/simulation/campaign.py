@@ -12,7 +12,14 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.io.result_view import plural
 from balance_cli.simulation.acquisition import RecordingSetup, record_samples, record_static, true_loads
 from balance_cli.simulation.assembly import equations_of_motion
-from balance_cli.simulation.load_signals import CONTACT_OVERSAMPLING, OVERSAMPLING, Grid, planned_loads, record_grid
+from balance_cli.simulation.load_signals import (
+    CONTACT_OVERSAMPLING,
+    OVERSAMPLING,
+    Grid,
+    attached_exciters,
+    planned_loads,
+    record_grid,
+)
 from balance_cli.simulation.motion import RigDynamics, nonlinear_forces
 from balance_cli.simulation.noise import Noise
 from balance_cli.simulation.plans import AnyPlan, CampaignPlan, SampledPlan, StaticPlan, campaign_plan
@@ -44,7 +51,7 @@ def _group_by_dynamics(rig: TrueRig, plans: Sequence[SampledPlan]) -> Iterator[t
     """The sampled runs, grouped by equal equations of motion and sample rate."""
     groups: dict[tuple[bytes, float], tuple[RigDynamics, list[SampledPlan]]] = {}
     for plan in plans:
-        mechanics = equations_of_motion(rig, plan.rotor_speed)
+        mechanics = equations_of_motion(rig, plan.rotor_speed, attached_exciters(plan))
         key = (state_matrix(mechanics).tobytes(), plan.sample_rate)
         if key not in groups:
             groups[key] = (RigDynamics.from_mechanics(mechanics), [])

@@ -100,6 +100,17 @@ def rotor_loads(plan: RotorPlan, time: Array, rng: np.random.Generator) -> Array
     return loads
 
 
+def attached_exciters(plan: SampledPlan) -> tuple[str, ...]:
+    """Components whose exciters are attached in a run: those that a sweep excites or a check run applies."""
+    match plan:
+        case SweepPlan():
+            return plan.excited
+        case RotorPlan(kind="check"):
+            return tuple(dict.fromkeys((*plan.harmonics, *plan.steady, *plan.turbulence)))
+        case _:
+            return ()
+
+
 def planned_loads(plan: SampledPlan, grid: Grid, rng: np.random.Generator) -> Array:
     """Loads (n, 6) of a run on the fine grid, as the exciters' force cells measure them; the same on every grid."""
     match plan:

@@ -8,7 +8,8 @@ import numpy as np
 import scipy.signal
 from numpy.typing import NDArray
 
-from balance_cli.simulation.acquisition import true_loads
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.simulation.acquisition import KINDS_WITH_LOADS, true_loads
 from balance_cli.simulation.assembly import equations_of_motion
 from balance_cli.simulation.extensions.base import Signals
 from balance_cli.simulation.load_signals import CONTACT_OVERSAMPLING, OVERSAMPLING
@@ -26,12 +27,17 @@ def replay_loads(rig: TrueRig, loads: Array, kind: str, sample_rate: float, roto
     channels and loads, so the channels need no further filter. An effect with a random phase has another one here.
     Raises LinAlgError where the motion grows without bound.
     """
-    mechanics = equations_of_motion(rig, rotor_speed)
+    has_exciters = kind in KINDS_WITH_LOADS
+    attached = [name for name, load in zip(COMPONENTS, loads.T, strict=True) if has_exciters and np.any(load)]
+    mechanics = equations_of_motion(rig, rotor_speed, attached)
     oversampling = CONTACT_OVERSAMPLING if any(force.limit for force in mechanics.forces) else OVERSAMPLING
     step = 1.0 / (oversampling * sample_rate)
-    fine = scipy.signal.resample_poly(true_loads(rig, loads, kind), oversampling, 1, axis=0, padtype="line")
+    fine = scipy.signal.resample_poly(loads, oversampling, 1, axis=0, padtype="line")
     # What interpolation leaves in a component without load would be a load.
-    fine = np.where(np.any(loads, axis=0) | np.any(np.abs(fine) > 0.0, axis=0), fine, 0.0)
+    fine = np.where(np.any(loads, axis=0), fine, 0.0)
+    for extension in reversed(rig.extensions):
+        fine = extension.loads_from_recorded(fine, kind, step)
+    fine = true_loads(rig, fine, kind)
     motion = RigDynamics.from_mechanics(mechanics)
     with np.errstate(over="ignore", invalid="ignore"):
         forces = nonlinear_forces(motion, [fine], step)[0] if mechanics.forces else np.zeros((len(fine), 0))

@@ -17,13 +17,15 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.estimation.nonlinear_contribution import remove_nonlinear_contribution
 from balance_cli.io.errors import UserError
+from balance_cli.model.exciter_loads import true_load_matrices
+from balance_cli.model.system_response import solve
 from balance_cli.reduction.check_errors import check_errors
 from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, harmonic_response, rotor_record
 from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import CheckErrors
 
-Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 HOLD_OUT_KINDS = ("check", "sweep")
 
@@ -71,11 +73,21 @@ def _check_run_errors(run: Run, model: IdentifiedModel) -> tuple[RunErrors, RunE
     """Errors of a check run and their noise floor, at the harmonics from 1 on, which need no calibration."""
     source, geometry = model_source(model), model.geometry
     record = rotor_record(run, geometry, source)
-    exciter_cross_axis = identified_system(model).equations.exciter_cross_axis.value
+    matrices = record_load_matrices(record, model)
     loads = check_errors(
-        record.spectra, harmonic_loads(record, geometry, source), record.components, geometry, exciter_cross_axis
+        record.spectra, harmonic_loads(record, geometry, source), record.components, geometry, matrices
     )
-    return _run_errors(loads, *_harmonic_errors(record, model, source, exciter_cross_axis))
+    return _run_errors(loads, *_harmonic_errors(record, model, source, matrices))
+
+
+def record_load_matrices(record: RotorRecord, model: IdentifiedModel) -> ComplexArray:
+    """Return the matrices (n+1, 6, 6) from recorded to true loads at harmonics 0 to n of a check run."""
+    system, spectra = identified_system(model), record.spectra
+    applied = np.any(spectra.amplitude[:, spectra.columns(COMPONENTS)] != 0, axis=0)
+    solution = solve(system, spectra.frequency_hz, record.spin)
+    lines = np.arange(len(spectra.frequency_hz))
+    matrices = true_load_matrices(system, solution, lines, np.broadcast_to(applied, (len(lines), 6)))
+    return np.broadcast_to(matrices, (len(lines), 6, 6)).astype(complex)
 
 
 def _run_errors(loads: CheckErrors, frf_error: float, frf_noise: float) -> tuple[RunErrors, RunErrors]:
@@ -86,7 +98,7 @@ def _run_errors(loads: CheckErrors, frf_error: float, frf_noise: float) -> tuple
 
 
 def _harmonic_errors(
-    record: RotorRecord, model: IdentifiedModel, source: ResponseSource, exciter_cross_axis: Array
+    record: RotorRecord, model: IdentifiedModel, source: ResponseSource, matrices: ComplexArray
 ) -> tuple[float, float]:
     """Relative rms of the measured channels minus the response times the applied loads, and its noise floor.
 
@@ -94,7 +106,7 @@ def _harmonic_errors(
     """
     spectra = record.spectra
     channel_combination = source.channel_combination(spectra.frequency_hz[1:], record.health.live)
-    T = harmonic_response(record, model.geometry, source)[:, channel_combination.rows] @ exciter_cross_axis
+    T = harmonic_response(record, model.geometry, source)[:, channel_combination.rows] @ matrices[1:]
     # Channels and residual as combinations (h, r, c + 6) of all recorded signals.
     measured = np.concatenate([channel_combination.combination, np.zeros_like(T)], axis=2)
     residual = np.concatenate([channel_combination.combination, -T], axis=2)

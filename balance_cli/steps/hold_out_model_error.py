@@ -12,10 +12,11 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.diagnosis.conclusions import is_described
 from balance_cli.diagnosis.result import HoldOut
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS, SearchSettings
-from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
+from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.estimation.response_error import ResponseError
 from balance_cli.reduction.harmonic_loads import harmonic_response, rotor_record
 from balance_cli.reduction.model_sources import model_source
+from balance_cli.steps.hold_out import record_load_matrices
 
 
 def add_hold_out_error(
@@ -49,10 +50,7 @@ def _response_error(run: Run, model: IdentifiedModel) -> ResponseError:
     record = rotor_record(run, geometry, source)
     spectra, live = record.spectra, record.health.live
     rows = [geometry.channel_names.index(name) for name in live]
-    T = (
-        harmonic_response(record, geometry, source)[:, rows]
-        @ identified_system(model).equations.exciter_cross_axis.value
-    )
+    T = harmonic_response(record, geometry, source)[:, rows] @ record_load_matrices(record, model)[1:]
     amplitude = spectra.amplitude[1:, spectra.columns((*live, *COMPONENTS))]
     channels, loads = amplitude[:, : len(live)], amplitude[:, len(live) :]
     residual = channels - np.einsum("hcj,hj->hc", T, loads)

@@ -8,8 +8,9 @@ import pytest
 from balance_cli.estimation import batch as batch_module
 from balance_cli.estimation.batch import split_large_batches
 from balance_cli.estimation.equation_error import equation_error, fit_equation_error, measured_forces
-from balance_cli.estimation.likelihood import count_measured_values, data_chi2, data_curvature, exciter_response
+from balance_cli.estimation.likelihood import count_measured_values, data_chi2, data_curvature
 from balance_cli.estimation.measurements import stack_runs
+from balance_cli.estimation.recorded_loads import exciter_response
 from balance_cli.estimation.static_lines import static_lines
 from balance_cli.model.balance import balance_model
 from balance_cli.model.system_response import response, solve

@@ -13,11 +13,13 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import DeclaredEffect, Geometry
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.identified_model import IdentifiedModel, identified_system
-from balance_cli.estimation.likelihood import data_chi2, data_curvature, exciter_response
+from balance_cli.estimation.likelihood import data_chi2, data_curvature
 from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
+from balance_cli.estimation.recorded_loads import exciter_response
 from balance_cli.model.balance import BalanceModel, balance_model
 from balance_cli.model.effects import Effect
+from balance_cli.model.exciter_loads import true_load_derivatives, true_loads
 from balance_cli.model.placed_effects import declared_effects, needs_mean
 from balance_cli.model.response_jacobian import output_jacobian
 from balance_cli.model.system import System
@@ -115,12 +117,11 @@ def check_derivatives(effect, where):
     rng = np.random.default_rng(0)
     loads = rng.standard_normal((len(FREQUENCY), 6)) + 1j * rng.standard_normal((len(FREQUENCY), 6))
     solution = solve(system, FREQUENCY, SPIN)
-    slopes = output_jacobian(
-        system, solution, np.arange(len(FREQUENCY)), loads @ system.equations.exciter_cross_axis.value.T
-    )
-    slopes = slopes + response(system, solution) @ np.einsum(
-        "pij,kj->kip", system.equations.exciter_cross_axis.derivative, loads
-    )
+    recorded = (system, solution, np.arange(len(FREQUENCY)), loads, np.ones((len(FREQUENCY), 6), bool))
+    slopes = output_jacobian(system, solution, np.arange(len(FREQUENCY)), true_loads(*recorded))
+    of_loads = true_load_derivatives(*recorded)
+    if of_loads is not None:
+        slopes = slopes + response(system, solution) @ of_loads
     rigid = [model.parameters.index("stiffness.z1"), model.parameters.index("centre_of_gravity.z")]
     for i in [*own_parameters(model, effect), *rigid]:
         step = 1e-5 * scale[i] * np.eye(len(theta))[i]

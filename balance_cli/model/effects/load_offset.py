@@ -16,14 +16,9 @@ from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import load_range
-from balance_cli.model.effects.places import Where
+from balance_cli.model.effects.places import Where, each_component
 from balance_cli.model.mechanics.dual_numbers import Dual
 from balance_cli.model.mechanics.equations import Equations
-
-
-def _places(geometry: Geometry) -> tuple[Where, ...]:
-    return tuple((name,) for name in COMPONENTS)
-
 
 SMALL = 2e-4
 """An offset that matters, relative to what the largest cell can carry: the zero of a good force cell."""
@@ -51,7 +46,7 @@ EFFECT = Effect(
     separated_by="A record with the exciter attached and at rest. The offset of a channel appears in that channel "
     "alone.",
     place="a load component",
-    places=_places,
+    places=each_component,
     parameters=_parameters,
     apply=_apply,
     needs_mean=True,

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from balance_cli.campaign.rig.channel_groups import ALL, channel_groups
+from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 
 Where = tuple[str, ...]
@@ -68,6 +72,21 @@ def channels_at(geometry: Geometry, where: Where) -> tuple[str, ...]:
 def cells_at(geometry: Geometry, where: Where) -> list[int]:
     """Indices of the cells at a place, which is the name of one cell or `all`."""
     return [i for i, cell in enumerate(geometry.cells) if where == (ALL,) or cell.name in where]
+
+
+def each_component(_: Geometry) -> tuple[Where, ...]:
+    """One place per load component."""
+    return tuple((name,) for name in COMPONENTS)
+
+
+def all_or_each_component(geometry: Geometry) -> tuple[Where, ...]:
+    """All load components together, then one place per component."""
+    return ((ALL,), *each_component(geometry))
+
+
+def unit_components(where: Where) -> NDArray[np.float64]:
+    """Ones (6,) at the components of a place, which is the name of one component or `all`."""
+    return np.array([float(where == (ALL,) or name in where) for name in COMPONENTS])
 
 
 def nonempty_subsets(names: tuple[str, ...]) -> tuple[Where, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -45,9 +46,20 @@ class Extension:
         """True hub loads (n, 6) of a run of this kind where the exciters' force cells are loaded by `loads` (n, 6)."""
         return loads
 
-    def recorded_loads(self, loads: Array, kind: str) -> Array:
-        """Recorded loads (n, 6) of a run of this kind where the exciters' force cells are loaded by `loads` (n, 6)."""
+    def exciter_mechanics(self, mechanics: Mechanics, attached: Collection[str]) -> Mechanics:
+        """The equations of motion with the exciters of these load components `attached` to the hub."""
+        return mechanics
+
+    def recorded_loads(self, loads: Array, kind: str, step: float | None = None) -> Array:
+        """Recorded loads (n, 6) of a run of this kind where the exciters' force cells are loaded by `loads` (n, 6).
+
+        They are sampled every `step` s; without one they are those of static load points.
+        """
         return loads
+
+    def loads_from_recorded(self, recorded: Array, kind: str, step: float) -> Array:
+        """Loads (n, 6) of the force cells for recorded ones, the inverse of `recorded_loads` but for means."""
+        return recorded
 
     def volts(self, signals: Signals) -> Array:
         """Volts (n, channels) with the effect."""

@@ -19,7 +19,14 @@ from balance_cli.simulation.extensions.cells import (
     StructuralDamping,
     TransverseStiffness,
 )
-from balance_cli.simulation.extensions.loads import ExciterMisalignment, LoadOffset, WeightMisalignment
+from balance_cli.simulation.extensions.loads import (
+    ExciterMass,
+    ExciterMisalignment,
+    LoadDelay,
+    LoadGain,
+    LoadOffset,
+    WeightMisalignment,
+)
 from balance_cli.simulation.extensions.signals import (
     ChannelGain,
     ChannelOffset,
@@ -49,8 +56,11 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     CubicStiffness,
     QuadraticStiffness,
     DryFriction,
+    ExciterMass,
     ExciterMisalignment,
     WeightMisalignment,
+    LoadGain,
+    LoadDelay,
     LoadOffset,
     ChannelGain,
     LowPass,

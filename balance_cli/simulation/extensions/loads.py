@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.simulation import filters
 from balance_cli.simulation.extensions.base import Extension
+from balance_cli.simulation.mechanics import Mechanics
 
 Array = NDArray[np.float64]
 
@@ -56,8 +59,68 @@ class LoadOffset(Extension):
     name: ClassVar[str] = "load-offset"
     offset: float = 0.0
 
-    def recorded_loads(self, loads: Array, kind: str) -> Array:
+    def recorded_loads(self, loads: Array, kind: str, step: float | None = None) -> Array:
         """The readings with the offset."""
         shifted = loads.copy()
         shifted[:, self.places(COMPONENTS)] += self.offset
         return shifted
+
+
+@dataclass(frozen=True)
+class LoadGain(Extension):
+    """The exciter's force cell reads `gain` times its load."""
+
+    name: ClassVar[str] = "load-gain"
+    gain: float = 1.0
+
+    def recorded_loads(self, loads: Array, kind: str, step: float | None = None) -> Array:
+        """The scaled readings; weights have none."""
+        return self._scaled(loads, self.gain) if kind in KINDS_WITH_EXCITERS else loads
+
+    def loads_from_recorded(self, recorded: Array, kind: str, step: float) -> Array:
+        """The loads of which these are the readings."""
+        return self._scaled(recorded, 1.0 / self.gain) if kind in KINDS_WITH_EXCITERS else recorded
+
+    def _scaled(self, loads: Array, factor: float) -> Array:
+        scaled = loads.copy()
+        scaled[:, self.places(COMPONENTS)] *= factor
+        return scaled
+
+
+@dataclass(frozen=True)
+class LoadDelay(Extension):
+    """The reading of the exciter's force cell is late by `delay` [s] (early where negative)."""
+
+    name: ClassVar[str] = "load-delay"
+    delay: float = 0.0
+
+    def recorded_loads(self, loads: Array, kind: str, step: float | None = None) -> Array:
+        """The readings shifted in time."""
+        return self._shifted(loads, self.delay, kind, step)
+
+    def loads_from_recorded(self, recorded: Array, kind: str, step: float) -> Array:
+        """The loads of which these are the readings."""
+        return self._shifted(recorded, -self.delay, kind, step)
+
+    def _shifted(self, loads: Array, delay: float, kind: str, step: float | None) -> Array:
+        if step is None or kind not in KINDS_WITH_EXCITERS:
+            return loads
+        shifted = loads.copy()
+        for index in self.places(COMPONENTS):
+            shifted[:, index] = filters.delay_signal(loads[:, index], delay, step)
+        return shifted
+
+
+@dataclass(frozen=True)
+class ExciterMass(Extension):
+    """A `mass` [kg], of a moment a moment of inertia [kg m2], moves with the hub while its exciter is attached."""
+
+    name: ClassVar[str] = "exciter-mass"
+    mass: float = 0.0
+
+    def exciter_mechanics(self, mechanics: Mechanics, attached: Collection[str]) -> Mechanics:
+        """The equations with the inertia along the loads of the attached exciters."""
+        self.places(COMPONENTS)
+        columns = [i for i, name in enumerate(COMPONENTS) if name in attached and name in self.where]
+        rows = mechanics.loads[:, columns]
+        return replace(mechanics, mass=mechanics.mass + self.mass * rows @ rows.T)

@@ -1,0 +1,116 @@
+"""The loads that act for those that the exciters' force cells record, and their derivatives.
+
+A force cell may read `gain` times its load, late by `delay`, and a `mass` beyond it moves with the hub: with D the
+masses of the exciters that are attached in a run, H the motion of the hub per unit load and C the cross-axis matrix,
+
+    e = exp(s delay) / gain recorded load,        (1 + s^2 D H) v = e,        true load = C v
+
+In static runs weights act, for which there is the matrix of their misalignment alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.model.mechanics.equations import Equations
+from balance_cli.model.response_jacobian import hub_motion_jacobian, multiply_derivatives
+from balance_cli.model.system import System
+from balance_cli.model.system_response import Solution, hub_motion
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+
+def has_plain_exciters(equations: Equations) -> bool:
+    """Whether force cells read what acts beyond them: no gain, delay or mass at its present value."""
+    one = np.array_equal(equations.load_gain.value, np.ones(6))
+    return one and not np.any(equations.load_delay.value) and not np.any(equations.exciter_mass.value)
+
+
+def true_load_matrices(
+    system: System, solution: Solution, index: Index, attached: Mask, is_static: bool = False
+) -> ComplexArray | Array:
+    """Matrices (K, 6, 6) from recorded to true loads at lines `index` (K,), or (6, 6) where all are the same.
+
+    `attached` (K, 6): the components whose exciters are attached to the hub.
+    """
+    cross_axis = system.equations.cross_axis(is_static).value
+    if is_static or has_plain_exciters(system.equations):
+        return np.asarray(cross_axis)
+    return np.asarray(cross_axis @ _load_beyond_cell(system, solution, index, attached))
+
+
+def _load_beyond_cell(system: System, solution: Solution, index: Index, attached: Mask) -> ComplexArray:
+    """Matrices (K, 6, 6) from recorded loads to those beyond the exciters' masses, before the cross-axis matrix."""
+    e = _cell_factor(system.equations, solution.frequency[index])
+    if not np.any(system.equations.exciter_mass.value):
+        return np.asarray(e[:, None, :] * np.eye(6))
+    return np.asarray(_inertia_inverse(system, solution, index, attached) * e[:, None, :])
+
+
+def _cell_factor(equations: Equations, frequency: Array) -> ComplexArray:
+    """Load of a force cell over what it records, exp(s delay) / gain (K, 6)."""
+    s = 2j * np.pi * frequency[:, None]
+    return np.asarray(np.exp(s * equations.load_delay.value) / equations.load_gain.value)
+
+
+def _inertia_inverse(system: System, solution: Solution, index: Index, attached: Mask) -> ComplexArray:
+    """(1 + s^2 D H)^-1 (K, 6, 6)."""
+    square = -((2 * np.pi * solution.frequency[index]) ** 2)
+    mass = square[:, None] * attached * system.equations.exciter_mass.value
+    motion = (hub_motion(system, solution) @ system.equations.exciter_cross_axis.value)[index]
+    return np.asarray(np.linalg.inv(np.eye(6) + mass[:, :, None] * motion))
+
+
+def true_loads(
+    system: System, solution: Solution, index: Index, loads: ComplexArray, attached: Mask, is_static: bool = False
+) -> ComplexArray:
+    """True loads (K, 6) for recorded `loads` (K, 6) at lines `index` (K,)."""
+    matrices = true_load_matrices(system, solution, index, attached, is_static)
+    return np.asarray(np.matmul(matrices, loads[:, :, None])[:, :, 0])
+
+
+def true_load_derivatives(
+    system: System, solution: Solution, index: Index, loads: ComplexArray, attached: Mask, is_static: bool = False
+) -> ComplexArray | None:
+    """Derivatives (K, 6, p) of the true loads for recorded `loads` (K, 6); None where no parameter changes them."""
+    equations = system.equations
+    cross_axis = equations.cross_axis(is_static)
+    beyond = loads
+    change = None if is_static else _beyond_cell_derivatives(system, solution, index, loads, attached)
+    if not is_static and not has_plain_exciters(equations):
+        beyond = np.matmul(_load_beyond_cell(system, solution, index, attached), loads[:, :, None])[:, :, 0]
+    total = None if change is None else np.asarray(cross_axis.value @ change, complex)
+    if np.any(cross_axis.derivative):
+        of_matrix = multiply_derivatives(cross_axis.derivative, beyond)
+        total = of_matrix if total is None else total + of_matrix
+    return total
+
+
+def _beyond_cell_derivatives(
+    system: System, solution: Solution, index: Index, loads: ComplexArray, attached: Mask
+) -> ComplexArray | None:
+    """Derivatives (K, 6, p) of the loads beyond the exciters' masses."""
+    equations = system.equations
+    gain, delay, mass = equations.load_gain, equations.load_delay, equations.exciter_mass
+    if has_plain_exciters(equations) and not any(np.any(part.derivative) for part in (gain, delay, mass)):
+        return None
+    s = 2j * np.pi * solution.frequency[index][:, None, None]
+    recorded = _cell_factor(equations, solution.frequency[index]) * loads
+    change = recorded[:, :, None] * (s * delay.derivative.T - (gain.derivative / gain.value).T)
+    if not (np.any(mass.value) or np.any(mass.derivative)):
+        return np.asarray(change)
+    inverse = _inertia_inverse(system, solution, index, attached)
+    beyond = np.matmul(inverse, recorded[:, :, None])[:, :, 0]
+    acting = beyond @ equations.exciter_cross_axis.value.T
+    motion = np.matmul(hub_motion(system, solution)[index], acting[:, :, None])
+    change = change - s**2 * attached[:, :, None] * mass.derivative.T * motion
+    if np.any(mass.value):
+        of_motion = hub_motion_jacobian(system, solution, index, acting)
+        turned = multiply_derivatives(equations.exciter_cross_axis.derivative, beyond)
+        of_motion = of_motion + np.matmul(hub_motion(system, solution)[index], turned)
+        change = change - s**2 * (attached * mass.value)[:, :, None] * of_motion
+    return np.asarray(np.matmul(inverse, change))
