@@ -98,6 +98,14 @@ class MainsDetectionSettings:
 
 
 @dataclass(frozen=True)
+class RunChangeSettings:
+    """The ratio of two channels of a cell in one run against that in the others."""
+
+    min_signal_to_noise: float = 100.0
+    """Power of both channels over that of their noise: with less, the ratio is no linear function of the noise."""
+
+
+@dataclass(frozen=True)
 class ExclusionSettings:
     """Channels and runs that are left out where no effect describes all data."""
 
@@ -114,5 +122,6 @@ class DataTestSettings:
     channel_pairs: ChannelPairSettings = field(default_factory=ChannelPairSettings)
     run_pairs: RunPairSettings = field(default_factory=RunPairSettings)
     static_pairs: StaticPairSettings = field(default_factory=StaticPairSettings)
+    run_changes: RunChangeSettings = field(default_factory=RunChangeSettings)
     mains: MainsDetectionSettings = field(default_factory=MainsDetectionSettings)
     exclusions: ExclusionSettings = field(default_factory=ExclusionSettings)

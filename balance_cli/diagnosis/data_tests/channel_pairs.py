@@ -20,6 +20,7 @@ from balance_cli.diagnosis.data_tests.channel_ratio import (
     fit_ratio,
     fit_with_kind,
     ratio_chi2,
+    remove_ratio,
     score_gain,
 )
 from balance_cli.diagnosis.data_tests.high_pass_transient import high_pass_transient
@@ -202,6 +203,40 @@ def difference_gain(
     if kind in equal.kinds:
         return equal.chi2 - ratio_chi2(pair.lines, (kind,), np.array([value]))
     return equal.chi2 - ratio_chi2(pair.lines, (*equal.kinds, kind), np.append(equal.values, value))
+
+
+@dataclass(frozen=True)
+class ComparedPair:
+    """Two channels of a cell with the ratio that describes all their runs best taken out of their lines.
+
+    `runs`: names, in the order of their numbers in the lines; `components`: those that each excites; `dof`: degrees of
+    freedom of the noise of each.
+    """
+
+    first: str
+    second: str
+    runs: tuple[str, ...]
+    components: tuple[tuple[str, ...], ...]
+    lines: PairSpectrum
+    dof: tuple[float, ...]
+
+
+def compared_pairs(
+    runs: Sequence[RunSpectrum], geometry: Geometry, settings: DataTestSettings
+) -> tuple[ComparedPair, ...]:
+    """Return the pairs of channels that several runs share."""
+    paths = {path.channel: path for path in declared_paths(geometry)}
+    pairs = []
+    for first, second in channel_pairs(geometry):
+        shared = [run for run in runs if {first, second} <= set(run.channel_names)]
+        pair = _pair_data(shared, paths[first], paths[second], geometry.tolerances.sensitivity)
+        if pair is not None and len(shared) > 1:
+            equal = _fit_equal_channels(pair.lines, settings.channel_pairs)
+            alike = _residual_p_value(pair, equal) > settings.significance_level
+            common = equal if alike else _fits_with_one_more_kind(pair, equal, settings.channel_pairs)[0]
+            names, components = tuple(run.run for run in shared), tuple(run.components for run in shared)
+            pairs.append(ComparedPair(first, second, names, components, remove_ratio(pair.lines, common), pair.dof))
+    return tuple(pairs)
 
 
 def _pair_differences(pair: _Pair, start: RatioFit, settings: SearchSettings) -> list[ChannelDifference]:

@@ -114,6 +114,12 @@ class PairSpectrum:
             run=self.run[::n],
         )
 
+    def select_run(self, number: int) -> PairSpectrum:
+        """The lines of one run."""
+        keep = self.run == number
+        names = ("s", "forces", "covariance", "factor", "high_pass_transient", "run")
+        return replace(self, **{name: getattr(self, name)[keep] for name in names})
+
 
 @dataclass(frozen=True)
 class RatioFit:
@@ -136,6 +142,18 @@ def ratio_chi2(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], values: A
 def _ratio(lines: PairSpectrum, kinds: tuple[DifferenceKind, ...], values: Array) -> ComplexArray:
     log = sum((kind.log_ratio(lines.s, value) for kind, value in zip(kinds, values, strict=True)), 0.0 * lines.s)
     return np.asarray(np.exp(log))
+
+
+def remove_ratio(lines: PairSpectrum, fit: RatioFit) -> PairSpectrum:
+    """The lines with the fitted ratio taken out, so that their channels are equal but for what the fit leaves."""
+    factor = np.stack([_ratio(lines, fit.kinds, fit.values), np.ones(len(lines.s))], axis=1)
+    return replace(
+        lines,
+        forces=lines.forces * factor,
+        covariance=lines.covariance * factor[:, :, None] * factor[:, None, :].conj(),
+        high_pass_transient=lines.high_pass_transient * factor,
+        gain_sigma=0.0,
+    )
 
 
 def _residual(lines: PairSpectrum, r: ComplexArray) -> tuple[ComplexArray, Array, ComplexArray]:
