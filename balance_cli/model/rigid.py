@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,20 +30,17 @@ Array = NDArray[np.float64]
 def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Equations:
     """Equations of plate and shaft at the parameters `value` by name, with derivatives by `p` free parameters."""
     mass, B, F = _plate(geometry, value)
-    k = stack([value[f"stiffness.{cell.name}"] for cell in geometry.cells])
-    plate_stiffness = B.T @ (k.insert_axis(-1) * B)
-    zeta = stack([value[f"damping_ratio.{i + 1}"] for i in range(len(geometry.freedom))])
-    damping = modal_damping(mass, plate_stiffness, zeta)
+    k, plate_damping = _springs_and_damping(geometry, value, B)
+    damping = plate_damping(mass)
     springs: tuple[str, ...] = geometry.cell_names
     coordinates: tuple[str, ...] = geometry.freedom
     if geometry.torque_meter:
         mass, damping, B, k, F = _with_shaft(value, mass, damping, B, k, F)
         springs, coordinates = (*springs, TORQUE), (*coordinates, SHAFT)
-    n = len(coordinates)
-    nothing = constant(np.zeros((n, n)), p)
+    nothing, n = constant(np.zeros_like(mass.value), p), len(coordinates)
     equations = Equations(
-        coordinates=tuple(coordinates),
-        springs=tuple(springs),
+        coordinates=coordinates,
+        springs=springs,
         mass=mass,
         damping=damping,
         gyroscopic=nothing,
@@ -68,9 +65,17 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
         own_stiffness=np.zeros(n),
         channel_offset=constant(np.zeros(len(geometry.channels)), p),
         load_offset=constant(np.zeros(6), p),
-        plate_damping=lambda changed_mass: modal_damping(changed_mass, plate_stiffness, zeta),
+        plate_damping=plate_damping,
     )
     return _with_unstiff_springs(equations, _further_sources(geometry), geometry.cell_names)
+
+
+def _springs_and_damping(geometry: Geometry, value: Mapping[str, Dual], B: Dual) -> tuple[Dual, Callable[[Dual], Dual]]:
+    """Stiffness (cells,) of the cells, and the damping of the plate (n, n) for a mass matrix (n, n)."""
+    k = stack([value[f"stiffness.{cell.name}"] for cell in geometry.cells])
+    zeta = stack([value[f"damping_ratio.{i + 1}"] for i in range(len(geometry.freedom))])
+    stiffness = B.T @ (k.insert_axis(-1) * B)
+    return k, lambda mass: modal_damping(mass, stiffness, zeta)
 
 
 def _plate(geometry: Geometry, value: Mapping[str, Dual]) -> tuple[Dual, Dual, Dual]:
