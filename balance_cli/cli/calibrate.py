@@ -191,7 +191,8 @@ def _calibrate_from_runs(
             session.report_left_out(run.name, f"a {run.kind} run; only static runs are used")
     checks = _select_static_hold_out(session, hold_out)
     choice = term_choice(session, choices.terms, choices.significance, rig)
-    return calibrate(runs, rig, choice, checks, choices.direct)
+    with session.working("calibration"):
+        return calibrate(runs, rig, choice, checks, choices.direct)
 
 
 def _select_static_hold_out(session: Session, hold_out_runs: Sequence[Run]) -> list[Run]:

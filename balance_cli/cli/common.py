@@ -17,7 +17,7 @@ A command reads its inputs, runs one step, writes the result and prints a summar
         session.save(output, "balance-calibration/1", calibration)
         session.finish(summary={"trims": ...}, text=["2 trims", ...])
 
-The decorator adds `--json` and `-v`. The session records all inputs for the provenance. Outputs (`save`, `stage`,
+The decorator adds `--json`, `-v` and `-q`. The session records all inputs for the provenance. Outputs (`save`, `stage`,
 `stage_in`) and the JSON are written beside their final paths and moved there together when the command returns without
 an exception. `session.warn` and `session.report_left_out` write to stderr and to the JSON. `session.status = 3` sets
 the exit status of a call that otherwise succeeded. Declare the options of a command with the types InputFile,
@@ -52,6 +52,7 @@ from balance_cli.cli.options import (
     skip_bad_option,
     verbose_option,
 )
+from balance_cli.cli.work_reports import WorkReports
 from balance_cli.io.atomic import StagedOutputs, os_errors_as_user_error
 from balance_cli.io.errors import UserError
 from balance_cli.io.reader_process import reader_process
@@ -77,7 +78,7 @@ __all__ = [
 T = TypeVar("T")
 
 
-class Session(Messages):
+class Session(Messages, WorkReports):
     """One call of one command: its inputs, outputs, warnings and summary."""
 
     def __init__(self, context: click.Context, json_path: Path | None) -> None:
@@ -120,7 +121,9 @@ class Session(Messages):
         from balance_cli.campaign.recording.gaps import report_gaps
         from balance_cli.campaign.recording.run_file import open_runs, require_disjoint
 
-        runs, skipped = open_runs(tuple(paths), geometry, skip_bad)
+        paths = tuple(paths)
+        with self.logged(f"{len(paths)} runs opened"):
+            runs, skipped = open_runs(self.progress(paths, "opening", len(paths)), geometry, skip_bad)
         for path, reason in skipped.items():
             self.report_skipped(str(path), reason)
         require_disjoint(runs, disjoint_from)
@@ -136,15 +139,10 @@ class Session(Messages):
         """Read an artefact of one of the formats in `types` and record it as an input."""
         from balance_cli.io.artefacts import load_artefact
 
-        artefact = load_artefact(path, types)
+        with self.logged(f"{path} read"):
+            artefact = load_artefact(path, types)
         self._inputs.append((path.name, role, artefact.digest))
         return artefact
-
-    def progress(self, items: Iterable[T], description: str, total: int | None = None) -> Iterable[T]:
-        """The same items, with a progress bar where stderr is a terminal, else a line every ten seconds."""
-        from balance_cli.cli.progress import track
-
-        return track(items, description, total)
 
     def provenance(self) -> Provenance:
         """Command, non-default options, inputs read so far, package versions and time."""
@@ -157,7 +155,8 @@ class Session(Messages):
         """Stage an artefact of this format for `path`, by default with the provenance of all inputs read so far."""
         from balance_cli.io.artefacts import save_artefact
 
-        save_artefact(self.stage(path), format, content, provenance or self.provenance())
+        with self.logged(f"{path} written"):
+            save_artefact(self.stage(path), format, content, provenance or self.provenance())
 
     def write_text(self, path: Path, text: str) -> None:
         """Stage a text file for `path`."""
@@ -193,7 +192,8 @@ class Session(Messages):
 
     def echo(self, line: str) -> None:
         """Print a line now: on stdout, or on stderr where the JSON goes to stdout."""
-        click.echo(line, err=self.json_to_stdout)
+        if not self._context.params.get("quiet"):
+            click.echo(line, err=self.json_to_stdout)
 
     @contextmanager
     def skip_if_unusable(self, run: Run, skip_bad: bool) -> Iterator[None]:
@@ -266,17 +266,17 @@ class Session(Messages):
 
 
 def balance_command(name: str, **attributes: Any) -> Callable[[Callable[..., None]], click.Command]:
-    """As click.command, with `--json` and `-v` added.
+    """As click.command, with `--json`, `-v` and `-q` added.
 
     The function receives the Session first, then its own parameters.
     """
 
     def decorate(function: Callable[..., None]) -> click.Command:
-        def call(json_path: Path | None, verbose: bool, **parameters: Any) -> None:
+        def call(json_path: Path | None, verbose: bool, quiet: bool, **parameters: Any) -> None:
             context = click.get_current_context()
             check_outputs(context)
             session, failed = Session(context, json_path), True
-            with log_to_stderr(verbose), reader_process():
+            with log_to_stderr(verbose and not quiet), reader_process():
                 try:
                     function(session, **parameters)
                     failed = False

@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from balance_cli.cli.labels import echo_message
 from balance_cli.io.errors import UserError
 
 EXIT_USER_ERROR = 2
@@ -127,4 +128,4 @@ def internal_error_text(error: BaseException) -> str:
 
 
 def _echo_error(message: str) -> None:
-    click.echo(f"balance: error: {message}", err=True)
+    echo_message("error", message)

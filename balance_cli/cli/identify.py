@@ -101,7 +101,8 @@ def command(
     for name, reason in spectra.unused.items():
         session.report_left_out(name, reason)
     options = IdentifyOptions(method=method, form=form, damping=damping, band=band)
-    model = identify(spectra, rig, options)
+    with session.working("fit"):
+        model = identify(spectra, rig, options)
     session.save(output, MODEL_FORMAT, with_findings(session, model))
     session.finish(model_summary(model), model_text(model))
 

@@ -6,12 +6,12 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import click
+from balance_cli.cli.labels import echo_message
 
 
 class _StderrHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        click.echo(f"balance: {record.levelname.lower()}: {self.format(record)}", err=True)
+        echo_message(record.levelname.lower(), self.format(record))
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import click
+from balance_cli.cli.labels import echo_message
 
 
 class Messages:
@@ -43,4 +43,4 @@ class Messages:
         self._echo_warning(f"{name} left out: {reason}")
 
     def _echo_warning(self, text: str) -> None:
-        click.echo(f"balance: warning: {text}", err=True)
+        echo_message("warning", text)

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import click
 
+from balance_cli.cli.labels import echo_message
 from balance_cli.io.atomic import check_output, check_output_folder
 from balance_cli.io.errors import UserError
 
@@ -103,9 +104,11 @@ def json_option(function: F) -> F:
 
 
 def verbose_option(function: F) -> F:
-    """The option `-v/--verbose` of every command."""
-    text = "Print more details, and the traceback of an internal error."
-    return click.option("-v", "--verbose", is_flag=True, help=text)(function)
+    """The options `-v/--verbose` and `-q/--quiet` of every command."""
+    text = "Say on stderr what is done and how long it takes; print the traceback of an internal error."
+    function = click.option("-v", "--verbose", is_flag=True, help=text)(function)
+    text = "No text on stdout and no progress; warnings and errors are still printed."
+    return click.option("-q", "--quiet", is_flag=True, help=text)(function)
 
 
 def deprecated_option(former: str, current: str, parameter: str, **attributes: Any) -> Callable[[F], F]:
@@ -118,7 +121,7 @@ def deprecated_option(former: str, current: str, parameter: str, **attributes: A
     def use_former(context: click.Context, option: click.Parameter, value: Any) -> None:
         if context.get_parameter_source(option.name or "") is not click.core.ParameterSource.COMMANDLINE:
             return
-        click.echo(f"balance: warning: {former} is deprecated; use {current}", err=True)
+        echo_message("warning", f"{former} is deprecated; use {current}")
         context.params[parameter] = value
         context.set_parameter_source(parameter, click.core.ParameterSource.COMMANDLINE)
 
@@ -152,7 +155,7 @@ def check_band(option: str, lowest: float, highest: float) -> None:
         raise UserError(fault, option, remedy="Give the lowest frequency first, then the highest")
 
 
-EXECUTION_OPTIONS = ("json_path", "verbose", "strict", "jobs", "executor", "shard")
+EXECUTION_OPTIONS = ("json_path", "verbose", "quiet", "strict", "jobs", "executor", "shard")
 """Options of how a command is carried out and reported; results do not depend on them."""
 STORED_OPTION_NAMES = {"load_model": "loads-as"}
 """Names under which artefacts store options that were renamed later, so that digests stay."""

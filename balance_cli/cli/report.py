@@ -67,7 +67,8 @@ def command(
     report_sources = group_sources(read_artefacts, _open_runs(session, run_paths))
     if names:
         report_sources = _select_runs(report_sources, names)
-    html_page = build_page(report_sources)
+    with session.working("page"):
+        html_page = build_page(report_sources)
     session.stage(output).write_text(html_page.html, encoding="utf-8")
     if picture is not None:
         _write_picture(session, picture, html_page, report_sources)

@@ -59,7 +59,7 @@ def command(
     rig = session.geometry(geometry)
     opened = session.runs(runs, rig, skip_bad)
     opened = require_consistent_runs(session, rig, opened, skip_bad, measured_anyway)
-    transfer = estimate_responses(session.progress(opened, "runs"), rig, estimator, band)
+    transfer = estimate_responses(session.progress(opened, "runs", len(opened)), rig, estimator, band)
     for name, reason in transfer.unused_runs.items():
         session.report_left_out(name, reason)
     for run, channels in transfer.channels_left_out.items():

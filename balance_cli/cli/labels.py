@@ -1,0 +1,27 @@
+"""Messages on stderr, with a colored label where stderr is a terminal."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+
+COLORS = {"error": "red", "warning": "yellow", "info": "blue", "debug": "blue"}
+
+
+def echo_message(kind: str, text: str) -> None:
+    """Print `balance: KIND: text` on stderr; what is wrong is bold and colored where colors are shown."""
+    shown = shows_colors()
+    label = click.style(kind, fg=COLORS.get(kind), bold=kind == "error") if shown else kind
+    click.echo(f"balance: {label}: {text}", err=True, color=shown)
+
+
+def shows_colors() -> bool:
+    """Whether stderr shows colors: a terminal does, unless NO_COLOR is set, and FORCE_COLOR asks for them elsewhere.
+
+    NO_COLOR (no-color.org) counts first; either counts where it is not empty.
+    """
+    if os.environ.get("NO_COLOR"):
+        return False
+    return bool(os.environ.get("FORCE_COLOR")) or (sys.stderr.isatty() and os.environ.get("TERM") != "dumb")
