@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.temperature import TemperatureTerms
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.result_view import ResultView, plural, warning_lines
@@ -125,13 +126,15 @@ class Calibration(ResultView):
     `all_trims` is None where the trims have too few channels in common, or loads were applied that the balance does not
     carry. A calibration from a matrix file has one trim, the linear part at zero load, without runs and errors:
     standard errors, hysteresis and lack of fit are NaN, covariances of coefficients zero. `consistency`: what the
-    cross-checks said of the runs, None where nothing.
+    cross-checks said of the runs, None where nothing. `temperature`: what temperature adds to the readings; None where
+    it has no effect, or is not known.
     """
 
     geometry: Geometry
     trims: dict[str, TrimCalibration]
     all_trims: AllTrimsCalibration | None = field(default=None, metadata={"stored_as": "gage"})
     consistency: tuple[str, ...] | None = field(default=None, metadata={"omit_if_none": True})
+    temperature: TemperatureTerms | None = field(default=None, metadata={"omit_if_none": True})
 
     @property
     def errors_known(self) -> bool:

@@ -64,8 +64,9 @@ def command(
     """
     from balance_cli.calibration.result import Calibration
     from balance_cli.cli.apply_output import apply_summary, apply_text, loads_csv, output_units
-    from balance_cli.steps.point_loads import move_moment_center, point_loads
+    from balance_cli.steps.point_loads import move_moment_center
     from balance_cli.steps.point_readings import point_readings, zero_reading
+    from balance_cli.steps.point_temperature import point_loads_at_temperature
 
     if output.suffix.lower() != ".csv":
         raise UserError("loads of a point table are written as .csv", str(output), remedy="Give it this suffix")
@@ -77,7 +78,7 @@ def command(
         assert zero is not None
         unloaded = zero_reading(_open(session, Path(zero), result, reading, "zero"))
     readings = [point_readings(table, result, zero == FIRST_ROW) for table in opened]
-    loads = [point_loads(rows, result, unloaded, method == "non-iterative") for rows in readings]
+    loads = [point_loads_at_temperature(rows, result, unloaded, method == "non-iterative") for rows in readings]
     if moment_center is not None:
         loads = [move_moment_center(run, result.geometry, moment_center) for run in loads]
     columns = output_units(result, opened, load_units)

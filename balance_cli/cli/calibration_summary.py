@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from balance_cli.cli.load_residual_summary import check_point_summary, load_residual_summary
+from balance_cli.cli.temperature_summary import temperature_summary
 
 if TYPE_CHECKING:
     from balance_cli.calibration.all_trims import AllTrimsCalibration
@@ -47,6 +48,7 @@ def calibration_summary(calibration: Calibration) -> dict[str, Any]:
         "all_trims": summary,
         "load_residuals": load_residual_summary(calibration),
         "check_points": check_point_summary(calibration),
+        "temperature": temperature_summary(calibration),
         "gage": _with_former_keys(summary) if summary else None,
     }
 

@@ -10,6 +10,7 @@ import numpy as np
 from balance_cli.campaign.rig.load_components import full_scale
 from balance_cli.cli.calibration_summary import nonlinear_terms_summary
 from balance_cli.cli.load_residual_summary import load_residual_text
+from balance_cli.cli.temperature_summary import temperature_text
 from balance_cli.io.units import VOLTAGE, short_reading
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def calibration_text(calibration: Calibration) -> Iterator[str]:
     yield from load_residual_text(calibration)
     if calibration.all_trims:
         yield from _math_model_text(calibration.all_trims, calibration.geometry)
+    yield from temperature_text(calibration)
 
 
 def math_model_warnings(all_trims: AllTrimsCalibration) -> Iterator[str]:

@@ -14,6 +14,8 @@ REDUNDANCY = "redundancy"
 """The redundant channels contradict the load."""
 EXTRAPOLATED = "extrapolated"
 """The mean load lies outside the calibrated range."""
+NO_TEMPERATURE = "no temperature"
+"""The channels depend on temperature, and that of the run or of its zero is not known."""
 NOT_STEADY = "not steady"
 """The load steps or drifts within the interval over which it was averaged."""
 UNMODELLED_LINE = "unmodelled line"
@@ -29,6 +31,7 @@ FLAGS = (
     UNTESTED,
     REDUNDANCY,
     EXTRAPOLATED,
+    NO_TEMPERATURE,
     NOT_STEADY,
     UNMODELLED_LINE,
     FILTER_CONTRADICTED,
@@ -45,7 +48,7 @@ def join_flags(words: Iterable[str]) -> str:
 
 TRUST_WORDS = (
     ("contradicted", (REDUNDANCY, FILTER_CONTRADICTED, MODEL_CONTRADICTED)),
-    ("doubtful", (EXTRAPOLATED, NOT_STEADY, UNMODELLED_LINE)),
+    ("doubtful", (EXTRAPOLATED, NO_TEMPERATURE, NOT_STEADY, UNMODELLED_LINE)),
     ("not measured", (NOT_MEASURED,)),
     ("untested", (UNTESTED,)),
     ("no zero", (NO_ZERO,)),

@@ -15,6 +15,7 @@ from balance_cli.calibration.math_model import student_widening
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.channel_health import ChannelHealth
 from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.campaign.recording.temperature import mean_temperature
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import EXTRAPOLATED, NO_ZERO, NOT_MEASURED, REDUNDANCY, UNTESTED, join_flags
 from balance_cli.reduction.weighted_least_squares import DOF_PER_REDUNDANT_EQUATION, REDUNDANCY_CONFIDENCE
@@ -31,12 +32,16 @@ LARGEST_CONDITION = 1e8
 
 @dataclass(frozen=True)
 class ZeroRecord:
-    """Reading of the unloaded rig: means (c,) [V] of the named channels and their variance."""
+    """Reading of the unloaded rig: means (c,) [V] of the named channels and their variance.
+
+    `temperature` [degC]: mean of the record, None where it states none.
+    """
 
     run: str
     channel_names: tuple[str, ...]
     mean: Array
     variance: Array
+    temperature: float | None = None
 
 
 def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
@@ -44,7 +49,8 @@ def zero_record(run: Run, channel_names: Sequence[str]) -> ZeroRecord:
     names = tuple(name for name in channel_names if name in run.channel_names)
     values = read_channels(run, names)
     means = np.array([part.mean(axis=0) for part in np.array_split(values, ZERO_SEGMENTS)])
-    return ZeroRecord(run.name, names, values.mean(axis=0), means.var(axis=0, ddof=1) / ZERO_SEGMENTS)
+    temperature = mean_temperature(run)
+    return ZeroRecord(run.name, names, values.mean(axis=0), means.var(axis=0, ddof=1) / ZERO_SEGMENTS, temperature)
 
 
 @dataclass(frozen=True)

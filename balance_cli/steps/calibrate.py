@@ -32,6 +32,7 @@ from balance_cli.campaign.rig.load_components import LoadComponents, load_compon
 from balance_cli.io.errors import UserError
 from balance_cli.steps.calibrate_all_trims import fit_all_trims, gravity_of_runs
 from balance_cli.steps.load_point_rows import load_point_rows
+from balance_cli.steps.temperature_correction import fit_without_temperature
 from balance_cli.steps.trim_tasks import TrimTask, fitted_tasks, rows_of_tasks, run_place, trim_tasks
 
 Array = NDArray[np.float64]
@@ -55,10 +56,11 @@ def calibrate(
 ) -> Calibration:
     """Calibrate from the static runs among `runs`: C0 and T0 for each trim, and one model of all trims.
 
-    `choice`: the terms of the model, by default those that a search selects for each channel. The static runs of
-    `hold_out` are not fitted, but check the model. With `non_iterative` the loads are also fitted as functions of the
-    readings. Matrices and model use the same rows: those that the model calls outliers enter neither. The calibrated
-    range of a component is the largest load applied to it in these rows.
+    Where all runs state their temperature, readings are referred to the mean one by terms of temperature that the
+    rows tell. `choice`: the terms of the model, by default those that a search selects for each channel. The static
+    runs of `hold_out` are not fitted, but check the model. With `non_iterative` the loads are also fitted as functions
+    of the readings. Matrices and model use the same rows: those that the model calls outliers enter neither. The
+    calibrated range of a component is the largest load applied to it in these rows.
 
     Raises UserError where there is no static run, a run has no loads, a trim does not load a component that the balance
     carries, or the usable channels do not determine the loads.
@@ -71,6 +73,18 @@ def calibrate(
             raise UserError("a static run without loads", run_place(run), "loads", "Record the applied loads")
     components = load_components(geometry)
     _check_attitudes(static, components)
+
+    def fit(at_reference: Sequence[Run], held_out: Sequence[Run]) -> Calibration:
+        return _calibrate_static(at_reference, geometry, choice, held_out, non_iterative)
+
+    return fit_without_temperature(static, hold_out, geometry, fit)
+
+
+def _calibrate_static(
+    static: Sequence[Run], geometry: Geometry, choice: TermChoice, hold_out: Sequence[Run], non_iterative: bool
+) -> Calibration:
+    """Calibrate from static runs at one temperature; raises UserError as `calibrate` does."""
+    components = load_components(geometry)
     tasks = trim_tasks(load_point_rows(static), geometry, components)
     for task in tasks.values():
         _check_task(task)

@@ -57,7 +57,7 @@ def fit_all_trims(
     if len(names) < len(components.names) or any(_has_uncarried_loads(run, components) for run in runs):
         return None
     units = {channel.name: channel.reading_unit for channel in geometry.channels}
-    points = replace(_stack_points(members, components), reading_units=tuple(units[name] for name in names))
+    points = replace(stack_points(members, components), reading_units=tuple(units[name] for name in names))
     for run in hold_out:
         _check_hold_out_channels(run, names)
     checks = [(run.name, *read_load_points(run, names, components)) for run in hold_out]
@@ -70,8 +70,8 @@ def fit_all_trims(
         return None
 
 
-def _stack_points(members: AllTrimRows, components: LoadComponents) -> CalibrationPoints:
-    """All rows, those that enter no fit with weight 0."""
+def stack_points(members: AllTrimRows, components: LoadComponents) -> CalibrationPoints:
+    """All rows of the static runs, those that enter no fit with weight 0."""
     runs = [rows.run for rows in members.rows]
     read = [read_load_points(run, members.channel_names, components) for run in runs]
     run = np.repeat(np.arange(len(runs)), [len(loads) for _, loads in read])

@@ -96,9 +96,12 @@ def point_loads(
     change, zero_share, zero_text = change_from_zero(readings, model.model, model.rows, model.level, zero)
     loads, converged, method = _solve(model, change, non_iterative)
     safe = np.where(converged[:, None], loads, 0.0)
-    covariance = np.stack([_covariance(model, row, share) for row, share in zip(safe, zero_share, strict=True)])
+    noise = _reading_covariances(readings, model, zero_share)
+    covariance = np.stack(
+        [model.model.load_covariance(row, own, model.rows)[0] for row, own in zip(safe, noise, strict=True)]
+    )
     covariance, untested_names = _add_untested_products(model, safe, covariance)
-    redundancy, limit = _redundancy(model, change, safe, zero_share)
+    redundancy, limit = _redundancy(model, change, safe, noise)
     covariance *= np.where(redundancy > limit, redundancy, 1.0)[:, None, None]
     # Estimated with few degrees of freedom: 1.96 standard deviations then cover 95 %, as those of `reduce` do.
     dof, redundant = float(model.model.dof[model.rows].min()), len(model.rows) - len(model.model.components)
@@ -196,8 +199,13 @@ def _reading_covariance(usable: _Model, zero_share: float) -> Array:
     return np.asarray(noise)
 
 
-def _covariance(usable: _Model, loads: Array, zero_share: float) -> Array:
-    return np.asarray(usable.model.load_covariance(loads, _reading_covariance(usable, zero_share), usable.rows)[0])
+def _reading_covariances(readings: PointReadings, usable: _Model, zero_share: Array) -> Array:
+    """Covariance (n, c, c) of each reading less its zero, with that of what was taken off it before."""
+    noise = np.stack([_reading_covariance(usable, share) for share in zero_share])
+    if readings.covariance is None:
+        return noise
+    at = [readings.channel_names.index(usable.model.channel_names[i]) for i in usable.rows]
+    return np.asarray(noise + readings.covariance[:, at][:, :, at])
 
 
 def _add_untested_products(
@@ -212,12 +220,12 @@ def _add_untested_products(
     return total, tuple(untested_components(names, np.diag(wide), np.diag(tested)) for wide, tested in pairs)
 
 
-def _redundancy(usable: _Model, change: Array, loads: Array, zero_share: Array) -> tuple[Array, Array]:
+def _redundancy(usable: _Model, change: Array, loads: Array, noise: Array) -> tuple[Array, Array]:
     """Chi-square per degree of freedom (n,) of the redundant channels of each row, and its 99.9 % point (n,)."""
     model, rows = usable.model, usable.rows
     tests = []
-    for row, reading, share in zip(loads, change, zero_share, strict=True):
-        covariance = _reading_covariance(usable, share) + model.model_covariance(row, rows)[0]
+    for row, reading, own in zip(loads, change, noise, strict=True):
+        covariance = own + model.model_covariance(row, rows)[0]
         if usable.untested is not None:
             covariance = covariance + usable.untested.reading_covariance(row, rows)
         J = model.jacobian(row, rows)[0]

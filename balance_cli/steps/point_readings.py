@@ -9,6 +9,7 @@ import numpy as np
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.load_table import LoadTable
 from balance_cli.campaign.recording.run import Run, pick_channels
+from balance_cli.campaign.recording.temperature import run_temperature
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components
 from balance_cli.io.errors import UserError
@@ -39,6 +40,7 @@ def point_readings(table: LoadTable, calibration: Calibration, first_is_zero: bo
         zero_group=group,
         is_zero=is_zero,
         applied=None if loads is None else load_components(calibration.geometry).carried(loads),
+        temperature=table.temperature,
     )
 
 
@@ -58,7 +60,8 @@ def zero_reading(table: LoadTable) -> ZeroReading:
     if table.hub_loads is not None and np.any(table.hub_loads[rows]):
         fault = "has loads: it is no reading of the unloaded balance"
         raise UserError(fault, str(table.path), remedy="Give a table of unloaded rows, or mark them as `tare`")
-    return ZeroReading(table.channel_names, table.channels[rows].mean(axis=0), int(np.count_nonzero(rows)))
+    temperature = None if table.temperature is None else float(table.temperature[rows].mean())
+    return ZeroReading(table.channel_names, table.channels[rows].mean(axis=0), int(np.count_nonzero(rows)), temperature)
 
 
 def table_of_run(run: Run, geometry: Geometry) -> LoadTable:
@@ -75,6 +78,7 @@ def table_of_run(run: Run, geometry: Geometry) -> LoadTable:
         load_units={},
         unused=(),
         digest=run.digest,
+        temperature=run_temperature(run),
     )
 
 

@@ -24,6 +24,7 @@ class PointReadings:
 
     `zero_group` (n,): number of the group of rows that share a zero; `is_zero` (n,): rows of the unloaded balance.
     `applied` (n, k): loads that are known, of the components of the calibration; None where the table has none.
+    `temperature` (n,) [degC]; None where it is not known. `covariance` (n, c, c): of what was taken off the readings.
     """
 
     run: str
@@ -32,15 +33,18 @@ class PointReadings:
     zero_group: Index
     is_zero: NDArray[np.bool_]
     applied: Array | None = None
+    temperature: Array | None = None
+    covariance: Array | None = None
 
 
 @dataclass(frozen=True)
 class ZeroReading:
-    """Reading (c,) of the unloaded balance, the mean of `rows` rows."""
+    """Reading (c,) of the unloaded balance, the mean of `rows` rows; its mean `temperature` [degC], None if unknown."""
 
     channel_names: tuple[str, ...]
     mean: Array
     rows: int
+    temperature: float | None = None
 
 
 def change_from_zero(

@@ -16,11 +16,13 @@ from balance_cli.reduction.flags import MODEL_CONTRADICTED
 from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, rotor_record
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
+from balance_cli.reduction.mean_temperature import mean_loads_at_temperature
 from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunConditions, RunLoads
 from balance_cli.reduction.suspect_channels import describe_suspect_channels
 from balance_cli.reduction.trust import assess_trust, flag_all, nearest_trim
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
+from balance_cli.signals.rotor.harmonics import Harmonics
 from balance_cli.steps.dynamic_error import add_dynamic_error
 
 Array = NDArray[np.float64]
@@ -96,9 +98,16 @@ def reduce_record(
 
 def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> MeanLoads:
     """Return the mean loads by the calibration model through all trims if nonlinear, else by the nearest trim."""
-    if calibration.all_trims is not None and calibration.all_trims.model.is_nonlinear:
-        return nonlinear_mean_loads(record.spectra, calibration, calibration.all_trims.model, record.health, zero)
-    return linear_mean_loads(record.spectra, calibration, record.health, zero)
+    all_trims, health = calibration.all_trims, record.health
+
+    def solve(spectra: Harmonics, reference: ZeroRecord | None) -> MeanLoads:
+        if all_trims is not None and all_trims.model.is_nonlinear:
+            return nonlinear_mean_loads(spectra, calibration, all_trims.model, health, reference)
+        return linear_mean_loads(spectra, calibration, health, reference)
+
+    if calibration.temperature is None:
+        return solve(record.spectra, zero)
+    return mean_loads_at_temperature(record, calibration.temperature, zero, solve)
 
 
 def _combine_loads(

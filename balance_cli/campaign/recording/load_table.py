@@ -1,8 +1,8 @@
 """Point tables (CSV) of a static calibration or of loads to be computed, as static runs.
 
 Columns are found by their names: components of the geometry (or hub loads), its channels, and optionally `series`,
-`point` (kind of point), `run`, `trim` and `excitation`. Units stand in the head (`Fx [N]`, `Fx (lbf)`, `Fx / N`) or in
-a row below it.
+`point` (kind of point), `run`, `trim`, `excitation` and `temperature`. Units stand in the head (`Fx [N]`, `Fx (lbf)`,
+`Fx / N`) or in a row below it.
 """
 
 from __future__ import annotations
@@ -15,15 +15,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.campaign.recording.additions_file import WIDE_RANGE
 from balance_cli.campaign.recording.load_table_columns import LABELS, POINT_WORDS, Column, identify_columns, plain_name
 from balance_cli.campaign.recording.point_labels import POINT_KINDS
 from balance_cli.campaign.recording.run import MemorySource, Run, run_digest
+from balance_cli.campaign.recording.temperature import temperature_addition
 from balance_cli.campaign.rig.components import COMPONENTS, UNIT_OF
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import load_components, moment_transfer
 from balance_cli.io.errors import UserError
 from balance_cli.io.table_text import TextTable, read_table
-from balance_cli.io.units import NUMBER, RATIO, VOLTAGE, Unit, parse_unit, split_unit
+from balance_cli.io.units import NUMBER, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit, split_unit
 
 Array = NDArray[np.float64]
 
@@ -47,7 +49,7 @@ class LoadTable:
     """A point table in SI units: `channels` (n, c), `hub_loads` (n, 6) or None, and the labels (n,) of its rows.
 
     `lines` (n,): line of each row in the file; `load_units`: unit in which the table has each component;
-    `unused`: columns that are nothing known.
+    `unused`: columns that are nothing known. `temperature` (n,) [degC], None without a column of it.
     """
 
     path: Path
@@ -59,6 +61,7 @@ class LoadTable:
     load_units: Mapping[str, Unit]
     unused: tuple[str, ...]
     digest: str
+    temperature: Array | None = None
 
 
 def read_load_table(path: Path, geometry: Geometry, reading: TableReading | None = None) -> LoadTable:
@@ -107,6 +110,7 @@ def _run_of_rows(table: LoadTable, geometry: Geometry, name: str, trim: str, row
         path=table.path,
         series_labels=labels.get("series"),
         point_kinds=labels.get("point"),
+        additions=None if table.temperature is None else temperature_addition(table.temperature[rows]),
     )
     return replace(run, digest=run_digest(run))
 
@@ -145,6 +149,7 @@ class _TableReader:
             load_units=load_units,
             unused=self.unused,
             digest=self.table.digest,
+            temperature=self._temperature(),
         )
 
     # ---- loads ---------------------------------------------------------------------------------------------------
@@ -212,6 +217,19 @@ class _TableReader:
                 fault = f"an excitation of {value:g} V"
                 raise self.table.error(line, self.table.header[column.index], fault, "It must be positive")
         return volts
+
+    def _temperature(self) -> Array | None:
+        """Temperature (n,) [degC]; None without a column of it."""
+        column = self.columns.get("temperature")
+        if column is None:
+            return None
+        unit, head = self._unit(column, TEMPERATURE), self.table.header[column.index]
+        values = unit.to_base(self.table.numbers(column.index))
+        for (line, _), value in zip(self.table.rows, values, strict=True):
+            if not WIDE_RANGE[0] <= value <= WIDE_RANGE[1]:
+                fault = f"is {value:.4g} degC"
+                raise self.table.error(line, head, fault, "Correct it, or the unit, or remove the column")
+        return values
 
     def _labels(self) -> Iterator[tuple[str, tuple[str, ...]]]:
         for name in ("series", "run", "trim"):

@@ -15,6 +15,7 @@ LABELS = {
     "run": ("run", "runname"),
     "trim": ("trim",),
     "excitation": ("excitation", "bridgeexcitation", "supply", "supplyvoltage"),
+    "temperature": ("temperature", "temp", "balancetemperature", "gagetemperature"),
 }
 """Columns other than loads and channels, with the names under which they are understood."""
 POINT_WORDS = {"zero": "tare", "unloaded": "tare", "calibration": "load", "repeated": "repeat", "checkload": "check"}

@@ -1,0 +1,183 @@
+"""Temperature of static runs: its terms, estimated from the rows, and the runs as they would read without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.all_trims import AllTrimsCalibration
+from balance_cli.calibration.least_squares import CollinearError, solve_least_squares
+from balance_cli.calibration.result import Calibration, TrimCalibration
+from balance_cli.calibration.static_matrices import inverse_matrix, inverse_sigma, standard_errors
+from balance_cli.calibration.temperature import TemperatureRows, TemperatureTerms, estimate_temperature_terms
+from balance_cli.calibration.terms import all_terms, linear_terms, term_values
+from balance_cli.campaign.recording.run import MemorySource, Run, read_channels
+from balance_cli.campaign.recording.temperature import run_temperature
+from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.load_components import load_components
+from balance_cli.steps.calibrate_all_trims import stack_points
+from balance_cli.steps.load_point_rows import load_point_rows
+from balance_cli.steps.trim_tasks import rows_of_tasks, trim_tasks
+
+Array = NDArray[np.float64]
+
+MIN_TEMPERATURE_RANGE = 0.5
+"""Range of temperature [K] below which no term is sought: sensors differ by that much from strain gauges."""
+ROWS_PER_TERM = 3
+"""Rows for each column from which squares and products stand beside the loads while temperature is estimated."""
+
+
+TEMPERATURE_FITS = 2
+"""Fits where temperature matters: the first finds the nonlinear terms, beside which the second has temperature."""
+
+
+def fit_without_temperature(
+    static: Sequence[Run],
+    hold_out: Sequence[Run],
+    geometry: Geometry,
+    fit: Callable[[Sequence[Run], Sequence[Run]], Calibration],
+) -> Calibration:
+    """Calibrate by `fit` from static runs that are referred to one temperature, where all state theirs and it matters.
+
+    `hold_out`: runs that check the calibration, referred to that temperature too.
+    """
+    terms = initial_temperature_terms(static, geometry)
+    if terms is None:
+        return _note_missing_temperatures(fit(static, hold_out), static)
+    for number in range(1, TEMPERATURE_FITS + 1):
+        at_reference = [without_temperature(run, terms, geometry) for run in static]
+        result = replace(
+            fit(at_reference, [without_temperature(run, terms, geometry) for run in hold_out]), temperature=terms
+        )
+        if result.all_trims is None or number == TEMPERATURE_FITS:
+            break
+        terms = refined_temperature_terms(static, geometry, result.all_trims)
+    return _with_reference_errors(result, terms)
+
+
+def _note_missing_temperatures(result: Calibration, static: Sequence[Run]) -> Calibration:
+    """The calibration with a note where some runs state a temperature and others do not."""
+    missing = [run.name for run in static if run_temperature(run) is None]
+    if not missing or len(missing) == len(static) or result.all_trims is None:
+        return result
+    note = f"the effect of temperature was not determined: {', '.join(missing)} do not state it for all rows"
+    all_trims = replace(result.all_trims, screening_notes=(*result.all_trims.screening_notes, note))
+    return replace(result, all_trims=all_trims)
+
+
+def _with_reference_errors(result: Calibration, terms: TemperatureTerms) -> Calibration:
+    """The calibration whose sensitivities have the error of referring them to the reference temperature."""
+    trims = {label: _trim_with_errors(trim, terms) for label, trim in result.trims.items()}
+    if result.all_trims is None:
+        return replace(result, trims=trims)
+    model = result.all_trims.model
+    k, added = len(model.components), _of_channels(terms, model.channel_names)
+    covariance = model.covariance.copy()
+    covariance[:, :k, :k] += added * model.calibrated_range[:, None] * model.calibrated_range
+    return replace(
+        result, trims=trims, all_trims=replace(result.all_trims, model=replace(model, covariance=covariance))
+    )
+
+
+def _trim_with_errors(trim: TrimCalibration, terms: TemperatureTerms) -> TrimCalibration:
+    covariance, added = trim.C0_covariance.copy(), _of_channels(terms, trim.channel_names)
+    for channel, own in enumerate(added):
+        covariance[channel, :, channel, :] += own
+    _, derivative = inverse_matrix(trim.C0, trim.residual_covariance)
+    return replace(
+        trim,
+        C0_covariance=covariance,
+        C0_sigma=standard_errors(covariance),
+        T0_sigma=inverse_sigma(derivative, covariance),
+    )
+
+
+def _of_channels(terms: TemperatureTerms, names: Sequence[str]) -> Array:
+    """Covariance (c, k, k) of the sensitivities of the named channels; zero for one without terms of temperature."""
+    by_name = dict(zip(terms.channel_names, terms.sensitivity_covariance(), strict=True))
+    k = len(terms.components)
+    return np.stack([by_name.get(name, np.zeros((k, k))) for name in names])
+
+
+def initial_temperature_terms(runs: Sequence[Run], geometry: Geometry) -> TemperatureTerms | None:
+    """Estimate the terms of temperature from static runs, robustly, beside the loads and their squares and products.
+
+    None where a run states no temperature, it hardly varied, or nothing depends on it.
+    """
+    temperatures = [run_temperature(run) for run in runs]
+    known = [each for each in temperatures if each is not None]
+    if len(known) < len(runs) or np.ptp(np.concatenate(known)) < MIN_TEMPERATURE_RANGE:
+        return None
+    components = load_components(geometry)
+    members = rows_of_tasks(runs, trim_tasks(load_point_rows(runs), geometry, components))
+    points = stack_points(members, components)
+    used = points.weight > 0
+    x, series = points.x[used], points.load_series[used]
+    k = len(components.names)
+    quadratic = (*linear_terms(k), *(term for term in all_terms(k) if term.is_quadratic))
+    is_enough = len(x) >= ROWS_PER_TERM * (len(quadratic) + len(np.unique(series)))
+    columns = term_values(quadratic if is_enough else linear_terms(k), x)
+    try:
+        solve_least_squares(columns, points.channels[used], series, points.weight[used])
+    except CollinearError:
+        columns = term_values(linear_terms(k), x)
+    rows = TemperatureRows(
+        points.channel_names,
+        components.names,
+        points.channels[used],
+        points.loads[used],
+        np.concatenate(known)[used],
+        [columns] * len(points.channel_names),
+        series,
+        points.weight[used],
+    )
+    try:
+        terms = estimate_temperature_terms(rows, robust=True)
+    except CollinearError:
+        return None
+    return None if terms.is_empty else terms
+
+
+def refined_temperature_terms(
+    runs: Sequence[Run], geometry: Geometry, all_trims: AllTrimsCalibration
+) -> TemperatureTerms:
+    """Estimate the terms of temperature beside the terms of the calibration model, from the rows that it fits.
+
+    `runs`: as they were read.
+    """
+    model, used = all_trims.model, all_trims.used
+    block = all_trims.run if all_trims.load_series is None else all_trims.load_series
+    merged = [rows.run for rows in load_point_rows(runs)]
+    values = term_values(model.parsed_terms, all_trims.loads[used] / model.calibrated_range)
+    temperature = np.concatenate([each for each in map(run_temperature, runs) if each is not None])
+    return estimate_temperature_terms(
+        TemperatureRows(
+            model.channel_names,
+            model.components,
+            np.vstack([read_channels(run, model.channel_names) for run in merged])[used],
+            all_trims.loads[used],
+            temperature[used],
+            [values[:, np.isfinite(column)] for column in model.t.T],
+            block[used],
+            np.ones(int(used.sum())),
+        )
+    )
+
+
+def without_temperature(run: Run, terms: TemperatureTerms, geometry: Geometry) -> Run:
+    """A static run with known loads as it would read at the reference temperature; itself where that is not known."""
+    temperature = run_temperature(run)
+    if temperature is None or not run.has_loads:
+        return run
+    block = run.read()
+    assert block.loads is not None
+    loads = load_components(geometry).carried(np.asarray(block.loads, float))
+    added = terms.readings(temperature, loads)
+    channels = np.array(block.channels, float)
+    for column, name in enumerate(terms.channel_names):
+        if name in run.channel_names:
+            channels[:, run.channel_names.index(name)] -= added[:, column]
+    return replace(run, source=MemorySource(channels, block.loads))

@@ -1,0 +1,188 @@
+"""Temperature as an independent variable of the static calibration: apparent strain and drift of the sensitivity."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from balance_cli.campaign.recording.additions import TEMPERATURE, MemoryAdditions, RunAdditions
+from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.cli import balance
+from balance_cli.reduction.mean_loads import zero_record
+from balance_cli.reduction.response_sources import static_source
+from balance_cli.steps.calibrate import calibrate
+from balance_cli.steps.point_temperature import point_loads_at_temperature
+from balance_cli.steps.point_zeros import PointReadings
+from balance_cli.steps.reduce import reduce_run
+from tests.support.nonlinear_rig import NAMES, record
+from tests.support.static_runs import AMPLITUDE, C0, RIG, loading
+
+NOISE = 1e-4
+SIGNAL = np.max(np.abs(C0 * AMPLITUDE), axis=1)
+ZERO_SHIFT = 2e-3 * SIGNAL * np.array([1.0, -1.0, 0.5, 0.0, -0.7, 1.2, 0.0, 0.3])  # V/K
+DRIFT = 8e-4 * C0 * np.array([1.0, -1.0, 0.0, 0.5, 1.0, -0.5, 0.0, 1.0])[:, None]  # of C0 per kelvin
+REFERENCE = 21.0
+
+
+def readings(loads, temperature):
+    """Readings (m, 8) at loads (m, 6) and temperatures (m,)."""
+    theta = np.asarray(temperature, float)[:, None] - REFERENCE
+    return np.atleast_2d(loads) @ C0.T + theta * (ZERO_SHIFT + np.atleast_2d(loads) @ DRIFT.T)
+
+
+def with_temperature(run, temperature):
+    """The run with a temperature for each row."""
+    source = MemoryAdditions({TEMPERATURE: np.asarray(temperature, float)[:, None]})
+    return replace(run, additions=RunAdditions(temperature_names=("plate",), source=source))
+
+
+def static_run(name, temperature, seed):
+    """Ramps of all loads at temperatures (m,), or at one."""
+    rng, loads = np.random.default_rng(seed), loading()
+    values = np.broadcast_to(temperature, len(loads)) + 0.02 * rng.normal(size=len(loads))
+    channels = 0.05 + readings(loads, values) + NOISE * rng.normal(size=(len(loads), len(NAMES)))
+    run = Run(name, RIG.rig, "static", NAMES, len(loads), MemorySource(channels, loads), trim="bare")
+    return with_temperature(run, values)
+
+
+@cache
+def warming_calibration():
+    """A calibration during which the hall warms up and cools down by 8 K."""
+    rows = len(loading())
+    return calibrate([static_run("s", 21.0 + 4.0 * np.sin(np.arange(rows) / 9.0), 1)], RIG)
+
+
+def wind(loads, temperature, kind="wind", seed=3):
+    """A record at constant loads and temperature."""
+    run = record(kind, np.zeros(6), kind=kind, curved=False, seed=seed)
+    added = readings(loads, [temperature])[0]
+    channels = run.read().channels + added
+    return replace(run, source=MemorySource(channels, None), conditions={"temperature": temperature})
+
+
+def reduced(cal, run, zero=None):
+    return reduce_run(run, RIG, cal, static_source(cal), None if zero is None else zero_record(zero, NAMES))
+
+
+def test_terms_and_their_errors_are_found():
+    terms = warming_calibration().temperature
+    sigma = np.sqrt(np.diagonal(terms.covariance, axis1=1, axis2=2)).T
+    true = np.vstack([ZERO_SHIFT, DRIFT.T])
+    order = [terms.channel_names.index(name) for name in NAMES]
+    found = terms.coefficients[:, order]
+    known = found != 0.0
+    assert np.abs((found - true)[known] / sigma[:, order][known]).max() < 4.5
+    assert np.all(known[0][ZERO_SHIFT != 0.0])
+    assert terms.lowest < 17.5 and terms.highest > 24.5 and terms.names(0)[0] == "T"
+
+
+def test_matrices_are_those_at_the_mean_temperature():
+    cal = warming_calibration()
+    trim = cal.trims["bare"]
+    at_reference = C0 + (cal.temperature.reference - REFERENCE) * DRIFT
+    assert np.abs((trim.C0 - at_reference) / trim.C0_sigma).max() < 5.0
+    ignored = calibrate([replace(static_run("s", 21.0 + 4.0 * np.sin(np.arange(121) / 9.0), 1), additions=None)], RIG)
+    assert ignored.temperature is None
+    assert np.max(ignored.trims["bare"].residual / trim.residual) > 5.0
+
+
+@pytest.mark.parametrize("temperature", [18.0, 24.0])
+def test_mean_loads_at_another_temperature_are_right(temperature):
+    cal, rng, z = warming_calibration(), np.random.default_rng(5), []
+    for seed in range(12):
+        loads = 0.7 * AMPLITUDE * rng.uniform(-1, 1, 6)
+        found = reduced(cal, wind(loads, temperature, seed=seed), wind(np.zeros(6), 20.0, "zero", 100 + seed))
+        assert found.flags[0] == ("",) * 6
+        z.append((found.amplitude[0].real - loads) / found.sigma_cosine[0])
+    assert np.mean(np.abs(z) < 1.96) > 0.88 and np.abs(z).max() < 4.5
+
+
+def test_a_run_without_temperature_is_flagged_and_covered():
+    cal, rng, z = warming_calibration(), np.random.default_rng(6), []
+    for seed in range(12):
+        loads = 0.7 * AMPLITUDE * rng.uniform(-1, 1, 6)
+        run = replace(wind(loads, rng.uniform(17.0, 25.0), seed=seed), conditions={})
+        found = reduced(cal, run, wind(np.zeros(6), 21.0, "zero", 100 + seed))
+        assert found.flags[0] == ("no temperature",) * 6
+        assert any("the run states none" in note for note in found.notes)
+        z.append((found.amplitude[0].real - loads) / found.sigma_cosine[0])
+    assert np.mean(np.abs(z) < 1.96) > 0.9
+
+
+def test_a_temperature_outside_those_of_the_calibration_is_flagged():
+    found = reduced(warming_calibration(), wind(0.5 * AMPLITUDE, 40.0), wind(np.zeros(6), 21.0, "zero"))
+    assert all("extrapolated" in flag for flag in found.flags[0])
+    assert any("40.0 degC is outside" in note for note in found.notes)
+
+
+def test_runs_in_a_chamber_tell_the_zero_shift_by_their_zeros():
+    runs = [
+        static_run(f"s{number}", temperature, number) for number, temperature in enumerate((12.0, 18.0, 24.0, 30.0))
+    ]
+    terms = calibrate(runs, RIG).temperature
+    shifting = ZERO_SHIFT != 0.0
+    np.testing.assert_allclose(terms.coefficients[0][shifting], ZERO_SHIFT[shifting], rtol=0.05)
+    np.testing.assert_allclose(terms.coefficients[3], DRIFT[:, 2], rtol=0.0, atol=0.05 * np.abs(DRIFT[:, 2]).max())
+
+
+def test_a_constant_temperature_changes_nothing():
+    run = static_run("s", 21.0, 1)
+    assert calibrate([run], RIG).temperature is None
+
+
+def test_no_term_is_found_where_there_is_none():
+    found = 0
+    for seed in range(3):
+        rng, loads = np.random.default_rng([seed, 4]), loading()
+        channels = loads @ C0.T + NOISE * rng.normal(size=(len(loads), len(NAMES)))
+        run = Run("s", RIG.rig, "static", NAMES, len(loads), MemorySource(channels, loads), trim="bare")
+        found += calibrate([with_temperature(run, np.linspace(15.0, 25.0, len(loads)))], RIG).temperature is not None
+    assert found == 0
+
+
+# ---- tables ----------------------------------------------------------------------------------------------------------
+
+
+def test_loads_of_a_table_are_right_at_any_temperature_and_flagged_without_one():
+    cal, rng = warming_calibration(), np.random.default_rng(9)
+    loads = np.vstack([np.zeros(6), 0.7 * AMPLITUDE * rng.uniform(-1, 1, (60, 6))])
+    temperature = rng.uniform(17.5, 24.5, len(loads))
+    channels = readings(loads, temperature) + NOISE * rng.normal(size=(len(loads), len(NAMES)))
+    rows = PointReadings("t", NAMES, channels, np.zeros(len(loads), np.intp), np.arange(len(loads)) == 0)
+    known = point_loads_at_temperature(replace(rows, temperature=temperature), cal)
+    unknown = point_loads_at_temperature(rows, cal)
+    assert set(known.flags) == {""} and set(unknown.flags) == {"no temperature"}
+    for result in (known, unknown):
+        assert np.mean((np.abs(result.loads - loads) < result.interval)[1:]) > 0.9
+    assert np.all(np.median(unknown.sigma, axis=0) > 3.0 * np.median(known.sigma, axis=0))
+    hot = point_loads_at_temperature(replace(rows, temperature=temperature + 30.0), cal)
+    assert set(hot.flags[1:]) <= {"extrapolated temperature"} or "extrapolated temperature" in hot.flags[1]
+
+
+@pytest.mark.parametrize(("unit", "scale", "offset"), [("degC", 1.0, 0.0), ("degF", 1.8, 32.0), ("K", 1.0, 273.15)])
+def test_tables_state_temperatures_in_any_unit(tmp_path, unit, scale, offset):
+    table = tmp_path / "points.csv"
+    rng, m = np.random.default_rng(2), 40
+    force, temperature = rng.uniform(-100.0, 100.0, m), rng.uniform(10.0, 30.0, m)
+    reading = (
+        1e-3 * force * (1.0 + 2e-3 * (temperature - 20.0)) + 1e-3 * (temperature - 20.0) + 1e-6 * rng.normal(size=m)
+    )
+    lines = [f"{f:.6f},{scale * t + offset:.4f},{r:.9f}" for f, t, r in zip(force, temperature, reading, strict=True)]
+    table.write_text("\n".join([f"A [N],Temp [{unit}],B1 [V]", *lines]))
+    (tmp_path / "g.yaml").write_text(
+        "format: balance-geometry/1\nname: one\nrig: one\nchannels: [{name: B1}]\n"
+        "components: [{name: A, direction: [-1, 0, 0]}]\n"
+    )
+    words = ["calibrate", "-g", str(tmp_path / "g.yaml"), str(table), "-o", str(tmp_path / "c.h5"), "--json", "-"]
+    done = CliRunner().invoke(balance, words)
+    assert done.exit_code == 0, done.output
+    summary = json.loads(done.stdout)["temperature"]
+    assert summary["channels"]["B1"]["T"]["value"] == pytest.approx(1e-3, rel=0.01)
+    assert summary["channels"]["B1"]["A T"]["value"] == pytest.approx(2e-6, rel=0.01)
+    words = ["apply", str(tmp_path / "c.h5"), str(table), "-o", str(tmp_path / "l.csv"), "--json", "-"]
+    done = CliRunner().invoke(balance, words)
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["runs"]["points"]["error"]["A"] < 0.02
