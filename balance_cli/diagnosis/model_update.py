@@ -149,7 +149,8 @@ def _refit_against_noise(fit: Fit, task: _UpdateTask) -> Fit | None:
         return None
     fit = fit_all_lines(fit.model, fit.theta, task.batches, settings.fit)
     fit = refit_at_best_frequency(fit, declared_effects(fit.model.geometry), task.batches, settings)
-    shares = estimate_model_error(task.batches, fit.model.system(fit.theta), None, settings.residual_map.sigma)
+    system = fit.model.system(fit.theta, derivatives=False)
+    shares = estimate_model_error(task.batches, system, None, settings.residual_map.sigma)
     error = float(np.sqrt(np.mean(np.square(list(shares.values())))))
     return fit if error <= settings.rounds.large_error else None
 

@@ -41,7 +41,7 @@ def residual_map(
     """
     edges = _band_edges(batches, settings.bands)
     names = tuple(name for batch in batches for name in batch.run_names)
-    stages = [_whiten(batches, model.system(theta)) for model, theta in (before, after)]
+    stages = [_whiten(batches, model.system(theta, derivatives=False)) for model, theta in (before, after)]
     maps = [_rms(batches, whitened, edges) for whitened in stages]
     correlations = [_line_correlation(batches, whitened) for whitened in stages]
     return ResidualMap(

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
-from balance_cli.estimation.mains_interference import MainsTone, mains_tones
+from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones
 from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
+from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.estimation.transients import (
     RunTransient,
     TransientTerms,
@@ -78,10 +79,12 @@ class Curvature:
         return Curvature(self.chi2 + other.chi2, self.gradient + other.gradient, self.information + other.information)
 
 
-def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives: bool = False) -> BatchEvaluation:
+def evaluate_batch(
+    batch: Batch, system: System, solution: Solution, derivatives: bool = False, shared: SharedSolutions | None = None
+) -> BatchEvaluation:
     """Eliminate the true loads of every line and the transient of every run, and weight the residual.
 
-    With `derivatives` the nonlinear forces and the transients come with theirs.
+    With `derivatives` the nonlinear forces and the transients come with theirs. `shared`: with other runs.
     """
     columns = recorded_load_columns(batch, system, solution)
     forces = cell_forces(batch, system, solution, derivatives)
@@ -96,7 +99,8 @@ def evaluate_batch(batch: Batch, system: System, solution: Solution, derivatives
     def apply_weight(lines: slice, values: ComplexArray) -> ComplexArray:
         return _apply_weight(batch, downdate, lines, values)
 
-    transients = fit_transients(batch, system, residual, apply_weight, derivatives)
+    shared = SharedSolutions(system) if shared is None else shared
+    transients = fit_transients(batch, shared, residual, apply_weight, derivatives)
     tones: tuple[MainsTone, ...] = ()
     if system.equations.interference_tones:
         tones, transients = mains_tones(batch, system, residual, apply_weight, transients)
@@ -186,22 +190,26 @@ def _add_offset_derivatives(derivatives: ComplexArray, batch: Batch, system: Sys
 class BatchDerivatives:
     """One batch with its derivatives (K, c, p), those of the transients included.
 
-    `transient_terms` come from the elimination of the transients; `tone_terms` are, for each tone of the mains, the
-    terms of gradient (p,) and information (p, p) that the derivatives do not give.
+    `transient_terms` come from the elimination of the transients, `tone_terms` from the tones of the mains.
     """
 
     batch: Batch
     fit: BatchEvaluation
     derivatives: ComplexArray
     transient_terms: tuple[TransientTerms, ...]
-    tone_terms: tuple[tuple[Array, Array], ...]
+    tone_terms: tuple[ToneTerms, ...]
 
     def gradient(self) -> Array:
         """Half the gradient (p,) of chi-square."""
         p = self.derivatives.shape[2]
         gradient = -2.0 * np.real(self.derivatives.reshape(-1, p).conj().T @ self.fit.weighted.reshape(-1))
         gradient = gradient + sum(term.gradient for term in self.transient_terms)
-        return np.asarray(gradient + sum(part for part, _ in self.tone_terms))
+        return np.asarray(gradient + sum(term.gradient for term in self.tone_terms))
+
+    @property
+    def _further_terms(self) -> tuple[TransientTerms | ToneTerms, ...]:
+        """The terms of the information that the derivatives do not give."""
+        return (*self.transient_terms, *self.tone_terms)
 
     def weighted(self) -> ComplexArray:
         """P dY (K, c, p), with the true loads eliminated."""
@@ -210,10 +218,8 @@ class BatchDerivatives:
     def information(self, weighted: ComplexArray, rows: Index | slice, columns: Index | slice) -> Array:
         """The part (rows, columns) of 2 Re sum dY* P dY."""
         information = 2.0 * _real_inner_product(self.derivatives[:, :, rows], weighted[:, :, columns])
-        for term in self.transient_terms:
+        for term in self._further_terms:
             information = information + term.information(rows, columns)
-        for _, tone_information in self.tone_terms:
-            information = information + tone_information[rows][:, columns]
         return np.asarray(information)
 
     def diagonal_blocks(self, weighted: ComplexArray, blocks: Sequence[Index]) -> list[Array]:
@@ -221,10 +227,8 @@ class BatchDerivatives:
         diagonal = 2.0 * np.sum(
             self.derivatives.real * weighted.real + self.derivatives.imag * weighted.imag, axis=(0, 1)
         )
-        for term in self.transient_terms:
+        for term in self._further_terms:
             diagonal = diagonal + term.diagonal()
-        for _, tone_information in self.tone_terms:
-            diagonal = diagonal + np.diag(tone_information)
         of_blocks = {i: self.information(weighted, block, block) for i, block in enumerate(blocks) if len(block) > 1}
         return [of_blocks[i] if i in of_blocks else diagonal[block][:, None] for i, block in enumerate(blocks)]
 
@@ -235,10 +239,11 @@ def _real_inner_product(left: ComplexArray, right: ComplexArray) -> Array:
     return np.asarray(np.real(left.reshape(-1, a).conj().T @ right.reshape(-1, b)))
 
 
-def batch_derivatives(batch: Batch, system: System) -> BatchDerivatives:
-    """The batch at one parameter vector, with the derivatives of all its lines."""
-    solution = solve(system, batch.frequency, batch.spin)
-    fit = evaluate_batch(batch, system, solution, derivatives=True)
+def batch_derivatives(batch: Batch, system: System, shared: SharedSolutions | None = None) -> BatchDerivatives:
+    """The batch at one parameter vector, with the derivatives of all its lines; `shared` with other batches."""
+    shared = SharedSolutions(system) if shared is None else shared
+    solution = shared.solution(batch.frequency, batch.spin)
+    fit = evaluate_batch(batch, system, solution, derivatives=True, shared=shared)
     derivatives = channel_derivatives(batch, system, solution, fit)
     for transient in fit.transients:
         derivatives[transient.lines] += transient_derivatives(transient)
@@ -247,20 +252,20 @@ def batch_derivatives(batch: Batch, system: System) -> BatchDerivatives:
     return BatchDerivatives(batch, fit, derivatives, transient_terms, tone_terms)
 
 
-def batch_curvature(batch: Batch, system: System) -> Curvature:
+def batch_curvature(batch: Batch, system: System, shared: SharedSolutions | None = None) -> Curvature:
     """Chi-square, gradient and information of one batch."""
-    item = batch_derivatives(batch, system)
+    item = batch_derivatives(batch, system, shared)
     every = slice(None)
     return Curvature(item.fit.total, item.gradient(), item.information(item.weighted(), every, every))
 
 
 def data_curvature(batches: Sequence[Batch], system: System) -> Curvature:
     """Chi-square, gradient and information of all measured lines."""
-    p = system.parameters
+    p, shared = system.parameters, SharedSolutions(system)
     total = Curvature(0.0, np.zeros(p), np.zeros((p, p)))
     with ThreadPoolExecutor(WORKERS) as workers:
         # Threads suffice, because numpy releases the interpreter lock. The fixed order of the sum fixes its rounding.
-        for part in workers.map(lambda batch: batch_curvature(batch, system), split_large_batches(batches, p)):
+        for part in workers.map(lambda batch: batch_curvature(batch, system, shared), split_large_batches(batches, p)):
             total = total + part
     return total
 

@@ -27,6 +27,7 @@ from balance_cli.signals.waveform_types import BinSampling, Waveform
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
 WeightFunction = Callable[[slice, ComplexArray], ComplexArray]
 
 # A lower limit of |b| that only prevents 0/0: amplitudes in volts over their noise are far above it.
@@ -61,6 +62,29 @@ class LikelihoodForm:
         assert self.transient is not None
         weighted = self.transient.weighted
         return 2.0 * np.real(weighted.reshape(-1, weighted.shape[2]).conj().T @ columns.reshape(-1, columns.shape[2]))
+
+
+@dataclass(frozen=True)
+class ToneTerms:
+    """Terms of a tone that its derivatives do not give: half the `gradient` (p,), and the information of rank two.
+
+    The information is `missing` times the square of the derivative of the `power` (p,), less that of the `phase` (p,).
+    Kept as vectors: (p, p) for each tone in each run would be most of the memory of a score test.
+    """
+
+    gradient: Array
+    missing: float
+    power: Array
+    phase: Array
+
+    def information(self, rows: Index | slice, columns: Index | slice) -> Array:
+        """The part (rows, columns) of what is added to the information."""
+        of_power = self.missing * np.outer(self.power[rows], self.power[columns])
+        return np.asarray(of_power - np.outer(self.phase[rows], self.phase[columns]))
+
+    def diagonal(self) -> Array:
+        """The diagonal (p,) of what is added to the information."""
+        return np.asarray(self.missing * self.power**2 - self.phase**2)
 
 
 @dataclass(frozen=True)
@@ -105,7 +129,7 @@ class MainsTone:
         averaged = self.power * self.n - 2.0 * (x + np.log(i0e(x)))
         return float(averaged + 2.0 * m @ self.b - m @ self.form(self.columns, self.columns) @ m)
 
-    def curvature(self, derivatives: ComplexArray) -> tuple[Array, Array]:
+    def curvature(self, derivatives: ComplexArray) -> ToneTerms:
         """Add the tone's own derivatives to `derivatives` (k, c, p), in place.
 
         Returns the terms of half the gradient (p,) and of the information (p, p) that these derivatives do not give.
@@ -114,19 +138,19 @@ class MainsTone:
         unit, ratio = self._direction(), _bessel_ratio_over_amplitude(self)
         power, frequency = self.interference.power.derivative, self.interference.frequency.derivative
         self._add_derivatives(derivatives, 0.5 * ratio * power)
+        full = self.n**2 / (4.0 * (1.0 + self.power * self.n))
+        missing = max(full - 0.25 * ratio**2 * self.n, 0.0)
+        if self.power == 0.0:  # nothing is expected, and nothing known of the phase
+            return ToneTerms(0.5 * self.n * power, missing, power, np.zeros(len(power)))
         by_power = 0.5 * (self.n - ratio * float(unit @ self.form(self.columns, self.columns) @ self.expected))
         turn = self.form(self.derivative, self.columns)
         by_frequency = 0.5 * self.power * float(np.trace(turn)) - float(self.expected @ turn @ self.expected)
-        gradient = by_power * power + by_frequency * frequency
-        full = self.n**2 / (4.0 * (1.0 + self.power * self.n))
-        missing = max(full - 0.25 * ratio**2 * self.n, 0.0)
         quadrature = self.columns @ np.array([[-unit[1]], [unit[0]]])
-        phase = self.form(quadrature, derivatives)[0]
         # The columns are orthogonal and of equal size but for the eliminated transient. By their own size the
         # information stays positive.
         size = max(self.n, float(self.form(quadrature, quadrature)[0, 0]))
-        of_phase = self.mean_resultant_length**2 / size * np.outer(phase, phase)
-        return gradient, missing * np.outer(power, power) - of_phase
+        phase = self.mean_resultant_length / np.sqrt(size) * self.form(quadrature, derivatives)[0]
+        return ToneTerms(by_power * power + by_frequency * frequency, missing, power, phase)
 
     def _direction(self) -> Array:
         """Unit vector b / |b| (2,) of the most probable phase."""

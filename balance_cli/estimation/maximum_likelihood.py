@@ -40,7 +40,7 @@ def fit_maximum_likelihood(
         model.parameters,
         start,
         lambda theta: data_curvature(batches, model.system(theta)),
-        lambda theta: data_chi2(batches, model.system(theta)),
+        lambda theta: data_chi2(batches, model.system(theta, derivatives=False)),
         iterations=iterations,
         tolerance=tolerance,
     )
@@ -59,7 +59,7 @@ def take_first_steps(
         add_weak_priors(model.parameters, theta, prior_scales),
         theta,
         lambda at: data_curvature(batches, model.system(at)),
-        lambda at: data_chi2(batches, model.system(at)),
+        lambda at: data_chi2(batches, model.system(at, derivatives=False)),
         iterations=count,
         tolerance=min_decrease,
     )
@@ -68,7 +68,8 @@ def take_first_steps(
 def penalized_chi2(model: BalanceModel, theta: Array, batches: Sequence[Batch]) -> float:
     """Chi-square of data and priors; infinite where the parameters are not physical."""
     try:
-        return data_chi2(batches, model.system(theta)) + prior_curvature(model.parameters, theta).chi2
+        of_priors = prior_curvature(model.parameters, theta).chi2
+        return data_chi2(batches, model.system(theta, derivatives=False)) + of_priors
     except np.linalg.LinAlgError:
         return float("inf")
 

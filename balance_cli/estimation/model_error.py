@@ -46,17 +46,26 @@ CONVERGENCE_TOLERANCE = 0.01
 
 def add_model_error(batches: Sequence[Batch], relative_errors: ModelErrors) -> tuple[Batch, ...]:
     """The same lines with a model error, given by run relative to the response, added to the channels' covariance."""
+    return _add_errors(batches, relative_errors, [None] * len(batches))
+
+
+def _add_errors(
+    batches: Sequence[Batch], relative_errors: ModelErrors, powers: Sequence[Array | None]
+) -> tuple[Batch, ...]:
+    """The same, where the local power of the response of a batch may be known."""
     return tuple(
-        _add_batch_error(batch, np.array([relative_errors[name] for name in batch.run_names])) for batch in batches
+        _add_batch_error(batch, np.array([relative_errors[name] for name in batch.run_names]), power)
+        for batch, power in zip(batches, powers, strict=True)
     )
 
 
-def _add_batch_error(batch: Batch, relative_errors: Array) -> Batch:
+def _add_batch_error(batch: Batch, relative_errors: Array, power: Array | None) -> Batch:
     """P = (C + E)^-1 = S - S_Y (E_live^-1 + S_YY)^-1 S_Y', with E the error's variance and S the noise's precision."""
     if not relative_errors.any():
         return batch
     c = batch.lines.channels.shape[1]
-    variance = relative_errors[batch.lines.run, None] ** 2 * local_response_power(batch)
+    power = local_response_power(batch) if power is None else power
+    variance = relative_errors[batch.lines.run, None] ** 2 * power
     S = batch.lines.precision
     is_live = np.real(np.diagonal(S, axis1=1, axis2=2))[:, :c] > 0
     # Where the error is zero its inverse is large compared with the noise's precision, not infinite.
@@ -121,9 +130,10 @@ def estimate_model_error(
     solutions = [solve(system, batch.frequency, batch.spin) for batch in batches]
     misfits = _run_chi2(batches, system, solutions) > dof + sigma_limit * _chi2_sigma(batches, dof)
     relative_errors = np.array([(initial or {}).get(name, 0.0) or INITIAL_RELATIVE_ERROR for name in names])
+    powers = [local_response_power(batch) for batch in batches] if misfits.any() else []
     for _ in range(ITERATIONS if misfits.any() else 0):
         trial = dict(zip(names, np.where(misfits, relative_errors, 0.0).tolist(), strict=True))
-        ratio = np.sqrt(_run_chi2(add_model_error(batches, trial), system, solutions) / dof)
+        ratio = np.sqrt(_run_chi2(_add_errors(batches, trial, powers), system, solutions) / dof)
         relative_errors = np.clip(relative_errors * ratio, MIN_RELATIVE_ERROR, MAX_RELATIVE_ERROR)
         if np.all(np.abs(ratio[misfits] - 1.0) < CONVERGENCE_TOLERANCE):
             break

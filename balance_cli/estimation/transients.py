@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import Batch, BatchRun
+from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.model.response_jacobian import mask_or_full_slice
-from balance_cli.model.system import System
-from balance_cli.model.transient_modes import TransientModes, divided_differences, transient_modes
+from balance_cli.model.transient_modes import TransientModes, divided_differences
 from balance_cli.signals.waveform_types import AnalysisWindow
 
 Array = NDArray[np.float64]
@@ -77,23 +77,25 @@ class RunTransient:
 
 
 def fit_transients(
-    batch: Batch, system: System, residual: ComplexArray, apply_weight: WeightFunction, derivatives: bool
+    batch: Batch,
+    shared: SharedSolutions,
+    residual: ComplexArray,
+    apply_weight: WeightFunction,
+    derivatives: bool,
 ) -> tuple[RunTransient, ...]:
     """Fit the transient of every run of the batch that has one to the residual Y - T U (K, c).
 
     `apply_weight` multiplies columns (k, c, q) at the given lines by P, the precision with the true loads eliminated.
     """
     fits: list[RunTransient] = []
-    modes: dict[tuple[float, float], TransientModes] = {}
     for run in batch.runs:
         part = _lines_with_transient(batch, run)
         if part is None:
             continue
         lines, window, max_frequency = part
-        key = (max_frequency, MAX_DECAY / max(float(window.start.min()), window.step))
-        if key not in modes:
-            modes[key] = transient_modes(system, batch.spin, *key, derivatives)
-        free, frequency = modes[key], batch.frequency[batch.lines.index[lines]]
+        fastest_decay = MAX_DECAY / max(float(window.start.min()), window.step)
+        free = shared.transient_modes(batch.spin, max_frequency, fastest_decay, derivatives)
+        frequency = batch.frequency[batch.lines.index[lines]]
         if not len(free.s):
             continue
         columns, prior_weight = transient_columns(free, window, frequency), _prior_weight(batch, run.lines)

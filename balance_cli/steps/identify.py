@@ -125,7 +125,7 @@ def _declared_estimate(model: BalanceModel, batches: Sequence[Batch]) -> Minimum
     """The declared parameters, with the tolerances for their covariance."""
     theta = model.parameters.value
     p = int(model.parameters.free.sum())
-    chi2 = data_chi2(batches, model.system())
+    chi2 = data_chi2(batches, model.system(derivatives=False))
     data = Curvature(chi2, np.zeros(p), np.zeros((p, p)))
     return Minimum(theta, data, data + prior_curvature(model.parameters, theta), 0, True)
 
@@ -164,7 +164,7 @@ def _fit_model(
     if first is not None:
         starts["least squares"] = first.theta
     starts["geometry"] = declared
-    best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name])))
+    best = min(starts, key=lambda name: data_chi2(batches, model.system(starts[name], derivatives=False)))
     return fit_maximum_likelihood(model, batches, starts[best]), best
 
 

@@ -15,6 +15,7 @@ from balance_cli.estimation.batch import WORKERS, Batch
 from balance_cli.estimation.identifiability import covariance_from_information
 from balance_cli.estimation.levenberg_marquardt import prior_curvature
 from balance_cli.estimation.likelihood import batch_derivatives
+from balance_cli.estimation.shared_solutions import SharedSolutions
 from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
@@ -99,9 +100,11 @@ def _run_information(
 ) -> tuple[RunInformation, ...]:
     """The information of each run, in order."""
     system = model.system(null)
+    shared = SharedSolutions(system)
 
     def from_batch(batch: Batch) -> RunInformation:
-        return RunInformation.from_batch(batch, batch_derivatives(batch, system), indices.fitted, indices.tested)
+        derivatives = batch_derivatives(batch, system, shared)
+        return RunInformation.from_batch(batch, derivatives, indices.fitted, indices.tested)
 
     with ThreadPoolExecutor(WORKERS) as workers:
         return tuple(workers.map(from_batch, batches))

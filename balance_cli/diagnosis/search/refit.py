@@ -66,14 +66,14 @@ def fit_until_stable(
 
     `shares`: the model error to start from.
     """
-    shares = estimate_model_error(lines.fitted, model.system(theta), shares)
+    shares = estimate_model_error(lines.fitted, model.system(theta, derivatives=False), shares)
     for _ in range(settings.search_rounds):
         theta = take_steps(model, theta, add_model_error(lines.fitted, shares), settings.search_steps, settings)
-        before, shares = shares, estimate_model_error(lines.fitted, model.system(theta), shares)
+        before, shares = shares, estimate_model_error(lines.fitted, model.system(theta, derivatives=False), shares)
         if all(shares[run] >= (1.0 - settings.min_error_decrease) * before[run] for run in shares):
             break
     prior = prior_curvature(model.parameters, theta).chi2
-    validation_shares = estimate_model_error(lines.validation, model.system(theta), shares)
+    validation_shares = estimate_model_error(lines.validation, model.system(theta, derivatives=False), shares)
     fit_criterion = minus_two_log_likelihood(model, theta, lines.fitted, shares) + prior
     validation_criterion = minus_two_log_likelihood(model, theta, lines.validation, validation_shares) + prior
     return SearchState(model, theta, shares, fit_criterion, validation_criterion)
@@ -87,7 +87,8 @@ def take_steps(model: BalanceModel, theta: Array, batches: Sequence[Batch], coun
 
 def minus_two_log_likelihood(model: BalanceModel, theta: Array, batches: Sequence[Batch], shares: ModelErrors) -> float:
     """Return -2 ln likelihood of these lines with this model error, up to a constant of the data."""
-    return data_chi2(add_model_error(batches, shares), model.system(theta)) + log_determinant_inflation(batches, shares)
+    chi2 = data_chi2(add_model_error(batches, shares), model.system(theta, derivatives=False))
+    return chi2 + log_determinant_inflation(batches, shares)
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,10 @@ def score_in_two_stages(
     candidates: Sequence[Candidate],
     settings: SearchSettings,
 ) -> tuple[Score, ...]:
-    """Return the scores of all candidates: the best of them on all lines, the others on a subset."""
+    """Return the scores of all candidates: the best of them on all lines, the others on a subset.
+
+    On all lines a candidate is scored at the best of its starts on the subset.
+    """
     limits = settings.score
     stride = sum(len(batch.lines.index) for batch in batches) // limits.screening_lines
     candidates = place_mass_candidates(candidates, model, theta, batches, settings)
@@ -107,9 +110,16 @@ def score_in_two_stages(
         for score in scores(model, theta, subset, candidates, limits)
     }
     ranked = sorted(result.values(), key=lambda score: score.gain / max(score.parameters, 1), reverse=True)
-    leading = [score.candidate for score in ranked[: limits.full_score_candidates]]
-    result |= {score.candidate.label: score for score in scores(model, theta, batches, leading, limits)}
+    leading = ranked[: limits.full_score_candidates]
+    on_all_lines = scores(model, theta, batches, [_at_best_start(score) for score in leading], limits)
+    for screened, score in zip(leading, on_all_lines, strict=True):
+        result[score.candidate.label] = replace(score, candidate=screened.candidate, start=screened.start)
     return tuple(result.values())
+
+
+def _at_best_start(score: Score) -> Candidate:
+    """The candidate with the start of its score as the only one, so that one curvature serves all candidates."""
+    return replace(score.candidate, starts=(score.candidate.starts[score.start],))
 
 
 def _tone_frequencies(candidates: Sequence[Candidate]) -> tuple[float, ...]:

@@ -94,7 +94,7 @@ def unmodelled_mode_candidates(
     state: SearchState, batches: Sequence[Batch], settings: UnmodelledModeSettings, excluded: Collection[str] = ()
 ) -> tuple[Candidate, ...]:
     """The empirical candidates, started at the frequencies of the largest model errors."""
-    system = state.model.system(state.theta)
+    system = state.model.system(state.theta, derivatives=False)
     peaks = _error_peaks(add_model_error(batches, state.shares), system, settings)
     found = []
     for candidate in candidates(state.geometry, empirical=True, excluded=excluded):

@@ -98,9 +98,12 @@ def find_last_slip(d: Array, distance: float, is_periodic: bool) -> tuple[NDArra
     step = 1
     while step < len(path):
         before_low, before_high = low[:-step], high[:-step]
+        after_low, after_high = low[step:], high[step:]
+        if np.array_equal(after_low, after_high):
+            break  # each of these clamps has a single value, whatever precedes it
         low, high = (
-            np.concatenate([low[:step], np.clip(before_low, low[step:], high[step:])]),
-            np.concatenate([high[:step], np.clip(before_high, low[step:], high[step:])]),
+            np.concatenate([low[:step], np.minimum(np.maximum(before_low, after_low), after_high)]),
+            np.concatenate([high[:step], np.minimum(np.maximum(before_high, after_low), after_high)]),
         )
         step *= 2
     w = np.clip(0.0, low, high)
