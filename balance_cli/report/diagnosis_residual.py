@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import Diagnosis, ResidualMap
+from balance_cli.estimation.choices import GOOD_FIT_CHI2_PER_DOF
 from balance_cli.report.blocks import Chart, PageBlock, Paragraph, PlotGroup, Row, Table, TableCell, group_heading_row
 from balance_cli.report.figure_style import BLUE, GRAY, VERMILION
 from balance_cli.report.number_format import format_fixed, format_significant, join_names
@@ -40,7 +41,7 @@ def residual_blocks(made: Diagnosis, suffix: str) -> Iterator[PageBlock]:
     residual = made.residual
     groups = residual_shares(residual)
     yield Paragraph(_sentence(made, groups))
-    if any(groups.values()):
+    if any(groups.values()) and _exceeds_noise(residual):
         yield _share_table(groups)
     if np.isfinite(residual.before).any():
         yield _frequency_chart(residual, suffix)
@@ -94,7 +95,14 @@ def _sentence(made: Diagnosis, groups: dict[str, list[Share]]) -> str:
     )
     main = [_main_text(kind, parts) for kind, parts in groups.items() if parts]
     named = [text for text in main if text]
-    return f"{words} Most of it was {join_names(named)}." if named and before > 1.5 else words
+    if not _exceeds_noise(made.residual):
+        return f"{words} There was nothing beyond the noise to explain."
+    return f"{words} Most of it was {join_names(named)}." if named else words
+
+
+def _exceeds_noise(residual: ResidualMap) -> bool:
+    """Whether the residual before is more than noise; shares of noise would name places by chance."""
+    return _rms(residual.before) ** 2 > GOOD_FIT_CHI2_PER_DOF
 
 
 def _main_text(kind: str, parts: Sequence[Share]) -> str:

@@ -163,7 +163,8 @@ def section(sources: Sources) -> Section | None:
     shapes = [shape_table(source) for source in models if has_shapes(source.content.modes)]
     if shapes:
         blocks.append(Details("Shapes of the modes", tuple(shapes)))
-    return Section("eigenfrequencies", "Eigenfrequencies, computed and identified", tuple(blocks))
+    known = reference_model(models) is not None
+    return Section("eigenfrequencies", f"Eigenfrequencies, computed{' and identified' if known else ''}", tuple(blocks))
 
 
 def _deviation_sentence(models: Sequence[Source[IdentifiedModel]]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.reduction.run_verdict import DO_NOT_USE, USE, run_verdict
-from balance_cli.report.blocks import Details, PageBlock, Row, Table, TableCell, WarningText, plain_row
+from balance_cli.report.blocks import Details, PageBlock, Row, Table, TableCell, WarningText
 from balance_cli.report.load_figures import wind_runs
 from balance_cli.report.recommendation import rank_methods, tested_harmonics
 from balance_cli.report.sources import Source
@@ -35,7 +35,7 @@ def verdict_blocks(sources: Sequence[Source[HubLoads]]) -> Iterator[PageBlock]:
 
 
 def _verdict_table(source: Source[HubLoads]) -> Table:
-    head = (plain_row("run", "flags", "verdict"),)
+    head = (tuple(TableCell(word, mark="text") for word in ("run", "flags", "verdict")),)
     return Table(f"Loads by {source.label}.", head, tuple(_verdict_row(run) for run in source.content.runs.values()))
 
 
@@ -44,8 +44,8 @@ def _verdict_row(run: RunLoads) -> Row:
     flags = ", ".join(f"{flag} ({count})" for flag, count in run.flag_counts.items()) or "none"
     return (
         TableCell(run.run, run.kind, "name"),
-        TableCell(flags),
-        TableCell(verdict.sentence, mark=MARKS.get(verdict.word, "")),
+        TableCell(flags, mark="text"),
+        TableCell(verdict.sentence, mark=f"text {MARKS.get(verdict.word, '')}".strip()),
     )
 
 

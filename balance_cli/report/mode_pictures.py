@@ -95,7 +95,7 @@ def _mode_svg(title: str, drawing: RigDrawing, shape: ComplexArray) -> str:
     frames = [lines(places + np.real(scaled * np.exp(2j * np.pi * step / FRAMES))) for step in range(FRAMES + 1)]
     labels = "".join(
         f'<text x="{x + 3:.1f}" y="{y - 3:.1f}" font-size="8">{escape(name)}</text>'
-        for name, (x, y) in zip(drawing.names, ((flat - low) * scale + MARGIN)[:count], strict=True)
+        for name, (x, y) in zip(drawing.labels, ((flat - low) * scale + MARGIN)[:count], strict=True)
     )
     return (
         f'<svg class="plot" viewBox="0 0 {SIZE:g} {SIZE + 12:g}" role="img" aria-label="Mode at {escape(title)}" '

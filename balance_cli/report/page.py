@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 
@@ -70,17 +70,26 @@ def build_page(sources: Sources) -> Page:
     made_sections = tuple(build_sections(sources))
     rig = summary.rig_title(sources)
     title = f"Rotor balance {rig}" if rig else "Rotor balance"
-    shown = [picture for section in made_sections for picture in pictures(section.blocks)]
+    shown = _pictures_of(made_sections)
+    names = tuple(picture.name for picture in shown)
+    html = render_page(title, made_sections)
+    return Page(html, {section.key: section.title for section in made_sections}, names, shown)
+
+
+def render_page(title: str, sections: Sequence[Section]) -> str:
+    """Return the HTML of a page with these sections."""
     template = _template_environment().from_string(_read_resource("page.html"))
-    html = template.render(
+    return template.render(
         title=title,
-        sections=made_sections,
+        sections=sections,
         style=Markup("\n".join(map(_read_resource, STYLES))),
         scripts=[Markup(_read_resource(name)) for name in SCRIPTS],
-        numbers={picture.name: number for number, picture in enumerate(shown, 1)},
+        numbers={picture.name: number for number, picture in enumerate(_pictures_of(sections), 1)},
     )
-    names = tuple(picture.name for picture in shown)
-    return Page(html, {section.key: section.title for section in made_sections}, names, tuple(shown))
+
+
+def _pictures_of(sections: Sequence[Section]) -> tuple[Picture | Chart, ...]:
+    return tuple(picture for section in sections for picture in pictures(section.blocks))
 
 
 def build_sections(sources: Sources) -> Iterator[Section]:

@@ -36,6 +36,15 @@ class RigDrawing:
     outline: Index
 
     @property
+    def labels(self) -> tuple[str, ...]:
+        """A text for each point of the metric side: cells that share a point are named at the first of them."""
+        texts = [""] * len(self.names)
+        for i, place in enumerate(self.points):
+            first = next(j for j in range(i + 1) if np.allclose(self.points[j], place))
+            texts[first] += f", {self.names[i]}" if texts[first] else self.names[i]
+        return tuple(texts)
+
+    @property
     def everything(self) -> Array:
         """All points (p + c, 3)."""
         return np.concatenate([self.points, self.ground])
@@ -100,7 +109,7 @@ def rig_picture(geometry: Geometry) -> Picture:
     height = float(places[:, 1].max()) + RIG_MARGIN
     points, ground = places[: len(drawing.points)], places[len(drawing.points) :]
     feet = "".join(f'<path class="axis" d="M{x - 5:.1f} {y:.1f}h10" stroke-width="2"/>' for x, y in ground)
-    labels = "".join(_label(name, *place) for name, place in zip(drawing.names, points, strict=True))
+    labels = "".join(_label(name, *place) for name, place in zip(drawing.labels, points, strict=True) if name)
     markup = (
         f'<svg class="plot rig" viewBox="0 0 {RIG_SIZE:g} {height:.0f}" role="img" aria-label="The rig" '
         f'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" font-size="11">'

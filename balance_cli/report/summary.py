@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.report.answer import answer_blocks
 from balance_cli.report.before_after import before_after_blocks
-from balance_cli.report.blocks import BulletList, Details, KeyFigures, PageBlock, Section, WarningText
+from balance_cli.report.blocks import BulletList, Details, KeyFigures, PageBlock, Paragraph, Section, WarningText
 from balance_cli.report.check_errors import loads_with_check_runs, overall_error
 from balance_cli.report.diagnosis import verdict_sentence
 from balance_cli.report.few_runs import condense
@@ -27,7 +27,9 @@ MOST_NAMES = 20
 def section(sources: Sources) -> Section:
     """Loads of each run with their verdict, updating before and after, key figures, and the inputs."""
     blocks: list[PageBlock] = [*answer_blocks(sources.loads), *before_after_blocks(sources)]
-    figures = tuple(_key_figures(sources))
+    if not sources.loads:
+        blocks.append(Paragraph(_without_loads(sources), "lead"))
+    figures = (*_key_figures(sources), *(() if sources.loads else _calibration_key_figures(sources)))
     if figures:
         blocks.append(KeyFigures(figures))
     blocks += _verdict_blocks(sources)
@@ -82,6 +84,29 @@ def _key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
                 yield f"{format_percent(error.noise)} %", "noise floor of that error", "quiet"
     yield from _model_key_figures(sources)
     yield from residual_test_figure(sources.loads)
+
+
+def _without_loads(sources: Sources) -> str:
+    """What a page without hub loads is about."""
+    parts = [
+        (sources.calibrations, "the static calibration"),
+        (sources.transfers, "measured responses"),
+        (sources.models, "models" if len(sources.models) > 1 else "a model"),
+        (sources.diagnoses, "a diagnosis"),
+    ]
+    given = join_names([words for found, words in parts if found])
+    return f"No hub loads: no check or wind run was reduced. This page shows {given}."
+
+
+def _calibration_key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
+    """Yield the largest residual of each trim; a small one tells of the fit, not of its errors."""
+    for calibration in sources.calibrations:
+        for name, trim in calibration.content.trims.items():
+            percents = {component: value for component, value in trim.residual_percent_fs.items() if value == value}
+            if percents:
+                worst = max(percents, key=lambda component: percents[component])
+                caption = f"of full scale: largest residual of the calibration, trim {name} ({worst})"
+                yield f"{format_significant(percents[worst], 2)} %", caption, ""
 
 
 def _model_key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:

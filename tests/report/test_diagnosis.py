@@ -213,3 +213,15 @@ def test_what_remains_is_said_with_the_verdict():
     words = story_text(section(given(unexplained)))
     assert "of 61 candidates none was accepted" in words and "(Rms 3 of the noise; most in z3)" in words
     assert "Nothing remains" not in words
+
+
+def test_a_residual_of_noise_alone_names_no_place():
+    made = diagnosis(NOTHING_MISSING, effects=(), hold_out=hold_out())
+    quiet = replace(made, residual=replace(made.residual, before=0.2 + 0.8 * made.residual.after))
+    shown = section(given(with_excitation(quiet)))
+    assert "There was nothing beyond the noise to explain" in story_text(shown)
+    assert not any(isinstance(block, Table) and "share of the excess" in texts_of_head(block) for block in shown.blocks)
+
+
+def texts_of_head(table) -> list[str]:
+    return [cell.text for row in table.head for cell in row]

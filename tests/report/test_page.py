@@ -220,3 +220,12 @@ def test_the_first_section_says_of_every_run_whether_to_use_it_and_why():
 
 def test_nothing_gives_an_empty_report():
     assert list(build_page(Sources()).sections) == ["summary", "provenance"]
+
+
+def test_without_loads_the_first_screen_says_so_and_gives_the_key_figures():
+    some = [(path, item) for path, item in campaign() if item.format == "balance-calibration/1"]
+    made = summary.section(group_sources(some))
+    words = texts(made, "text")
+    assert "No hub loads: no check or wind run was reduced. This page shows the static calibration." in words
+    (figures,) = [block for block in made.blocks if block.kind == "figures"]
+    assert "largest residual of the calibration" in figures.items[0][1]
