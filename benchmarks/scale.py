@@ -38,11 +38,12 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 
 @dataclass(frozen=True)
 class Usage:
-    """What a call took: duration and processor time [s], largest memory of its main process and of all [bytes]."""
+    """What a call took: duration, processor time of all processes and of the main one [s], largest memory [bytes]."""
 
     status: int
     duration: float
     processor: float
+    main_processor: float
     main_memory: int
     memory: int
     digest: str
@@ -59,12 +60,13 @@ def main(counts: Sequence[int], seconds: float, distinct: int, ways: str) -> Non
         folder = Path(name)
         model = _model(folder)
         runs = _write_runs(folder, max(counts), distinct, seconds)
-        click.echo("runs, way, status, duration s, CPU s, CPU ms a run, main MB, all MB, digest")
+        click.echo("runs, way, status, duration s, CPU s, CPU ms a run, of the main process, main MB, all MB, digest")
         for count in counts:
             for way in ways.split(","):
                 usage = _reduce(way, model, runs[:count], folder / f"loads-{count}-{way}.h5")
                 cells = [count, way, usage.status, f"{usage.duration:.0f}", f"{usage.processor:.1f}"]
-                cells += [f"{1e3 * usage.processor / count:.1f}", usage.main_memory // 10**6, usage.memory // 10**6]
+                cells += [f"{1e3 * time / count:.1f}" for time in (usage.processor, usage.main_processor)]
+                cells += [usage.main_memory // 10**6, usage.memory // 10**6]
                 click.echo(", ".join(map(str, [*cells, usage.digest[:8]])))
 
 
@@ -138,7 +140,8 @@ def _meter(
         raise SystemExit("the batch was over before a worker could be killed: give more runs")
     with h5py.File(output) as file:
         digest = str(file.attrs["digest"])
-    return Usage(process.returncode, time.monotonic() - begin, sum(used.values()), main, total, digest)
+    duration = time.monotonic() - begin
+    return Usage(process.returncode, duration, sum(used.values()), used[process.pid], main, total, digest)
 
 
 def _processes(used: dict[int, float], sessions: set[int]) -> dict[int, int]:

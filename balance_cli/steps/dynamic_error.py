@@ -7,13 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from balance_cli.campaign.rig.geometry import Geometry
-from balance_cli.estimation.measured_spectra import Spectra
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads
-from balance_cli.reduction.model_sources import model_source
 from balance_cli.reduction.response_sources import ResponseSource, StaticSource
 from balance_cli.reduction.weighted_least_squares import SolvedLoads
-from balance_cli.steps.identify import IdentifyOptions, identify
 
 
 def add_dynamic_error(
@@ -26,6 +23,11 @@ def add_dynamic_error(
     """
     if not isinstance(source, StaticSource):
         return solution
+    # Identification takes half a second to import, which other responses do without.
+    from balance_cli.estimation.measured_spectra import Spectra
+    from balance_cli.reduction.model_sources import model_source
+    from balance_cli.steps.identify import IdentifyOptions, identify
+
     try:
         declared = identify(Spectra((), (), {}, {}), geometry, IdentifyOptions(method="computed"))
         reference = harmonic_loads(record, geometry, model_source(declared))

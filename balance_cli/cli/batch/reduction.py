@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from balance_cli.cli.consistency import inconsistent_runs
 from balance_cli.cli.errors import EXIT_RUNS_SKIPPED
 from balance_cli.cli.reduce_inputs import read_zero
 from balance_cli.cli.reduce_runs import Reduction, check_name
-from balance_cli.diagnosis.consistency.campaign import findings_from_rows
+from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
 from balance_cli.diagnosis.consistency.severity import known_anyway
 from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.errors import UserError
@@ -258,11 +258,18 @@ class BatchReduction:
 
     def _compare(self, reduction: Reduction) -> None:
         """Cross-check the runs with known loads, and skip those that contradict the others."""
-        findings = findings_from_rows(reduction.geometry, self.rows, self.levels)
-        bad = inconsistent_runs(self.session, findings, self.paths, self.skips, known_anyway)
+        bad = inconsistent_runs(self.session, self._findings(reduction), self.paths, self.skips, known_anyway)
         for name, reason in bad.items():
             self.loads.pop(name, None)
             self.session.report_skipped(self.paths[name], f"{self.paths[name]}: {reason}")
+
+    def _findings(self, reduction: Reduction) -> Sequence[ConsistencyFinding]:
+        """Compare the runs with known loads; a batch of wind runs does not import what that takes."""
+        if not self.rows:
+            return ()
+        from balance_cli.diagnosis.consistency.campaign import findings_from_rows
+
+        return findings_from_rows(reduction.geometry, self.rows, self.levels)
 
     def _skip(self, path: Path, error: UserError) -> None:
         if not self.skips:
