@@ -156,8 +156,20 @@ def _warn(session: Session, result: Calibration) -> None:
     for trim in result.trims.values():
         for name, reason in trim.excluded_channels.items():
             session.warn(f"trim {trim.trim}: channel {name} left out: {reason}")
+    _warn_of_units(session, result)
     for warning in math_model_warnings(result.all_trims) if result.all_trims else (WITHOUT_MODEL,):
         session.warn(warning)
+
+
+def _warn_of_units(session: Session, result: Calibration) -> None:
+    """Warn of loads that seem to be in another unit, once for all trims."""
+    from balance_cli.calibration.load_units import doubtful_units
+    from balance_cli.campaign.rig.load_components import load_components
+
+    first = next(iter(result.trims.values()))
+    if first.rows:
+        for note in doubtful_units(first, load_components(result.geometry).units):
+            session.warn(note)
 
 
 def _check_options(runs: tuple[Path, ...], choices: _Choices) -> None:

@@ -10,7 +10,7 @@ from balance_cli.io.table_text import TextTable
 from balance_cli.io.units import is_unit, split_unit
 
 LABELS = {
-    "series": ("series", "loadseries", "loadingsequence", "sequence"),
+    "series": ("series", "seriesno", "loadseries", "loadingsequence", "sequence", "reihe", "serie"),
     "point": ("point", "kind", "pointkind", "type"),
     "run": ("run", "runname"),
     "trim": ("trim",),

@@ -1,0 +1,50 @@
+"""Loads whose unit is doubtful: all of a component in N where kN was meant, or the reverse.
+
+Where a series of a component differs from its other series, the search for suspect load series finds it. Where all are
+in the wrong unit, the calibration is consistent in itself. Then rated loads tell it and, without them, the response to
+the other components of the same kind: forces that act on one balance differ by a factor of ten or so in their effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from balance_cli.calibration.result import TrimCalibration
+
+MOST_OF_RATED = 3.0
+"""Calibrated range over the rated load from which the unit is doubtful: balances are proof-loaded to twice at most."""
+LEAST_OF_RATED = 0.01
+"""The same below: a hundredth of the rated load calibrates nothing."""
+UNIT_RATIO = 300.0
+"""Ratio of the responses to two forces, or two moments, from which the unit is doubtful: well above what designs differ
+by, and below the 1000 of a prefix."""
+
+
+def doubtful_units(trim: TrimCalibration, units: tuple[str, ...]) -> Iterator[str]:
+    """Notes on the components whose loads seem to be in another unit; `units` (k,) of the components: N or N m."""
+    if trim.rated_load is not None:
+        for name, unit, largest, rated in zip(
+            trim.components, units, trim.calibrated_range, trim.rated_load, strict=True
+        ):
+            share = largest / rated
+            if share > MOST_OF_RATED or share < LEAST_OF_RATED:
+                yield (
+                    f"{name} was loaded to {largest:.4g} {unit}, {share:.3g} times its rated load of {rated:.4g} "
+                    f"{unit}: is the unit of one of them right?"
+                )
+    response = np.linalg.norm(trim.C0 / np.sqrt(np.diag(trim.noise_covariance))[:, None], axis=0)
+    for j, name in enumerate(trim.components):
+        alike = [i for i, unit in enumerate(units) if unit == units[j] and i != j]
+        is_rated = trim.rated_load is not None and bool(np.isfinite(trim.rated_load[j]))
+        ratios = response[j] / response[alike]
+        if is_rated or len(alike) < 2 or not (np.all(ratios > UNIT_RATIO) or np.all(ratios < 1.0 / UNIT_RATIO)):
+            continue
+        ratio = float(np.median(ratios))
+        way = "larger" if ratio > 1.0 else "smaller"
+        others = ", ".join(trim.components[i] for i in alike)
+        yield (
+            f"the channels respond to a {units[j]} of {name} by a factor of {max(ratio, 1.0 / ratio):.3g} {way} "
+            f"than to one of {others}: is the unit of {name} right? Declare `rated_loads` in the geometry"
+        )
