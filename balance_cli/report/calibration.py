@@ -25,6 +25,7 @@ from balance_cli.report.load_residuals import check_load_blocks, load_residual_b
 from balance_cli.report.load_schedule import load_schedule_blocks
 from balance_cli.report.math_model import math_model_blocks
 from balance_cli.report.number_format import MARKED_SIGMA, format_significant, value_and_sigma_text
+from balance_cli.report.reading_scale import MICROVOLTS, ReadingScale, reading_scale
 from balance_cli.report.sources import Source, Sources
 
 Array = NDArray[np.float64]
@@ -62,19 +63,18 @@ def _calibration_blocks(source: Source[Calibration]) -> Iterator[PageBlock]:
     if any(np.isfinite(trim.hysteresis.loads).any() for trim in trims.values()):
         yield hysteresis_table(source.content)
     for trim in trims.values():
-        yield matrix_table(trim)
+        yield matrix_table(trim, reading_scale(source.content.geometry, trim.channel_names))
     yield Details("T0: loads from channels", tuple(inverse_table(trim) for trim in trims.values()))
 
 
 def _unit_notes(calibration: Calibration) -> Iterator[PageBlock]:
-    """What V and microvolts stand for where readings are ratios to the excitation, or counts."""
+    """What V and microvolts stand for where some readings are ratios to the excitation, or counts, and others not."""
+    units = {channel.reading_unit for channel in calibration.geometry.channels}
     for unit, meaning in (("V/V", "ratios to the excitation"), ("1", "numbers (counts)")):
         names = [channel.name for channel in calibration.geometry.channels if channel.reading_unit == unit]
         if names:
-            yield Paragraph(
-                f"The readings of {', '.join(names)} are {meaning}: V stands for {unit}, and "
-                f"\N{MICRO SIGN}V for a millionth of it."
-            )
+            small = f", and {MICROVOLTS.symbol} for a millionth of it" if len(units) > 1 else ""
+            yield Paragraph(f"The readings of {', '.join(names)} are {meaning}: V stands for {unit}{small}.")
 
 
 def _trim_warnings(trim: TrimCalibration) -> Iterator[PageBlock]:
@@ -147,10 +147,10 @@ def _hysteresis_cell(width: float, sigma: float, full_range: float) -> TableCell
     )
 
 
-def matrix_table(trim: TrimCalibration) -> Table:
+def matrix_table(trim: TrimCalibration, scale: ReadingScale = MICROVOLTS) -> Table:
     """C0 of a trim with standard errors."""
-    caption = f"C0 of trim {trim.trim} [\N{MICRO SIGN}V/N, \N{MICRO SIGN}V/(N m)] with standard errors."
-    scaled = (1e6 * trim.C0, 1e6 * trim.C0_sigma)
+    caption = f"C0 of trim {trim.trim} [{scale.symbol}/N, {scale.symbol}/(N m)] with standard errors."
+    scaled = (scale.per_base_unit * trim.C0, scale.per_base_unit * trim.C0_sigma)
     return _coefficient_table(caption, trim.channel_names, trim.components, *scaled)
 
 

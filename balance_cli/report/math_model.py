@@ -23,7 +23,6 @@ from balance_cli.report.figure_style import svg
 from balance_cli.report.load_series_rows import channel_ranges, split_load_series
 from balance_cli.report.math_model_figures import load_figure, order_figure
 from balance_cli.report.math_model_tables import (
-    MICROVOLT,
     channel_table,
     check_table,
     nonlinear_terms,
@@ -32,6 +31,7 @@ from balance_cli.report.math_model_tables import (
     unsupported_terms_table,
 )
 from balance_cli.report.number_format import format_significant, join_names, value_and_sigma_text
+from balance_cli.report.reading_scale import MICROVOLTS, reading_scale
 from balance_cli.report.sources import Source
 
 NO_MODEL_TEXT = (
@@ -75,13 +75,14 @@ def math_model_blocks(source: Source[Calibration], named: bool, suffix: str) -> 
 
 
 def _math_model_tables(calibration: Calibration, all_trims: AllTrimsCalibration, has_rows: bool) -> Iterator[PageBlock]:
+    scale = reading_scale(calibration.geometry, all_trims.model.channel_names)
     if has_rows:
-        yield channel_table(all_trims, channel_ranges(calibration, all_trims))
+        yield channel_table(all_trims, channel_ranges(calibration, all_trims), scale)
     if all_trims.model.is_nonlinear:
-        yield term_table(all_trims)
+        yield term_table(all_trims, scale)
     if all_trims.tares is not None:
         yield Paragraph(_metric_weight_text(all_trims.tares))
-        yield tare_table(all_trims.model.channel_names, all_trims.tares)
+        yield tare_table(all_trims.model.channel_names, all_trims.tares, scale)
     if all_trims.checks:
         model = all_trims.model
         yield check_table(all_trims, full_scale(calibration.geometry, model.components, model.calibrated_range))
@@ -182,7 +183,7 @@ def _suspect_series_warning(suspect: SuspectLoadSeries) -> str:
 
 def _reading_text(value: float, unit: str | None) -> str:
     """A reading in microvolt, or in the unit in which it is short where it is no voltage."""
-    return f"{format_significant(1e6 * value)} {MICROVOLT}" if unit is None else short_reading(value, unit)
+    return f"{format_significant(1e6 * value)} {MICROVOLTS.symbol}" if unit is None else short_reading(value, unit)
 
 
 def _outlier_warning(outlier: Outlier) -> str:
@@ -202,19 +203,20 @@ def _outlier_warning(outlier: Outlier) -> str:
 
 def _residual_pictures(calibration: Calibration, all_trims: AllTrimsCalibration, suffix: str) -> Iterator[PageBlock]:
     series, ranges = split_load_series(all_trims), channel_ranges(calibration, all_trims)
+    scale = reading_scale(calibration.geometry, all_trims.model.channel_names)
     excluded = " Hatched: excluded." if not all(rows.used for rows in series) else ""
     outliers = " Triangles: excluded rows." if all_trims.outliers else ""
     yield _picture(
         f"calibration-order{suffix}",
         "Residual of each channel in the order of loading; the bands are the load series, named by the loads that were "
         f"varied. Dashed: two standard deviations.{excluded}{outliers}",
-        lambda: order_figure(all_trims, series, ranges),
+        lambda: order_figure(all_trims, series, ranges, scale),
     )
     yield _picture(
         f"calibration-load{suffix}",
         "Residual of each channel against the applied load in % of its calibrated range, every row at each load that "
         f"was varied in its load series. A cubic is drawn where a residual depends significantly on a load.{outliers}",
-        lambda: load_figure(all_trims, series, ranges),
+        lambda: load_figure(all_trims, series, ranges, scale),
     )
 
 

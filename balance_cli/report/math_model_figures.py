@@ -18,6 +18,7 @@ from balance_cli.calibration.load_series import MIN_LOAD_CHANGE
 from balance_cli.report.figure_style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, PlotStyle, new_figure
 from balance_cli.report.load_series_rows import LoadSeriesRows, channel_outliers, channel_residual_sigma
 from balance_cli.report.number_format import format_percent, format_significant
+from balance_cli.report.reading_scale import MICROVOLTS, ReadingScale
 from balance_cli.signals import distributions as stats
 
 Array = NDArray[np.float64]
@@ -56,27 +57,29 @@ LETTERS_PER_INCH = 14.0
 """Letters of an axis label in an inch, at the font size of the page."""
 
 
-def order_figure(all_trims: AllTrimsCalibration, series: Sequence[LoadSeriesRows], ranges: Array) -> Figure:
-    """One panel per channel: residual [uV] in the order of loading, load series as bands; `ranges` (c,) [V]."""
-    figure, panels, last = _make_panels(len(all_trims.model.channel_names), "order")
+def order_figure(
+    all_trims: AllTrimsCalibration, series: Sequence[LoadSeriesRows], ranges: Array, scale: ReadingScale = MICROVOLTS
+) -> Figure:
+    """One panel per channel: residual in the order of loading, load series as bands; `ranges` (c,) [V]."""
+    figure, panels, last = _make_panels(len(all_trims.model.channel_names), "order", scale)
     row = np.arange(1.0, len(all_trims.loads) + 1.0)
     for c, axes in enumerate(panels):
         _shade_load_series(axes, series, c)
-        _set_title(axes, all_trims, c, ranges)
-        for sign in (-2e6, 2e6):
+        _set_title(axes, all_trims, c, ranges, scale)
+        for sign in (-2.0 * scale.per_base_unit, 2.0 * scale.per_base_unit):
             axes.axhline(
                 sign * channel_residual_sigma(all_trims)[c], color=BLACK, linewidth=0.6, linestyle=(0, (4, 3)), zorder=2
             )
         axes.plot(
             row,
-            1e6 * all_trims.residuals[:, c],
+            scale.per_base_unit * all_trims.residuals[:, c],
             ".",
             color=BLUE,
             markersize=3.2,
             rasterized=_is_rasterized(all_trims),
             zorder=3,
         )
-        _draw_outliers(axes, all_trims, c, row[:, None])
+        _draw_outliers(axes, all_trims, c, row[:, None], scale)
         axes.set_xlim(0.5, len(row) + 0.5)
         axes.grid(visible=False, axis="x")
     for axes in last:
@@ -85,16 +88,20 @@ def order_figure(all_trims: AllTrimsCalibration, series: Sequence[LoadSeriesRows
     return figure
 
 
-def load_figure(all_trims: AllTrimsCalibration, series: Sequence[LoadSeriesRows], ranges: Array) -> Figure:
-    """One panel per channel: residual [uV] against the varied loads in % of the calibrated range, by component."""
-    figure, panels, last = _make_panels(len(all_trims.model.channel_names), "load")
+def load_figure(
+    all_trims: AllTrimsCalibration, series: Sequence[LoadSeriesRows], ranges: Array, scale: ReadingScale = MICROVOLTS
+) -> Figure:
+    """One panel per channel: residual against the varied loads in % of the calibrated range, by component."""
+    figure, panels, last = _make_panels(len(all_trims.model.channel_names), "load", scale)
     x, styles = varied_loads(all_trims, series), component_styles(all_trims.model.components)
     for c, axes in enumerate(panels):
-        _set_title(axes, all_trims, c, ranges)
+        _set_title(axes, all_trims, c, ranges, scale)
         axes.axhline(0.0, color=BLACK, linewidth=0.6, zorder=1)
         for j, plot_style in enumerate(styles):
-            _draw_component(axes, x[:, j], 1e6 * all_trims.residuals[:, c], plot_style, _is_rasterized(all_trims))
-        _draw_outliers(axes, all_trims, c, 100 * x)
+            _draw_component(
+                axes, x[:, j], scale.per_base_unit * all_trims.residuals[:, c], plot_style, _is_rasterized(all_trims)
+            )
+        _draw_outliers(axes, all_trims, c, 100 * x, scale)
     for axes in last:
         axes.set_xlabel("load [% of calibrated range]")
     handles: list[Artist] = [
@@ -144,7 +151,7 @@ def _draw_component(axes: Axes, x: Array, values: Array, plot_style: PlotStyle, 
     axes.plot(100 * place, smooth, color=plot_style.color, linewidth=1.4, zorder=4)
 
 
-def _make_panels(count: int, kind: str) -> tuple[Figure, list[Axes], list[Axes]]:
+def _make_panels(count: int, kind: str, scale: ReadingScale) -> tuple[Figure, list[Axes], list[Axes]]:
     """The figure, its panels, and the panels without another one below."""
     columns = min(PANEL_COLUMNS[kind], count)
     lines = -(-count // columns)
@@ -157,7 +164,7 @@ def _make_panels(count: int, kind: str) -> tuple[Figure, list[Axes], list[Axes]]
     for axes in last:
         axes.tick_params(axis="x", labelbottom=True)
     for axes in panels[:count:columns]:
-        axes.set_ylabel("residual [\N{MICRO SIGN}V]")
+        axes.set_ylabel(f"residual [{scale.symbol}]")
     wide, high = PANEL_GAPS[kind]
     bottom = LEGEND_INCHES / total
     figure.subplots_adjust(left=0.06, right=0.99, top=1 - 0.22 / total, bottom=bottom, wspace=wide, hspace=high)
@@ -168,14 +175,17 @@ def _is_rasterized(all_trims: AllTrimsCalibration) -> bool:
     return all_trims.residuals.size > RASTERIZE_ABOVE
 
 
-def _set_title(axes: Axes, all_trims: AllTrimsCalibration, c: int, ranges: Array) -> None:
+def _set_title(axes: Axes, all_trims: AllTrimsCalibration, c: int, ranges: Array, scale: ReadingScale) -> None:
     """Set name and standard deviation of the channel as the title, and the limits of the residual axis."""
     s = float(channel_residual_sigma(all_trims)[c])
-    small = f"s {format_significant(1e6 * s)} \N{MICRO SIGN}V, {format_percent(s / ranges[c])} % of range"
+    small = (
+        f"s {format_significant(scale.per_base_unit * s)} {scale.symbol}, {format_percent(s / ranges[c])} % of range"
+    )
     axes.set_title(all_trims.model.channel_names[c], loc="left")
     axes.set_title(small, loc="right", fontsize=7.5, fontweight="normal", color="#555555")
     largest = float(np.nanmax(np.abs(all_trims.residuals[:, c]), initial=2.0 * s))
-    axes.set_ylim(-1e6 * AXIS_MARGIN * largest, 1e6 * AXIS_MARGIN * largest)
+    limit = scale.per_base_unit * AXIS_MARGIN * largest
+    axes.set_ylim(-limit, limit)
 
 
 def _shade_load_series(axes: Axes, series: Sequence[LoadSeriesRows], c: int) -> None:
@@ -190,15 +200,15 @@ def _shade_load_series(axes: Axes, series: Sequence[LoadSeriesRows], c: int) -> 
             axes.axvline(entry.ends[0], color=BLACK, linewidth=0.8, zorder=1)
 
 
-def _draw_outliers(axes: Axes, all_trims: AllTrimsCalibration, c: int, x: Array) -> None:
+def _draw_outliers(axes: Axes, all_trims: AllTrimsCalibration, c: int, x: Array, scale: ReadingScale) -> None:
     """Draw triangles at places x (m, n) of the excluded rows, at the edge of the panel where they lie beyond it."""
     limit = axes.get_ylim()[1]
     for row, outlier in channel_outliers(all_trims, c):
         place = x[row][np.isfinite(x[row])]
-        value = float(np.clip(1e6 * outlier.error, -0.93 * limit, 0.93 * limit))
+        value = float(np.clip(scale.per_base_unit * outlier.error, -0.93 * limit, 0.93 * limit))
         marker = "^" if outlier.error > 0 else "v"
         axes.plot(place, np.full(len(place), value), marker, color=VERMILION, markersize=6.5, zorder=5)
-        label = f" {format_significant(1e6 * outlier.error)}"
+        label = f" {format_significant(scale.per_base_unit * outlier.error)}"
         for each in place:
             axes.annotate(label, (each, value), (5, 0), textcoords="offset points", fontsize=7, va="center", zorder=6)
 

@@ -23,10 +23,10 @@ from balance_cli.report.number_format import (
     format_significant,
     value_and_sigma_text,
 )
+from balance_cli.report.reading_scale import MICROVOLTS, ReadingScale
 
 Array = NDArray[np.float64]
 
-MICROVOLT = "\N{MICRO SIGN}V"
 LOADS_ONLY = "linear"
 HIGH_INFLATION = 10.0
 """Variance inflation above which a term is marked as nearly collinear with others (rule of thumb: Marquardt, 1970)."""
@@ -43,14 +43,14 @@ def nonlinear_terms(all_trims: AllTrimsCalibration, channel: int) -> tuple[int, 
     return tuple(i for i in channel_terms if i >= len(model.components))
 
 
-def channel_table(all_trims: AllTrimsCalibration, ranges: Array) -> Table:
+def channel_table(all_trims: AllTrimsCalibration, ranges: Array, scale: ReadingScale = MICROVOLTS) -> Table:
     """Residuals and zeros of each channel; `ranges` (c,) [V] are the rated ranges of the channels."""
     words = ("residual", "row left out", "load series left out")
     head = (
         TableCell("channel"),
         TableCell("nonlinear terms"),
-        *(TableCell(f"{word} [{MICROVOLT}]") for word in words),
-        TableCell(f"drift of the zero [{MICROVOLT} per load series]"),
+        *(TableCell(f"{word} [{scale.symbol}]") for word in words),
+        TableCell(f"drift of the zero [{scale.symbol} per load series]"),
         TableCell("scatter of the zeros"),
     )
     caption = (
@@ -59,33 +59,33 @@ def channel_table(all_trims: AllTrimsCalibration, ranges: Array) -> Table:
         "zeros of the load series. Scatter: chi-square per degree of freedom of the zeros about that line, about 1 "
         "where their standard errors explain it. Marked: more than three standard errors, or a p-value as small."
     )
-    rows = tuple(_channel_row(all_trims, c, float(full)) for c, full in enumerate(ranges))
+    rows = tuple(_channel_row(all_trims, c, float(full), scale) for c, full in enumerate(ranges))
     return Table(caption, (head,), rows)
 
 
-def _channel_row(all_trims: AllTrimsCalibration, c: int, full_range: float) -> Row:
+def _channel_row(all_trims: AllTrimsCalibration, c: int, full_range: float, scale: ReadingScale) -> Row:
     model, count = all_trims.model, len(nonlinear_terms(all_trims, c))
     errors = (channel_residual_sigma(all_trims)[c], model.press[c], model.cross_validation_rms[c])
     return (
         TableCell(model.channel_names[c], mark="name"),
         TableCell(str(count)) if count else TableCell(LOADS_ONLY, mark="quiet"),
-        *(_residual_cell(float(value), full_range) for value in errors),
-        _drift_cell(all_trims, c),
+        *(_residual_cell(float(value), full_range, scale) for value in errors),
+        _drift_cell(all_trims, c, scale),
         _scatter_cell(all_trims, c),
     )
 
 
-def _residual_cell(value: float, full_range: float) -> TableCell:
+def _residual_cell(value: float, full_range: float, scale: ReadingScale) -> TableCell:
     if not np.isfinite(value):
         return TableCell(MISSING_VALUE)
-    return TableCell(format_significant(1e6 * value), f"{format_percent(value / full_range)} %")
+    return TableCell(format_significant(scale.per_base_unit * value), f"{format_percent(value / full_range)} %")
 
 
-def _drift_cell(all_trims: AllTrimsCalibration, c: int) -> TableCell:
+def _drift_cell(all_trims: AllTrimsCalibration, c: int, scale: ReadingScale) -> TableCell:
     if len(all_trims.model.zeros) < 2:
         return TableCell(MISSING_VALUE)
     slope, sigma = float(all_trims.drift.slope[c]), float(all_trims.drift.slope_sigma[c])
-    words = f" {PLUS_MINUS} ".join(value_and_sigma_text(1e6 * slope, 1e6 * sigma))
+    words = f" {PLUS_MINUS} ".join(value_and_sigma_text(*(scale.per_base_unit * each for each in (slope, sigma))))
     return TableCell(words, mark="bad" if abs(slope) > MARKED_SIGMA * sigma else "")
 
 
@@ -100,33 +100,35 @@ def _scatter_cell(all_trims: AllTrimsCalibration, c: int) -> TableCell:
 # ---- terms -----------------------------------------------------------------------------------------------------------
 
 
-def term_table(all_trims: AllTrimsCalibration) -> Table:
+def term_table(all_trims: AllTrimsCalibration, scale: ReadingScale = MICROVOLTS) -> Table:
     """Nonlinear terms of each channel, with their statistics."""
-    words = ("channel", "term", f"at calibrated range [{MICROVOLT}]", "t", "p", "variance inflation")
+    words = ("channel", "term", f"at calibrated range [{scale.symbol}]", "t", "p", "variance inflation")
     head = tuple(TableCell(word, mark="text" if word == "term" else "") for word in words)
     caption = (
         "Nonlinear terms: contribution where the loads are at the calibrated range, with standard error; t and its "
         f"p-value; variance inflation by the other terms (marked: more than {HIGH_INFLATION:.0f})."
     )
-    rows = tuple(row for c in range(len(all_trims.model.channel_names)) for row in _term_rows(all_trims, c))
+    rows = tuple(row for c in range(len(all_trims.model.channel_names)) for row in _term_rows(all_trims, c, scale))
     return Table(caption, (head,), rows)
 
 
-def _term_rows(all_trims: AllTrimsCalibration, c: int) -> Iterator[Row]:
+def _term_rows(all_trims: AllTrimsCalibration, c: int, scale: ReadingScale) -> Iterator[Row]:
     name, terms = all_trims.model.channel_names[c], nonlinear_terms(all_trims, c)
     if not terms:
         yield TableCell(name, mark="name"), TableCell(LOADS_ONLY, mark="text quiet", span=5)
     for n, i in enumerate(terms):
-        yield TableCell("" if n else name, mark="name"), *_term_cells(all_trims, c, i)
+        yield TableCell("" if n else name, mark="name"), *_term_cells(all_trims, c, i, scale)
 
 
-def _term_cells(all_trims: AllTrimsCalibration, c: int, i: int) -> Row:
+def _term_cells(all_trims: AllTrimsCalibration, c: int, i: int, scale: ReadingScale) -> Row:
     model = all_trims.model
     value, sigma = float(model.coefficients[i, c]), float(np.sqrt(model.covariance[c, i, i]))
     inflation = float(model.variance_inflation[i, c])
     return (
         TableCell(model.terms[i], mark="text"),
-        TableCell(f" {PLUS_MINUS} ".join(value_and_sigma_text(1e6 * value, 1e6 * sigma))),
+        TableCell(
+            f" {PLUS_MINUS} ".join(value_and_sigma_text(*(scale.per_base_unit * each for each in (value, sigma))))
+        ),
         TableCell(format_significant(float(model.t[i, c]))),
         TableCell(format_p_value(float(model.p_value[i, c]))),
         TableCell(format_significant(inflation, 2), mark="bad" if inflation > HIGH_INFLATION else ""),
@@ -148,10 +150,11 @@ def unsupported_terms_table(all_trims: AllTrimsCalibration) -> Table:
 # ---- natural zeros ---------------------------------------------------------------------------------------------------
 
 
-def tare_table(channels: tuple[str, ...], tares: Tares) -> Table:
+def tare_table(channels: tuple[str, ...], tares: Tares, scale: ReadingScale = MICROVOLTS) -> Table:
     """Natural zeros: readings of the channels without any load."""
     caption = "Natural zeros: reading of each channel without any load, not even the weight of the metric part."
-    zeros = zip(channels, 1e6 * tares.natural_zeros, 1e6 * tares.natural_zeros_sigma, strict=True)
+    count = scale.per_base_unit
+    zeros = zip(channels, count * tares.natural_zeros, count * tares.natural_zeros_sigma, strict=True)
     rows = tuple(
         (
             TableCell(name, mark="name"),
@@ -159,7 +162,7 @@ def tare_table(channels: tuple[str, ...], tares: Tares) -> Table:
         )
         for name, value, sigma in zeros
     )
-    return Table(caption, ((TableCell("channel"), TableCell(f"natural zero [{MICROVOLT}]")),), rows)
+    return Table(caption, ((TableCell("channel"), TableCell(f"natural zero [{scale.symbol}]")),), rows)
 
 
 # ---- check loads -----------------------------------------------------------------------------------------------------

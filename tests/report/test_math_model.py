@@ -9,6 +9,8 @@ import pytest
 from balance_cli.calibration.term_choice import LINEAR_TERMS
 from balance_cli.campaign.recording.run import MemorySource
 from balance_cli.campaign.recording.run_file import open_run
+from balance_cli.campaign.rig.channel import Channel
+from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.load_components import FullScale
 from balance_cli.report import math_model_figures
 from balance_cli.report.blocks import Details, pictures
@@ -23,6 +25,7 @@ from balance_cli.report.math_model_figures import TREND_SIGNIFICANCE, fit_trend,
 from balance_cli.report.math_model_tables import LOADS_ONLY, channel_table, check_table, nonlinear_terms, term_table
 from balance_cli.report.number_format import format_percent, format_significant, value_and_sigma_text
 from balance_cli.report.page import build_page
+from balance_cli.report.reading_scale import reading_scale
 from balance_cli.report.sources import Sources, group_sources
 from balance_cli.steps.calibrate import calibrate
 from tests.support.page_content import read, row_of, tables, texts
@@ -352,3 +355,15 @@ def test_load_points_are_numbered_where_the_names_of_sequences_have_no_room(spoi
         spoiled.all_trims, split_load_series(spoiled.all_trims), channel_ranges(spoiled, spoiled.all_trims)
     )
     assert figure.axes[-1].get_xlabel() == "load point, in the order of loading"
+
+
+@pytest.mark.parametrize(
+    ("unit", "symbol", "text"),
+    [("mV/V", "\N{MICRO SIGN}V/V", "8"), ("count", "count", "8e-06"), ("V", "\N{MICRO SIGN}V", "8")],
+)
+def test_readings_are_shown_in_their_unit(unit, symbol, text):
+    channels = [Channel(name="B1", unit=unit), Channel(name="B2", unit=unit)]
+    scale = reading_scale(Geometry(name="g", rig="g", channels=channels), ["B1", "B2"])
+    assert scale.symbol == symbol and f"{8e-6 * scale.per_base_unit:.3g}" == text
+    mixed = [Channel(name="B1", unit="mV/V"), Channel(name="B2")]
+    assert reading_scale(Geometry(name="g", rig="g", channels=mixed), ["B1", "B2"]).symbol == "\N{MICRO SIGN}V"
