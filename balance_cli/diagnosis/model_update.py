@@ -15,7 +15,7 @@ from balance_cli.diagnosis.search.search_lines import SearchLines, search_lines
 from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
 from balance_cli.diagnosis.selection.alternatives import EffectSupport, compare_alternatives
 from balance_cli.diagnosis.selection.common_causes import merge_common_causes
-from balance_cli.diagnosis.selection.confirm import ConfirmedFit, confirm
+from balance_cli.diagnosis.selection.confirm import ConfirmedFit, confirm, score_again
 from balance_cli.diagnosis.selection.effect_selection import drop_unsupported_effects, keep_effects, prune_effects
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
 from balance_cli.diagnosis.selection.hypotheses import examine_hypotheses
@@ -139,6 +139,7 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     fit = tested.fit
     fit = fit_all_lines(fit.model, fit.theta, batches, replace(settings.fit, comparison_tolerance=TOLERANCE))
     support = {**comparison.effect_support, **tested.support}
+    confirmation = score_again(confirmation, fit, batches, settings)
     return UpdateResult(fit, support, (*trials, *tested.trials), confirmation)
 
 

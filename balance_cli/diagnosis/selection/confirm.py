@@ -7,7 +7,7 @@ not used, and must keep its gain when everything is refitted.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.candidates import candidates
@@ -21,6 +21,7 @@ from balance_cli.diagnosis.selection.fit import Fit, unexplained_chi2
 from balance_cli.diagnosis.settings import SearchSettings
 from balance_cli.diagnosis.significance import bonferroni_p_value
 from balance_cli.estimation.batch import Batch
+from balance_cli.model.placed_effects import declared_effects
 
 REASON_SMALL_GAIN = "takes too little off what no noise explains"
 REASON_NO_TIME = "the time limit was reached before its refit"
@@ -34,7 +35,8 @@ class ConfirmedFit:
     """The fit with the effects that were added, and the scores at its end.
 
     `alternatives`: by label of each added effect, how much larger chi-square is with each other candidate of its round.
-    `smallest_p_value`: of the candidates that the confounding limit does not exclude, at the end.
+    `smallest_p_value`: of the candidates that the confounding limit does not exclude, at the end. `scored`: labels of
+    the effects of the model that was scored; `refused`: labels of candidates that were refitted in vain.
     """
 
     fit: Fit
@@ -42,6 +44,8 @@ class ConfirmedFit:
     scores: tuple[Score, ...] = ()
     alternatives: dict[str, dict[str, float]] = field(default_factory=dict)
     smallest_p_value: float = 1.0
+    scored: frozenset[str] = frozenset()
+    refused: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,7 @@ def confirm(
     settings: SearchSettings,
 ) -> ConfirmedFit:
     """Add significant effects one by one, as long as each explains a fair share of the unexplained chi-square."""
-    result, refused = ConfirmedFit(fit), frozenset[str]()
+    result = ConfirmedFit(fit)
     for number in range(first_round, first_round + settings.selection.max_rounds):
         over = announce(f"all lines, round {number}")
         fit = result.fit
@@ -97,14 +101,42 @@ def confirm(
         unexplained = unexplained_chi2(fit, batches, noise_alone, settings.fit)
         threshold = settings.selection.min_effect_share * unexplained
         smallest_p_value, step = _confirm_round(
-            _RoundContext(number, fit, batches, scores, threshold, settings, over), refused
+            _RoundContext(number, fit, batches, scores, threshold, settings, over), result.refused
         )
         trials, alternatives = (*result.trials, *step.trials), {**result.alternatives, **step.alternatives}
-        result = ConfirmedFit(step.fit or fit, trials, scores, alternatives, smallest_p_value)
-        refused |= step.refused
+        refused = result.refused | step.refused
+        result = ConfirmedFit(step.fit or fit, trials, scores, alternatives, smallest_p_value, _labels(fit), refused)
         if step.ended:
             break
     return result
+
+
+def score_again(
+    confirmation: ConfirmedFit, fit: Fit, batches: Sequence[Batch], settings: SearchSettings
+) -> ConfirmedFit:
+    """The confirmation with the scores of another fit, where effects were added, dropped or replaced since.
+
+    What a candidate gains beside effects that are gone says nothing about the model that is left.
+    """
+    if _labels(fit) == confirmation.scored:
+        return confirmation
+    pool = candidates(fit.model.geometry, excluded=settings.excluded)
+    scores = score_in_two_stages(fit.model, fit.theta, batches, pool, settings)
+    limit, _ = confounding_limit(fit, batches)
+    clear = [score for score in scores if score.gain > limit and score.candidate.label not in confirmation.refused]
+    return replace(
+        confirmation, scores=scores, smallest_p_value=_smallest_p_value(clear, len(scores)), scored=_labels(fit)
+    )
+
+
+def _labels(fit: Fit) -> frozenset[str]:
+    """The labels of the effects of a fit."""
+    return frozenset(effect.label for effect in declared_effects(fit.model.geometry))
+
+
+def _smallest_p_value(scores: Sequence[Score], count: int) -> float:
+    """The smallest p-value of these scores, which are some of `count`; one where there are none."""
+    return min((bonferroni_p_value(item.gain, item.parameters, count, item.noise_dof) for item in scores), default=1.0)
 
 
 def _confirm_round(context: _RoundContext, refused: Collection[str]) -> tuple[float, _RoundResult]:
@@ -113,9 +145,7 @@ def _confirm_round(context: _RoundContext, refused: Collection[str]) -> tuple[fl
     limit, cause = confounding_limit(context.fit, context.batches)
     possible = [score for score in context.scores if score.candidate.label not in refused]
     clear = [score for score in possible if score.gain > limit]
-    smallest_p_value = min(
-        (bonferroni_p_value(score.gain, score.parameters, count, score.noise_dof) for score in clear), default=1.0
-    )
+    smallest_p_value = _smallest_p_value(clear, count)
     selected = select_significant(clear, count, context.settings)
     if not selected:
         confounded = select_significant([score for score in possible if score.gain <= limit], count, context.settings)

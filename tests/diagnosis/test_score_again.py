@@ -1,0 +1,78 @@
+"""Scores of the model that is reported: effects may have been dropped or replaced since the last round."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.diagnosis.search import score_statistics
+from balance_cli.diagnosis.search.extended_models import extend_model
+from balance_cli.diagnosis.selection import confirm as confirm_module
+from balance_cli.diagnosis.selection.confirm import ConfirmedFit, score_again
+from balance_cli.diagnosis.selection.effect_selection import refit_without_effect
+from balance_cli.diagnosis.selection.fit import fit_all_lines
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.model import effects
+from balance_cli.model.balance import balance_model
+from balance_cli.model.placed_effects import add_effects, declared_effects
+from tests.estimation.test_likelihood import noisy_lines
+from tests.support.rigs import rotor_balance
+
+DELAY = 2e-3
+TRIED = ("time-delay", "channel-gain", "low-pass", "parallel-stiffness", "support-flexibility")
+SETTINGS = replace(
+    DEFAULT_SETTINGS, excluded=tuple(effect.name for effect in effects.EFFECTS if effect.name not in TRIED)
+)
+
+
+@pytest.fixture(scope="module")
+def late_channel():
+    """The fit of a rig with a late channel, and its lines."""
+    rig = rotor_balance()
+    late = add_effects(rig, [f"time-delay@{rig.channel_names[0]}"])
+    truth = late.model_copy(update={"effects": (late.effects[0].model_copy(update={"parameters": {"delay": DELAY}}),)})
+    batches = stack_runs([noisy_lines(truth, np.random.default_rng(4))], [], rig.channel_names)
+    model, theta = extend_model(balance_model(rig), balance_model(rig).parameters.value, truth)
+    return fit_all_lines(model, theta, batches, SETTINGS.fit), batches
+
+
+def test_the_smallest_p_value_is_that_of_the_model_without_a_dropped_effect(late_channel):
+    """With the delay nothing is missing; the confirmation of that model says nothing about one without it."""
+    fit, batches = late_channel
+    (effect,) = declared_effects(fit.model.geometry)
+    with_delay = score_again(ConfirmedFit(fit), fit, batches, SETTINGS)
+    assert with_delay.smallest_p_value > SETTINGS.selection.significance_level
+    reduced = refit_without_effect(fit, effect, batches, SETTINGS.fit)
+    without = score_again(with_delay, reduced, batches, SETTINGS)
+    assert without.smallest_p_value < SETTINGS.selection.significance_level
+    best = max(without.scores, key=lambda score: score.gain)
+    assert best.candidate.label == effect.label
+    refused = replace(with_delay, refused=frozenset(score.candidate.label for score in without.scores))
+    assert score_again(refused, reduced, batches, SETTINGS).smallest_p_value == 1.0
+
+
+def test_a_model_that_was_scored_is_not_scored_again(late_channel, monkeypatch):
+    fit, batches = late_channel
+    labels = frozenset(effect.label for effect in declared_effects(fit.model.geometry))
+    confirmation = ConfirmedFit(fit, smallest_p_value=0.3, scored=labels)
+    monkeypatch.setattr(confirm_module, "score_in_two_stages", None)
+    assert score_again(confirmation, fit, batches, SETTINGS) is confirmation
+
+
+def test_a_leading_candidate_keeps_the_number_of_its_start(late_channel):
+    """On all lines it is scored at the best start of the subset alone, and is fitted from there."""
+    fit, batches = late_channel
+    few = replace(SETTINGS, score=replace(SETTINGS.score, screening_lines=10))
+    pool = confirm_module.candidates(fit.model.geometry, excluded=SETTINGS.excluded)
+    several = [item for item in pool if len(item.starts) > 1]
+    assert several
+    scored = score_statistics.score_in_two_stages(fit.model, fit.theta, batches, several, few)
+    scores = {score.candidate.label: score for score in scored}
+    for item in several:
+        score = scores[item.label]
+        assert score.candidate.starts == item.starts
+        (alone,) = score_statistics.scores(
+            fit.model, fit.theta, batches, [replace(item, starts=(item.starts[score.start],))], few.score
+        )
+        assert score.gain == pytest.approx(alone.gain, rel=1e-6, abs=1e-9)
