@@ -23,9 +23,6 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
-LAGS = 20
-"""Lags of the correlation between lines, as many as of the innovations of a filter (see `kalman.innovations`)."""
-
 
 def residual_map(
     batches: Sequence[Batch],
@@ -43,7 +40,7 @@ def residual_map(
     names = tuple(name for batch in batches for name in batch.run_names)
     stages = [_whiten(batches, model.system(theta, derivatives=False)) for model, theta in (before, after)]
     maps = [_rms(batches, whitened, edges) for whitened in stages]
-    correlations = [_line_correlation(batches, whitened) for whitened in stages]
+    correlations = [_line_correlation(batches, whitened, settings.lags) for whitened in stages]
     return ResidualMap(
         names,
         before[0].geometry.channel_names,
@@ -99,22 +96,24 @@ def _rms(batches: Sequence[Batch], whitened: Sequence[tuple[ComplexArray, Mask]]
     return np.asarray(np.sqrt(mean).reshape(runs, bands, c))
 
 
-def _line_correlation(batches: Sequence[Batch], whitened: Sequence[tuple[ComplexArray, Mask]]) -> tuple[Array, Array]:
-    """Size of the correlation (c, LAGS) between lines of one run, and the number of pairs; static runs have none."""
+def _line_correlation(
+    batches: Sequence[Batch], whitened: Sequence[tuple[ComplexArray, Mask]], lags: int
+) -> tuple[Array, Array]:
+    """Size of the correlation (c, lags) between lines of one run, and the number of pairs; static runs have none."""
     c = whitened[0][0].shape[1]
-    products, squares, pairs = np.zeros((c, LAGS), complex), np.zeros((c, LAGS)), np.zeros((c, LAGS))
+    products, squares, pairs = np.zeros((c, lags), complex), np.zeros((c, lags)), np.zeros((c, lags))
     for batch, (residual, informed) in zip(batches, whitened, strict=True):
         for part in [] if batch.is_static else batch.parts:
             # An error of the model turns with the phase of the excitation, which a multisine draws by chance.
             values, known = residual[part] * _excitation_phase(batch, part).conj()[:, None], informed[part]
-            for lag in range(1, min(LAGS, len(values) - 1) + 1):
+            for lag in range(1, min(lags, len(values) - 1) + 1):
                 both = known[lag:] & known[:-lag]
                 first, second = values[:-lag], values[lag:]
                 products[:, lag - 1] += np.sum(np.where(both, first.conj() * second, 0.0), axis=0)
                 power = 0.5 * (np.abs(first) ** 2 + np.abs(second) ** 2)
                 squares[:, lag - 1] += np.sum(np.where(both, power, 0.0), axis=0)
                 pairs[:, lag - 1] += both.sum(axis=0)
-    correlation = np.divide(np.abs(products), squares, out=np.full((c, LAGS), np.nan), where=squares > 0)
+    correlation = np.divide(np.abs(products), squares, out=np.full((c, lags), np.nan), where=squares > 0)
     return correlation, pairs
 
 

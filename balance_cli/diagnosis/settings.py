@@ -228,6 +228,8 @@ class ResidualMapSettings:
     """Standard deviations by which chance may raise a mean square: p = 3e-5, for thirty bands and more."""
     named_share: float = 0.3
     """Share of the largest excess that makes a run, band or channel worth naming."""
+    lags: int = 20
+    """Lags of the correlation between lines, as many as of the innovations of a filter (see `kalman.innovations`)."""
     max_named: int = 3
     """Runs, bands or channels named at most."""
 
