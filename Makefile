@@ -70,6 +70,7 @@ figures: run
 		-o $(RESULTS)/figures.html --picture docs/pictures/check-runs.png
 	$(BIN)/python tools/error_table.py $(RESULTS)
 	$(BIN)/python tools/import_graph.py
+	$(BIN)/python tools/page_pictures.py $(RESULTS)/report.html
 
 clean:
 	rm -rf $(RESULTS) build dist .pytest_cache .mypy_cache .ruff_cache
