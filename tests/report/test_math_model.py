@@ -363,7 +363,10 @@ def test_load_points_are_numbered_where_the_names_of_sequences_have_no_room(spoi
 )
 def test_readings_are_shown_in_their_unit(unit, symbol, text):
     channels = [Channel(name="B1", unit=unit), Channel(name="B2", unit=unit)]
-    scale = reading_scale(Geometry(name="g", rig="g", channels=channels), ["B1", "B2"])
+    scale = reading_scale(Geometry(format="balance-geometry/1", name="g", rig="g", channels=channels), ["B1", "B2"])
     assert scale.symbol == symbol and f"{8e-6 * scale.per_base_unit:.3g}" == text
     mixed = [Channel(name="B1", unit="mV/V"), Channel(name="B2")]
-    assert reading_scale(Geometry(name="g", rig="g", channels=mixed), ["B1", "B2"]).symbol == "\N{MICRO SIGN}V"
+    assert (
+        reading_scale(Geometry(format="balance-geometry/1", name="g", rig="g", channels=mixed), ["B1", "B2"]).symbol
+        == "\N{MICRO SIGN}V"
+    )
