@@ -158,6 +158,7 @@ TRUTHS = {
     "load-gain": truth("load-gain", ("Fx",), gain=1.0005),
     "load-delay": truth("load-delay", ("Fy",), delay=-2e-6),
     "exciter-misalignment": truth("exciter-misalignment", ("Fz", "Fx"), fraction=2e-4),
+    "exciter-position": truth("exciter-position", ("all",), x=2e-4, y=-3e-4, z=2.5e-4),
     "weight-misalignment": truth("weight-misalignment", ("Fz", "Fx"), fraction=2e-3),
     "load-offset": truth("load-offset", ("Fz",), offset=-1.5),
     "mains-pickup": truth("mains-pickup", ("x.strain",), amplitude=5e-4, frequency=50.0),

@@ -84,6 +84,11 @@ def all_or_each_component(geometry: Geometry) -> tuple[Where, ...]:
     return ((ALL,), *each_component(geometry))
 
 
+def all_or_each_force(_: Geometry) -> tuple[Where, ...]:
+    """All forces together, then one place per force."""
+    return ((ALL,), *((name,) for name in COMPONENTS if name.startswith("F")))
+
+
 def unit_components(where: Where) -> NDArray[np.float64]:
     """Ones (6,) at the components of a place, which is the name of one component or `all`."""
     return np.array([float(where == (ALL,) or name in where) for name in COMPONENTS])

@@ -22,6 +22,7 @@ from balance_cli.simulation.extensions.cells import (
 from balance_cli.simulation.extensions.loads import (
     ExciterMass,
     ExciterMisalignment,
+    ExciterPosition,
     LoadDelay,
     LoadGain,
     LoadOffset,
@@ -58,6 +59,7 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     DryFriction,
     ExciterMass,
     ExciterMisalignment,
+    ExciterPosition,
     WeightMisalignment,
     LoadGain,
     LoadDelay,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.simulation import filters
-from balance_cli.simulation.extensions.base import Extension
+from balance_cli.simulation.extensions.base import ALL, Extension
 from balance_cli.simulation.mechanics import Mechanics
 
 Array = NDArray[np.float64]
@@ -124,3 +124,23 @@ class ExciterMass(Extension):
         columns = [i for i, name in enumerate(COMPONENTS) if name in attached and name in self.where]
         rows = mechanics.loads[:, columns]
         return replace(mechanics, mass=mechanics.mass + self.mass * rows @ rows.T)
+
+
+@dataclass(frozen=True)
+class ExciterPosition(Extension):
+    """The exciters of the forces named act at the point `x`, `y`, `z` [m] from the hub, and not at the hub."""
+
+    name: ClassVar[str] = "exciter-position"
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+    def true_loads(self, loads: Array, kind: str) -> Array:
+        """The loads at the hub, with the moments of the forces about it."""
+        if kind not in KINDS_WITH_EXCITERS:
+            return loads
+        acting = np.array([self.where == (ALL,) or name in self.where for name in COMPONENTS[:3]])
+        self.places(COMPONENTS)
+        shifted = loads.copy()
+        shifted[:, 3:] += np.cross((self.x, self.y, self.z), loads[:, :3] * acting)
+        return shifted
