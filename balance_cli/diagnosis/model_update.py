@@ -10,13 +10,19 @@ from numpy.typing import NDArray
 
 from balance_cli.diagnosis.result import Trial
 from balance_cli.diagnosis.search.initial_candidates import initial_candidates
+from balance_cli.diagnosis.search.refit import SearchState
 from balance_cli.diagnosis.search.search import SearchResult, search
 from balance_cli.diagnosis.search.search_lines import SearchLines, search_lines
 from balance_cli.diagnosis.search.unmodelled_modes import add_unmodelled_modes
 from balance_cli.diagnosis.selection.alternatives import EffectSupport, compare_alternatives
 from balance_cli.diagnosis.selection.common_causes import merge_common_causes
 from balance_cli.diagnosis.selection.confirm import ConfirmedFit, confirm, score_again
-from balance_cli.diagnosis.selection.effect_selection import drop_unsupported_effects, keep_effects, prune_effects
+from balance_cli.diagnosis.selection.effect_selection import (
+    drop_unsupported_effects,
+    keep_effects,
+    narrow_places,
+    prune_effects,
+)
 from balance_cli.diagnosis.selection.fit import Fit, fit_all_lines
 from balance_cli.diagnosis.selection.hypotheses import examine_hypotheses
 from balance_cli.diagnosis.selection.mains_frequency import refit_at_best_frequency
@@ -108,9 +114,8 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     # While the model still has an error, the noise alone is no measure of significance.
     noise_alone = state.error <= settings.rounds.large_error
     batches = list(task.batches) if noise_alone else add_model_error(task.batches, state.shares)
-    fit = fit_all_lines(state.model, state.theta, batches, settings.fit)
-    fit = refit_at_best_frequency(fit, declared_effects(fit.model.geometry), batches, settings)
-    trials, alternatives = search_result.trials, _search_alternatives(search_result, settings)
+    fit, narrowed = _fit_and_narrow(state, batches, noise_alone, last_round(search_result.trials) + 1, settings)
+    trials, alternatives = (*search_result.trials, *narrowed), _search_alternatives(search_result, settings)
     for number in range(settings.selection.max_passes):
         confirmation = confirm(fit, batches, noise_alone, last_round(trials) + 1, task.announce, settings)
         trials = (*trials, *confirmation.trials)
@@ -141,6 +146,22 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     support = {**comparison.effect_support, **tested.support}
     confirmation = score_again(confirmation, fit, batches, settings)
     return UpdateResult(fit, support, (*trials, *tested.trials), confirmation)
+
+
+def _fit_and_narrow(
+    state: SearchState, batches: Sequence[Batch], noise_alone: bool, number: int, settings: SearchSettings
+) -> tuple[Fit, tuple[Trial, ...]]:
+    """The fit on all lines; where it follows a valley, first without the motions of effects that nothing determines.
+
+    Where the weights carry a model error (not `noise_alone`), they may hide what a motion explains.
+    """
+    trials: tuple[Trial, ...] = ()
+    fit = fit_all_lines(state.model, state.theta, batches, settings.fit, settings.fit.steps_before_valley)
+    if noise_alone and not fit.minimum.converged:
+        fit, trials = narrow_places(fit, batches, number, settings)
+    if not fit.minimum.converged:
+        fit = fit_all_lines(fit.model, fit.theta, batches, settings.fit)
+    return refit_at_best_frequency(fit, declared_effects(fit.model.geometry), batches, settings), trials
 
 
 def _refit_against_noise(fit: Fit, task: _UpdateTask) -> Fit | None:

@@ -56,6 +56,8 @@ class FitSettings:
     """Scales by which these steps may move a parameter without a prior."""
     min_step_gain: float = 0.3
     """Decrease of chi-square that a first step on all lines must promise: below it starts are equally good."""
+    steps_before_valley: int = 8
+    """Steps on all lines after which a fit counts as one along a valley: all others have converged by then."""
     comparison_tolerance: float = 0.1
     """Tolerance of chi-square of fits that are compared: well below `indistinguishable_chi2`."""
     max_noise_chi2_per_dof: float = 1.05

@@ -87,34 +87,77 @@ def _removal_trial(number: int, effect: PlacedEffect, parameters: int, gain: flo
     )
 
 
+def narrow_places(
+    fit: Fit, batches: Sequence[Batch], number: int, settings: SearchSettings
+) -> tuple[Fit, tuple[Trial, ...]]:
+    """Return the model with each effect at the smallest place that describes the data as well."""
+    trials: list[Trial] = []
+    for effect in declared_effects(fit.model.geometry):
+        fit, narrowed = _narrow_place(fit, effect, batches, number, settings)
+        trials += narrowed
+    return fit, tuple(trials)
+
+
 def _narrow_place(
     fit: Fit, effect: PlacedEffect, batches: Sequence[Batch], number: int, settings: SearchSettings
 ) -> tuple[Fit, list[Trial]]:
-    """The effect at a smaller place, as long as chi-square does not rise significantly."""
-    limit, trials = settings.selection.negligible_p_value, list[Trial]()
+    """The effect at a smaller place, as long as chi-square does not rise significantly.
+
+    All motions that Wald's statistic finds needless are removed at once: a fit with several of them follows the valleys
+    of their shapes for long. Only where that loses something they are removed one by one.
+    """
+    trials, at_once = list[Trial](), True
     while True:
-        choices = [(where, *_lost_chi2(fit, effect, where)) for where in smaller_places(effect, fit.model.geometry)]
-        choices = [item for item in choices if bonferroni_p_value(item[1], max(item[2], 1), 1) > limit]
-        if not choices:
+        where = _smallest_place(fit, effect, settings) if at_once else None
+        where = where or _next_smaller_place(fit, effect, settings)
+        if where is None:
             return fit, trials
-        where, _, parameters = min(choices, key=lambda item: item[1])
+        parameters = _lost_chi2(fit, effect, where)[1]
         reduced, smaller = _refit_at_place(fit, effect, where, batches, settings.fit)
         loss = reduced.chi2 - fit.chi2
-        if bonferroni_p_value(loss, max(parameters, 1), 1) <= limit:
+        if not _is_negligible(loss, parameters, settings):
+            if at_once and len(effect.where) - len(where) > 1:
+                at_once = False
+                continue
             return fit, trials
-        trials.append(
-            Trial(
-                round=number,
-                label=effect.label,
-                score=loss,
-                parameters=parameters,
-                p_value=1.0,
-                gain=loss,
-                decision="narrowed",
-                reason=f"nothing is lost at {smaller.label}",
-            )
-        )
+        trials.append(_narrowing_trial(number, effect, smaller, parameters, loss))
         fit, effect = reduced, smaller
+
+
+def _smallest_place(fit: Fit, effect: PlacedEffect, settings: SearchSettings) -> Where | None:
+    """The smallest place without which Wald's statistic finds nothing lost, by removing one name after another."""
+    smallest, place = None, effect
+    while where := _next_smaller_place(fit, place, settings, whole=effect):
+        smallest, place = where, candidate_at(effect.effect.name, where, fit.model.geometry).placed_effect
+    return smallest
+
+
+def _next_smaller_place(
+    fit: Fit, effect: PlacedEffect, settings: SearchSettings, whole: PlacedEffect | None = None
+) -> Where | None:
+    """The place with one name less that loses least, if that is negligible; the loss is that of the `whole` effect."""
+    fitted = effect if whole is None else whole
+    choices = [(where, *_lost_chi2(fit, fitted, where)) for where in smaller_places(effect, fit.model.geometry)]
+    choices = [item for item in choices if _is_negligible(item[1], item[2], settings)]
+    return min(choices, key=lambda item: item[1])[0] if choices else None
+
+
+def _is_negligible(loss: float, parameters: int, settings: SearchSettings) -> bool:
+    """Whether chance makes a loss of chi-square by so many parameters; one place is one test."""
+    return bonferroni_p_value(loss, max(parameters, 1), 1) > settings.selection.negligible_p_value
+
+
+def _narrowing_trial(number: int, effect: PlacedEffect, smaller: PlacedEffect, parameters: int, loss: float) -> Trial:
+    return Trial(
+        round=number,
+        label=effect.label,
+        score=loss,
+        parameters=parameters,
+        p_value=1.0,
+        gain=loss,
+        decision="narrowed",
+        reason=f"nothing is lost at {smaller.label}",
+    )
 
 
 def _lost_chi2(fit: Fit, effect: PlacedEffect, where: Where) -> tuple[float, int]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.diagnosis.settings import FitSettings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.levenberg_marquardt import Minimum, prior_curvature
-from balance_cli.estimation.maximum_likelihood import fit_maximum_likelihood, take_first_steps
+from balance_cli.estimation.maximum_likelihood import ITERATIONS, fit_maximum_likelihood, take_first_steps
 from balance_cli.model.balance import BalanceModel
 
 Array = NDArray[np.float64]
@@ -35,9 +35,11 @@ class Fit:
         return self.minimum.total.chi2
 
 
-def fit_all_lines(model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings) -> Fit:
+def fit_all_lines(
+    model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings, iterations: int = ITERATIONS
+) -> Fit:
     """Return the maximum-likelihood fit from `theta` (p,), to the tolerance of chi-square in the settings."""
-    return Fit(model, fit_maximum_likelihood(model, batches, theta, tolerance=settings.comparison_tolerance))
+    return Fit(model, fit_maximum_likelihood(model, batches, theta, iterations, settings.comparison_tolerance))
 
 
 def start_fit(model: BalanceModel, theta: Array, batches: Sequence[Batch], settings: FitSettings) -> Fit:

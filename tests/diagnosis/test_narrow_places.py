@@ -1,0 +1,67 @@
+"""Effects at larger places than needed: their needless motions are removed together, by one refit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.diagnosis.selection import effect_selection
+from balance_cli.diagnosis.selection.effect_selection import narrow_places
+from balance_cli.diagnosis.selection.fit import fit_all_lines
+from balance_cli.diagnosis.settings import DEFAULT_SETTINGS as SETTINGS
+from balance_cli.estimation.measurements import stack_runs
+from balance_cli.model.balance import balance_model
+from balance_cli.model.placed_effects import declared_effects
+from tests.estimation.test_likelihood import noisy_lines
+from tests.support.rigs import rotor_balance
+
+COMPLIANCE = 4e-8
+
+
+def _support(*motions: str, **compliances: float) -> DeclaredEffect:
+    values = {"mass": 200.0, "damping_ratio": 0.02, **{f"compliance_{name}": v for name, v in compliances.items()}}
+    return DeclaredEffect(name="support-flexibility", where=motions, parameters=values)
+
+
+@pytest.fixture(scope="module")
+def wide():
+    """Three motions of a support fitted to the lines of a rig of which one is flexible; few steps."""
+    rig = rotor_balance()
+    truth = rig.model_copy(update={"effects": (_support("z", z=COMPLIANCE),)})
+    rng = np.random.default_rng(3)
+    lines = [
+        replace(noisy_lines(truth, rng, components), run=components[0]) for components in (("Fx", "My"), ("Fz", "Mx"))
+    ]
+    batches = stack_runs(lines, [], rig.channel_names)
+    model = balance_model(rig.model_copy(update={"effects": (_support("x", "y", "z", x=1e-9, y=1e-9, z=COMPLIANCE),)}))
+    return fit_all_lines(model, model.parameters.value, batches, SETTINGS.fit, 4), batches
+
+
+def test_needless_motions_are_removed_by_one_refit(wide, monkeypatch):
+    fit, batches = wide
+    refits = []
+
+    def counted(*arguments):
+        refits.append(fit_all_lines(*arguments))
+        return refits[-1]
+
+    monkeypatch.setattr(effect_selection, "fit_all_lines", counted)
+    narrow, trials = narrow_places(fit, batches, 1, SETTINGS)
+    (effect,) = declared_effects(narrow.model.geometry)
+    assert effect.label == "support-flexibility@z"
+    assert len(refits) == len(trials) == 1
+    assert narrow.chi2 - fit.chi2 < 20.0
+    fitted = dict(zip(narrow.model.parameters.names, narrow.theta, strict=True))
+    assert fitted["support-flexibility@z.compliance_z"] == pytest.approx(COMPLIANCE, rel=0.05)
+
+
+def test_where_something_is_lost_together_motions_are_removed_one_by_one(wide, monkeypatch):
+    """Wald's statistic may take for needless what a refit needs: then nothing is removed that a refit misses."""
+    fit, batches = wide
+    monkeypatch.setattr(effect_selection, "_smallest_place", lambda *_: ("x",))
+    monkeypatch.setattr(effect_selection, "fit_all_lines", lambda *arguments: fit_all_lines(*arguments, 4))
+    narrow, trials = narrow_places(fit, batches, 1, SETTINGS)
+    (effect,) = declared_effects(narrow.model.geometry)
+    assert "z" in effect.where
+    assert [trial.decision for trial in trials] == ["narrowed"] * len(trials)
