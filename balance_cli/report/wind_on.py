@@ -57,18 +57,7 @@ def section(sources: Sources) -> Section | None:
     tested = _sources_by_harmonics(load_sources)
     shown = rank_methods(tested)[0]
     blocks: list[PageBlock] = [
-        Paragraph(
-            "The true loads of these runs are not known, but there are more channels than loads. As long as the "
-            "response holds, the residuals of the redundant channels are within the noise (chi2 per degree of "
-            "freedom near 1). Where chi2 exceeds its 99.9 % point, the row is flagged and its sigma is widened."
-        ),
-        *_residual_test_verdicts(tested, shown),
-        Picture(
-            "redundancy",
-            "Residual test: chi-square per degree of freedom of the redundant channels, by harmonic. Dashed: 99.9 % "
-            "point.",
-            svg("redundancy", "Redundancy by harmonic of every run and method", lambda: redundancy_figure(tested)),
-        ),
+        *_residual_test_blocks(tested, shown),
         Heading(f"Loads by {shown.label}"),
         *_azimuth_blocks(shown),
         Picture(
@@ -83,6 +72,28 @@ def section(sources: Sources) -> Section | None:
     others = [source for source in load_sources if source is not shown]
     blocks += [Details(f"Loads by {source.label}", tuple(_load_tables(source.content))) for source in others]
     return Section("wind-on", "Wind-on loads", tuple(blocks))
+
+
+def _residual_test_blocks(tested: Sequence[Source[HubLoads]], shown: Source[HubLoads]) -> Iterator[PageBlock]:
+    """Yield the residual test of every method; where no sensor is redundant, that nothing tests the loads."""
+    runs = [run for source in tested for run in wind_runs(source.content).values()]
+    if not any(np.isfinite(run.redundancy).any() for run in runs):
+        yield WarningText(
+            "The true loads of these runs are not known, and there are no more channels than loads: no residual tests "
+            "them. Runs with known loads are the only evidence that the response holds."
+        )
+        return
+    yield Paragraph(
+        "The true loads of these runs are not known, but there are more channels than loads. As long as the "
+        "response holds, the residuals of the redundant channels are within the noise (chi2 per degree of "
+        "freedom near 1). Where chi2 exceeds its 99.9 % point, the row is flagged and its sigma is widened."
+    )
+    yield from _residual_test_verdicts(tested, shown)
+    yield Picture(
+        "redundancy",
+        "Residual test: chi-square per degree of freedom of the redundant channels, by harmonic. Dashed: 99.9 % point.",
+        svg("redundancy", "Redundancy by harmonic of every run and method", lambda: redundancy_figure(tested)),
+    )
 
 
 def _azimuth_blocks(shown: Source[HubLoads]) -> Iterator[PageBlock]:

@@ -229,3 +229,16 @@ def test_without_loads_the_first_screen_says_so_and_gives_the_key_figures():
     assert "No hub loads: no check or wind run was reduced. This page shows the static calibration." in words
     (figures,) = [block for block in made.blocks if block.kind == "figures"]
     assert "largest residual of the calibration" in figures.items[0][1]
+
+
+def test_where_no_sensor_is_redundant_the_page_does_not_claim_a_test():
+    content = loads()
+    untested = {
+        name: replace(run, redundancy=np.full(4, np.nan), flags=(("untested",) * 6,) * 4)
+        for name, run in content.runs.items()
+    }
+    item = (Path("l.h5"), artefact("balance-loads/1", replace(content, runs=untested), "1" * 64))
+    made = wind_section(group_sources([item]))
+    assert "no more channels than loads" in texts(made, "warn")
+    assert "there are more channels than loads" not in texts(made, "text")
+    assert "redundancy" not in [getattr(block, "name", "") for block in made.blocks]
