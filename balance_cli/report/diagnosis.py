@@ -114,7 +114,7 @@ def _verdict_blocks(made: Diagnosis) -> Iterator[PageBlock]:
     yield Paragraph(words) if made.verdict in (NOTHING_MISSING, EXPLAINED) else WarningText(words)
     yield KeyFigures(tuple(_key_figures(made)))
     if made.location:
-        yield WarningText(f"Residual of the updated model: {made.location}.")
+        yield WarningText(f"Residual of the updated model: {made.location.rstrip('.')}.")
     if any(effect.evidence.empirical for effect in made.effects):
         yield WarningText("An empirical effect describes the residual; it does not explain it.")
     if made.notes:

@@ -174,7 +174,7 @@ def open_question_blocks(made: Diagnosis) -> Iterator[PageBlock]:
     else:
         where = made.location.rstrip(".") or "see the map of the residual above"
         yield Paragraph(
-            f"Something remains that these effects do not explain ({where}). Sweeps with finer lines there, and at a "
+            f"Something remains that no effect explains ({where}). Sweeps with finer lines there, and at a "
             "second level, show whether it is a resonance or grows with the load."
         )
     if items:

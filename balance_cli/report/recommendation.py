@@ -78,7 +78,8 @@ def reason_sentence(recommendation: Recommendation, sources: Sequence[Source[Hub
     others = [other for other in sources if other is not source]
     if source.role in NEVER_BEFORE_MEASURED:
         reasons.append("no loads by a measured or fitted response were given")
-    words = f"Recommended: {source.label}"
+    unusable = all(run_verdict(run).word == DO_NOT_USE for run in recommendation.runs.values())
+    words = f"{'Do not use these loads, the best that were given' if unusable else 'Recommended'}: {source.label}"
     if recommendation.runs and len(sources) > 1:
         words += f", of {len(others) + 1} methods"
     return f"{words}. {capitalize_first('; '.join(reasons))}." if reasons else f"{words}."

@@ -123,3 +123,9 @@ def test_the_load_over_azimuth_is_the_sum_of_its_harmonics():
     np.testing.assert_allclose(waveform(amplitude, mean=False), expected - 5.0, atol=1e-12)
     run = loads().runs["wind-1"]
     np.testing.assert_allclose(waveform_sigma(run, 0), 0.02 * np.sqrt(1.0 + 3.0 * 1.0), rtol=1e-12)
+
+
+def test_loads_that_must_not_be_used_are_not_recommended():
+    (source,) = sources_of(with_flags(loads("physical model (ls+ml)"), "redundancy"))
+    first = next(iter(answer_blocks([source]))).text
+    assert first.startswith("Do not use these loads, the best that were given: ") and "Recommended" not in first
