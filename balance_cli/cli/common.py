@@ -129,6 +129,7 @@ class Session(Messages, WorkReports):
         require_disjoint(runs, disjoint_from)
         self._inputs += [(run.name, role, run.digest) for run in runs]
         self._gaps |= report_gaps(runs, self.warn)
+        self.record_hammer(runs)
         return runs
 
     def record_input(self, name: str, role: str, digest: str) -> None:
@@ -234,6 +235,7 @@ class Session(Messages, WorkReports):
             "skipped": self._skipped,
             "left_out": self._left_out,
             "gaps": self._gaps,
+            **({"hammer": self._hammer} if self._hammer else {}),
             **self.extra_summary,
             **self._summary,
         }

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from balance_cli.cli.labels import echo_message
+
+if TYPE_CHECKING:
+    from balance_cli.campaign.recording.run import Run
 
 
 class Messages:
@@ -15,6 +19,7 @@ class Messages:
         self._skipped: dict[str, str] = {}
         self._left_out: dict[str, str] = {}
         self._gaps: dict[str, dict[str, dict[str, int]]] = {}
+        self._hammer: dict[str, dict[str, Any]] = {}
 
     def warn(self, text: str) -> None:
         """Print a warning on stderr and add it to the summary."""
@@ -31,6 +36,17 @@ class Messages:
         if gaps:
             self._gaps[run] = {name: dict(counts) for name, counts in gaps.items()}
             self.warn(f"{run}: {text}")
+
+    def record_hammer(self, runs: Iterable[Run]) -> None:
+        """Record the taps of hammer records, with a warning where some are not used."""
+        from balance_cli.signals.impact import IMPACT, hammer_record
+
+        for run in runs:
+            record = hammer_record(run) if run.excitation == IMPACT else None
+            if record is not None:
+                self._hammer[run.name] = record.summary
+                if record.note:
+                    self.warn(f"{run.name}: {record.note}")
 
     def report_skipped(self, file: str, reason: str) -> None:
         """Report that a run is not used although the command goes on (`--skip-bad`)."""

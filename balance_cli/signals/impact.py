@@ -1,13 +1,23 @@
-"""Records of an impact hammer: its hits, double hits, and loads of a hammer that are declared as something else."""
+"""Records of an impact hammer: its hits, double hits, and loads of a hammer that are declared as something else.
+
+Between its hits a hammer applies no force: what its cell reads there is noise, and by far the most of all that a record
+holds. A force window takes it out (Ewins, Modal Testing, 2nd ed., 2000, section 3.7). An exponential window of the
+channels is not needed, because the local models describe what is left of earlier taps.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
-Array = NDArray[np.float64]
+from balance_cli.campaign.recording.run import Array, Run, excerpt_run
+from balance_cli.campaign.rig.components import COMPONENTS
+from balance_cli.io.errors import UserError
 
 IMPACT = "impact"
 ZERO_SHARE = 0.01
@@ -19,6 +29,19 @@ HIT_SHARE = 0.1
 """Of the largest load, from which a peak is a hit: the rebound of a double hit is larger, ringing is smaller."""
 DOUBLE_INTERVAL = 0.15
 """[s] between two hits that are one tap which bounced; nobody taps twice so fast."""
+WINDOW_SIGMAS = 5.0
+"""Standard deviations of the noise of a force from which a sample belongs to a hit."""
+LEAST_NOISE = 1e-7
+"""Of the largest force: a computed record has no noise, but the ringing of a filter without end."""
+MOST_SAMPLES = 2**24
+"""Samples of a record whose force is held in memory; a longer one is used as it is."""
+MARGIN = 1
+"""Length of the window before and after a hit over that of the hit: the ringing of an anti-alias filter falls below the
+noise, but not at once to zero."""
+BEFORE_TAP = 0.02
+"""[s] from the start of a part of a record to its first tap: more than a filter of linear phase rings before a hit."""
+GAUSSIAN = 1.4826
+"""Standard deviation of Gaussian noise over the median of its absolute values."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +61,147 @@ class Hits:
         first = float(self.times[self.is_double][0])
         times = "once" if doubles == 1 else f"{doubles} times"
         return f"{text}, which bounced {times} (first at {first:.4g} s): the force has notches there"
+
+
+@dataclass(frozen=True)
+class HammerRecord:
+    """The part of a hammer record that is used: samples `start` to `stop`, and its taps.
+
+    `taps` (t,) are the times [s] of all taps in the record as it was read, `is_double` (t,) those that bounced and
+    `is_used` (t,) those within the part.
+    """
+
+    start: int
+    stop: int
+    taps: Array
+    is_double: NDArray[np.bool_]
+    is_used: NDArray[np.bool_]
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """The taps in JSON; they count from 1."""
+        number = np.arange(1, len(self.taps) + 1)
+        return {
+            "taps": [float(time) for time in self.taps],
+            "bounced": number[self.is_double].tolist(),
+            "dropped": number[~self.is_used].tolist(),
+        }
+
+    @property
+    def note(self) -> str:
+        """What to tell of dropped taps; empty where there are none."""
+        if self.is_used.all():
+            return ""
+        number = np.arange(1, len(self.taps) + 1)
+        bounced = ", ".join(f"{k} (at {self.taps[k - 1]:.4g} s)" for k in number[self.is_double])
+        used = int(self.is_used.sum())
+        return f"tap {bounced} of {len(number)} bounced; the longest part without such taps is used, with {used}"
+
+
+def hammer_record(run: Run) -> HammerRecord | None:
+    """The part of a hammer record with the most taps of which none bounced; None where a run is no such record.
+
+    Raises UserError where every tap bounced.
+    """
+    loads = _hammer_loads(run)
+    if loads is None or run.sample_rate is None:
+        return None
+    hits = find_hits(_combined(loads), run.sample_rate)
+    tap = np.cumsum(~hits.is_double) - 1
+    taps = hits.times[~hits.is_double]
+    is_double = np.bincount(tap[hits.is_double], minlength=len(taps)) > 0
+    if is_double.all():
+        fault = f"every tap of the hammer bounced ({len(taps)} taps)"
+        raise UserError(fault, str(run.path or run.name), "loads", "Repeat the record with single hits")
+    first, last = _longest_part(is_double)
+    begin = int((taps[first] - BEFORE_TAP) * run.sample_rate) if first else 0
+    end = int((taps[last] - BEFORE_TAP) * run.sample_rate) if last < len(taps) else run.samples
+    inside = np.arange(len(taps))
+    return HammerRecord(max(begin, 0), end, taps, is_double, (inside >= first) & (inside < last))
+
+
+def use_hammer_record(run: Run) -> Run:
+    """The part of a hammer record that is used; the same run where it is no such record.
+
+    Raises UserError where every tap bounced.
+    """
+    record = hammer_record(run)
+    if record is None or (record.start, record.stop) == (0, run.samples):
+        return run
+    return excerpt_run(run, record.start, record.stop)
+
+
+@dataclass(frozen=True)
+class WindowedForces:
+    """Loads (n, u) of a hammer, zero between its hits, the `noise` (u,) of a sample, and how many `samples` are left.
+
+    Where no load is zero but for short hits there is no window: the loads are as they were, and no samples are named.
+    """
+
+    loads: Array
+    noise: Array
+    samples: float
+
+
+def window_forces(loads: Array) -> WindowedForces:
+    """Set the loads (n, u) of a hammer to zero where it does not hit, with smooth edges, and their median to zero."""
+    short = np.array([has_short_hits(column) for column in loads.T], bool)
+    if not short.any():
+        return WindowedForces(loads, np.zeros(loads.shape[1]), 0.0)
+    centered = loads - np.median(loads, axis=0)
+    window = force_window(_combined(loads[:, short]))
+    noise = GAUSSIAN * np.median(np.abs(centered), axis=0)
+    windowed = np.where(short, centered * window[:, None], loads)
+    return WindowedForces(windowed, np.where(short, noise, 0.0), float(np.sum(window**2)))
+
+
+def force_window(size: Array) -> Array:
+    """Return the window (n,) of a hammer: 1 about its hits, 0 elsewhere, with edges of half a cosine.
+
+    `size` (n,) are the absolute values of its force about the median.
+    """
+    noise = max(GAUSSIAN * float(np.median(size)), LEAST_NOISE * float(size.max(initial=0.0)))
+    is_hit = size > WINDOW_SIGMAS * noise
+    margin = MARGIN * max(_longest_run(is_hit), 2)
+    wide = maximum_filter1d(is_hit.astype(float), 2 * margin + 1)
+    edge = np.hanning(2 * margin + 1)
+    return np.asarray(np.clip(np.convolve(wide, edge / edge.sum(), "same"), 0.0, 1.0))
+
+
+def _longest_run(flags: NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
+
+
+def _longest_part(is_double: NDArray[np.bool_]) -> tuple[int, int]:
+    """First tap and the one behind the last, of the longest part without a double hit."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (~is_double).astype(int), [0]])))
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    return int(edges[2 * longest]), int(edges[2 * longest + 1])
+
+
+def _hammer_loads(run: Run) -> Array | None:
+    """The loads (n, k) of a run that are zero but for short hits; None where it is no record of a hammer."""
+    if run.kind != "sweep" or run.excitation != IMPACT or not run.has_loads or run.samples > MOST_SAMPLES:
+        return None
+    loads = run.read().loads
+    if loads is None or not np.isfinite(loads).all():
+        return None
+    hits = _excited_hits(run, loads)
+    return hits if hits.shape[1] else None
+
+
+def _excited_hits(run: Run, loads: Array) -> Array:
+    """The columns of the loads that `excited` names, or all, as far as they are hits."""
+    names: Sequence[str] = run.excited or COMPONENTS
+    columns = [COMPONENTS.index(name) for name in names if name in COMPONENTS]
+    return loads[:, [k for k in columns if has_short_hits(loads[:, k])]]
+
+
+def _combined(loads: Array) -> Array:
+    """One signal (n,) of the hits of several loads (n, k), each relative to its largest."""
+    centered = np.abs(loads - np.median(loads, axis=0))
+    return np.asarray(np.max(centered / centered.max(axis=0), axis=1))
 
 
 def has_short_hits(load: Array) -> bool:

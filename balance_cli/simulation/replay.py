@@ -20,6 +20,11 @@ from balance_cli.simulation.sensors import sensor_volts
 Array = NDArray[np.float64]
 
 
+HALF_LENGTH, KAISER_SHAPE = 64, 14.0
+"""Samples on either side, and shape of the window, of the interpolation: to 1e-6 up to 0.92 of half the sample rate.
+With the kernel that scipy takes by itself, of ten samples, amplitudes are wrong by up to 0.2 %."""
+
+
 def replay_loads(rig: TrueRig, loads: Array, kind: str, sample_rate: float, rotor_speed: float = 0.0) -> Array:
     """Volts (n, channels) of a rig under the recorded `loads` (n, 6) of a run of this kind, from rest under the first.
 
@@ -32,7 +37,11 @@ def replay_loads(rig: TrueRig, loads: Array, kind: str, sample_rate: float, roto
     mechanics = equations_of_motion(rig, rotor_speed, attached)
     oversampling = CONTACT_OVERSAMPLING if any(force.limit for force in mechanics.forces) else OVERSAMPLING
     step = 1.0 / (oversampling * sample_rate)
-    fine = scipy.signal.resample_poly(loads, oversampling, 1, axis=0, padtype="line")
+    taps = 2 * HALF_LENGTH * oversampling + 1
+    kernel = scipy.signal.firwin(taps, 1.0 / oversampling, window=("kaiser", KAISER_SHAPE))
+    fine = scipy.signal.resample_poly(  # type: ignore[call-overload]  # the stubs know no kernel
+        loads, oversampling, 1, axis=0, padtype="line", window=kernel
+    )
     # What interpolation leaves in a component without load would be a load.
     fine = np.where(np.any(loads, axis=0), fine, 0.0)
     for extension in reversed(rig.extensions):

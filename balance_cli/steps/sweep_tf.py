@@ -15,6 +15,7 @@ from balance_cli.campaign.recording.channel_health import live_channels
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
+from balance_cli.signals.impact import use_hammer_record
 from balance_cli.signals.local.response import local_response
 from balance_cli.signals.periodic import PeriodicRecord, has_whole_periods, periodic_record
 from balance_cli.signals.response.averaged_spectra import averaged_response
@@ -93,6 +94,7 @@ def _nonperiodic_response(
 ) -> FrequencyResponse:
     if estimator in AVERAGED_ESTIMATORS:
         return averaged_response(run, channel_names, estimator, band)
+    run = use_hammer_record(run)
     return local_response(run, channel_names, LOCAL_RATIONAL if estimator == AUTO else estimator, band)
 
 

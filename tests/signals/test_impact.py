@@ -8,7 +8,7 @@ import scipy.signal
 
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.io.errors import UserError
-from balance_cli.signals.impact import find_hits, has_short_hits
+from balance_cli.signals.impact import find_hits, hammer_record, has_short_hits, use_hammer_record, window_forces
 from balance_cli.signals.local.response import local_response
 
 RATE, FINE, SAMPLES = 1000.0, 16, 20000
@@ -89,3 +89,33 @@ def test_taps_and_bounces_are_counted():
     assert np.allclose(hits.times, [1.002, 4.002, 4.052, 9.002], atol=0.002)
     assert hits.is_double.tolist() == [False, False, True, False]
     assert hits.note.startswith("3 taps") and "bounced once (first at 4.05" in hits.note and has_short_hits(force)
+
+
+def test_a_tap_that_bounced_is_dropped_and_the_rest_is_right():
+    run = hammer_run([1.3, 5.1, 5.16, 9.4, 14.2])
+    record = hammer_record(run)
+    assert record.summary["bounced"] == [2] and record.summary["dropped"] == [1, 2]
+    assert np.allclose(record.taps, [1.3, 5.1, 9.4, 14.2], atol=0.01)
+    assert "tap 2 (at 5.1" in record.note and "with 2" in record.note
+    part = use_hammer_record(run)
+    assert part.samples == SAMPLES - record.start and abs(record.start / RATE - 9.4) < 0.03
+    found = local_response(part, ("c",), "lrm")
+    error = np.abs(found.response[:, 0, 0] - exact(found.frequency))
+    inner = found.frequency < 200.0
+    assert np.median(error[inner] / np.abs(exact(found.frequency[inner]))) < 0.01
+
+
+def test_a_record_of_bounces_alone_is_refused():
+    with pytest.raises(UserError, match="every tap of the hammer bounced"):
+        hammer_record(hammer_run([1.3, 1.36, 9.4, 9.47]))
+
+
+def test_the_force_window_keeps_hits_and_takes_noise_out_between_them():
+    clean = taps([1.0, 4.0, 9.0])[::FINE]
+    force = clean + 3.0 + 0.5 * RNG.standard_normal(SAMPLES)
+    windowed = window_forces(force[:, None])
+    assert 0.45 < windowed.noise[0] < 0.55 and windowed.samples < 0.01 * SAMPLES
+    assert np.abs(windowed.loads[:, 0] - clean).max() < 2.5
+    assert np.sum((windowed.loads[:, 0] - clean) ** 2) < 0.02 * np.sum((force - 3.0 - clean) ** 2)
+    noise = RNG.standard_normal((SAMPLES, 1))
+    assert window_forces(noise).loads is noise

@@ -55,6 +55,9 @@ LEAST_CHANNEL_DOF = 500
 """Degrees of freedom of the noise covariance of the channels; it comes from one record, over many lines."""
 POLYNOMIAL_DOF = 8
 """Degrees of freedom that a window of the polynomial method leaves for the noise."""
+AVERAGED_SHARE = 4.0 / 9.0
+"""Lines of a window over which a response averages, over all: in the middle a parabola has weights of sum of squares
+9/4 over the lines; with poles and higher degrees it averages over fewer."""
 LEAST_LINE_COUNT = 0.05
 """Least share of a degree of freedom that a line keeps after the fit, so that its noise is not divided by zero."""
 
@@ -107,7 +110,21 @@ def fit_local_models(spectrum: ScaledSpectrum, estimator: str = "lrm") -> LocalM
         for start in first
     ]
     fits = best_fits(windows, candidates, whitening)
-    return _assemble_models(spectrum, first, assigned_lines, fits, level, tones)
+    models = _assemble_models(spectrum, first, assigned_lines, fits, level, tones)
+    return _with_window_noise(models, M)
+
+
+def _with_window_noise(models: LocalModels, lines: int) -> LocalModels:
+    """Return the models with the noise of loads within a force window.
+
+    A response that is fitted to so many lines does not average an error that is common to them. The noise counts as
+    white noise that has the same variance in the mean over them.
+    """
+    windowed = models.spectrum.window_noise
+    if windowed is None:
+        return models
+    variance = windowed.variance * min(AVERAGED_SHARE * lines, windowed.correlated_lines)
+    return replace(models, noise=replace(models.noise, loads=models.noise.loads + np.diag(variance)))
 
 
 def _window_layout(estimator: str, inputs: int, frequency: Array) -> tuple[tuple[ModelOrders, ...], int, int]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run
 from balance_cli.signals.covariance_pooling import window_sums
-from balance_cli.signals.impact import IMPACT, has_short_hits
+from balance_cli.signals.impact import IMPACT, WindowedForces, has_short_hits, window_forces
 from balance_cli.signals.run_samples import load_columns, measured_components, read_samples, run_error, sample_rate
 
 Array = NDArray[np.float64]
@@ -27,11 +27,24 @@ LEAST_INDEPENDENCE = 1e-6
 
 
 @dataclass(frozen=True)
+class WindowNoise:
+    """Noise of loads within a force window: its `variance` (u,) at each line, in scaled units.
+
+    It is a smooth error of as many lines as the window is shorter than the record, `correlated_lines`; no line shows it
+    on its own.
+    """
+
+    variance: Array
+    correlated_lines: float
+
+
+@dataclass(frozen=True)
 class ScaledSpectrum:
     """Spectrum of a whole record at K neighboring lines of `frequency` (K,) [Hz].
 
     The amplitudes `channels` (K, c) and `loads` (K, u) are divided by `channel_scale` (c,) and `load_scale` (u,), which
-    makes their sizes comparable. `excited` (K,) says where some load has power.
+    makes their sizes comparable. `excited` (K,) says where some load has power. `window_noise` is that of a hammer
+    within its force window.
     """
 
     run: Run
@@ -43,6 +56,7 @@ class ScaledSpectrum:
     channel_scale: Array
     load_scale: Array
     excited: NDArray[np.bool_]
+    window_noise: WindowNoise | None = None
 
 
 def record_spectrum(
@@ -55,7 +69,11 @@ def record_spectrum(
     channels, loads = read_samples(run, channel_names)
     components = measured_components(run, loads)
     _require_declared_impact(run, loads[:, load_columns(run.excited or components)])
-    z = np.hstack([channels, loads[:, load_columns(components)]])
+    applied, windowed = loads[:, load_columns(components)], None
+    if run.excitation == IMPACT:
+        windowed = window_forces(applied)
+        applied = windowed.loads
+    z = np.hstack([channels, applied])
     Z = np.fft.rfft(z, axis=0)[1 : (run.samples + 1) // 2] * (2.0 / run.samples)
     frequency = np.arange(1, len(Z) + 1) * sample_rate(run) / run.samples
     c = len(channel_names)
@@ -82,7 +100,16 @@ def record_spectrum(
         channel_scale=channel_scale,
         load_scale=load_scale,
         excited=excited[kept],
+        window_noise=None if windowed is None else _window_noise(windowed, load_scale),
     )
+
+
+def _window_noise(windowed: WindowedForces, load_scale: Array) -> WindowNoise | None:
+    """Return the noise within the window at a line of the spectrum; None where there is no window."""
+    samples, kept = len(windowed.loads), windowed.samples
+    if not kept:
+        return None
+    return WindowNoise(windowed.noise**2 * 4.0 * kept / samples**2 / load_scale**2, samples / kept)
 
 
 def _require_declared_impact(run: Run, loads: Array) -> None:
