@@ -40,7 +40,7 @@ from balance_cli.report.number_format import (
     value_and_sigma_text,
 )
 from balance_cli.report.polar_picture import polar_picture
-from balance_cli.report.recommendation import rank_methods
+from balance_cli.report.recommendation import rank_methods, tested_harmonics
 from balance_cli.report.sources import Source, Sources
 
 
@@ -77,15 +77,17 @@ def section(sources: Sources) -> Section | None:
 def _residual_test_blocks(tested: Sequence[Source[HubLoads]], shown: Source[HubLoads]) -> Iterator[PageBlock]:
     """Yield the residual test of every method; where no sensor is redundant, that nothing tests the loads."""
     runs = [run for source in tested for run in wind_runs(source.content).values()]
-    if not any(np.isfinite(run.redundancy).any() for run in runs):
+    if not any(map(tested_harmonics, runs)):
         yield WarningText(
-            "The true loads of these runs are not known, and there are no more channels than loads: no residual tests "
-            "them. Runs with known loads are the only evidence that the response holds."
+            "The true loads of these runs are not known, and there are no more cells than loads: no residual tests the "
+            "response. Runs with known loads are the only evidence that it holds."
         )
-        return
+        if not any(np.isfinite(run.redundancy).any() for run in runs):
+            return
     yield Paragraph(
-        "The true loads of these runs are not known, but there are more channels than loads. As long as the "
-        "response holds, the residuals of the redundant channels are within the noise (chi2 per degree of "
+        "The residuals of redundant channels test the loads: of more cells than loads the response, of several "
+        "channels in one cell only these channels. As long as what they test "
+        "holds, they are within the noise (chi2 per degree of "
         "freedom near 1). Where chi2 exceeds its 99.9 % point, the row is flagged and its sigma is widened."
     )
     yield from _residual_test_verdicts(tested, shown)
@@ -123,6 +125,9 @@ def _residual_test_sentence(source: Source[HubLoads]) -> str:
     values = [float(value) for run in runs for value in run.redundancy if np.isfinite(value)]
     if not values:
         return f"{capitalize_first(source.label)}: no redundant channel."
+    if not failing and not any(map(tested_harmonics, runs)):
+        name = capitalize_first(source.label)
+        return f"{name}: in all {len(values)} harmonics the channels of each cell agree; nothing tests the response."
     if not failing:
         return f"{capitalize_first(source.label)}: all {len(values)} harmonics pass the residual test."
     largest = format_significant(max(values))
