@@ -8,10 +8,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
-# The same examples in every run: a failure is found again, and what passes here passes elsewhere.
-settings.register_profile("seeded", derandomize=True)
+# The same examples in every run: a failure is found again, and what passes here passes elsewhere. No limit of time: a
+# busy machine is no fault of the code.
+settings.register_profile("seeded", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("seeded")
 
 

@@ -79,6 +79,7 @@ def test_a_page_of_old_artefacts_has_all_sections():
     assert list(page.sections) == [
         "summary",
         "wind-on",
+        "load-spectra",
         "in-time",
         "diagnosis",
         "eigenfrequencies",
