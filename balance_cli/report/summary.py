@@ -95,7 +95,8 @@ def _without_loads(sources: Sources) -> str:
         (sources.diagnoses, "a diagnosis"),
     ]
     given = join_names([words for found, words in parts if found])
-    return f"No hub loads: no check or wind run was reduced. This page shows {given}."
+    words = "No hub loads: no check or wind run was reduced."
+    return f"{words} This page shows {given}." if given else words
 
 
 def _calibration_key_figures(sources: Sources) -> Iterator[tuple[str, str, str]]:
