@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,23 +29,60 @@ MATERIAL_SHARE_OF_LARGEST = 0.1
 """A harmonic below this share of the largest one of its component is too small for its drift to matter."""
 
 
+START_TIME_CONSTANTS = 3.0
+"""Time constants of the slowest mode after which the start of a record is compared: 5 % of a load that was applied at
+once are left then, as an oscillation, which the mean over a revolution reduces below a material change."""
+SLOW_MODE_CORRELATION = 0.9
+"""Correlation of neighboring windows from which the slowest mode may be slower than a window: it then shakes the means
+of windows, too, which average faster modes out."""
+START_UP_SHARE = 0.03
+"""Departure of the rotor speed of a window from that of the interval by which a record begins with a start-up."""
+
+
 def unsteady_loads(
     record: RotorRecord, geometry: Geometry, source: ResponseSource, static: TrimCalibration | None, sigma: Array
 ) -> NDArray[np.bool_]:
     """Which loads (n+1, m) of a record step or drift within it, by more than chance and by more than is immaterial.
 
     `sigma` (n+1, m) are the standard deviations that are stated for the loads; without a static calibration harmonic 0
-    is not examined.
+    is not examined. What was left out at the start as a transient is examined too, from where the rig alone is steady:
+    a step of the load looks like the end of a transient.
     """
     n = len(record.spectra.frequency_hz) - 1
-    windows = windowed_amplitudes(record.run, record.azimuth, record.health.live, n, record.spectra.revolutions)
+    revolutions = (_first_revolution(record, source), record.spectra.revolutions[1])
+    windows = windowed_amplitudes(record.run, record.azimuth, record.health.live, n, revolutions)
+    windows = _without_start_up(windows, float(record.spectra.frequency_hz[1]))
     if not len(windows.values):
         return np.zeros(sigma.shape, bool)
     loads = np.zeros((len(windows.values), *sigma.shape), complex)
     loads[:, 1:] = _harmonic_loads(windows, record, geometry, source)
     if static is not None:
         loads[:, 0] = _mean_loads(windows, static)
-    return unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0))
+    correlation = np.zeros((n + 1, 1))
+    correlation[1:] = of_harmonics = _correlation(windows, source)
+    correlation[0] = of_harmonics if of_harmonics > SLOW_MODE_CORRELATION else 0.0
+    return unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0), correlation)
+
+
+def _correlation(windows: WindowedAmplitudes, source: ResponseSource) -> float:
+    """Return the correlation of gusts in the harmonics of neighboring windows, as the slowest mode transmits them."""
+    duration = windows.turns / float(np.median(windows.speed))
+    return float(np.exp(-duration / source.slowest_decay)) if source.slowest_decay > 0 else 0.0
+
+
+def _first_revolution(record: RotorRecord, source: ResponseSource) -> int:
+    """Return the first revolution that a transient of the rig cannot have reached, at most that of the interval."""
+    start = START_TIME_CONSTANTS * source.slowest_decay
+    first = record.spectra.revolutions[0]
+    turns = np.arange(first + 1)
+    return int(min(first, np.searchsorted(record.azimuth.time_of(turns), start)))
+
+
+def _without_start_up(windows: WindowedAmplitudes, speed: float) -> WindowedAmplitudes:
+    """Return the windows from the first on at which the rotor has its speed [Hz]."""
+    at_speed = np.flatnonzero(np.abs(windows.speed / speed - 1.0) < START_UP_SHARE)
+    first = int(at_speed[0]) if at_speed.size else 0
+    return replace(windows, values=windows.values[first:], speed=windows.speed[first:])
 
 
 def _material_change(size: Array) -> Array:

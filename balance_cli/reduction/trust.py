@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.reduction.channel_pairs import PairContradiction, contradicted_pairs
 from balance_cli.reduction.flags import (
     FILTER_CONTRADICTED,
     MODEL_CONTRADICTED,
@@ -49,7 +50,8 @@ does not grow with the length of the record.
 class Trust:
     """Findings about the loads (n+1, m) of a record: which are untested, unsteady, or contradicted by the model.
 
-    `confounded` are the harmonics beside which another rotor has a line.
+    `confounded` are the harmonics beside which another rotor has a line; `pairs` the channels of one cell that
+    contradict each other, so that every load is rejected.
     """
 
     untested: Mask
@@ -58,6 +60,12 @@ class Trust:
     rejected: Mask
     lines: tuple[UnmodelledLine, ...]
     confounded: frozenset[int] = frozenset()
+    pairs: tuple[PairContradiction, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The lines and the pairs of channels in words."""
+        return tuple(item.description for item in (*self.lines, *self.pairs))
 
     def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
         """Return the flags (n+1, m) of the findings added to those given."""
@@ -100,8 +108,10 @@ def assess_trust(
             record.run, record.azimuth, record.health.live, n, record.spectra.interval, gain, record.other_rotors
         )
     unsteady = unsteady_loads(record, geometry, source, static, sigma)
+    pairs = contradicted_pairs(record, geometry, source)
+    rejected |= bool(pairs)
     shared = frozenset(line.order for line in record.confounded)
-    return Trust(untested, unsteady, contradicted, rejected, lines, shared)
+    return Trust(untested, unsteady, contradicted, rejected, lines, shared, pairs)
 
 
 def _power_gain(record: RotorRecord, source: ResponseSource) -> Callable[[Array], Array] | None:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.calibration.result import Calibration
+from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.recording.gaps import describe_gaps
 from balance_cli.campaign.recording.run import Run, hold_samples
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.reduction.check_errors import check_errors, scale_contradiction
-from balance_cli.reduction.flags import MODEL_CONTRADICTED
+from balance_cli.reduction.flags import EXTRAPOLATED, MODEL_CONTRADICTED
 from balance_cli.reduction.harmonic_loads import RotorRecord, harmonic_loads, rotor_record
 from balance_cli.reduction.mean_loads import MeanLoads, ZeroRecord, linear_mean_loads, unmeasured_mean_loads
 from balance_cli.reduction.mean_loads_nonlinear import nonlinear_mean_loads
@@ -30,6 +30,10 @@ ComplexArray = NDArray[np.complex128]
 
 ERRORS_UNKNOWN = "sigma of the mean loads contains noise and the residuals stated with the matrix, not its own errors"
 """Note on a run that was reduced by a matrix without standard errors."""
+
+
+IMPLAUSIBLE_LOAD = 10.0
+"""Load over the calibrated range from which all loads of a run are doubted: no balance bears it, a unit explains it."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +87,12 @@ def reduce_record(
     static = None if calibration is None else nearest_trim(calibration, loads)
     trust = assess_trust(record, geometry, source, static, harmonic_solution, sigma)
     shared = (line.description for line in record.confounded)
-    lines = (*filter(None, [describe_gaps(record.run)]), *shared, *(line.description for line in trust.lines))
+    lines = (*filter(None, [describe_gaps(record.run)]), *shared, *trust.notes)
     suspect_note = describe_suspect_channels(record, geometry, source, harmonic_solution) if source.system else ""
     further = filter(None, [suspect_note, mean_solution.note])
     loads = replace(loads, flags=trust.flags(loads.flags), notes=(*notes, *lines, *further))
+    if static is not None:
+        loads = _flag_implausible(loads, static)
     if not record.run.has_loads or record.run.kind != "check":
         return loads
     check = check_errors(record.spectra, harmonic_solution, loads.components, geometry)
@@ -94,6 +100,21 @@ def reduce_record(
     if contradiction:
         loads = replace(flag_all(loads, MODEL_CONTRADICTED), notes=(*loads.notes, contradiction))
     return replace(loads, check=check)
+
+
+def _flag_implausible(loads: RunLoads, static: TrimCalibration) -> RunLoads:
+    """Return the loads, all flagged where one is far beyond what was ever applied to the balance."""
+    largest = dict(zip(static.components, static.calibrated_range.tolist(), strict=True))
+    reached = {
+        name: float(np.nanmax(np.abs(loads.amplitude[:, m]), initial=0.0)) / largest[name]
+        for m, name in enumerate(loads.components)
+        if largest.get(name, 0.0) > 0.0
+    }
+    worst = max(reached, key=lambda name: reached[name], default="")
+    if not worst or reached[worst] < IMPLAUSIBLE_LOAD:
+        return loads
+    note = f"{worst} reaches {reached[worst]:.3g} times the calibrated range: are the channels in V?"
+    return replace(flag_all(loads, EXTRAPOLATED), notes=(*loads.notes, note))
 
 
 def _mean_loads(record: RotorRecord, calibration: Calibration, zero: ZeroRecord | None) -> MeanLoads:

@@ -46,7 +46,8 @@ At the peak of a sine, where values are densest, that ratio is 1 / (sqrt(8) - 1)
 The limit is about three times that, and LEAST_PLATEAU more, because a few coarse samples at a peak may coincide.
 """
 LEAST_PLATEAU = 3
-"""A channel that repeats no other value (load points, say) is clipped where its extreme occurs so often."""
+"""A channel that repeats no other value (load points, say) is clipped where its extreme occurs so often, and more often
+than its excitation repeats itself: without noise each period has the same peak."""
 SMALLEST_PEAK = 1e-60
 """Volts below which no channel stays throughout; the fourth power is still a number, and rounding leaves far more."""
 AT_RANGE = 1.0 - 1e-6
@@ -93,9 +94,15 @@ def channel_faults(
     records = dict(zip(ranges, _gather_statistics(run, list(ranges)), strict=True))
     faults = {}
     for name, record in records.items():
+        record.periods = _whole_periods(run)
         components = COMPONENTS if driving_loads is None else driving_loads[name]
         faults[name] = _channel_fault(record, ranges[name], _may_be_constant(run, record, components))
     return {name: fault for name, fault in faults.items() if fault}
+
+
+def _whole_periods(run: Run) -> int:
+    """How often the excitation repeats itself, 0 where it does not."""
+    return int(run.samples / (run.sample_rate * run.period)) if run.period and run.sample_rate else 0
 
 
 def _loads_through_channel(channel: Channel, geometry: Geometry) -> tuple[str, ...]:
@@ -138,6 +145,7 @@ class _ChannelStatistics:
     current_start: int = 0
     last: float = np.nan
     last_direction: float = 0.0
+    periods: int = 0
 
     def add(self, values: Array) -> None:
         """Add the next samples of the channel."""
@@ -275,4 +283,4 @@ def _is_clipping_plateau(record: _ChannelStatistics, extreme: float, counts: Int
         return False
     only_there = record.flatline_value == extreme and 0 < record.repeated_count < counts[0] and counts[1:].max() == 1
     plateau = counts[0] > PLATEAU_FACTOR * counts[1:].sum() + LEAST_PLATEAU
-    return bool(plateau or (only_there and counts[0] >= LEAST_PLATEAU))
+    return bool(plateau or (only_there and counts[0] >= max(LEAST_PLATEAU, record.periods + 1)))

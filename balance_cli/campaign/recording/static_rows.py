@@ -56,6 +56,12 @@ def leave_out_unread_rows(run: Run) -> Run:
         BridgedSamples(run.channel_names[column], np.flatnonzero(missing[:, column]), nothing, nothing[None])
         for column in sorted(partly)
     )
+    return replace(_with_rows(run, kept), bridged=tuple(listed))
+
+
+def _with_rows(run: Run, kept: NDArray[np.intp]) -> Run:
+    """Return the selected rows of a run, with all that belongs to them."""
+    block = run.read()
     return replace(
         run,
         samples=len(kept),
@@ -64,7 +70,6 @@ def leave_out_unread_rows(run: Run) -> Run:
         series_labels=_select(run.series_labels, kept),
         point_kinds=_select(run.point_kinds, kept),
         additions=_select_additions(run, kept),
-        bridged=tuple(listed),
     )
 
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from balance_cli.diagnosis.consistency import findings as kinds
 from balance_cli.diagnosis.consistency.findings import WARNING, ConsistencyFinding
+from balance_cli.diagnosis.consistency.units import FORCE_UNITS, UNIT_TOLERANCE, VOLT_UNITS, suggest_units
 
 ConsequenceRule = Callable[[ConsistencyFinding], bool]
 """Whether a finding that is a fault by itself is only a warning for a command."""
@@ -20,9 +23,18 @@ LARGE_FACTOR = 2.0
 def measured_anyway(finding: ConsistencyFinding) -> bool:
     """The rule of `calibrate` and `sweep-tf`, which measure what the channels read for each load.
 
-    What is the same in all runs is part of what they measure, whatever the geometry says of it; loads are not.
+    What is the same in all runs is part of what they measure, whatever the geometry says of it; loads are not. Of all
+    channels a factor that is one between units of force, and of no voltage, is one of the loads.
     """
-    return finding.in_all_runs and finding.kind not in LOAD_KINDS
+    is_of_loads = finding.kind in LOAD_KINDS or (finding.kind == kinds.CHANNELS_FACTOR and _is_of_force(finding.factor))
+    return finding.in_all_runs and not is_of_loads
+
+
+def _is_of_force(factor: float | None) -> bool:
+    """Whether loads in another unit explain a factor of all channels, and neither volts nor an amplifier do."""
+    if not factor or abs(np.log10(abs(factor)) - round(np.log10(abs(factor)))) < UNIT_TOLERANCE / 2:
+        return False
+    return bool(suggest_units(1.0 / factor, FORCE_UNITS)) and not suggest_units(factor, VOLT_UNITS)
 
 
 def identified_anyway(finding: ConsistencyFinding) -> bool:

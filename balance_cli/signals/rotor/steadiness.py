@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.run import Run, read_channels
+from balance_cli.signals import distributions as stats
 from balance_cli.signals.rotor.azimuth import Azimuth
 from balance_cli.signals.rotor.line_sums import unit_powers
 
@@ -25,27 +26,36 @@ TARGET_WINDOWS = 48
 """Windows of a record: enough to place a step to 2 % of the record, few enough that each holds several revolutions."""
 FEWEST_WINDOWS = 8
 """With fewer windows the test has no power; nothing is concluded."""
-LONGEST_LAG = 4
-"""Windows over which scatter may be correlated (gusts) without being taken for a step."""
-CRITICAL_SUM = 2.6
-"""Largest cumulative sum, in units of its scatter, that a steady amplitude reaches once in 4e5 tests.
+WINDOWS_PER_LAG = 12
+LONGEST_LAG = 2
+"""Windows over which scatter may be correlated (gusts) without being taken for a step, at most one in twelve: a drift
+of two periods within a record still differs little between them."""
+KEPT_SHARE, KEPT_MEAN = 0.8, 0.4377
+"""Share of the squared second differences, the least ones, that the scatter comes from: a step makes few large ones, a
+drift none.
+Second, the mean of that share of chi-square with one degree of freedom."""
+DIFFERENCE_DOF = 0.38
+"""Degrees of freedom of such a scatter for each difference, by simulation."""
+FALSE_ALARM = 1e-5
+"""Probability by which a steady amplitude is called unsteady: records have hundreds of them."""
+CRITICAL_SUM = 2.47
+"""Largest cumulative sum, in units of a known scatter, that a steady amplitude exceeds with that probability.
 
-For the Brownian bridge P(sup |B| > x) = 2 exp(-2 x^2) (Kolmogorov). The level leaves room for records with hundreds of
-harmonics, components and runs.
+For the Brownian bridge P(sup |B| > x) = 2 exp(-2 x^2) (Kolmogorov).
 """
-LEAST_EIGENVALUE = 1e-8
-"""Of the normal equations of a window, over the largest: they then leave eight digits, else least squares by singular
-values are taken."""
 MATERIAL_CHANGE = 3.0
 """Change within the record, in stated standard deviations of the mean amplitude, that makes a flag worthwhile.
 
 A smaller change is covered by the uncertainty that the load carries anyway.
 """
+LEAST_EIGENVALUE = 1e-8
+"""Of the normal equations of a window, over the largest: they then leave eight digits, else least squares by singular
+values are taken."""
 
 
 @dataclass(frozen=True)
 class WindowedAmplitudes:
-    """Amplitudes (w, n+1, c) of harmonics 0 to n of c channels in w consecutive windows of whole revolutions.
+    """Amplitudes (w, n+1, c) of harmonics 0 to n of c channels in w consecutive windows of `turns` revolutions.
 
     `speed` (w,) [Hz] is the mean rotor speed of each window.
     """
@@ -53,6 +63,7 @@ class WindowedAmplitudes:
     values: ComplexArray
     names: tuple[str, ...]
     speed: Array
+    turns: int
 
 
 def windowed_amplitudes(
@@ -71,7 +82,7 @@ def windowed_amplitudes(
     cuts = [slice(a, b) for a, b in pairwise((samples - samples[0]).tolist())]
     empty = np.zeros((0, n + 1, len(names)), complex)
     values = _amplitudes([basis[:, cut] for cut in cuts], [signals[cut] for cut in cuts], n) if cuts else empty
-    return WindowedAmplitudes(values, tuple(names), length / np.diff(times))
+    return WindowedAmplitudes(values, tuple(names), length / np.diff(times), length)
 
 
 def _amplitudes(bases: list[Array], signals: list[Array], n: int) -> ComplexArray:
@@ -89,10 +100,11 @@ def _amplitudes(bases: list[Array], signals: list[Array], n: int) -> ComplexArra
     return np.asarray(amplitude)
 
 
-def unsteady(values: ComplexArray, sigma: Array) -> NDArray[np.bool_]:
+def unsteady(values: ComplexArray, sigma: Array, correlation: Array | float = 0.0) -> NDArray[np.bool_]:
     """Which series of amplitudes (w, ...) step or drift by more than chance and by more than `sigma` (...) covers.
 
-    `sigma` is the stated standard deviation of the mean over all windows, of one real component.
+    `sigma` is the stated standard deviation of the mean over all windows, of one real component; `correlation` (...)
+    that of neighboring windows, below one, where a mode of the rig outlasts them.
     """
     count = len(values)
     if count < FEWEST_WINDOWS:
@@ -100,22 +112,42 @@ def unsteady(values: ComplexArray, sigma: Array) -> NDArray[np.bool_]:
     parts = np.stack([values.real, values.imag])
     wander = np.cumsum(parts - parts.mean(axis=1, keepdims=True), axis=1)
     largest = np.abs(wander).max(axis=1)
-    scatter = np.stack([_scatter(part) for part in parts])
+    used = np.where(np.any(values.imag != 0.0, axis=0), 2, 1)
+    scatter = np.sqrt(sum(_scatter(part) ** 2 for part in parts) / used)
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.where(largest > 0, largest / (scatter * np.sqrt(count)), 0.0)
     change = np.stack([_largest_change(part) for part in parts])
-    return np.asarray(np.any((excess > CRITICAL_SUM) & (change > MATERIAL_CHANGE * sigma), axis=0))
+    limit = _critical_sum(count, used) * _correlated_scatter(correlation)
+    return np.asarray(np.any((excess > limit) & (change > MATERIAL_CHANGE * sigma), axis=0))
+
+
+def _critical_sum(count: int, parts: NDArray[np.int64]) -> Array:
+    """Return the limit of the cumulative sum, in units of a scatter that `count` windows of so many parts tell."""
+    dof = DIFFERENCE_DOF * (count - 2) * parts
+    return np.asarray(CRITICAL_SUM * stats.t.isf(FALSE_ALARM / 2.0, dof) / stats.norm.isf(FALSE_ALARM / 2.0))
+
+
+def _correlated_scatter(correlation: Array | float) -> Array:
+    """Return the factor on the scatter of a sum over that by second differences, for a first-order Markov process."""
+    r = np.asarray(correlation)
+    return np.asarray(np.sqrt(3.0 * (1.0 + r) / (3.0 - r)) / (1.0 - r))
 
 
 def _scatter(series: Array) -> Array:
-    """Return the scatter of windows (w, ...) that a step does not inflate: from the median of squared differences.
+    """Return the scatter of windows (w, ...) that no step or drift inflates: from their least second differences.
 
-    A difference at lag l has twice the variance of the series where scatter is uncorrelated over l windows. The
-    largest over the lags is taken. 0.4549 is the median of chi-square with one degree of freedom.
+    One at lag l has six times the variance of the series where scatter is uncorrelated over l windows. The largest over
+    the lags is taken.
     """
-    lags = range(1, min(LONGEST_LAG, len(series) // 4) + 1)
-    medians = [np.median((series[lag:] - series[:-lag]) ** 2, axis=0) for lag in lags]
-    return np.asarray(np.sqrt(np.max(medians, axis=0) / (2.0 * 0.4549)))
+    lags = range(1, max(1, min(LONGEST_LAG, len(series) // WINDOWS_PER_LAG)) + 1)
+    means = [_trimmed_mean((series[: -2 * k] - 2.0 * series[k:-k] + series[2 * k :]) ** 2) for k in lags]
+    return np.asarray(np.sqrt(np.max(means, axis=0) / 6.0))
+
+
+def _trimmed_mean(squares: Array) -> Array:
+    """Return the mean (...) of squares (d, ...) of normal deviates from the least ones."""
+    kept = max(1, int(KEPT_SHARE * len(squares)))
+    return np.asarray(np.sort(squares, axis=0)[:kept].mean(axis=0) / KEPT_MEAN)
 
 
 def _largest_change(series: Array) -> Array:

@@ -62,3 +62,34 @@ def test_windows_hold_the_amplitudes_of_their_part_of_the_record():
     np.testing.assert_allclose(np.angle(windows.values[:20, 2, 0]), 0.3, atol=2e-3)
     np.testing.assert_allclose(windows.values[:, 1, 1], -1j, atol=1e-3)
     assert windows.speed.mean() == pytest.approx(speed, rel=0.01)
+
+
+@pytest.mark.parametrize("count", [10, 16, 25])
+def test_few_windows_tell_a_clear_step_and_raise_no_alarm_by_chance(count):
+    rng = np.random.default_rng(count)
+    noise = rng.standard_normal((count, 20000)) + 1j * rng.standard_normal((count, 20000))
+    assert unsteady(noise, np.zeros(20000)).sum() <= 1
+    stepped = noise[:, :100].copy()
+    stepped[count // 2 :] += 30.0
+    assert unsteady(stepped, np.full(100, 1.0)).mean() > 0.95
+
+
+@pytest.mark.parametrize("periods", [1, 2])
+def test_a_slow_sine_and_a_burst_are_found(periods):
+    rng = np.random.default_rng(7)
+    noise = 0.1 * rng.standard_normal((WINDOWS, 100))
+    place = np.arange(WINDOWS)[:, None] / WINDOWS
+    sine = np.sin(2 * np.pi * periods * place + 0.5)
+    burst = 2.0 * ((place > 0.4) & (place < 0.55))
+    for change in (sine, burst):
+        assert unsteady((noise + change).astype(complex), np.full(100, 0.02)).mean() > 0.95
+
+
+def test_a_mode_that_outlasts_its_windows_is_no_drift():
+    rng = np.random.default_rng(8)
+    noise = rng.standard_normal((WINDOWS + 200, 2000))
+    for row in range(1, len(noise)):
+        noise[row] += 0.85 * noise[row - 1]
+    values = noise[200:].astype(complex)
+    assert unsteady(values, np.zeros(2000)).mean() > 0.1
+    assert unsteady(values, np.zeros(2000), 0.85).mean() <= 2e-3
