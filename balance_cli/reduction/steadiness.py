@@ -75,7 +75,7 @@ def _first_revolution(record: RotorRecord, source: ResponseSource) -> int:
     start = START_TIME_CONSTANTS * source.slowest_decay
     first = record.spectra.revolutions[0]
     turns = np.arange(first + 1)
-    return int(min(first, np.searchsorted(record.azimuth.time_of(turns), start)))
+    return min(first, int(np.searchsorted(record.azimuth.time_of(turns), start)))
 
 
 def _without_start_up(windows: WindowedAmplitudes, speed: float) -> WindowedAmplitudes:

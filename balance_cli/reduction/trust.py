@@ -65,7 +65,7 @@ class Trust:
     @property
     def notes(self) -> tuple[str, ...]:
         """The lines and the pairs of channels in words."""
-        return tuple(item.description for item in (*self.lines, *self.pairs))
+        return (*(line.description for line in self.lines), *(pair.description for pair in self.pairs))
 
     def flags(self, given: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
         """Return the flags (n+1, m) of the findings added to those given."""

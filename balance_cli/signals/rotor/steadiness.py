@@ -123,7 +123,7 @@ def unsteady(values: ComplexArray, sigma: Array, correlation: Array | float = 0.
 
 def _critical_sum(count: int, parts: NDArray[np.int64]) -> Array:
     """Return the limit of the cumulative sum, in units of a scatter that `count` windows of so many parts tell."""
-    dof = DIFFERENCE_DOF * (count - 2) * parts
+    dof = np.asarray(DIFFERENCE_DOF * (count - 2) * parts, np.float64)
     return np.asarray(CRITICAL_SUM * stats.t.isf(FALSE_ALARM / 2.0, dof) / stats.norm.isf(FALSE_ALARM / 2.0))
 
 
