@@ -123,7 +123,7 @@ def delay(samples: float) -> Callable[[Array], Array]:
     return apply
 
 
-def stretch(share: float) -> Callable[[Array], Array]:
+def fast_clock(share: float) -> Callable[[Array], Array]:
     """Channels of a box whose clock is fast."""
     return lambda x: np.stack([np.interp(np.arange(len(x)) * (1 + share), np.arange(len(x)), c) for c in x.T], 1)
 
@@ -236,8 +236,8 @@ MISHAPS: dict[str, Callable[[Sequence[Run]], list[Run]]] = {
     ),
     "wind: piezo box one sample late": on("wind", with_columns("piezo", delay(1.0))),
     "wind: strain box 5 ms late": on("wind", with_columns("strain", delay(0.005 * RATE))),
-    "wind: clock of the strain box 0.1 % fast": on("wind", with_columns("strain", stretch(1e-3))),
-    "wind: clock of the strain box 0.005 % fast": on("wind", with_columns("strain", stretch(5e-5))),
+    "wind: clock of the strain box 0.1 % fast": on("wind", with_columns("strain", fast_clock(1e-3))),
+    "wind: clock of the strain box 0.005 % fast": on("wind", with_columns("strain", fast_clock(5e-5))),
     "wind: one piezo gain x10": on("wind", with_columns("z2.piezo", gain(10.0))),
     "wind: one piezo gain 1.15": on("wind", with_columns("z2.piezo", gain(1.15))),
     "wind: one strain gain x10": on("wind", with_columns("z2.strain", gain(10.0))),
@@ -263,7 +263,7 @@ MISHAPS: dict[str, Callable[[Sequence[Run]], list[Run]]] = {
     "sweep Fx: piezo box one sample late": on("sweep-Fx", with_columns("piezo", delay(1.0))),
     "sweep Fx: all channels one sample late": on("sweep-Fx", edit(lambda x, run: delay(1.0)(x))),
     "sweep Fx: written backwards": on("sweep-Fx", backwards),
-    "sweep Fx: labelled Fy": on("sweep-Fx", lambda run: replace(edit_loads(swapped("Fx", "Fy"))(run), excited=("Fy",))),
+    "sweep Fx: labeled Fy": on("sweep-Fx", lambda run: replace(edit_loads(swapped("Fx", "Fy"))(run), excited=("Fy",))),
     "sweep Fx: one piezo gain x10": on("sweep-Fx", with_columns("z2.piezo", gain(10.0))),
     "sweep Fx: channels through a filter of 60 Hz": on("sweep-Fx", edit(lambda x, run: low_pass(60.0)(x))),
     "sweep Fx: load cell of the exciter reads 5 % less": on("sweep-Fx", edit_loads(scaled(0.95))),

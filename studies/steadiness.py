@@ -42,7 +42,7 @@ SIZES = {"A": 20.0, "B": 40.0, "C": 200.0, "D": 40.0, "E": 20.0}
 """Amplitude of 1/rev and mean [N] of Fz."""
 NOISE_SHARE = 3e-3
 """Noise of a channel over its rms."""
-GUST_SHARES = (0.0, 0.05)
+TURBULENCE_SHARES = (0.0, 0.05)
 """Rms of random loads over the amplitude of 1/rev."""
 
 Profile = Callable[[Array], Array]
@@ -99,8 +99,10 @@ def changing_record(rig: Bench, change: str, revolutions: int, rate: float, seed
             loads[:, j] += growth * arm * size / n * np.cos(n * angle + rng.uniform(0, 2 * np.pi))
     mean = 5.0 * size
     loads[:, 2] += mean * (1.0 + (0.0 if change == OF_HARMONIC else shape))
-    gusts = rng.choice(GUST_SHARES) * size * rng.standard_normal((padded, 6)) * np.where(np.arange(6) < 3, 1.0, 0.1)
-    channels = _read(rig, loads + gusts, rate, speed)[:count]
+    turbulence = (
+        rng.choice(TURBULENCE_SHARES) * size * rng.standard_normal((padded, 6)) * np.where(np.arange(6) < 3, 1.0, 0.1)
+    )
+    channels = _read(rig, loads + turbulence, rate, speed)[:count]
     noise = NOISE_SHARE * channels.std(axis=0) * rng.standard_normal(channels.shape)
     first = (-angle[0] % (2 * np.pi)) / (2 * np.pi * speed)
     pulses = first + np.arange(int(np.floor((count / rate - first) * speed)) + 1) / speed
