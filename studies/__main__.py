@@ -31,7 +31,7 @@ from studies.filters_picture import filters_picture
 from studies.filters_table import filters_table, page_table
 from studies.lacking import lacking_table
 from studies.maneuver import maneuver_chunk, maneuver_table
-from studies.planning import planning_chunk, planning_table
+from studies.planning import CHUNKS, planning_chunk, planning_table
 from studies.recovery import recovery_chunk, recovery_table
 
 TABLES = Path(__file__).parent / "tables"
@@ -105,11 +105,10 @@ def recovery(campaigns: int = 20, jobs: int = 2) -> None:
 
 
 @studies.command()
-@click.option("--campaigns", default=40, show_default=True)
 @click.option("--jobs", default=2, show_default=True)
-def planning(campaigns: int = 40, jobs: int = 2) -> None:
+def planning(jobs: int = 2) -> None:
     """Detection rate and sigma that `plan` predicts, against those of simulated campaigns."""
-    table = planning_table(run_chunks("planning", planning_chunk, range(campaigns), jobs))
+    table = planning_table(run_chunks("planning", planning_chunk, range(CHUNKS), jobs))
     _write("planning", table)
     click.echo(table.to_string(index=False))
 

@@ -111,16 +111,14 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     """Test the result of a search on all lines: confirm, prune, drop what is unsupported, and compare alternatives."""
     task.announce("maximum likelihood of all lines")
     settings, state = task.settings, search_result.state
-    # While the model still has an error, the noise alone is no measure of significance.
-    noise_alone = state.error <= settings.rounds.large_error
-    batches = list(task.batches) if noise_alone else add_model_error(task.batches, state.shares)
-    fit, narrowed = _fit_and_narrow(state, batches, noise_alone, last_round(search_result.trials) + 1, settings)
+    fit, narrowed, batches, noise_alone = _first_fit(task, state, last_round(search_result.trials) + 1)
     trials, alternatives = (*search_result.trials, *narrowed), _search_alternatives(search_result, settings)
     for number in range(settings.selection.max_passes):
         confirmation = confirm(fit, batches, noise_alone, last_round(trials) + 1, task.announce, settings)
         trials = (*trials, *confirmation.trials)
         alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
-        refit = None if noise_alone else _refit_against_noise(confirmation.fit, task)
+        changed = not noise_alone and _has_new_effects(confirmation.fit, task)
+        refit = _refit_against_noise(confirmation.fit, task) if changed else None
         if refit is not None:
             noise_alone, batches, fit = True, list(task.batches), refit
             confirmation = confirm(fit, batches, noise_alone, last_round(trials) + 1, task.announce, settings)
@@ -148,6 +146,17 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     return UpdateResult(fit, support, (*trials, *tested.trials), confirmation)
 
 
+def _first_fit(task: _UpdateTask, state: SearchState, number: int) -> tuple[Fit, tuple[Trial, ...], list[Batch], bool]:
+    """The state of the search fitted on all lines, its trials, the batches, and whether they carry the noise alone."""
+    # While the model still has an error, the noise alone is no measure of significance.
+    noise_alone = state.error <= task.settings.rounds.large_error
+    batches = list(task.batches) if noise_alone else add_model_error(task.batches, state.shares)
+    fit, trials = _fit_and_narrow(state, batches, noise_alone, number, task.settings)
+    # The lines of the search hold the start transient, which looks like an error of the model.
+    refit = None if noise_alone or _has_new_effects(fit, task) else _refit_against_noise(fit, task)
+    return (fit, trials, batches, noise_alone) if refit is None else (refit, trials, list(task.batches), True)
+
+
 def _fit_and_narrow(
     state: SearchState, batches: Sequence[Batch], noise_alone: bool, number: int, settings: SearchSettings
 ) -> tuple[Fit, tuple[Trial, ...]]:
@@ -164,11 +173,14 @@ def _fit_and_narrow(
     return refit_at_best_frequency(fit, declared_effects(fit.model.geometry), batches, settings), trials
 
 
+def _has_new_effects(fit: Fit, task: _UpdateTask) -> bool:
+    """Whether the effects of a fit are others than those of the model that was given."""
+    return effect_labels(fit.model) != effect_labels(task.start)
+
+
 def _refit_against_noise(fit: Fit, task: _UpdateTask) -> Fit | None:
-    """The fit against the noise alone, where effects just found have taken away the error that the weights carry."""
+    """The fit against the noise alone; None where all lines show an error of the model."""
     settings = task.settings
-    if effect_labels(fit.model) == effect_labels(task.start):
-        return None
     fit = fit_all_lines(fit.model, fit.theta, task.batches, settings.fit)
     fit = refit_at_best_frequency(fit, declared_effects(fit.model.geometry), task.batches, settings)
     system = fit.model.system(fit.theta, derivatives=False)

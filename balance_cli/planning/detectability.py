@@ -6,7 +6,8 @@ With the information I of all runs and priors (f: fitted parameters, c: paramete
 
 is what is left of a candidate's information once the fitted parameters have followed. Where its parameters are truly
 d, the gain of the score test is noncentral chi-square distributed with the noncentrality d'V d (Rao, Proc. Camb. Phil.
-Soc. 44 (1948) 50; Kay, Fundamentals of Statistical Signal Processing II, 1998, section 6.5). The effect is found where
+Soc. 44 (1948) 50; Kay, Fundamentals of Statistical Signal Processing II, 1998, section 6.5); noncentral F, as the noise
+is measured with so many degrees of freedom as the runs have that show the candidate. The effect is found where
 the gain exceeds the threshold that noise alone exceeds, for any of the candidates, with the false-alarm level. Of a
 parameter alone the smallest size is sqrt(lambda / V_ii), lambda being the noncentrality with the stated power.
 """
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from balance_cli.diagnosis.choices import SIGNIFICANCE_LEVEL
+from balance_cli.diagnosis.search.noise_dof import pooled_dof
 from balance_cli.diagnosis.search.projected_scores import remaining_information, solve_refined
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
 from balance_cli.estimation.identifiability import covariance_from_information
@@ -34,6 +36,8 @@ Index = NDArray[np.intp]
 
 POWER = 0.9
 """Probability with which an effect of the smallest size is found: the usual one of clinical and radar detection."""
+KNOWN_NOISE_DOF = 1e7
+"""Degrees of freedom from which the noise counts as known: there the noncentral F and chi-square agree to 1e-6."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +54,14 @@ class ProjectedInformation:
 
     `covariance` (f, f) of the fitted parameters; `V` (t, t) of all tested parameters in the order of the candidates;
     `raw` (t,), the diagonal before; `projection` (f, t): the fitted ones change by -projection d where the tested ones
-    are d. `noise_dof`: real degrees of freedom of the noise.
+    are d. `noise_dof` (n,): real degrees of freedom with which the noise of the runs that show a candidate is known.
     """
 
     covariance: Array
     V: Array
     raw: Array
     projection: Array
-    noise_dof: float
+    noise_dof: Array
 
     def block(self, rows: Index, columns: Index) -> Array:
         """A part of V."""
@@ -105,7 +109,23 @@ def project(run: RunInformation, model: ExtendedModel) -> ProjectedInformation:
     # What rounding leaves of a parameter that the fitted ones describe as well is no information.
     informed = np.diag(V) > DEFAULT_SETTINGS.score.min_information_share * np.maximum(raw, np.finfo(float).tiny)
     V = np.where(np.outer(informed, informed), V, 0.0)
-    return ProjectedInformation(covariance, V, raw, projection, run.noise_dof)
+    return ProjectedInformation(covariance, V, raw, projection, _noise_dof(run, model, projection))
+
+
+def _noise_dof(run: RunInformation, model: ExtendedModel, projection: Array) -> Array:
+    """Degrees of freedom (n,) of the noise against which each candidate's score will be tested."""
+    fitted, lengths = model.indices.fitted, [len(item) for item in model.indices.tested]
+    tested = np.concatenate([*model.indices.tested, np.zeros(0, np.intp)]).astype(np.intp)
+    if not run.single_runs or not lengths:
+        return np.full(len(lengths), np.inf)
+    variance = []
+    for part in run.single_runs:
+        among, cross = part.information[np.ix_(fitted, fitted)], part.information[np.ix_(fitted, tested)]
+        diagonal = np.diag(part.information)[tested] - 2.0 * np.sum(projection * cross, axis=0)
+        variance.append(np.maximum(diagonal + np.sum(projection * (among @ projection), axis=0), 0.0))
+    uncertainty = np.array([[2.0 / part.noise_dof] for part in run.single_runs])
+    pooled = pooled_dof(np.array(variance), np.broadcast_to(uncertainty, (len(variance), len(tested))), lengths)
+    return np.maximum(pooled, DEFAULT_SETTINGS.score.min_noise_dof)
 
 
 def remaining_diagonal(run: RunInformation, model: ExtendedModel) -> tuple[Array, Array]:
@@ -134,11 +154,15 @@ def gain_threshold(parameters: int, count: int, level: float, noise_dof: float) 
 def required_noncentrality(parameters: int, count: int, detection: DetectionLevel, noise_dof: float) -> float:
     """The noncentrality with which the gain exceeds its threshold with the stated power."""
     threshold = gain_threshold(parameters, count, detection.level, noise_dof)
+    if noise_dof < KNOWN_NOISE_DOF:
+        return float(special.ncfdtrinc(parameters, noise_dof, 1.0 - detection.power, threshold / parameters))
     return float(special.chndtrinc(threshold, parameters, 1.0 - detection.power))
 
 
-def detection_probability(noncentrality: float, parameters: int, threshold: float) -> float:
+def detection_probability(noncentrality: float, parameters: int, threshold: float, noise_dof: float = np.inf) -> float:
     """Probability that a gain with this noncentrality exceeds the threshold."""
+    if noise_dof < KNOWN_NOISE_DOF:
+        return float(1.0 - special.ncfdtr(parameters, noise_dof, noncentrality, threshold / parameters))
     return float(1.0 - special.chndtr(threshold, parameters, noncentrality))
 
 
@@ -157,10 +181,12 @@ def smallest_sizes(
 ) -> tuple[SmallestSize, ...]:
     """The smallest size of every parameter of interest of every candidate, in their order."""
     sizes = []
-    for candidate, positions in zip(model.candidates, tested_positions(model), strict=True):
+    for candidate, positions, dof in zip(
+        model.candidates, tested_positions(model), projected.noise_dof.tolist(), strict=True
+    ):
         V = projected.block(positions, positions)
         directions = max(informed_directions(V), 1)
-        needed = required_noncentrality(directions, model.candidate_count, detection, projected.noise_dof)
+        needed = required_noncentrality(directions, model.candidate_count, detection, dof)
         spread = np.sqrt(np.diag(covariance_from_information(V)))
         for k, item in enumerate(model.items(candidate)):
             size = float(np.sqrt(needed / V[k, k])) if V[k, k] > 0 else float("inf")

@@ -32,11 +32,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RunInformation:
-    """Information (p, p) of one run about all free parameters; its noise is known to `noise_dof` real dof."""
+    """Information (p, p) of one run about all free parameters; its noise is known to `noise_dof` real dof.
+
+    Of several runs together `parts` are the single ones.
+    """
 
     run: str
     information: Array
     noise_dof: float
+    parts: tuple[RunInformation, ...] = ()
+
+    @property
+    def single_runs(self) -> tuple[RunInformation, ...]:
+        """The runs that add up to this information; this one itself where it is a single run."""
+        return self.parts or ((self,) if self.noise_dof > 0 else ())
 
 
 def no_information(model: ExtendedModel) -> RunInformation:
@@ -92,8 +101,8 @@ def mean_information(parts: Sequence[RunInformation], name: str) -> RunInformati
 def add_information(parts: Iterable[RunInformation], model: ExtendedModel, name: str = "") -> RunInformation:
     """The information of several independent runs together."""
     total = np.zeros((model.size, model.size))
-    dof = 0.0
+    runs: list[RunInformation] = []
     for part in parts:
         total = total + part.information
-        dof += part.noise_dof
-    return RunInformation(name, total, dof)
+        runs += part.single_runs
+    return RunInformation(name, total, sum(run.noise_dof for run in runs), tuple(runs))

@@ -91,11 +91,19 @@ def noise_dof(
     parameters, projection = np.concatenate(tested), np.hstack(projections)
     variance = np.array([run.variance(fitted, parameters, projection) for run in runs])
     uncertainty = np.array([run.variance_uncertainty(fitted, parameters, projection) for run in runs])
+    return np.maximum(pooled_dof(variance, uncertainty, [len(each) for each in tested]), min_dof)
+
+
+def pooled_dof(variance: Array, uncertainty: Array, lengths: Sequence[int]) -> Array:
+    """Return the degrees of freedom (n,) of sums over runs, of which each part is known with its own uncertainty.
+
+    `variance` (r, q): contribution of each run to each parameter; `uncertainty` (r, q): its relative variance. The
+    parameters of a candidate follow each other, so many as `lengths` (n,) says. Infinite where no run contributes.
+    """
     total = variance.sum(axis=0)
     share = variance / np.where(total > 0.0, total, 1.0)
-    edges = np.cumsum([0, *(len(each) for each in tested)])[:-1]
+    edges = np.cumsum([0, *lengths])[:-1]
     by_candidate = np.add.reduceat(share, edges, axis=1)
     spread = np.sum(by_candidate * np.add.reduceat(share * uncertainty, edges, axis=1), axis=0)
     whole = by_candidate.sum(axis=0)
-    dof = np.where(spread > 0.0, 2.0 * whole**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
-    return np.asarray(np.maximum(dof, min_dof))
+    return np.where(spread > 0.0, 2.0 * whole**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
