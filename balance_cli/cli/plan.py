@@ -25,10 +25,16 @@ if TYPE_CHECKING:
     from balance_cli.steps.plan import PlanOptions
 
 
+MOST_MINUTES = 1e5
+"""Hall time that can be planned: ten weeks, day and night."""
+
+
 @balance_command("plan")
 @geometry_option
 @click.argument("files", type=InputFile(), nargs=-1, metavar="[MODEL] [RUN...]")
-@click.option("--minutes", type=click.FloatRange(min=0, min_open=True), help="Hall time to be planned.")
+@click.option(
+    "--minutes", type=click.FloatRange(0, MOST_MINUTES, min_open=True, max_open=True), help="Hall time to be planned."
+)
 @click.option(
     "--hall", type=InputFile(), metavar="HALL", help="What the hall allows: exciters, ranges, times (YAML, see files)."
 )

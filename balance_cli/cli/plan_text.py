@@ -13,19 +13,42 @@ if TYPE_CHECKING:
 
 MOST_LISTED = 10
 """Confused pairs and ranked runs that the text lists; the JSON has all."""
+SAVED_DIGITS = 6
+"""Significant digits of a forecast in the plan."""
 
 
 # ---- file ------------------------------------------------------------------------------------------------------------
 
 
 def plan_file_text(planned: PlannedCampaign) -> str:
-    """The plan as `balance simulate --plan` reads it, with a head of comments."""
+    """The plan as `balance simulate --plan` reads it, with its noise, its forecast and a head of comments."""
     import yaml
+
+    from balance_cli.cli.summary import to_json_value
+    from balance_cli.io.formats import PLAN_FORMAT
+    from balance_cli.planning.stored_forecast import FORECAST_KEYS
 
     runs = [item.plan.model_dump(mode="json", exclude_none=True) for item in planned.chosen]
     head = f"# Plan for {planned.rig}: {len(runs)} runs in {planned.minutes:.1f} minutes\n"
     head += f"# noise {planned.noise_source}\n"
-    return head + yaml.safe_dump({"runs": runs}, sort_keys=False, default_flow_style=None, width=120)
+    summary = plan_summary(planned)
+    content = {
+        "format": PLAN_FORMAT,
+        "rig": planned.rig,
+        "noise": planned.noise.model_dump(mode="json", exclude_none=True),
+        "runs": runs,
+        "forecast": _rounded(to_json_value({key: summary[key] for key in FORECAST_KEYS})),
+    }
+    return head + yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+
+
+def _rounded(value: Any) -> Any:
+    """A JSON value with so many digits of its numbers as a forecast deserves."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.{SAVED_DIGITS}g}") if isinstance(value, float) else value
 
 
 # ---- summary ---------------------------------------------------------------------------------------------------------
@@ -70,6 +93,7 @@ def _effect_summary(item: DetectableEffect) -> dict[str, Any]:
         "easiest": {"place": item.easiest[0], "size": _finite(item.easiest[1])},
         "load_error": item.load_error,
         "load_share": item.share,
+        "load_shares": item.shares,
         "not_shown": item.missing,
     }
 
@@ -84,6 +108,7 @@ def _load_summary(loads: LoadSigma) -> dict[str, Any]:
         "reference": dict(zip(loads.components, loads.reference, strict=True)),
         "sigma_before": dict(zip(loads.components, loads.before.T, strict=True)),
         "sigma_after": dict(zip(loads.components, loads.after.T, strict=True)),
+        "sigma_after_run": dict(zip(loads.components, loads.after_run.transpose(2, 0, 1), strict=True)),
         "sigma_noise": dict(zip(loads.components, loads.noise.T, strict=True)),
         "parameter_part_after_run": loads.by_run,
     }

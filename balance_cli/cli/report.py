@@ -11,11 +11,12 @@ import click
 
 from balance_cli.cli.common import InputFile, OutputFile, Session, balance_command, output_option
 from balance_cli.io.errors import UserError
-from balance_cli.io.formats import RUN_FORMAT
+from balance_cli.io.formats import PLAN_FORMAT, RUN_FORMAT
 from balance_cli.io.sniff import sniff_format
 
 if TYPE_CHECKING:
     from balance_cli.campaign.recording.run import Run
+    from balance_cli.planning.stored_forecast import StoredPlan
     from balance_cli.report.page import Page
     from balance_cli.report.sources import Sources
 
@@ -27,7 +28,7 @@ LIKELY_MEANT = 0.8
 
 
 @balance_command("report")
-@click.argument("artefacts", type=InputFile(), nargs=-1, required=True, metavar="ARTEFACT... [RUN...]")
+@click.argument("artefacts", type=InputFile(), nargs=-1, required=True, metavar="ARTEFACT... [PLAN] [RUN...]")
 @click.option(
     "--picture",
     type=OutputFile(),
@@ -51,7 +52,8 @@ def command(
     """One self-contained page with pictures, from artefacts alone.
 
     Any artefacts can be given; each adds its sections to the page. Models, measured responses and loads given together
-    are compared with each other. Run files among them add their channels and spectra.
+    are compared with each other. Run files among them add their channels and spectra, plans of `balance plan` their
+    forecast.
     """
     from balance_cli.cli.browser import print_pdf, show_page
     from balance_cli.report.page import build_page
@@ -62,9 +64,11 @@ def command(
     if len(run_paths) == len(artefacts):
         fault = "is a run file, and no artefact is among the files"
         raise UserError(fault, str(run_paths[0]), remedy="Add results, for example loads")
-    paths = session.progress([path for path in artefacts if path not in run_paths], "artefacts", len(artefacts))
+    plan_paths = [path for path in artefacts if sniff_format(path) == PLAN_FORMAT]
+    others = [path for path in artefacts if path not in (*run_paths, *plan_paths)]
+    paths = session.progress(others, "artefacts", len(others))
     read_artefacts = [(path, session.artefact(path, ARTEFACT_TYPES)) for path in paths]
-    report_sources = group_sources(read_artefacts, _open_runs(session, run_paths))
+    report_sources = group_sources(read_artefacts, _open_runs(session, run_paths), _read_plans(session, plan_paths))
     if names:
         report_sources = _select_runs(report_sources, names)
     with session.working("page"):
@@ -107,6 +111,19 @@ def _open_runs(session: Session, paths: Sequence[Path]) -> list[Run]:
         session.record_input(run.name, "run", run.digest)
         runs.append(run)
     return runs
+
+
+def _read_plans(session: Session, paths: Sequence[Path]) -> list[StoredPlan]:
+    """Read plans with their forecasts and record them as inputs."""
+    from hashlib import sha256
+
+    from balance_cli.planning.stored_forecast import read_stored_plan
+
+    plans = []
+    for path in paths:
+        plans.append(read_stored_plan(path))
+        session.record_input(path.name, "plan", sha256(path.read_bytes()).hexdigest())
+    return plans
 
 
 def _check_names(output: Path, picture: Path | None, pdf: Path | None) -> None:

@@ -14,7 +14,7 @@ from balance_cli.io.errors import UserError
 
 if TYPE_CHECKING:
     from balance_cli.campaign.rig.geometry import Geometry
-    from balance_cli.simulation import CampaignPlan, TrueRig
+    from balance_cli.simulation import CampaignPlan, Noise, TrueRig
     from balance_cli.simulation.extensions.base import Extension
 
 LARGEST_NOISE = 1e6
@@ -58,7 +58,7 @@ LARGEST_NOISE = 1e6
     type=click.FloatRange(min=0),
     default=1.0,
     show_default=True,
-    help="Noise, times that of the recorded campaign; 0 leaves rounding out too.",
+    help="Noise, times that of the plan or of the recorded campaign; 0 leaves rounding out too.",
 )
 @click.option("--float64", "double", is_flag=True, help="Store the samples in double precision.")
 @deprecated_option("--double", "--float64", "double", is_flag=True)
@@ -79,7 +79,7 @@ def command(
     """Simulate run files with known truth and chosen effects."""
     from dataclasses import replace
 
-    from balance_cli.simulation import Noise, iterate_simulated_runs
+    from balance_cli.simulation import iterate_simulated_runs
     from balance_cli.simulation.rig import apply_effects
 
     if output.exists() and any(output.iterdir()):
@@ -92,7 +92,7 @@ def command(
         _parse_effects(effects, parameters),
         {"geometry": declared.name, "seed": seed, "noise": noise},
     )
-    level = replace(Noise(), single_precision=not double).scale_by(noise)
+    level = replace(_noise_of(runs), single_precision=not double).scale_by(noise)
     try:
         rig = apply_effects(_make_true_rig(declared, draw, seed), (*declared.effects, *extra_effects))
         pairs = session.progress(iterate_simulated_runs(rig, runs, level, seed), "runs", total=len(runs.runs))
@@ -131,6 +131,14 @@ def _load_plan(plan: str, only: tuple[str, ...], geometry: Geometry) -> Campaign
         if name not in names:
             raise UserError(f"the plan has no run `{name}`", "--only", remedy=f"It has {', '.join(names)}")
     return whole.select_runs(only) if only else whole
+
+
+def _noise_of(plan: CampaignPlan) -> Noise:
+    """The noise that the plan keeps, so that it can be rehearsed; else that of the recorded campaign."""
+    from balance_cli.planning.channel_noise import PLANNED_SOURCE, planning_noise
+    from balance_cli.simulation import Noise
+
+    return planning_noise(plan.noise, (), 1.0, PLANNED_SOURCE) if plan.noise else Noise()
 
 
 def _make_true_rig(geometry: Geometry, draw: bool, seed: int) -> TrueRig:

@@ -9,21 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.channel import Channel
-from balance_cli.campaign.rig.declared_values import FrozenModel, Name, Positive
 from balance_cli.signals.run_spectrum import RunSpectrum
 from balance_cli.simulation.noise import Noise
+from balance_cli.simulation.plans import DeclaredNoise
 
 Array = NDArray[np.float64]
-
-
-class DeclaredNoise(FrozenModel):
-    """Standard deviations of a sample: of the channels [V] by kind or by name, and of the load signals [N, N m]."""
-
-    strain: Positive | None = None
-    piezo: Positive | None = None
-    torque: Positive | None = None
-    load: Positive | None = None
-    channels: Mapping[Name, Positive] = {}
 
 
 @dataclass(frozen=True)
@@ -37,13 +27,33 @@ class ChannelNoise(Noise):
         """Standard deviation [V] of a channel in a record."""
         return self.by_channel.get(channel.name, super().sigma_of_channel(channel))
 
+    def scale_by(self, factor: float) -> ChannelNoise:
+        """The noise multiplied by `factor`; with 0 rounding is left out, too."""
+        scaled = super().scale_by(factor)
+        assert isinstance(scaled, ChannelNoise)
+        return replace(scaled, by_channel={name: factor * value for name, value in self.by_channel.items()})
 
-def planning_noise(declared: DeclaredNoise | None, lines: Sequence[RunSpectrum], sample_rate: float) -> ChannelNoise:
+    def declared(self, channels: Iterable[Channel]) -> DeclaredNoise:
+        """The noise of each channel by name, as a plan keeps it."""
+        by_channel = {channel.name: self.sigma_of_channel(channel) for channel in channels}
+        known = {name: value for name, value in by_channel.items() if value > 0}
+        return DeclaredNoise(channels=known, load=self.load or None)
+
+
+PLANNED_SOURCE = "that of the plan"
+
+
+def planning_noise(
+    declared: DeclaredNoise | None,
+    lines: Sequence[RunSpectrum],
+    sample_rate: float,
+    source: str = "declared in the hall file",
+) -> ChannelNoise:
     """The noise of a plan: that of periodic runs already made, else what the hall declares, else the assumed one."""
     noise = ChannelNoise()
     if declared is not None:
         given = {name: value for name in ("strain", "piezo", "torque", "load") if (value := getattr(declared, name))}
-        noise = replace(noise, **given, by_channel=dict(declared.channels), source="declared in the hall file")
+        noise = replace(noise, **given, by_channel=dict(declared.channels), source=source)
     measured = measured_noise(lines, sample_rate)
     if measured is None:
         return noise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +36,25 @@ def cumulative_information(
     return tuple(totals)
 
 
-def unpredicted_effects(model: ExtendedModel) -> dict[str, str]:
-    """Effects of which the theory says nothing, and why."""
-    present = {item.effect.name for item in model.candidates}
-    reasons = {}
-    for effect in effects.EFFECTS:
-        if effect.name in present and effect.search.tone is not None:
-            reasons[effect.name] = NOT_PREDICTED
-    return reasons
+def unpredicted_effects(model: ExtendedModel, names: Collection[str] | None = None) -> dict[str, str]:
+    """Effects of the library of which the plan says nothing, and why; those of `names` only where some are given."""
+    reasons = {
+        effect.name: _why_unpredicted(effect, model)
+        for effect in effects.EFFECTS
+        if names is None or effect.name in names
+    }
+    return {name: reason for name, reason in reasons.items() if reason}
+
+
+def _why_unpredicted(effect: effects.Effect, model: ExtendedModel) -> str:
+    """Why an effect is not predicted; empty where it is."""
+    if any(item.effect.name == effect.name for item in model.candidates):
+        return NOT_PREDICTED if effect.search.tone is not None else ""
+    if effect.empirical:
+        return "it describes what no effect explains, and has no size of its own before it is found"
+    if any(item.name == effect.name for item in model.model.geometry.effects):
+        return "the model has it already"
+    return "it has no place in this rig"
 
 
 def detectable_effects(
@@ -54,17 +65,15 @@ def detectable_effects(
 ) -> tuple[DetectableEffect, ...]:
     """Each effect at the place and parameter where it is hardest to find, before and after each run."""
     tables = [smallest_sizes(stage, model, detection) for stage in stages]
-    unpredicted = unpredicted_effects(model)
+    unpredicted = {item.effect.name for item in model.candidates if item.effect.search.tone is not None}
     names = dict.fromkeys(item.effect for item in tables[-1])
-    return tuple(
-        _detectable_effect(name, tables, stages[-1], model, forecast) for name in names if name not in unpredicted
-    )
+    return tuple(_detectable_effect(name, tables, stages, model, forecast) for name in names if name not in unpredicted)
 
 
 def _detectable_effect(
     name: str,
     tables: Sequence[Sequence[SmallestSize]],
-    last: ProjectedInformation,
+    stages: Sequence[ProjectedInformation],
     model: ExtendedModel,
     forecast: LoadForecast | None,
 ) -> DetectableEffect:
@@ -73,20 +82,27 @@ def _detectable_effect(
     shown = [item for item in rows if np.isfinite(item.size)]
     hardest = max(shown or rows, key=lambda item: item.size / scale[item.index])
     easiest = min(rows, key=lambda item: item.size / scale[item.index])
-    sizes = tuple(next(item for item in table if item.index == hardest.index).value for table in tables)
-    error = None if forecast is None else load_error(forecast, model, last, hardest)
-    of_components = None if error is None or forecast is None else dict(zip(forecast.components, error, strict=True))
-    share = None if error is None or forecast is None else float(np.max(error / forecast.reference))
+    at_hardest = [next(item for item in table if item.index == hardest.index) for table in tables]
+    errors = [
+        None if forecast is None else load_error(forecast, model, stage, item)
+        for stage, item in zip(stages, at_hardest, strict=True)
+    ]
+    shares = tuple(
+        None if error is None or forecast is None else float(np.max(error / forecast.reference)) for error in errors
+    )
+    last = errors[-1]
+    of_components = None if last is None or forecast is None else dict(zip(forecast.components, last, strict=True))
     missing = tuple(f"{item.label}: {item.parameter}" for item in rows if not np.isfinite(item.size))
     return DetectableEffect(
         effect=name,
         label=hardest.label,
         parameter=hardest.parameter,
         unit=hardest.unit,
-        sizes=sizes,
+        sizes=tuple(item.value for item in at_hardest),
         easiest=(easiest.label, easiest.value),
         load_error=None if of_components is None else {key: float(value) for key, value in of_components.items()},
-        share=share,
+        share=shares[-1],
+        shares=shares,
         missing=missing,
     )
 
@@ -97,14 +113,16 @@ def load_sigma(
     """The sigma of the hub loads before and after the runs; None without a forecast."""
     if forecast is None:
         return None
+    sigma = np.array([total_sigma(forecast, model, stage.covariance) for stage in stages])
     logs = [np.mean(np.log(np.maximum(parameter_sigma(forecast, model, s.covariance), 1e-300))) for s in stages]
     return LoadSigma(
         components=forecast.components,
         frequency=forecast.frequency,
         reference=forecast.reference,
-        before=total_sigma(forecast, model, stages[0].covariance),
-        after=total_sigma(forecast, model, stages[-1].covariance),
+        before=sigma[0],
+        after=sigma[-1],
         noise=forecast.noise,
+        after_run=sigma[1:],
         by_run=np.exp(np.array(logs[1:]) - logs[0]),
     )
 

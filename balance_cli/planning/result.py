@@ -13,7 +13,7 @@ from balance_cli.io.result_view import ResultView, plural
 from balance_cli.planning.candidate_runs import CandidateRun, LevelLimit
 from balance_cli.planning.confusion import ConfusedPair
 from balance_cli.planning.detectability import DetectionLevel
-from balance_cli.simulation.plans import CampaignPlan
+from balance_cli.simulation.plans import CampaignPlan, DeclaredNoise
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,11 +25,12 @@ Array = NDArray[np.float64]
 class DetectableEffect:
     """The smallest size of an effect that is found, where it is hardest to find among its places and parameters.
 
-    `sizes` are those before the first proposed run and after each of them, in `unit`; infinite (or zero, of a cutoff)
-    where the runs do not show it. `label` and `parameter` say where it is hardest after the last run, `easiest` the
-    size and place where it is easiest. `load_error` {component: N or N m}: largest error of a harmonic load that an
-    effect of the last size makes while it is not found, None where it is not a part of the linear response; `share` is
-    the largest of them over the reference load of its component. `missing`: places and parameters that no run shows.
+    `sizes` are those before the first proposed run and after each of them, in `unit`; infinite (or zero, of a
+    cutoff) where the runs do not show it. `label` and `parameter` say where it is hardest after the last run,
+    `easiest` the size and place where it is easiest. `load_error` {component: N or N m}: largest error of a
+    harmonic load that an effect of the last size makes while it is not found, None where it is not a part of the
+    linear response; `share` is the largest of them over the reference load of its component, and `shares` are those
+    of all `sizes`. `missing`: places and parameters that no run shows.
     """
 
     effect: str
@@ -40,6 +41,7 @@ class DetectableEffect:
     easiest: tuple[str, float]
     load_error: dict[str, float] | None
     share: float | None
+    shares: tuple[float | None, ...]
     missing: tuple[str, ...]
 
 
@@ -47,8 +49,9 @@ class DetectableEffect:
 class LoadSigma:
     """Standard deviation of cosine and sine of the hub loads: `before` and `after` the proposed runs, both (h, m).
 
-    `noise` (h, m) is the part of a record's own noise, which no calibration takes away; `by_run` (r,): mean over
-    components and harmonics of the logarithm of the part by the parameters, relative to the start, after each run.
+    `after_run` (r, h, m): the same after each run. `noise` (h, m) is the part of a record's own noise, which no
+    calibration takes away; `by_run` (r,): mean over components and harmonics of the logarithm of the part by the
+    parameters, relative to the start, after each run.
     """
 
     components: tuple[str, ...]
@@ -57,6 +60,7 @@ class LoadSigma:
     before: Array
     after: Array
     noise: Array
+    after_run: Array
     by_run: Array
 
 
@@ -89,8 +93,8 @@ class ParameterForecast:
 class PlannedCampaign(ResultView):
     """A plan: `runs` to be simulated or made, and their forecast.
 
-    `minutes` of hall time; `noise_source` says what noise is assumed; `made` are the runs that were made before;
-    `unpredicted` {effect: why} are those of which the theory says nothing.
+    `minutes` of hall time; `noise` is that of the plan, and `noise_source` says where it is from; `made` are the
+    runs that were made before; `unpredicted` {effect: why} are those of which the theory says nothing.
     """
 
     rig: str
@@ -98,6 +102,7 @@ class PlannedCampaign(ResultView):
     chosen: tuple[CandidateRun, ...]
     minutes: float
     made: tuple[str, ...]
+    noise: DeclaredNoise
     noise_source: str
     detection: DetectionLevel
     limits: tuple[LevelLimit, ...]

@@ -18,6 +18,7 @@ from balance_cli.report import (
     load_spectra,
     mode_section,
     parameters,
+    plan_section,
     provenance,
     raw_runs,
     responses,
@@ -39,6 +40,7 @@ SCRIPTS = ("vendor/uPlot.iife.min.js", "charts.js", "tables.js", "runs.js")
 # Results first, then the measurements and fits behind them, then the methods that are only compared.
 SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
     summary.section,
+    plan_section.section,
     wind_on.section,
     load_spectra.section,
     raw_runs.section,

@@ -22,6 +22,7 @@ from balance_cli.io.formats import (
     SPECTRA_FORMAT,
     TRANSFER_FORMAT,
 )
+from balance_cli.planning.stored_forecast import StoredPlan
 from balance_cli.reduction.result import HubLoads
 from balance_cli.reduction.spectra_result import LoadSpectra
 from balance_cli.report.figure_style import DATA_STYLE, EXTRA_COLORS, PlotStyle
@@ -63,6 +64,7 @@ class Sources:
     loads: tuple[Source[HubLoads], ...] = ()
     spectra: tuple[Source[LoadSpectra], ...] = ()
     runs: tuple[Run, ...] = ()
+    plans: tuple[StoredPlan, ...] = ()
 
     @property
     def all_sources(self) -> tuple[Source[Any], ...]:
@@ -80,7 +82,9 @@ class Sources:
         return tuple(different)
 
 
-def group_sources(artefacts: Sequence[tuple[Path, Artefact]], runs: Sequence[Run] = ()) -> Sources:
+def group_sources(
+    artefacts: Sequence[tuple[Path, Artefact]], runs: Sequence[Run] = (), plans: Sequence[StoredPlan] = ()
+) -> Sources:
     """Sort artefacts by kind and give each its label; equal labels are completed by the names of the files."""
     by_format: dict[str, list[Source[Any]]] = {format: [] for format in ARTEFACT_TYPES}
     for path, artefact in artefacts:
@@ -97,6 +101,7 @@ def group_sources(artefacts: Sequence[tuple[Path, Artefact]], runs: Sequence[Run
         loads=tuple(replace(source, plot_style=plot_styles[source.label]) for source in loads),
         spectra=_label_sources(by_format[SPECTRA_FORMAT], "spectra"),
         runs=tuple(runs),
+        plans=tuple(plans),
     )
 
 

@@ -40,7 +40,8 @@ def section(sources: Sources) -> Section:
 
 def rig_title(sources: Sources) -> str:
     """Name of the rig, or of the rigs, for the title; empty without artefacts."""
-    return join_names(list(dict.fromkeys(geometry.rig for geometry in sources.geometries)))
+    planned = [item.plan.rig for item in sources.plans if item.plan.rig]
+    return join_names(list(dict.fromkeys([*(geometry.rig for geometry in sources.geometries), *planned])))
 
 
 def _input_sentences(sources: Sources) -> Iterator[str]:
@@ -53,6 +54,8 @@ def _input_sentences(sources: Sources) -> Iterator[str]:
     for transfer in sources.transfers:
         runs = dict.fromkeys(name for response in transfer.content.responses for name in response.run.split("+"))
         yield f"Measured responses {transfer.file}: {len(runs)} runs."
+    for planned in sources.plans:
+        yield f"Plan {planned.file}: {len(planned.plan.runs)} runs in {planned.forecast.minutes:.0f} minutes."
     if sources.models:
         yield f"Models: {join_names([f'{source.label} ({source.file})' for source in sources.models])}."
     for diagnosis in sources.diagnoses:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from balance_cli.campaign.rig.components import COMPONENTS
-from balance_cli.campaign.rig.declared_values import FrozenModel, NonNegative, Positive
+from balance_cli.campaign.rig.declared_values import FrozenModel, Name, NonNegative, Positive
 
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 Excitation = Literal["multisine", "random", "sine-sweep", "stepped"]
@@ -187,9 +187,26 @@ SampledPlan = ZeroPlan | SweepPlan | RotorPlan
 AnyPlan = StaticPlan | SampledPlan
 
 
-class CampaignPlan(FrozenModel):
-    """The runs of a campaign, in their order; run names are unique."""
+class DeclaredNoise(FrozenModel):
+    """Standard deviations of a sample: of the channels [V] by kind or by name, and of the load signals [N, N m]."""
 
+    strain: Positive | None = None
+    piezo: Positive | None = None
+    torque: Positive | None = None
+    load: Positive | None = None
+    channels: Mapping[Name, Positive] = {}
+
+
+class CampaignPlan(FrozenModel):
+    """The runs of a campaign, in their order; run names are unique.
+
+    What `balance plan` writes has more: the `rig`, the `noise` of the plan, and its `forecast`, which is not simulated.
+    """
+
+    format: Literal["balance-plan/1"] | None = None
+    rig: Name | None = None
+    noise: DeclaredNoise | None = None
+    forecast: Mapping[str, Any] | None = None
     runs: Annotated[tuple[Annotated[AnyPlan, Field(discriminator="kind")], ...], Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -202,7 +219,7 @@ class CampaignPlan(FrozenModel):
 
     def select_runs(self, names: Sequence[str]) -> CampaignPlan:
         """Only the runs of these names."""
-        return CampaignPlan(runs=tuple(plan for plan in self.runs if plan.run in names))
+        return self.model_copy(update={"runs": tuple(plan for plan in self.runs if plan.run in names)})
 
 
 STATIC_LOAD_LIMITS: dict[Component, float] = dict(

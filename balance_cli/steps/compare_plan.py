@@ -16,8 +16,8 @@ from balance_cli.planning.information import (
     rehearsed_spectra,
     spectra_information,
 )
-from balance_cli.simulation.plans import CampaignPlan, SweepPlan
-from balance_cli.steps.plan import REHEARSALS, PlanningRig, PlanOptions, planning_rig
+from balance_cli.simulation.plans import CampaignPlan, DeclaredNoise, SweepPlan
+from balance_cli.steps.plan import PlanningRig, PlanOptions, planning_rig, rehearsal_count
 
 
 def compare_plan(
@@ -29,8 +29,8 @@ def compare_plan(
 ) -> PlanComparison:
     """Compare the sweeps of a plan with the runs of these names; without a model the runs are identified.
 
-    What was planned is rehearsed with the rig as it is known now and the noise of the plan, so that a difference is one
-    of how the runs were made. Raises UserError where no run of the plan was made.
+    What was planned is rehearsed with the rig as it is known now and the noise that the plan keeps, so that a
+    difference is one of how the runs were made. Raises UserError where no run of the plan was made.
     """
     base = planning_rig(geometry, options.hall, model, spectra)
     lines = {run.run: run for run in spectra.lines}
@@ -40,7 +40,8 @@ def compare_plan(
         names = ", ".join(run.run for run in planned[:5])
         raise UserError("no run has the name of a planned sweep", "RUN...", remedy=f"Give the runs of {names} ...")
     achieved = {run.run: run for run in spectra_information(spectra, base.model)}
-    executed = [_rehearsed(run, spectra, achieved[run.run], base, options) for run in made]
+    declared = plan.noise or options.hall.noise
+    executed = [_rehearsed(run, spectra, achieved[run.run], base, declared, options.seed) for run in made]
     names_of_plan = {run.run for run in plan.runs}
     others = [name for name in achieved if name not in names_of_plan]
     before = add_information([achieved[name] for name in others], base.model)
@@ -53,10 +54,15 @@ def compare_plan(
 
 
 def _rehearsed(
-    plan: SweepPlan, spectra: Spectra, achieved: RunInformation, base: PlanningRig, options: PlanOptions
+    plan: SweepPlan,
+    spectra: Spectra,
+    achieved: RunInformation,
+    base: PlanningRig,
+    declared: DeclaredNoise | None,
+    seed: int,
 ) -> ExecutedRun:
-    noise = planning_noise(options.hall.noise, (), plan.sample_rate)
-    rehearsals = [rehearse(plan, base.rig, noise, options.seed + k) for k in range(REHEARSALS)]
+    noise = planning_noise(declared, (), plan.sample_rate)
+    rehearsals = [rehearse(plan, base.rig, noise, seed + k) for k in range(rehearsal_count(plan))]
     records = [rehearsed_spectra(record, base.rig.geometry) for record in rehearsals]
     parts = [spectra_information(each, base.model)[0] for each in records]
     planned = mean_information(parts, plan.run)

@@ -31,11 +31,12 @@ from balance_cli.planning.hub_loads import LoadForecast, load_forecast
 from balance_cli.planning.information import (
     RunInformation,
     add_information,
+    mean_information,
     planned_information,
     spectra_information,
 )
 from balance_cli.planning.result import PlannedCampaign
-from balance_cli.simulation.plans import AnyPlan, CampaignPlan
+from balance_cli.simulation.plans import AnyPlan, CampaignPlan, SweepPlan
 from balance_cli.simulation.rig import TrueRig
 from balance_cli.steps.free_simulation import simulated_rig
 from balance_cli.steps.identify import IdentifyOptions, identify
@@ -72,6 +73,8 @@ class PlanningRig:
 
 REHEARSALS = 3
 """Rehearsals of each run of the plan, for the forecast; for the choice among all candidates one is enough."""
+FIXED_REHEARSALS = 2
+"""Of a run whose phases are fixed: only its noise differs from one rehearsal to the next."""
 NO_SPECTRA = Spectra((), (), {}, {})
 
 
@@ -108,6 +111,7 @@ def planning_rig(
 ) -> PlanningRig:
     """Prepare a plan: without a model the runs are identified, and without runs the geometry is taken as declared."""
     _check_effect_names(hall)
+    _check_channel_names(hall, geometry)
     if model is None:
         options = IdentifyOptions(method="ls+ml" if spectra.lines else "computed")
         model = identify(spectra, geometry, options)
@@ -134,6 +138,13 @@ def _check_effect_names(hall: Hall) -> None:
             raise UserError(f"`{name}` is no effect", place="effects", remedy=f"Give some of {', '.join(known)}")
 
 
+def _check_channel_names(hall: Hall, geometry: Geometry) -> None:
+    for name in hall.noise.channels if hall.noise else ():
+        if name not in geometry.channel_names:
+            remedy = f"Give some of {', '.join(geometry.channel_names)}"
+            raise UserError(f"the geometry has no channel `{name}`", place="noise.channels", remedy=remedy)
+
+
 def _reference_loads(geometry: Geometry, hall: Hall, limits: Iterable[LevelLimit]) -> Mapping[str, float]:
     """Amplitude of each hub load for which its sigma counts: as stated, else that of the largest sweep.
 
@@ -156,8 +167,7 @@ def _describe(
     options: PlanOptions,
     spectra: Spectra,
 ) -> PlannedCampaign:
-    random_seeds = range(options.seed, options.seed + REHEARSALS)
-    rehearsed = {i: base.information(problem.candidates[i].plan, random_seeds) for i in sorted(set(chosen))}
+    rehearsed = {i: _forecast_information(base, problem, i, options.seed) for i in sorted(set(chosen))}
     runs = [rehearsed[i] for i in chosen]
     totals = cumulative_information(problem.before, runs, base.model)
     stages = projected_stages(totals, base.model)
@@ -169,16 +179,30 @@ def _describe(
         chosen=named,
         minutes=minutes,
         made=tuple([run.run for run in spectra.lines] + [points.run for points in spectra.statics]),
+        noise=base.noise.declared(base.rig.geometry.channels),
         noise_source=base.noise.source,
         detection=options.detection,
         limits=base.limits,
         effects=detectable_effects(stages, base.model, options.detection, base.forecast),
-        unpredicted=unpredicted_effects(base.model),
+        unpredicted=unpredicted_effects(base.model, options.hall.effects),
         confusion=confused_pairs(totals[-1], base.model, proposals),
         ranking=rank_runs(problem),
         loads=load_sigma(stages, base.model, base.forecast),
         parameters=parameter_forecasts(stages[0], stages[-1], base.model),
     )
+
+
+def rehearsal_count(plan: SweepPlan) -> int:
+    """How often a run is rehearsed for the forecast."""
+    return FIXED_REHEARSALS if plan.phases != "random" else REHEARSALS
+
+
+def _forecast_information(base: PlanningRig, problem: Problem, index: int, seed: int) -> RunInformation:
+    """The mean of all rehearsals of a candidate; the first one is that of the choice."""
+    plan = problem.candidates[index].plan
+    count = rehearsal_count(plan)
+    others = [base.information(plan, (seed + k,)) for k in range(1, count)]
+    return mean_information([problem.information[index], *others], plan.run)
 
 
 def number_runs(chosen: Iterable[CandidateRun]) -> tuple[CandidateRun, ...]:

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from balance_cli.campaign.rig.geometry import DeclaredEffect
+from balance_cli.cli.plan_text import plan_file_text
 from balance_cli.diagnosis.search.candidates import candidate_at
 from balance_cli.diagnosis.search.score_statistics import scores
 from balance_cli.diagnosis.settings import DEFAULT_SETTINGS
@@ -12,6 +13,7 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
+from balance_cli.model.effects import EFFECTS as EFFECTS_OF_LIBRARY
 from balance_cli.planning.candidate_runs import candidate_runs
 from balance_cli.planning.channel_noise import planning_noise
 from balance_cli.planning.detectability import (
@@ -22,8 +24,13 @@ from balance_cli.planning.detectability import (
     required_noncentrality,
     smallest_sizes,
 )
+from balance_cli.planning.extended_model import extended_model
+from balance_cli.planning.forecast import unpredicted_effects
 from balance_cli.planning.hall import Exciter, Hall, open_hall, record_settings
 from balance_cli.planning.information import add_information, no_information
+from balance_cli.planning.stored_forecast import read_stored_plan
+from balance_cli.report.page import build_page
+from balance_cli.report.sources import Sources
 from balance_cli.simulation import CampaignPlan, simulate_campaign, true_rig
 from balance_cli.simulation.rig import apply_effects
 from balance_cli.steps.identify import identify
@@ -132,16 +139,92 @@ def test_noncentrality_has_the_stated_power(parameters, count, power):
     assert detection_probability(needed, parameters, threshold) == pytest.approx(power, abs=1e-6)
 
 
-def test_plan_keeps_to_time_and_exciters():
+@pytest.mark.parametrize(("parameters", "dof"), [(1, 60.0), (3, 400.0)])
+def test_noncentrality_has_the_stated_power_where_the_noise_is_measured(parameters, dof):
+    detection = DetectionLevel(level=0.01)
+    needed = required_noncentrality(parameters, 50, detection, dof)
+    threshold = gain_threshold(parameters, 50, 0.01, dof)
+    assert stats.ncf.sf(threshold / parameters, parameters, dof, needed) == pytest.approx(0.9, abs=1e-4)
+    assert detection_probability(needed, parameters, threshold, dof) == pytest.approx(0.9, abs=1e-4)
+    assert needed > required_noncentrality(parameters, 50, detection, np.inf)
+
+
+@pytest.fixture(scope="module")
+def short_plan_a():
+    """A plan of rig A with few candidates, and its hall."""
     geometry = other_rig("A")
     hall = hall_of(geometry, "A", effects=("channel-gain",), periods=(4,))
-    planned = plan_campaign(geometry, PlanOptions(minutes=1.5, hall=hall))
-    assert 0 < planned.minutes <= 1.5
+    return plan_campaign(geometry, PlanOptions(minutes=1.0, hall=hall)), hall
+
+
+def test_plan_keeps_to_time_and_exciters(short_plan_a):
+    planned, hall = short_plan_a
+    assert 0 < planned.minutes <= 1.0
     assert all(item.plan.level[0] <= hall.exciters[item.plan.excited[0]].rms for item in planned.chosen)
-    again = plan_campaign(geometry, PlanOptions(minutes=1.5, hall=hall))
-    assert planned.campaign == again.campaign and planned.effects == again.effects
     after = [item.sizes[-1] for item in planned.effects]
     assert all(np.isfinite(after)) and all(np.isinf(item.sizes[0]) for item in planned.effects)
+
+
+def test_same_call_gives_the_same_plan(short_plan_a):
+    planned, hall = short_plan_a
+    again = plan_campaign(other_rig("A"), PlanOptions(minutes=1.0, hall=hall))
+    assert planned.campaign == again.campaign and planned.effects == again.effects
+
+
+def test_sigma_of_loads_is_told_for_every_run_and_falls(short_plan_a):
+    loads = short_plan_a[0].loads
+    stages = np.array([loads.before, *loads.after_run])
+    assert stages.shape == (len(short_plan_a[0].chosen) + 1, len(loads.frequency), len(loads.components))
+    assert np.all(np.diff(stages, axis=0) <= 1e-9 * stages[:-1]) and np.array_equal(loads.after, stages[-1])
+    assert np.all(loads.after >= loads.noise)
+
+
+def test_file_of_a_plan_keeps_noise_and_forecast_for_simulation_and_page(short_plan_a, tmp_path):
+    planned = short_plan_a[0]
+    path = tmp_path / "plan.yaml"
+    path.write_text(plan_file_text(planned))
+    stored = read_stored_plan(path)
+    assert stored.plan.runs == planned.campaign.runs and stored.plan.rig == planned.rig
+    assert stored.plan.noise.channels["l1.strain"] == pytest.approx(1e-3) and stored.plan.noise.load == 0.02
+    effect = planned.effects[0]
+    assert stored.forecast.effects[0].after == pytest.approx(effect.sizes[1:], rel=1e-5)
+    sigma = stored.forecast.loads.sigma_after_run["Fz"][-1]
+    assert sigma == pytest.approx(planned.loads.after[:, planned.loads.components.index("Fz")], rel=1e-5)
+    page = build_page(Sources(plans=(stored,)))
+    assert page.sections["plan"] == "Plan of a campaign" and "plan-1-sizes" in page.pictures
+    assert all(item.plan.run in page.html for item in planned.chosen) and effect.label in page.html
+    edited = path.read_text().replace("power: 0.9", "power: much")
+    path.write_text(edited)
+    with pytest.raises(UserError, match="valid number") as error:
+        read_stored_plan(path)
+    assert error.value.place == "forecast.power"
+
+
+def test_noise_of_a_plan_is_that_of_its_rehearsal(short_plan_a):
+    planned = short_plan_a[0]
+    noise = planning_noise(planned.noise, (), 1.0).scale_by(2.0)
+    channels = other_rig("A").channels
+    expected = [2.0 * planning_noise(None, (), 1.0).sigma_of_channel(channel) for channel in channels]
+    assert [noise.sigma_of_channel(channel) for channel in channels] == pytest.approx(expected)
+
+
+def test_threshold_follows_the_noise_of_the_runs_that_show_an_effect(rig_a, information_a):
+    """An effect that one of six runs shows is tested against the noise of that run alone."""
+    total = add_information(information_a, rig_a.model)
+    projected = project(total, rig_a.model)
+    dof = [part.noise_dof for part in information_a]
+    assert len(projected.noise_dof) == len(rig_a.model.candidates)
+    assert np.all(projected.noise_dof <= sum(dof) * (1 + 1e-9)) and np.all(projected.noise_dof >= 0.9 * min(dof))
+
+
+def test_every_effect_of_the_library_is_planned_or_named(rig_a):
+    """An effect that is added to the library is in the next plan without a change of the planning."""
+    geometry = rig_a.rig.geometry
+    everything = extended_model(balance_model(geometry), balance_model(geometry).parameters.value)
+    planned = {item.effect.name for item in everything.candidates}
+    unpredicted = set(unpredicted_effects(everything))
+    for effect in EFFECTS_OF_LIBRARY:
+        assert effect.name in planned | unpredicted, effect.name
 
 
 def test_noise_of_runs_already_made_is_measured(plan_a):
