@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.channel import Channel
 from balance_cli.signals.run_spectrum import RunSpectrum
-from balance_cli.simulation.noise import Noise
-from balance_cli.simulation.plans import DeclaredNoise
+from balance_cli.simulation.noise import DeclaredNoise, Noise
 
 Array = NDArray[np.float64]
 

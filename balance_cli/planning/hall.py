@@ -14,7 +14,8 @@ from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.model.modes import modes
 from balance_cli.model.plate import carried_components
-from balance_cli.simulation.plans import MOST_SAMPLES, Component, DeclaredNoise, Excitation, Phases
+from balance_cli.simulation.noise import DeclaredNoise
+from balance_cli.simulation.plans import MOST_SAMPLES, Component, Excitation, Phases
 
 HALL_FORMAT = "balance-hall/1"
 COMPONENT_NAMES: tuple[Component, ...] = get_args(Component)

@@ -13,7 +13,8 @@ from balance_cli.io.result_view import ResultView, plural
 from balance_cli.planning.candidate_runs import CandidateRun, LevelLimit
 from balance_cli.planning.confusion import ConfusedPair
 from balance_cli.planning.detectability import DetectionLevel
-from balance_cli.simulation.plans import CampaignPlan, DeclaredNoise
+from balance_cli.simulation.noise import DeclaredNoise
+from balance_cli.simulation.plans import CampaignPlan
 
 if TYPE_CHECKING:
     import pandas as pd

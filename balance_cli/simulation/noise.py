@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.channel import Channel
+from balance_cli.campaign.rig.declared_values import FrozenModel, Name, Positive
 
 Array = NDArray[np.float64]
 
@@ -62,6 +64,16 @@ class Noise:
     def to_file_precision(self, values: Array) -> Array:
         """Values as a run file of this precision stores them."""
         return values.astype(np.float32).astype(np.float64) if self.single_precision else values
+
+
+class DeclaredNoise(FrozenModel):
+    """Standard deviations of a sample: of the channels [V] by kind or by name, and of the load signals [N, N m]."""
+
+    strain: Positive | None = None
+    piezo: Positive | None = None
+    torque: Positive | None = None
+    load: Positive | None = None
+    channels: Mapping[Name, Positive] = {}
 
 
 NO_NOISE = Noise().scale_by(0.0)

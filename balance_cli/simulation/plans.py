@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.declared_values import FrozenModel, Name, NonNegative, Positive
+from balance_cli.simulation.noise import DeclaredNoise
 
 Component = Literal["Fx", "Fy", "Fz", "Mx", "My", "Mz"]
 Excitation = Literal["multisine", "random", "sine-sweep", "stepped"]
@@ -21,8 +22,6 @@ assert get_args(Component) == COMPONENTS
 HARMONICS = 8
 HARMONIC_SHAPE = (1.0, 0.4, 0.5, 2.0, 0.3, 0.15, 0.2, 0.6)
 """Amplitudes of harmonics 1 to 8 relative to the first, similar to the recorded check runs (four blades)."""
-
-
 MOST_SAMPLES = 2_000_000
 """Of a simulated record: forty minutes at 800 Hz. Each sample needs some kilobytes of memory."""
 MOST_STEPS = 10_000
@@ -175,9 +174,8 @@ class RotorPlan(RecordPlan):
         _check_record(self)
         revolutions = self.duration * self.rotor_speed * (1.0 - self.drift)
         if revolutions <= 2.0:
-            raise ValueError(
-                f"`duration` {self.duration:g} s is {revolutions:.3g} revolutions, two pulses need more than 2"
-            )
+            shown = f"{self.duration:g} s is {revolutions:.3g} revolutions"
+            raise ValueError(f"`duration` {shown}, two pulses need more than 2")
         if self.turbulence:
             _check_band("turbulence_band", self.turbulence_band, self.sample_rate)
         return self
@@ -187,21 +185,8 @@ SampledPlan = ZeroPlan | SweepPlan | RotorPlan
 AnyPlan = StaticPlan | SampledPlan
 
 
-class DeclaredNoise(FrozenModel):
-    """Standard deviations of a sample: of the channels [V] by kind or by name, and of the load signals [N, N m]."""
-
-    strain: Positive | None = None
-    piezo: Positive | None = None
-    torque: Positive | None = None
-    load: Positive | None = None
-    channels: Mapping[Name, Positive] = {}
-
-
 class CampaignPlan(FrozenModel):
-    """The runs of a campaign, in their order; run names are unique.
-
-    What `balance plan` writes has more: the `rig`, the `noise` of the plan, and its `forecast`, which is not simulated.
-    """
+    """The runs of a campaign, in their order; `balance plan` adds rig, noise, and a forecast that is not simulated."""
 
     format: Literal["balance-plan/1"] | None = None
     rig: Name | None = None

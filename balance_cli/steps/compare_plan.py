@@ -16,7 +16,8 @@ from balance_cli.planning.information import (
     rehearsed_spectra,
     spectra_information,
 )
-from balance_cli.simulation.plans import CampaignPlan, DeclaredNoise, SweepPlan
+from balance_cli.simulation.noise import DeclaredNoise
+from balance_cli.simulation.plans import CampaignPlan, SweepPlan
 from balance_cli.steps.plan import PlanningRig, PlanOptions, planning_rig, rehearsal_count
 
 
