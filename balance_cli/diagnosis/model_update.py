@@ -146,7 +146,9 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     return UpdateResult(fit, support, (*trials, *tested.trials), confirmation)
 
 
-def _first_fit(task: _UpdateTask, state: SearchState, number: int) -> tuple[Fit, tuple[Trial, ...], list[Batch], bool]:
+def _first_fit(
+    task: _UpdateTask, state: SearchState, number: int
+) -> tuple[Fit, tuple[Trial, ...], Sequence[Batch], bool]:
     """The state of the search fitted on all lines, its trials, the batches, and whether they carry the noise alone."""
     # While the model still has an error, the noise alone is no measure of significance.
     noise_alone = state.error <= task.settings.rounds.large_error
