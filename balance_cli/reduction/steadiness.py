@@ -61,7 +61,14 @@ def unsteady_loads(
     correlation = np.zeros((n + 1, 1))
     correlation[1:] = of_harmonics = _correlation(windows, source)
     correlation[0] = of_harmonics if of_harmonics > SLOW_MODE_CORRELATION else 0.0
-    return unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0), correlation)
+    # Of harmonics only the interval: the transient of a high-pass, which the slowest mode does not tell, is among them.
+    duration = windows.turns / float(np.median(windows.speed))
+    first, last = record.spectra.interval
+    within = loads[max(len(loads) - int((last - first) / duration), 0) :]
+    found = unsteady(loads, np.maximum(sigma, _material_change(np.abs(loads.mean(axis=0))) / 3.0), correlation)
+    limit = np.maximum(sigma, _material_change(np.abs(within.mean(axis=0))) / 3.0)
+    found[1:] = unsteady(within, limit, correlation)[1:]
+    return found
 
 
 def _correlation(windows: WindowedAmplitudes, source: ResponseSource) -> float:
