@@ -10,10 +10,39 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+# Files with the longest tests, by time. Begun first, so that no worker ends on one of them alone.
+LONGEST_FILES = (
+    "tests/diagnosis/test_diagnosis.py",
+    "tests/model/test_effects.py",
+    "tests/test_tutorial.py",
+    "tests/diagnosis/test_silverbox.py",
+    "tests/diagnosis/test_nonlinear_effects.py",
+    "tests/cli/test_diagnose_command.py",
+    "tests/signals/local/test_tones.py",
+    "tests/test_chain.py",
+)
+
 # The same examples in every run: a failure is found again, and what passes here passes elsewhere. No limit of time: a
 # busy machine is no fault of the code.
 settings.register_profile("seeded", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("seeded")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Whole files for each worker: what the tests of a file share is made once, not by every worker."""
+    from xdist.scheduler import LoadFileScheduling
+
+    if config.getvalue("dist") != "load":
+        return None
+    config.option.loadscopereorder = False
+    return LoadFileScheduling(config, log)
+
+
+def pytest_collection_modifyitems(items):
+    """The files with the longest tests first, all others in their order."""
+    place = {name: at for at, name in enumerate(LONGEST_FILES)}
+    items.sort(key=lambda item: place.get(item.nodeid.partition("::")[0], len(place)))
 
 
 @dataclass(frozen=True)
