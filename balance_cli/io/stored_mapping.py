@@ -5,8 +5,11 @@ from __future__ import annotations
 import pickle
 import weakref
 from collections.abc import Iterator, MutableMapping
-from tempfile import SpooledTemporaryFile
+from pathlib import Path
+from tempfile import SpooledTemporaryFile, gettempdir
 from typing import TypeVar
+
+from balance_cli.io.atomic import os_errors_as_user_error
 
 V = TypeVar("V")
 
@@ -34,8 +37,10 @@ class StoredMapping(MutableMapping[str, V]):
 
     def __setitem__(self, key: str, value: V) -> None:
         data = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
-        self._file.seek(self._end)
-        self._file.write(data)
+        with os_errors_as_user_error(Path(gettempdir())):
+            self._file.seek(self._end)
+            self._file.write(data)
+            self._file.flush()
         self._places[key] = (self._end, len(data))
         self._end += len(data)
 

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.cli import balance
+from balance_cli.cli.batch import journal as batch_journal
 from balance_cli.cli.batch import reduction as batch_reduction
 from balance_cli.cli.batch.executors import InlineExecutor, Workers, batch_workers
 from balance_cli.cli.batch.journal import Journal, describe_kept_results, journal_path
@@ -206,6 +207,24 @@ def test_a_journal_of_another_call_is_not_used(tmp_path):
     assert len(other) == 0
     other.close()
     assert not (tmp_path / "j").exists()
+
+
+def test_a_journal_that_the_call_before_has_just_removed_is_not_used(tmp_path, monkeypatch):
+    def remove_and_lock(file):
+        (tmp_path / "j").unlink()  # as the other call does, between opening and lock
+        return True
+
+    with monkeypatch.context() as patch:
+        patch.setattr(batch_journal, "_lock", remove_and_lock)
+        late = Journal(tmp_path / "j", "key", RunResult)
+    third = Journal(tmp_path / "j", "key", RunResult)
+    assert (late.is_mine, third.is_mine) == (False, True)
+    history = third.history("run")
+    history.touch()
+    late.close()
+    assert history.exists() and (tmp_path / "j").exists()
+    third.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 # ---- workers ---------------------------------------------------------------------------------------------------------

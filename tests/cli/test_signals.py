@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from balance_cli.cli.errors import report_error
+from balance_cli.cli.pipeline.execution import START_COMMAND
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -130,3 +131,32 @@ def test_a_lack_of_memory_is_no_internal_error(error, capsys):
 def test_a_read_only_file_system_is_no_internal_error(capsys):
     assert report_error(OSError(30, "Read-only file system", "loads.csv"), verbose=False) == 2
     assert "loads.csv: cannot be written: Read-only file system" in capsys.readouterr().err
+
+
+def test_a_step_ends_with_the_chain_that_started_it():
+    read_end, write_end = os.pipe()
+    words = [sys.executable, "-c", START_COMMAND, "\n".join([str(ROOT), *sys.path]), "modes", "-g", RIG]
+    step = subprocess.Popen(words, stdin=read_end, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=ROOT)
+    os.close(read_end)
+    os.close(write_end)  # as the system does when the chain is killed
+    # By the signal itself, or once the program handles signals.
+    assert step.wait(WAIT) in (-signal.SIGTERM, 128 + signal.SIGTERM)
+
+
+KILLED_BATCH = """
+import os, signal, sys
+from balance_cli.cli.batch.executors import batch_workers
+if __name__ == "__main__":
+    pool = batch_workers(2, None).open()
+    assert pool.submit(abs, -1).result() == 1
+    print(*os.listdir(os.environ["TMPDIR"]), flush=True)
+    os.kill(os.getpid(), int(sys.argv[1]))
+"""
+
+
+def test_a_killed_batch_leaves_no_temporary_files(tmp_path):
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    # The pipes of the output are open until the last of its processes has ended.
+    done = run(KILLED_BATCH, int(signal.SIGKILL), cwd=ROOT, env=environment)
+    assert (done.returncode, done.stderr) == (-signal.SIGKILL, "")
+    assert "pymp-" in done.stdout and list(tmp_path.iterdir()) == []

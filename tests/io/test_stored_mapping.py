@@ -1,8 +1,13 @@
 """Results that lie in a temporary file: the mapping behaves as a dict, and an artefact of it is the same."""
 
+import errno
+import tempfile
+
 import h5py
 import numpy as np
+import pytest
 
+from balance_cli.io.errors import UserError
 from balance_cli.io.hdf5_tree import read_tree, to_tree, tree_digest, write_tree
 from balance_cli.io.stored_mapping import MOST_IN_MEMORY, StoredMapping
 
@@ -29,3 +34,14 @@ def test_its_tree_is_that_of_a_dict() -> None:
         write_tree(file.create_group("content", track_order=True), tree)
         assert tree_digest(read_tree(file["content"])) == tree_digest(tree)
         assert list(file["content/runs"]) == ["run%2F1", "b"]
+
+
+def test_a_full_disk_is_an_error_that_names_the_folder(monkeypatch) -> None:
+    def fail(_data: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    stored: StoredMapping[object] = StoredMapping()
+    monkeypatch.setattr(stored._file, "write", fail)
+    with pytest.raises(UserError, match="No space left on device") as caught:
+        stored["a"] = 1
+    assert str(caught.value).startswith(tempfile.gettempdir()) and list(stored) == []

@@ -9,8 +9,10 @@ from __future__ import annotations
 import ctypes
 import importlib
 import multiprocessing
+import multiprocessing.util
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
@@ -27,8 +29,12 @@ T = TypeVar("T")
 
 DASK_SCHEME = "dask://"
 THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-WORKER_MODULE = "balance_cli.cli.batch.work"
-"""Imported once, by the server that forks the workers: a worker then starts in milliseconds."""
+SERVER_MODULE = "balance_cli.cli.batch.server"
+"""Imported once, by the server that forks the workers."""
+SERVER_FOLDER_VARIABLE = "BALANCE_WORKER_FOLDER"
+"""Environment variable that tells the server the folder to remove."""
+NO_TRACKER_WARNING = "ignore:resource_tracker:UserWarning"
+"""Option `-W` of the process that frees semaphores: it need not tell the user of a command that a signal ended."""
 KEPT_MEMORY = 2**28
 """Bytes of freed memory that a process keeps for the next run. By default the C library of Linux returns arrays of a
 megabyte to the system and clears them anew: a fifth of the time of a run."""
@@ -88,7 +94,10 @@ def _process_pool(jobs: int) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(jobs, context, initializer=_start_worker)
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload([WORKER_MODULE])
+    server.set_forkserver_preload([SERVER_MODULE])
+    os.environ[SERVER_FOLDER_VARIABLE] = multiprocessing.util.get_temp_dir()
+    if NO_TRACKER_WARNING not in sys.warnoptions:
+        sys.warnoptions.append(NO_TRACKER_WARNING)
     return ProcessPoolExecutor(jobs, server, initializer=_start_worker)
 
 

@@ -38,7 +38,8 @@ class Journal(Generic[R]):
         with os_errors_as_user_error(path):
             path.touch()
             self._file: BinaryIO = path.open("r+b")
-        self.is_mine = _lock(self._file)
+        # The call that had it may have removed it in between; a third call then makes another one.
+        self.is_mine = _lock(self._file) and _is_at(path, self._file)
         if self.is_mine and not self._read(key):
             self._file.seek(0)
             self._file.truncate()
@@ -75,9 +76,10 @@ class Journal(Generic[R]):
     def close(self, remove: bool = True) -> None:
         """Close the journal, and remove it: the batch is done, or was refused."""
         if self.is_mine and remove:
+            # The journal last: from then on another call may have its histories there.
+            shutil.rmtree(self.histories, ignore_errors=True)
             with suppress(OSError):
                 self._path.unlink()
-            shutil.rmtree(self.histories, ignore_errors=True)
         _open_journals.discard(self)
         self._file.close()
 
@@ -126,6 +128,14 @@ def describe_kept_results() -> str:
 def journal_path(output: Path) -> Path:
     """Return the path of the journal of an output."""
     return output.with_name(f".{output.name}{JOURNAL_SUFFIX}")
+
+
+def _is_at(path: Path, file: BinaryIO) -> bool:
+    """Whether an open file is still the one at this path."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(file.fileno()))
+    except OSError:
+        return False
 
 
 def _stamp(file: Path) -> str:

@@ -21,10 +21,23 @@ from balance_cli.cli.pipeline.state import RememberedOutput, RememberedStep, Sta
 from balance_cli.cli.pipeline.steps import Plan, Step
 from balance_cli.io.sniff import is_hdf5
 
-START_COMMAND = (
-    "import sys; sys.path[:] = sys.argv.pop(1).split(chr(10)); from balance_cli.__main__ import main; main()"
-)
-"""Program of a step. It finds the same packages as this process, whatever files lie in the working folder."""
+START_COMMAND = """
+import _thread, os, signal, sys
+
+def end_with_parent():
+    os.read(0, 1)
+    os.kill(os.getpid(), signal.SIGTERM)
+
+_thread.start_new_thread(end_with_parent, ())
+sys.path[:] = sys.argv.pop(1).split(chr(10))
+from balance_cli.__main__ import main
+main()
+"""
+"""Program of a step. It finds the same packages as this process, whatever files lie in the working folder.
+
+It ends when this process does, even if this was killed: a step that went on alone would later replace what another call
+has written. Standard input is a pipe for this, to which nothing is written.
+"""
 ERROR_PREFIX = "balance: error: "
 WARNING_PREFIX = "balance: warning: "
 TERMINATION_WAIT = 5.0
@@ -179,9 +192,10 @@ def _run_command(words: list[str], processes: list[subprocess.Popen[str]]) -> tu
     """Run one command and return its status, its text (output and messages) and its duration [s]."""
     begin = time.monotonic()
     program = [sys.executable, "-c", START_COMMAND, "\n".join(sys.path), *words]
+    read_end, write_end = os.pipe()  # the write end is not inherited: it is closed with this process
     process = subprocess.Popen(
         program,
-        stdin=subprocess.DEVNULL,
+        stdin=read_end,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -190,8 +204,10 @@ def _run_command(words: list[str], processes: list[subprocess.Popen[str]]) -> tu
         env=os.environ | {"PYTHONIOENCODING": "utf-8"},
     )
     processes.append(process)
+    os.close(read_end)
     text, _ = process.communicate()
     processes.remove(process)
+    os.close(write_end)
     return process.returncode, text, time.monotonic() - begin
 
 
