@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from html import escape
+from itertools import takewhile
 
 import numpy as np
 
@@ -18,6 +19,12 @@ MOST_NAMES = 4
 """Runs that the legend has room for; the pointer names the others."""
 SMALLEST_DOT = 2.6
 """Radius of a point [px] where its sigma is smaller."""
+LETTER = 4.9
+"""Mean width of a letter of the legend [px at a font of 9 px], digits and hyphens included."""
+LEGEND_LINE = 11.0
+"""Height of a line of the legend [px]."""
+MOST_LETTERS = 30
+"""Letters of a name that fit a line of the legend."""
 
 
 def polar_picture(runs: dict[str, RunLoads], blades: int, label: str) -> Picture:
@@ -55,7 +62,7 @@ def _polar_svg(title: str, unit: str, points: list[tuple[str, str, complex, floa
     ]
     start, length = middle - RADIUS, 2 * RADIUS
     parts.append(f'<path class="grid" d="M{start:g} {middle:g}h{length:g}M{middle:g} {start:g}v{length:g}"/>')
-    for i, (run, color, value, sigma) in enumerate(points):
+    for run, color, value, sigma in points:
         if not np.isfinite(value):
             continue
         x, y = middle + scale * value.real, middle - scale * value.imag
@@ -67,17 +74,41 @@ def _polar_svg(title: str, unit: str, points: list[tuple[str, str, complex, floa
             f'<g stroke="{color}" fill="{color}"><path d="M{middle:g} {middle:g}L{x:.1f} {y:.1f}"/>'
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}"><title>{escape(words)}</title></circle></g>'
         )
-        if i < MOST_NAMES:
-            parts.append(_legend_entry(4.0 + i * 42.0, color, run))
+    finite = [(run, color) for run, color, value, _ in points if np.isfinite(value)]
+    legend, lines = _legend(finite[:MOST_NAMES])
+    height = SIZE + 1.0 + LEGEND_LINE * lines
     return (
-        f'<svg class="plot" viewBox="0 0 {SIZE:g} {SIZE + 12:g}" role="img" aria-label="Polar plot of {escape(title)}" '
+        f'<svg class="plot" viewBox="0 0 {SIZE:g} {height:g}" role="img" aria-label="Polar plot of {escape(title)}" '
         f'xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" font-size="9">'
         f'<text x="4" y="10" font-weight="600">{escape(title)}, radius {largest:.4g} {escape(unit)}</text>'
-        f"{''.join(parts)}</svg>"
+        f"{''.join(parts)}{legend}</svg>"
     )
 
 
-def _legend_entry(x: float, color: str, run: str) -> str:
-    y = SIZE + 8.0
-    square = f'<rect x="{x:g}" y="{y - 6:g}" width="5" height="5" fill="{color}"/>'
-    return f'{square}<text x="{x + 7:g}" y="{y:g}">{escape(run[:7])}</text>'
+def _legend(entries: Sequence[tuple[str, str]]) -> tuple[str, int]:
+    """Return names beside their colors, in as many lines as they need, and the number of lines."""
+    names, x, line, parts = shorten_names([run for run, _ in entries]), 4.0, 0, []
+    for name, (_, color) in zip(names, entries, strict=True):
+        width = 12.0 + LETTER * len(name)
+        if x > 4.0 and x + width > SIZE:
+            x, line = 4.0, line + 1
+        y = SIZE + 8.0 + LEGEND_LINE * line
+        square = f'<rect x="{x:.4g}" y="{y - 6:g}" width="5" height="5" fill="{color}"/>'
+        parts.append(f'{square}<text x="{x + 7:.4g}" y="{y:g}">{escape(name)}</text>')
+        x += width
+    return "".join(parts), line + 1
+
+
+def shorten_names(names: Sequence[str], most: int = MOST_LETTERS) -> list[str]:
+    """Return the names whole, or of long ones the part after what all begin with, and of that the ends."""
+    # Between the first and the last in the order of letters lie all others: what these two share, all do.
+    pairs = zip(min(names, default=""), max(names, default=""), strict=False)
+    shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs)) if len(names) > 1 else 0
+    shortened = []
+    for name in names:
+        rest = name if len(name) <= most else "\N{HORIZONTAL ELLIPSIS}" + name[shared:]
+        if len(rest) > most:
+            head = (most - 1) // 2
+            rest = f"{rest[:head]}\N{HORIZONTAL ELLIPSIS}{rest[head + 1 - most :]}"
+        shortened.append(rest)
+    return shortened

@@ -14,6 +14,7 @@ from balance_cli.report.blocks import Chart
 from balance_cli.report.data_tables import data_tables
 from balance_cli.report.plot_data import chart_json
 from balance_cli.report.plots import Marker, Plot, Trace, envelope, rotor_markers
+from balance_cli.report.polar_picture import shorten_names
 from balance_cli.report.static_plot import plot_svg, plots_svg
 
 X = np.array([0.0, 1.0, 2.5, 4.0])
@@ -118,3 +119,11 @@ def test_the_data_table_has_the_values_of_the_picture():
     long = np.linspace(0.0, 360.0, 181)
     (table,) = data_tables(chart(long, x=long))
     assert len(table.rows) == 19 and "19 of 181 values" in table.caption
+
+
+def test_names_in_a_legend_stay_whole_or_tell_the_runs_apart():
+    assert shorten_names(["wind-hover-01", "wind-hover-02"]) == ["wind-hover-01", "wind-hover-02"]
+    long = [f"2026-11-23 tunnel 3, hover at 960 rpm, point {i}" for i in (7, 8)]
+    assert shorten_names(long) == ["…7", "…8"]
+    different = shorten_names(["a" * 40 + "1", "b" * 40 + "2"])
+    assert [len(name) for name in different] == [30, 30] and different[0].endswith("a1") and different[1][1] == "b"
