@@ -3,7 +3,7 @@
 Each coefficient has a value and a standard error in every calibration. Three questions are answered for it
 (NIST/SEMATECH e-Handbook of Statistical Methods, sections 2.2 and 6.3; Shewhart, 1931):
 
-- Do the calibrations differ by more than their errors? Chi-square about the weighted mean.
+- Do the calibrations differ by more than their errors? Welch's test of the scatter about the weighted mean.
 - Does it drift? A weighted straight line over the calibrations in their order. Where the scatter about it exceeds the
   errors, its standard error is that of the scatter.
 - Is the newest within the limits of the earlier ones? Mean and standard deviation of these, with the probability of the
@@ -39,7 +39,7 @@ class CoefficientHistory:
     """One coefficient of a channel over n calibrations, as reading at the newest calibrated range.
 
     `values` (n,) and `sigma` (n,), NaN where the calibration does not state its errors; `mean`: weighted. `scatter_p`:
-    p-value of chi-square about the mean. `drift` per calibration with `drift_sigma` and `drift_p`. `low` and `high`:
+    p-value of the scatter about the mean. `drift` per calibration with `drift_sigma` and `drift_p`. `low` and `high`:
     limits of the newest by the earlier ones. NaN where the calibrations do not tell.
     """
 
@@ -57,6 +57,11 @@ class CoefficientHistory:
     high: float
 
     @property
+    def key(self) -> tuple[str, str]:
+        """Channel and term."""
+        return self.channel, self.term
+
+    @property
     def is_out_of_control(self) -> bool:
         """Whether the newest value is beyond its limits."""
         return bool(self.values[-1] < self.low or self.values[-1] > self.high)
@@ -70,15 +75,30 @@ class ControlChart:
     coefficients: tuple[CoefficientHistory, ...]
 
     @property
+    def p_limit(self) -> float:
+        """P-value of one coefficient below which its drift or scatter is significant (Bonferroni)."""
+        return SIGNIFICANCE_LEVEL / max(len(self.coefficients), 1)
+
+    @property
     def drifting(self) -> tuple[CoefficientHistory, ...]:
         """The coefficients whose drift is significant."""
-        limit = SIGNIFICANCE_LEVEL / max(len(self.coefficients), 1)
-        return tuple(each for each in self.coefficients if each.drift_p < limit)
+        return tuple(each for each in self.coefficients if each.drift_p < self.p_limit)
+
+    @property
+    def scattering(self) -> tuple[CoefficientHistory, ...]:
+        """The coefficients that differ between the calibrations by significantly more than their errors."""
+        return tuple(each for each in self.coefficients if each.scatter_p < self.p_limit)
 
     @property
     def out_of_control(self) -> tuple[CoefficientHistory, ...]:
         """The coefficients whose newest value is beyond the limits of the earlier ones."""
         return tuple(each for each in self.coefficients if each.is_out_of_control)
+
+    @property
+    def alarms(self) -> tuple[CoefficientHistory, ...]:
+        """The coefficients that drift, differ by more than their errors or left their limits; worst drift first."""
+        named = {each.key for each in (*self.drifting, *self.scattering, *self.out_of_control)}
+        return tuple(each for each in self.coefficients if each.key in named)
 
 
 def control_chart(named: Sequence[tuple[str, Calibration]]) -> ControlChart:
@@ -86,6 +106,45 @@ def control_chart(named: Sequence[tuple[str, Calibration]]) -> ControlChart:
 
     Raises UserError where one has no model of all trims, or is of another balance.
     """
+    return _chart_of_first(_collect_coefficients(named), len(named))
+
+
+def running_control_charts(named: Sequence[tuple[str, Calibration]]) -> tuple[ControlChart, ...]:
+    """Make the control charts that each calibration from the MIN_CALIBRATIONS-th on gave, with those before it.
+
+    All are at the calibrated range of the newest; the last is that of `control_chart`. Raises UserError as that does.
+    """
+    table = _collect_coefficients(named)
+    return tuple(_chart_of_first(table, n) for n in range(MIN_CALIBRATIONS, len(named) + 1))
+
+
+def alarms_since(charts: Sequence[ControlChart]) -> dict[tuple[str, str], str]:
+    """{(channel, term): calibration since which every chart raised an alarm of it}, for the alarms of the last chart.
+
+    `charts` are those of `running_control_charts`.
+    """
+    since: dict[tuple[str, str], str] = {}
+    for chart in charts:
+        keys = {each.key for each in chart.alarms}
+        since = {key: since.get(key, chart.names[-1]) for key in keys}
+    return since
+
+
+@dataclass(frozen=True, eq=False)
+class _CoefficientTable:
+    """Coefficients (n, p, c) of n calibrations and their variances, with degrees of freedom (n,) and units (c,)."""
+
+    names: tuple[str, ...]
+    channels: tuple[str, ...]
+    terms: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    variances: Array
+    dof: Array
+
+
+def _collect_coefficients(named: Sequence[tuple[str, Calibration]]) -> _CoefficientTable:
+    """Coefficients of all calibrations as readings at the calibrated range of the newest."""
     models = [calibration_model(calibration) for _, calibration in named]
     newest = models[-1]
     for model in models:
@@ -95,36 +154,53 @@ def control_chart(named: Sequence[tuple[str, Calibration]]) -> ControlChart:
     tables = [coefficients_at_range(model, terms, channels, newest.calibrated_range) for model in models]
     values, variances = (np.stack(part) for part in zip(*tables, strict=True))
     units = {channel.name: channel.reading_unit for channel in named[-1][1].geometry.channels}
-    dof = min(float(np.min(model.dof)) for model in models)
+    dof = np.array([float(np.min(model.dof)) for model in models])
+    names, channel_units = tuple(name for name, _ in named), tuple(units[channel] for channel in channels)
+    return _CoefficientTable(names, channels, terms, channel_units, values, variances, dof)
+
+
+def _chart_of_first(table: _CoefficientTable, n: int) -> ControlChart:
+    """The control chart of the first n calibrations."""
+    values, variances, dof = table.values[:n], table.variances[:n], table.dof[:n]
     histories = [
-        _history((channel, terms[i], units[channel]), values[:, i, c], variances[:, i, c], dof)
-        for c, channel in enumerate(channels)
-        for i in range(len(terms))
+        _history((channel, term, table.units[c]), values[:, i, c], variances[:, i, c], dof)
+        for c, channel in enumerate(table.channels)
+        for i, term in enumerate(table.terms)
         if np.any(values[:, i, c] != 0.0)
     ]
     ranked = sorted(histories, key=lambda each: np.nan_to_num(each.drift_p, nan=2.0))
-    return ControlChart(tuple(name for name, _ in named), tuple(ranked))
+    return ControlChart(table.names[:n], tuple(ranked))
 
 
-def _history(key: tuple[str, str, str], values: Array, variance: Array, dof: float) -> CoefficientHistory:
-    """Statistics of one coefficient (n,); a calibration without a term has the value 0 and the errors of the others."""
+def _history(key: tuple[str, str, str], values: Array, variance: Array, dof: Array) -> CoefficientHistory:
+    """Statistics of one coefficient (n,) with degrees of freedom (n,) of its variances.
+
+    A calibration without a term has the value 0 and the errors of the others.
+    """
     absent, known = values == 0.0, variance > 0
     typical = float(np.mean(variance[known])) if known.any() else float("nan")
     variance = np.where(known, variance, np.where(absent, typical, np.nan))
     if np.isfinite(variance).all() and len(values) >= MIN_CALIBRATIONS:
-        mean, scatter_p = _scatter(values, variance)
-        drift = _drift(values, variance, dof)
+        mean, scatter_p = _scatter(values, variance, dof)
+        drift = _drift(values, variance, float(np.min(dof)))
         limits = _limits(values[:-1], variance)
     else:
         mean, scatter_p, drift, limits = float(np.mean(values)), float("nan"), (float("nan"),) * 3, (float("nan"),) * 2
     return CoefficientHistory(*key, values, np.sqrt(variance), mean, scatter_p, *drift, *limits)
 
 
-def _scatter(values: Array, variance: Array) -> tuple[float, float]:
-    """Weighted mean, and p-value of the chi-square about it."""
-    mean = float(np.average(values, weights=1.0 / variance))
-    chi2 = float(np.sum((values - mean) ** 2 / variance))
-    return mean, float(stats.chi2.sf(chi2, len(values) - 1))
+def _scatter(values: Array, variance: Array, dof: Array) -> tuple[float, float]:
+    """Weighted mean, and p-value of the scatter about it.
+
+    Chi-square would take the estimated variances as known, and call unchanged balances changed: Welch (1951),
+    Biometrika 38, 330-336, gives the F-test for their degrees of freedom.
+    """
+    k, weight = len(values), 1.0 / variance
+    mean = float(np.average(values, weights=weight))
+    lack = float(np.sum((1.0 - weight / weight.sum()) ** 2 / dof))
+    between = float(np.sum(weight * (values - mean) ** 2)) / (k - 1)
+    ratio = between / (1.0 + 2.0 * (k - 2) / (k**2 - 1) * lack)
+    return mean, float(stats.f.sf(ratio, k - 1, (k**2 - 1) / (3.0 * lack)))
 
 
 def _drift(values: Array, variance: Array, dof: float) -> tuple[float, float, float]:

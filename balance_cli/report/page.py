@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from balance_cli.report import (
     calibration,
+    calibration_history,
     check_runs,
     diagnosis,
     frequencies,
@@ -53,6 +54,7 @@ SECTIONS: tuple[Callable[[Sources], Section | None], ...] = (
     check_runs.section,
     transfer.section,
     calibration.section,
+    calibration_history.section,
     provenance.section,
 )
 

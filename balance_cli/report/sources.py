@@ -89,9 +89,10 @@ def group_sources(
     by_format: dict[str, list[Source[Any]]] = {format: [] for format in ARTEFACT_TYPES}
     for path, artefact in artefacts:
         by_format[artefact.format].append(Source(path.name, artefact, artefact.content))
-    models = _make_labels_unique([_label_model(source) for source in by_format[MODEL_FORMAT]])
+    models = _sort_by_role(_make_labels_unique([_label_model(source) for source in by_format[MODEL_FORMAT]]))
     by_digest = {source.artefact.digest: source for source in models}
-    loads = _make_labels_unique([_label_loads(source, by_digest) for source in by_format[LOADS_FORMAT]])
+    labeled_loads = [_label_loads(source, by_digest) for source in by_format[LOADS_FORMAT]]
+    loads = _sort_by_role(_make_labels_unique(labeled_loads))
     plot_styles = _assign_plot_styles([*models, *loads])
     return Sources(
         calibrations=_label_sources(by_format[CALIBRATION_FORMAT], "calibration"),
@@ -106,7 +107,7 @@ def group_sources(
 
 
 def _label_sources(sources: Sequence[Source[Any]], label: str) -> tuple[Source[Any], ...]:
-    """The sources of a kind whose members all have one label."""
+    """The sources of a kind whose members all have one label, in the order in which they were given."""
     return tuple(_make_labels_unique([replace(source, label=label) for source in sources]))
 
 
@@ -125,13 +126,17 @@ def _label_loads(source: Source[HubLoads], models: Mapping[str, Source[Identifie
 
 
 def _make_labels_unique(sources: Sequence[Source[Any]]) -> list[Source[Any]]:
-    """The same sources with different labels, in the order of their roles."""
+    """The same sources with different labels."""
     count = Counter(source.label for source in sources)
     labeled = [
         replace(source, label=f"{source.label}, {Path(source.file).stem}") if count[source.label] > 1 else source
         for source in sources
     ]
-    return sorted(_number_equal_labels(labeled), key=lambda source: (ROLE_ORDER.index(source.role), source.label))
+    return list(_number_equal_labels(labeled))
+
+
+def _sort_by_role(sources: Sequence[Source[Any]]) -> list[Source[Any]]:
+    return sorted(sources, key=lambda source: (ROLE_ORDER.index(source.role), source.label))
 
 
 def _number_equal_labels(sources: Sequence[Source[Any]]) -> Iterator[Source[Any]]:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from balance_cli.steps.calibrate import calibrate
 from tests.calibration.test_load_residuals import geometry, run
 
 
+@cache
 def calibrated(seed: int, gain: float = 1.0):
     """A calibration; the first channel reads `gain` times as much."""
     rig = geometry()
