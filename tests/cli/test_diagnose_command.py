@@ -24,6 +24,8 @@ from balance_cli.estimation.identified_model import IdentifiedModel
 from balance_cli.io.artefacts import load_artefact
 from tests.support.diagnosis_content import FakeDiagnose, diagnosis, fake_diagnose_module, hold_out
 
+SWEEPS = ("sweep-Fx", "sweep-Fz", "sweep-Mz")
+
 
 def call(*words, status=0):
     result = CliRunner().invoke(balance, [str(word) for word in words])
@@ -34,11 +36,12 @@ def call(*words, status=0):
 
 @pytest.fixture(scope="module")
 def folder(campaign, tmp_path_factory):
-    """Run files of the simulated campaign and the rigid model that was identified from them."""
+    """Run files of the simulated campaign, half of its sweeps, and the rigid model that was identified from them."""
     folder = tmp_path_factory.mktemp("diagnose")
     save_geometry(folder / "geometry.yaml", campaign.geometry)
     for run in campaign.runs:
-        write_run(folder / f"{run.name}.h5", run)
+        if run.kind != "sweep" or run.name in SWEEPS:
+            write_run(folder / f"{run.name}.h5", run)
     call("identify", "-g", folder / "geometry.yaml", *fitted(folder), "-o", folder / "rigid.model")
     return folder
 
@@ -146,13 +149,14 @@ def test_a_hold_out_run_that_the_model_was_fitted_to_is_named(diagnose, folder):
     ("verdict", "status"),
     [(NOTHING_MISSING, 0), (EXPLAINED, 3), (PARTLY_EXPLAINED, 3), (UNEXPLAINED, 3), (CONTRADICTED, 3)],
 )
-def test_exit_status_by_verdict(diagnose, engine, tmp_path, verdict, status):
+def test_exit_status_by_verdict(diagnose, engine, folder, tmp_path, verdict, status):
     engine.verdict = verdict
-    result, output = diagnose("--fail-on-discrepancy", status=status)
+    few = {"runs": [folder / "sweep-Fx.h5"], "held": ()}
+    result, output = diagnose("--fail-on-discrepancy", status=status, **few)
     assert output["verdict"] == verdict
     assert result.stdout.startswith(f"Verdict: {verdict}:")
     assert (tmp_path / "updated.h5").exists()
-    diagnose(status=0)
+    diagnose(status=0, **few)
 
 
 # ---- what is refused -------------------------------------------------------------------------------------------------
