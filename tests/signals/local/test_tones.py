@@ -1,6 +1,7 @@
 """A steady tone in a record that does not repeat: found where it is, kept from models and noise, and in the lines."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,13 +21,20 @@ RIG = SweptRig()
 AMPLITUDE, CHANNEL, PHASE = 2e-3, 2, 0.4
 
 
+@cache
+def rig_models(excitation, seed):
+    """The local models of a record without a tone, made once for all tests."""
+    return models_of(getattr(RIG, excitation)(seed=seed))
+
+
 def randomly_driven():
-    return RIG.random(seed=1), 50.017
+    """Models of a record without a tone, and the frequency of one."""
+    return rig_models("random", 1), 50.017
 
 
 def stepped():
     plan = SweepPlan(run="sweep-Fx", excited=("Fx",), level=(40.0,), excitation="stepped", period=2.0, periods=5)
-    return simulate_run(true_rig(rotor_balance()), plan, seed=2)[0], 49.97
+    return models_of(simulate_run(true_rig(rotor_balance()), plan, seed=2)[0]), 49.97
 
 
 def tone_of(run, frequency):
@@ -64,8 +72,9 @@ def sigma(models):
 @pytest.fixture(scope="module", params=[randomly_driven, stepped])
 def record(request):
     """A record, the frequency of a tone, and the local models without and with it."""
-    run, frequency = request.param()
-    return run, frequency, models_of(run), models_of(with_tone(run, frequency))
+    without, frequency = request.param()
+    run = without.spectrum.run
+    return run, frequency, without, models_of(with_tone(run, frequency))
 
 
 def dirichlet(run, frequency, bin_index):
@@ -96,7 +105,10 @@ def test_response_and_noise_are_those_without_the_tone(record):
     change = change_of_response(without, models)
     assert change[near].max() < 0.5
     assert np.percentile(change, 95) < 0.5
-    assert change_of_response(turning(without), turning(models))[near].max() > 5.0
+    # Where the rotor turns no tone is separated.
+    turning_models = turning(models)
+    assert np.any(models.tones) and not np.any(turning_models.tones)
+    assert change_of_response(turning(without), turning_models)[near].max() > 5.0
     scale = models.spectrum.channel_scale / without.spectrum.channel_scale
     size = np.sqrt(np.diagonal(without.noise.channels, axis1=1, axis2=2).real)
     change = models.noise.channels * scale[:, None] * scale - without.noise.channels
@@ -147,20 +159,20 @@ def tone_chi2(lines, tone):
 @pytest.mark.parametrize("excitation", ["random", "sine_sweep"])
 def test_without_a_tone_there_is_none_above_the_noise(excitation):
     for seed in (1, 2):
-        models = models_of(getattr(RIG, excitation)(seed=seed))
+        models = rig_models(excitation, seed)
         assert np.max(np.abs(models.tones) * models.spectrum.channel_scale / sigma(models)) < 4.0
 
 
 def test_without_a_pole_on_the_axis_there_is_none_at_all():
-    assert not np.any(models_of(RIG.sine_sweep(seed=1)).tones)
+    assert not np.any(rig_models("sine_sweep", 1).tones)
 
 
 def test_a_strong_tone_leaves_nothing_beyond_its_window():
     """Of a tone of 600 times the noise, half way between two lines, six times the noise is left 1.5 Hz away."""
-    run, frequency = randomly_driven()
-    without, models = models_of(run), models_of(with_tone(run, frequency, 10.0))
+    without, frequency = randomly_driven()
+    models = models_of(with_tone(without.spectrum.run, frequency, 10.0))
     found = models.tones[:, CHANNEL] * models.spectrum.channel_scale[CHANNEL]
-    error = np.abs(found - 10.0 * dirichlet(run, frequency, numbers(models)))
+    error = np.abs(found - 10.0 * dirichlet(models.spectrum.run, frequency, numbers(models)))
     assert np.max(error / sigma(without)[:, CHANNEL]) < 3.0
     assert np.max(change_of_response(without, models)) < 1.0
 
@@ -171,9 +183,3 @@ def test_a_mode_that_hardly_decays_is_no_tone(excitation):
     run = getattr(SweptRig(zeta=2e-4), excitation)(seed=2, seconds=10.0)
     models = models_of(run)
     assert np.max(np.abs(models.tones) * models.spectrum.channel_scale / sigma(models)) < 4.0
-
-
-def test_where_the_rotor_turns_no_tone_is_separated(record):
-    models = record[3]
-    assert np.any(models.tones)
-    assert not np.any(turning(models).tones)
