@@ -55,8 +55,8 @@ def true_rig():
 
 
 def campaign_with(rig, *effects):
-    """Static runs and sweeps of a rig with these effects."""
-    plan = short_plan()
+    """Static runs, and sweeps by Fx, Fz and My, of a rig with these effects."""
+    plan = short_plan().select_runs(["static-bare", "static-trim", "sweep-Fx", "sweep-Fz", "sweep-My"])
     kept = {"sweep": {"periods": 9}, "static": {"steps": 5}}
     runs = tuple(one.model_copy(update=kept[one.kind]) for one in plan.runs if one.kind in kept)
     return simulate_campaign(apply_effects(rig, effects), plan.model_copy(update={"runs": runs}), seed=4)[0]
