@@ -16,14 +16,16 @@ def static_lines(points: StaticPoints) -> RunSpectrum:
     """A static run as lines at frequency zero: its regression coefficients, scaled to independent experiments.
 
     With the centered loads U = Q R the lines Q' Y are R C0' with noise `covariance` in each, so that the linear part of
-    all rows is kept without loss. The noise is real: as circular noise it counts double. Where the noise differs
-    between rows it differs between lines; the correlation of lines that follows from it is neglected. Where the points
-    come with `share`, Q is complete: lines without load contain the nonlinear part of the rows.
+    all rows is kept without loss. The noise is real: as circular noise it counts double. Where the points come with
+    `share`, Q is complete: lines without load contain the nonlinear part of the rows. Where the noise differs between
+    rows, each of these lines is then one of rows with equal noise, but for the differences between their means. Lines
+    count as independent, with a noise that is not smaller than that of the correlated ones (see `NoisePart.project`).
     """
     channels = points.channels - points.channels.mean(axis=0)
     loads = points.loads - points.loads.mean(axis=0)
     is_varied = np.ptp(points.loads, axis=0) > 0
-    Q, R = np.linalg.qr(loads[:, is_varied]) if points.share is None else _complete_qr(loads[:, is_varied])
+    Q = np.linalg.qr(loads[:, is_varied])[0] if points.share is None else _complete_basis(points, is_varied)
+    R = Q.T @ loads[:, is_varied]
     components = tuple(name for name, used in zip(COMPONENTS, is_varied, strict=True) if used)
     count, c = len(R), len(points.channel_names)
     padded = np.zeros((count, c + count, c + count), complex)
@@ -44,11 +46,33 @@ def static_lines(points: StaticPoints) -> RunSpectrum:
     )
 
 
-def _complete_qr(loads: Array) -> tuple[Array, Array]:
-    """Q (m, m-1) over all that is orthogonal to a constant, its first columns those of the centered loads, and R."""
-    ones = np.ones((len(loads), 1))
-    Q, R = np.linalg.qr(np.hstack([ones, loads]), "complete")
-    return np.asarray(Q[:, 1:]), np.asarray(R[1:, 1:])
+def _complete_basis(points: StaticPoints, is_varied: NDArray[np.bool_]) -> Array:
+    """Q (m, m-1) over all that is orthogonal to a constant, within each group of rows with equal noise first.
+
+    In a group the first columns are those of its loads about their mean. The means of the groups are combined to
+    differences by the Householder reflection of the constant on the group with the least noise: each remains nearly one
+    group's own.
+    """
+    loads = points.loads[:, is_varied]
+    shares = [part.share for part in points.noise_parts] or [np.ones(len(loads))]
+    groups = np.unique(np.stack(shares, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+    count = int(groups.max()) + 1
+    within, means = [], np.zeros((len(loads), count))
+    for number in range(count):
+        rows = np.flatnonzero(groups == number)
+        means[rows, number] = 1.0 / np.sqrt(len(rows))
+        columns = np.zeros((len(loads), len(rows) - 1))
+        columns[rows] = np.linalg.qr(np.hstack([np.ones((len(rows), 1)), loads[rows]]), "complete")[0][:, 1:]
+        within.append(columns)
+    return np.hstack([*within, means @ _differences_of_means(np.bincount(groups) / len(loads))])
+
+
+def _differences_of_means(share: Array) -> Array:
+    """Orthonormal columns (g, g-1) orthogonal to the constant, of groups with these shares (g,) of the rows."""
+    normal = np.sqrt(share)
+    normal[0] += 1.0
+    reflection = np.eye(len(share)) - 2.0 * np.outer(normal, normal) / (normal @ normal)
+    return np.asarray(reflection[:, 1:], float)
 
 
 def _load_points(points: StaticPoints, projection: Array) -> StaticWaveform:

@@ -35,8 +35,14 @@ class NoisePart:
         return replace(self, share=self.share[keep])
 
     def project(self, projection: Array) -> NoisePart:
-        """Return the part for l lines that are columns of a `projection` (k, l) of the rows."""
-        return replace(self, share=projection.T**2 @ self.share)
+        """Return the part for l lines that are columns of a `projection` (k, l) of the rows.
+
+        The lines are correlated where `share` differs between rows. To count as independent, each gets the sum of the
+        magnitudes of its row of their covariance S: diag(sum_j |S_ij|) - S is diagonally dominant, and no information
+        counts twice (Horn and Johnson, Matrix Analysis, 2nd ed. (2013), theorem 6.1.10).
+        """
+        covariance = projection.T @ (self.share[:, None] * projection)
+        return replace(self, share=np.abs(covariance).sum(axis=1))
 
 
 @dataclass(frozen=True)
