@@ -31,8 +31,10 @@ from studies.filters_picture import filters_picture
 from studies.filters_table import filters_table, page_table
 from studies.lacking import lacking_table
 from studies.maneuver import maneuver_chunk, maneuver_table
+from studies.mishaps import MISHAPS, mishap_table
 from studies.planning import CHUNKS, planning_chunk, planning_table
 from studies.recovery import recovery_chunk, recovery_table
+from studies.steadiness import steadiness_chunk, steadiness_table
 
 TABLES = Path(__file__).parent / "tables"
 PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
@@ -183,6 +185,26 @@ def clean_campaigns(campaigns: int = 100, jobs: int = 2) -> None:
     """Rows that are flagged although nothing is wrong, and coverage, on five rigs."""
     table = clean_table(run_chunks("clean-campaigns", clean_chunk, range(campaigns), jobs))
     _write("clean_campaigns", table)
+    click.echo(table.to_string(index=False))
+
+
+@studies.command()
+@click.option("--seeds", default=10, show_default=True)
+@click.option("--jobs", default=2, show_default=True)
+def steadiness(seeds: int = 10, jobs: int = 2) -> None:
+    """Which rows are flagged in records whose loads change within them, by change and length."""
+    table = steadiness_table(run_chunks("steadiness", steadiness_chunk, range(seeds), jobs))
+    _write("steadiness", table)
+    click.echo(table.to_string(index=False))
+
+
+@studies.command()
+@click.option("--mishap", "names", multiple=True, type=click.Choice(list(MISHAPS)), metavar="MISHAP", help="Only these.")
+@click.option("--seed", default=1, show_default=True)
+def mishaps(names: tuple[str, ...] = (), seed: int = 1) -> None:
+    """What checks and the chain to the loads say of plausible runs that went wrong."""
+    table = mishap_table(names or tuple(MISHAPS), seed)
+    _write("mishaps", table)
     click.echo(table.to_string(index=False))
 
 

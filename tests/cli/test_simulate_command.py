@@ -180,3 +180,13 @@ def test_full_folder_is_refused(folder):
     assert result.exit_code == 2
     assert "not empty" in result.output
     assert [path.name for path in (folder / "out").iterdir()] == ["mine.txt"]
+
+
+def test_record_beyond_memory_is_refused_before_it_is_computed(folder):
+    long = PLAN.replace("period: 0.5", "period: 600")
+    (folder / "plan.yaml").write_text(long)
+    result = call(folder)
+    assert result.exit_code == 2, result.output
+    assert "run `f`: 960000 samples would take" in result.output
+    assert "Give at most" in result.output
+    assert not (folder / "out").exists()
