@@ -20,7 +20,12 @@ from balance_cli.reduction.response_description import text_with_rotor
 from balance_cli.reduction.response_sources import ResponseSource, static_source, transfer_source
 from balance_cli.reduction.result import HubLoads, RunLoads
 from balance_cli.signals.response.transfer import Transfer
-from balance_cli.steps.cross_checks import cross_check, earlier_warnings, flag_contradicted_runs
+from balance_cli.steps.cross_checks import (
+    compare_static_response,
+    cross_check,
+    earlier_warnings,
+    flag_contradicted_runs,
+)
 from balance_cli.steps.reduce import ReduceOptions, reduce_run
 from balance_cli.steps.reduce_in_time import TimeOptions, reduce_run_in_time
 from balance_cli.steps.reduction_inputs import (
@@ -73,7 +78,9 @@ def reduce(
     records = to_runs(runs, geometry)
     zeros = to_runs(zero, geometry) if zero is not None else [run for run in records if run.kind == "zero"]
     source = response_source(calibration, response, interpolation)
-    findings = cross_check(geometry, records, known_anyway)
+    declared = geometry if isinstance(response, str) else response.geometry
+    at_rest = compare_static_response(calibration, source, declared)
+    findings = (*at_rest, *cross_check(geometry, records, known_anyway))
     used = [run for run in records if run.kind in ("check", "wind")]
     if not used:
         raise UserError("no check or wind run among the runs", remedy="Give the runs that are to be reduced")

@@ -94,6 +94,7 @@ class Session(Messages, WorkReports):
         self._after_close: list[Callable[[], None]] = []
         self.extra_summary: dict[str, Any] = {}
         self.findings: Sequence[ConsistencyFinding] = ()
+        self.response_findings: Sequence[ConsistencyFinding] = ()
 
     def geometry(self, path: Path, mechanics: bool = True) -> Geometry:
         """Read a geometry and record it as an input; without `mechanics` it need not have masses and stiffness."""

@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from balance_cli.cli.common import Session
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from balance_cli.calibration.result import Calibration
     from balance_cli.campaign.recording.run import Run
     from balance_cli.campaign.rig.geometry import Geometry
     from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
     from balance_cli.diagnosis.consistency.severity import ConsequenceRule
+    from balance_cli.reduction.response_sources import ResponseSource
     from balance_cli.reduction.result import RunLoads
     from balance_cli.steps.cross_checks import ChecksRuns
 
@@ -48,7 +52,8 @@ def inconsistent_runs(
     from balance_cli.diagnosis.consistency.severity import findings_for_command
     from balance_cli.steps.cross_checks import contradiction_error
 
-    session.findings = findings = findings_for_command(findings, is_harmless)
+    findings = (*session.response_findings, *findings_for_command(findings, is_harmless))
+    session.findings = findings
     session.extra_summary["consistency"] = [finding_summary(finding) for finding in findings]
     bad: dict[str, str] = {}
     for finding in findings:
@@ -97,6 +102,15 @@ def repeat_findings(session: Session, *results: ChecksRuns | None) -> None:
 
     for text in earlier_warnings(*results):
         session.warn(text)
+
+
+def compare_static_response(
+    session: Session, calibration: Calibration | None, source: ResponseSource, geometry: Geometry, path: Path
+) -> None:
+    """Keep what contradicts in a calibration and the response from `path`; UserError where the difference is gross."""
+    from balance_cli.steps import cross_checks
+
+    session.response_findings = cross_checks.compare_static_response(calibration, source, geometry, str(path))
 
 
 def flag_contradicted_runs(session: Session, runs: Mapping[str, RunLoads]) -> Mapping[str, RunLoads]:

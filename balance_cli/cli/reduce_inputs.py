@@ -48,9 +48,9 @@ def read_response(
 ) -> tuple[Geometry, ResponseSource]:
     """Return the response: a model, a measured one, or the static matrix where neither is given; and its geometry.
 
-    Raises UserError where its geometry is not that of the calibration.
+    Raises UserError where its geometry is not that of the calibration, or they contradict each other at rest.
     """
-    from balance_cli.cli.consistency import repeat_findings
+    from balance_cli.cli.consistency import compare_static_response, repeat_findings
     from balance_cli.reduction.response_sources import static_source, transfer_source
     from balance_cli.steps.reduction_inputs import require_same_geometry
 
@@ -62,7 +62,9 @@ def read_response(
         if calibration is not None:
             require_same_geometry(identified.geometry, calibration, str(model))
         repeat_findings(session, calibration, identified)
-        return _geometry(identified.geometry, calibration), model_sources.model_source(identified)
+        source = model_sources.model_source(identified)
+        compare_static_response(session, calibration, source, identified.geometry, model)
+        return _geometry(identified.geometry, calibration), source
     if transfer is not None:
         from balance_cli.signals.response.transfer import Transfer
 
@@ -70,7 +72,9 @@ def read_response(
         if calibration is not None:
             require_same_geometry(measured.geometry, calibration, str(transfer))
         repeat_findings(session, calibration, measured)
-        return _geometry(measured.geometry, calibration), transfer_source(measured, interpolation)
+        source = transfer_source(measured, interpolation)
+        compare_static_response(session, calibration, source, measured.geometry, transfer)
+        return _geometry(measured.geometry, calibration), source
     assert calibration is not None
     repeat_findings(session, calibration)
     return calibration.geometry, static_source(calibration)

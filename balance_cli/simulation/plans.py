@@ -23,7 +23,7 @@ HARMONICS = 8
 HARMONIC_SHAPE = (1.0, 0.4, 0.5, 2.0, 0.3, 0.15, 0.2, 0.6)
 """Amplitudes of harmonics 1 to 8 relative to the first, similar to the recorded check runs (four blades)."""
 MOST_SAMPLES = 2_000_000
-"""Of a simulated record, whatever the rig: forty minutes at 800 Hz. `campaign.MOST_MEMORY` allows fewer on most rigs."""
+"""Of a simulated record of any rig: forty minutes at 800 Hz. `campaign.MOST_MEMORY` allows fewer on most rigs."""
 MOST_STEPS = 10_000
 """Of a static run, of each component."""
 

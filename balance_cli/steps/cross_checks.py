@@ -7,16 +7,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol, TypeVar
 
+from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.diagnosis.consistency.campaign import campaign_findings
-from balance_cli.diagnosis.consistency.findings import ConsistencyFinding
+from balance_cli.diagnosis.consistency.findings import STATIC_RESPONSE, ConsistencyFinding
 from balance_cli.diagnosis.consistency.severity import ConsequenceRule, contradicts_loads, findings_for_command
 from balance_cli.io.errors import UserError
 from balance_cli.reduction.flags import MODEL_CONTRADICTED
+from balance_cli.reduction.mean_loads_nonlinear import ALL_TRIMS
+from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trust import flag_all
+from balance_cli.steps.static_agreement import static_findings
 
+STATIC_REMEDY = "Give calibration and response of the same rig in the same units and polarity"
 REMEDY = "Correct the files, or the geometry; `balance check -g GEOMETRY RUN...` lists everything"
 
 
@@ -56,6 +61,20 @@ def finding_place(finding: ConsistencyFinding) -> str:
     return "channels" if finding.channels else "geometry"
 
 
+def compare_static_response(
+    calibration: Calibration | None, source: ResponseSource, geometry: Geometry, file: str = ""
+) -> tuple[ConsistencyFinding, ...]:
+    """Return the warnings about a calibration and the response, with its geometry, that runs are reduced by.
+
+    Raises UserError, with the `file` of the response, where their static parts differ by more than any effect explains.
+    """
+    findings = static_findings(calibration, source, geometry)
+    for finding in findings:
+        if finding.is_fault:
+            raise UserError(finding.sentence, file, "calibration", STATIC_REMEDY)
+    return findings
+
+
 def keep_findings(result: Result, findings: Iterable[ConsistencyFinding]) -> Result:
     """Return a result that keeps what the cross-checks said of its runs, and of earlier ones."""
     kept = tuple(dict.fromkeys((*(result.consistency or ()), *(finding.sentence for finding in findings))))
@@ -73,13 +92,21 @@ def flag_contradicted_runs(
 ) -> Mapping[str, RunLoads]:
     """Return the loads with those of runs flagged that contradict the geometry or the other runs.
 
-    A factor of channels that all runs have is known to the calibration and the model, and changes no load.
+    A factor of channels that all runs have is known to the calibration and the model, and changes no load. Where a trim
+    contradicts the response, the runs whose mean loads rest on it, or on all trims, are flagged.
     """
+    findings = tuple(findings)
     flagged: ChainMap[str, RunLoads] = ChainMap({}, runs)  # type: ignore[arg-type]  # which is only read
     for finding in findings:
+        if finding.kind == STATIC_RESPONSE:
+            runs_of_trim = [name for name, loads in runs.items() if loads.trim in (*finding.trims, ALL_TRIMS)]
+            flagged.update({name: _note_contradiction(flagged[name], finding) for name in runs_of_trim})
         if not contradicts_loads(finding.kind, finding.in_all_runs, finding.factor):
             continue
         for name in set(finding.runs) & set(flagged):
-            noted = (*flagged[name].notes, finding.sentence)
-            flagged[name] = replace(flag_all(flagged[name], MODEL_CONTRADICTED), notes=noted)
+            flagged[name] = _note_contradiction(flagged[name], finding)
     return flagged if flagged.maps[0] else runs
+
+
+def _note_contradiction(loads: RunLoads, finding: ConsistencyFinding) -> RunLoads:
+    return replace(flag_all(loads, MODEL_CONTRADICTED), notes=(*loads.notes, finding.sentence))

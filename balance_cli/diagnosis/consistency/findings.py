@@ -24,6 +24,7 @@ FREQUENCIES = "frequencies"
 LEVEL = "level"
 DIFFERENT_RIG = "different rig"
 ANTI_ALIAS = "anti-alias filter"
+STATIC_RESPONSE = "static response"
 
 KINDS = (
     EXCHANGED_CHANNELS,
@@ -41,6 +42,7 @@ KINDS = (
     LEVEL,
     DIFFERENT_RIG,
     ANTI_ALIAS,
+    STATIC_RESPONSE,
 )
 
 
@@ -50,7 +52,7 @@ class ConsistencyFinding:
 
     `kind` is one of KINDS and `severity` FAULT or WARNING; `text` says it in words. `runs` are those that show it, and
     `in_all_runs` whether all runs do that could. `factor` is what the readings (or loads) are multiplied by, None where
-    there is no factor; `position` the hub that the runs show [m].
+    there is no factor; `position` the hub that the runs show [m]; `trims` of a calibration that show it.
     """
 
     kind: str
@@ -63,6 +65,7 @@ class ConsistencyFinding:
     cells: tuple[str, ...] = ()
     factor: float | None = field(default=None, metadata={"omit_if_none": True})
     position: tuple[float, ...] = ()
+    trims: tuple[str, ...] = ()
 
     @property
     def is_fault(self) -> bool:
