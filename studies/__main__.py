@@ -199,7 +199,9 @@ def steadiness(seeds: int = 10, jobs: int = 2) -> None:
 
 
 @studies.command()
-@click.option("--mishap", "names", multiple=True, type=click.Choice(list(MISHAPS)), metavar="MISHAP", help="Only these.")
+@click.option(
+    "--mishap", "names", multiple=True, type=click.Choice(list(MISHAPS)), metavar="MISHAP", help="Only these."
+)
 @click.option("--seed", default=1, show_default=True)
 def mishaps(names: tuple[str, ...] = (), seed: int = 1) -> None:
     """What checks and the chain to the loads say of plausible runs that went wrong."""
