@@ -95,6 +95,7 @@ def _effect_summary(item: DetectableEffect) -> dict[str, Any]:
         "load_share": item.share,
         "load_shares": item.shares,
         "not_shown": item.missing,
+        "shown_by": item.shown_by,
     }
 
 
@@ -149,7 +150,7 @@ def _effects_text(planned: PlannedCampaign) -> Iterator[str]:
         share = "" if item.share is None else f"{100 * item.share:9.2g} %"
         yield f"   {name:<44} {_size(item.sizes[0]):>10} {_size(item.sizes[-1]):>10} {item.unit:<9} {share}"
         if item.missing and not math.isfinite(item.sizes[-1]):
-            yield "      no run shows it"
+            yield f"      no run of this plan shows it; what would: {item.shown_by}"
     for name, why in planned.unpredicted.items():
         yield f"   {name}: not predicted: {why}"
 

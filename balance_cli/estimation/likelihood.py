@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.estimation.batch import WORKERS, Batch, split_large_batches
+from balance_cli.estimation.batch import WORKERS, Batch, cached_parts, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
 from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones
 from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
@@ -140,12 +140,15 @@ def _apply_weight(
 ) -> ComplexArray:
     """P times columns (k, c, q) at these lines; the eliminated loads enter as a second, small product."""
     c = batch.lines.channels.shape[1]
-    weighted = np.asarray(np.matmul(batch.lines.precision[lines, :c, :c], values), complex)
-    if downdate is None:
-        return weighted
-    SM, normal = downdate[0][lines], downdate[1][lines]
-    correction = np.linalg.solve(normal, np.matmul(SM.conj().swapaxes(1, 2), values))
-    return np.asarray(weighted - np.matmul(SM, correction))
+    precision = batch.lines.precision[lines, :c, :c]
+    weighted = np.empty(values.shape, complex)
+    for part in cached_parts(values):
+        np.matmul(precision[part], values[part], out=weighted[part])
+        if downdate is not None:
+            SM, normal = downdate[0][lines][part], downdate[1][lines][part]
+            correction = np.linalg.solve(normal, np.matmul(SM.conj().swapaxes(1, 2), values[part]))
+            weighted[part] -= np.matmul(SM, correction)
+    return weighted
 
 
 def _expand_to_six_components(batch: Batch, loads: ComplexArray) -> ComplexArray:
@@ -164,7 +167,8 @@ def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: B
     derivatives = output_jacobian(system, solution, batch.lines.index, true_loads(*place))
     change = true_load_derivatives(*place)
     if change is not None:
-        derivatives = derivatives + np.matmul(response(system, solution)[batch.lines.index], change)
+        acting, of_loads = change
+        derivatives[:, :, acting] += np.matmul(response(system, solution)[batch.lines.index], of_loads)
     for run in fit.forces:
         run.add_derivatives(system, derivatives[run.lines])
     _add_offset_derivatives(derivatives, batch, system, solution)
@@ -236,7 +240,12 @@ class BatchDerivatives:
 def _real_inner_product(left: ComplexArray, right: ComplexArray) -> Array:
     """Re sum over lines and channels of left* right, (K, n, a) and (K, n, b): (a, b)."""
     a, b = left.shape[2], right.shape[2]
-    return np.asarray(np.real(left.reshape(-1, a).conj().T @ right.reshape(-1, b)))
+    product = np.zeros((a, b))
+    for part in cached_parts(left if a > b else right):
+        first, second = left[part].reshape(-1, a), right[part].reshape(-1, b)
+        # The imaginary part of the complex product, half of its work, is not needed.
+        product += first.real.T @ second.real + first.imag.T @ second.imag
+    return product
 
 
 def batch_derivatives(batch: Batch, system: System, shared: SharedSolutions | None = None) -> BatchDerivatives:

@@ -11,6 +11,7 @@ from balance_cli.model.mechanics.equations import ChannelPath
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 
 
 def channel_gains(paths: Sequence[ChannelPath], frequency: Array) -> ComplexArray:
@@ -36,14 +37,15 @@ def log_gain_derivatives(paths: Sequence[ChannelPath], frequency: Array) -> Comp
     return np.stack([log_gain_derivative(path, s) for path in paths], axis=1)
 
 
-def log_gain_derivative(path: ChannelPath, s: ComplexArray) -> ComplexArray:
-    """Derivatives (k, p) of ln g of one channel at s (k, 1)."""
-    derivative = np.broadcast_to(path.gain.derivative / path.gain.value, (len(s), path.gain.parameters)).astype(complex)
+def log_gain_derivative(path: ChannelPath, s: ComplexArray, own: Mask | slice = slice(None)) -> ComplexArray:
+    """Derivatives (k, q) of ln g of one channel at s (k, 1), by the parameters `own` alone; most change no gain."""
+    of_gain = path.gain.derivative[own] / path.gain.value
+    derivative = np.broadcast_to(of_gain, (len(s), len(of_gain))).astype(complex)
     for tau in path.low_pass:
-        derivative = derivative - s / (1 + s * tau.value) * tau.derivative
+        derivative = derivative - s / (1 + s * tau.value) * tau.derivative[own]
     for rate in path.high_pass:
-        derivative = derivative - rate.derivative / np.where(s + rate.value == 0, np.inf, s + rate.value)
-    return derivative if path.delay is None else derivative - s * path.delay.derivative
+        derivative = derivative - rate.derivative[own] / np.where(s + rate.value == 0, np.inf, s + rate.value)
+    return derivative if path.delay is None else derivative - s * path.delay.derivative[own]
 
 
 def path_parameters(path: ChannelPath) -> NDArray[np.bool_]:

@@ -75,42 +75,58 @@ def true_loads(
 
 def true_load_derivatives(
     system: System, solution: Solution, index: Index, loads: ComplexArray, attached: Mask, is_static: bool = False
-) -> ComplexArray | None:
-    """Derivatives (K, 6, p) of the true loads for recorded `loads` (K, 6); None where no parameter changes them."""
+) -> tuple[Mask, ComplexArray] | None:
+    """Parameters (p,) that change the true loads for recorded `loads` (K, 6), and the derivatives (K, 6, q) by them.
+
+    None where no parameter changes them.
+    """
     equations = system.equations
+    own = _load_parameters(equations, is_static)
+    if not own.any():
+        return None
     cross_axis = equations.cross_axis(is_static)
     beyond = loads
-    change = None if is_static else _beyond_cell_derivatives(system, solution, index, loads, attached)
+    change = None if is_static else _beyond_cell_derivatives(system, solution, index, loads, attached, own)
     if not is_static and not has_plain_exciters(equations):
         beyond = np.matmul(_load_beyond_cell(system, solution, index, attached), loads[:, :, None])[:, :, 0]
-    total = None if change is None else np.asarray(cross_axis.value @ change, complex)
-    if np.any(cross_axis.derivative):
-        of_matrix = multiply_derivatives(cross_axis.derivative, beyond)
-        total = of_matrix if total is None else total + of_matrix
-    return total
+    of_matrix = multiply_derivatives(cross_axis.derivative[own], beyond)
+    return own, of_matrix if change is None else np.asarray(cross_axis.value @ change + of_matrix, complex)
+
+
+def _load_parameters(equations: Equations, is_static: bool) -> Mask:
+    """Which parameters (p,) change the true loads: all of them where a mass moves with the hub."""
+    cross_axis = equations.cross_axis(is_static).derivative
+    own = np.asarray(cross_axis.any(axis=(1, 2)))
+    if is_static:
+        return own
+    if np.any(equations.exciter_mass.value):
+        return np.ones_like(own)
+    for part in (equations.load_gain, equations.load_delay, equations.exciter_mass):
+        own = np.asarray(own | part.derivative.any(axis=1))
+    return own
 
 
 def _beyond_cell_derivatives(
-    system: System, solution: Solution, index: Index, loads: ComplexArray, attached: Mask
+    system: System, solution: Solution, index: Index, loads: ComplexArray, attached: Mask, own: Mask
 ) -> ComplexArray | None:
-    """Derivatives (K, 6, p) of the loads beyond the exciters' masses."""
+    """Derivatives (K, 6, q) of the loads beyond the exciters' masses, by the parameters `own` (p,)."""
     equations = system.equations
     gain, delay, mass = equations.load_gain, equations.load_delay, equations.exciter_mass
     if has_plain_exciters(equations) and not any(np.any(part.derivative) for part in (gain, delay, mass)):
         return None
     s = 2j * np.pi * solution.frequency[index][:, None, None]
     recorded = _cell_factor(equations, solution.frequency[index]) * loads
-    change = recorded[:, :, None] * (s * delay.derivative.T - (gain.derivative / gain.value).T)
+    change = recorded[:, :, None] * (s * delay.derivative[own].T - (gain.derivative[own] / gain.value).T)
     if not (np.any(mass.value) or np.any(mass.derivative)):
         return np.asarray(change)
     inverse = _inertia_inverse(system, solution, index, attached)
     beyond = np.matmul(inverse, recorded[:, :, None])[:, :, 0]
     acting = beyond @ equations.exciter_cross_axis.value.T
     motion = np.matmul(hub_motion(system, solution)[index], acting[:, :, None])
-    change = change - s**2 * attached[:, :, None] * mass.derivative.T * motion
+    change = change - s**2 * attached[:, :, None] * mass.derivative[own].T * motion
     if np.any(mass.value):
-        of_motion = hub_motion_jacobian(system, solution, index, acting)
-        turned = multiply_derivatives(equations.exciter_cross_axis.derivative, beyond)
+        of_motion = hub_motion_jacobian(system, solution, index, acting)[:, :, own]
+        turned = multiply_derivatives(equations.exciter_cross_axis.derivative[own], beyond)
         of_motion = of_motion + np.matmul(hub_motion(system, solution)[index], turned)
         change = change - s**2 * (attached * mass.value)[:, :, None] * of_motion
     return np.asarray(np.matmul(inverse, change))

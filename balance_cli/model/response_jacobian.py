@@ -122,7 +122,7 @@ def _add_gain_derivatives(
     for c, path in enumerate(system.equations.paths):
         own = path_parameters(path)
         if own.any():
-            derivatives[:, c, own] += np.asarray(volts[:, c, None] * log_gain_derivative(path, s)[:, own][index])
+            derivatives[:, c, own] += np.asarray(volts[:, c, None] * log_gain_derivative(path, s, own)[index])
 
 
 def structural_parameters(system: System) -> Mask:

@@ -71,6 +71,11 @@ class Problem:
         """Worth of what is known after the chosen runs."""
         return campaign_worth(self.total(chosen), self.model, self.forecast, self.aim)
 
+    def worth_with(self, known: RunInformation, run: int) -> float:
+        """Worth of what is known after one run more than those of the total `known`."""
+        total = add_information([known, self.information[run]], self.model)
+        return campaign_worth(total, self.model, self.forecast, self.aim)
+
 
 def campaign_worth(total: RunInformation, model: ExtendedModel, forecast: LoadForecast | None, aim: Aim) -> float:
     """Worth of the information of a campaign (see the head of the module)."""
@@ -88,7 +93,7 @@ def effect_worth(diagonal: Array, model: ExtendedModel) -> float:
     if not model.candidates:
         return 0.0
     value = 0.5 * np.log(diagonal * model.scales**2 + COARSEST_SIZE**-2)
-    names = np.array([each.effect.name for each in model.candidates for _ in model.items(each)])
+    names = model.tested_effects
     return float(np.mean([value[names == name].mean() for name in dict.fromkeys(names)]))
 
 
@@ -109,11 +114,11 @@ def _add_greedily(problem: Problem, minutes: float, chosen: Sequence[int] = ()) 
     chosen = list(chosen)
     worth, used = problem.worth(chosen), problem.minutes(chosen)
     while True:
-        trials = []
+        trials, known = [], problem.total(chosen)
         for i in range(len(problem.candidates)):
             time = problem.minutes([*chosen, i])
             if time <= minutes + 1e-9:
-                gain = problem.worth([*chosen, i]) - worth
+                gain = problem.worth_with(known, i) - worth
                 trials.append((gain / max(time - used, 1e-9), -i, gain, time))
         rising = [trial for trial in trials if trial[2] > LEAST_RISE]
         if not rising:
@@ -129,10 +134,11 @@ def _exchange_once(problem: Problem, chosen: Sequence[int], minutes: float) -> l
     worth = problem.worth(chosen)
     for place in range(len(chosen)):
         best = (worth + LEAST_RISE, chosen[place])
+        known = problem.total([*chosen[:place], *chosen[place + 1 :]])
         for i in range(len(problem.candidates)):
             trial = [*chosen[:place], i, *chosen[place + 1 :]]
             if i != chosen[place] and problem.minutes(trial) <= minutes + 1e-9:
-                best = max(best, (problem.worth(trial), i))
+                best = max(best, (problem.worth_with(known, i), i))
         worth, chosen[place] = (best[0], best[1]) if best[1] != chosen[place] else (worth, chosen[place])
     return chosen
 

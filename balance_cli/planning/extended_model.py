@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from balance_cli.diagnosis.search.projected_scores import ParameterIndices
 from balance_cli.model import effects
 from balance_cli.model.balance import BalanceModel
 from balance_cli.model.effects import EffectParameter
+from balance_cli.model.system import System
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -50,7 +52,17 @@ class ExtendedModel:
         sigma = self.model.parameters.sigma[self.model.parameters.free]
         return np.diag(1.0 / sigma**2)
 
-    @property
+    @cached_property
+    def system(self) -> System:
+        """The system at `theta`, the same for every run."""
+        return self.model.system(self.theta)
+
+    @cached_property
+    def tested_effects(self) -> NDArray[np.str_]:
+        """The effect's name (t,) of every tested parameter, in the order of the candidates."""
+        return np.array([each.effect.name for each in self.candidates for _ in self.items(each)])
+
+    @cached_property
     def scales(self) -> Array:
         """The size (t,) of a change that matters, of every tested parameter in the order of the candidates."""
         return np.array([item.fitted_scale for each in self.candidates for item in self.items(each)])

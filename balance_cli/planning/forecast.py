@@ -104,7 +104,19 @@ def _detectable_effect(
         share=shares[-1],
         shares=shares,
         missing=missing,
+        shown_by=_run_that_shows(hardest, model) if missing else "",
     )
+
+
+def _run_that_shows(item: SmallestSize, model: ExtendedModel) -> str:
+    """The measurement that would show an effect which the sweeps of a plan do not."""
+    effect = next(each.effect for each in model.candidates if each.effect.name == item.effect)
+    if effect.needs_spin:
+        return "a sweep with the rotor turning (`rotor_speeds` in the hall file)"
+    tested = np.concatenate(model.indices.tested)[item.index]
+    if model.system.equations.weight_cross_axis.derivative[tested].any():
+        return "a static run (`--points` plans its load points): calibration weights act there alone"
+    return effect.separated_by[0].lower() + effect.separated_by[1:].rstrip(".")
 
 
 def load_sigma(

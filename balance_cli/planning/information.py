@@ -55,7 +55,7 @@ def no_information(model: ExtendedModel) -> RunInformation:
 
 def spectra_information(spectra: Spectra, model: ExtendedModel) -> tuple[RunInformation, ...]:
     """The information of each run of the spectra."""
-    system = model.model.system(model.theta)
+    system = model.system
     batches = split_by_run(stack_runs(spectra.lines, spectra.statics, model.model.geometry.channel_names))
     return tuple(
         RunInformation(_run_name(batch), batch_curvature(batch, system).information, batch.runs[0].noise_dof)

@@ -31,7 +31,7 @@ class DetectableEffect:
     `easiest` the size and place where it is easiest. `load_error` {component: N or N m}: largest error of a
     harmonic load that an effect of the last size makes while it is not found, None where it is not a part of the
     linear response; `share` is the largest of them over the reference load of its component, and `shares` are those
-    of all `sizes`. `missing`: places and parameters that no run shows.
+    of all `sizes`. `missing`: places and parameters that no run shows; `shown_by`: the measurement that would.
     """
 
     effect: str
@@ -44,6 +44,7 @@ class DetectableEffect:
     share: float | None
     shares: tuple[float | None, ...]
     missing: tuple[str, ...]
+    shown_by: str = ""
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,7 @@ class StoredEffect(FrozenModel):
     load_share: float | None
     load_shares: tuple[float | None, ...]
     not_shown: tuple[str, ...]
+    shown_by: str = ""
 
 
 class StoredPair(FrozenModel):

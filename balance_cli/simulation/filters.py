@@ -48,10 +48,12 @@ def anti_alias(signals: Array, declared: AnalogFilter | None, step: float, strid
         return signals[::stride].copy()
     _, poles, gain = scipy.signal.butter(declared.order, 2 * np.pi * declared.cutoff, analog=True, output="zpk")
     filtered = np.zeros((len(signals[::stride]), signals.shape[1]))
+    acting = np.any(signals, axis=0)  # most sweeps excite one component alone
+    signals = signals[:, acting]
     for i, pole in enumerate(poles):
         if pole.imag >= -1e-9 * abs(pole):
             residue = gain / np.prod(pole - np.delete(poles, i))
             real = pole.imag <= 1e-9 * abs(pole)
             part = integrate_first_order(pole.real if real else pole, signals, step, -signals[0] / pole, stride)
-            filtered += (residue * part).real * (1 if real else 2)
+            filtered[:, acting] += (residue * part).real * (1 if real else 2)
     return filtered

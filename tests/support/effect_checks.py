@@ -121,7 +121,8 @@ def check_derivatives(effect, where):
     slopes = output_jacobian(system, solution, np.arange(len(FREQUENCY)), true_loads(*recorded))
     of_loads = true_load_derivatives(*recorded)
     if of_loads is not None:
-        slopes = slopes + response(system, solution) @ of_loads
+        acting, change = of_loads
+        slopes[:, :, acting] += response(system, solution) @ change
     rigid = [model.parameters.index("stiffness.z1"), model.parameters.index("centre_of_gravity.z")]
     for i in [*own_parameters(model, effect), *rigid]:
         step = 1e-5 * scale[i] * np.eye(len(theta))[i]
