@@ -134,10 +134,6 @@ def intruding_rows(x: Array) -> NDArray[np.bool_]:
     )
 
 
-MAX_INTRUDING_SHARE = 0.05
-"""Share of the rows that may intrude, as that of outliers; more of them are single loads that were meant."""
-
-
 def _load_separation(x: Array, block: Index) -> float:
     """Least singular value of the loads x (m, n) less block means, columns of unit norm; unloaded ones omitted."""
     size = np.linalg.norm(x, axis=0)

@@ -183,7 +183,6 @@ def _choose_readings(
 
     Also returns by how much the score of the next best reading of a segment is worse, where that is decisive.
     """
-    scorer = ReadingScore(rows)
     common = [default]
     for position in TARE_POSITIONS:
         common.append(
@@ -193,6 +192,7 @@ def _choose_readings(
             }
         )
     numbered = [_number_series(rows, choice) for choice in common]
+    scorer = ReadingScore(rows, numbered)
     scores = [scorer.score(series) for series in numbered]
     if not scorer.is_general(numbered[int(np.argmin(scores[:-1]))], numbered[-1]):
         scores[-1] = float("inf")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.least_squares import subtract_block_means
-from balance_cli.calibration.load_series import intruding_rows
+from balance_cli.calibration.load_series import MIN_LOAD_CHANGE, intruding_rows
+from balance_cli.calibration.robust_fit import RobustFit, fit_robustly
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -43,11 +45,16 @@ class ScheduleRows:
 class ReadingScore:
     """Scores of readings: clipped squared errors over their robust variance, plus the price of the zeros."""
 
-    def __init__(self, rows: ScheduleRows) -> None:
-        """Take the rows that stand in their place."""
+    def __init__(self, rows: ScheduleRows, readings: Sequence[Index]) -> None:
+        """Take the rows that stand in their place, but no loaded outlier of the best of `readings` (m,)."""
         # Rows that stand in the wrong place would decide by their own errors.
         parts = [np.flatnonzero(rows.segment == number) for number in np.unique(rows.segment)]
-        self._rows = np.concatenate([part[~intruding_rows(rows.x[part])] for part in parts])
+        regular = np.concatenate([part[~intruding_rows(rows.x[part])] for part in parts])
+        # A row with a wrong sign bends the fit of its whole load: clipping its own error is not enough. A tare point
+        # bends none, and the readings differ by its place.
+        loaded = ~_at_tare(rows.x, rows.segment)[regular]
+        fit = _best_robust_fit(rows.x[regular], rows.channels[regular], [series[regular] for series in readings])
+        self._rows = regular[~(fit.stands_out & loaded)]
         self._x, self._channels = rows.x[self._rows], rows.channels[self._rows]
         self._scale: Array | None = None
 
@@ -90,3 +97,17 @@ class ReadingScore:
         y = subtract_block_means(self._channels, block)
         left = 1.0 - np.sum(Q**2, axis=1) - 1.0 / np.bincount(block)[block]
         return np.asarray((y - Q @ (Q.T @ y)) / np.sqrt(np.maximum(left, MIN_LEFT_SHARE))[:, None])
+
+
+def _best_robust_fit(x: Array, channels: Array, readings: Sequence[Index]) -> RobustFit:
+    """Of the robust fits of all readings (m,) of the schedule the one with the least scale."""
+    different = {series.tobytes(): np.unique(series, return_inverse=True)[1] for series in readings}
+    fits = [fit_robustly(x, channels, block) for block in different.values()]
+    return min(fits, key=lambda fit: float(np.sum(np.log(fit.scale))))
+
+
+def _at_tare(x: Array, segment: Index) -> Mask:
+    """Rows (m,) of the loads x (m, k) that are unloaded, or loaded as the first row of their segment (m,)."""
+    _, first, inverse = np.unique(segment, return_index=True, return_inverse=True)
+    unloaded, as_first = (np.all(np.abs(x - base) <= MIN_LOAD_CHANGE, axis=1) for base in (0.0, x[first[inverse]]))
+    return np.asarray(unloaded | as_first)

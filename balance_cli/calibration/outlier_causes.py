@@ -59,6 +59,11 @@ def _load_causes(model: CalibrationModel, loads: Array, error: Array) -> list[st
     sigma = np.sqrt(np.diag(model.residual_covariance))
     J = model.jacobian(loads[None])[0] / sigma[:, None]
     causes = []
+    reversed_error = model.readings(-loads[None])[0] - model.readings(loads[None])[0]
+    if np.count_nonzero(np.abs(loads) > MIN_OTHER_LOAD * model.calibrated_range) > 1 and _explains(
+        error - reversed_error, error, sigma
+    ):
+        causes.append("the signs of all its loads seem to be reversed")
     for j, name in enumerate(model.components):
         step = float(J[:, j] @ (error / sigma) / (J[:, j] @ J[:, j]))
         if not _explains(error - J[:, j] * sigma * step, error, sigma):

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
-from balance_cli.calibration.gross_outliers import OUTLIER_SIGNIFICANCE_LEVEL, gross_outlier_candidates
+from balance_cli.calibration.gross_outliers import gross_outlier_candidates
 from balance_cli.calibration.outlier_causes import exchanged_rows, likely_cause
+from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.robust_scale import robust_row_sigma
 from balance_cli.calibration.suspect_series import SuspectLoadSeries, exclude_suspect_series
 from balance_cli.calibration.term_choice import SEARCHED, TermChoice

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from balance_cli.calibration.fit import CalibrationModelFit, CalibrationPoints, fit_calibration_model, refit_terms
-from balance_cli.calibration.gross_outliers import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.math_model import student_widening
+from balance_cli.calibration.robust_fit import OUTLIER_SIGNIFICANCE_LEVEL
 from balance_cli.calibration.robust_scale import robust_sigma
 from balance_cli.calibration.series_causes import series_cause
 from balance_cli.calibration.term_choice import LINEAR_TERMS, TermChoice

@@ -101,6 +101,36 @@ def test_a_reversed_sign_is_named():
     assert outlier.row == 16 and "(its sign)" in outlier.cause
 
 
+@pytest.mark.parametrize("row", [4, 13, 92, 117])
+def test_a_reversed_row_leaves_the_reading_of_the_series(row):
+    """Two directions and pairs, each with its own tare: the reversed row must not move tare points to other series."""
+    eye = np.eye(6)
+    parts = [np.outer(sign * np.r_[0.0, STEPS], one) for one in eye for sign in (1, -1)]
+    pairs = [np.outer([0.25, 0.5, 0.75, 1.0], eye[i]) + 0.6 * eye[(i + 1) % 6] for i in range(6)]
+    parts += [np.vstack([np.zeros(6), pair]) for pair in pairs]
+    x, series = np.vstack(parts), np.repeat(np.arange(18), [len(part) for part in parts])
+
+    def reverse(x, channels):
+        x[row] *= -1.0
+
+    C, points = recorded(x, series, 1, reverse)
+    whole = calibrate_all_trims(points, choice=LINEAR_TERMS)
+    np.testing.assert_array_equal(whole.load_series, series)
+    assert [outlier.row for outlier in whole.outliers] == [row + 1]
+    np.testing.assert_allclose(whole.model.coefficients.T, C, atol=6 * NOISE)
+
+
+def test_the_reversed_signs_of_all_loads_of_a_row_are_named():
+    rng = np.random.default_rng(6)
+
+    def reverse(x, channels):
+        x[33] *= -1.0
+
+    _, points = recorded(rng.uniform(-1.0, 1.0, (60, 6)), np.zeros(60, int), 3, reverse)
+    (outlier,) = calibrate_all_trims(points, choice=LINEAR_TERMS).outliers
+    assert outlier.row == 34 and outlier.cause == "the signs of all its loads seem to be reversed"
+
+
 def test_excluded_rows_that_shorten_the_range_are_remarked():
     def spoil(x, channels):
         channels[15] += 0.05 * np.arange(6)
