@@ -249,3 +249,14 @@ def mutate_universal(data: bytes, rng: random.Random) -> bytes:
                 fields[place] = rng.choice(FIELDS).rjust(len(fields[place]))
                 lines[row] = b" ".join(fields)
     return b"\n".join(lines)
+
+
+WAV_HEADER = 44
+"""Bytes before the samples: RIFF, format and length."""
+
+
+def mutate_wav(data: bytes, rng: random.Random) -> bytes:
+    """A WAV file with its header changed (half of the cases), or as any binary file: most bytes are samples."""
+    if rng.random() < 0.5:
+        return mutate_binary(data, rng)
+    return mutate_binary(data[:WAV_HEADER], rng) + data[WAV_HEADER:]

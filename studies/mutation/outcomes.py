@@ -23,6 +23,8 @@ MOST_WALL_TIME = 120.0
 """[s]. A call that waits uses no processor time."""
 MOST_MEMORY = 2**30
 """Bytes of resident memory of a call, from which it counts as one that uses too much."""
+PROGRAM_MEMORY = 180 * 2**20
+"""Bytes of a process with all modules of the program. What the forking process holds besides is not the call's."""
 
 READ, REFUSED = "read", "refused"
 INTERNAL, CRASHED, ENDLESS, MEMORY, MESSAGE, LEFT = "internal error", "crashed", "endless", "memory", "message", "left"
@@ -105,6 +107,7 @@ def _run(action: Callable[[], None], work: Path) -> tuple[int, int, bool]:
     """Exit status (negative: the signal), resident memory [bytes], and whether the process had to be ended."""
     sys.stdout.flush()
     sys.stderr.flush()
+    not_of_the_call = max(0, _resident_memory() - PROGRAM_MEMORY)
     pid = os.fork()
     if pid == 0:
         status = 1
@@ -130,9 +133,18 @@ def _run(action: Callable[[], None], work: Path) -> tuple[int, int, bool]:
     while True:
         ended, status, usage = os.wait4(pid, os.WNOHANG)
         if ended:
-            return os.waitstatus_to_exitcode(status), usage.ru_maxrss * 1024, late
+            return os.waitstatus_to_exitcode(status), usage.ru_maxrss * 1024 - not_of_the_call, late
         if time.monotonic() > deadline and not late:
             late = True
             os.kill(pid, signal.SIGKILL)
         time.sleep(pause)
         pause = min(0.02, pause * 1.5)
+
+
+def _resident_memory() -> int:
+    """Bytes of this process; zero where the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return 0
+    return pages * resource.getpagesize()

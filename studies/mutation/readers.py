@@ -16,7 +16,7 @@ import yaml
 from click.testing import CliRunner
 
 from balance_cli.cli import balance
-from studies.mutation.foreign import FORMATS, mutate_binary, mutate_universal, write_recordings
+from studies.mutation.foreign import FORMATS, mutate_binary, mutate_universal, mutate_wav, write_recordings
 from studies.mutation.hdf5 import mutate_hdf5
 from studies.mutation.text import mutate_table, mutate_yaml
 
@@ -147,7 +147,13 @@ def _import(name: str) -> tuple[Callable[[Path, Path, Path], Words], ...]:
     )
 
 
-MUTATIONS = {"csv": mutate_table, "uff58": mutate_universal, "uff58b": mutate_universal, "mat73": mutate_hdf5}
+MUTATIONS = {
+    "csv": mutate_table,
+    "uff58": mutate_universal,
+    "uff58b": mutate_universal,
+    "mat73": mutate_hdf5,
+    "wav": mutate_wav,
+}
 """How recordings are changed whose format is known; the others as binary files."""
 
 READERS: dict[str, Reader] = {
