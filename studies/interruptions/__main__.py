@@ -34,9 +34,7 @@ PARTS = ("calls", "shared", "room", "chain")
 
 @click.command()
 @click.option("--part", "parts", multiple=True, type=click.Choice(PARTS), help="Only these parts.")
-@click.option(
-    "--moments", default=2, show_default=True, help="Of each command and signal; every second one is in writing."
-)
+@click.option("--moments", default=8, show_default=True, help="Of each command; every second one while it writes.")
 @click.option("--interruptions", default=10, show_default=True, help="Of the chain.")
 @click.option("--seed", default=1, show_default=True)
 def interruptions(parts: tuple[str, ...], moments: int, interruptions: int, seed: int) -> None:
