@@ -61,6 +61,7 @@ class StagedOutputs:
             remove_leftovers(target.parent)
         _outputs.staged.add(self)
         part = self._parts[target] = target.with_name(_part_name(target))
+        _outputs.targets[part] = target
         return part
 
     def unstage(self, path: Path) -> None:
@@ -116,6 +117,7 @@ class _ProcessOutputs:
 
     def __init__(self) -> None:
         self.staged: set[StagedOutputs] = set()
+        self.targets: dict[Path, Path] = {}  # also of files that were discarded before their error is reported
         self.written = False
         self.moving = False
         self.after_move: Callable[[], object] | None = None
@@ -258,11 +260,12 @@ def os_errors_as_user_error(path: Path) -> Iterator[None]:
 
 def unwritable_file(error: OSError | RuntimeError, path: Path | None) -> UserError:
     """The UserError of a file that the operating system did not write; a staged file is called by its final name."""
-    targets = [target for staged in _outputs.staged if path and (target := staged.target_of(path))]
+    while path in _outputs.targets:
+        path = _outputs.targets[path]
     number = system_error_number(error)
     reason = os.strerror(number) if number else getattr(error, "strerror", None) or str(error)
     remedy = _REMEDIES.get(number or 0, "Choose another place")
-    return UserError(f"cannot be written: {reason}", str(targets[0] if targets else path or "output"), remedy=remedy)
+    return UserError(f"cannot be written: {reason}", str(path or "output"), remedy=remedy)
 
 
 def system_error_number(error: BaseException) -> int | None:
