@@ -60,8 +60,8 @@ class StagedOutputs:
         if target.parent not in {staged.parent for staged in self._parts}:
             remove_leftovers(target.parent)
         _outputs.staged.add(self)
-        part = self._parts[target] = target.with_name(_part_name(target))
-        _outputs.targets[part] = target
+        part = target.with_name(_part_name(target))
+        self._parts[target], _outputs.targets[part] = part, target
         return part
 
     def unstage(self, path: Path) -> None:
@@ -117,9 +117,8 @@ class _ProcessOutputs:
 
     def __init__(self) -> None:
         self.staged: set[StagedOutputs] = set()
-        self.targets: dict[Path, Path] = {}  # also of files that were discarded before their error is reported
-        self.written = False
-        self.moving = False
+        self.targets: dict[Path, Path] = {}  # of discarded files, too: their error is reported later
+        self.written = self.moving = False
         self.after_move: Callable[[], object] | None = None
 
     @contextmanager
@@ -260,12 +259,10 @@ def os_errors_as_user_error(path: Path) -> Iterator[None]:
 
 def unwritable_file(error: OSError | RuntimeError, path: Path | None) -> UserError:
     """The UserError of a file that the operating system did not write; a staged file is called by its final name."""
-    while path in _outputs.targets:
-        path = _outputs.targets[path]
     number = system_error_number(error)
     reason = os.strerror(number) if number else getattr(error, "strerror", None) or str(error)
-    remedy = _REMEDIES.get(number or 0, "Choose another place")
-    return UserError(f"cannot be written: {reason}", str(path or "output"), remedy=remedy)
+    name = str(_outputs.targets.get(path, path) if path else "output")
+    return UserError(f"cannot be written: {reason}", name, remedy=_REMEDIES.get(number or 0, "Choose another place"))
 
 
 def system_error_number(error: BaseException) -> int | None:
