@@ -161,7 +161,8 @@ def _simplest_local_model(
         fit = fit_windows(subset, orders)
         free = subset.weight.sum(axis=1) - orders.coefficients(u) - orders.denominator / c
         good = (fit.cost / c < settings.max_window_chi2 * np.maximum(free, 0.0)) & ~_has_hidden_peak(fit, settings)
-        modeled[remaining[good]] = _predict_windows(subset, fit)[good]
+        chosen = np.flatnonzero(good)
+        modeled[remaining[good]] = _predict_windows(subset.subset(chosen), fit.subset(chosen))
         followed[remaining[good]] = True
     return modeled, followed
 
@@ -172,7 +173,8 @@ def _predict_windows(windows: WindowedData, fit: LocalFit) -> ComplexArray:
     P = legendre.legvander(windows.r, max(orders.response, orders.denominator))
     driven = windows.U[:, :, :, None] * P[:, :, None, : orders.response + 1]
     A = np.matmul(P[:, :, : orders.denominator + 1], fit.denominator[:, :, None])
-    return np.asarray(driven.reshape(*driven.shape[:2], -1) @ fit.coefficients / A)
+    w, M, inputs, powers = driven.shape
+    return np.asarray(driven.reshape(w, M, inputs * powers) @ fit.coefficients / A)
 
 
 def _remove_response_shapes(away: ComplexArray, Y: ComplexArray, max_shapes: int) -> ComplexArray:

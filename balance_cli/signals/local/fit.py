@@ -31,6 +31,8 @@ LARGEST_MARQUARDT_DAMPING = 1e3
 """Damping over the mean curvature from which no step is tried: it would be a thousandth of a gradient step."""
 LEAST_DENOMINATOR = 1e-6
 """Least value of A over the largest in its window, so that a pole on a line does not divide by zero."""
+LARGEST_STEP = 1e6
+"""Of a denominator of unit norm: beyond it only the direction matters, and where no line tells it, squares overflow."""
 _PER_WINDOW_FIELDS = ("denominator", "coefficients", "triangle", "residual")
 
 
@@ -233,4 +235,5 @@ def _marquardt_step(problem: _WindowProblem, fit: LocalFit, damping: Array) -> C
     size = P.shape[2]
     mean = np.trace(H, axis1=1, axis2=2).real / size + 1e-300
     regular = H + ((damping + 1e-12) * mean)[:, None, None] * np.eye(size)
-    return np.asarray(np.linalg.solve(regular, g)[:, :, 0], complex)
+    step = np.asarray(np.linalg.solve(regular, g)[:, :, 0], complex)
+    return step / np.maximum(1.0, np.max(np.abs(step), axis=1, keepdims=True) / LARGEST_STEP)

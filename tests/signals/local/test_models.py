@@ -192,6 +192,18 @@ def test_exact_rational_function_is_found_exactly():
     assert (response_rows(window_fit, np.array([0.37])) @ window_fit.coefficients)[0, 0] == pytest.approx(G(0.37))
 
 
+def test_a_window_with_one_line_is_fitted_without_a_number_out_of_range():
+    """Nothing tells its denominator, so that a step has no bound of its own."""
+    windows, _, _ = window(noise=0.1, lines=27)
+    weight = np.zeros((1, 27))
+    weight[0, 0] = 1.0
+    alone = replace(windows, Y=windows.Y * weight[..., None], weight=weight)
+    for denominator in (1, 2, 3):
+        fit = fit_windows(alone, ModelOrders(3, -1, denominator))
+        assert np.linalg.norm(fit.denominator) == pytest.approx(1.0)
+        assert np.all(np.isfinite(fit.coefficients))
+
+
 def test_slope_of_a_window():
     windows, G, _ = window()
     one = split_windows(fit_windows(windows, ModelOrders(1, 1, 1)), windows)[0]
