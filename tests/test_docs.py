@@ -173,7 +173,7 @@ NAMES = {
     **dict.fromkeys(("terms_refused", "left_out_sequences", "drift_per_sequence", "calibrated_range"), 1),
     **dict.fromkeys(("scatter_chi2_per_dof", "checks", "error_percent_fs", "within_interval"), 1),
     **dict.fromkeys(("channels", "noise_v", "flags", "campaign_runs", "steps", "steps_left_out", "trust", "error"), 1),
-    **dict.fromkeys(("reference", "sigma_before", "sigma_after", "sigma_noise"), 1),
+    **dict.fromkeys(("reference", "sigma_before", "sigma_after", "sigma_after_run", "sigma_noise"), 1),
     **dict.fromkeys(("terms", "linear", "C0", "T0", "channel_hysteresis", "channels_left_out", "gaps"), 2),
 }
 

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from balance_cli.calibration.result import Calibration, TrimCalibration
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.geometry_checks import missing_mechanics
 from balance_cli.diagnosis.consistency.findings import FAULT, STATIC_RESPONSE, WARNING, ConsistencyFinding
 from balance_cli.diagnosis.consistency.units import FORCE_UNITS, MOMENT_UNITS, VOLT_UNITS, suggest_units
+from balance_cli.model.balance import balance_model
 from balance_cli.reduction.response_sources import ResponseSource, TransferSource
 from balance_cli.steps.measured_static_response import measured_static_response
 
@@ -35,8 +37,6 @@ MAIN_SHARE = 0.5
 """Share of the range of a channel under the calibrated loads from which an element is one of its main ones."""
 SAME_FACTOR = 0.1
 """Spread of the logarithm of factors that are one: tolerances of a rig and noise stay below it."""
-NONLINEAR = ("cubic-stiffness", "quadratic-stiffness", "dry-friction")
-"""Effects with which the response at rest depends on the load; only gross differences count then."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,15 @@ def static_findings(
     """
     if calibration is None:
         return ()
-    is_nonlinear = any(effect.name in NONLINEAR for effect in geometry.effects)
-    findings = [_finding(item, is_nonlinear) for item in _comparisons(calibration, source)]
+    findings = [_finding(item, _is_nonlinear(geometry)) for item in _comparisons(calibration, source)]
     return tuple(sorted(filter(None, findings), key=lambda finding: not finding.is_fault))
+
+
+def _is_nonlinear(geometry: Geometry) -> bool:
+    """Whether the response at rest depends on the load; only gross differences count then."""
+    if not geometry.effects or missing_mechanics(geometry):
+        return False
+    return bool(balance_model(geometry).system(derivatives=False).equations.forces)
 
 
 def _comparisons(calibration: Calibration, source: ResponseSource) -> Iterator[StaticComparison]:

@@ -46,10 +46,13 @@ main()
 """
 
 
+FOREGROUND = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+"""A shell that starts the tests in the background has them ignore interrupts."""
+
+
 def run(code, *words, **options):
-    return subprocess.run(
-        [sys.executable, "-c", code, *map(str, words)], capture_output=True, text=True, timeout=WAIT, **options
-    )
+    words = [sys.executable, "-c", FOREGROUND + code, *map(str, words)]
+    return subprocess.run(words, capture_output=True, text=True, timeout=WAIT, **options)
 
 
 @pytest.mark.parametrize("start", [MODULE, SCRIPT], ids=["module", "script"])
