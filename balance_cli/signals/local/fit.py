@@ -236,4 +236,5 @@ def _marquardt_step(problem: _WindowProblem, fit: LocalFit, damping: Array) -> C
     mean = np.trace(H, axis1=1, axis2=2).real / size + 1e-300
     regular = H + ((damping + 1e-12) * mean)[:, None, None] * np.eye(size)
     step = np.asarray(np.linalg.solve(regular, g)[:, :, 0], complex)
-    return step / np.maximum(1.0, np.max(np.abs(step), axis=1, keepdims=True) / LARGEST_STEP)
+    excess = np.max(np.abs(step), axis=1, keepdims=True) / LARGEST_STEP
+    return np.asarray(step / np.maximum(1.0, excess), complex)
