@@ -57,18 +57,22 @@ optional_geometry_option: Callable[[F], F] = click.option(
 
 
 def rig_of_inputs(session: Session, geometry: Path | None, paths: Iterable[Path], reading: TableReading) -> Geometry:
-    """The geometry that is given, with units that tables state and it does not; without one that of the first table.
+    """The geometry that is given, with units that the files state and it does not; without one that of the first table.
 
     Raises UserError without a geometry where there is no table, or a run file that needs one.
     """
     from balance_cli.campaign.recording.load_table import is_point_table
+    from balance_cli.campaign.recording.reading_units import channels_of_free_unit, declare_reading_units
+    from balance_cli.campaign.recording.run_file import stated_reading_units
     from balance_cli.campaign.recording.table_geometry import declare_table_units, geometry_of_table
     from balance_cli.campaign.rig.load_components import load_components
 
     paths = tuple(paths)
     tables = [path for path in paths if is_point_table(path)]
     if geometry is not None:
-        return declare_table_units(session.geometry(geometry, mechanics=False), tables, reading)
+        rig = declare_table_units(session.geometry(geometry, mechanics=False), tables, reading)
+        files = [path for path in paths if path not in tables] if channels_of_free_unit(rig) else []
+        return declare_reading_units(rig, map(stated_reading_units, files))
     if not tables or len(tables) < len(paths):
         fault = "no geometry is given, and only point tables do without one"
         raise UserError(fault, "-g", remedy="Give the geometry of the rig with -g GEOMETRY")

@@ -82,6 +82,7 @@ def _make_run(rig: TrueRig, plan: AnyPlan, channels: Array, loads: Array | None)
         source=MemorySource(channels, loads),
         has_loads=loads is not None,
         note="simulated",
+        reading_units=rig.geometry.reading_units(rig.geometry.channel_names),
     )
 
 

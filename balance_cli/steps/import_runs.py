@@ -16,6 +16,7 @@ from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.importers.base import ForeignFile
 from balance_cli.io.errors import UserError
+from balance_cli.io.units import VOLTAGE
 from balance_cli.signals.impact import IMPACT, find_hits
 from balance_cli.signals.rotor.pulse_consistency import speed_fault
 from balance_cli.signals.rotor.tachometer import RotorReference
@@ -87,6 +88,7 @@ def import_run(declared: DeclaredRun, mapping: ImportMap, files: Sequence[Foreig
         note=entry.note,
         path=files[0].path,
         additions=additions_of(mapping, matrices),
+        reading_units={each.target: each.reading_unit for each in channels if each.reading_unit != VOLTAGE},
         **(point_labels(finder, mapping) if entry.kind == "static" else {}),
     )
     notes = [*_file_notes(files, finder, mapping, every, has_loads), *notes, *supplies.notes]

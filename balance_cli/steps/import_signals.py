@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from balance_cli.campaign.recording.import_map import ImportMap, MappedChannel, MappedLoad
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.importers.base import ChannelGroup, ForeignFile
 from balance_cli.importers.time_axis import read_time_axis
 from balance_cli.io.errors import UserError
-from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, TEMPERATURE, VOLTAGE, Unit, parse_unit
+from balance_cli.io.units import ACCELERATION, ANGLE, FORCE, RATIO, TEMPERATURE, VOLTAGE, Unit, parse_unit
 from balance_cli.steps.import_timeline import Clock
 
 CONTRADICTION = 1e-3
@@ -39,13 +39,17 @@ class FoundChannel:
 
 @dataclass(frozen=True)
 class Signal:
-    """A channel in our units: factor times the file's value, plus offset. `target` is the column that it fills."""
+    """A channel in our units: factor times the file's value, plus offset. `target` is the column that it fills.
+
+    `reading_unit`: base unit of a channel, V or a ratio to the excitation of its bridge.
+    """
 
     source: FoundChannel
     target: str
     factor: float
     offset: float
     note: str = ""
+    reading_unit: str = VOLTAGE
 
 
 class ChannelFinder:
@@ -152,11 +156,15 @@ def _require_possible_clock(clock: Clock, channel: FoundChannel) -> None:
 
 
 def channel_signal(found: FoundChannel, mapped: MappedChannel) -> Signal:
-    """A channel in volts; of another unit than that of a voltage `scale` says how many volts it makes."""
+    """A channel in volts or, without `scale`, in V/V; of another unit `scale` says how many volts it makes."""
     # `g` is an acceleration here: nothing that is sampled is a mass.
     dimensions = (ACCELERATION,) if (mapped.unit or found.unit).strip() == "g" else ()
     unit, note = _unit(found, mapped.unit, *dimensions)
-    if unit.dimension != VOLTAGE and "scale" not in mapped.model_fields_set:
+    has_scale = "scale" in mapped.model_fields_set
+    if unit.dimension == RATIO and not has_scale and mapped.excitation is None:
+        signal = _signal(found, mapped.name, unit, mapped.sign, mapped.scale, mapped.offset, note)
+        return replace(signal, reading_unit=RATIO)
+    if unit.dimension != VOLTAGE and not has_scale:
         fault = f"is in {unit.symbol}, not in volts"
         remedy = f"Add `scale` to its entry: volts for one {unit.dimension} (for V/V the excitation voltage)"
         raise UserError(fault, str(found.file.path), f"channel `{found.name}`", remedy)

@@ -172,7 +172,7 @@ def linked(name: str, link: Any) -> Any:
         ("sweep", put("period", 0.019), "attribute period", "0.019"),
         ("check", drop("names", "channels"), "channels, attribute names", "0 names for 3 columns"),
         ("check", put("names", ["a", "a", "b"], "channels"), "channels, attribute names", "`a` is used twice"),
-        ("check", put("unit", "mV", "channels"), "channels, attribute unit", "mV"),
+        ("check", put("unit", "N", "channels"), "channels, attribute unit", "is N"),
         ("check", put("units", ["N"] * 6, "loads"), "loads, attribute units", "N, N"),
         ("check", put("names", list("abcdef"), "loads"), "loads, attribute names", "a, b"),
         ("check", lambda file: file.__delitem__("loads"), "loads", "missing"),

@@ -34,9 +34,6 @@ def channel_faults(layout: DatasetLayout | None, least_rows: int) -> Iterator[Us
         return
     if layout.shape[0] < least_rows:
         yield UserError(f"holds {layout.shape[0]} samples", place="channels", remedy="Record the run again")
-    if set(layout.units) != {"V"}:
-        fault = f"its unit is {', '.join(layout.units) or 'missing'}"
-        yield UserError(fault, place="channels, attribute unit", remedy="It should be `V`")
     size = layout.declared_bytes
     if layout.is_complete and size >= COMPRESSION_TESTED and size > LARGEST_COMPRESSION * layout.stored_bytes:
         fault = f"{layout.shape[0]} rows in {layout.stored_bytes} bytes: nearly all samples have the same value"

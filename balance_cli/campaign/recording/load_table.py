@@ -111,6 +111,7 @@ def _run_of_rows(table: LoadTable, geometry: Geometry, name: str, trim: str, row
         series_labels=labels.get("series"),
         point_kinds=labels.get("point"),
         additions=None if table.temperature is None else temperature_addition(table.temperature[rows]),
+        reading_units=geometry.reading_units(table.channel_names),
     )
     return replace(run, digest=run_digest(run))
 

@@ -110,7 +110,7 @@ class Run:
     row and the kind of its load point, None where the file states none; `digest` is the hex SHA-256 of the content;
     `bridged`: signals with short gaps, which `source` fills; in a static run those for which rows were left out.
     `conditions`: further numbers among the attributes of the file, such as the collective pitch or the wind speed, over
-    which results can be compared.
+    which results can be compared. `reading_units`: base unit of each channel that is not read in V.
     """
 
     name: str
@@ -138,6 +138,7 @@ class Run:
     bridged: tuple[BridgedSamples, ...] = ()
     additions: RunAdditions | None = None
     conditions: dict[str, float] = field(default_factory=dict)
+    reading_units: dict[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         channels = plural(len(self.channel_names), "channel")
@@ -218,7 +219,7 @@ def have_same_samples(first: Run, second: Run) -> bool:
     return True
 
 
-_HASHED_APART = {"pulse_times", "attitude", "additions", "series_labels", "point_kinds", "conditions"}
+_HASHED_APART = {"pulse_times", "attitude", "additions", "series_labels", "point_kinds", "conditions", "reading_units"}
 _DIGESTED_FIELDS = {item.name for item in fields(Run)} - {"source", "path", "digest", "bridged"} - _HASHED_APART
 
 
@@ -236,6 +237,8 @@ def run_digest(run: Run) -> str:
             hashed.update(json.dumps([name, labels]).encode())
     if run.conditions:
         hashed.update(json.dumps(["conditions", run.conditions], sort_keys=True).encode())
+    if run.reading_units:
+        hashed.update(json.dumps(["reading_units", run.reading_units], sort_keys=True).encode())
     for block in run.blocks():
         hashed.update(np.ascontiguousarray(block.channels, "<f8").tobytes())
         if block.loads is not None:

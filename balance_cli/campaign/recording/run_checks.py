@@ -9,6 +9,7 @@ import numpy as np
 from balance_cli.campaign.recording.attribute_checks import kind_faults, name_faults
 from balance_cli.campaign.recording.dataset_checks import attitude_faults, channel_faults, load_faults, pulse_faults
 from balance_cli.campaign.recording.point_labels import label_faults
+from balance_cli.campaign.recording.reading_units import reading_unit_faults
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Run, SampleBlock
 from balance_cli.campaign.recording.run_schema import RunFileContents
 from balance_cli.campaign.rig.components import COMPONENTS, RUN_KINDS
@@ -20,6 +21,7 @@ def run_file_faults(contents: RunFileContents) -> Iterator[UserError]:
     kind = contents.attributes.get("kind")
     yield from name_faults(contents.attributes)
     yield from channel_faults(contents.channels, 1 if kind == "static" else 2)
+    yield from reading_unit_faults(contents)
     if kind not in RUN_KINDS:
         return
     yield from kind_faults(contents.attributes)

@@ -14,6 +14,7 @@ import numpy as np
 from balance_cli.campaign.recording.conditions import RUN_ATTRIBUTES, read_conditions
 from balance_cli.campaign.recording.dataset_checks import MOST_PULSES, PULSE_DATASET, is_loadable
 from balance_cli.campaign.recording.point_labels import MOST_LABELS, LabelDataset, label_texts
+from balance_cli.campaign.recording.reading_units import EXCITATION
 from balance_cli.campaign.recording.run import Array
 from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileContents
 from balance_cli.io.errors import UserError
@@ -62,6 +63,10 @@ def read_contents(path: Path) -> RunFileContents:
             series=_read_labels(file, "series"),
             point=_read_labels(file, "point"),
             conditions=read_conditions(file),
+            excitation=_read_layout(file, EXCITATION, "unit"),
+            channel_excitation=None
+            if channels is None
+            else _read_attributes(file["channels"], (EXCITATION,)).get(EXCITATION),
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,18 @@ import numpy as np
 
 from balance_cli.campaign.recording.additions_file import read_additions, write_additions
 from balance_cli.campaign.recording.gaps import bridge_gaps
+from balance_cli.campaign.recording.hdf5_source import Hdf5Source
 from balance_cli.campaign.recording.point_loads import load_point_faults, with_hub_loads
+from balance_cli.campaign.recording.reading_units import (
+    reading_conversion,
+    reading_unit_mismatches,
+    reading_units,
+    unit_attribute,
+)
 from balance_cli.campaign.recording.run import Array, Run, SampleBlock, have_same_samples, hold_samples, run_digest
 from balance_cli.campaign.recording.run_checks import load_sample_faults, run_file_faults
 from balance_cli.campaign.recording.run_contents import read_contents, report_damage
-from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileContents, run_from_contents
+from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileContents, as_list, run_from_contents
 from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS, UNITS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -28,22 +35,6 @@ from balance_cli.io.reader_process import read_in_child
 
 CHUNK_ROWS = 4096
 """Samples in a chunk of a dataset: 5 s at 800 Hz, so that a short excerpt needs few chunks."""
-
-
-@dataclass(frozen=True)
-class Hdf5Source:
-    """Samples in a run file, which is opened for each read, so that many runs can be held without open files."""
-
-    path: Path
-    load_order: tuple[int, ...] | None
-
-    def read(self, start: int, stop: int) -> SampleBlock:
-        """Return samples start to stop. Raises UserError where the file can no longer be read."""
-        with report_damage(self.path), h5py.File(self.path, "r") as file:
-            channels = np.asarray(file["channels"][start:stop], np.float64)
-            if self.load_order is None:
-                return SampleBlock(start, channels, None)
-            return SampleBlock(start, channels, np.asarray(file["loads"][start:stop], np.float64)[:, self.load_order])
 
 
 def open_run(path: Path, hold: bool = False) -> Run:
@@ -89,12 +80,22 @@ def _read_header(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
     if faults:
         return None, faults
     order = None if contents.loads is None else tuple(contents.loads.names.index(name) for name in COMPONENTS)
-    return run_from_contents(contents, Hdf5Source(path, order), path), ()
+    run = run_from_contents(contents, Hdf5Source(path, order, reading_conversion(contents)), path)
+    return replace(run, reading_units=reading_units(contents)), ()
 
 
 @read_in_child
 def _read_header_alone(path: Path) -> tuple[Run | None, tuple[UserError, ...]]:
     return _read_header(path)
+
+
+def stated_reading_units(path: Path) -> dict[str, str]:
+    """Base units of the channels of a file that are not read in V; none where it cannot be read."""
+    try:
+        run, _ = _read_header_alone(path)
+    except UserError:
+        return {}
+    return {} if run is None else run.reading_units
 
 
 def run_header(path: Path, geometry: Geometry) -> Run:
@@ -166,6 +167,7 @@ def geometry_mismatches(run: Run, geometry: Geometry) -> Iterator[UserError]:
     if not set(run.channel_names) & set(geometry.channel_names):
         fault = f"has none of the channels that the geometry `{geometry.name}` declares"
         yield UserError(fault, file, "channels", f"It should have {', '.join(geometry.channel_names)}")
+    yield from reading_unit_mismatches(run, geometry)
     yield from load_point_faults(run, geometry)
 
 
@@ -207,7 +209,7 @@ def write_run(path: Path, run: Run, blocks: Iterable[SampleBlock] | None = None)
         )
         kind = np.float32 if exact else np.float64
         channels = _create_dataset(file, "channels", run.samples, run.channel_names, kind)
-        channels.attrs["unit"] = "V"
+        channels.attrs.create("unit", unit_attribute(run), dtype=h5py.string_dtype())
         loads = _create_dataset(file, "loads", run.samples, COMPONENTS, kind) if run.has_loads else None
         if loads is not None:
             loads.attrs.create("units", UNITS, dtype=h5py.string_dtype())
@@ -237,7 +239,9 @@ def contents_of_run(run: Run) -> RunFileContents:
     pulses, angles = run.pulse_times, run.attitude
     return RunFileContents(
         attributes,
-        channels=DatasetLayout((run.samples, len(run.channel_names)), "f", run.channel_names, ("V",)),
+        channels=DatasetLayout(
+            (run.samples, len(run.channel_names)), "f", run.channel_names, tuple(as_list(unit_attribute(run)))
+        ),
         loads=DatasetLayout((run.samples, len(COMPONENTS)), "f", COMPONENTS, UNITS) if run.has_loads else None,
         pulses=None if pulses is None else DatasetLayout(pulses.shape, "f", (), ()),
         pulse_times=pulses,

@@ -42,7 +42,8 @@ class RunFileContents:
 
     `pulses` and `attitude` are the layouts of `rotor/pulse_times` and `attitude`, `pulse_times` and `angles` their
     values: None where the layout is not sound. The columns of `angles` are ordered as `attitude.names` says. `series`
-    and `point`: the labels of the load points.
+    and `point`: the labels of the load points. `excitation`: the layout of the measured voltages of the bridges,
+    `channel_excitation` the constant ones.
     """
 
     attributes: Mapping[str, Any]
@@ -56,6 +57,8 @@ class RunFileContents:
     series: LabelDataset | None = None
     point: LabelDataset | None = None
     conditions: Mapping[str, float] = field(default_factory=dict)
+    excitation: DatasetLayout | None = None
+    channel_excitation: Any = None
 
 
 def run_from_contents(contents: RunFileContents, source: SampleSource, path: Path) -> Run:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from balance_cli.campaign.recording.load_table import TableReading
 from balance_cli.campaign.recording.load_table_columns import LABELS, identify_columns, name_and_unit
-from balance_cli.campaign.rig.channel import Channel
+from balance_cli.campaign.recording.reading_units import channels_of_free_unit, declare_reading_units
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.io.errors import UserError
@@ -99,24 +99,16 @@ def declare_table_units(geometry: Geometry, paths: Sequence[Path], reading: Tabl
 
     Channels of cells and torque meters keep theirs, because their sensitivity is in V.
     """
-    for path in paths:
-        units = dict(_stated_units(geometry, path, reading))
-        if units:
-            geometry = geometry.model_copy(
-                update={"channels": tuple(_with_unit(channel, units) for channel in geometry.channels)}
-            )
-    return geometry
-
-
-def _with_unit(channel: Channel, units: dict[str, str]) -> Channel:
-    return channel.model_copy(update={"unit": units[channel.name]}) if channel.name in units else channel
+    return declare_reading_units(geometry, (dict(_stated_units(geometry, path, reading)) for path in paths))
 
 
 def _stated_units(geometry: Geometry, path: Path, reading: TableReading) -> Iterator[tuple[str, str]]:
     """Channels without a declared unit that a table has in another base unit than V."""
     table = read_table(path)
-    free = {channel.name for channel in geometry.channels if channel.unit is None and not channel.measures_mechanics}
-    for column in identify_columns(table, (*geometry.channel_names, *COMPONENTS, *LABELS)):
+    free = set(channels_of_free_unit(geometry))
+    columns = identify_columns(table, (*geometry.channel_names, *COMPONENTS, *LABELS))
+    is_supplied = any(column is not None and column.name == "excitation" for column in columns)
+    for column in columns:
         if column is None or column.name not in free:
             continue
         default = next((unit for unit in reading.units if unit.dimension in (VOLTAGE, RATIO, NUMBER)), None)
@@ -126,5 +118,6 @@ def _stated_units(geometry: Geometry, path: Path, reading: TableReading) -> Iter
             dimension = parse_unit(column.unit).dimension
         else:
             continue
+        dimension = RATIO if dimension == VOLTAGE and is_supplied else dimension
         if dimension in (RATIO, NUMBER):
             yield column.name, dimension

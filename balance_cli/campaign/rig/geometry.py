@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -29,6 +30,7 @@ from balance_cli.campaign.rig.declared_values import (
 from balance_cli.campaign.rig.load_component import LoadComponent, name_component
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
+from balance_cli.io.units import VOLTAGE
 
 
 class Inertia(FrozenModel):
@@ -201,6 +203,14 @@ class Geometry(FrozenModel):
     def __repr__(self) -> str:
         cells, channels = plural(len(self.cells), "cell"), plural(len(self.channels), "channel")
         return f"Geometry {self.name} of rig {self.rig}: {cells}, {channels}"
+
+    def reading_units(self, names: Container[str]) -> dict[str, str]:
+        """Base unit of each of these channels that is not read in V."""
+        return {
+            channel.name: channel.reading_unit
+            for channel in self.channels
+            if channel.name in names and channel.reading_unit != VOLTAGE
+        }
 
     @property
     def channel_names(self) -> tuple[str, ...]:
