@@ -116,7 +116,7 @@ def _warnings(
 ) -> Iterator[str]:
     """Yield what is to be known of the runs: findings, gaps that were bridged, channels left out."""
     yield from (finding.sentence for finding in findings)
-    yield from (f"{run.name}: {describe_gaps(run)}" for run in records if run.bridged)
+    yield from (f"{run.name}: {describe_gaps(run)}" for run in records if describe_gaps(run))
     for run in loads:
         yield from (f"{run.run}: channel {channel} left out: {reason}" for channel, reason in run.left_out.items())
 

@@ -32,9 +32,10 @@ class Messages:
         return self._skipped
 
     def record_gaps(self, run: str, gaps: Mapping[str, Mapping[str, int]], text: str) -> None:
-        """Record the bridged gaps of a run, if it has any, with a warning."""
+        """Record the bridged gaps of a run, if it has any, with a warning: `text` says what was bridged or left out."""
         if gaps:
             self._gaps[run] = {name: dict(counts) for name, counts in gaps.items()}
+        if text:
             self.warn(f"{run}: {text}")
 
     def record_hammer(self, runs: Iterable[Run]) -> None:

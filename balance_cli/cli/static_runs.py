@@ -94,6 +94,7 @@ def open_static_runs(
     disjoint_from: Iterable[Run] = (),
 ) -> tuple[Run, ...]:
     """Open run files and point tables of this rig and record them as inputs, as `Session.runs` does."""
+    from balance_cli.campaign.recording.gaps import bridge_gaps, describe_gaps, gap_summary
     from balance_cli.campaign.recording.load_table import is_point_table, runs_of_table
 
     paths, used = tuple(paths), tuple(disjoint_from)
@@ -106,7 +107,9 @@ def open_static_runs(
             if run.name in {other.name for other in (*used, *runs)}:
                 fault = f"has the run `{run.name}`, which another file has too"
                 raise UserError(fault, str(path), remedy="Rename one of the two, and give each file once")
-            runs.append(run)
+            complete = bridge_gaps(run)
+            session.record_gaps(run.name, gap_summary(complete), describe_gaps(complete))
+            runs.append(complete)
     return tuple(runs)
 
 

@@ -173,7 +173,10 @@ def _period_spectra(
     signals = [*range(c), *(c + column for column in load_columns(components))]
     spectra = np.asarray(amplitudes)[:, :, signals]
     load_size = np.abs(spectra[periods // 2 :, :, c:].mean(axis=0))
-    strong = np.flatnonzero(np.any(load_size > LEAST_SHARE_OF_STRONGEST * load_size.max(axis=0), axis=1))
+    strong = np.flatnonzero(np.any(load_size > LEAST_SHARE_OF_STRONGEST * load_size.max(axis=0, initial=0.0), axis=1))
+    if not strong.size:
+        fault = f"no load varies within a period, which is {samples} samples"
+        raise run_error(run, fault, "Correct `sample_rate` and `period`", "loads")
     lines = np.arange(max(strong[0] - 2, 0), min(strong[-1] + NOISE_LINES, spectra.shape[1]))
     return spectra[:, lines], lines + 1, components
 

@@ -195,3 +195,30 @@ def test_a_channel_that_misses_many_load_points_costs_no_rows():
     assert run.samples == 39 and [item.name for item in run.bridged] == ["a"]
     assert list(channel_faults(run, dict.fromkeys("abc"))) == ["b"]
     assert unread(static_run(8), (3, 0)).samples == 8
+
+
+@pytest.mark.parametrize("twice", [lambda x: np.repeat(x, 2, axis=0), lambda x: np.concatenate([x, x])])
+def test_load_points_that_were_entered_twice_count_once_and_are_named(twice):
+    whole = replace(static_run(), series_labels=None, attitude=None)
+    block = whole.read()
+    doubled = replace(whole, samples=80, source=MemorySource(twice(block.channels), twice(block.loads)))
+    run = bridge_gaps(doubled)
+    assert np.array_equal(run.read().channels, block.channels) and np.array_equal(run.read().loads, block.loads)
+    assert "left out as copies of others in every digit" in describe_gaps(run) and "and 30 more" in describe_gaps(run)
+    assert gap_summary(run) == {} and len(run.copied_rows) == 40
+    # A tared instrument reads the same zero between load series; that is no copy.
+    zeros = np.where(np.isin(np.arange(40), (19, 20))[:, None], 0.0, block.channels), np.zeros((40, 6))
+    assert bridge_gaps(replace(whole, source=MemorySource(*zeros))).samples == 40
+
+
+def test_a_load_point_without_its_load_is_left_out_and_one_load_that_is_often_missing_is_a_fault():
+    whole = static_run()
+    block = whole.read()
+    loads = block.loads.copy()
+    loads[5, 2] = np.nan
+    run = bridge_gaps(replace(whole, source=MemorySource(block.channels, loads)))
+    assert run.samples == 39 and np.isfinite(run.read().loads).all()
+    assert describe_gaps(run).startswith("load point 6 of the file is left out, where Fz is not finite")
+    loads[5:15, 2] = np.nan
+    run = bridge_gaps(replace(whole, source=MemorySource(block.channels, loads)))
+    assert run.samples == 40 and [str(fault.fault)[:8] for fault in load_sample_faults(run)] == ["10 of 40"]

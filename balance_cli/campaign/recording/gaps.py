@@ -2,7 +2,7 @@
 
 A gap is bridged by interpolation (`gap_interpolation`). Longer or more frequent gaps stay, and the channel is left out.
 Gaps of the loads are faults of the run: loads are what responses and errors refer to, and no other signal can stand in
-for them. Static runs have no time between their rows: a row that a channel did not read is left out (`static_rows`).
+for them. Static runs have no time between their rows: an unread row is left out (`static_rows`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.gap_interpolation import REACH, interpolate_missing
 from balance_cli.campaign.recording.run import LARGEST_MAGNITUDE, Array, BridgedSamples, Run, SampleBlock, SampleSource
-from balance_cli.campaign.recording.static_rows import describe_rows, leave_out_unread_rows
+from balance_cli.campaign.recording.static_rows import describe_rows, leave_out_rows
 from balance_cli.io.result_view import plural
 
 Integers = NDArray[np.int64]
@@ -61,7 +61,7 @@ class BridgedSource:
 def bridge_gaps(run: Run) -> Run:
     """Return the run with its short gaps filled, or its unread rows left out, and listed; itself where it has none."""
     if run.kind == "static":
-        return leave_out_unread_rows(run)
+        return leave_out_rows(run)
     bridged = {}
     for column, missing in _missing_samples(run).items():
         samples = _bridge(run, run.channel_names[column], column, missing)
@@ -83,8 +83,8 @@ def gap_summary(run: Run) -> dict[str, dict[str, int]]:
 
 def describe_gaps(run: Run) -> str:
     """Return the bridged gaps in words; empty without any."""
-    if run.kind == "static" and run.bridged:
-        return describe_rows(run.bridged)
+    if run.kind == "static":
+        return describe_rows(run)
     texts = (
         f"{name} ({about['samples']} in {plural(about['gaps'], 'gap')}, longest {about['longest']})"
         for name, about in gap_summary(run).items()
@@ -94,10 +94,10 @@ def describe_gaps(run: Run) -> str:
 
 def report_gaps(runs: Iterable[Run], report: Callable[[str], None]) -> dict[str, dict[str, dict[str, int]]]:
     """Report the gaps of each run that has any in one sentence, and return their summaries by run."""
-    with_gaps = [run for run in runs if run.bridged]
+    with_gaps = [run for run in runs if run.bridged or run.copied_rows]
     for run in with_gaps:
         report(f"{run.name}: {describe_gaps(run)}")
-    return {run.name: gap_summary(run) for run in with_gaps}
+    return {run.name: gap_summary(run) for run in with_gaps if run.bridged}
 
 
 def longest_gap(index: Integers) -> int:

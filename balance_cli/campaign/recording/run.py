@@ -108,7 +108,8 @@ class Run:
     `pulse_times` (n_rev,) [s from the first sample]; `attitude` (n, 2) of a static run: pitch and roll [deg] as in
     balance_cli.campaign.rig.attitude; `series_labels` and `point_kinds` (n,) of a static run: the load series of each
     row and the kind of its load point, None where the file states none; `digest` is the hex SHA-256 of the content;
-    `bridged`: signals with short gaps, which `source` fills; in a static run those for which rows were left out.
+    `bridged`: signals with short gaps, which `source` fills; in a static run those for which rows were left out;
+    `copied_rows`: rows of the file of a static run that were left out as copies.
     `conditions`: further numbers among the attributes of the file, such as the collective pitch or the wind speed, over
     which results can be compared. `reading_units`: base unit of each channel that is not read in V.
     """
@@ -136,6 +137,7 @@ class Run:
     path: Path | None = None
     digest: str = ""
     bridged: tuple[BridgedSamples, ...] = ()
+    copied_rows: tuple[int, ...] = ()
     additions: RunAdditions | None = None
     conditions: dict[str, float] = field(default_factory=dict)
     reading_units: dict[str, str] = field(default_factory=dict)
@@ -220,7 +222,8 @@ def have_same_samples(first: Run, second: Run) -> bool:
 
 
 _HASHED_APART = {"pulse_times", "attitude", "additions", "series_labels", "point_kinds", "conditions", "reading_units"}
-_DIGESTED_FIELDS = {item.name for item in fields(Run)} - {"source", "path", "digest", "bridged"} - _HASHED_APART
+_NOT_HASHED = {"source", "path", "digest", "bridged", "copied_rows"}
+_DIGESTED_FIELDS = {item.name for item in fields(Run)} - _NOT_HASHED - _HASHED_APART
 
 
 def run_digest(run: Run) -> str:

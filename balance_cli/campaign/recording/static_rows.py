@@ -1,7 +1,8 @@
-"""Load points of a static run that a channel did not read are left out, so that the channel is not.
+"""Load points of a static run that are left out: unread ones, so that a channel is not, and those entered twice.
 
 Between load points nothing can be interpolated. Without the row, every channel has one reading less, and uncertainties
-widen accordingly.
+widen accordingly. A row that was entered twice looks like a repeated reading without noise, from which the uncertainty
+of all readings would follow.
 """
 
 from __future__ import annotations
@@ -15,9 +16,14 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.additions import AdditionSource, RunAdditions
 from balance_cli.campaign.recording.run import Array, BridgedSamples, MemorySource, Run
+from balance_cli.campaign.rig.components import COMPONENTS
 
 LARGEST_ROW_SHARE = 0.05
 """Of the load points that may be left out: a channel that misses more is faulty, and left out instead of them."""
+FEWEST_COPIED_ROWS = 5
+"""Load points that are followed by a copy of all of them; so many do not agree in every digit by accident."""
+MOST_LISTED = 10
+"""Numbers of load points in a message."""
 FEWEST_ROWS = 10
 """Load points from which one may be left out; fewer are each needed for a coefficient."""
 
@@ -37,26 +43,62 @@ class _SelectedRows:
         return self.measured.read(dataset, 0, self.total)[self.rows[start:stop]]
 
 
-def leave_out_unread_rows(run: Run) -> Run:
-    """Return a static run without the rows that few channels miss, listed in `bridged`; itself where it has none."""
-    if run.samples < FEWEST_ROWS:
-        return run
+def leave_out_rows(run: Run) -> Run:
+    """Return a static run without unread and copied rows, which it lists in `bridged` and `copied_rows`.
+
+    A row is unread where a load, or one of the channels that miss few rows, is not finite. It is copied where it
+    repeats the row before it, or the second half of the rows the first half, in every digit.
+    """
     block = run.read()
-    missing = ~np.isfinite(block.channels)
-    most = max(1, int(LARGEST_ROW_SHARE * run.samples))
-    count = missing.sum(axis=0)
-    partly = [int(column) for column in np.argsort(count) if 0 < count[column] <= most]
-    while partly and missing[:, partly].any(axis=1).sum() > most:
-        partly.pop()  # the channel that misses most
-    if not partly:
+    names = (*run.channel_names, *(COMPONENTS if block.loads is not None else ()))
+    values = block.channels if block.loads is None else np.hstack([block.channels, block.loads])
+    unread = _unread_rows(values, len(run.channel_names))
+    copied = _copied_rows(values, len(run.channel_names))
+    dropped = unread.any(axis=1) | copied
+    if not dropped.any():
         return run
-    kept = np.flatnonzero(~missing[:, partly].any(axis=1))
     nothing = np.empty(0)
     listed = (
-        BridgedSamples(run.channel_names[column], np.flatnonzero(missing[:, column]), nothing, nothing[None])
-        for column in sorted(partly)
+        BridgedSamples(name, np.flatnonzero(missing), nothing, nothing[None])
+        for name, missing in zip(names, unread.T, strict=True)
+        if missing.any()
     )
-    return replace(_with_rows(run, kept), bridged=tuple(listed))
+    copies = tuple(np.flatnonzero(copied).tolist())
+    return replace(_with_rows(run, np.flatnonzero(~dropped)), bridged=tuple(listed), copied_rows=copies)
+
+
+def _unread_rows(values: Array, channels: int) -> NDArray[np.bool_]:
+    """Return which values (n, c) make their row one to leave out: loads, and channels that miss few rows."""
+    missing = ~np.isfinite(values)
+    rows = len(values)
+    if rows < FEWEST_ROWS or not missing.any():
+        return np.zeros_like(missing)
+    most = max(1, int(LARGEST_ROW_SHARE * rows))
+    count = missing.sum(axis=0)
+    partly = [int(column) for column in np.argsort(count) if 0 < count[column] <= most]
+    # A load that too many rows lack is a fault of the run; it costs no rows.
+    partly.sort(key=lambda column: (column < channels, count[column]))
+    while partly and missing[:, partly].any(axis=1).sum() > most:
+        partly.pop()  # the channel that misses most
+    chosen = np.zeros_like(missing)
+    chosen[:, partly] = missing[:, partly]
+    return chosen
+
+
+def _copied_rows(values: Array, channels: int) -> NDArray[np.bool_]:
+    """Return which rows (n,) of channels and loads repeat others in every digit, as rows do that were entered twice.
+
+    Unloaded rows count only beside loaded ones: a tared instrument reads the same zero again and again.
+    """
+    rows = len(values)
+    copied = np.zeros(rows, bool)
+    half = rows // 2
+    if rows % 2 == 0 and half >= FEWEST_COPIED_ROWS and np.array_equal(values[:half], values[half:]):
+        copied[half:] = bool(np.any(values != values[0]))
+        return copied
+    copied[1:] = np.all(values[1:] == values[:-1], axis=1)
+    loaded = np.any(values[:, channels:] != 0.0, axis=1) & np.any(values[:, :channels] != 0.0, axis=1)
+    return copied if np.any(copied & loaded) else np.zeros(rows, bool)
 
 
 def _with_rows(run: Run, kept: NDArray[np.intp]) -> Run:
@@ -84,10 +126,21 @@ def _select_additions(run: Run, rows: NDArray[np.intp]) -> RunAdditions | None:
     return replace(additions, source=_SelectedRows(additions.source, rows, run.samples))
 
 
-def describe_rows(bridged: Sequence[BridgedSamples]) -> str:
-    """Return in words which rows of a file were left out, counted from 1, and for which channels."""
-    rows = sorted({int(row) + 1 for item in bridged for row in item.index})
-    names = ", ".join(item.name for item in bridged)
-    which = f"load point {rows[0]}" if len(rows) == 1 else f"load points {', '.join(map(str, rows))}"
-    verb = "is" if len(rows) == 1 else "are"
-    return f"{which} of the file {verb} left out, where {names} is not finite; the rest is numbered without"
+def describe_rows(run: Run) -> str:
+    """Return in words which rows of the file a static run leaves out, counted from 1, and why; empty without any."""
+    texts = []
+    if run.bridged:
+        rows = sorted({int(row) for item in run.bridged for row in item.index})
+        names = ", ".join(item.name for item in run.bridged)
+        texts.append(f"{_left_out(rows)}, where {names} is not finite")
+    if run.copied_rows:
+        what = "copies of others in every digit: were they entered twice?"
+        texts.append(f"{_left_out(run.copied_rows)} as {what}")
+    return f"{'; '.join(texts)}; the rest is numbered without" if texts else ""
+
+
+def _left_out(rows: Sequence[int]) -> str:
+    numbers = [str(row + 1) for row in rows[:MOST_LISTED]]
+    more = f" and {len(rows) - MOST_LISTED} more" if len(rows) > MOST_LISTED else ""
+    which, verb = ("load point", "is") if len(rows) == 1 else ("load points", "are")
+    return f"{which} {', '.join(numbers)}{more} of the file {verb} left out"

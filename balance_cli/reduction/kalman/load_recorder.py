@@ -112,7 +112,8 @@ class LoadRecorder:
     def mean_amplitudes(self) -> ComplexArray:
         """Return harmonics 0 to `max_harmonic` (n + 1, m) over the settings' revolutions, by regression on azimuth."""
         n = self._settings.max_harmonic
-        coefficients = np.linalg.solve(self._gram, self._moment)
+        # Of the further harmonics one may lie at half the sample rate, where its sine is zero in every sample.
+        coefficients = np.linalg.lstsq(self._gram, self._moment, rcond=None)[0]
         amplitude = coefficients[: n + 1].astype(complex)
         amplitude[1:] -= 1j * coefficients[n + EXTRA_HARMONICS + 1 : 2 * n + EXTRA_HARMONICS + 1]
         return amplitude

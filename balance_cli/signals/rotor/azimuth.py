@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -31,8 +31,11 @@ MISTIMING_LIMIT = 0.02
 """Revolutions (7 degrees) of timing error; the inertia of a rotor permits no such change between revolutions."""
 MISTIMING_SIGMAS = 10.0
 """Timing error over the median one, from which a pulse is mistimed where all pulses jitter."""
-JITTER_NOTED = 1.0
-"""Degrees of jitter from which a note is made; at 8/rev the phase scatters by eight times as much."""
+LARGEST_SCATTER = 1.0
+"""Degrees by which a pulse may scatter and still be taken as it is; beyond, the pulses are smoothed and a note is
+made. At 8/rev the phase scatters by eight times as much, which takes 1 % of the amplitude."""
+FEWEST_SMOOTHED = 1.5
+"""Revolutions over which pulses must be averaged for smoothing to be worthwhile."""
 CONVERGED_STEP = 1e-9
 """Revolutions of a step of Newton's method after which the error is that of rounding."""
 MEDIAN_INTERVALS = 9
@@ -44,7 +47,9 @@ class Azimuth:
     """Azimuth of the rotor between the first and the last sound pulse of a record.
 
     `pulse_times` (p,) [s] are the sound pulses and `revolutions` (p,) their numbers, 0 at the first; a number is
-    skipped where a pulse is missing. `notes` lists the repairs.
+    skipped where a pulse is missing. `notes` lists the repairs. `pulse_scatter` is the standard deviation of the
+    timing of a single pulse, `local_error` that of the azimuth near one, both [rad]; they differ where the pulses were
+    smoothed.
 
     Between pulses the revolution count is a spline of degree 5 over time through the pulses. Because of the inertia of
     the rotor the count is smooth, and the error of the spline, of order (T_rev / T_drift)^6, is far below that of a
@@ -55,6 +60,8 @@ class Azimuth:
     pulse_times: Array = field(repr=False)
     revolutions: Integers = field(repr=False)
     notes: tuple[str, ...] = ()
+    pulse_scatter: float = 0.0
+    local_error: float = 0.0
 
     @cached_property
     def revolution_count(self) -> BSpline:
@@ -121,11 +128,12 @@ class Azimuth:
         return np.where((t >= self.first) & (t <= self.last), curve(np.clip(t, self.first, self.last)), np.nan)
 
 
-def azimuth_from_pulses(pulse_times: ArrayLike) -> Azimuth:
+def azimuth_from_pulses(pulse_times: ArrayLike, smooth: bool = True) -> Azimuth:
     """Compute the azimuth from the times (n,) [s] of the 1/rev pulses.
 
-    Double, stray and mistimed pulses are dropped; missing pulses are counted. Each repair is a line of `notes`. Raises
-    UserError where the pulses cannot be repaired.
+    Double, stray and mistimed pulses are dropped; missing pulses are counted; pulses that scatter by more than a rotor
+    can are smoothed, unless `smooth` is false. Each repair is a line of `notes`. Raises UserError where the pulses
+    cannot be repaired.
     """
     recorded = np.asarray(pulse_times, float)
     _check_pulse_times(recorded)
@@ -139,10 +147,28 @@ def azimuth_from_pulses(pulse_times: ArrayLike) -> Azimuth:
         raise UserError(fault, "", PULSE_DATASET, PULSE_REMEDY)
     notes = [f"pulse at {t:.4f} s dropped: double or stray" for t in stray]
     notes += [f"pulse at {t:.4f} s dropped: mistimed against its neighbors" for t in mistimed]
-    notes += missing + _jitter_notes(times, counts)
-    azimuth = Azimuth(times, np.concatenate([[0], np.cumsum(counts)]), tuple(notes))
+    azimuth = Azimuth(times, np.concatenate([[0], np.cumsum(counts)]), (*notes, *missing))
+    azimuth = _with_scatter(azimuth, smooth)
     _check_forward_rotation(azimuth)
     return azimuth
+
+
+def _with_scatter(azimuth: Azimuth, smooth: bool) -> Azimuth:
+    """Return the azimuth with the scatter of its pulses, smoothed where that is large."""
+    from balance_cli.signals.rotor.pulse_smoothing import pulse_scatter, smooth_pulses
+
+    per_second = 2.0 * np.pi * azimuth.mean_rate
+    scatter = per_second * pulse_scatter(azimuth.pulse_times, azimuth.revolutions)
+    degrees = float(np.degrees(scatter))
+    if degrees <= LARGEST_SCATTER:
+        return replace(azimuth, pulse_scatter=scatter, local_error=scatter)
+    note = f"pulses scatter by {degrees:.1f} degrees of azimuth"
+    smoothed = smooth_pulses(azimuth.pulse_times, azimuth.revolutions)
+    if not smooth or smoothed.window < FEWEST_SMOOTHED:
+        return replace(azimuth, notes=(*azimuth.notes, note), pulse_scatter=scatter, local_error=scatter)
+    notes = (*azimuth.notes, f"{note}: smoothed over {smoothed.window:.0f} revolutions")
+    numbers = np.arange(len(smoothed.times))
+    return Azimuth(smoothed.times, numbers, notes, per_second * smoothed.scatter, per_second * smoothed.sigma)
 
 
 def _check_pulse_times(times: Array) -> None:
@@ -244,16 +270,6 @@ def _missing_pulse_notes(times: Array, counts: Integers, mistimed: list[float]) 
         if missing > 0:
             notes.append(f"{missing} missing after {times[k]:.4f} s: counted")
     return notes
-
-
-def _jitter_notes(times: Array, counts: Integers) -> list[str]:
-    """Return a note where the pulses jitter, as those do that are timed by whole samples."""
-    if len(times) < MEDIAN_INTERVALS or np.any(counts > 1):
-        return []
-    # The difference of a pulse and its prediction has 1 + 34/36 times the variance of one pulse; 1.4826 is the ratio of
-    # the standard deviation to the median absolute deviation of normal errors.
-    scatter = 1.4826 * float(np.median(np.abs(_timing_errors(times)[2:-2]))) / np.sqrt(1.0 + 34.0 / 36.0) * 360.0
-    return [f"pulses scatter by {scatter:.1f} degrees of azimuth"] if scatter > JITTER_NOTED else []
 
 
 def _check_forward_rotation(azimuth: Azimuth) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 import scipy.signal
 from numpy.typing import NDArray
 
+from balance_cli.io.errors import UserError
+
 Array = NDArray[np.float64]
 ReadSamples = Callable[[int, int], Array]
 """`read(start, stop)` returns samples (stop - start,)."""
@@ -54,6 +56,9 @@ def find_levels(read: ReadSamples, samples: int, level: float | None, hysteresis
         for _, block in _blocks(read, samples, 0)
         if len(block) > 16
     ]
+    if not quantiles:
+        fault = f"holds {samples} samples, too few for its levels"
+        raise UserError(fault, place="tachometer", remedy="Give a record of several revolutions")
     low, high = (float(value) for value in np.median(np.array(quantiles), axis=0))
     middle = 0.5 * (low + high) if level is None else level
     return Levels(low, high, middle, HYSTERESIS * (high - low) if hysteresis is None else hysteresis)

@@ -12,6 +12,7 @@ from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.io.errors import UserError
 from balance_cli.signals.rotor.azimuth import Azimuth
+from balance_cli.signals.rotor.azimuth_error import azimuth_error_covariance
 from balance_cli.signals.rotor.bridging_error import bridging_covariance
 from balance_cli.signals.rotor.harmonic_noise import blackman_taper, line_offsets, mean_noise, pooled_noise
 from balance_cli.signals.rotor.line_sums import LineSums, unit_powers
@@ -134,7 +135,8 @@ def estimate_harmonics(
     end, so that the amplitudes are means over the whole interval. For a signal that is periodic in azimuth the result
     is exact. `other` lines are regressed with them, and are not returned.
 
-    The noise is that of the neighboring lines k + m/R of the same record, R revolutions, and the error of bridged gaps.
+    The noise is that of the neighboring lines k + m/R of the same record, R revolutions, the error of bridged gaps,
+    and what the scatter of the pulses leaves of an error of the azimuth.
 
     Raises UserError where the interval is too short, a harmonic is beyond half the sample rate, or a signal is not
     finite.
@@ -151,6 +153,9 @@ def estimate_harmonics(
         _accumulate_block(sums, samples, fitted_count)
     amplitude = _solve_amplitudes(sums, n, fitted_count)
     covariance, dof = _amplitude_covariance(sums, n, last - first_revolution, offsets)
+    w, w2 = sums.weight[:2]
+    weighted_revolutions = (last - first_revolution) * w**2 / (w2 * sums.samples)
+    covariance = covariance + azimuth_error_covariance(amplitude, azimuth, weighted_revolutions)
 
     def error_amplitudes(index: NDArray[np.int64], errors: Array) -> ComplexArray:
         assert run.sample_rate is not None

@@ -6,6 +6,7 @@ cross-validation (Craven and Wahba, 1979).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ PENALTIES = 10.0 ** np.arange(-2.0, 9.1, 0.5)
 """Tried penalties. The last one averages over some 60 revolutions, the first over one."""
 FEWEST_PULSES = 12
 """Fewer pulses are left as they are: their scatter cannot be told from a change of speed."""
+SCATTER_ORDER = 8
+"""Order of the differences of pulse times that show their scatter: changes of speed over tens of revolutions vanish."""
 PROBES = 8
 """Random signs by which the trace of the smoother is estimated (Hutchinson), to some percent of the trace."""
 
@@ -35,6 +38,22 @@ class SmoothedPulses:
     sigma: float
     scatter: float
     window: float
+
+
+def pulse_scatter(times: Array, revolutions: NDArray[np.int64]) -> float:
+    """Return the standard deviation [s] of the times (p,) of pulses of these revolutions; 0 where too few tell.
+
+    From differences over consecutive revolutions, of which a few bad pulses change no median.
+    """
+    single = np.diff(revolutions) == 1
+    if len(single) < SCATTER_ORDER:
+        return 0.0
+    consecutive = np.lib.stride_tricks.sliding_window_view(single, SCATTER_ORDER).all(axis=1)
+    differences = np.abs(np.diff(times, SCATTER_ORDER)[consecutive])
+    median = float(np.median(differences)) if differences.size else 0.0
+    # The ratio of the standard deviation to the median absolute deviation of normal errors, and the root of the sum of
+    # the squared coefficients of the difference.
+    return 1.4826 * median / math.sqrt(math.comb(2 * SCATTER_ORDER, SCATTER_ORDER))
 
 
 def smooth_pulses(times: Array, revolutions: NDArray[np.int64]) -> SmoothedPulses:

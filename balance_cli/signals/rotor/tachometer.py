@@ -88,7 +88,7 @@ def read_rotor_reference(read: ReadSamples, samples: int, rate: float, settings:
     else:
         times, notes = _pulse_times(read, samples, rate, settings)
     try:
-        azimuth = azimuth_from_pulses(times)
+        azimuth = azimuth_from_pulses(times, smooth=False)
     except UserError as error:
         raise _tachometer_error(error) from error
     return _reference(azimuth, notes, settings)
@@ -176,7 +176,7 @@ def _once_per_revolution(leading: Array, trailing: Array, settings: TachometerSe
     if count == 1:
         return leading, []
     try:
-        teeth = azimuth_from_pulses(leading)
+        teeth = azimuth_from_pulses(leading, smooth=False)
     except UserError as error:
         raise _tachometer_error(error) from error
     notes = [f"azimuth 0 is at the first of {count} pulses a revolution: no index tells which one it is"]

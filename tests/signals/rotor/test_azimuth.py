@@ -84,6 +84,7 @@ def test_jitter_of_half_a_degree_is_kept_as_it_is():
     jittered = times + np.random.default_rng(1).normal(size=len(times)) * 0.5 / 360 / RATE
     azimuth = azimuth_from_pulses(jittered)
     assert azimuth.notes == ()
+    assert np.degrees(azimuth.pulse_scatter) == pytest.approx(0.5, rel=0.2)
     np.testing.assert_allclose(azimuth.psi(jittered), 2 * np.pi * np.arange(len(times)), atol=1e-9)
 
 
@@ -108,3 +109,14 @@ def test_pulses_timed_by_whole_samples_are_told():
     (note,) = azimuth.notes
     # Rounding to 1/800 s is uniform over 1.25 ms: 2.3 degrees at 17.5 Hz.
     assert 1.0 < float(note.split("by ")[1].split()[0]) < 4.0
+
+
+def test_pulses_that_scatter_by_five_degrees_are_smoothed():
+    times = pulses()
+    jittered = np.sort(times + np.random.default_rng(1).normal(size=len(times)) * 5.0 / 360 / RATE)
+    missing = np.delete(jittered, [30, 31, 77])
+    azimuth = azimuth_from_pulses(missing)
+    assert "smoothed over" in azimuth.notes[-1] and azimuth.turns == len(times) - 1
+    error = np.degrees(azimuth.psi(times[1:-1]) - 2 * np.pi * np.arange(1, len(times) - 1))
+    assert error.std() < 2.5 and np.degrees(azimuth.pulse_scatter) == pytest.approx(5.0, rel=0.2)
+    assert error.std() < 1.3 * np.degrees(azimuth.local_error)

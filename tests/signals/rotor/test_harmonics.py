@@ -199,3 +199,17 @@ def test_tones_beside_the_harmonics_are_removed_around_a_gap():
     sigma = np.sqrt(np.einsum("ncc->nc", harmonics.covariance).real / 2)
     assert np.all(np.abs(harmonics.amplitude - truth)[1:] < 5 * sigma[1:])
     assert np.median(sigma[1:]) < 1e-4
+
+
+@pytest.mark.parametrize("scatter_deg", [0.5, 5.0])
+def test_sigma_covers_what_the_scatter_of_the_pulses_makes_of_the_amplitudes(scatter_deg):
+    truth, time, sound = amplitudes(4, 8, 2), time_of(8), pulse_times(8, 0.0)
+    run = run_of(periodic(truth, 2 * np.pi * (count(time, 0.0) - 1)))
+    errors = []
+    for seed in range(8):
+        scatter = np.random.default_rng(seed).normal(size=len(sound)) * scatter_deg / 360 / RATE
+        harmonics = estimate_harmonics(run, azimuth_from_pulses(np.sort(sound + scatter)))
+        sigma = np.sqrt(np.einsum("kcc->kc", harmonics.covariance[1:]).real / 2)
+        errors.append((harmonics.amplitude[1:] - truth[1:]) / sigma)
+    parts = np.concatenate([np.real(errors), np.imag(errors)])
+    assert np.mean(np.abs(parts) < 1.96) > 0.9 and 0.4 < parts.std() < 1.3
