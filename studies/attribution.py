@@ -98,7 +98,7 @@ def _rig(geometry: Geometry, one: Case) -> TrueRig:
     return replace(
         rig,
         damping_ratios=np.maximum(rig.damping_ratios, MIN_DAMPING_RATIO),
-        torque_damping_ratio=max(rig.torque_damping_ratio, MIN_DAMPING_RATIO),
+        torque_damping_ratio=np.maximum(rig.torque_damping_ratio, MIN_DAMPING_RATIO),
     )
 
 

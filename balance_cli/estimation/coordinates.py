@@ -23,9 +23,9 @@ POSITIVE_PARAMETERS = (
     "inertia.xx",
     "inertia.yy",
     "inertia.zz",
-    "torque_meter.inertia",
-    "torque_meter.stiffness",
 )
+POSITIVE_SHAFT_PARAMETERS = (".stiffness", ".inertia")
+"""Endings of the names of parameters of torque meters."""
 
 SCALE_EXPONENT = {
     "kg": 1.0,
@@ -89,6 +89,12 @@ class Coordinates:
         return J
 
 
+def _has_positive_nature(name: str) -> bool:
+    """Whether a parameter of the rigid balance is a stiffness, mass or moment of inertia."""
+    of_shaft = name.startswith("torque_meter.") and name.endswith(POSITIVE_SHAFT_PARAMETERS)
+    return of_shaft or name.startswith(POSITIVE_PARAMETERS)
+
+
 def coordinates(parameters: ParameterSet, start: Array) -> Coordinates:
     """Logarithms of the free stiffnesses, masses and inertias; products of inertia and effects relative to these.
 
@@ -96,7 +102,7 @@ def coordinates(parameters: ParameterSet, start: Array) -> Coordinates:
     determine only its order of magnitude, and a compliance varies as a power of it.
     """
     names = parameters.names
-    plate = np.array([name.startswith(POSITIVE_PARAMETERS) for name in names])
+    plate = np.array([_has_positive_nature(name) for name in names])
     products = []
     for pair in ("xy", "xz", "yz"):
         if f"inertia.{pair}" in names:

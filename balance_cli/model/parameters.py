@@ -83,9 +83,9 @@ def _stiffness_rows(geometry: Geometry) -> list[_ParameterRow]:
         _ParameterRow(f"stiffness.{cell.name}", "N/m", k, tolerance * k, 0.0)
         for cell, k in zip(geometry.cells, cell_stiffness(geometry), strict=True)
     ]
-    if geometry.torque_meter:
-        k = geometry.torque_meter.stiffness
-        rows.append(_ParameterRow("torque_meter.stiffness", "N m/rad", k, tolerance * k, 0.0))
+    for meter in geometry.shaft_meters:
+        k = meter.stiffness
+        rows.append(_ParameterRow(f"{meter.parameter}.stiffness", "N m/rad", k, tolerance * k, 0.0))
     return rows
 
 
@@ -102,9 +102,9 @@ def _inertia_rows(geometry: Geometry) -> list[_ParameterRow]:
         value = tensor[i, j] if i == j else -tensor[i, j]
         sigma = tolerances.inertia * float(np.sqrt(tensor[i, i] * tensor[j, j]))
         rows.append(_ParameterRow(f"inertia.{name}", "kg m2", float(value), sigma, 0.0 if i == j else -np.inf))
-    if geometry.torque_meter:
-        inertia = geometry.torque_meter.inertia
-        rows.append(_ParameterRow("torque_meter.inertia", "kg m2", inertia, tolerances.inertia * inertia, 0.0))
+    for meter in geometry.shaft_meters:
+        sigma = tolerances.inertia * meter.inertia
+        rows.append(_ParameterRow(f"{meter.parameter}.inertia", "kg m2", meter.inertia, sigma, 0.0))
     return rows
 
 
@@ -112,8 +112,9 @@ def _damping_rows(geometry: Geometry) -> list[_ParameterRow]:
     zeta = geometry.modal_damping_ratio
     sigma = geometry.tolerances.damping_ratio * zeta
     rows = [_ParameterRow(f"damping_ratio.{i + 1}", "1", zeta, sigma, 0.0) for i in range(len(free_index(geometry)))]
-    if geometry.torque_meter:
-        rows.append(_ParameterRow("torque_meter.damping_ratio", "1", zeta, sigma, 0.0))
+    rows += [
+        _ParameterRow(f"{meter.parameter}.damping_ratio", "1", zeta, sigma, 0.0) for meter in geometry.shaft_meters
+    ]
     return rows
 
 

@@ -34,13 +34,13 @@ def mass_matrix(mass: float, inertia: Array) -> Array:
 def load_matrix(geometry: Geometry, center: Array) -> Array:
     """F (6, 6): generalized forces per unit hub load (Fx .. Mz), by virtual work.
 
-    With a torque meter Mz acts on the shaft and not on the plate.
+    A moment that goes through a torque meter acts on the shaft and not on the plate.
     """
     at_hub = motion_at(np.asarray(geometry.hub, float) - center)
     forces = at_hub.T
     moments = np.vstack([np.zeros((3, 3)), ROTATION_ORDER])
-    if geometry.torque_meter:
-        moments[:, 2] = 0.0
+    for meter in geometry.shaft_meters:
+        moments[:, "xyz".index(meter.axis)] = 0.0
     return np.hstack([forces, moments])
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.rig.channel import Channel
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.kinematics import ROTATION_ORDER, elongation_matrix
+from balance_cli.campaign.rig.torque_meter import shaft_inputs, twist_rows
 from balance_cli.model.damping import modal_damping
 from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, concatenate, constant, stack
 from balance_cli.model.mechanics.equations import (
@@ -32,11 +33,10 @@ def rigid_equations(geometry: Geometry, value: Mapping[str, Dual], p: int) -> Eq
     mass, B, F = _plate(geometry, value)
     k, plate_damping = _springs_and_damping(geometry, value, B)
     damping = plate_damping(mass)
-    springs: tuple[str, ...] = geometry.cell_names
-    coordinates: tuple[str, ...] = geometry.freedom
-    if geometry.torque_meter:
-        mass, damping, B, k, F = _with_shaft(value, mass, damping, B, k, F)
-        springs, coordinates = (*springs, TORQUE), (*coordinates, SHAFT)
+    springs = (*geometry.cell_names, *(meter.label(TORQUE) for meter in geometry.shaft_meters))
+    coordinates = (*geometry.freedom, *(meter.label(SHAFT) for meter in geometry.shaft_meters))
+    if geometry.shaft_meters:
+        mass, damping, B, k, F = _with_shafts(geometry, value, mass, damping, B, k, F)
     nothing, n = constant(np.zeros_like(mass.value), p), len(coordinates)
     equations = Equations(
         coordinates=coordinates,
@@ -103,20 +103,30 @@ def _inertia_pattern(name: str) -> Array:
     return pattern
 
 
-def _with_shaft(
-    value: Mapping[str, Dual], mass: Dual, damping: Dual, B: Dual, k: Dual, F: Dual
+def _with_shafts(
+    geometry: Geometry, value: Mapping[str, Dual], mass: Dual, damping: Dual, B: Dual, k: Dual, F: Dual
 ) -> tuple[Dual, Dual, Dual, Dual, Dual]:
-    """The shaft beside the plate: J phi'' + d phi' + k phi = Mz, d = 2 zeta sqrt(k J)."""
-    J, stiffness = value["torque_meter.inertia"], value["torque_meter.stiffness"]
-    d = 2.0 * value["torque_meter.damping_ratio"] * (stiffness * J).sqrt()
-    one = constant([[1.0]], mass.parameters)
-    torque = constant([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]], mass.parameters)
+    """The shafts: J_i phi_i'' + sum_j s_ji (d_j t_j' + k_j t_j) = M_i with twists t = S phi, d = 2 zeta sqrt(k J).
+
+    Of one meter beside the plate J phi'' + d phi' + k phi = Mz. The last twist of a shaft that the plate carries counts
+    from the plate, which feels its torque.
+    """
+    meters, p = geometry.shaft_meters, mass.parameters
+    J, stiffness, zeta = (
+        stack([value[f"{meter.parameter}.{name}"] for meter in meters])
+        for name in ("inertia", "stiffness", "damping_ratio")
+    )
+    d = 2.0 * zeta * (stiffness * J).sqrt()
+    own, plate = twist_rows(meters)
+    twist = constant(np.hstack([plate[:, free_index(geometry)], own]), p)
+    wide = concatenate([B, constant(np.zeros((len(geometry.cells), len(meters))), p)], axis=1)
+    still = constant(np.zeros((len(meters), len(meters))), p)
     return (
-        block_diagonal(mass, one * J),
-        block_diagonal(damping, one * d),
-        block_diagonal(B, one),
-        concatenate([k, stack([stiffness])]),
-        concatenate([F, torque]),
+        block_diagonal(mass, J.insert_axis(-1) * np.eye(len(meters))),
+        block_diagonal(damping, still) + twist.T @ (d.insert_axis(-1) * twist),
+        concatenate([wide, twist]),
+        concatenate([k, stiffness]),
+        concatenate([F, constant(shaft_inputs(meters), p)]),
     )
 
 
@@ -164,8 +174,15 @@ def _channel_paths(
     return tuple(_channel_path(channel, names, value, p) for channel in geometry.channels)
 
 
+def _torque_spring(channel: Channel) -> str:
+    """Name of the spring of a channel's torque meter; empty for other channels."""
+    if not channel.torque_meter:
+        return ""
+    return TORQUE if channel.torque_meter is True else f"{TORQUE} {channel.torque_meter}"
+
+
 def _channel_path(channel: Channel, springs: tuple[str, ...], value: Mapping[str, Dual], p: int) -> ChannelPath:
-    spring = springs.index(TORQUE if channel.torque_meter else channel.cell or channel.source)
+    spring = springs.index(_torque_spring(channel) or channel.cell or channel.source)
     low = () if channel.lowpass is None else (constant(1.0 / (2 * np.pi * channel.lowpass), p),)
     high = () if channel.time_constant is None else (constant(1.0 / channel.time_constant, p),)
     differentiations = 0 if channel.accelerometer is None else 2

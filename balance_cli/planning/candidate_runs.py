@@ -172,13 +172,13 @@ def _limits_of(
         if channel.range is not None and volt > 0:
             limit = hall.margin * channel.range / (CREST_FACTOR * volt)
             yield LevelLimit(name, limit, f"range of channel {channel.name}")
-    if geometry.torque_meter and name == "Mz" and exciter is None:
-        yield from _torque_limit(geometry, hall)
+    if exciter is None and any(meter.component == name for meter in geometry.shaft_meters):
+        yield from _torque_limit(name, geometry, hall)
 
 
-def _torque_limit(geometry: Geometry, hall: Hall) -> Iterator[LevelLimit]:
+def _torque_limit(name: Component, geometry: Geometry, hall: Hall) -> Iterator[LevelLimit]:
     """The torque meter has no declared range: its rated load limits it, else the cells' range at the hub's height."""
-    rated = (geometry.rated_loads or {}).get("Mz")
+    rated = (geometry.rated_loads or {}).get(name)
     reach = max(float(np.linalg.norm(np.asarray(cell.position)[:2])) for cell in geometry.cells)
     largest = rated if rated is not None else min(cell.full_range for cell in geometry.cells) * max(reach, 0.1)
-    yield LevelLimit("Mz", hall.cell_share * largest / CREST_FACTOR, "range of the torque meter, taken from the cells")
+    yield LevelLimit(name, hall.cell_share * largest / CREST_FACTOR, "range of the torque meter, taken from the cells")

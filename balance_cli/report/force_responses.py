@@ -83,17 +83,19 @@ def sensors(
 ) -> tuple[Sensor, ...]:
     """All sensors that the figures show.
 
-    Every cell by the channel with the least noise relative to its sensitivity, the torque meter, and the resultants
+    Every cell by the channel with the least noise relative to its sensitivity, the torque meters, and the resultants
     that a model in the paper's form uses.
     """
     present = {name for response in responses for name in response.channel_names}
-    cell_sensors = {}
-    for cell in (*geometry.cell_names, None):
-        channels = [channel for channel in geometry.channels if channel.cell == cell and channel.name in present]
+    torque_meters = dict.fromkeys(channel.source for channel in geometry.channels if channel.torque_meter)
+    shown = {}
+    for name in (*geometry.cell_names, *torque_meters):
+        source = name if name in torque_meters else f"cell {name}"
+        channels = [channel for channel in geometry.channels if channel.source == source and channel.name in present]
         if channels:
             best = min(channels, key=lambda channel: median_force_noise(channel, responses))
-            cell_sensors[cell or TORQUE_METER] = Sensor(cell or TORQUE_METER, {best.name: 1.0})
-    return (*cell_sensors.values(), *_resultants(cell_sensors, models))
+            shown[name] = Sensor(name, {best.name: 1.0})
+    return (*shown.values(), *_resultants(shown, models))
 
 
 def _resultants(cells: Mapping[str, Sensor], models: Sequence[IdentifiedModel]) -> tuple[Sensor, ...]:

@@ -31,11 +31,12 @@ class ModeMatch:
 
 
 def shaft_mode(modes: ModeTable) -> int | None:
-    """The mode in which the shaft alone moves; None where there is no torque meter (or no such mode)."""
-    if SHAFT not in modes.coordinates or not has_shapes(modes):
+    """The mode in which the only shaft alone moves; None where there is no torque meter, several, or no such mode."""
+    shafts = [i for i, name in enumerate(modes.coordinates) if name.split()[0] == SHAFT]
+    if len(shafts) != 1 or not has_shapes(modes):
         return None
     share = np.abs(modes.shape) ** 2
-    of_shaft = share[:, modes.coordinates.index(SHAFT)] / share.sum(axis=1)
+    of_shaft = share[:, shafts[0]] / share.sum(axis=1)
     return int(np.argmax(of_shaft)) if of_shaft.max() > MIN_MODAL_ASSURANCE else None
 
 

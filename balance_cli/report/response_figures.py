@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from balance_cli.campaign.rig.components import UNIT_OF
 from balance_cli.report.figure_style import BLACK, PlotStyle, new_figure, set_log_axis
-from balance_cli.report.force_responses import Curve, quotient
+from balance_cli.report.force_responses import TORQUE_METER, Curve, quotient
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -43,7 +43,7 @@ class Panel:
     def unit(self) -> str:
         """Unit of the response."""
         per = UNIT_OF[self.component]
-        sensor_unit = "N m" if self.sensor == "torque meter" else "N"
+        sensor_unit = "N m" if self.sensor.startswith(TORQUE_METER) else "N"
         if sensor_unit == per:
             return "1"
         return f"{sensor_unit}/({per})" if " " in per else f"{sensor_unit}/{per}"

@@ -70,8 +70,9 @@ def _input_sentences(sources: Sources) -> Iterator[str]:
 
 def _rig_sentence(geometry: Geometry) -> str:
     parts = [f"{len(geometry.cells)} load cell{'s' if len(geometry.cells) > 1 else ''}"]
-    if geometry.torque_meter:
-        parts.append("a torque meter")
+    if geometry.shaft_meters:
+        several = len(geometry.shaft_meters) > 1
+        parts.append(f"{len(geometry.shaft_meters)} torque meters" if several else "a torque meter")
     parts.append(f"{len(geometry.channels)} channel{'s' if len(geometry.channels) > 1 else ''}")
     return f"Rig {geometry.rig}, geometry {geometry.name}: {join_names(parts)}."
 

@@ -93,7 +93,7 @@ def _add_digest(run: Run) -> Run:
 def record_static(
     rig: TrueRig, plan: StaticPlan, commanded_loads: Array, forces: Array, acquisition: RecordingSetup
 ) -> tuple[Run, RunTruth]:
-    """The record of a static run from commanded loads (rows, 6), cell forces and torque (rows, c+1).
+    """The record of a static run from commanded loads (rows, 6), cell forces and torques (rows, c+t).
 
     It holds the channels that measure a constant load; load components that are zero in a row are exactly zero.
     """
@@ -119,7 +119,7 @@ def record_static(
 def record_samples(
     rig: TrueRig, plan: SampledPlan, grid: Grid, commanded_loads: Array, forces: Array, acquisition: RecordingSetup
 ) -> tuple[Run, RunTruth]:
-    """The record of a sampled run from commanded loads (n, 6), cell forces and torque (n, c+1) on the fine grid."""
+    """The record of a sampled run from commanded loads (n, 6), cell forces and torques (n, c+t) on the fine grid."""
     geometry, noise, rng = rig.geometry, acquisition.noise, acquisition.random_stream(plan, "noise")
     through = partial(anti_alias, declared=geometry.acquisition.filter, step=grid.step, stride=grid.oversampling)
     volts = through(_channel_volts(rig, forces, grid.step, acquisition.random_stream(plan, "pickup")))[: grid.samples]

@@ -12,7 +12,6 @@ from balance_cli.campaign.rig.components import COMPONENTS, FREEDOMS
 from balance_cli.io.errors import UserError
 from balance_cli.simulation.mechanics import (
     ROTATION_ROWS,
-    TWIST,
     Mechanics,
     body_mass,
     displacement_rows,
@@ -29,9 +28,9 @@ def free_motions(rig: TrueRig) -> list[int]:
 
 
 def rigid_plate(rig: TrueRig) -> Mechanics:
-    """The rigid plate on its cells and the shaft beside it, without any extension.
+    """The rigid plate on its cells and the shafts of its torque meters, without any extension.
 
-    With a torque meter Mz acts on the shaft, beside the plate; without one there is no shaft, and Mz loads the plate.
+    A moment with a torque meter about its axis acts on the shaft; the others load the plate.
     """
     geometry = rig.geometry
     free = free_motions(rig)
@@ -42,8 +41,8 @@ def rigid_plate(rig: TrueRig) -> Mechanics:
     damping = modal_damping(mass, stiffness, rig.damping_ratios)
     at_hub = np.vstack([displacement_rows(np.subtract(geometry.hub, rig.cg)), ROTATION_ROWS])
     loads = at_hub[:, free].T
-    if geometry.torque_meter:
-        loads[:, COMPONENTS.index("Mz")] = 0.0
+    for meter in geometry.shaft_meters:
+        loads[:, COMPONENTS.index(meter.component)] = 0.0
     n = len(free)
     plate = Mechanics(
         names=tuple(FREEDOMS[i] for i in free),
@@ -53,25 +52,44 @@ def rigid_plate(rig: TrueRig) -> Mechanics:
         loads=loads,
         cell_rows=rows,
         cell_stiffness=rig.stiffness,
-        torque_row=np.zeros(n),
+        torque_rows=np.zeros((0, n)),
         plate=np.eye(6)[:, free],
+        carried=np.eye(6)[:, free],
         non_metric_motion=np.zeros((6, n)),
         cg=rig.cg,
         plate_damping=lambda changed_mass: modal_damping(changed_mass, stiffness, rig.damping_ratios),
     )
-    return _with_shaft(plate, rig) if geometry.torque_meter else plate
+    for axis in "xyz":
+        plate = _with_shaft(plate, rig, [i for i, meter in enumerate(geometry.shaft_meters) if meter.axis == axis])
+    order = np.argsort([i for axis in "xyz" for i, m in enumerate(geometry.shaft_meters) if m.axis == axis])
+    return replace(plate, torque_rows=plate.torque_rows[order.astype(int)])
 
 
-def _with_shaft(plate: Mechanics, rig: TrueRig) -> Mechanics:
-    """The plate with the shaft `J phi'' + d phi' + k phi = Mz`, which has no reaction on the plate."""
-    whole = plate.with_coordinates((TWIST,))
-    k, j = rig.torque_stiffness, rig.torque_inertia
-    whole.mass[-1, -1] = j
-    whole.damping[-1, -1] = 2 * rig.torque_damping_ratio * np.sqrt(k * j)
-    whole.stiffness[-1, -1] = k
-    whole.loads[-1, COMPONENTS.index("Mz")] = 1.0
-    whole.torque_row[-1] = k
-    return whole
+def _with_shaft(plate: Mechanics, rig: TrueRig, members: list[int]) -> Mechanics:
+    """The plate with a shaft of these torque meters, from the hub to its end on the ground or on the plate.
+
+    Each meter is a spring and a dashpot between what turns on its two sides: of a single one beside the plate
+    `J phi'' + d phi' + k phi = M`. What turns behind the last one is at rest, or the plate.
+    """
+    if not members:
+        return plate
+    last = rig.geometry.shaft_meters[members[-1]]
+    first = plate.size
+    whole = plate.with_coordinates(tuple(f"twist {i}" for i in members))
+    whole.loads[first, COMPONENTS.index(last.component)] = 1.0
+    turning = [np.eye(whole.size)[first + i] for i in range(len(members))]
+    rotation = ROTATION_ROWS["xyz".index(last.axis)] * float(last.carried_by == "plate")
+    whole.carried[:, first:] = rotation[:, None]
+    end = rotation @ whole.plate
+    rows = []
+    for place, (i, behind) in enumerate(zip(members, (*turning[1:], end), strict=True)):
+        twist = turning[place] - behind
+        k, j = rig.torque_stiffness[i], rig.torque_inertia[i]
+        whole.mass[first + place, first + place] = j
+        whole.damping[:] += 2 * rig.torque_damping_ratio[i] * np.sqrt(k * j) * np.outer(twist, twist)
+        whole.stiffness[:] += k * np.outer(twist, twist)
+        rows.append(k * twist)
+    return replace(whole, torque_rows=np.vstack([whole.torque_rows, *rows]))
 
 
 def equations_of_motion(rig: TrueRig, rotor_speed: float = 0.0, attached: Collection[str] = ()) -> Mechanics:

@@ -56,16 +56,26 @@ def rig_to_dict(rig: TrueRig) -> dict[str, Any]:
         "inertia": rig.inertia.tolist(),
         "stiffness": dict(zip(geometry.cell_names, rig.stiffness.tolist(), strict=True)),
         "damping_ratios": rig.damping_ratios.tolist(),
-        "torque": {
-            "stiffness": rig.torque_stiffness,
-            "inertia": rig.torque_inertia,
-            "damping_ratio": rig.torque_damping_ratio,
-        }
-        if geometry.torque_meter
-        else None,
+        "torque": _torque_to_dict(rig),
         "sensitivities": dict(zip(geometry.channel_names, rig.sensitivities.tolist(), strict=True)),
         "effects": [effect_to_dict(effect) for effect in rig.extensions],
     }
+
+
+def _torque_to_dict(rig: TrueRig) -> dict[str, Any] | None:
+    """The only torque meter, several by their names, or None without any."""
+    properties = {
+        "stiffness": rig.torque_stiffness.tolist(),
+        "inertia": rig.torque_inertia.tolist(),
+        "damping_ratio": rig.torque_damping_ratio.tolist(),
+    }
+    meters = [
+        (meter.name, {key: value[i] for key, value in properties.items()})
+        for i, meter in enumerate(rig.geometry.shaft_meters)
+    ]
+    if rig.geometry.torque_meter:
+        return meters[0][1]
+    return {str(name): about for name, about in meters} or None
 
 
 def effect_to_dict(effect: Extension) -> dict[str, Any]:

@@ -14,7 +14,6 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-TWIST = "twist"
 
 
 @dataclass(frozen=True)
@@ -51,11 +50,12 @@ class Mechanics:
 
     `mass`, `damping`, `stiffness` (n, n), the stiffness without that of the cells; `loads` (n, 6) [1, m];
     `accelerometer_rows` (a, n): the motion [m] that each accelerometer follows;
-    `cell_rows` (c, n): elongations d = rows q [m]; `cell_stiffness` (c,) [N/m]; `torque_row` (n,): twist [N m] in the
-    shaft per coordinate. `names` (n,) of the coordinates. `plate` (6, n): motion x y z psi theta phi of the plate at
-    its center of gravity `cg` (3,); `non_metric_motion` (6, n): that of the non-metric side at the rig's origin, zero
-    where it is rigid. `plate_damping`: the damping of the plate by its damping ratios for a mass matrix of its f
-    motions, the first coordinates, both (f, f).
+    `cell_rows` (c, n): elongations d = rows q [m]; `cell_stiffness` (c,) [N/m]; `torque_rows` (t, n): torque [N m] of
+    each meter per coordinate. `names` (n,) of the coordinates. `plate` (6, n): motion x y z psi theta phi of the plate
+    at its center of gravity `cg` (3,); `carried` (6, n): that of the plate and of the shafts that it carries;
+    `non_metric_motion` (6, n): that of the non-metric side at the rig's origin, zero where it is rigid.
+    `plate_damping`: the damping of the plate by its damping ratios for a mass matrix of its f motions, the first
+    coordinates, both (f, f).
     """
 
     names: tuple[str, ...]
@@ -65,8 +65,9 @@ class Mechanics:
     loads: Array
     cell_rows: Array
     cell_stiffness: Array
-    torque_row: Array
+    torque_rows: Array
     plate: Array
+    carried: Array
     non_metric_motion: Array
     cg: Array
     branches: tuple[MaxwellBranch, ...] = field(default=())
@@ -76,8 +77,8 @@ class Mechanics:
 
     @property
     def sensors(self) -> int:
-        """Number of cells, shaft and accelerometers."""
-        return len(self.cell_rows) + 1 + len(self.accelerometer_rows)
+        """Number of cells, torque meters and accelerometers."""
+        return len(self.cell_rows) + len(self.torque_rows) + len(self.accelerometer_rows)
 
     @property
     def size(self) -> int:
@@ -116,8 +117,9 @@ class Mechanics:
             stiffness=np.pad(self.stiffness, square),
             loads=np.pad(self.loads, ((0, more), (0, 0))),
             cell_rows=np.pad(self.cell_rows, wide),
-            torque_row=np.pad(self.torque_row, (0, more)),
+            torque_rows=np.pad(self.torque_rows, wide),
             plate=np.pad(self.plate, wide),
+            carried=np.pad(self.carried, wide),
             non_metric_motion=np.pad(self.non_metric_motion, wide),
             branches=tuple(replace(b, row=np.pad(b.row, (0, more))) for b in self.branches),
         )

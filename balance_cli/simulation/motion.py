@@ -30,7 +30,7 @@ class RigDynamics:
 
     @property
     def sensors(self) -> int:
-        """Number of outputs before the elongations: cells, shaft and accelerometers."""
+        """Number of outputs before the elongations: cells, torque meters and accelerometers."""
         return self.mechanics.sensors
 
     def elongations(self, loads: Array, step: float) -> Array:
@@ -38,7 +38,7 @@ class RigDynamics:
         return self.system.subsystem(slice(self.sensors, None), slice(0, 6)).response(loads, step)
 
     def forces(self, loads: Array, extra: Array, step: float) -> Array:
-        """Cell forces, torque and accelerations (n, c+1+a) under hub loads (n, 6) and nonlinear forces (n, m)."""
+        """Cell forces, torques and accelerations (n, c+t+a) under hub loads (n, 6) and nonlinear forces (n, m)."""
         inputs = np.hstack([loads, extra])
         linear = self.system.subsystem(slice(0, self.sensors), slice(None)).response(inputs, step)
         return linear + forces_read_by_channels(self.mechanics, extra)

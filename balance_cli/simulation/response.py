@@ -40,11 +40,12 @@ def input_matrix(mechanics: Mechanics) -> Array:
 
 
 def force_matrix(mechanics: Mechanics) -> Array:
-    """C (c+1, 2n+b): the force of every cell, with its own branches but no nonlinear force, then the torque."""
+    """C (c+t, 2n+b): the force of every cell, with its own branches but no nonlinear force, then the torques."""
     n = mechanics.size
-    C = np.zeros((len(mechanics.cell_rows) + 1, 2 * n + len(mechanics.branches)))
-    C[:-1, :n] = mechanics.cell_stiffness[:, None] * mechanics.cell_rows
-    C[-1, :n] = mechanics.torque_row
+    cells = len(mechanics.cell_rows)
+    C = np.zeros((cells + len(mechanics.torque_rows), 2 * n + len(mechanics.branches)))
+    C[:cells, :n] = mechanics.cell_stiffness[:, None] * mechanics.cell_rows
+    C[cells:, :n] = mechanics.torque_rows
     for i, branch in enumerate(mechanics.branches):
         if branch.cell is not None:
             C[branch.cell, :n] += branch.stiffness * branch.row
@@ -59,7 +60,7 @@ def elongation_matrix(mechanics: Mechanics) -> Array:
 
 
 def full_system(mechanics: Mechanics) -> ModalSystem:
-    """Cell forces, torque, accelerations and elongations (c+1+a+m) from hub loads and m nonlinear forces (6+m)."""
+    """Cell forces, torques, accelerations and elongations (c+t+a+m) from hub loads and m nonlinear forces (6+m)."""
     A, B = state_matrix(mechanics), input_matrix(mechanics)
     n, rows = mechanics.size, mechanics.accelerometer_rows.reshape(-1, mechanics.size)
     forces, elongations = force_matrix(mechanics), elongation_matrix(mechanics)
@@ -69,7 +70,7 @@ def full_system(mechanics: Mechanics) -> ModalSystem:
 
 
 def forces_read_by_channels(mechanics: Mechanics, extra: Array) -> Array:
-    """The part (n, c+1+a) of the nonlinear forces (n, m) that the cells' channels read beside their linear force."""
+    """The part (n, c+t+a) of the nonlinear forces (n, m) that the cells' channels read beside their linear force."""
     read_by_channels = np.zeros((len(extra), mechanics.sensors))
     for force, column in zip(mechanics.forces, extra.T, strict=True):
         if force.read_by_channels:

@@ -23,8 +23,9 @@ class TrueRig:
 
     The metric side as a whole: `mass` [kg], `cg` (3,) [m] in rig axes, `inertia` (3, 3) [kg m2], the tensor about the
     center of gravity (products enter with a minus sign). `stiffness` (cells,) [N/m]; `damping_ratios` (freedoms,) in
-    order of rising eigenfrequency of the plate; `sensitivities` (channels,) [V/N] or [V/(N m)]; the shaft's
-    `torque_stiffness` [N m/rad], `torque_inertia` [kg m2] and `torque_damping_ratio` (unused without a torque meter).
+    order of rising eigenfrequency of the plate; `sensitivities` (channels,) [V/N] or [V/(N m)]; of the
+    torque meters `torque_stiffness` [N m/rad], `torque_inertia` [kg m2] and `torque_damping_ratio`, each (t,), with one
+    unused value without a meter.
     `extensions` are the effects beyond the rigid plate, in the order in which they act.
     """
 
@@ -35,9 +36,9 @@ class TrueRig:
     stiffness: Array
     damping_ratios: Array
     sensitivities: Array
-    torque_stiffness: float
-    torque_inertia: float
-    torque_damping_ratio: float
+    torque_stiffness: Array
+    torque_inertia: Array
+    torque_damping_ratio: Array
     extensions: tuple[Extension, ...] = ()
 
     def with_extensions(self, *extensions: Extension) -> TrueRig:
@@ -80,9 +81,9 @@ def true_rig(
     stiffness: ArrayLike | None = None,
     damping_ratios: ArrayLike | None = None,
     sensitivities: ArrayLike | None = None,
-    torque_stiffness: float | None = None,
-    torque_inertia: float | None = None,
-    torque_damping_ratio: float | None = None,
+    torque_stiffness: ArrayLike | None = None,
+    torque_inertia: ArrayLike | None = None,
+    torque_damping_ratio: ArrayLike | None = None,
     extensions: tuple[Extension, ...] = (),
 ) -> TrueRig:
     """The rig as declared, except where a value is given (units and shapes as in `TrueRig`; a scalar fills an array).
@@ -90,9 +91,8 @@ def true_rig(
     The geometry's declared effects are not applied here (see `apply_effects`). Raises UserError for a wrong shape.
     """
     declared_mass, declared_cg, declared_inertia = metric_side(geometry)
-    meter = geometry.torque_meter
     zeta = geometry.modal_damping_ratio
-    k, j = (meter.stiffness, meter.inertia) if meter else (1.0, 1.0)
+    k, j = np.array([(meter.stiffness, meter.inertia) for meter in geometry.shaft_meters] or [(1.0, 1.0)]).T
     return TrueRig(
         geometry,
         mass=declared_mass if mass is None else float(mass),
@@ -101,9 +101,9 @@ def true_rig(
         stiffness=_fill(stiffness, np.array([cell.effective_stiffness for cell in geometry.cells]), "stiffness"),
         damping_ratios=_fill(damping_ratios, np.full(len(geometry.freedom), zeta), "damping_ratios"),
         sensitivities=_fill(sensitivities, np.array([c.sensitivity for c in geometry.channels]), "sensitivities"),
-        torque_stiffness=k if torque_stiffness is None else float(torque_stiffness),
-        torque_inertia=j if torque_inertia is None else float(torque_inertia),
-        torque_damping_ratio=zeta if torque_damping_ratio is None else float(torque_damping_ratio),
+        torque_stiffness=_fill(torque_stiffness, k, "torque_stiffness"),
+        torque_inertia=_fill(torque_inertia, j, "torque_inertia"),
+        torque_damping_ratio=_fill(torque_damping_ratio, np.full(len(k), zeta), "torque_damping_ratio"),
         extensions=extensions,
     )
 
@@ -115,7 +115,7 @@ def is_physical_inertia(inertia: Array) -> bool:
 
 
 def _is_physical(rig: TrueRig) -> bool:
-    positive = (rig.mass, rig.torque_stiffness, rig.torque_inertia)
+    positive = (rig.mass, *rig.torque_stiffness, *rig.torque_inertia)
     damped = np.append(rig.damping_ratios, rig.torque_damping_ratio)
     return (
         min(positive) > 0
@@ -149,9 +149,9 @@ def _draw_once(rig: TrueRig, rng: np.random.Generator) -> TrueRig:
         stiffness=vary(rig.stiffness, tol.stiffness),
         damping_ratios=vary(rig.damping_ratios, tol.damping_ratio),
         sensitivities=vary(rig.sensitivities, tol.sensitivity),
-        torque_stiffness=float(vary(rig.torque_stiffness, tol.stiffness)),
-        torque_inertia=float(vary(rig.torque_inertia, tol.inertia)),
-        torque_damping_ratio=float(vary(rig.torque_damping_ratio, tol.damping_ratio)),
+        torque_stiffness=vary(rig.torque_stiffness, tol.stiffness),
+        torque_inertia=vary(rig.torque_inertia, tol.inertia),
+        torque_damping_ratio=vary(rig.torque_damping_ratio, tol.damping_ratio),
     )
 
 

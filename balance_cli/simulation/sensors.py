@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 def sensor_volts(rig: TrueRig, forces: Array, step: float | None) -> Array:
     """Volts (n, channels) before the acquisition, from what the sensors measure, sampled every `step` s.
 
-    `forces` (n, cells+1+a) are those of the cells, the torque, and the accelerations [m/s2] at the accelerometers.
+    `forces` (n, cells+t+a) are those of the cells, the torques, and the accelerations [m/s2] at the accelerometers.
     Without a `step` the rows are readings at rest: the output of a high-pass is zero.
     """
     geometry = rig.geometry
@@ -35,13 +35,14 @@ def sensor_volts(rig: TrueRig, forces: Array, step: float | None) -> Array:
 
 
 def _sensor_weights(geometry: Geometry) -> Array:
-    """Weights (channels, cells+1+a) of the sensors in each channel's reading."""
+    """Weights (channels, cells+t+a) of the sensors in each channel's reading."""
     accelerometers = [i for i, channel in enumerate(geometry.channels) if channel.accelerometer is not None]
-    cells = len(geometry.cells)
-    weights = np.zeros((len(geometry.channels), cells + 1 + len(accelerometers)))
+    cells, meters = len(geometry.cells), [meter.name or True for meter in geometry.shaft_meters]
+    weights = np.zeros((len(geometry.channels), cells + len(meters) + len(accelerometers)))
     for i, channel in enumerate(geometry.channels):
         for name, weight in channel.cell_weights.items():
             weights[i, geometry.cell_names.index(name)] = weight
-        weights[i, cells] = float(channel.torque_meter)
-    weights[accelerometers, cells + 1 + np.arange(len(accelerometers))] = 1.0
+        if channel.torque_meter:
+            weights[i, cells + meters.index(channel.torque_meter)] = 1.0
+    weights[accelerometers, cells + len(meters) + np.arange(len(accelerometers))] = 1.0
     return weights

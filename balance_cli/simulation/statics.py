@@ -36,7 +36,7 @@ def static_load_points(plan: StaticPlan) -> Array:
 
 
 def static_forces(mechanics: Mechanics, loads: Array) -> Array:
-    """Cell forces, torque and accelerations (rows, c+1+a) at rest under `loads` (rows, 6), applied in this order."""
+    """Cell forces, torques and accelerations (rows, c+t+a) at rest under `loads` (rows, 6), applied in this order."""
     gain = full_system(mechanics).static_gain()
     cells = mechanics.sensors
     if not mechanics.forces:

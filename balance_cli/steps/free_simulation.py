@@ -70,7 +70,8 @@ def simulated_rig(model: IdentifiedModel) -> TrueRig | None:
     if model.form != "physical" or any(item.name not in EXTENSIONS for item in effects):
         return None
     stiffness, inertia, damping_ratio = (
-        value.get(f"torque_meter.{name}") for name in ("stiffness", "inertia", "damping_ratio")
+        [value[f"{meter.parameter}.{name}"] for meter in geometry.shaft_meters] or None
+        for name in ("stiffness", "inertia", "damping_ratio")
     )
     rig = true_rig(
         geometry,

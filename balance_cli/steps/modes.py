@@ -30,7 +30,7 @@ class ComputedModes:
 
 
 def computed_modes(geometry: Geometry) -> ComputedModes:
-    """Compute natural frequencies, shapes and their sensitivity to each cell and to the torque meter."""
+    """Compute natural frequencies, shapes and their sensitivity to each cell and to each torque meter."""
     model = balance_model(geometry).with_exact_effects()
     parameters = model.parameters
     covariance = np.diag(parameters.sigma[parameters.free] ** 2)

@@ -25,6 +25,7 @@ from tests.support.rigs import angular_frequency, one_degree_of_freedom, two_deg
 
 FREQUENCY = np.concatenate([[0.0], np.geomspace(1.0, 200.0, 40)])
 SUPPORT = {"mass": 60.0, "damping_ratio": 0.03, "compliance_x": 4e-8, "compliance_z": 2e-8}
+TILT = {"inertia_phi": 8.0, "compliance_phi": 4e-7}
 
 
 def accelerometer(name: str, position: list[float], axis: list[float], side: str) -> dict[str, Any]:
@@ -46,9 +47,24 @@ def equipped_hexapod() -> Geometry:
     return geometry_from_dict({**content, "channels": [*strain, *sums, *sensors]})
 
 
+def hexapod_with_shafts() -> Geometry:
+    """Rig A with two torque meters in the shaft about z, which ends beside the plate, and one of a drive on it."""
+    content = geometry_to_dict(other_rig("A"))
+    meters = [
+        {"name": "hub", "stiffness": 9.0e3, "inertia": 0.05},
+        {"name": "propeller", "stiffness": 2.0e4, "inertia": 0.08, "axis": "x", "carried_by": "plate"},
+        {"name": "drive", "stiffness": 3.0e4, "inertia": 0.2},
+    ]
+    channels = [
+        {"name": f"{item['name']} torque", "torque_meter": item["name"], "sensitivity": 0.02} for item in meters
+    ]
+    return geometry_from_dict({**content, "torque_meters": meters, "channels": [*content["channels"], *channels]})
+
+
 def with_support(geometry: Geometry) -> Geometry:
     """The same rig on a flexible support."""
-    effect = DeclaredEffect(name="support-flexibility", where=("x", "z"), parameters=SUPPORT)
+    parameters = {**SUPPORT, **TILT}
+    effect = DeclaredEffect(name="support-flexibility", where=("x", "z", "phi"), parameters=parameters)
     return geometry.model_copy(update={"effects": (effect,)})
 
 
@@ -71,9 +87,9 @@ def test_a_sum_is_that_of_its_cells():
     np.testing.assert_allclose(T[:, 2], 2.0 * T[:, 0] - T[:, 1], rtol=1e-12, atol=1e-15)
 
 
-def test_response_is_that_of_the_simulated_rig():
+@pytest.mark.parametrize("geometry", [with_support(equipped_hexapod()), with_support(hexapod_with_shafts())])
+def test_response_is_that_of_the_simulated_rig(geometry):
     """On a flexible support; the simulation has its own equations and its own accelerations."""
-    geometry = with_support(equipped_hexapod())
     rig = apply_effects(true_rig(geometry), geometry.effects)
     mechanics = equations_of_motion(rig)
     A, B, C = state_matrix(mechanics), input_matrix(mechanics)[:, :6], force_matrix(mechanics)
@@ -94,7 +110,6 @@ def test_response_is_that_of_the_simulated_rig():
     expected = gain[:, :, None] * (weights @ measured)
     system = balance_model(geometry).system()
     T = response(system, solve(system, FREQUENCY[1:]))
-    assert np.abs(T[:, -1]).max() > 1e-3 * np.abs(T[:, -2]).max()
     np.testing.assert_allclose(T, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
 
 
@@ -110,8 +125,8 @@ def test_simulated_accelerations_are_the_second_derivatives_of_the_motion():
     q = np.linalg.lstsq(mechanics.cell_stiffness[:, None] * mechanics.cell_rows, measured[:, :cells].T, rcond=None)[0]
     by_difference = np.gradient(np.gradient((accelerations @ q).T, step, axis=0), step, axis=0)
     inner = slice(1000, -1000)
-    scale = np.abs(measured[inner, cells + 1 :]).max()
-    np.testing.assert_allclose(measured[inner, cells + 1 :], by_difference[inner], atol=1e-3 * scale)
+    scale = np.abs(measured[inner, cells:]).max()
+    np.testing.assert_allclose(measured[inner, cells:], by_difference[inner], atol=1e-3 * scale)
 
 
 @pytest.mark.parametrize("flexible", [False, True])
@@ -153,3 +168,41 @@ def test_faults_are_named_with_their_place(channel, place, words):
     with pytest.raises(UserError) as caught:
         geometry_from_dict(content)
     assert place in caught.value.place and words in caught.value.fault
+
+
+def test_moments_go_through_their_shafts():
+    geometry = hexapod_with_shafts()
+    system = balance_model(geometry).system()
+    T = response(system, solve(system, np.array([0.0])))[0]
+    torques = [geometry.channel_names.index(f"{name} torque") for name in ("hub", "drive", "propeller")]
+    expected = 0.02 * np.array([[0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 1], [0, 0, 0, 1, 0, 0]])
+    np.testing.assert_allclose(T[torques], expected, atol=1e-12)
+    cells = T[[i for i, channel in enumerate(geometry.channels) if channel.cell and channel.measures_dc]]
+    assert np.abs(cells[:, 3]).max() > 0.1 * np.abs(cells[:, 2]).max() and not cells[:, 5].any()
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "fault"),
+    [
+        (lambda c: c["torque_meters"][2].update(name="hub"), "torque_meters[2]", "already"),
+        (lambda c: c["torque_meters"][0].pop("name"), "torque_meters[0]", "no `name`"),
+        (
+            lambda c: c["torque_meters"][2].update(carried_by="plate"),
+            "torque_meters[2].carried_by",
+            "by the ground and",
+        ),
+        (
+            lambda c: c["channels"][-1].update(torque_meter="drve"),
+            "channels[14].torque_meter",
+            "no torque meter `drve`",
+        ),
+        (lambda c: c["channels"][-1].update(torque_meter=True), "channels[14].torque_meter", "which of the torque"),
+        (lambda c: c.update(torque_meter={"stiffness": 1.0, "inertia": 1.0}), "torque_meters", "declared, too"),
+    ],
+)
+def test_faults_of_torque_meters_name_their_place(change, place, fault):
+    content = geometry_to_dict(hexapod_with_shafts())
+    change(content)
+    with pytest.raises(UserError, match=fault) as raised:
+        geometry_from_dict(content)
+    assert raised.value.place == place

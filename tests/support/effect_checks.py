@@ -220,7 +220,7 @@ def recover_effect(name: str, truth: TrueEffect, seed: int) -> EffectRecovery:
     geometry, rig = truth.geometry, draw_rig(truth.geometry, np.random.default_rng(seed))
     # A mode of a tenth of a per cent would ring through the whole of so short a record.
     damping = {"damping_ratios": np.maximum(rig.damping_ratios, 0.008)}
-    rigid = replace(rig, **damping, torque_damping_ratio=max(rig.torque_damping_ratio, 0.008))
+    rigid = replace(rig, **damping, torque_damping_ratio=np.maximum(rig.torque_damping_ratio, 0.008))
     rig = truth.rig(rigid)
     runs, _ = simulate_campaign(rig, truth.plan, seed=seed)
     effect = DeclaredEffect(name=name, where=truth.where, parameters=truth.declared)

@@ -23,8 +23,10 @@ def true_parameters(rig: TrueRig, parameters: ParameterSet) -> Array:
     """The rig's values in the order of `parameters`."""
     cells = [cell.name for cell in rig.geometry.cells]
     values = {f"stiffness.{name}": value for name, value in zip(cells, rig.stiffness, strict=True)}
-    values |= {"torque_meter.stiffness": rig.torque_stiffness, "torque_meter.inertia": rig.torque_inertia}
-    values |= {"torque_meter.damping_ratio": rig.torque_damping_ratio, "mass": rig.mass}
+    for i, meter in enumerate(rig.geometry.shaft_meters):
+        for name in ("stiffness", "inertia", "damping_ratio"):
+            values[f"{meter.parameter}.{name}"] = getattr(rig, f"torque_{name}")[i]
+    values["mass"] = rig.mass
     values |= {f"centre_of_gravity.{axis}": value for axis, value in zip("xyz", rig.cg, strict=True)}
     for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         values[f"inertia.{'xyz'[i]}{'xyz'[j]}"] = rig.inertia[i, j] * (1.0 if i == j else -1.0)
@@ -43,7 +45,8 @@ def true_response(rig: TrueRig, frequency: Array) -> ComplexArray:
     cells = [cell.name for cell in rig.geometry.cells]
     volts = []
     for channel, sensitivity in zip(rig.geometry.channels, rig.sensitivities, strict=True):
-        row = -1 if channel.torque_meter else cells.index(str(channel.cell))
+        meters = [meter.name or True for meter in rig.geometry.shaft_meters]
+        row = len(cells) + meters.index(channel.torque_meter) if channel.torque_meter else cells.index(channel.cell)
         gain = np.full(len(s), sensitivity, complex)
         if channel.lowpass is not None:
             gain = gain / (1 + s / (2 * np.pi * channel.lowpass))

@@ -106,10 +106,12 @@ def _whole_periods(run: Run) -> int:
 
 
 def _loads_through_channel(channel: Channel, geometry: Geometry) -> tuple[str, ...]:
-    """Components that reach a channel: with a torque meter, Mz goes through it alone, the others through the cells."""
-    if geometry.torque_meter is None:
-        return COMPONENTS
-    return tuple(name for name in COMPONENTS if (name == "Mz") == channel.torque_meter)
+    """Components that reach a channel: a moment through a shaft its torque meters, and the plate that carries it."""
+    if channel.torque_meter:
+        named = channel.torque_meter
+        return tuple(meter.component for meter in geometry.shaft_meters if named is True or meter.name == named)
+    beside = {meter.component for meter in geometry.shaft_meters if meter.carried_by == "ground"}
+    return tuple(name for name in COMPONENTS if name not in beside)
 
 
 def _may_be_constant(run: Run, record: _ChannelStatistics, components: tuple[str, ...]) -> bool:

@@ -36,7 +36,7 @@ class Accelerometer(FrozenModel):
 class Channel(FrozenModel):
     """A recorded channel: what it measures, its sensitivity and its own first-order dynamics.
 
-    It measures a `cell`, the weighted sum of several `cells`, the torque meter or an `accelerometer`. Its sensitivity
+    It measures a `cell`, the weighted sum of several `cells`, a torque meter or an `accelerometer`. Its sensitivity
     is in V/N, V/(N m) or V/(m/s2). A channel without any of them, such as a bridge of an internal balance, can be
     calibrated only. `unit` is that of its readings: V (the default), a ratio to the excitation (mV/V), or a number
     (counts).
@@ -45,7 +45,7 @@ class Channel(FrozenModel):
     name: Name
     cell: str | None = None
     cells: Annotated[dict[Name, Number], Field(min_length=1, max_length=MOST_PARTS)] | None = None
-    torque_meter: bool = False
+    torque_meter: bool | Name = False
     accelerometer: Accelerometer | None = None
     sensitivity: Number = 1.0
     unit: str | None = None
@@ -55,7 +55,12 @@ class Channel(FrozenModel):
 
     @model_validator(mode="after")
     def _check_one_source(self) -> Channel:
-        sources = (self.cell is not None, self.cells is not None, self.torque_meter, self.accelerometer is not None)
+        sources = (
+            self.cell is not None,
+            self.cells is not None,
+            bool(self.torque_meter),
+            self.accelerometer is not None,
+        )
         if sum(sources) > 1:
             raise ValueError(
                 "give either `cell: NAME` or one of `cells: {NAME: WEIGHT}`, `torque_meter: true`, `accelerometer`"
@@ -92,7 +97,7 @@ class Channel(FrozenModel):
     def source(self) -> str:
         """What the channel measures, in words that are equal for channels of one source; empty where it is unknown."""
         if self.torque_meter:
-            return "torque meter"
+            return "torque meter" if self.torque_meter is True else f"torque meter {self.torque_meter}"
         if self.accelerometer is not None:
             return f"accelerometer {self.accelerometer.position} {self.accelerometer.axis} {self.accelerometer.side}"
         if self.cells is not None:
@@ -108,7 +113,7 @@ class Channel(FrozenModel):
 
     @property
     def measures_mechanics(self) -> bool:
-        """Whether the channel measures a declared part of the rig: cells, the torque meter, or an acceleration."""
+        """Whether the channel measures a declared part of the rig: cells, a torque meter, or an acceleration."""
         return bool(self.source)
 
     @property

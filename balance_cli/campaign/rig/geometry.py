@@ -28,6 +28,7 @@ from balance_cli.campaign.rig.declared_values import (
     Vector,
 )
 from balance_cli.campaign.rig.load_component import LoadComponent, name_component
+from balance_cli.campaign.rig.torque_meter import TorqueMeter
 from balance_cli.io.errors import UserError
 from balance_cli.io.result_view import plural
 from balance_cli.io.units import VOLTAGE
@@ -95,13 +96,6 @@ class Cell(FrozenModel):
         axis: Array = np.asarray(self.axis, float)
         unit: Array = axis / np.linalg.norm(axis)
         return unit
-
-
-class TorqueMeter(FrozenModel):
-    """The torque meter in the shaft: stiffness [N m/rad], inertia of the parts it turns [kg m2]."""
-
-    stiffness: Positive
-    inertia: Positive
 
 
 class AnalogFilter(FrozenModel):
@@ -181,6 +175,7 @@ class Geometry(FrozenModel):
     bodies: Annotated[tuple[Body, ...], Field(min_length=1, max_length=MOST_PARTS)] = ()
     cells: Annotated[tuple[Cell, ...], Field(min_length=1, max_length=MOST_PARTS)] = ()
     torque_meter: TorqueMeter | None = None
+    torque_meters: Annotated[tuple[TorqueMeter, ...], Field(min_length=1, max_length=MOST_PARTS)] | None = None
     channels: Annotated[tuple[Channel, ...], Field(min_length=1, max_length=MOST_PARTS)]
     acquisition: Acquisition = Acquisition()
     damping_ratio: NonNegative | None = None
@@ -198,7 +193,7 @@ class Geometry(FrozenModel):
     def _leave_out_absent_parts(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Without the lists that a geometry for calibration alone does not have: they must not be empty in a file."""
         plain: dict[str, Any] = serialize(self)
-        return {key: value for key, value in plain.items() if value or key not in ("bodies", "cells")}
+        return {key: value for key, value in plain.items() if value or key not in ("bodies", "cells", "torque_meters")}
 
     def __repr__(self) -> str:
         cells, channels = plural(len(self.cells), "cell"), plural(len(self.channels), "channel")
@@ -216,6 +211,11 @@ class Geometry(FrozenModel):
     def channel_names(self) -> tuple[str, ...]:
         """Names of all channels, in declared order."""
         return tuple(channel.name for channel in self.channels)
+
+    @property
+    def shaft_meters(self) -> tuple[TorqueMeter, ...]:
+        """All torque meters, those of one shaft from the hub to its end."""
+        return (self.torque_meters or ()) if self.torque_meter is None else (self.torque_meter,)
 
     @property
     def modal_damping_ratio(self) -> float:

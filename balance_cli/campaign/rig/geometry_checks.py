@@ -36,6 +36,7 @@ def geometry_faults(geometry: Geometry) -> Iterator[UserError]:
         yield from _inertia_faults(index, body)
     yield from _duplicate_name_faults("cells", [cell.name for cell in geometry.cells])
     yield from _duplicate_name_faults("channels", geometry.channel_names)
+    yield from _torque_meter_faults(geometry)
     yield from _channel_reference_faults(geometry)
     yield from _channel_group_faults(geometry)
     yield from _duplicate_name_faults("freedom", geometry.freedom)
@@ -126,9 +127,37 @@ def _channel_reference_faults(geometry: Geometry) -> Iterator[UserError]:
             if name not in cells:
                 place = f"channels[{index}].{'cell' if channel.cells is None else f'cells.{name}'}"
                 yield UserError(f"there is no cell `{name}`", place=place, remedy=_known("cells", name, cells))
-        if channel.torque_meter and geometry.torque_meter is None:
-            place = f"channels[{index}].torque_meter"
-            yield UserError("no torque meter is declared", place=place, remedy="Add the key `torque_meter`")
+        if channel.torque_meter:
+            yield from _torque_channel_faults(geometry, channel.torque_meter, f"channels[{index}].torque_meter")
+
+
+def _torque_channel_faults(geometry: Geometry, named: bool | str, place: str) -> Iterator[UserError]:
+    """Faults of a channel of the only torque meter (`true`) or of a named one of several."""
+    names = [meter.name or "" for meter in geometry.torque_meters or ()]
+    if not geometry.shaft_meters:
+        yield UserError("no torque meter is declared", place=place, remedy="Add the key `torque_meter`")
+    elif named is True and names:
+        remedy = f"Name one of {', '.join(names)}"
+        yield UserError("does not say which of the torque meters is read", place=place, remedy=remedy)
+    elif named is not True and named not in names:
+        remedy = _known("torque meters", str(named), names) if names else "Write `torque_meter: true`"
+        yield UserError(f"there is no torque meter `{named}`", place=place, remedy=remedy)
+
+
+def _torque_meter_faults(geometry: Geometry) -> Iterator[UserError]:
+    """Faults of names, of both keys at once, and of one shaft that ends in two places."""
+    meters = geometry.torque_meters or ()
+    if geometry.torque_meter and meters:
+        yield UserError("`torque_meter` is declared, too", place="torque_meters", remedy="List all meters here")
+    yield from _duplicate_name_faults("torque_meters", [meter.name or "" for meter in meters])
+    ends: dict[str, str] = {}
+    for index, meter in enumerate(meters):
+        place = f"torque_meters[{index}]"
+        if meter.name is None:
+            yield UserError("has no `name`", place=place, remedy="Name each meter; its channels refer to it")
+        if ends.setdefault(meter.axis, meter.carried_by) != meter.carried_by:
+            fault = f"meters of one shaft (axis {meter.axis}) are carried by the ground and by the plate"
+            yield UserError(fault, place=f"{place}.carried_by", remedy="Give the place where the shaft ends to each")
 
 
 def _channel_group_faults(geometry: Geometry) -> Iterator[UserError]:

@@ -106,10 +106,7 @@ def component_units(geometry: Geometry) -> dict[str, str]:
 def components_by_freedom(geometry: Geometry) -> tuple[str, ...]:
     """The hub loads that this rig can carry: one per motion of plate and shaft."""
     carried = {COMPONENT_OF_FREEDOM[name] for name in geometry.freedom}
-    if geometry.torque_meter:
-        carried.add("Mz")
-    elif "psi" not in geometry.freedom:
-        carried.discard("Mz")
+    carried |= {meter.component for meter in geometry.shaft_meters}
     return tuple(name for name in COMPONENTS if name in carried)
 
 

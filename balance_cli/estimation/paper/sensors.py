@@ -48,6 +48,8 @@ def sensor_rule(geometry: Geometry) -> SensorRule:
 
     Raises UserError where the number of cells does not fit, no two are parallel, or the sensors leave P singular.
     """
+    if any(meter.name or meter.axis != "z" or meter.carried_by != "ground" for meter in geometry.shaft_meters):
+        raise _unsupported_rig("it knows one torque meter, in a shaft about z beside the plate")
     plate, n, cells = plate_matrices(geometry), len(geometry.freedom), len(geometry.cells)
     if cells == n:
         best = _build_rule(geometry, plate, None)

@@ -44,7 +44,7 @@ SMALL = 0.01
 
 
 def _springs(geometry: Geometry) -> tuple[str, ...]:
-    return geometry.cell_names + ((TORQUE,) if geometry.torque_meter else ())
+    return geometry.cell_names + tuple(meter.label(TORQUE) for meter in geometry.shaft_meters)
 
 
 def _plate_translations(geometry: Geometry) -> tuple[Where, ...]:
@@ -94,7 +94,7 @@ def _load_mode_parameters(geometry: Geometry, where: Where) -> tuple[EffectParam
     moment = where[0][0] == "M"
 
     def unit(spring: str) -> str:
-        return "1" if moment == (spring == TORQUE) else "1/m" if moment else "m"
+        return "1" if moment == (spring not in geometry.cell_names) else "1/m" if moment else "m"
 
     length = rig_length(geometry)
     size = {"1": 1.0, "m": length, "1/m": 1.0 / length}

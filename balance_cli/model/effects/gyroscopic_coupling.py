@@ -29,8 +29,13 @@ def _places(geometry: Geometry) -> tuple[Where, ...]:
     return ((),) if {"theta", "phi"} <= set(geometry.freedom) else ()
 
 
+def _about_z(geometry: Geometry) -> float:
+    """Declared inertia [kg m2] of the shafts about z; zero without any."""
+    return sum(meter.inertia for meter in geometry.shaft_meters if meter.axis == "z")
+
+
 def _parameters(geometry: Geometry, where: Where) -> tuple[EffectParameter, ...]:
-    spinning = geometry.torque_meter.inertia if geometry.torque_meter else 0.1 * inertia_by_motion(geometry)["psi"]
+    spinning = _about_z(geometry) or 0.1 * inertia_by_motion(geometry)["psi"]
     return (
         EffectParameter(
             "polar_inertia",

@@ -23,12 +23,13 @@ import numpy as np
 
 from balance_cli.campaign.rig.components import FREEDOMS
 from balance_cli.campaign.rig.geometry import Geometry
+from balance_cli.campaign.rig.torque_meter import FREEDOM_ABOUT
 from balance_cli.model.effects.base import Effect, EffectParameter
 from balance_cli.model.effects.geometry_scales import inertia_by_motion, position_bound, rig_length, stiffness_by_motion
 from balance_cli.model.effects.places import Where, nonempty_subsets
 from balance_cli.model.effects.search_hints import SearchHints
 from balance_cli.model.mechanics.dual_numbers import Dual, block_diagonal, clip_below, concatenate, constant, stack
-from balance_cli.model.mechanics.equations import Equations, dual_motion_at
+from balance_cli.model.mechanics.equations import SHAFT, Equations, dual_motion_at
 
 TRANSLATIONS = FREEDOMS[:3]
 
@@ -131,7 +132,7 @@ def _apply(equations: Equations, geometry: Geometry, where: Where, values: Mappi
     motion = wide.relative_motion(np.array([cell.position for cell in geometry.cells]))
     cells = (directions[:, None, :] @ motion)[:, 0]
     torque = wide.elongation[len(directions) :]
-    relative = concatenate([constant(np.eye(n), p), -_plate_motion_with_non_metric_side(equations, lower)], axis=1)
+    relative = concatenate([constant(np.eye(n), p), -_motion_with_non_metric_side(equations, geometry, lower)], axis=1)
     support = block_diagonal(constant(np.zeros((n, n)), p), damping.insert_axis(-1) * np.eye(m))
     return replace(
         wide,
@@ -147,11 +148,16 @@ def _motion_at_origin(values: Mapping[str, Dual], where: Where, p: int) -> Dual:
     return whole[:, [FREEDOMS.index(name) for name in where]]
 
 
-def _plate_motion_with_non_metric_side(equations: Equations, lower: Dual) -> Dual:
-    """Motion (n, m) of each coordinate when the plate moves with the non-metric side; the shaft does not."""
-    p, others = equations.parameters, len(equations.coordinates) - len(equations.freedom)
-    along = concatenate([dual_motion_at(equations.center), constant(np.eye(6)[3:], p)]) @ lower
-    return concatenate([along[list(equations.freedom)], constant(np.zeros((others, lower.value.shape[1])), p)])
+def _motion_with_non_metric_side(equations: Equations, geometry: Geometry, lower: Dual) -> Dual:
+    """Motion (n, m) of each coordinate when the plate moves with the non-metric side, and shafts that it carries."""
+    along = concatenate([dual_motion_at(equations.center), constant(np.eye(6)[3:], equations.parameters)]) @ lower
+    turned = {
+        meter.label(SHAFT): FREEDOM_ABOUT[meter.axis] for meter in geometry.shaft_meters if meter.carried_by == "plate"
+    }
+    still = constant(np.zeros(lower.value.shape[1]), equations.parameters)
+    motions = {name: along[FREEDOMS.index(motion)] for name, motion in turned.items()}
+    others = equations.coordinates[len(equations.freedom) :]
+    return stack([*(along[i] for i in equations.freedom), *(motions.get(name, still) for name in others)])
 
 
 def _search_places(geometry: Geometry) -> tuple[Where, ...]:

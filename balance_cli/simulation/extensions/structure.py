@@ -73,7 +73,7 @@ class SupportFlexibility(Extension):
         base = at_origin[:, [FREEDOMS.index(name) for name in motions]]
         # Motion of the plate's center of gravity when the plate moves with the non-metric side.
         along = np.vstack([displacement_rows(mechanics.cg), np.eye(6)[3:]]) @ base
-        relative = np.hstack([np.eye(start), -mechanics.plate.T @ along])
+        relative = np.hstack([np.eye(start), -mechanics.carried.T @ along])
         wide = mechanics.with_coordinates(tuple(f"base {name}" for name in motions))
         wide = replace(wide, non_metric_motion=np.hstack([np.zeros((6, start)), base]))
         lower = [cell.direction @ wide.non_metric_displacement(cell.position) for cell in geometry.cells]

@@ -269,7 +269,7 @@ def identified_response(rig, frequency):
     A = s**2 * mechanics.mass + s * mechanics.damping + mechanics.total_stiffness()
     q = np.linalg.solve(A, np.broadcast_to(mechanics.loads[:, :1], (len(frequency), mechanics.size, 1)))[:, :, 0]
     forces = q @ (mechanics.cell_stiffness[:, None] * mechanics.cell_rows).T
-    read = np.concatenate([forces, q @ mechanics.torque_row[:, None]], axis=1)
+    read = np.concatenate([forces, q @ mechanics.torque_rows.T], axis=1)
     cells = [cell.name for cell in rig.geometry.cells]
     place = [len(cells) if one.torque_meter else cells.index(one.cell) for one in rig.geometry.channels]
     gains = [one.sensitivity * np.ones(len(frequency), complex) for one in rig.geometry.channels]
