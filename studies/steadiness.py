@@ -87,8 +87,11 @@ def changing_record(rig: Bench, change: str, revolutions: int, rate: float, seed
     count = int((revolutions + 0.4) * rate / speed)
     padded = 2 * count
     time = np.arange(padded) / rate
+    # The transform is periodic: it holds whole revolutions, and the change returns to its beginning. A jump would begin
+    # a transient in what is to be steady from the first sample on.
+    speed = round(padded * speed / rate) * rate / padded
     shape = CHANGES[change](np.minimum(time * rate / count, 1.0))
-    shape[count:] *= np.linspace(1.0, 0.0, padded - count)  # returns to its beginning: the transform is periodic
+    shape[count:] = np.linspace(shape[count - 1], shape[0], padded - count)
     size = SIZES[rig.letter]
     angle = 2 * np.pi * (speed * time + rng.random())
     loads = np.zeros((padded, 6))

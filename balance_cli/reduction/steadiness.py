@@ -32,6 +32,9 @@ MATERIAL_SHARE_OF_LARGEST = 0.1
 START_TIME_CONSTANTS = 3.0
 """Time constants of the slowest mode after which the start of a record is compared: 5 % of a load that was applied at
 once are left then, as an oscillation, which the mean over a revolution reduces below a material change."""
+LARGEST_START_SHARE = 0.125
+"""Share of a record without a transient that is left out of the comparison all the same: a step within it changes the
+mean by less than an eighth of itself."""
 SLOW_MODE_CORRELATION = 0.9
 """Correlation of neighboring windows from which the slowest mode may be slower than a window: it then shakes the means
 of windows, too, which average faster modes out."""
@@ -78,11 +81,14 @@ def _correlation(windows: WindowedAmplitudes, source: ResponseSource) -> float:
 
 
 def _first_revolution(record: RotorRecord, source: ResponseSource) -> int:
-    """Return the first revolution that a transient of the rig cannot have reached, at most that of the interval."""
+    """Return the first revolution that a transient of the rig cannot have reached, at most that of the interval.
+
+    A transient below the noise of a sample is part of the interval, and still moves the means of the first windows.
+    """
     start = START_TIME_CONSTANTS * source.slowest_decay
-    first = record.spectra.revolutions[0]
-    turns = np.arange(first + 1)
-    return min(first, int(np.searchsorted(record.azimuth.time_of(turns), start)))
+    first, last = record.spectra.revolutions
+    most = max(first, int(LARGEST_START_SHARE * last))
+    return min(most, int(np.searchsorted(record.azimuth.time_of(np.arange(most + 1)), start)))
 
 
 def _without_start_up(windows: WindowedAmplitudes, speed: float) -> WindowedAmplitudes:
