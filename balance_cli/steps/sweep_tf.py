@@ -21,18 +21,15 @@ from balance_cli.signals.periodic import PeriodicRecord, has_whole_periods, peri
 from balance_cli.signals.response.averaged_spectra import averaged_response
 from balance_cli.signals.response.choices import AUTO, AVERAGED_ESTIMATORS, ESTIMATORS, LOCAL_RATIONAL, PERIODIC
 from balance_cli.signals.response.periodic_response import joint_response, response_from_one_run
+from balance_cli.signals.response.point_forces import PointForce, combine_point_forces
 from balance_cli.signals.response.transfer import SteadyPart, Transfer
 from balance_cli.signals.run_spectrum import FrequencyResponse
-from balance_cli.signals.single_force import single_force
+from balance_cli.signals.single_force import SingleForce, single_force
 
 __all__ = ["ESTIMATORS", "estimate_responses"]
 
 SAME_LEVEL = 0.05
 """Relative difference of two declared levels that are the same set-up: an exciter does not repeat its level exactly."""
-
-
-ONE_FORCE = "one force at one point drives several hub loads at once: no response to a single one of them can be told"
-"""Why a sweep gives no response, although `identify` uses it."""
 
 
 def estimate_responses(
@@ -49,13 +46,14 @@ def estimate_responses(
         )
     runs = tuple(runs)
     unused = {run.name: f"a {run.kind} run; only sweeps are used" for run in runs if run.kind != "sweep"}
-    unused |= {run.name: ONE_FORCE for run in runs if run.kind == "sweep" and single_force(run) is not None}
-    sweeps = [run for run in runs if run.name not in unused]
+    sweeps = [run for run in runs if run.kind == "sweep"]
     if not sweeps:
-        if ONE_FORCE in unused.values():
-            raise UserError(ONE_FORCE, "RUN...", remedy="Use `identify`, or excite at the hub")
         raise UserError("none of the runs is a sweep", remedy="Give at least one run of kind `sweep`")
     live, left_out = _live_channels_by_run(sweeps, geometry)
+    forces = {run.name: force for run in sweeps if (force := single_force(run)) is not None}
+    points = [_point_force(force, live[name], estimator, band) for name, force in forces.items()]
+    sweeps = [run for run in sweeps if run.name not in forces]
+    from_points, faults = _responses_from_points(points, bool(sweeps))
     periodic = [run for run in sweeps if _is_periodic(run, estimator)]
     records = [(run, periodic_record(run, live[run.name], band)) for run in periodic]
     nonperiodic = [run for run in sweeps if run not in periodic]
@@ -64,12 +62,44 @@ def estimate_responses(
         responses=(
             *_periodic_responses(records),
             *(_nonperiodic_response(run, live[run.name], estimator, band) for run in nonperiodic),
+            *from_points,
         ),
         estimator=estimator,
         steady_parts={run.name: _steady_part(record) for run, record in records},
         channels_left_out=left_out,
-        unused_runs=unused,
+        unused_runs=unused | faults,
     )
+
+
+def _point_force(
+    force: SingleForce, channel_names: tuple[str, ...], estimator: str, band: tuple[float, float]
+) -> PointForce:
+    """The response to a force at a point, by the load to which its multiples refer."""
+    if _is_periodic(force.run, estimator):
+        response = joint_response([periodic_record(force.run, channel_names, band)])
+    else:
+        response = _nonperiodic_response(force.run, channel_names, estimator, band)
+    return PointForce(response, force.multiples)
+
+
+def _responses_from_points(
+    forces: Sequence[PointForce], others: bool
+) -> tuple[list[FrequencyResponse], dict[str, str]]:
+    """Responses to the hub loads that forces at points span, one for each rotor speed, and why runs give none.
+
+    Raises UserError where they give none, and there are no `others`.
+    """
+    responses: list[FrequencyResponse] = []
+    faults: dict[str, str] = {}
+    for speed in dict.fromkeys(force.response.rotor_speed for force in forces):
+        members = [force for force in forces if force.response.rotor_speed == speed]
+        try:
+            responses.append(combine_point_forces(members))
+        except UserError as error:
+            if not others:
+                raise
+            faults |= {force.response.run: f"{error.fault}. {error.remedy}" for force in members}
+    return responses, faults
 
 
 def _live_channels_by_run(

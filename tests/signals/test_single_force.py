@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from balance_cli.campaign.recording.additions import FORCE, LoadPoints, MemoryAdditions, RunAdditions
 from balance_cli.campaign.recording.point_loads import with_hub_loads
@@ -16,36 +17,49 @@ from balance_cli.estimation.measured_spectra import measured_spectra
 from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
+from balance_cli.signals.response.point_forces import PointForce, combine_point_forces
+from balance_cli.signals.run_spectrum import FrequencyResponse
 from balance_cli.signals.single_force import single_force
 from balance_cli.simulation import true_rig
 from balance_cli.simulation.replay import replay_loads
 from balance_cli.steps.sweep_tf import estimate_responses
 from tests.support.other_rigs import other_rig
+from tests.support.truth import true_response
+
+Array = NDArray[np.float64]
 
 RATE, SAMPLES, PERIOD = 2000.0, 20000, 2000
 HUB_LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 DIRECTION, POSITION = np.array([0.0, 0.6, 0.8]), np.array([0.2, 0.1, 0.0])
 
 
-def swept_at_a_point(force_noise: float, periodic: bool, seed: int = 1) -> Run:
+def swept_at_a_point(
+    force_noise: float,
+    periodic: bool,
+    seed: int = 1,
+    position: Array = POSITION,
+    direction: Array = DIRECTION,
+    samples: int = SAMPLES,
+) -> Run:
     """Rig A, driven by a stinger beside the hub: six hub loads of one signal."""
     geometry, rng = other_rig("A"), np.random.default_rng(seed)
-    spectrum = np.zeros((PERIOD if periodic else SAMPLES) // 2 + 1, complex)
+    spectrum = np.zeros((PERIOD if periodic else samples) // 2 + 1, complex)
     length = 2 * (len(spectrum) - 1)
     inside = (np.arange(len(spectrum)) * RATE / length > 10.0) & (np.arange(len(spectrum)) * RATE / length < 260.0)
     spectrum[inside] = np.exp(2j * np.pi * rng.random(np.count_nonzero(inside)))
-    force = np.tile(np.fft.irfft(spectrum), SAMPLES // length)
+    force = np.tile(np.fft.irfft(spectrum), samples // length)
     force *= 20.0 / np.std(force)
-    arm = POSITION - np.array(geometry.hub)
-    loads = force[:, None] * np.hstack([DIRECTION, np.cross(arm, DIRECTION)])
+    arm = position - np.array(geometry.hub)
+    loads = force[:, None] * np.hstack([direction, np.cross(arm, direction)])
     volts = replay_loads(true_rig(geometry), loads, "sweep", RATE)
     volts = volts + 1e-3 * rng.standard_normal(volts.shape)
-    measured = (force + force_noise * rng.standard_normal(SAMPLES))[:, None]
-    points = LoadPoints(("stinger",), DIRECTION[None], POSITION[None])
+    measured = (force + force_noise * rng.standard_normal(samples))[:, None]
+    points = LoadPoints(("stinger",), direction[None], position[None])
     additions = RunAdditions(points, source=MemoryAdditions({FORCE: measured}))
     declared = {"excited": ("Fz",), "level": (20.0,), "excitation": "multisine" if periodic else "random"}
     names = geometry.channel_names
-    run = Run("stinger", geometry.rig, "sweep", names, SAMPLES, MemorySource(volts, None), False, RATE, **declared)
+    source = MemorySource(volts, None)
+    run = Run(f"stinger-{seed}", geometry.rig, "sweep", names, samples, source, False, RATE, **declared)
     run = replace(run, additions=additions, period=PERIOD / RATE if periodic else None)
     return with_hub_loads(run, geometry)
 
@@ -75,7 +89,46 @@ def test_chi_square_of_the_true_rig_is_one():
         assert 0.8 < _chi2_per_value(swept_at_a_point(0.3, periodic)) < 1.25
 
 
-def test_measured_responses_leave_such_a_run_out():
-    run = swept_at_a_point(0.3, True)
-    with pytest.raises(UserError, match="one force at one point"):
-        estimate_responses([run], other_rig("A"))
+def test_forces_that_span_the_hub_loads_give_their_responses():
+    """Seven of them for six loads, with errors of the size that the covariance says."""
+    rng, x, y, z = np.random.default_rng(5), *np.eye(3)
+    directions = [z, z, z, x, x, y, DIRECTION]
+    runs = [
+        swept_at_a_point(0.1, True, seed, 0.3 * rng.standard_normal(3), direction, 5 * PERIOD)
+        for seed, direction in enumerate(directions)
+    ]
+    (found,) = estimate_responses(runs, other_rig("A")).responses
+    truth = true_response(true_rig(other_rig("A")), found.frequency)
+    rows = [other_rig("A").channel_names.index(name) for name in found.channel_names]
+    variance = (
+        np.einsum("kcc->kc", found.channel_covariance)[:, :, None]
+        * np.einsum("kuu->ku", found.load_covariance)[:, None]
+    )
+    assert found.components == HUB_LOADS and len(found.frequency) > 200
+    assert 0.8 < np.mean(np.abs(found.response - truth[:, rows]) ** 2 / variance.real) < 1.25
+    with pytest.raises(UserError, match="4 forces at points drove 5 hub loads in 4 combinations: nothing drove"):
+        estimate_responses(runs[:4], other_rig("A"))
+
+
+def test_forces_of_records_of_several_lengths_are_interpolated():
+    """A response of one mode, lines of 0.5, 0.6 and 0.7 Hz."""
+    multiples = np.array([[0, 0, 1.0, 0.2, 0, 0], [0, 0, 1.0, -0.3, 0.1, 0], [0, 0, 1.0, 0.0, 0.4, 0]])
+
+    def mode(frequency: Array) -> Array:
+        weights = np.array([[1.0, 0.5, -0.2], [0.3, -1.0, 0.6]])
+        return weights / (1.0 - (frequency / 60.0) ** 2 + 0.06j * frequency / 60.0)[:, None, None]
+
+    def response(step: float, row: Array) -> FrequencyResponse:
+        lines = np.arange(10.0, 120.0, step)
+        value, ones = mode(lines) @ row[2:5, None], np.ones((len(lines), 1, 1))
+        noise = 1e-10 * ones * np.eye(2)
+        names = ("a", "b"), ("Fz",)
+        coherence = np.ones(value.shape)
+        return FrequencyResponse(
+            "run", *names, "lrm", lines, value, noise, ones, coherence, coherence[:, :, 0], level=(1.0,)
+        )
+
+    forces = [PointForce(response(step, row), row) for step, row in zip((0.5, 0.6, 0.7), multiples, strict=True)]
+    found = combine_point_forces(forces)
+    assert found.components == ("Fz", "Mx", "My") and len(found.frequency) > 150
+    np.testing.assert_allclose(found.response, mode(found.frequency), atol=2e-3 * np.abs(mode(found.frequency)).max())
