@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from balance_cli.campaign.recording.run import Run
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.campaign.rig.geometry_checks import geometry_faults
+from balance_cli.campaign.rig.geometry_file import load_geometry
 from balance_cli.diagnosis.consistency.campaign import campaign_findings
 from balance_cli.diagnosis.consistency.findings import ANTI_ALIAS, FAULT, HUB_POSITION, WARNING
 from balance_cli.diagnosis.consistency.severity import findings_for_command, identified_anyway, measured_anyway
@@ -26,6 +28,7 @@ from studies.consistency import (
 )
 from tests.support.rigs import rotor_balance
 
+ONE_DOF = Path(__file__).parents[2] / "configs" / "one-dof.yaml"
 Spoil = Callable[..., tuple[Geometry, tuple[Run, ...]]]
 
 
@@ -86,6 +89,16 @@ def test_the_hub_is_found_where_the_forces_act() -> None:
     (finding,) = campaign_findings(*change_geometry(hub_lowered)(rotor_balance(), campaign()))
     assert (finding.kind, finding.severity) == (HUB_POSITION, WARNING)
     assert np.allclose(finding.position, rotor_balance().hub, atol=0.01)
+
+
+def test_sweeps_of_loads_that_the_rig_does_not_feel_contradict_nothing() -> None:
+    geometry = load_geometry(ONE_DOF)
+    sweeps = tuple(
+        SweepPlan(run=f"sweep-{name}", excited=(name,), level=(20.0,), period=1.0, periods=4)
+        for name in ("Fx", "Fz", "Mz")
+    )
+    runs = simulate_campaign(true_rig(geometry), CampaignPlan(runs=sweeps), Noise(), 1).runs
+    assert campaign_findings(geometry, runs) == ()
 
 
 def test_what_a_command_measures_itself_is_no_fault_there() -> None:

@@ -32,6 +32,11 @@ ODD_CELL_SHARE = 0.7
 """Of the sum of squares of these logarithms: what may remain where the stiffness of a doubted cell is corrected."""
 FEWEST_ROWS = 20
 """Rows of a sweep that are compared."""
+STATIC_FREQUENCY = 1e-3
+"""[Hz], below the modes of any balance."""
+LEAST_FELT = 1e-9
+"""Force of a cell for a unit load over that for the load that it feels most, which rounding exceeds only where the load
+moves nothing."""
 SMALLEST_RATIO = 4.0
 """Of stiffness over mass to what is declared, from which it is named as the cause; less has other causes, too."""
 SCALES = np.geomspace(1 / 50.0, 50.0, 57)
@@ -55,6 +60,8 @@ def frequency_mismatch(runs: Sequence[Evidence], geometry: Geometry) -> Frequenc
     """Return how the sweeps contradict the computed responses; None where they agree, or do not say."""
     sweeps = [run for run in runs if run.rows.kind == "sweep" and len(run.applied) == 1]
     sweeps = [run for run in sweeps if len(run.rows.frequency) >= FEWEST_ROWS and run.loads[:, run.applied[0]].all()]
+    felt = _felt_components(geometry)
+    sweeps = [run for run in sweeps if run.applied[0] in felt]
     if not sweeps:
         return None
     names = tuple(run.run for run in sweeps)
@@ -77,6 +84,13 @@ def frequency_mismatch(runs: Sequence[Evidence], geometry: Geometry) -> Frequenc
     best, scale = min(scaled)
     explained = best < limit and abs(np.log(scale**2)) > np.log(SMALLEST_RATIO)
     return FrequencyMismatch(difference, float(scale**2) if explained else None, (), names)
+
+
+def _felt_components(geometry: Geometry) -> frozenset[int]:
+    """Return the load components that load a cell: a rig of few degrees of freedom does not feel all of them."""
+    forces = np.abs(computed_forces(balance_model(geometry).system(), np.array([STATIC_FREQUENCY]), 0.0)[0])
+    largest = forces.max(axis=0)
+    return frozenset(np.flatnonzero(largest > LEAST_FELT * largest.max(initial=0.0)).tolist())
 
 
 def _odd_cells(geometry: Geometry) -> list[tuple[str, ...]]:
