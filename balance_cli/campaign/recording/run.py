@@ -25,6 +25,8 @@ LARGEST_MAGNITUDE = 1e9
 MOST_HELD_BYTES = 2**28
 """Of the samples of one run that are kept in memory: 256 MB, 20 channels at 10 kHz for 160 s. Longer ones are read in
 blocks, as often as they are needed."""
+MOST_HELD_TOGETHER = 2**27
+"""Of the samples of the runs of a command, from which no further one is kept."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +188,12 @@ def hold_samples(run: Run) -> Run:
         if samples is not None:
             samples.setflags(write=False)
     return replace(run, source=MemorySource(block.channels, block.loads))
+
+
+def held_bytes(run: Run) -> int:
+    """Return the bytes of the samples that a run keeps in memory."""
+    columns = len(run.channel_names) + (len(COMPONENTS) if run.has_loads else 0)
+    return 8 * run.samples * columns if isinstance(run.source, MemorySource) else 0
 
 
 def read_channels(run: Run, names: Sequence[str], start: int = 0, stop: int | None = None) -> Array:

@@ -20,7 +20,16 @@ from balance_cli.campaign.recording.reading_units import (
     reading_units,
     unit_attribute,
 )
-from balance_cli.campaign.recording.run import Array, Run, SampleBlock, have_same_samples, hold_samples, run_digest
+from balance_cli.campaign.recording.run import (
+    MOST_HELD_TOGETHER,
+    Array,
+    Run,
+    SampleBlock,
+    have_same_samples,
+    held_bytes,
+    hold_samples,
+    run_digest,
+)
 from balance_cli.campaign.recording.run_checks import load_sample_faults, run_file_faults
 from balance_cli.campaign.recording.run_contents import read_contents, report_damage
 from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileContents, as_list, run_from_contents
@@ -118,20 +127,24 @@ def open_runs(
 ) -> tuple[tuple[Run, ...], dict[Path, str]]:
     """Open the runs of one campaign, and return them with the files that were skipped (path -> reason).
 
+    The samples of the first runs stay in memory: a command reads them again for its cross-checks, and for its results.
+
     Raises UserError where a run cannot be read, belongs to another rig, has none of the channels of the geometry, or
     has the name of another run. With `skip_bad` such a run is skipped; two different runs of one name remain an error,
     and so does a list of which no run is left.
     """
     runs: dict[str, Run] = {}
     skipped: dict[Path, str] = {}
+    held = 0
     for path in map(Path, paths):
         try:
-            run = open_matching_run(path, geometry)
+            run = open_matching_run(path, geometry, hold=held < MOST_HELD_TOGETHER)
         except UserError as error:
             if not skip_bad:
                 raise
             skipped[path] = str(error)
             continue
+        held += held_bytes(run)
         first = runs.setdefault(run.name, run)
         if first is not run:
             if not skip_bad or run.digest != first.digest:
