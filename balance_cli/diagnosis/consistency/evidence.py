@@ -26,13 +26,6 @@ errors of stiffness and mass hardly change it."""
 GEOMETRY_ERROR = 0.1
 """Relative error of a computed response at low frequency that is usual without any mistake (paths beside the cells,
 flexible supports), or three times the declared tolerance of stiffness where that is more."""
-CHANNEL_ERROR = 0.01
-"""Relative difference of two channels of a cell, and of two runs, that is usual: sensitivities and amplitudes."""
-CHECK_ERROR = 0.3
-"""Relative error of a response from sweeps at the lines of a check run: bands are as wide as half of a mode, few lines
-near a mode decide, and the rotor turns. Signs, units and exchanges are seen nevertheless."""
-NEGLIGIBLE_ENERGY = 1e-4
-"""Of the strongest channel of a run: below it (1 % in amplitude) the pair of a channel is not compared."""
 LEAST_CORRELATION = 0.9
 """Of a channel with what is predicted for another, from which the two may have been exchanged."""
 MANY_BANDS, THINNING = 150, 3
@@ -70,6 +63,11 @@ class Evidence:
         if self.rows.is_static:
             return tuple(int(j) for j in np.flatnonzero(np.any(self.loads != 0, axis=0)))
         return tuple(int(j) for j in np.unique(self.rows.reference))
+
+    @cached_property
+    def predicted(self) -> tuple[ComplexArray, ComplexArray]:
+        """Forces (l, c) by the geometry and (k, c) by other runs, for the loads as recorded."""
+        return predictions(self, self.loads)
 
 
 def natural_frequencies(system: System) -> Array:
@@ -182,15 +180,15 @@ def alike_channels(run: Evidence) -> Bools:
     partner = np.full(run.forces.shape, np.nan, complex)
     for first, second in run.pairs:
         partner[:, first], partner[:, second] = run.forces[:, second], run.forces[:, first]
-    by_runs = _predict_from_runs(run.reference, run.loads, run.applied)
+    by_geometry, by_runs = run.predicted
     predictions = [
-        (run.forces[run.low] * run.gains[run.low], _predict(run.computed, run.loads[run.low]) * run.gains[run.low]),
+        (run.forces[run.low] * run.gains[run.low], by_geometry * run.gains[run.low]),
         (run.forces * run.gains, by_runs * run.gains),
         (run.forces * run.gains, partner * run.gains),
     ]
     alike = np.zeros((run.forces.shape[1],) * 2, bool)
     for volts, predicted in predictions:
-        correlation = _correlation(_zero_where_missing(volts.copy()), _zero_where_missing(predicted.copy()))
+        correlation = _correlation(zero_where_missing(volts.copy()), zero_where_missing(predicted.copy()))
         alike |= (correlation > LEAST_CORRELATION) & (correlation.T > LEAST_CORRELATION)
     return alike
 
@@ -201,71 +199,9 @@ def _correlation(first: ComplexArray, second: ComplexArray) -> Array:
     return np.asarray(np.abs(first.conj().T @ second) / np.where(norms > 0, norms, np.inf))
 
 
-@dataclass(frozen=True)
-class Residuals:
-    """Weighted residuals of a run: by the geometry (l, c), by other runs (k, c), of pairs of channels (k, p).
-
-    Each is divided by its usual error, so that a column with a sum of squares below 9 is as good as can be expected.
-    """
-
-    geometry: ComplexArray
-    runs: ComplexArray
-    pairs: ComplexArray
-
-    @property
-    def energy(self) -> Array:
-        """Sums of squares of all columns, (2 c + p,)."""
-        return np.concatenate([np.sum(np.abs(part) ** 2, axis=0) for part in (self.geometry, self.runs, self.pairs)])
-
-    @property
-    def vector(self) -> ComplexArray:
-        """All residuals in one vector."""
-        return np.concatenate([self.geometry.ravel(), self.runs.ravel(), self.pairs.ravel()])
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Divisors of the residuals of a run: scalars for geometry and runs, (p,) for pairs; infinite: not compared."""
-
-    geometry: float
-    runs: float
-    pairs: Array
-
-
-def residual_weights(run: Evidence) -> Weights:
-    """Return what the residuals of a run are divided by, from what is predicted for its recorded loads."""
-    by_geometry = _predict(run.computed, run.loads[run.low])
-    by_runs = _predict_from_runs(run.reference, run.loads, run.applied)
-    energy = np.nansum(np.abs(run.forces) ** 2, axis=0)
-    return Weights(
-        run.geometry_error * _size(by_geometry[:, _has_channels(run.forces)]),
-        (CHANNEL_ERROR if run.rows.kind == "sweep" else CHECK_ERROR)
-        * _size(np.where(np.isfinite(run.forces), by_runs, np.nan)),
-        CHANNEL_ERROR * np.sqrt(_pair_energies(energy, run.pairs)),
-    )
-
-
-def _has_channels(forces: ComplexArray) -> Bools:
-    return np.asarray(np.isfinite(forces).all(axis=0))
-
-
-def _size(predicted: ComplexArray) -> float:
-    """Return the root of the summed squares of a channel of average size; infinite where nothing is predicted."""
-    per_channel = np.nansum(np.abs(predicted) ** 2, axis=0)
-    strong = per_channel[per_channel > 0]
-    return float(np.sqrt(strong.mean())) if len(strong) else np.inf
-
-
-def _pair_energies(energy: Array, pairs: tuple[tuple[int, int], ...]) -> Array:
-    """Return the smaller energy of the channels of each pair; infinite where that is next to none, or one is absent.
-
-    The strongest channel is found among the smaller ones of pairs and those without a pair, so that one channel in
-    another unit does not silence the others.
-    """
-    smaller = np.array([min(energy[first], energy[second]) for first, second in pairs])
-    single = np.delete(energy, sorted({index for pair in pairs for index in pair}))
-    strongest = np.concatenate([smaller, single]).max(initial=0.0)
-    return np.where(smaller > NEGLIGIBLE_ENERGY * strongest, smaller, np.inf)
+def predictions(run: Evidence, loads: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return the forces (l, c) of a run by the geometry and (k, c) by other runs, for loads (k, 6)."""
+    return _predict(run.computed, loads[run.low]), _predict_from_runs(run.reference, loads, run.applied)
 
 
 def _predict(forces_per_load: ComplexArray, loads: ComplexArray) -> ComplexArray:
@@ -278,20 +214,7 @@ def _predict_from_runs(reference: ComplexArray, loads: ComplexArray, applied: tu
     return _predict(reference[:, :, columns], loads[:, columns]) if columns else np.full(reference.shape[:2], np.nan)
 
 
-def residuals(run: Evidence, forces: ComplexArray, loads: ComplexArray, weights: Weights) -> Residuals:
-    """Return the residuals of a run whose true forces (k, c) and loads (k, 6) are these."""
-    by_geometry = forces[run.low] - _predict(run.computed, loads[run.low])
-    by_runs = forces - _predict_from_runs(run.reference, loads, run.applied)
-    first, second = np.array(run.pairs, int).reshape(-1, 2).T
-    with np.errstate(invalid="ignore"):
-        pairs = (forces[:, second] - forces[:, first]) / weights.pairs
-    return Residuals(
-        _zero_where_missing(by_geometry / weights.geometry),
-        _zero_where_missing(by_runs / weights.runs),
-        _zero_where_missing(pairs),
-    )
-
-
-def _zero_where_missing(values: ComplexArray) -> ComplexArray:
+def zero_where_missing(values: ComplexArray) -> ComplexArray:
+    """Set what is not a number to zero, in place, and return the array."""
     values[np.isnan(values)] = 0.0
     return values

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.consistency.evidence import Evidence, residual_weights, residuals
+from balance_cli.diagnosis.consistency.evidence import Evidence, zero_where_missing
+from balance_cli.diagnosis.consistency.residuals import residual_weights
 
 Array = NDArray[np.float64]
 
@@ -34,8 +35,9 @@ def hub_shift(runs: Sequence[Evidence], size: float) -> Array | None:
     normal, right, before = np.zeros((3, 3)), np.zeros(3), 0.0
     parts = []
     for run in runs:
-        declared = _geometry_residuals(run, np.zeros(3))
-        columns = np.stack([_geometry_residuals(run, unit) - declared for unit in np.eye(3)], axis=1)
+        divisor = residual_weights(run).geometry
+        declared = zero_where_missing((run.forces[run.low] - run.predicted[0]) / divisor).ravel()
+        columns = np.stack([_moved_force(run, unit).ravel() / divisor for unit in np.eye(3)], axis=1)
         normal += (columns.conj().T @ columns).real
         right -= (columns.conj().T @ declared).real
         before += float(np.vdot(declared, declared).real)
@@ -47,8 +49,11 @@ def hub_shift(runs: Sequence[Evidence], size: float) -> Array | None:
     return np.asarray(shift) if after < REMAINING_SHARE * before else None
 
 
-def _geometry_residuals(run: Evidence, shift: Array) -> NDArray[np.complex128]:
-    """Return the residuals by the geometry with the loads moved by `shift` [m], in one vector."""
-    loads = run.loads.copy()
-    loads[:, 3:] += np.cross(np.broadcast_to(shift, (len(loads), 3)), loads[:, :3])
-    return residuals(run, run.forces, loads, residual_weights(run)).geometry.ravel()
+def _moved_force(run: Evidence, shift: Array) -> NDArray[np.complex128]:
+    """Return the change (l, c) of the residuals by the geometry, times their divisor, for a hub moved by `shift`
+    [m].
+    """
+    loads = run.loads[run.low]
+    moments = np.cross(np.broadcast_to(shift, (len(loads), 3)), loads[:, :3])
+    change = -np.einsum("kcj,kj->kc", run.computed[:, :, 3:], moments)
+    return np.where(np.isfinite(run.forces[run.low]), change, 0.0)

@@ -9,7 +9,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.consistency.evidence import Evidence, Residuals, Weights, residuals
+from balance_cli.diagnosis.consistency.evidence import Evidence
+from balance_cli.diagnosis.consistency.residuals import Residuals, Weights, residuals
 
 ComplexArray = NDArray[np.complex128]
 

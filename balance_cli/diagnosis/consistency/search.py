@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from balance_cli.diagnosis.consistency.evidence import Evidence, residuals
+from balance_cli.diagnosis.consistency.evidence import Evidence
 from balance_cli.diagnosis.consistency.hypotheses import Hypothesis, undo
+from balance_cli.diagnosis.consistency.residuals import residuals
 from balance_cli.diagnosis.consistency.trials import (
     SIGNIFICANT,
     TIE,

@@ -12,14 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from balance_cli.diagnosis.consistency.evidence import (
-    Evidence,
-    Weights,
-    alike_channels,
-    residual_weights,
-    residuals,
-    with_references,
-)
+from balance_cli.diagnosis.consistency.evidence import Evidence, alike_channels, with_references
 from balance_cli.diagnosis.consistency.hypotheses import (
     EXCHANGE_CHANNELS,
     EXCHANGE_LOADS,
@@ -31,6 +24,7 @@ from balance_cli.diagnosis.consistency.hypotheses import (
     undo,
     without_scaled_pairs,
 )
+from balance_cli.diagnosis.consistency.residuals import Weights, residual_weights, residuals
 
 Array = NDArray[np.float64]
 
