@@ -108,7 +108,12 @@ def _mode_svg(title: str, drawing: RigDrawing, shape: ComplexArray) -> str:
 
 
 def assurance_table(rows: Source[IdentifiedModel], columns: Source[IdentifiedModel]) -> Table | None:
-    """Return the modal assurance of two models' shapes, as displacements of the points; None without such shapes."""
+    """Return the modal assurance of two models' shapes, as displacements of the points; None without such shapes.
+
+    None, too, where the models are of rigs with other points.
+    """
+    if draw_rig(rows.content.geometry).names != draw_rig(columns.content.geometry).names:
+        return None
     shapes_of_rows, shapes_of_columns = point_shapes(rows.content), point_shapes(columns.content)
     if shapes_of_rows is None or shapes_of_columns is None:
         return None

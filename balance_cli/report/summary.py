@@ -26,7 +26,11 @@ MOST_NAMES = 20
 
 def section(sources: Sources) -> Section:
     """Loads of each run with their verdict, updating before and after, key figures, and the inputs."""
-    blocks: list[PageBlock] = [*answer_blocks(sources.loads), *before_after_blocks(sources)]
+    blocks: list[PageBlock] = [
+        *_several_rigs(sources),
+        *answer_blocks(sources.loads),
+        *before_after_blocks(sources),
+    ]
     if not sources.loads:
         blocks.append(Paragraph(_without_loads(sources), "lead"))
     figures = (*_key_figures(sources), *(() if sources.loads else _calibration_key_figures(sources)))
@@ -42,6 +46,15 @@ def rig_title(sources: Sources) -> str:
     """Name of the rig, or of the rigs, for the title; empty without artefacts."""
     planned = [item.plan.rig for item in sources.plans if item.plan.rig]
     return join_names(list(dict.fromkeys([*(geometry.rig for geometry in sources.geometries), *planned])))
+
+
+def _several_rigs(sources: Sources) -> Iterator[PageBlock]:
+    rigs = list(dict.fromkeys(geometry.rig for geometry in sources.geometries))
+    if len(rigs) > 1:
+        yield WarningText(
+            f"The inputs are of different rigs: {join_names(rigs)}. What this page compares holds within one rig only: "
+            "make a page for each."
+        )
 
 
 def _input_sentences(sources: Sources) -> Iterator[str]:

@@ -1,10 +1,13 @@
 """Mode shapes on the rig: displacements of its points, and the assurance of two models' shapes."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
 from balance_cli.model.balance import balance_model
+from balance_cli.report import summary
+from balance_cli.report.blocks import WarningText
 from balance_cli.report.mode_pictures import assurance_table, point_shapes, shape_picture
 from balance_cli.report.polar_picture import polar_picture
 from balance_cli.report.rig_drawing import draw_rig
@@ -42,3 +45,15 @@ def test_a_vector_of_the_polar_plot_points_along_its_phase():
     angle = np.angle(run.amplitude[1, 0])
     np.testing.assert_allclose([x - 85.0, 85.0 - y], 62.0 * np.array([np.cos(angle), np.sin(angle)]), atol=0.06)
     assert "Fx 3/rev" in markup and "Mz 1/rev" in markup
+
+
+def test_models_of_different_rigs_have_no_assurance_and_the_page_warns():
+    first = group_sources(campaign()).models[0]
+    geometry = first.content.geometry
+    renamed = tuple(cell.model_copy(update={"name": f"other {cell.name}"}) for cell in geometry.cells)
+    other = geometry.model_copy(update={"rig": "other rig", "cells": renamed})
+    content = replace(first.content, geometry=other)
+    second = replace(first, content=content)
+    assert assurance_table(first, second) is None
+    warned = summary.section(replace(group_sources(campaign()), models=(first, second))).blocks[0]
+    assert isinstance(warned, WarningText) and "different rigs" in warned.text and "other rig" in warned.text
