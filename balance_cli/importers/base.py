@@ -36,8 +36,9 @@ class ChannelGroup:
 
     `rate` [Hz] is None where the file states none (a time column may). `start` [s] is the time of the first sample on
     the clock of the file. A group of a lower rate that shares the rows of a time column with others has its samples at
-    row `first_row` of them and every `stride` rows from there. `unusable` says why the group is no record of samples in
-    time (a spectrum, text), else empty.
+    row `first_row` of them and every `stride` rows from there. `time` is the channel (its index) that holds the times
+    of this group, in a file with several. `unusable` says why the group is no record of samples in time (a spectrum,
+    text), else empty.
     """
 
     channels: tuple[ForeignChannel, ...]
@@ -48,6 +49,7 @@ class ChannelGroup:
     unusable: str = ""
     first_row: int = 0
     stride: int = 1
+    time: int | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from balance_cli.importers.base import (
     damaged,
 )
 from balance_cli.importers.text_layout import MISSING_WORDS, Columns, find_columns, split_cells
+from balance_cli.importers.time_columns import filled_rows, parts_by_time
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_cells import find_encoding, is_remark
 
@@ -53,7 +54,8 @@ def open_file(path: Path, layout: TextLayout) -> ForeignFile:
     rows, notes = _index_rows(path, columns)
     scalars = {} if columns.stated_rate is None else {"sample_rate": columns.stated_rate}
     dense = [k for k in (*columns.numeric, *columns.clock) if k not in columns.sparse]
-    groups = [_group(path, columns, rows, dense)] if dense else []
+    parts = parts_by_time(dense, columns.times)
+    groups = [_group(path, columns, rows, part, columns.times) for part in parts if part]
     for place in dict.fromkeys(columns.sparse.values()):
         together = [k for k, own in columns.sparse.items() if own == place]
         groups.append(_sparse_group(_group(path, columns, rows, together), *place))
@@ -75,9 +77,11 @@ def _read_labels(rows: _Rows, columns: Columns, column: int) -> tuple[str, ...]:
     return tuple(row[column] if column < len(row) else "" for row in cells)
 
 
-def _group(path: Path, columns: Columns, rows: _Rows, used: Sequence[int]) -> ChannelGroup:
+def _group(path: Path, columns: Columns, rows: _Rows, used: Sequence[int], times: Sequence[int] = ()) -> ChannelGroup:
     channels = tuple(ForeignChannel(columns.names[k], "s" if k in columns.clock else columns.units[k]) for k in used)
-    return ChannelGroup(channels, rows.count, _Table(path, columns, rows, tuple(used)).read)
+    group = ChannelGroup(channels, rows.count, _Table(path, columns, rows, tuple(used)).read)
+    own = next((place for place, k in enumerate(used) if k in times), None)
+    return group if own is None else replace(group, time=own, samples=filled_rows(group, own))
 
 
 def _sparse_group(group: ChannelGroup, first: int, stride: int) -> ChannelGroup:

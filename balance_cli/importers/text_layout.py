@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from balance_cli.importers.base import TextLayout
+from balance_cli.importers.time_columns import time_columns
 from balance_cli.importers.written_numbers import plausible_rate
 from balance_cli.io.errors import UserError
 from balance_cli.io.text_cells import SEPARATORS, is_remark
@@ -20,6 +21,8 @@ NUMERIC_SHARE = 0.5
 """Share of the cells of a row that must be numbers, times or empty for a row of data; a row of names has hardly any."""
 TYPICAL_ROWS = 50
 """Rows whose usual number of cells is that of the table."""
+FEWEST_BLOCK_ROWS = 5
+"""Rows of numbers above the names of a table that are a table of their own; heads have fewer, with words."""
 FEWEST_SPARSE_ROWS = 4
 """Values at even distances from which a column counts as one of a lower rate; two gaps alike can be chance."""
 NUMERIC_COLUMN_SHARE = 0.9
@@ -56,7 +59,8 @@ class Columns:
 
     `first_row` counts from 0. `numeric` are the columns of numbers, `clock` those of dates or times of day; others are
     text, or empty without a name. `sparse` are columns of a lower rate that share the rows of the others: the first row
-    of data with a value, and the rows from one to the next.
+    of data with a value, and the rows from one to the next. `times` are columns of times, each of those behind it,
+    where there are several.
     """
 
     encoding: str
@@ -69,6 +73,7 @@ class Columns:
     clock: tuple[int, ...]
     stated_rate: float | None = None
     sparse: dict[int, tuple[int, int]] = field(default_factory=dict)
+    times: tuple[int, ...] = ()
 
 
 def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -> Columns:
@@ -93,11 +98,27 @@ def find_columns(text: str, is_whole: bool, encoding: str, layout: TextLayout) -
         raise UserError("has no columns of numbers", remedy="State `separator`, `decimal` and `first_row` under `text`")
     _, separator, decimal, first = best
     rows = [split_cells(line, separator) for line in lines]
+    if layout.first_row is None:
+        _require_one_block(rows[:first], decimal)
     names, units = _names_and_units(rows[:first], rows[first:], layout)
     numeric, clock = _column_kinds(rows[first:], decimal, names)
     rate = _stated_rate(lines[:first])
     sparse = _sparse_columns(rows[first:], numeric)
-    return Columns(encoding, separator, decimal, first, names, units, numeric, clock, rate, sparse)
+    dense = [column for column in numeric if column not in sparse]
+    times = time_columns(rows[first:], decimal, dense, list(zip(names, units, strict=True)))
+    return Columns(encoding, separator, decimal, first, names, units, numeric, clock, rate, sparse, times)
+
+
+def _require_one_block(header: Sequence[Sequence[str]], decimal: str) -> None:
+    """Raise UserError where rows of numbers stand above the names: the table found is not the first one of the file."""
+    run = 0
+    for row, cells in enumerate(header):
+        values = [cell for cell in cells if cell.lower() not in MISSING_WORDS]
+        run = run + 1 if len(values) > 1 and all(_NUMBER[decimal].match(cell) for cell in values) else 0
+        if run == FEWEST_BLOCK_ROWS:
+            fault = f"has several blocks of rows, one from row {row + 2 - run} and one behind row {len(header)}"
+            remedy = "Save each block as a file of its own, or state `first_row` of the last one under `text`"
+            raise UserError(fault, remedy=remedy)
 
 
 def _sparse_columns(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> dict[int, tuple[int, int]]:
@@ -140,6 +161,8 @@ def _lay_out(
         first = filled[-1] + 1
         ends = filled[:-1] if len(filled) > 1 and len(rows[filled[-1]]) < width else filled  # the last one may be cut
         for k in reversed(ends):
+            if _begins_wider_rows(rows, k, width, decimal):
+                width = len(rows[k])
             if len(rows[k]) != width or not _is_data(rows[k], decimal):
                 break
             first = k
@@ -154,6 +177,13 @@ def _lay_out(
     matches = header is None or len(header) in (width, width - has_empty_end)
     # Integers are numbers with either decimal sign, and the point is then the usual one.
     return (count, int(matches), share, width, int(decimal == ".")), separator, decimal, first
+
+
+def _begins_wider_rows(rows: Sequence[Sequence[str]], last: int, width: int, decimal: str) -> bool:
+    """Whether rows up to `last` are data with more cells: columns of a lower rate end above, without separators."""
+    above = rows[max(last + 1 - FEWEST_BLOCK_ROWS, 0) : last + 1]
+    same = {len(row) for row in above} == {len(rows[last])}
+    return len(rows[last]) > width and same and all(_is_data(row, decimal) for row in above)
 
 
 def _is_data(row: Sequence[str], decimal: str) -> bool:

@@ -112,6 +112,8 @@ class ChannelFinder:
                 fault = f"was sampled at {group.rate:.10g} Hz, but the map says `sample_rate: {stated:.10g}`"
                 raise UserError(fault, file, place, "Correct or remove `sample_rate` (`resample` changes the rate)")
             return Clock(group.rate, group.start, group.samples), ""
+        if group.time is not None:
+            return self._clock_by_time(group, FoundChannel(group.names[group.time], channel.file, group, group.time))
         if stated is not None:
             return _strided(Clock(stated, group.start, group.samples), group), ""
         if self._map.time is None:

@@ -8,6 +8,8 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from balance_cli.campaign.recording.import_map_file import UNFINISHED
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -40,9 +42,10 @@ def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
     """YAML of a map of these files: what could not be guessed has a comment with TODO."""
     first = files[0]
     channels = [channel for group in first.groups if not group.unusable for channel in group.channels]
-    time = next((channel for channel in channels if _last_name(channel) in TIME_NAMES), None) or _even_column(first)
+    times = [group.channels[group.time] for group in first.groups if group.time is not None]
+    time = times[0] if times else _time_channel(first) or _even_column(first)
     _require_signals(first, channels, time)
-    rest = [channel for channel in channels if channel is not time]
+    rest = [channel for channel in channels if channel is not time and channel not in times]
     tachometer = next((channel for channel in rest if TACHOMETER.search(channel.name)), None)
     rest = [channel for channel in rest if channel is not tachometer]
     loads, rest = _guess_loads(rest)
@@ -62,6 +65,16 @@ def sketch_map(files: Sequence[ForeignFile], geometry: Geometry | None) -> str:
 def _last_name(channel: ForeignChannel) -> str:
     """The name in lower case, without those of the structures that hold it, numbers and unit."""
     return re.sub(r"\[\d+\]$", "", channel.name.lower()).rpartition(".")[2]
+
+
+def _time_channel(file: ForeignFile) -> ForeignChannel | None:
+    """The first channel with the name of a time, and with a value."""
+    for group in file.groups:
+        for column, channel in enumerate(group.channels):
+            is_time = not group.unusable and _last_name(channel) in TIME_NAMES
+            if is_time and group.samples and np.isfinite(group.read([column], 0, 1)).all():
+                return channel
+    return None
 
 
 def _even_column(file: ForeignFile) -> ForeignChannel | None:
@@ -111,8 +124,12 @@ def _rate_lines(file: ForeignFile, time: ForeignChannel | None) -> Iterator[str]
     if rates:
         yield f"# sampled at {', '.join(f'{rate:.10g} Hz' for rate in rates)}"
         return
+    own = [group for group in file.groups if group.time is not None]
+    for group in own:
+        names = ", ".join(name for name in group.names if name != group.names[group.time or 0])
+        yield f"# `{group.names[group.time or 0]}` is the time of {names}"
     if time is not None:
-        yield f"time: {_quoted(time.name)}"
+        yield f"time: {_quoted(time.name)}" + ("  # and the others as above" if own else "")
         if not _unit_of(time.unit, TIME):
             yield "time_unit: s  # TODO: the file states none"
         return

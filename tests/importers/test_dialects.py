@@ -93,3 +93,34 @@ def test_arrays_of_structures_and_cells_of_matlab(tmp_path):
     file = open_foreign(tmp_path / "record")
     assert np.array_equal(whole(file, "ch[2].data"), X[:, 1]) and file.scalars["ch[1].fs"] == 1000.0
     assert np.array_equal(whole(file, "c[1]"), X[:, 1]) and np.array_equal(whole(file, "c[2].inner"), X[:, 2])
+
+
+@pytest.mark.parametrize("is_padded", [True, False])
+def test_columns_behind_a_second_column_of_times_are_a_group_of_their_own(tmp_path, is_padded):
+    """As catman, DIAdem and LabVIEW write channels of two rates: the shorter columns end above."""
+    slow = 100
+    rows = [
+        f"{t:.3f};{x:.6f};" + (f"{0.05 + 0.004 * k:.3f};{y:.6f};{z:.6f}" if k < slow else ";;" * is_padded)
+        for k, (t, (x, y, z)) in enumerate(zip(TIME, X, strict=True))
+    ]
+    if not is_padded:
+        rows = [row.rstrip(";") for row in rows]
+    file = opened(tmp_path, "Time_1;F;Time_2;M;N\ns;N;s;Nm;Nm\n" + "\n".join(rows) + "\n")
+    assert [(group.names, group.samples, group.time) for group in file.groups] == [
+        (("Time_1", "F"), 400, 0),
+        (("Time_2", "M", "N"), slow, 0),
+    ]
+    assert np.allclose(whole(file, "F"), X[:, 0], atol=1e-6) and np.allclose(whole(file, "N"), X[:slow, 2], atol=1e-6)
+
+
+def test_times_of_one_record_are_no_groups(tmp_path):
+    rows = "".join(f"{t:.3f},{t + 5:.3f},{x:.6f},{20 + t:.2f}\n" for t, x in zip(TIME, X[:, 0], strict=True))
+    file = opened(tmp_path, "Time [s],Elapsed [s],F [N],T1 [degC]\n" + rows)
+    assert len(file.groups) == 1 and file.groups[0].time is None
+
+
+def test_a_second_block_of_rows_is_refused(tmp_path):
+    """The layout of the last one would hide the first."""
+    block = "Channel,{}\nTime,Value\n" + "".join(f"{t:.3f},{x:.6f}\n" for t, x in zip(TIME, X[:, 0], strict=True))
+    with pytest.raises(UserError, match="several blocks of rows, one from row 3 and one behind row 405"):
+        opened(tmp_path, block.format("a") + "\n" + block.format("b"))
