@@ -108,9 +108,12 @@ def noise_variance_above(lowest: float, parts: Iterable[Array], step: float, len
 
 
 def _summed_power(windows: Array, taper: Array, bins: NDArray[np.int64]) -> Array:
-    """Return the power (k,) of the spectra of windows (w, n) of one channel without their means, summed."""
-    spectrum = np.fft.rfft((windows - windows.mean(axis=1, keepdims=True)) * taper, axis=1)[:, bins]
-    return np.asarray(np.sum(spectrum.real**2 + spectrum.imag**2, axis=0))
+    """Return the power (k,) of the spectra of windows (w, n) of one channel at bins beyond the main lobe, summed.
+
+    The mean of a window is in the main lobe alone.
+    """
+    spectrum = np.ascontiguousarray(np.fft.rfft(windows * taper, axis=1)[:, bins]).view(float)
+    return np.asarray(np.einsum("wk,wk->k", spectrum, spectrum).reshape(-1, 2).sum(axis=1))
 
 
 def _no_window_error(seconds: float) -> UserError:

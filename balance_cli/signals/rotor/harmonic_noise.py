@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.signals.rotor.spectral_floor import row_medians
+
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Flags = NDArray[np.bool_]
+Integers = NDArray[np.int64]
 
 BLACKMAN_COEFFICIENTS = (0.42, 0.5, 0.08)
 """Blackman's taper (Blackman and Tukey, The Measurement of Power Spectra, 1959).
@@ -112,16 +115,24 @@ def _outlier_lines(power: Array) -> Flags:
         return np.zeros(power.shape[:-1], bool)
     limit = -np.log(LINE_FALSE_ALARM / (count * channels)) / MEDIAN_OF_EXPONENTIAL
     windows = np.lib.stride_tricks.sliding_window_view(power, COMPARISON_LINES, axis=-2)
-    medians = np.median(windows, axis=-1)
+    medians = row_medians(windows)
     line = np.arange(count)
     beyond = medians[..., np.minimum(line + 3, count - COMPARISON_LINES), :]
     before = medians[..., np.maximum(line - 2 - COMPARISON_LINES, 0), :]
-    for j in range(COMPARISON_LINES // 2, min(COMPARISON_LINES + 2, count)):  # fewer lines lie before these
-        before[..., j, :] = np.median(power[..., : j - 2, :], axis=-2)
+    few = slice(COMPARISON_LINES // 2, min(COMPARISON_LINES + 2, count))  # fewer lines lie before these
+    before[..., few, :] = _medians_of_first(power[..., :COMPARISON_LINES, :], line[few] - 2)
     before[..., : COMPARISON_LINES // 2, :] = np.inf
     outliers = np.any(power > limit * np.minimum(beyond, before), axis=-1)
     spread = np.pad(outliers, [(0, 0)] * (outliers.ndim - 1) + [(2, 2)])
     return np.asarray(np.any([spread[..., shift : shift + count] for shift in range(5)], axis=0))
+
+
+def _medians_of_first(power: Array, counts: Integers) -> Array:
+    """Return the medians (..., len(counts), c) of the first lines of `power` (..., k, c), so many for each."""
+    lines = np.swapaxes(power, -1, -2)[..., None, :]
+    ordered = np.sort(np.where(np.arange(power.shape[-2]) < counts[:, None], lines, np.inf), axis=-1)
+    low, high = (ordered[..., np.arange(len(counts)), middle] for middle in ((counts - 1) // 2, counts // 2))
+    return np.asarray(np.swapaxes(0.5 * (low + high), -1, -2))
 
 
 def mean_noise(lines: ComplexArray, offsets: Array) -> PooledNoise:

@@ -46,6 +46,8 @@ def harmonic_lines(
     and the length of the record takes its place. Outside the pulses the rotor is assumed to turn at the speed that it
     has at the first or the last one.
     """
+    from scipy.fft import fft
+
     decay_time = min(decay_time, azimuth.last - azimuth.first)
     rate = SAMPLES_PER_HZ_OF_SPEED * azimuth.mean_rate
     start, stop = azimuth.first - 2 * decay_time, azimuth.last + 2 * decay_time
@@ -57,16 +59,16 @@ def harmonic_lines(
     # The carrier of harmonic n is n times the mean rate, so that all harmonics are powers of one signal.
     carrier = float(spectra.frequency_hz[1])
     powers = unit_powers(2.0 * np.pi * (turns - carrier * time), max(orders))
-    return tuple(_lines(powers[n] * taper, weight, n * carrier, grid) for n in orders)
+    baseband = powers[list(orders)] * taper
+    products = np.conj(fft(weight * baseband, axis=1)) * fft(baseband, axis=1)
+    return tuple(_lines(S, n * carrier + grid) for n, S in zip(orders, products, strict=True))
 
 
-def _lines(baseband: ComplexArray, weight: Array, carrier: float, grid: Array) -> HarmonicLines:
-    """Return the lines of a harmonic that was shifted from its carrier [Hz] to zero frequency."""
-    B, W = np.fft.fft(baseband), np.fft.fft(weight * baseband)
-    S = np.conj(W) * B
+def _lines(S: ComplexArray, frequencies: Array) -> HarmonicLines:
+    """Return the lines of a harmonic from the products S of the two spectra."""
     magnitude = np.abs(S)
     significant = magnitude > LEAST_LINE_WEIGHT * magnitude.max()
-    frequency = carrier + grid[significant]
+    frequency = frequencies[significant]
     order = np.argsort(frequency)
     return HarmonicLines(frequency[order], (S[significant] / S[significant].sum())[order])
 

@@ -162,8 +162,7 @@ def estimate_harmonics(
         time = np.clip(index / run.sample_rate, azimuth.first, azimuth.last)
         psi = azimuth.psi(time)
         weight = edge_weight(psi / (2 * np.pi), *revolutions)
-        columns = np.vstack([_trigonometric_basis(unit_powers(psi, fitted_count)), other.basis(time).T])
-        moment = columns @ (errors * weight).T
+        moment = _regression_basis(unit_powers(psi, fitted_count), other.basis(time)) @ (errors * weight).T
         return _solve_amplitudes(replace(sums, moment=moment), n, fitted_count).T
 
     span = _sample_span(run, start, end)
@@ -243,9 +242,9 @@ def _empty_sums(highest_line: int, fitted_count: int, other: int, count: int) ->
     return _NormalEquations(turning, border, np.zeros((columns, count)), LineSums(highest_line, count), np.zeros(4))
 
 
-def _trigonometric_basis(powers: ComplexArray) -> Array:
-    """Basis (2 F + 1, m) of the regression, cos(0 .. F psi), sin(1 .. F psi), from exp(j k psi) (F + 1, m)."""
-    return np.concatenate([powers.real, powers[1:].imag])
+def _regression_basis(powers: ComplexArray, other: Array) -> Array:
+    """Basis of the regression: cos(0 .. F psi), sin(1 .. F psi) from exp(j k psi) (F + 1, m), and `other` (m, e)."""
+    return np.concatenate([powers.real, powers[1:].imag, other.T])
 
 
 def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_count: int) -> None:
@@ -254,8 +253,8 @@ def _accumulate_block(sums: _NormalEquations, samples: _AzimuthBlock, fitted_cou
     Lines are integrals over azimuth, d psi = 2 pi speed dt, over which harmonics are orthogonal.
     """
     w, powers = samples.weight, unit_powers(samples.psi, fitted_count)
+    basis = _regression_basis(powers, samples.other)
     sums.turning += np.concatenate([powers @ w, powers[1:] @ (powers[-1] * w)])
-    basis = np.concatenate([_trigonometric_basis(powers), samples.other.T])
     sums.border += (basis[2 * fitted_count + 1 :] * w) @ basis.T
     sums.moment += basis @ (samples.signals * w[:, None])
     q = blackman_taper(samples.fraction) * samples.speed

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 from scipy.ndimage import maximum_filter1d
 
 from balance_cli.campaign.recording.run import Run, read_channels
@@ -144,11 +145,13 @@ def _strongest_lines(run: Run, start: float, stop: float) -> tuple[Array, Array,
     samples = last - first
     if samples < 64:
         return np.zeros(0), np.zeros(0), 1.0
-    values = np.nan_to_num(read_channels(run, run.channel_names, first, last))
+    values = read_channels(run, run.channel_names, first, last)
+    if not np.isfinite(values).all():
+        values = np.nan_to_num(values)
     windowed = np.ascontiguousarray((values - values.mean(axis=0)).T) * np.hanning(samples)
-    spectrum = np.abs(np.fft.rfft(windowed, axis=1)).T ** 2
-    floor = spectral_floor(spectrum)
-    relative = np.max(spectrum / np.maximum(floor, np.finfo(float).tiny), axis=1)
+    spectrum = rfft(windowed, axis=1, overwrite_x=True)
+    power = spectrum.real**2 + spectrum.imag**2
+    relative = np.max(power / np.maximum(spectral_floor(power), np.finfo(float).tiny), axis=0)
     relative[:3] = 0.0
     peak = (relative == maximum_filter1d(relative, 7)) & (relative > LINE_TO_FLOOR)
     index = np.flatnonzero(peak)

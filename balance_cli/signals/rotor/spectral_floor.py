@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Real = NDArray[np.floating]
 
 FEWEST_BINS = 48
 """Bins of a block at least: a line and its skirts fill a few of them, so that the median is that of the floor."""
@@ -18,25 +18,24 @@ def block_size(bins: int) -> int:
     return max(FEWEST_BINS, -(-bins // MOST_BLOCKS))
 
 
-def spectral_floor(power: Array, bins: NDArray[np.int64] | None = None) -> Array:
-    """Return the floor (k, c) of spectra of power (n, c) at k bins, by default all.
+def spectral_floor(power: Real, bins: NDArray[np.int64] | None = None) -> Real:
+    """Return the floor (c, k) of spectra of power (c, n) at k bins, by default all.
 
     It is the median of the bins of each block, one value a block. Each block takes in half of its neighbors, so that a
     resonance at the edge of a block is not taken for a line.
     """
-    size = block_size(len(power))
-    block = np.arange(len(power)) // size if bins is None else bins // size
+    size = block_size(power.shape[1])
+    block = np.arange(power.shape[1]) // size if bins is None else bins // size
     needed, place = np.unique(block, return_inverse=True)
-    channels = np.ascontiguousarray(power.T)
     starts = size * needed
-    medians = [_row_medians(channels[:, max(0, start - size // 2) : start + size + size // 2]) for start in starts]
-    return np.array(medians).reshape(len(needed), power.shape[1])[place]
+    medians = [row_medians(power[:, max(0, start - size // 2) : start + size + size // 2]) for start in starts]
+    return np.array(medians, power.dtype).reshape(len(needed), len(power)).T[:, place]
 
 
-def _row_medians(values: Array) -> Array:
-    """Return the median of each row; numpy's own takes several times as long for rows of a hundred values."""
-    middle = values.shape[1] // 2
-    ordered = np.partition(values, (middle - 1, middle) if middle else 0, axis=1)
+def row_medians(values: Real) -> Real:
+    """Return the medians along the last axis; numpy's own takes several times as long for rows of a hundred values."""
+    middle = values.shape[-1] // 2
+    ordered = np.partition(values, (middle - 1, middle) if middle else 0, axis=-1)
     return np.asarray(
-        ordered[:, middle] if values.shape[1] % 2 else 0.5 * (ordered[:, middle - 1] + ordered[:, middle])
+        ordered[..., middle] if values.shape[-1] % 2 else 0.5 * (ordered[..., middle - 1] + ordered[..., middle])
     )

@@ -6,6 +6,7 @@ constant frequency (mains, a pump, another rotor) is one.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -33,6 +34,8 @@ SIDEBAND_BINS = 8.0
 MOST_LINES = 6
 """Lines that are named, the strongest first."""
 BELOW_NYQUIST = 0.9
+TINY = float(np.finfo(np.float32).tiny)
+"""Least divisor: a channel without a signal has no lines."""
 RESONANCE_GRID = 33
 """Frequencies across the width of the median at which the response is compared with itself at a line."""
 
@@ -77,25 +80,27 @@ def unmodelled_lines(
     """
     assert run.sample_rate is not None
     first, last = _examined_samples(run.sample_rate, interval)
-    values = read_channels(run, names, first, last)
     time = np.arange(first, last) / run.sample_rate
-    inside = (time >= azimuth.first) & (time <= azimuth.last)
-    time, values = time[inside], values[inside]
+    begin, end = np.searchsorted(time, azimuth.first), np.searchsorted(time, azimuth.last, side="right")
+    time, values = time[begin:end], read_channels(run, names, first, last)[begin:end]
     if len(time) < 256:
         return ()
     turns = azimuth.psi(time) / (2 * np.pi)
     speed = float((turns[-1] - turns[0]) / (time[-1] - time[0]))
-    order, over_azimuth, frequency, over_time = _both_spectra(turns, values, run.sample_rate)
+    channels, scale = _normalize(values)
+    per_turn = (len(turns) - 1) / (turns[-1] - turns[0])
+    order, over_azimuth = _spectrum(_resample_evenly(turns, channels), per_turn)
+    frequency, over_time = _spectrum(channels, run.sample_rate)
     largest = _largest_harmonic(order, over_azimuth, n)
     ranges = [_speed_range(item, time) for item in (azimuth, *other_rotors)]
     highest = BELOW_NYQUIST * 0.5 * run.sample_rate / speed
     rotor_lines = [
-        UnmodelledLine(o * speed, round(o), names[c], a, True)
+        UnmodelledLine(o * speed, round(o), names[c], a * scale[c], True)
         for o, c, a in _peaks(order, over_azimuth, largest)
         if n + 0.5 < o < highest and abs(o - round(o)) < 0.05
     ]
     fixed_lines = [
-        UnmodelledLine(f, f / speed, names[c], a, False)
+        UnmodelledLine(f, f / speed, names[c], a * scale[c], False)
         for f, c, a in _peaks(frequency, over_time, largest)
         if f < highest * speed and not any(_beside_harmonic(f, *span, SIDEBAND_BINS * frequency[1]) for span in ranges)
     ]
@@ -115,13 +120,15 @@ def _examined_samples(rate: float, interval: tuple[float, float]) -> tuple[int, 
 
 @dataclass(frozen=True)
 class _Spectra:
-    """Amplitudes of the named channels over azimuth, at `turning` [Hz] of the mean speed, and over time, at `fixed`."""
+    """Amplitudes (c, k) of the named channels over azimuth, at `turning` [Hz] of the mean speed, and over time, at
+    `fixed`, relative to the largest value of each channel.
+    """
 
     names: tuple[str, ...]
     turning: Array
-    over_azimuth: Array
+    over_azimuth: Singles
     fixed: Array
-    over_time: Array
+    over_time: Singles
 
 
 def _is_resonance(line: UnmodelledLine, spectra: _Spectra, power_gain: PowerGain) -> bool:
@@ -135,12 +142,12 @@ def _is_resonance(line: UnmodelledLine, spectra: _Spectra, power_gain: PowerGain
     return clearance <= LINE_TO_FLOOR * _resonance(line, spectra.names, width, power_gain)
 
 
-def _clearance(line: UnmodelledLine, names: tuple[str, ...], frequency: Array, amplitude: Array) -> float:
+def _clearance(line: UnmodelledLine, names: tuple[str, ...], frequency: Array, amplitude: Singles) -> float:
     """Return the power of a line over the floor of its channel."""
-    power = amplitude[:, [names.index(line.channel)]] ** 2
+    power = amplitude[[names.index(line.channel)]] ** 2
     at = int(np.argmin(np.abs(frequency - line.frequency)))
     floor = float(spectral_floor(power, np.array([at]))[0, 0])
-    return float(power[max(0, at - 1) : at + 2].max()) / max(floor, float(np.finfo(float).tiny))
+    return float(power[0, max(0, at - 1) : at + 2].max()) / max(floor, TINY)
 
 
 def _resonance(line: UnmodelledLine, names: tuple[str, ...], width: float, power_gain: PowerGain) -> float:
@@ -165,66 +172,71 @@ def _beside_harmonic(frequency: float, slowest: float, fastest: float, margin: f
     return bool(np.any((order * slowest - margin < frequency) & (frequency < order * fastest + margin)))
 
 
-def _both_spectra(turns: Array, values: Array, rate: float) -> tuple[Array, Array, Array, Array]:
-    """Return orders and amplitudes (k, c) over azimuth, frequencies [Hz] and amplitudes over time."""
-    normalized, scale = _normalize(values)
-    order, over_azimuth = _spectrum(_resample_evenly(turns, normalized), (len(turns) - 1) / (turns[-1] - turns[0]))
-    frequency, over_time = _spectrum(normalized, rate)
-    return order, over_azimuth * scale, frequency, over_time * scale
-
-
 def _normalize(values: Array) -> tuple[Singles, Array]:
-    """Return the channels (m, c) without their means, in single precision, over their largest values (c,).
+    """Return the channels (c, m) without their means, in single precision, over their largest values (c,).
 
     Its rounding is far below the side lobes of the window.
     """
-    deviation = values - values.mean(axis=0)
-    scale = np.maximum(np.abs(deviation).max(axis=0), np.finfo(float).tiny)
-    return (deviation / scale).astype(np.float32), scale
+    deviation = np.array(values.T, order="C")
+    deviation -= deviation.mean(axis=1, keepdims=True)
+    scale = np.maximum(np.maximum(deviation.max(axis=1), -deviation.min(axis=1)), np.finfo(float).tiny)
+    channels = np.empty(deviation.shape, np.float32)
+    np.multiply(deviation, 1.0 / scale[:, None], out=channels, casting="same_kind")
+    return channels, scale
 
 
-def _resample_evenly(turns: Array, values: Singles) -> Singles:
-    """Return the values (m, c) at as many even steps of azimuth, by linear interpolation."""
+def _resample_evenly(turns: Array, channels: Singles) -> Singles:
+    """Return the channels (c, m) at as many even steps of azimuth, by linear interpolation."""
     last = len(turns) - 1
     position = np.interp(np.linspace(turns[0], turns[-1], last + 1), turns, np.arange(last + 1))
     index = np.minimum(position.astype(np.int64), last - 1)
-    below = values[index]
-    step = values[index + 1] - below
-    return np.asarray(below + (position - index).astype(np.float32)[:, None] * step)
+    below = np.take(channels, index, axis=1)
+    step = np.take(channels, index + 1, axis=1)
+    step -= below
+    step *= (position - index).astype(np.float32)
+    step += below
+    return np.asarray(step)
 
 
-def _spectrum(values: Singles, rate: float) -> tuple[Array, Array]:
-    """Return frequencies and amplitudes (k, c) under a Blackman window, whose side lobes lie 58 dB down.
+def _spectrum(channels: Singles, rate: float) -> tuple[Array, Singles]:
+    """Return frequencies and amplitudes (c, k) under a Blackman window, whose side lobes lie 58 dB down.
 
     The last samples are left out where their number has a large prime factor.
     """
     from scipy.fft import rfft
 
-    values = values[: fast_length(len(values))]
-    window = np.blackman(len(values))
-    mean = values.mean(axis=0, dtype=float).astype(np.float32)
-    spectrum = rfft(np.multiply((values - mean).T, window.astype(np.float32), order="C"), axis=1, overwrite_x=True)
-    amplitude = np.abs(spectrum).astype(float) * (2.0 / window.sum())
-    return np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate)), amplitude.T
+    channels = channels[:, : fast_length(channels.shape[1])]
+    window = _blackman(channels.shape[1])
+    tapered = channels - channels.mean(axis=1, keepdims=True, dtype=np.float64).astype(np.float32)
+    tapered *= window
+    amplitude = np.abs(rfft(tapered, axis=1, overwrite_x=True))
+    amplitude *= np.float32(2.0 / window.sum(dtype=np.float64))
+    return np.asarray(np.fft.rfftfreq(channels.shape[1], 1.0 / rate)), amplitude
 
 
-def _largest_harmonic(order: Array, amplitude: Array, n: int) -> Array:
+@functools.lru_cache(maxsize=4)
+def _blackman(samples: int) -> Singles:
+    """Return the window; the runs of a batch have few lengths."""
+    return np.asarray(np.blackman(samples), np.float32)
+
+
+def _largest_harmonic(order: Array, amplitude: Singles, n: int) -> Singles:
     """Return the amplitude (c,) of the largest of harmonics 1 to n of each channel."""
     index = np.clip(np.round(np.arange(1, n + 1) / order[1]).astype(int), 0, len(order) - 1)
-    return np.asarray(amplitude[index].max(axis=0, initial=0.0))
+    return np.asarray(amplitude[:, index].max(axis=1, initial=0.0))
 
 
-def _peaks(frequency: Array, amplitude: Array, largest: Array) -> list[tuple[float, int, float]]:
+def _peaks(frequency: Array, amplitude: Singles, largest: Singles) -> list[tuple[float, int, float]]:
     """Return frequency, channel and amplitude of the lines that stand out of their surroundings and matter."""
-    share = amplitude / np.maximum(largest, np.finfo(float).tiny)
-    material = np.flatnonzero(share.max(axis=1, initial=0.0) > MATERIAL_SHARE)
-    floor = spectral_floor(amplitude**2, material)
-    clear = amplitude[material] ** 2 > LINE_TO_FLOOR * np.maximum(floor, np.finfo(float).tiny)
-    of_line = np.where(clear, share[material], 0.0)
+    share = amplitude * (1.0 / np.maximum(largest, TINY))[:, None]
+    material = np.flatnonzero(share.max(axis=0, initial=0.0) > MATERIAL_SHARE)
+    power = amplitude**2
+    clear = power[:, material] > LINE_TO_FLOOR * np.maximum(spectral_floor(power, material), TINY)
+    of_line = np.where(clear, share[:, material], 0.0)
     strongest = np.zeros(len(frequency))
-    strongest[material] = of_line.max(axis=1, initial=0.0)
+    strongest[material] = of_line.max(axis=0, initial=0.0)
     top = (strongest == maximum_filter1d(strongest, 7))[material] & (strongest[material] > MATERIAL_SHARE)
     return [
-        (float(frequency[i]), int(np.argmax(shares)), float(amplitude[i, np.argmax(shares)]))
-        for i, shares in zip(material[top], of_line[top], strict=True)
+        (float(frequency[i]), int(np.argmax(shares)), float(amplitude[np.argmax(shares), i]))
+        for i, shares in zip(material[top], of_line.T[top], strict=True)
     ]
