@@ -242,20 +242,23 @@ class Session(Messages, WorkReports):
         }
 
     def _stage_json(self) -> None:
-        from balance_cli.cli.summary import json_text
+        from balance_cli.cli.summary import json_parts
 
         if self._json_path is not None and not self.json_to_stdout:
             part = self._staged.stage_file(self._json_path)
-            with os_errors_as_user_error(self._json_path):
-                part.write_text(json_text(self._full_summary()) + "\n", encoding="utf-8")
+            with os_errors_as_user_error(self._json_path), part.open("w", encoding="utf-8") as file:
+                file.writelines(json_parts(self._full_summary()))
+                file.write("\n")
 
     def _echo_result(self) -> None:
-        from balance_cli.cli.summary import json_text
+        from balance_cli.cli.summary import json_parts
 
         for line in (*self._text, *(f"written: {path}" for path in self._outputs)):
             self.echo(line)
         if self.json_to_stdout:
-            click.echo(json_text(self._full_summary()))
+            for part in json_parts(self._full_summary()):
+                click.echo(part, nl=False)
+            click.echo()
 
     @property
     def writes_json(self) -> bool:

@@ -23,17 +23,18 @@ def command(session: Session, loads: tuple[Path, ...], output: Path) -> None:
     with the same content digest. Shards of different reductions, and a run in two shards, are refused.
     """
     from balance_cli.reduction.result import HubLoads
-    from balance_cli.steps.merge_loads import Shard, merge_loads, merged_inputs
+    from balance_cli.steps.merge_loads import Shard, merge_loads
 
     check_table_suffix(output)
-    shards = []
-    for path in session.progress(loads, "shards", len(loads)):
+
+    def read(path: Path) -> Shard:
         artefact = session.artefact(path, {LOADS_FORMAT: HubLoads}, "shard")
-        shards.append(Shard(str(path), artefact.content, artefact.provenance))
-    merged = merge_loads(shards)
-    provenance = replace(session.provenance(), options=shards[0].provenance.options, inputs=merged_inputs(shards))
-    write_loads(session, output, merged, provenance)
-    counts = [{"file": shard.file, "runs": len(shard.loads.runs)} for shard in shards]
-    summary = {"method": merged.method, "response": merged.response, "shards": counts}
+        return Shard(str(path), artefact.content, artefact.provenance)
+
+    merged = merge_loads(read(path) for path in session.progress(loads, "shards", len(loads)))
+    provenance = replace(session.provenance(), options=merged.options, inputs=merged.inputs)
+    write_loads(session, output, merged.loads, provenance)
+    counts = [{"file": file, "runs": runs} for file, runs in merged.counts.items()]
+    summary = {"method": merged.loads.method, "response": merged.loads.response, "shards": counts}
     text = ", ".join(f"{count['file']} {count['runs']}" for count in counts)
-    session.finish(summary, [f"{len(merged.runs)} runs: {text}"])
+    session.finish(summary, [f"{len(merged.loads.runs)} runs: {text}"])

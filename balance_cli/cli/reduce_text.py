@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from balance_cli.cli.load_text import load_lines, trust_line
+from balance_cli.cli.summary import SummaryOfEach
 from balance_cli.reduction.choices import FREQUENCIES
 from balance_cli.reduction.run_verdict import run_verdict
 
@@ -20,7 +21,7 @@ def summary(loads: HubLoads) -> dict[str, Any]:
     return {
         "method": loads.method,
         "response": loads.response,
-        "runs": {name: _run_summary(run) for name, run in loads.runs.items()},
+        "runs": SummaryOfEach(loads.runs, _run_summary),
     }
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from balance_cli.campaign.rig.geometry_file import geometry_digest
 from balance_cli.io.artefacts import Input, Provenance
 from balance_cli.io.errors import UserError
+from balance_cli.io.stored_mapping import StoredMapping
 from balance_cli.reduction.result import HubLoads, RunLoads
 
 RUN_ROLE = "run"
@@ -23,16 +25,47 @@ class Shard:
     provenance: Provenance
 
 
-def merge_loads(shards: Sequence[Shard]) -> HubLoads:
-    """Return the loads of all shards, runs in the order of their names.
+@dataclass(frozen=True)
+class MergedShards:
+    """The loads of all shards; options and inputs of their reduction; the number of runs of each file."""
+
+    loads: HubLoads
+    options: Mapping[str, Any]
+    inputs: tuple[Input, ...]
+    counts: Mapping[str, int]
+
+
+class _Ordered(Mapping[str, RunLoads]):
+    """The values of a mapping in the order of their keys, each read when it is asked for."""
+
+    def __init__(self, values: Mapping[str, RunLoads]) -> None:
+        self._values, self._keys = values, sorted(values)
+
+    def __getitem__(self, key: str) -> RunLoads:
+        return self._values[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._keys)
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+
+def merge_loads(shards: Iterable[Shard]) -> MergedShards:
+    """Return the loads of all shards, runs in the order of their names; one shard at a time is in memory.
 
     Raises UserError where two shards come from different reductions, or have a run in common.
     """
-    first = shards[0]
-    runs: dict[str, RunLoads] = {}
+    first: _Reduction | None = None
+    runs: StoredMapping[RunLoads] = StoredMapping()
     files: dict[str, str] = {}
+    warnings: set[str] = set()
+    inputs: dict[Input, None] = {}
+    counts: dict[str, int] = {}
     for shard in shards:
-        difference = _difference(first, shard)
+        reduction = _Reduction.of(shard)
+        first = first or reduction
+        difference = _difference(first, reduction)
         if difference:
             raise UserError(f"{difference} differs from that of {first.file}", shard.file, remedy=REMEDY)
         for name, loads in shard.loads.runs.items():
@@ -40,18 +73,35 @@ def merge_loads(shards: Sequence[Shard]) -> HubLoads:
                 fault = f"has the run `{name}`, which {files[name]} has too"
                 raise UserError(fault, shard.file, "runs", "Give each shard once")
             runs[name], files[name] = loads, shard.file
-    warnings = tuple(sorted({text for shard in shards for text in shard.loads.warnings or ()}))
-    return replace(first.loads, runs=dict(sorted(runs.items())), warnings=warnings or None)
+        warnings.update(shard.loads.warnings or ())
+        inputs |= dict.fromkeys(shard.provenance.inputs)
+        counts[shard.file] = len(shard.loads.runs)
+    assert first is not None
+    merged = replace(first.loads, runs=_Ordered(runs), warnings=tuple(sorted(warnings)) or None)
+    return MergedShards(merged, first.provenance.options, tuple(inputs), counts)
 
 
-def merged_inputs(shards: Sequence[Shard]) -> tuple[Input, ...]:
-    """Return the inputs of all shards, each once."""
-    return tuple(dict.fromkeys(item for shard in shards for item in shard.provenance.inputs))
+@dataclass(frozen=True)
+class _Reduction:
+    """What the shards of one reduction have in common; `loads` without its runs."""
+
+    file: str
+    loads: HubLoads
+    provenance: Provenance
+    geometry: str
+    harmonics: frozenset[int]
+
+    @classmethod
+    def of(cls, shard: Shard) -> _Reduction:
+        """Return that of a shard."""
+        harmonics = frozenset(len(loads.frequency_hz) for loads in shard.loads.runs.values())
+        digest = geometry_digest(shard.loads.geometry)
+        return cls(shard.file, replace(shard.loads, runs={}), shard.provenance, digest, harmonics)
 
 
-def _difference(first: Shard, other: Shard) -> str:
-    """What distinguishes the reductions of two shards; empty where they are one."""
-    if geometry_digest(first.loads.geometry) != geometry_digest(other.loads.geometry):
+def _difference(first: _Reduction, other: _Reduction) -> str:
+    """What distinguishes two reductions; empty where they are one."""
+    if first.geometry != other.geometry:
         return "its geometry"
     if (first.loads.method, first.loads.response) != (other.loads.method, other.loads.response):
         return "its method or response"
@@ -60,12 +110,8 @@ def _difference(first: Shard, other: Shard) -> str:
     for role in sorted({item.role for shard in (first, other) for item in shard.provenance.inputs} - {RUN_ROLE}):
         if _digests(first, role) != _digests(other, role):
             return f"the {role}"
-    return "" if _harmonics(first) == _harmonics(other) else "the number of harmonics"
+    return "" if first.harmonics == other.harmonics else "the number of harmonics"
 
 
-def _digests(shard: Shard, role: str) -> set[str]:
-    return {item.digest for item in shard.provenance.inputs if item.role == role}
-
-
-def _harmonics(shard: Shard) -> set[int]:
-    return {len(loads.frequency_hz) for loads in shard.loads.runs.values()}
+def _digests(reduction: _Reduction, role: str) -> set[str]:
+    return {item.digest for item in reduction.provenance.inputs if item.role == role}

@@ -26,7 +26,7 @@ from balance_cli.cli.common import (
     runs_argument,
     skip_bad_option,
 )
-from balance_cli.cli.summary import json_text
+from balance_cli.cli.summary import SummaryOfEach, json_parts, json_text, to_json_value
 from balance_cli.io.artefacts import load_artefact
 from balance_cli.io.errors import UserError
 
@@ -275,3 +275,20 @@ def test_summaries_take_what_steps_return() -> None:
     }
     with pytest.raises(TypeError, match="object has no JSON form"):
         json_text({"a": object()})
+
+
+def test_summaries_of_many_runs_are_written_one_by_one_with_the_bytes_of_one_object() -> None:
+    made: list[int] = []
+
+    def summarize(value: int) -> dict[str, Any]:
+        made.append(value)
+        return {"redundancy": {0: float(value), 1: np.nan}, "notes": (), "text": "a\n\u00e4"}
+
+    runs = SummaryOfEach({f"run {k}": k for k in range(100)}, summarize)
+    summary = {"outputs": ["a", "b"], "skipped": {}, "runs": runs}
+    parts = json_parts(summary)
+    assert made == [] and next(parts).startswith("{")
+    longest = max(map(len, parts))
+    assert made == list(range(100)) and longest < 200
+    whole = json.dumps(to_json_value(summary), indent=2, ensure_ascii=False)
+    assert json_text(summary) == whole
