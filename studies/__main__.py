@@ -29,9 +29,11 @@ from studies.coverage_by_fault import fault_chunk, fault_table
 from studies.filters import filters_chunk
 from studies.filters_picture import filters_picture
 from studies.filters_table import filters_table, page_table
+from studies.interruptions.__main__ import interruptions
 from studies.lacking import lacking_table
 from studies.maneuver import maneuver_chunk, maneuver_table
 from studies.mishaps import MISHAPS, mishap_table
+from studies.mutation.__main__ import main as mutation
 from studies.planning import CHUNKS, planning_chunk, planning_table
 from studies.recovery import recovery_chunk, recovery_table
 from studies.steadiness import steadiness_chunk, steadiness_table
@@ -163,6 +165,8 @@ def maneuver(seeds: int = 10, jobs: int = 2) -> None:
     click.echo(table.to_string(index=False))
 
 
+studies.add_command(interruptions)
+studies.add_command(mutation, "mutation")
 # The former name, for scripts.
 studies.add_command(click.Command("manoeuvre", callback=maneuver.callback, params=maneuver.params, hidden=True))
 

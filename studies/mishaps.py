@@ -17,6 +17,7 @@ from scipy import signal
 
 from balance_cli.calibration.result import Calibration
 from balance_cli.campaign.recording.channel_health import live_channels
+from balance_cli.campaign.recording.gaps import bridge_gaps, describe_gaps
 from balance_cli.campaign.recording.run import MemorySource, Run
 from balance_cli.campaign.rig.components import COMPONENTS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -196,6 +197,12 @@ def twice(run: Run) -> Run:
     return replace(run, samples=2 * run.samples, source=source)
 
 
+def without_a_load(loads: Array) -> Array:
+    """One load that was not read."""
+    loads[7, 2] = np.nan
+    return loads
+
+
 def earlier_pulses(run: Run) -> Run:
     """The tachometer triggers on the other edge of a mark of 10 degrees."""
     assert run.pulse_times is not None
@@ -271,6 +278,7 @@ MISHAPS: dict[str, Callable[[Sequence[Run]], list[Run]]] = {
     "statics: Fz positive downward": on("static", edit_loads(scaled(-1.0, "Fz"))),
     "statics: moments about the origin": on("static", edit_loads(transfer_moments)),
     "statics: every row twice": on("static", twice),
+    "statics: one load is not a number": on("static", edit_loads(without_a_load)),
     "statics: a cell replaced afterwards, 8 % less": on("static", with_columns("z2.strain", gain(1.08))),
     "statics of the trim on another day": on("static-trim", with_columns("strain", lambda x: x + 0.02 * x.std(axis=0))),
     "statics of the trim through another amplifier, 3 %": on("static-trim", with_columns("strain", gain(1.03))),
@@ -309,10 +317,11 @@ def test_day(seed: int = 1) -> TestDay:
 
 def mishap_row(day: TestDay, name: str) -> dict[str, object]:
     """Return what `check` says, which steps refuse or warn, and what becomes of the loads."""
-    runs = MISHAPS[name](day.campaign.runs)
+    runs = [bridge_gaps(run) for run in MISHAPS[name](day.campaign.runs)]
     said, refused, warned = _check(day.geometry, runs), [], []
     calibration, model = day.calibration, day.model
     touched = {run.kind for run, sound in zip(runs, day.campaign.runs, strict=True) if run is not sound}
+    said = said or next((f"{run.name}: {describe_gaps(run)}" for run in runs if describe_gaps(run)), "")
     kinds = {"calibrate": ("static",), "identify": ("static", "sweep"), "reduce": ("check", "wind")}
     rules = {"calibrate": measured_anyway, "identify": identified_anyway, "reduce": known_anyway}
     loads: dict[str, RunLoads] = {}

@@ -19,6 +19,8 @@ NAME = "WAV"
 INTEGER, FLOAT, EXTENSIBLE = 1, 3, 0xFFFE
 UNKNOWN_SIZE = 0xFFFFFFFF
 """Size of a data chunk that was never completed, or of one above 4 GB (RF64)."""
+LEAST_FORMAT_SIZE = 16
+"""Bytes of a format chunk without extension."""
 
 
 def sniff(path: Path, head: bytes) -> bool:
@@ -59,7 +61,7 @@ def _chunks(path: Path) -> tuple[str, bytes, int, int]:
         while len(head := file.read(8)) == 8:
             name, size = head[:4], struct.unpack(f"{order}I", head[4:])[0]
             if name == b"data":
-                if not form:
+                if len(form) < LEAST_FORMAT_SIZE:
                     break
                 available = length - file.tell()
                 size = wide if wide and size == UNKNOWN_SIZE else size
@@ -67,7 +69,7 @@ def _chunks(path: Path) -> tuple[str, bytes, int, int]:
             if name == b"fmt ":
                 form = file.read(size)
             elif name == b"ds64":
-                wide = struct.unpack("<Q", file.read(size)[8:16])[0]
+                wide = int.from_bytes(file.read(size)[8:16], "little")
             else:
                 file.seek(size, 1)
             file.seek(size % 2, 1)

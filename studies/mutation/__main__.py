@@ -24,7 +24,7 @@ TABLE = Path(__file__).parents[1] / "tables" / "mutation.csv"
 @click.option("--keep", type=click.Path(path_type=Path), help="Folder for the files that made a fault.")
 @click.option("--write/--no-write", default=True, help="Write the table.")
 def main(files: int, names: tuple[str, ...], first: int, keep: Path | None, write: bool) -> None:
-    """Try every reader on changed files."""
+    """Changed files through every reader, and what came of them."""
     import_program()
     chosen = names or tuple(READERS)
     outcomes: list[Outcome] = []
