@@ -52,8 +52,8 @@ def command(
     """One self-contained page with pictures, from artefacts alone.
 
     Any artefacts can be given; each adds its sections to the page. Models, measured responses and loads given together
-    are compared with each other. Run files among them add their channels and spectra, plans of `balance plan` their
-    forecast.
+    are compared with each other. Give several calibrations oldest first: their history is drawn in this order. Run
+    files among them add their channels and spectra, plans of `balance plan` their forecast.
     """
     from balance_cli.cli.browser import print_pdf, show_page
     from balance_cli.report.page import build_page
