@@ -275,3 +275,43 @@ def test_errors_come_with_their_item():
 
     with worker_pool(Workers(InlineExecutor, 1)) as pool:
         assert [str(error) for _, error in pool.results(refuse, [1, 2])] == ["number 1", "number 2"]
+
+
+# ---- runs on object stores -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def store(folder):
+    system = pytest.importorskip("fsspec").filesystem("memory")
+    for path in runs_of(folder):
+        system.pipe(f"/batch/{path.name}", path.read_bytes())
+    yield system
+    system.rm("/batch", recursive=True)
+
+
+def test_runs_of_a_store_give_the_same_result_as_files(folder, reference, store, tmp_path):
+    urls = [f"memory://batch/{path.name}" for path in runs_of(folder)]
+    done = reduce(folder, tmp_path / "l.h5", runs=urls)
+    assert done.exit_code == 0, done.stderr
+    assert digest(tmp_path / "l.h5") == reference
+
+
+def test_bad_runs_of_a_store_are_named_by_their_url(folder, store, tmp_path):
+    store.pipe("/batch/bad.h5", runs_of(folder)[0].read_bytes()[:20_000])
+    names = [runs_of(folder)[1].name, "bad.h5", "absent.h5"]
+    urls = [*(f"memory://batch/{name}" for name in names), "nowhere://batch/a.h5"]
+    done = reduce(folder, tmp_path / "l.csv", "--json", tmp_path / "s.json", runs=urls)
+    assert done.exit_code == 4, done.stderr
+    skipped = " ".join(json.loads((tmp_path / "s.json").read_text())["skipped"].values())
+    assert "memory://batch/bad.h5: cannot be read, it is truncated" in skipped
+    assert "memory://batch/absent.h5: there is no such file" in skipped
+    assert "nowhere://batch/a.h5: cannot be read from the store" in skipped
+    assert "/tmp" not in skipped
+
+
+def test_a_journal_notices_that_a_file_of_a_store_has_changed(folder, store):
+    path = Path(f"memory://batch/{runs_of(folder)[0].name}")
+    before = batch_journal._stamp(path)
+    assert batch_journal._stamp(path) == before != "absent"
+    store.pipe(f"/batch/{path.name}", b"something else")
+    assert batch_journal._stamp(path) not in (before, "absent")

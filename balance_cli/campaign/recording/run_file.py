@@ -33,6 +33,7 @@ from balance_cli.campaign.recording.run import (
 from balance_cli.campaign.recording.run_checks import load_sample_faults, run_file_faults
 from balance_cli.campaign.recording.run_contents import read_contents, report_damage
 from balance_cli.campaign.recording.run_schema import DatasetLayout, RunFileContents, as_list, run_from_contents
+from balance_cli.campaign.recording.stored_runs import read_urls
 from balance_cli.campaign.rig.attitude import ANGLES
 from balance_cli.campaign.rig.components import COMPONENTS, UNITS
 from balance_cli.campaign.rig.geometry import Geometry
@@ -107,6 +108,7 @@ def stated_reading_units(path: Path) -> dict[str, str]:
     return {} if run is None else run.reading_units
 
 
+@read_urls()
 def run_header(path: Path, geometry: Geometry) -> Run:
     """Return a run of this rig by what its file holds beside the samples, without digest and additions.
 
@@ -145,8 +147,7 @@ def open_runs(
             skipped[path] = str(error)
             continue
         held += held_bytes(run)
-        first = runs.setdefault(run.name, run)
-        if first is not run:
+        if (first := runs.setdefault(run.name, run)) is not run:
             if not skip_bad or run.digest != first.digest:
                 raise duplicate_run_error(run, first)
             skipped[path] = str(duplicate_run_error(run, first))
@@ -155,6 +156,7 @@ def open_runs(
     return tuple(runs.values()), skipped
 
 
+@read_urls(hold=True)
 def open_matching_run(path: Path, geometry: Geometry, hold: bool = False) -> Run:
     """Open a run file of this rig, with the loads at its hub.
 

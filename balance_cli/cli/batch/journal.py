@@ -20,6 +20,7 @@ import numpy as np
 
 from balance_cli.io.atomic import os_errors_as_user_error
 from balance_cli.io.hdf5_tree import from_tree, to_tree
+from balance_cli.io.object_store import store_stamp, store_url
 
 R = TypeVar("R")
 
@@ -140,6 +141,9 @@ def _is_at(path: Path, file: BinaryIO) -> bool:
 
 def _stamp(file: Path) -> str:
     """Size and time of change of a file; a file that is not there has none, and is never found."""
+    url = store_url(file)
+    if url is not None:
+        return store_stamp(url)
     try:
         status = file.stat()
     except OSError:
