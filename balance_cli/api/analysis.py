@@ -25,6 +25,7 @@ from balance_cli.steps import calibrate as calibrate_step
 from balance_cli.steps import identify as identify_step
 from balance_cli.steps import sweep_tf as sweep_tf_step
 from balance_cli.steps.cross_checks import cross_check, keep_findings
+from balance_cli.steps.trim_agreement import trim_findings
 
 
 def calibrate(
@@ -62,7 +63,8 @@ def calibrate(
     choice = choice_of_words(terms, significance)
     require_known_names(choice, rig.channel_names, load_components(rig).names, "")
     findings = cross_check(rig, fitted, measured_anyway)
-    return keep_findings(calibrate_step.calibrate(fitted, rig, choice, usable, non_iterative), findings)
+    result = calibrate_step.calibrate(fitted, rig, choice, usable, non_iterative)
+    return keep_findings(result, (*findings, *trim_findings(result)))
 
 
 def frequency_response(

@@ -103,9 +103,10 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
     """
     from balance_cli.cli.calibration_summary import calibration_summary
     from balance_cli.cli.calibration_text import calibration_text
-    from balance_cli.cli.consistency import require_consistent_runs, with_findings
+    from balance_cli.cli.consistency import report_findings, require_consistent_runs, with_findings
     from balance_cli.cli.matrix_files import linear_matrix_text, matrix_file_text, read_matrix_calibration
     from balance_cli.diagnosis.consistency.severity import measured_anyway
+    from balance_cli.steps.trim_agreement import trim_findings
 
     choices = _Choices(**options)
     _check_options(runs, choices)
@@ -122,6 +123,7 @@ def command(session: Session, geometry: Path | None, runs: tuple[Path, ...], out
         checks = _select_static_hold_out(session, held_out())
         result = read_matrix_calibration(session, rig, choices.from_matrix, checks)
     _warn(session, result)
+    report_findings(session, trim_findings(result))
     session.save(output, CALIBRATION_FORMAT, with_findings(session, result))
     if choices.matrix is not None:
         session.write_text(choices.matrix, matrix_file_text(result, choices.matrix))

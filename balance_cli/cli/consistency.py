@@ -66,6 +66,15 @@ def inconsistent_runs(
     return bad
 
 
+def report_findings(session: Session, findings: Sequence[ConsistencyFinding]) -> None:
+    """Warn of findings on a result, and add them to those of its runs."""
+    session.findings = (*session.findings, *findings)
+    if findings:
+        session.extra_summary["consistency"] = [finding_summary(finding) for finding in session.findings]
+    for finding in findings:
+        session.warn(finding.sentence)
+
+
 def finding_summary(finding: ConsistencyFinding) -> dict[str, Any]:
     """Return the JSON summary of a finding, with the keys of docs/json.md."""
     return {

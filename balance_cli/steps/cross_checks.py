@@ -20,6 +20,7 @@ from balance_cli.reduction.response_sources import ResponseSource
 from balance_cli.reduction.result import RunLoads
 from balance_cli.reduction.trust import flag_all
 from balance_cli.steps.static_agreement import static_findings
+from balance_cli.steps.trim_agreement import trim_findings
 
 STATIC_REMEDY = "Give calibration and response of the same rig in the same units and polarity"
 REMEDY = "Correct the files, or the geometry; `balance check -g GEOMETRY RUN...` lists everything"
@@ -72,7 +73,8 @@ def compare_static_response(
     for finding in findings:
         if finding.is_fault:
             raise UserError(finding.sentence, file, "calibration", STATIC_REMEDY)
-    return findings
+    named = {trim for finding in findings for trim in finding.trims}
+    return (*findings, *(finding for finding in trim_findings(calibration) if not named & set(finding.trims)))
 
 
 def keep_findings(result: Result, findings: Iterable[ConsistencyFinding]) -> Result:

@@ -18,6 +18,7 @@ from balance_cli.steps.calibrate import calibrate
 from balance_cli.steps.identify import IdentifyOptions, identify
 from balance_cli.steps.static_agreement import static_findings
 from balance_cli.steps.sweep_tf import estimate_responses
+from balance_cli.steps.trim_agreement import trim_findings
 from tests.support.other_rigs import RIGS, other_rig, short_campaign
 
 
@@ -63,6 +64,17 @@ def test_clean_rigs_agree_and_three_percent_of_one_trim_are_a_warning(rigs, lett
     assert not finding.is_fault
     assert finding.trims == ("trim",)
     assert finding.factor == pytest.approx(1.03, abs=0.005)
+
+
+@pytest.mark.parametrize("letter", RIGS)
+def test_trims_that_differ_by_one_factor_are_a_warning_and_single_channels_are_none(rigs, letter):
+    calibration, _, _ = rigs[letter]
+    assert trim_findings(calibration) == ()
+    (finding,) = trim_findings(scale(calibration, 1.03, ("trim",)))
+    assert not finding.is_fault
+    assert finding.trims == ("bare", "trim")
+    assert finding.factor == pytest.approx(1.03, abs=0.005)
+    assert trim_findings(scale(calibration, 1.03, ("trim",), rows=slice(0, 1))) == ()
 
 
 @pytest.mark.parametrize("letter", RIGS)

@@ -1,0 +1,80 @@
+"""Whether the trims of a calibration were recorded through the same amplifiers: C0 of one trim against that of another.
+
+A nonlinear rig has another C0 in each trim, but not by one factor in all of its channels.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.calibration.result import Calibration, TrimCalibration
+from balance_cli.diagnosis.consistency.findings import STATIC_RESPONSE, WARNING, ConsistencyFinding
+
+Array = NDArray[np.float64]
+
+LEAST_CHANGE = 0.01
+"""Departure of the common factor from one that is named: supplies and amplifiers of one day hold a tenth of it."""
+LARGEST_SIGMAS = 5.0
+"""One in two million by chance; a balance has few pairs of trims."""
+SAME_FACTOR = 0.005
+"""Departure of the factor of a channel from the common one by which it still is that factor."""
+FEWEST_CHANNELS = 3
+"""Channels with one factor; two may share it by accident."""
+
+
+def trim_findings(calibration: Calibration | None) -> tuple[ConsistencyFinding, ...]:
+    """Return a warning for each trim whose channels all read one factor times what they read in the first trim.
+
+    The same loads are compared. Nothing without a calibration, with one trim, or without standard errors.
+    """
+    if calibration is None or len(calibration.trims) < 2 or not calibration.errors_known:
+        return ()
+    first, *others = calibration.trims.values()
+    findings = []
+    for other in others:
+        factor = _common_factor(first, other)
+        if factor is None:
+            continue
+        text = (
+            f"all channels of trim `{other.trim}` read {factor:.4g} times what they read in trim `{first.trim}` "
+            "for the same loads (another amplifier or supply, or loads in another unit?)"
+        )
+        findings.append(
+            ConsistencyFinding(
+                kind=STATIC_RESPONSE,
+                severity=WARNING,
+                text=text,
+                runs=(*first.runs, *other.runs),
+                factor=factor,
+                trims=(first.trim, other.trim),
+            )
+        )
+    return tuple(findings)
+
+
+def _common_factor(first: TrimCalibration, other: TrimCalibration) -> float | None:
+    """Return C0 of one trim over that of another, where it is one factor in all channels and not one."""
+    channels = [name for name in first.channel_names if name in other.channel_names]
+    components = [name for name in first.components if name in other.components]
+    before, after = _readings(first, channels, components), _readings(other, channels, components)
+    variance = before[1] ** 2 + after[1] ** 2
+    if len(channels) < FEWEST_CHANNELS or not np.all(np.isfinite(variance)) or np.any(variance <= 0.0):
+        return None
+    product, power = (before[0] * after[0] / variance).sum(axis=1), (before[0] ** 2 / variance).sum(axis=1)
+    read = power > 0.0
+    if not read.any():
+        return None
+    common, sigma = float(product[read].sum() / power[read].sum()), float(1.0 / np.sqrt(power[read].sum()))
+    if abs(common - 1.0) < max(LEAST_CHANGE, LARGEST_SIGMAS * sigma):
+        return None
+    apart = np.abs(product[read] / power[read] - common)
+    return common if np.all(apart < np.maximum(SAME_FACTOR, LARGEST_SIGMAS / np.sqrt(power[read]))) else None
+
+
+def _readings(trim: TrimCalibration, channels: list[str], components: list[str]) -> tuple[Array, Array]:
+    """Return C0 and its standard errors (c, k) [V] for the largest loads that were applied."""
+    rows = [trim.channel_names.index(name) for name in channels]
+    columns = [trim.components.index(name) for name in components]
+    place = np.ix_(rows, columns)
+    return trim.C0[place] * trim.calibrated_range[columns], trim.C0_sigma[place] * trim.calibrated_range[columns]
