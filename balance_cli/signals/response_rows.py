@@ -7,7 +7,7 @@ Y = S_yu / sqrt(S_uu), U = S_vu / sqrt(S_uu), so that Y = T U holds for the aver
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,8 @@ class ResponseRows:
 
     `reference` (k,) is the index of the component that drives a row; `band` (k,) numbers the bands alike in all runs.
     Load points of a static run have frequency zero, reference -1 and band -1; they count from their mean. Channels that
-    the run lacks, or that are not finite, are NaN.
+    the run lacks, or that are not finite, are NaN. `by_points` are the components that forces beside the hub drive at
+    once, with the reference; none where loads act at the hub.
     """
 
     run: str
@@ -51,6 +52,7 @@ class ResponseRows:
     loads: ComplexArray
     reference: Index
     band: Index
+    by_points: tuple[int, ...] = field(default=(), kw_only=True)
 
     @property
     def is_static(self) -> bool:
@@ -104,7 +106,9 @@ def _dynamic_rows(run: Run, channel_names: tuple[str, ...]) -> ResponseRows | No
     if not parts:
         return None
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    return ResponseRows(run.name, run.kind, run.rotor_speed, run.excited, *columns)
+    has_points = run.additions is not None and run.additions.load_points is not None
+    by_points = tuple(int(j) for j in np.flatnonzero(np.any(U[2:] != 0, axis=0))) if has_points else ()
+    return ResponseRows(run.name, run.kind, run.rotor_speed, run.excited, *columns, by_points=by_points)
 
 
 def _spectra(signals: Array) -> ComplexArray:

@@ -85,8 +85,14 @@ def common_timeline(clocks: Sequence[Clock], rate: float | None) -> Timeline:
     first = math.ceil((begin - origin) * target - EQUAL_PLACE)
     samples = math.floor((end - origin) * target + EQUAL_PLACE) - first + 1
     if samples < 2:
-        remedy = "Give files of the same record, of some hundred samples at least"
-        raise UserError("the channels have no common part in time", place="time", remedy=remedy)
+        short = max(zip(margins, clocks, strict=True), key=lambda item: item[0])[1]
+        slow = f"{short.rate:.6g} Hz"
+        fault = (
+            f"{short.samples} samples at {slow} are too few to be brought to {target:.6g} Hz with the other channels: "
+            "resampling needs some before and behind the part that is kept"
+        )
+        remedy = f"Leave the channels at {slow} out of the map, import them as another run, or record longer"
+        raise UserError(fault, place="time", remedy=remedy)
     return Timeline(target, origin + first / target, samples)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.additions import FORCE, LoadPoints, MemoryAdditions, RunAdditions
 from balance_cli.campaign.recording.point_loads import with_hub_loads
 from balance_cli.campaign.recording.run import MemorySource, Run
+from balance_cli.diagnosis.consistency.campaign import campaign_findings
 from balance_cli.estimation.batch import Batch
 from balance_cli.estimation.likelihood import data_chi2
 from balance_cli.estimation.measured_spectra import measured_spectra
@@ -97,6 +98,7 @@ def test_forces_that_span_the_hub_loads_give_their_responses():
         swept_at_a_point(0.1, True, seed, 0.3 * rng.standard_normal(3), direction, 5 * PERIOD)
         for seed, direction in enumerate(directions)
     ]
+    assert campaign_findings(other_rig("A"), runs) == ()
     (found,) = estimate_responses(runs, other_rig("A")).responses
     truth = true_response(true_rig(other_rig("A")), found.frequency)
     rows = [other_rig("A").channel_names.index(name) for name in found.channel_names]

@@ -62,7 +62,7 @@ class Evidence:
         """Components that drive rows of the run; in a static run, those that vary."""
         if self.rows.is_static:
             return tuple(int(j) for j in np.flatnonzero(np.any(self.loads != 0, axis=0)))
-        return tuple(int(j) for j in np.unique(self.rows.reference))
+        return self.rows.by_points or tuple(int(j) for j in np.unique(self.rows.reference))
 
     @cached_property
     def predicted(self) -> tuple[ComplexArray, ComplexArray]:
