@@ -19,6 +19,7 @@ from balance_cli.estimation.measurements import stack_runs
 from balance_cli.io.errors import UserError
 from balance_cli.model.balance import balance_model
 from balance_cli.signals.response.point_forces import PointForce, combine_point_forces
+from balance_cli.signals.response.transfer import Transfer, response_to_component
 from balance_cli.signals.run_spectrum import FrequencyResponse
 from balance_cli.signals.single_force import single_force
 from balance_cli.simulation import true_rig
@@ -107,6 +108,8 @@ def test_forces_that_span_the_hub_loads_give_their_responses():
         * np.einsum("kuu->ku", found.load_covariance)[:, None]
     )
     assert found.components == HUB_LOADS and len(found.frequency) > 200
+    undeclared = Transfer(other_rig("A"), (replace(found, level=()),))
+    assert response_to_component(undeclared, "Mz").components == ("Mz",) and min(found.level) > 0.0
     assert 0.8 < np.mean(np.abs(found.response - truth[:, rows]) ** 2 / variance.real) < 1.25
     with pytest.raises(UserError, match="4 forces at points drove 5 hub loads in 4 combinations: nothing drove"):
         estimate_responses(runs[:4], other_rig("A"))

@@ -84,8 +84,14 @@ def _solve(
         load_covariance=(inverse.swapaxes(1, 2) @ inverse).astype(complex),
         coherence=ordinary,
         multiple_coherence=multiple,
-        level=(float("nan"),) * len(names),
+        level=_levels(responses, A),
     )
+
+
+def _levels(responses: list[FrequencyResponse], A: Array) -> tuple[float, ...]:
+    """Return the rms of each load over the records (R,), of which each states that of the load to which it refers."""
+    stated = np.array([response.level[0] if response.level else np.nan for response in responses])
+    return tuple(np.sqrt(np.mean((A * stated) ** 2, axis=1)).tolist())
 
 
 def _relative_variance(covariance: ComplexArray) -> Array:

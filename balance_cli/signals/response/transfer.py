@@ -114,9 +114,9 @@ def response_to_component(transfer: Transfer, component: str, level: str = "high
     ]
     if not candidates:
         raise UserError(f"there is no measured response to {component}", remedy="Include a sweep that excites it")
-    levels = [response.level[0] for response in candidates]
-    target = max(levels) if level == "highest" else min(levels)
-    at_level = [response for response in candidates if np.isclose(response.level[0], target)]
+    levels = [response.level[0] for response in candidates if np.isfinite(response.level[0])]
+    target = (max if level == "highest" else min)(levels, default=float("nan"))
+    at_level = [response for response in candidates if np.isclose(response.level[0], target, equal_nan=True)]
     return min(at_level, key=lambda response: float(np.median(relative_sigma(response))))
 
 
