@@ -180,10 +180,10 @@ def diagnosis_notes(spectra: Spectra, fit: Fit, updated: IdentifiedModel, settin
     notes = [departure.description for departure in declared_agreement(updated).departures]
     bin_sums = any(run.waveform is not None and run.waveform.lines_are_bin_sums for run in spectra.lines)
     too_good = updated.quality.chi2_per_dof < settings.selection.too_good_chi2_per_dof
-    if fit.model.system(fit.theta).equations.forces and bin_sums and too_good:
+    if fit.model.system(fit.theta).equations.nonlinear_terms and bin_sums and too_good:
         notes.append(
             "chi2/dof is below one because the noise of records that do not repeat was measured with the nonlinear "
-            "forces still in it: every sigma and p-value is on the safe side"
+            "terms still in it: every sigma and p-value is on the safe side"
         )
     levels: dict[tuple[tuple[str, ...], float], set[tuple[float, ...]]] = {}
     for run in spectra.lines:

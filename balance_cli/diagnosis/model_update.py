@@ -111,17 +111,17 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
     """Test the result of a search on all lines: confirm, prune, drop what is unsupported, and compare alternatives."""
     task.announce("maximum likelihood of all lines")
     settings, state = task.settings, search_result.state
-    fit, narrowed, batches, noise_alone = _first_fit(task, state, last_round(search_result.trials) + 1)
+    fit, narrowed, batches, error_runs = _first_fit(task, state, last_round(search_result.trials) + 1)
     trials, alternatives = (*search_result.trials, *narrowed), _search_alternatives(search_result, settings)
     for number in range(settings.selection.max_passes):
-        confirmation = confirm(fit, batches, noise_alone, last_round(trials) + 1, task.announce, settings)
+        confirmation = confirm(fit, batches, error_runs, last_round(trials) + 1, task.announce, settings)
         trials = (*trials, *confirmation.trials)
         alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
-        changed = not noise_alone and _has_new_effects(confirmation.fit, task)
+        changed = bool(error_runs) and _has_new_effects(confirmation.fit, task)
         refit = _refit_against_noise(confirmation.fit, task) if changed else None
         if refit is not None:
-            noise_alone, batches, fit = True, list(task.batches), refit
-            confirmation = confirm(fit, batches, noise_alone, last_round(trials) + 1, task.announce, settings)
+            error_runs, batches, fit = frozenset(), list(task.batches), refit
+            confirmation = confirm(fit, batches, error_runs, last_round(trials) + 1, task.announce, settings)
             trials = (*trials, *confirmation.trials)
             alternatives = {**alternatives, **_confirm_alternatives(confirmation, settings)}
         over = task.announce("effect selection")
@@ -131,7 +131,7 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
         trials = (*trials, *merged)
         count, last = len(confirmation.scores), last_round(trials) + 1
         fit, pruned = prune_effects(fit, batches, count, last, settings)
-        fit, dropped = drop_unsupported_effects(fit, batches, noise_alone, task.certain_labels, last, settings)
+        fit, dropped = drop_unsupported_effects(fit, batches, error_runs, task.certain_labels, last, settings)
         comparison = compare_alternatives(
             fit, batches, task.given_labels, alternatives, count, last + 1, task.announce, settings
         )
@@ -148,15 +148,18 @@ def _test_on_all_lines(task: _UpdateTask, search_result: SearchResult) -> Update
 
 def _first_fit(
     task: _UpdateTask, state: SearchState, number: int
-) -> tuple[Fit, tuple[Trial, ...], Sequence[Batch], bool]:
-    """The state of the search fitted on all lines, its trials, the batches, and whether they carry the noise alone."""
+) -> tuple[Fit, tuple[Trial, ...], Sequence[Batch], frozenset[str]]:
+    """The state of the search fitted on all lines, its trials, the batches, and their runs that carry a model error."""
     # While the model still has an error, the noise alone is no measure of significance.
     noise_alone = state.error <= task.settings.rounds.large_error
     batches = list(task.batches) if noise_alone else add_model_error(task.batches, state.shares)
     fit, trials = _fit_and_narrow(state, batches, noise_alone, number, task.settings)
     # The lines of the search hold the start transient, which looks like an error of the model.
     refit = None if noise_alone or _has_new_effects(fit, task) else _refit_against_noise(fit, task)
-    return (fit, trials, batches, noise_alone) if refit is None else (refit, trials, list(task.batches), True)
+    if refit is not None:
+        return refit, trials, list(task.batches), frozenset()
+    with_error = frozenset() if noise_alone else frozenset(name for name, share in state.shares.items() if share > 0)
+    return fit, trials, batches, with_error
 
 
 def _fit_and_narrow(

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from balance_cli.estimation.batch import WORKERS, Batch, cached_parts, split_large_batches
 from balance_cli.estimation.cell_forces import RunCellForces, cell_forces
+from balance_cli.estimation.channel_distortions import RunDistortions, channel_distortions
 from balance_cli.estimation.mains_interference import MainsTone, ToneTerms, mains_tones
 from balance_cli.estimation.recorded_loads import attached_exciters, recorded_load_columns
 from balance_cli.estimation.shared_solutions import SharedSolutions
@@ -48,7 +49,8 @@ class BatchEvaluation:
 
     `loads` (K, 6) are estimated; `residual` (K, c) is that of the channels about the measured loads, `weighted` (K, c)
     the weighted residual S r, `chi2` (K,) that of each line. `downdate` is the reduction of the precision by the
-    eliminated loads; `forces` are the nonlinear ones along the springs, `mains_tones` the interference in each run.
+    eliminated loads; `nonlinear` are the forces along the springs and the distortions of channels that are not linear,
+    `mains_tones` the interference in each run.
     """
 
     loads: ComplexArray
@@ -57,7 +59,7 @@ class BatchEvaluation:
     chi2: Array
     downdate: tuple[ComplexArray, ComplexArray] | None
     transients: tuple[RunTransient, ...]
-    forces: tuple[RunCellForces, ...]
+    nonlinear: tuple[RunCellForces | RunDistortions, ...]
     mains_tones: tuple[MainsTone, ...]
 
     @property
@@ -87,12 +89,13 @@ def evaluate_batch(
     With `derivatives` the nonlinear forces and the transients come with theirs. `shared`: with other runs.
     """
     columns = recorded_load_columns(batch, system, solution)
-    forces = cell_forces(batch, system, solution, derivatives)
+    distortions = channel_distortions(batch, system, derivatives)
+    nonlinear: list[RunCellForces | RunDistortions] = [*cell_forces(batch, system, solution, derivatives), *distortions]
     loads = _subtract_load_offset(batch, system)
     residual = batch.lines.channels - np.matmul(columns, loads[:, :, None])[:, :, 0]
     if np.any(system.equations.channel_offset.value):
         residual -= batch.lines.constant_volts[:, None] * system.equations.channel_offset.value
-    for run in forces:
+    for run in nonlinear:
         residual[run.lines] -= run.volts(system)
     downdate = None if batch.has_exact_loads else _downdate(batch, columns)
 
@@ -114,7 +117,7 @@ def evaluate_batch(
         right = np.matmul(SM.conj().swapaxes(1, 2), residual[:, :, None])
         loads = loads + np.linalg.solve(normal, right)[:, :, 0]
     six_loads = _expand_to_six_components(batch, loads)
-    return BatchEvaluation(six_loads, weighted, residual, chi2, downdate, transients, forces, tones)
+    return BatchEvaluation(six_loads, weighted, residual, chi2, downdate, transients, tuple(nonlinear), tones)
 
 
 def _subtract_load_offset(batch: Batch, system: System) -> ComplexArray:
@@ -169,7 +172,7 @@ def channel_derivatives(batch: Batch, system: System, solution: Solution, fit: B
     if change is not None:
         acting, of_loads = change
         derivatives[:, :, acting] += np.matmul(response(system, solution)[batch.lines.index], of_loads)
-    for run in fit.forces:
+    for run in fit.nonlinear:
         run.add_derivatives(system, derivatives[run.lines])
     _add_offset_derivatives(derivatives, batch, system, solution)
     return derivatives

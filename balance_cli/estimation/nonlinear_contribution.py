@@ -1,7 +1,8 @@
-"""Records with the contribution of nonlinear cell forces removed from the channels.
+"""Records with the contribution of nonlinear cell forces and nonlinear channels removed from the channels.
 
-The cells measure these forces, and the model gives their effect on the channels. The linear response then describes the
-rest. The mean is left unchanged: the static calibration accounts for the cells at rest.
+The cells measure these forces, and the model gives their effect on the channels; a nonlinear channel tells its own.
+The linear response then describes the rest. The mean is left unchanged: the static calibration accounts for the cells
+at rest.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from balance_cli.campaign.recording.run import MemorySource, Run, read_channels
 from balance_cli.campaign.rig.geometry import Geometry
 from balance_cli.estimation.cell_forces import record_cell_forces
+from balance_cli.estimation.channel_distortions import record_distortions
 from balance_cli.model.system import System
 from balance_cli.model.system_response import solve
 from balance_cli.signals.run_samples import sample_rate
@@ -24,13 +26,14 @@ Array = NDArray[np.float64]
 
 
 def remove_nonlinear_contribution(run: Run, system: System, geometry: Geometry, live: Sequence[str]) -> Run:
-    """The run without the dynamic contribution of nonlinear forces; the same run where there are no such forces."""
-    if not any(force.values.value[0] != 0.0 for force in system.equations.forces):
+    """The run without the dynamic contribution of nonlinear forces; the same run where there are no such terms."""
+    if not system.equations.has_nonlinear_terms:
         return run
     names = geometry.channel_names
     waveform = record_waveform(read_channels(run, live), sample_rate(run), live, geometry)
     solution = solve(system, waveform.frequency, run.rotor_speed)
     volts = record_cell_forces(waveform, system, solution).volts(system)
+    volts = volts + record_distortions(waveform, system).volts(system)
     volts[0] = 0.0
     block = run.read()
     channels = block.channels.copy()

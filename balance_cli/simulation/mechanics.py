@@ -31,7 +31,9 @@ class MaxwellBranch:
 
 @dataclass(frozen=True)
 class NonlinearCellForce:
-    """A nonlinear force along a cell: `k2 d^2 + k3 d^3` and a slipping contact of `stick_stiffness` up to `limit` [N].
+    """A nonlinear force along a cell: `k2 d^2 + k3 d^3`, a slipping contact of `stick_stiffness` up to `limit` [N].
+
+    Stops of `stop_stiffness` touch on both sides where |d| exceeds `gap`.
 
     `read_by_channels`: the force acts inside the cell, whose channels read it; otherwise it acts beside the cell.
     """
@@ -41,6 +43,8 @@ class NonlinearCellForce:
     k3: float = 0.0
     stick_stiffness: float = 0.0
     limit: float = 0.0
+    stop_stiffness: float = 0.0
+    gap: float = 0.0
     read_by_channels: bool = False
 
 

@@ -27,18 +27,25 @@ LOAD_SUBSTEPS = 8
 
 @dataclass(frozen=True)
 class NonlinearForces:
-    """m nonlinear forces `k2 d^2 + k3 d^3` and slipping contacts, coefficients (m,) each."""
+    """m nonlinear forces `k2 d^2 + k3 d^3`, slipping contacts and stops beyond a gap, coefficients (m,) each."""
 
     k2: Array
     k3: Array
     stick: Array
     limit: Array
+    stop: Array
+    gap: Array
 
     @classmethod
     def from_cell_forces(cls, forces: Sequence[NonlinearCellForce]) -> NonlinearForces:
         """The coefficients of all forces."""
-        columns = [(f.k2, f.k3, f.stick_stiffness, f.limit) for f in forces]
-        return cls(*np.array(columns, float).reshape(-1, 4).T)
+        columns = [(f.k2, f.k3, f.stick_stiffness, f.limit, f.stop_stiffness, f.gap) for f in forces]
+        return cls(*np.array(columns, float).reshape(-1, 6).T)
+
+    @property
+    def has_springs(self) -> bool:
+        """Whether a part of any force depends only on the elongation."""
+        return bool(np.any(self.k2) or np.any(self.k3) or np.any(self.stop))
 
     def contact(self, d: Array, before: Array, held: Array) -> Array:
         """Contact forces at elongations d that were `before` when the contacts held the forces `held`."""
@@ -48,12 +55,15 @@ class NonlinearForces:
     def spring(self, d: Array) -> Array:
         """The part that depends only on the elongation."""
         force: Array = (self.k2 + self.k3 * d) * d * d
+        if np.any(self.stop):
+            force = force + self.stop * (np.maximum(d - self.gap, 0.0) + np.minimum(d + self.gap, 0.0))
         return force
 
     def tangent_stiffness(self, d: Array, before: Array, held: Array) -> Array:
         """Derivative of the total force with respect to d."""
         sticks = np.abs(held + self.stick * (d - before)) < self.limit
-        tangent_stiffness: Array = (2 * self.k2 + 3 * self.k3 * d) * d + np.where(sticks, self.stick, 0.0)
+        contacts = np.where(sticks, self.stick, 0.0) + np.where(np.abs(d) > self.gap, self.stop, 0.0)
+        tangent_stiffness: Array = (2 * self.k2 + 3 * self.k3 * d) * d + contacts
         return tangent_stiffness
 
 
@@ -141,7 +151,7 @@ def integrate_nonlinear_forces(
     stepper = _Stepper.from_system(system, step)
     width = 2 * len(system.poles)
     m = linear.shape[2]
-    slips, springs = bool(np.any(forces.limit)), bool(np.any(forces.k2) or np.any(forces.k3))
+    slips, springs = bool(np.any(forces.limit)), forces.has_springs
     state = np.hstack([_equilibrium_states(system, start.force), start.force, start.force, start.force])
     d, force, held = start.elongation, start.force, start.contact
     result = np.empty_like(linear)

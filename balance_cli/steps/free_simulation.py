@@ -132,11 +132,11 @@ def diagnose_with_free_simulation(
 
 
 def nonlinear_effects(model: IdentifiedModel) -> tuple[str, ...]:
-    """Return NAME@CELL of the effects that are nonlinear forces."""
+    """Return NAME@PLACE of the effects that are nonlinear forces or channels."""
     labels = []
     for item in model.geometry.effects:
         alone = model.geometry.model_copy(update={"effects": (item,)})
-        if balance_model(alone).system().equations.forces:
+        if balance_model(alone).system().equations.nonlinear_terms:
             labels.append(effect_label(item.name, item.where))
     return tuple(labels)
 

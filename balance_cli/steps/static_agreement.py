@@ -102,7 +102,7 @@ def _is_nonlinear(geometry: Geometry) -> bool:
     """Whether the response at rest depends on the load; only gross differences count then."""
     if not geometry.effects or missing_mechanics(geometry):
         return False
-    return bool(balance_model(geometry).system(derivatives=False).equations.forces)
+    return balance_model(geometry).system(derivatives=False).equations.nonlinear_terms > 0
 
 
 def _comparisons(calibration: Calibration, source: ResponseSource) -> Iterator[StaticComparison]:

@@ -134,10 +134,12 @@ TRUTHS = {
         "parallel-stiffness", x=0.3, y=-0.2, z=0.2, stiffness_x=2e3, stiffness_y=1e3, stiffness_z=4e3, damping_time=1e-3
     ),
     "cell-misalignment": truth("cell-misalignment", ("z1",), angle_1=2e-4, angle_2=-3e-4),
+    "cell-position": truth("cell-position", ("z1",), offset_1=2e-4, offset_2=-3e-4),
     "transverse-stiffness": truth("transverse-stiffness", ("all",), stiffness=500.0),
     "structural-damping": truth("structural-damping", ("all",), loss_factor=6e-4, causality=1.0),
     "cubic-stiffness": truth("cubic-stiffness", ("x",), k3=3e11, side="inside"),
     "quadratic-stiffness": truth("quadratic-stiffness", ("z1",), k2=-3e8, side="beside"),
+    "free-play": truth("free-play", ("x",), stiffness=2e4, gap=2e-6),
     # The elongations at which a contact turns round are read with noise: its force is off by 0.1 to 1 %, depending on
     # the record. Its sigma, which knows of the noise on the lines alone, is 0.05 to 0.08 % here.
     "dry-friction": truth("dry-friction", ("x",), force=0.5, stick_stiffness=1.5e6, bias=0.005),
@@ -154,6 +156,7 @@ TRUTHS = {
     "high-pass": truth("high-pass", ("x.piezo",), cutoff=0.03),
     "time-delay": truth("time-delay", ("z1.piezo",), delay=1e-6),
     "crosstalk": truth("crosstalk", ("x.strain", "z1.strain"), fraction=1e-3),
+    "saturation": truth("saturation", ("x.strain",), compression=0.08),
     "exciter-mass": truth("exciter-mass", ("Fz",), mass=0.02),
     "load-gain": truth("load-gain", ("Fx",), gain=1.0005),
     "load-delay": truth("load-delay", ("Fy",), delay=-2e-6),

@@ -61,3 +61,18 @@ class SaturatingChannel(Extension):
         for index in self.places(signals.names):
             volts[:, index] = self.limit * np.tanh(volts[:, index] / self.limit)
         return volts
+
+
+@dataclass(frozen=True)
+class RectifyingChannel(Extension):
+    """A channel whose amplifier reads too much where it is positive, by `v^2 / limit`, in motion and at rest."""
+
+    name: ClassVar[str] = "rectifying-channel"
+    limit: float = 100.0
+
+    def volts(self, signals: Signals) -> Array:
+        """More where they are positive."""
+        volts = signals.volts.copy()
+        for index in self.places(signals.names):
+            volts[:, index] += np.maximum(volts[:, index], 0.0) ** 2 / self.limit
+        return volts

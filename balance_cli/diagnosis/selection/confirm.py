@@ -86,19 +86,22 @@ class _RoundResult:
 def confirm(
     fit: Fit,
     batches: Sequence[Batch],
-    noise_alone: bool,
+    error_runs: Collection[str],
     first_round: int,
     announce: Announce,
     settings: SearchSettings,
 ) -> ConfirmedFit:
-    """Add significant effects one by one, as long as each explains a fair share of the unexplained chi-square."""
+    """Add significant effects one by one, as long as each explains a fair share of the unexplained chi-square.
+
+    `error_runs`: names of the runs whose weights carry a model error.
+    """
     result = ConfirmedFit(fit)
     for number in range(first_round, first_round + settings.selection.max_rounds):
         over = announce(f"all lines, round {number}")
         fit = result.fit
         pool = candidates(fit.model.geometry, excluded=settings.excluded)
         scores = score_in_two_stages(fit.model, fit.theta, batches, pool, settings)
-        unexplained = unexplained_chi2(fit, batches, noise_alone, settings.fit)
+        unexplained = unexplained_chi2(fit, batches, error_runs, settings.fit)
         threshold = settings.selection.min_effect_share * unexplained
         smallest_p_value, step = _confirm_round(
             _RoundContext(number, fit, batches, scores, threshold, settings, over), result.refused

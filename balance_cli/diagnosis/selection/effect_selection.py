@@ -195,19 +195,19 @@ def _refit_at_place(
 def drop_unsupported_effects(
     fit: Fit,
     batches: Sequence[Batch],
-    noise_alone: bool,
+    error_runs: Collection[str],
     certain_labels: Collection[str],
     number: int,
     settings: SearchSettings,
 ) -> tuple[Fit, tuple[Trial, ...]]:
     """Return the model without effects whose gain is small beside the chi-square that no effect explains.
 
-    What is unexplained could look like them. Where the weights carry a model error (not `noise_alone`), an effect must
-    gain more than all of it. Effects with `certain_labels` stay.
+    What is unexplained could look like them. Where the weights of `error_runs` carry a model error, an effect must gain
+    more than all of it. Effects with `certain_labels` stay.
     """
     trials: list[Trial] = []
-    share = settings.selection.min_effect_share if noise_alone else 1.0
-    while threshold := share * unexplained_chi2(fit, batches, noise_alone, settings.fit):
+    share = 1.0 if error_runs else settings.selection.min_effect_share
+    while threshold := share * unexplained_chi2(fit, batches, error_runs, settings.fit):
         weak = [
             (effect, refit_without_effect(fit, effect, batches, settings.fit))
             for effect in declared_effects(fit.model.geometry)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,12 +50,16 @@ def start_fit(model: BalanceModel, theta: Array, batches: Sequence[Batch], setti
     return Fit(model, replace(minimum, total=minimum.data + prior_curvature(model.parameters, minimum.theta)))
 
 
-def unexplained_chi2(fit: Fit, batches: Sequence[Batch], noise_alone: bool, settings: FitSettings) -> float:
+def unexplained_chi2(fit: Fit, batches: Sequence[Batch], error_runs: Collection[str], settings: FitSettings) -> float:
     """Return the part of chi-square that neither the noise nor the model explains; zero where there is none.
 
-    Where the weights carry a model error (not `noise_alone`) it is all of chi-square.
+    Of `error_runs`, whose weights carry a model error, it is all of chi-square.
     """
-    if not noise_alone:
-        return fit.minimum.data.chi2
-    expected = sum(float(batch.lines.efficiency @ batch.lines.count) for batch in batches)
+    expected = sum(_expected_chi2(batch, error_runs) for batch in batches)
     return max(0.0, fit.minimum.data.chi2 - settings.max_noise_chi2_per_dof * expected)
+
+
+def _expected_chi2(batch: Batch, error_runs: Collection[str]) -> float:
+    """What the noise alone makes of the chi-square of the other runs."""
+    has_noise_alone = ~np.isin(np.asarray(batch.run_names)[batch.lines.run], list(error_runs))
+    return float(batch.lines.efficiency[has_noise_alone] @ batch.lines.count[has_noise_alone])

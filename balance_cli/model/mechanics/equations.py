@@ -15,7 +15,8 @@ equations are therefore multiplied by the compliance (`row_factor`), and its spr
 (`own_stiffness`): c (m q'' + d q' + ...) + q = c F u, which for c = 0 reads q = 0.
 
 A force along a spring that is nonlinear in its elongation d = E q enters as an input like a load, -E' f(d), because
-d is known: the spring's channels measure it (`CellForce`).
+d is known: the spring's channels measure it (`CellForce`). In the same way a channel that is nonlinear tells by its own
+reading what it adds to that of a linear one (`ChannelDistortion`).
 """
 
 from __future__ import annotations
@@ -90,6 +91,18 @@ class CellForce:
 
 
 @dataclass(frozen=True)
+class ChannelDistortion:
+    """What a channel (its index) reads beyond a linear one, as a function of its reading v [V]: strength * shape(v).
+
+    `values` (q,): the strength, zero where the channel is linear, then the parameters of the shape.
+    """
+
+    channel: int
+    values: Dual
+    shape: Callable[[Array, Dual], Dual]
+
+
+@dataclass(frozen=True)
 class InterferenceTone:
     """A tone in one channel (its index): amplitude squared [V2] and frequency [Hz]; its phase differs in each run."""
 
@@ -113,8 +126,8 @@ class Equations:
     - `center` (3,) [m]: center of gravity of the metric side; `freedom`: the motions of it that the first coordinates
       are; `non_metric_motion` (6, n): motion x y z psi theta phi of the non-metric side at the rig's origin.
     - `row_factor` and `own_stiffness` (n,): one and zero except for flexible parts.
-    - `forces` act along springs, `interference_tones` in channels; `channel_offset` (c,) [V] and `load_offset` (6,)
-      [N, N m] are added to the readings of the channels and of the exciters' force cells.
+    - `forces` act along springs, `distortions` and `interference_tones` in channels; `channel_offset` (c,) [V] and
+      `load_offset` (6,) [N, N m] are added to the readings of the channels and of the exciters' force cells.
     - `sums` and `point_motions` are the springs without stiffness.
     - `plate_damping`: the damping of the plate by its damping ratios for a mass matrix of its motions, both (f, f).
     """
@@ -146,6 +159,7 @@ class Equations:
     channel_offset: Dual
     load_offset: Dual
     forces: tuple[CellForce, ...] = ()
+    distortions: tuple[ChannelDistortion, ...] = ()
     interference_tones: tuple[InterferenceTone, ...] = ()
     sums: tuple[SpringSum, ...] = ()
     point_motions: tuple[PointMotion, ...] = ()
@@ -155,6 +169,17 @@ class Equations:
     def parameters(self) -> int:
         """Number of parameters that the derivatives refer to."""
         return self.mass.parameters
+
+    @property
+    def nonlinear_terms(self) -> int:
+        """Number of forces and distortions, which are not linear in the motion."""
+        return len(self.forces) + len(self.distortions)
+
+    @property
+    def has_nonlinear_terms(self) -> bool:
+        """Whether the strength of any of them differs from zero."""
+        terms: list[CellForce | ChannelDistortion] = [*self.forces, *self.distortions]
+        return any(term.values.value[0] != 0.0 for term in terms)
 
     @property
     def channel_names(self) -> tuple[str, ...]:
@@ -220,6 +245,10 @@ class Equations:
     def with_force(self, force: CellForce) -> Equations:
         """The equations with a further force along a spring."""
         return replace(self, forces=(*self.forces, force))
+
+    def with_distortion(self, distortion: ChannelDistortion) -> Equations:
+        """The equations with a channel that is nonlinear."""
+        return replace(self, distortions=(*self.distortions, distortion))
 
     def with_springs(self, motion: Dual, stiffness: Dual) -> Equations:
         """The equations with springs that no channel reads: elongation (m, n) per coordinate and stiffness (m,)."""

@@ -1,4 +1,4 @@
-"""Effects in the cells: nonlinear springs, slipping contacts, relaxation, misalignment and transverse stiffness."""
+"""Effects in the cells: nonlinear springs, stops, slipping contacts, relaxation, place and transverse stiffness."""
 
 from __future__ import annotations
 
@@ -62,6 +62,23 @@ class QuadraticStiffness(Extension):
 
 
 @dataclass(frozen=True)
+class FreePlay(Extension):
+    """Stops beside the cell, each a spring `stiffness` [N/m], that touch where the elongation exceeds `gap` [m]."""
+
+    name: ClassVar[str] = "free-play"
+    stiffness: float = 0.0
+    gap: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
+        """The equations with the stops at every place. Raises UserError for a negative gap or stiffness."""
+        if self.stiffness < 0.0 or self.gap < 0.0:
+            fault = f"`{self.name}` needs `stiffness` and `gap` of at least 0"
+            raise UserError(fault, place="effects", remedy="Give both, in N/m and m")
+        stops = NonlinearCellForce(0, stop_stiffness=self.stiffness, gap=self.gap)
+        return _with_forces(self, mechanics, geometry, stops)
+
+
+@dataclass(frozen=True)
 class DryFriction(Extension):
     """A slipping contact beside the cell: a spring `stick_stiffness` [N/m] that slips at `force` [N] (Jenkins)."""
 
@@ -106,6 +123,27 @@ class CellMisalignment(Extension):
             axis = cell.direction + self.angle_1 * first + self.angle_2 * second
             relative = mechanics.plate_displacement(cell.position) - mechanics.non_metric_displacement(cell.position)
             rows[index] = axis / np.linalg.norm(axis) @ relative
+        return replace(mechanics, cell_rows=rows)
+
+
+@dataclass(frozen=True)
+class CellPosition(Extension):
+    """The cell acts `offset_1` and `offset_2` [m] beside its declared position, towards its two transverse axes."""
+
+    name: ClassVar[str] = "cell-position"
+    offset_1: float = 0.0
+    offset_2: float = 0.0
+
+    def mechanics(self, mechanics: Mechanics, geometry: Geometry, rotor_speed: float) -> Mechanics:
+        """The equations with the cell at its true position."""
+        rows = mechanics.cell_rows.copy()
+        for index in self.places(geometry.cell_names):
+            cell = geometry.cells[index]
+            first, second = transverse_axes(cell.direction)
+            true = np.array(cell.position) + self.offset_1 * first + self.offset_2 * second
+            for point, sign in ((true, 1.0), (np.array(cell.position), -1.0)):
+                relative = mechanics.plate_displacement(point) - mechanics.non_metric_displacement(point)
+                rows[index] += sign * cell.direction @ relative
         return replace(mechanics, cell_rows=rows)
 
 

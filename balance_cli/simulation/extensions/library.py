@@ -13,8 +13,10 @@ from balance_cli.io.errors import UserError
 from balance_cli.simulation.extensions.base import Extension
 from balance_cli.simulation.extensions.cells import (
     CellMisalignment,
+    CellPosition,
     CubicStiffness,
     DryFriction,
+    FreePlay,
     QuadraticStiffness,
     StructuralDamping,
     TransverseStiffness,
@@ -35,6 +37,7 @@ from balance_cli.simulation.extensions.signals import (
     HighPass,
     LowPass,
     MainsPickup,
+    Saturation,
     TimeDelay,
 )
 from balance_cli.simulation.extensions.structure import (
@@ -52,10 +55,12 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     GyroscopicCoupling,
     ParallelStiffness,
     CellMisalignment,
+    CellPosition,
     TransverseStiffness,
     StructuralDamping,
     CubicStiffness,
     QuadraticStiffness,
+    FreePlay,
     DryFriction,
     ExciterMass,
     ExciterMisalignment,
@@ -69,6 +74,7 @@ _EXTENSION_CLASSES: tuple[type[Extension], ...] = (
     HighPass,
     TimeDelay,
     Crosstalk,
+    Saturation,
     MainsPickup,
     ChannelOffset,
 )

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from balance_cli.io.errors import UserError
 from balance_cli.simulation import filters
 from balance_cli.simulation.extensions.base import Extension, Signals
 
@@ -34,6 +35,25 @@ class TimeDelay(Extension):
         """The volts shifted in time; before the record they are constant."""
         step = signals.step
         return _map_channels(self, signals, lambda v: v if step is None else filters.delay_signal(v, self.delay, step))
+
+
+@dataclass(frozen=True)
+class Saturation(Extension):
+    """The channel reads the hyperbolic tangent of a linear one; it never exceeds 1 / sqrt(`compression` [1/V2])."""
+
+    name: ClassVar[str] = "saturation"
+    compression: float = 0.0
+
+    def volts(self, signals: Signals) -> Array:
+        """The compressed volts. Raises UserError for a negative compression."""
+        if self.compression < 0.0:
+            raise UserError(
+                f"`{self.name}` needs `compression` of at least 0", place="effects", remedy="Give it in 1/V2"
+            )
+        if self.compression == 0.0:
+            return signals.volts
+        root = np.sqrt(self.compression)
+        return _map_channels(self, signals, lambda v: np.tanh(root * v) / root)
 
 
 @dataclass(frozen=True)

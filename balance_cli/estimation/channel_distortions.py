@@ -1,0 +1,93 @@
+"""What channels that are not linear read beyond linear ones, computed from their own readings.
+
+A channel that saturates maps the voltage of a linear one to another, one to one. So the difference of the two is a
+known function of the reading, whose spectrum is subtracted from the channel's lines. Like a nonlinear force it acts at
+all frequencies at once, the mean included.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from balance_cli.estimation.batch import Batch
+from balance_cli.model.mechanics.dual_numbers import Dual
+from balance_cli.model.mechanics.equations import ChannelDistortion
+from balance_cli.model.system import System
+from balance_cli.signals.waveform_types import Waveform
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+# Rms of a distortion over that of the reading it is computed from: a channel that is beyond it tells next to nothing of
+# the force, and at a share of one the reading would explain itself.
+MAX_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class DistortionAtLines:
+    """The distortion (k,) [V] of one channel, and its derivatives (k, q) by the parameters `columns` (q,)."""
+
+    channel: int
+    volts: ComplexArray
+    columns: Index
+    derivative: ComplexArray
+
+
+@dataclass(frozen=True)
+class RunDistortions:
+    """The distortions of all channels in one run, at its `lines` in its batch."""
+
+    lines: slice
+    count: int
+    distortions: tuple[DistortionAtLines, ...]
+
+    def volts(self, system: System) -> ComplexArray:
+        """Volts (k, c) that the channels read beyond linear ones."""
+        total = np.zeros((self.count, len(system.equations.paths)), complex)
+        for item in self.distortions:
+            total[:, item.channel] += item.volts
+        return total
+
+    def add_derivatives(self, system: System, total: ComplexArray) -> None:
+        """Add the derivatives of the volts to `total` (k, c, p), in place."""
+        for item in self.distortions:
+            total[:, item.channel, item.columns] += item.derivative
+
+
+def channel_distortions(batch: Batch, system: System, derivatives: bool) -> tuple[RunDistortions, ...]:
+    """Compute the distortions in every run of a batch whose channels are known through time.
+
+    Raises LinAlgError where a channel reads more than it can, or a distortion is most of its reading.
+    """
+    if not system.equations.distortions:
+        return ()
+    return tuple(
+        _run_distortions(run.lines, run.waveform, system, derivatives) for run in batch.runs if run.waveform is not None
+    )
+
+
+def record_distortions(waveform: Waveform, system: System) -> RunDistortions:
+    """Compute the distortions of one record at all frequencies of its waveform, without derivatives."""
+    return _run_distortions(slice(None), waveform, system, derivatives=False)
+
+
+def _run_distortions(lines: slice, waveform: Waveform, system: System, derivatives: bool) -> RunDistortions:
+    distortions = tuple(_at_lines(item, waveform, derivatives) for item in system.equations.distortions)
+    count = len(waveform.combine_bins(np.zeros(len(waveform.bin_frequency()), complex)))
+    return RunDistortions(lines, count, distortions)
+
+
+def _at_lines(item: ChannelDistortion, waveform: Waveform, derivatives: bool) -> DistortionAtLines:
+    columns = np.flatnonzero(np.any(item.values.derivative, axis=1)) if derivatives else np.zeros(0, np.intp)
+    reading = waveform.to_time_domain(waveform.volts[:, item.channel])
+    values = Dual(item.values.value, item.values.derivative[columns])
+    distortion = values[0] * item.shape(reading, values)
+    if not np.linalg.norm(distortion.value) <= MAX_SHARE * np.linalg.norm(reading):
+        raise np.linalg.LinAlgError("the distortion of a channel is most of its reading")
+    volts = waveform.combine_bins(waveform.to_bins(distortion.value))
+    derivative = waveform.combine_bins(waveform.to_bins(distortion.derivative.T))
+    return DistortionAtLines(item.channel, volts, columns, derivative)
